@@ -1,0 +1,20 @@
+"""Functions that build the diagrams of the polycentric knee exoskeleton."""
+
+from kneexo.diagrams.closed_loop import (
+    SIGNALS,
+    available_signals,
+    columns,
+    make_closed_loop,
+    set_encoder_phase,
+)
+from kneexo.diagrams.plant import PLANT_OUTPUTS, make_plant
+
+__all__ = [
+    "PLANT_OUTPUTS",
+    "SIGNALS",
+    "available_signals",
+    "columns",
+    "make_closed_loop",
+    "make_plant",
+    "set_encoder_phase",
+]

@@ -1,0 +1,25 @@
+"""The errors that kneexo raises for wrong input or a failed run; each message is one line."""
+
+
+class KneexoError(Exception):
+    """Base of every error that kneexo raises on purpose."""
+
+
+class ParameterError(KneexoError, ValueError):
+    """A parameter is unknown, has the wrong type, or is outside its range."""
+
+
+class ScenarioError(ParameterError):
+    """A scenario file cannot be read: says file, line, path, value, unit and range."""
+
+
+class LinkageError(KneexoError, ValueError):
+    """A four-bar linkage cannot be assembled, or is not one-to-one over the range of motion."""
+
+
+class SimulationError(KneexoError, RuntimeError):
+    """A simulation diverged or left its range: says the time and the signal."""
+
+
+class OutputError(KneexoError, OSError):
+    """A result cannot be written."""

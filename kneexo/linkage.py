@@ -1,0 +1,373 @@
+"""Four-bar knee: linkage mathematics as plain functions (Lee et al. 2020, Eq. 1–9).
+
+Frame: that of the ground link; origin at the nominal knee axis, y proximal, flexion
+counter-clockwise. Angles in rad, lengths in m. Every function takes an array (or a scalar) and
+returns an array of the same shape, unless its text says otherwise. The functions that the
+LeafSystems share take ``xp``, the module of elementary functions: numpy by default,
+`pydrake.math` for the scalars of Drake.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike, NDArray
+
+from kneexo.errors import LinkageError
+from kneexo.parameters import LinkageParameters, RodPolynomialParameters
+
+Array = NDArray[np.float64]
+
+FIT_RANGE_DEG = (-2.0, 91.0)
+"""Knee angles that the inverse `RodInverse` covers: the range of motion and a margin."""
+
+FIT_DEGREE = 25
+"""Chebyshev degree of `RodInverse`: below 1e-12 rad for G1, G2 and G3."""
+
+
+# ------------------------------------------------------------- encoder angle to knee angle
+
+
+def wrap(angle: Any, xp: Any = np) -> Any:
+    """The angle in (−π, π], as atan2(sin, cos)."""
+    return xp.atan2(xp.sin(angle), xp.cos(angle))
+
+
+def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: Any = np) -> Any:
+    """Knee angle θ_p of the angle θ_4 of link 4 (Eq. 3–7), wrapped to (−π, π].
+
+    Eq. 6 in the form θ_3 = atan2(A, B) ± acos(C/√(A² + B²)), because B + C passes through zero
+    inside the range of motion. ``link`` has the lengths and φ of `LinkageParameters`;
+    ``eq6_sign`` comes from `eq6_sign`. Where the linkage cannot be assembled the result is nan.
+    """
+    c_1 = link.o_b_x_m - link.o_a_x_m + link.a_4_m * xp.cos(encoder_angle)
+    c_2 = link.o_b_y_m - link.o_a_y_m + link.a_4_m * xp.sin(encoder_angle)
+    a = -2.0 * c_2 * link.a_3_m
+    b = -2.0 * c_1 * link.a_3_m
+    c = link.a_2_m**2 - link.a_3_m**2 - c_1**2 - c_2**2
+    theta_3 = xp.atan2(a, b) + eq6_sign * xp.acos(c / xp.sqrt(a * a + b * b))
+    return wrap(theta_3 + link.phi_rad, xp)
+
+
+# --------------------------------------------------------- knee angle to everything (exact)
+
+
+@dataclass(frozen=True)
+class LinkagePose:
+    """All joints of the linkage at the knee angles ``knee_angle`` (n,); see `pose`.
+
+    Points are complex numbers x + jy in m; angles in rad.
+    """
+
+    knee_angle: Array
+    theta_2: Array
+    theta_3: Array
+    theta_4: Array
+    joint_a: NDArray[np.complex128]
+    joint_b: NDArray[np.complex128]
+    rod_pin: NDArray[np.complex128]
+    rod_extension: Array
+    moment_arm: Array
+    """r = −dx/dθ_p in m."""
+    encoder_sensitivity: Array
+    """dθ_p/dθ_4."""
+
+
+def _ground(link: LinkageParameters) -> tuple[complex, complex]:
+    return complex(link.o_a_x_m, link.o_a_y_m), complex(link.o_b_x_m, link.o_b_y_m)
+
+
+def rod_anchor(link: LinkageParameters) -> complex:
+    """P_rod of Eq. 9 as x + jy, in m."""
+    return complex(link.rod_anchor_radius_m * np.exp(1j * link.rod_anchor_angle_rad))
+
+
+def pose(link: LinkageParameters, knee_angle: ArrayLike) -> LinkagePose:
+    """Assemble the linkage at given knee angles: closed form, driven by the coupler.
+
+    With θ_3 = θ_p − φ the dyad of links 2 and 4 closes on D = O_B − O_A − a_3 e^{jθ_3}, so
+    |D + a_4 e^{jθ_4}| = a_2 gives θ_4 (``link.branch`` is the sign of sin(θ_4 − θ_2)); Eq. 8 and
+    9 give the rod. θ_4 is continuous over the range of motion: it is wrapped around its own value
+    at mid-range, not at ±π.
+
+    Raises `LinkageError` where the links do not close.
+    """
+    theta_p = np.asarray(knee_angle, dtype=float)
+    middle = _theta_4(link, np.asarray(np.pi / 4.0))
+    theta_4 = middle + wrap(_theta_4(link, theta_p) - middle)
+    o_a, o_b = _ground(link)
+    theta_3 = theta_p - link.phi_rad
+    joint_b = o_b + link.a_4_m * np.exp(1j * theta_4)
+    joint_a = joint_b - link.a_3_m * np.exp(1j * theta_3)
+    theta_2 = np.angle(joint_a - o_a)
+    with np.errstate(divide="ignore"):
+        sensitivity = (link.a_4_m * np.sin(theta_4 - theta_2)) / (
+            link.a_3_m * np.sin(theta_3 - theta_2)
+        )
+        rod_pin = joint_b + link.rod_pin_radius_m * np.exp(1j * (theta_3 + link.rod_pin_angle_rad))
+        rod = rod_pin - rod_anchor(link)
+        length = np.abs(rod)
+        pin_velocity = 1j * ((joint_b - o_b) / sensitivity + (rod_pin - joint_b))
+    return LinkagePose(
+        knee_angle=theta_p,
+        theta_2=theta_2,
+        theta_3=theta_3,
+        theta_4=theta_4,
+        joint_a=joint_a,
+        joint_b=joint_b,
+        rod_pin=rod_pin,
+        rod_extension=length - link.rod_length_m,
+        moment_arm=-np.real(np.conj(rod) * pin_velocity) / length,
+        encoder_sensitivity=sensitivity,
+    )
+
+
+def _theta_4(link: LinkageParameters, theta_p: Array) -> Array:
+    o_a, o_b = _ground(link)
+    d = o_b - o_a - link.a_3_m * np.exp(1j * (theta_p - link.phi_rad))
+    cosine = (link.a_2_m**2 - link.a_4_m**2 - np.abs(d) ** 2) / (2.0 * link.a_4_m * np.abs(d))
+    if np.any(bad := ~(np.abs(cosine) <= 1.0)):
+        angle = np.degrees(np.broadcast_to(theta_p, bad.shape)[bad].flat[0])
+        raise LinkageError(
+            f"the linkage cannot be assembled at knee angle {angle:.4g} deg: links "
+            f"a_2_m = {link.a_2_m:g} m and a_4_m = {link.a_4_m:g} m do not close; change the "
+            f"lengths or the ground joints"
+        )
+    # sin(θ_4 − θ_2) has the sign of sin(θ_4 − arg D), since a_2 e^{jθ_2} = D + a_4 e^{jθ_4}.
+    return np.asarray(np.angle(d) + link.branch * np.arccos(cosine))
+
+
+def eq6_sign(link: LinkageParameters) -> int:
+    """The sign in Eq. 6 that belongs to the linkage's assembly: −1 or 1.
+
+    Raises `LinkageError` when the sign changes within 0…90°: then one encoder angle has two knee
+    angles and no controller can tell them apart.
+    """
+    at = pose(link, np.radians(np.linspace(0.0, 90.0, 181)))
+    signs = -np.sign(np.sin(at.theta_3 - at.theta_2))
+    if np.any(signs != signs[0]):
+        angle = np.degrees(at.knee_angle[np.argmax(signs != signs[0])])
+        raise LinkageError(
+            f"the encoder angle reverses near knee angle {angle:.4g} deg: the linkage is not "
+            f"one-to-one over 0…90 deg; change the lengths or the ground joints"
+        )
+    return int(signs[0])
+
+
+def rod_extension(link: LinkageParameters, knee_angle: ArrayLike) -> Array:
+    """Rod extension x(θ_p) in m (Eq. 8, 9)."""
+    return pose(link, knee_angle).rod_extension
+
+
+def moment_arm(link: LinkageParameters, knee_angle: ArrayLike) -> Array:
+    """Moment arm of the rod r(θ_p) = −dx/dθ_p in m."""
+    return pose(link, knee_angle).moment_arm
+
+
+def encoder_angle(link: LinkageParameters, knee_angle: ArrayLike) -> Array:
+    """Angle θ_4 of link 4 in rad, continuous over the range of motion."""
+    return pose(link, knee_angle).theta_4
+
+
+def knee_angle_from_rod(link: LinkageParameters, extension: ArrayLike) -> Array:
+    """Knee angle θ_p(x) in rad: the inverse of `rod_extension`, by Newton's method.
+
+    Starts from an interpolated table; stops when no step exceeds 1e-15 rad or after 20 steps.
+    Raises `LinkageError` when the extension belongs to no knee angle of −2…91°.
+    """
+    return _invert(lambda angle: _rod_and_arm(link, angle), extension)
+
+
+def _rod_and_arm(link: LinkageParameters, angle: Array) -> tuple[Array, Array]:
+    at = pose(link, angle)
+    return at.rod_extension, at.moment_arm
+
+
+def _invert(
+    rod_and_arm: Callable[[Array], tuple[Array, Array]],
+    extension: ArrayLike,
+) -> Array:
+    x = np.asarray(extension, dtype=float)
+    grid = np.radians(np.linspace(*FIT_RANGE_DEG, 187))
+    table, _ = rod_and_arm(grid)
+    if np.any(np.diff(table) >= 0.0):
+        angle = np.degrees(grid[np.argmax(np.diff(table) >= 0.0)])
+        raise LinkageError(
+            f"the rod has a dead centre near knee angle {angle:.4g} deg: its extension must fall "
+            f"as the knee flexes over {FIT_RANGE_DEG[0]:g}…{FIT_RANGE_DEG[1]:g} deg"
+        )
+    slack = 1e-9
+    if np.any(bad := ~((x >= table[-1] - slack) & (x <= table[0] + slack))):
+        raise LinkageError(
+            f"rod_extension = {x[bad].flat[0]:g} m belongs to no knee angle: must be "
+            f"{table[-1]:.4g} … {table[0]:.4g} m"
+        )
+    angle = np.interp(x, table[::-1], grid[::-1])
+    for _ in range(20):
+        value, arm = rod_and_arm(angle)
+        step = (value - x) / arm
+        angle = angle + step
+        if np.all(np.abs(step) < 1e-15):
+            break
+    return np.asarray(angle)
+
+
+# ------------------------------------------------------------------------------ properties
+
+
+def icr(link: Any, theta_3: Any, theta_4: Any, xp: Any = np) -> tuple[Any, Any]:
+    """Instantaneous centre of rotation of the coupler, (x, y) in m.
+
+    It is where the lines O_A A and O_B B meet: O_B + t e^{jθ_4} with t from the cross product
+    with A − O_A.
+    """
+    cos_4, sin_4 = xp.cos(theta_4), xp.sin(theta_4)
+    d_x = link.o_b_x_m - link.o_a_x_m
+    d_y = link.o_b_y_m - link.o_a_y_m
+    link_2_x = d_x + link.a_4_m * cos_4 - link.a_3_m * xp.cos(theta_3)
+    link_2_y = d_y + link.a_4_m * sin_4 - link.a_3_m * xp.sin(theta_3)
+    t = (d_y * link_2_x - d_x * link_2_y) / (cos_4 * link_2_y - sin_4 * link_2_x)
+    return link.o_b_x_m + t * cos_4, link.o_b_y_m + t * sin_4
+
+
+def transmission_angles(link: LinkageParameters, knee_angle: ArrayLike) -> tuple[Array, Array]:
+    """Acute angles of the coupler with link 2 and with link 4, in rad, 0…π/2."""
+    at = pose(link, knee_angle)
+    return _acute(at.theta_3 - at.theta_2), _acute(at.theta_4 - at.theta_3)
+
+
+def _acute(angle: Array) -> Array:
+    return np.asarray(np.arcsin(np.abs(np.sin(angle))))
+
+
+def link_lengths(link: LinkageParameters) -> tuple[float, float, float, float]:
+    """Lengths a_1 … a_4 in m; a_1 = |O_B − O_A| is the ground."""
+    o_a, o_b = _ground(link)
+    return abs(o_b - o_a), link.a_2_m, link.a_3_m, link.a_4_m
+
+
+def grashof_class(link: LinkageParameters) -> str:
+    """Grashof class: by s + l <= p + q and by which link is the shortest."""
+    lengths = link_lengths(link)
+    shortest, p, q, longest = sorted(lengths)
+    excess = shortest + longest - p - q
+    if abs(excess) < 1e-9 * longest:
+        return "change point"
+    if excess > 0.0:
+        return "triple rocker (non-Grashof)"
+    return ("drag link (double crank)", "crank rocker", "double rocker", "crank rocker")[
+        lengths.index(shortest)
+    ]
+
+
+# -------------------------------------------------------------------- Table 1 (Eq. 10, 11)
+
+
+def polynomial(coefficients: Any, argument: Any) -> Any:
+    """Horner's rule, highest power first; for arrays and for all scalars of Drake."""
+    value = coefficients[0]
+    for coefficient in coefficients[1:]:
+        value = value * argument + coefficient
+    return value
+
+
+def polynomial_derivative(coefficients: Any, order: int = 1) -> list[Any]:
+    """Coefficients of a derivative, highest power first."""
+    result = list(coefficients)
+    for _ in range(order):
+        degree = len(result) - 1
+        result = [c * (degree - n) for n, c in enumerate(result[:-1])]
+    return result
+
+
+# ------------------------------------------- inverse in closed form, for the plant's knee
+
+
+@dataclass(frozen=True)
+class RodInverse:
+    """θ_p, θ_4 and r as polynomials of t = (√(x_dc − x) − centre)/half_width.
+
+    The rod's dead centre (θ_dc, x_dc) lies outside the range of motion, and in √(x_dc − x) the
+    inverse is analytic, so a Chebyshev fit of degree 25 reaches 1e-12; it is kept in powers of t,
+    highest first, because Horner's rule stays small in symbolic form where Clenshaw's unfolds.
+    """
+
+    dead_centre_m: float
+    centre: float
+    half_width: float
+    knee_angle: tuple[float, ...]
+    encoder_angle: tuple[float, ...]
+    moment_arm: tuple[float, ...]
+
+
+@lru_cache(maxsize=64)
+def fit_rod_inverse(
+    link: LinkageParameters, table_1: RodPolynomialParameters | None = None
+) -> RodInverse:
+    """Fit `RodInverse` to the exact linkage, or to Eq. 10 where ``table_1`` is given.
+
+    Raises `LinkageError` when the linkage cannot be assembled or the rod does not fall as the knee
+    flexes, over −2…91°.
+    """
+
+    if table_1 is None:
+
+        def rod_and_arm(angle: Array) -> tuple[Array, Array]:
+            return _rod_and_arm(link, angle)
+    else:
+        p = table_1.p_si
+
+        def rod_and_arm(angle: Array) -> tuple[Array, Array]:
+            return polynomial(p, angle), -polynomial(polynomial_derivative(p), angle)
+
+    low, high = np.radians(FIT_RANGE_DEG)
+    dead_centre = _dead_centre(rod_and_arm, float(low))
+    ends, _ = rod_and_arm(np.array([low, high]))
+    w_low, w_high = np.sqrt(dead_centre - ends)
+    centre, half_width = 0.5 * (w_low + w_high), 0.5 * (w_high - w_low)
+    t = chebyshev.chebpts1(4 * FIT_DEGREE)
+    angle = _invert(rod_and_arm, dead_centre - (centre + half_width * t) ** 2)
+
+    def fit(values: Array) -> tuple[float, ...]:
+        coefficients = chebyshev.chebfit(t, values, FIT_DEGREE)
+        return tuple(float(c) for c in chebyshev.cheb2poly(coefficients)[::-1])
+
+    return RodInverse(
+        dead_centre_m=dead_centre,
+        centre=float(centre),
+        half_width=float(half_width),
+        knee_angle=fit(angle),
+        encoder_angle=fit(encoder_angle(link, angle)),
+        moment_arm=fit(rod_and_arm(angle)[1]),
+    )
+
+
+def _dead_centre(rod_and_arm: Callable[[Array], tuple[Array, Array]], start: float) -> float:
+    """Rod extension where r = 0, below ``start``; by bisection.
+
+    A linkage without a dead centre within 60° (or that cannot be assembled so far) gets a
+    fictitious one, well outside: the fit only needs a square root that is analytic in its range.
+    """
+    angles = np.linspace(start, start - np.radians(60.0), 241)
+    previous = angles[0]
+    for angle in angles[1:]:
+        try:
+            _, arm = rod_and_arm(np.array(angle))
+        except LinkageError:
+            break
+        if arm <= 0.0:
+            low, high = angle, previous
+            for _ in range(60):
+                middle = 0.5 * (low + high)
+                low, high = (
+                    (low, middle) if rod_and_arm(np.array(middle))[1] > 0 else (middle, high)
+                )
+            return float(rod_and_arm(np.array(0.5 * (low + high)))[0])
+        previous = angle
+    extension, arm = rod_and_arm(np.array(start))
+    return float(extension + 0.25 * arm)

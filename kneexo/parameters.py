@@ -1,0 +1,770 @@
+"""Every physical number of kneexo: value, unit (in the field's name), range and provenance.
+
+Values are SI, except where a field's name says otherwise (Table 1 and the knee references are
+in the paper's units). "Table n", "Eq. n" and "Section n" are those of Lee, Lee, Song and Baek,
+"Design and Control of a Polycentric Knee Exoskeleton Using an Electro-Hydraulic Actuator",
+Applied Sciences 2020. "Assumption" marks what the paper does not print, with the reason.
+
+All classes are frozen and validated on construction; a bad value raises `ParameterError` with
+one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
+
+from kneexo.errors import ParameterError
+
+RPM = 2.0 * math.pi / 60.0
+"""One revolution per minute in rad/s."""
+
+
+def quantity(
+    default: float,
+    unit: str,
+    source: str,
+    *,
+    ge: float | None = None,
+    gt: float | None = None,
+    le: float | None = None,
+) -> Any:
+    """A pydantic field for one physical number, with its unit, range and provenance."""
+    return Field(
+        default=default, ge=ge, gt=gt, le=le, json_schema_extra={"unit": unit, "source": source}
+    )
+
+
+def choice(default: Any, source: str) -> Any:
+    """A pydantic field for a structural choice (no unit), with its provenance."""
+    return Field(default=default, json_schema_extra={"unit": "", "source": source})
+
+
+def allowed_range(field: FieldInfo) -> str:
+    """The range of a field as text, for instance ``0 … 150`` or ``> 0``."""
+    lower = upper = ""
+    for bound in field.metadata:
+        if getattr(bound, "ge", None) is not None:
+            lower = f">= {bound.ge:g}"
+        if getattr(bound, "gt", None) is not None:
+            lower = f"> {bound.gt:g}"
+        if getattr(bound, "le", None) is not None:
+            upper = f"<= {bound.le:g}"
+    return " and ".join(part for part in (lower, upper) if part)
+
+
+def unit_of(field: FieldInfo) -> str:
+    """The unit of a field made by `quantity`, or an empty string."""
+    extra = field.json_schema_extra
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+
+
+def source_of(field: FieldInfo) -> str:
+    """The provenance of a field made by `quantity` or `choice`, or an empty string."""
+    extra = field.json_schema_extra
+    return str(extra.get("source", "")) if isinstance(extra, dict) else ""
+
+
+def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:
+    """Where the first fault of a validation error lies, and one line that says what it is."""
+    fault = error.errors()[0]
+    location = _without_tags(model, fault["loc"])
+    path = ".".join(str(key) for key in location)
+    value = fault["input"]
+    field = _field_at(model, location)
+    unit = unit_of(field) if field else ""
+    bounds = allowed_range(field) if field else ""
+    shown = f"{value:g}" if isinstance(value, float) else repr(value)
+    if len(shown) > 60:
+        shown = type(value).__name__
+    shown_with_unit = f"{shown} {unit}".strip()
+    kind = fault["type"]
+    if kind == "extra_forbidden":
+        known = ", ".join(_names_at(model, location[:-1]))
+        line = f"{path}: unknown name; known here: {known}"
+    elif kind in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
+        bounds = f"finite and {bounds}" if bounds else "finite"
+        line = f"{path} = {shown_with_unit} is out of range: must be {bounds} {unit}".rstrip()
+    elif kind == "union_tag_invalid":
+        line = f"{path}.kind = {fault['ctx']['tag']!r}: must be {fault['ctx']['expected_tags']}"
+    elif kind == "missing":
+        line = f"{path}: is missing"
+    elif kind == "value_error":
+        line = str(fault["ctx"]["error"])
+        line = f"{path}: {line}" if path else line
+    else:
+        expected = fault["msg"].removeprefix("Input should be ")
+        line = f"{path} = {shown_with_unit}: must be {expected}"
+        if bounds:
+            line += f", {bounds} {unit}".rstrip()
+    more = error.error_count() - 1
+    return location, line + (f" (and {more} more)" if more else "")
+
+
+def _without_tags(model: type[BaseModel], location: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """Drop the discriminator tags that pydantic inserts into an error's location."""
+    kept: list[str | int] = []
+    members: tuple[type[BaseModel], ...] = (model,)
+    for key in location:
+        if len(members) > 1 and any(_kind(member) == key for member in members):
+            members = tuple(member for member in members if _kind(member) == key)
+            continue
+        kept.append(key)
+        members = _models_of(members[0].model_fields.get(str(key))) if members else ()
+    return tuple(kept)
+
+
+def _kind(model: type[BaseModel]) -> object:
+    field = model.model_fields.get("kind")
+    return None if field is None else field.default
+
+
+def _models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
+    """The parameter classes that a field may hold."""
+    found: list[type[BaseModel]] = []
+    pending: list[Any] = [] if field is None else [field.annotation]
+    while pending:
+        annotation = pending.pop(0)
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            found.append(annotation)
+        else:
+            pending.extend(getattr(annotation, "__args__", ()))
+    return tuple(found)
+
+
+def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldInfo | None:
+    models: tuple[type[BaseModel], ...] = (model,)
+    field = None
+    for key in location:
+        fields = [m.model_fields[str(key)] for m in models if str(key) in m.model_fields]
+        if not fields:
+            return field
+        field = fields[0]
+        models = _models_of(field)
+    return field
+
+
+def _names_at(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
+    field = _field_at(model, location)
+    models = _models_of(field) if location else (model,)
+    return sorted({name for m in models for name in m.model_fields})
+
+
+class Parameters(BaseModel):
+    """Base of all parameter classes: frozen, no unknown names, no silent type changes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_kind(cls, data: Any) -> Any:
+        """A mapping that does not say its kind is of the default's kind."""
+        if not isinstance(data, dict):
+            return data
+        kinds = {
+            name: {"kind": field.default.kind} | data[name]
+            for name, field in cls.model_fields.items()
+            if field.discriminator and isinstance(data.get(name), dict)
+        }
+        return data | kinds
+
+    if not TYPE_CHECKING:  # the type checker keeps the signature that pydantic makes
+
+        def __init__(self, **data: Any) -> None:
+            """Validate; raises `ParameterError` with one line."""
+            try:
+                super().__init__(**data)
+            except ValidationError as error:
+                line = one_line(type(self), error)[1]
+                raise ParameterError(f"{type(self).__name__}: {line}") from None
+
+        # Nested parameters are validated by the outermost constructor, which knows their path.
+        __init__.__pydantic_base_init__ = True
+
+
+# ---------------------------------------------------------------------------------- plant
+
+
+class BldcPumpParameters(Parameters):
+    """BLDC motor with gear and axial-piston pump (Eq. 12, 13)."""
+
+    speed_limit_rad_s: float = quantity(
+        5000.0 * RPM, "rad/s", "Tables 2 and 3: 5000 rpm at the motor", gt=0, le=5000
+    )
+    lag_s: float = quantity(
+        0.010,
+        "s",
+        "assumption: time constant of the drive's speed loop; not printed",
+        ge=1e-4,
+        le=1,
+    )
+    acceleration_limit_rad_s2: float = quantity(
+        1e4,
+        "rad/s²",
+        "assumption: torque and inertia are not printed, but Section 5 explains its initial error "
+        "by the time that the motor needs to accelerate",
+        gt=0,
+        le=1e7,
+    )
+    gear_ratio: float = quantity(
+        6.0, "1", "Section 5: 6:1; the scale factor s_r of Eq. 17 hides it", gt=0, le=1000
+    )
+    displacement_m3_per_rad: float = quantity(
+        0.8e-6 / (2.0 * math.pi), "m³/rad", "Tables 2 and 3: 0.8 cc/rev", gt=0, le=1e-4
+    )
+    internal_leakage_m3_per_s_pa: float = quantity(
+        2e-13,
+        "m³/(s·Pa)",
+        "assumption: C_im of Eq. 12 is not printed; the pump leaks, the piston seals barely",
+        ge=0,
+        le=1e-9,
+    )
+    external_leakage_m3_per_s_pa: float = quantity(
+        0.0, "m³/(s·Pa)", "assumption: C_em of Eq. 12 is not printed", ge=0, le=1e-9
+    )
+    rated_power_w: float = quantity(200.0, "W", "Table 3", gt=0, le=1e5)
+
+    @property
+    def leakage_m3_per_s_pa(self) -> float:
+        """Leakage of the load flow, C_im + C_em/2 (Eq. 13), in m³/(s·Pa)."""
+        return self.internal_leakage_m3_per_s_pa + 0.5 * self.external_leakage_m3_per_s_pa
+
+
+class CylinderParameters(Parameters):
+    """Single-rod cylinder and the mass that it moves (Eq. 15, 16)."""
+
+    bore_m: float = quantity(0.020, "m", "Table 3", gt=0, le=1)
+    rod_diameter_m: float = quantity(0.010, "m", "Table 3", ge=0, le=1)
+    stroke_m: float = quantity(0.150, "m", "Tables 2 and 3", gt=0, le=5)
+    total_volume_m3: float = quantity(
+        41_233e-9, "m³", "Table 2: V_t = V_1 + V_2, mean area times stroke", gt=0, le=1
+    )
+    bulk_modulus_pa: float = quantity(
+        17_200e5, "Pa", "Tables 2 and 3: 17 200 bar (ISO VG 46)", gt=0, le=1e11
+    )
+    mass_kg: float = quantity(1.6, "kg", "Tables 2 and 3: shank", gt=0, le=1000)
+    damping_n_s_per_m: float = quantity(0.05, "N/(m/s)", "Table 2: B", ge=0, le=1e6)
+    stiffness_n_per_m: float = quantity(
+        0.0, "N/m", "assumption: K of Eq. 16 is not printed", ge=0, le=1e7
+    )
+    leakage_m3_per_s_pa: float = quantity(
+        0.0,
+        "m³/(s·Pa)",
+        "assumption: C_L of Eq. 15 is not printed; piston seals barely leak",
+        ge=0,
+        le=1e-9,
+    )
+    pressure_rating_pa: float = quantity(3.5e6, "Pa", "Table 3: 3.5 MPa", gt=0, le=1e9)
+
+    @property
+    def cap_area_m2(self) -> float:
+        """Piston area of the chamber without rod, A_1, in m²."""
+        return math.pi / 4.0 * self.bore_m**2
+
+    @property
+    def rod_side_area_m2(self) -> float:
+        """Annular area of the chamber with the rod, A_2, in m²."""
+        return math.pi / 4.0 * (self.bore_m**2 - self.rod_diameter_m**2)
+
+    @property
+    def mean_area_m2(self) -> float:
+        """Mean piston area (A_1 + A_2)/2 of Eq. 15, in m²; Table 2 prints 274.8894 mm²."""
+        return 0.5 * (self.cap_area_m2 + self.rod_side_area_m2)
+
+    @model_validator(mode="after")
+    def _rod_fits_bore(self) -> CylinderParameters:
+        if self.rod_diameter_m >= self.bore_m:
+            raise ValueError(
+                f"rod_diameter_m = {self.rod_diameter_m:g} m must be below "
+                f"bore_m = {self.bore_m:g} m"
+            )
+        return self
+
+
+_IDENTIFIED = (
+    "assumption: identified from Table 1 over 0…90° by least squares; the paper prints no link "
+    "lengths"
+)
+
+
+def _length(default: float) -> Any:
+    return quantity(default, "m", _IDENTIFIED, gt=0, le=2)
+
+
+def _coordinate(default: float) -> Any:
+    return quantity(default, "m", _IDENTIFIED, ge=-2, le=2)
+
+
+def _angle(default_deg: float) -> Any:
+    return quantity(math.radians(default_deg), "rad", _IDENTIFIED, ge=-7, le=7)
+
+
+class LinkageParameters(Parameters):
+    """Four-bar knee (Eq. 1–9), in the frame of the ground link.
+
+    The origin is the nominal knee axis, y points proximally, and flexion is counter-clockwise.
+    Link 1 is the ground O_A–O_B, link 2 is O_A–A, link 3 is the coupler A–B, link 4 is O_B–B.
+    The defaults are geometry G1: the shank is the ground and the coupler (the shortest link)
+    belongs to the thigh.
+    """
+
+    o_a_x_m: float = _coordinate(22.2063e-3)
+    o_a_y_m: float = _coordinate(-34.732e-3)
+    o_b_x_m: float = _coordinate(-6.679e-3)
+    o_b_y_m: float = _coordinate(-17.5701e-3)
+    a_2_m: float = _length(32.9701e-3)
+    a_3_m: float = _length(17.0e-3)
+    a_4_m: float = _length(18.2289e-3)
+    phi_rad: float = _angle(-167.0801)
+    """Knee angle minus coupler angle, φ of Eq. 7."""
+    rod_pin_radius_m: float = _length(265.8651e-3)
+    """|P'B| of Eq. 8: from the coupler's joint B to the pin of the rod."""
+    rod_pin_angle_rad: float = _angle(-62.9916)
+    """φ' of Eq. 8."""
+    rod_anchor_radius_m: float = _length(118.1887e-3)
+    """|P_rod O| of Eq. 9: from the origin to the pin of the cylinder."""
+    rod_anchor_angle_rad: float = _angle(-97.3807)
+    """θ_rod of Eq. 9."""
+    rod_length_m: float = _length(231.3769e-3)
+    """L_0: distance of the pins at x = 0; the paper leaves it out."""
+    branch: Literal[-1, 1] = choice(
+        -1, "assembly branch, the sign of sin(θ_4 − θ_2); the paper never states it"
+    )
+
+
+G1 = LinkageParameters()
+"""Shank as ground, coupler shortest (double rocker): the default."""
+
+G2 = LinkageParameters(
+    o_a_x_m=-24.3737e-3,
+    o_a_y_m=47.9781e-3,
+    o_b_x_m=13.62e-3,
+    o_b_y_m=22.1909e-3,
+    a_2_m=44.5361e-3,
+    a_3_m=23.836e-3,
+    a_4_m=25.7183e-3,
+    phi_rad=math.radians(18.5041),
+    rod_pin_radius_m=93.8743e-3,
+    rod_pin_angle_rad=math.radians(-57.3501),
+    rod_anchor_radius_m=349.1986e-3,
+    rod_anchor_angle_rad=math.radians(77.0024),
+    rod_length_m=288.7536e-3,
+)
+"""Thigh as ground, coupler shortest; its instantaneous centre moves the wrong way."""
+
+G3 = LinkageParameters(
+    o_a_x_m=-12.207e-3,
+    o_a_y_m=-2.2969e-3,
+    o_b_x_m=6.1253e-3,
+    o_b_y_m=-14.499e-3,
+    a_2_m=26.1508e-3,
+    a_3_m=47.9084e-3,
+    a_4_m=44.2795e-3,
+    phi_rad=math.radians(45.3361),
+    rod_pin_radius_m=60.7302e-3,
+    rod_pin_angle_rad=math.radians(-37.9753),
+    rod_anchor_radius_m=266.6114e-3,
+    rod_anchor_angle_rad=math.radians(71.0364),
+    rod_length_m=230.0e-3,
+    branch=1,
+)
+"""Thigh as ground, ground shortest (drag link); mechanically the best conditioned."""
+
+LINKAGES = {"G1": G1, "G2": G2, "G3": G3}
+"""Three geometries that reproduce Table 1; a scenario may name one in place of its numbers."""
+
+
+class KneeParameters(Parameters):
+    """Range of motion of the knee; the end stops are an error, not a force."""
+
+    flexion_min_deg: float = quantity(0.0, "deg", "Section 2: 0…90°", ge=-2, le=90)
+    flexion_max_deg: float = quantity(90.0, "deg", "Section 2: 0…90°", ge=0, le=91)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> KneeParameters:
+        if self.flexion_min_deg >= self.flexion_max_deg:
+            raise ValueError(
+                f"flexion_min_deg = {self.flexion_min_deg:g} deg must be below "
+                f"flexion_max_deg = {self.flexion_max_deg:g} deg"
+            )
+        return self
+
+
+class RodPolynomialParameters(Parameters):
+    """Eq. 10 and 11 with Table 1: the controller's map from knee angle (deg) to rod (mm)."""
+
+    p_mm_deg: tuple[float, float, float, float, float, float] = Field(
+        default=(1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0),
+        json_schema_extra={"unit": "mm/deg^n", "source": "Table 1: p_1 … p_6 of Eq. 10"},
+    )
+    q_deg_mm: tuple[float, float, float, float, float, float] = Field(
+        default=(-1.807e-9, 5.788e-7, -7.285e-5, 0.004161, -0.6389, 91.73),
+        json_schema_extra={"unit": "deg/mm^n", "source": "Table 1: q_1 … q_6 of Eq. 11"},
+    )
+
+    @property
+    def p_si(self) -> tuple[float, ...]:
+        """Coefficients of Eq. 10, highest power first, for θ_p in rad and x in m."""
+        degree = len(self.p_mm_deg) - 1
+        return tuple(
+            1e-3 * p * math.degrees(1.0) ** (degree - n) for n, p in enumerate(self.p_mm_deg)
+        )
+
+
+class NoLoad(Parameters):
+    """No load, as in the paper's simulation: the disturbance input acts on the rod directly."""
+
+    kind: Literal["none"] = "none"
+
+
+class KneeLoadParameters(Parameters):
+    """What acts on the knee: weight of the shank, disturbance on the rod, torque of the wearer."""
+
+    kind: Literal["knee"] = "knee"
+    segment_mass_kg: float = quantity(
+        1.6, "kg", "Table 3: shank; 0 switches the weight off", ge=0, le=200
+    )
+    centre_of_mass_m: float = quantity(
+        0.20, "m", "assumption: knee axis to the centre of mass of shank and foot", ge=0, le=2
+    )
+    thigh_inclination_rad: float = quantity(
+        0.0, "rad", "assumption: hanging thigh; positive leans forward", ge=-math.pi, le=math.pi
+    )
+    gravity_m_s2: float = quantity(9.81, "m/s²", "standard gravity, rounded", ge=0, le=100)
+    knee_torque_n_m: float = quantity(
+        0.0, "N·m", "assumption: constant torque of the wearer; positive flexes", ge=-500, le=500
+    )
+    disturbance_n: float = quantity(
+        0.0, "N", "assumption: constant force against extension", ge=-1e4, le=1e4
+    )
+    disturbance_amplitude_n: float = quantity(
+        0.0, "N", "assumption: sinusoidal force against extension", ge=0, le=1e4
+    )
+    disturbance_frequency_hz: float = quantity(
+        1.0, "Hz", "assumption: frequency of the sinusoidal force", ge=0, le=1000
+    )
+
+
+class PlantParameters(Parameters):
+    """Motor and pump, cylinder, knee and load, and which idealizations hold."""
+
+    pump: BldcPumpParameters = BldcPumpParameters()
+    cylinder: CylinderParameters = CylinderParameters()
+    linkage: LinkageParameters = G1
+    knee: KneeParameters = KneeParameters()
+    load: Annotated[NoLoad | KneeLoadParameters, Field(discriminator="kind")] = NoLoad()
+    rod_map: Literal["linkage", "polynomial"] = choice(
+        "linkage",
+        "the plant's rod follows the exact linkage (Eq. 1–9), or Table 1 as the controller's does",
+    )
+    ideal_motor: bool = choice(
+        False, "Eq. 17: pump speed equals the command, without lag, acceleration or speed limit"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named_linkage(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(name := data.get("linkage"), str):
+            if name not in LINKAGES:
+                raise ValueError(
+                    f"linkage = {name!r}: must be one of {', '.join(LINKAGES)}, or a mapping"
+                )
+            return {**data, "linkage": LINKAGES[name]}
+        return data
+
+
+# --------------------------------------------------------------- measurement and control
+
+
+class EncoderParameters(Parameters):
+    """Rotary encoder AMT203-V on link 4."""
+
+    counts_per_revolution: int = Field(
+        default=4096,
+        ge=2,
+        le=2**24,
+        json_schema_extra={"unit": "1", "source": "Section 2: AMT203-V, 12 bit"},
+    )
+    quantized: bool = choice(True, "False bypasses the quantizer, as linearization must")
+
+    @property
+    def resolution_rad(self) -> float:
+        """Angle of one count in rad; zero without the quantizer."""
+        return 2.0 * math.pi / self.counts_per_revolution if self.quantized else 0.0
+
+
+class ObserverParameters(Parameters):
+    """Third-order tracking observer of rod position, velocity and acceleration."""
+
+    kind: Literal["observer"] = "observer"
+    time_constant_s: float = quantity(
+        0.020,
+        "s",
+        "assumption: T_f; the paper does not say how velocity and acceleration are measured",
+        gt=0,
+        le=10,
+    )
+
+
+class DifferenceParameters(Parameters):
+    """Plain backward differences of the measured position, as a first attempt would do."""
+
+    kind: Literal["difference"] = "difference"
+
+
+class ExactParameters(Parameters):
+    """Exact rod position, velocity and acceleration, as in the paper's simulation."""
+
+    kind: Literal["exact"] = "exact"
+
+
+_SAMPLE_TIME = "Table 3: interrupt time"
+
+
+class SlidingModeParameters(Parameters):
+    """Sliding-mode controller (Eq. 20–27)."""
+
+    kind: Literal["smc"] = "smc"
+    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, gt=0, le=1)
+    continuous: bool = choice(
+        False, "True: continuous time, as in the ideal simulation of Fig. 9; needs exact states"
+    )
+    switching: Literal["saturation", "signum"] = choice(
+        "saturation", "sat of Eq. 27, or sgn of Eq. 24 to show chattering"
+    )
+    lambda_per_s: float = quantity(20.0, "1/s", "assumption: λ is not printed", gt=0, le=1e4)
+    phi_m_s2: float = quantity(
+        3.2, "m/s²", "assumption: Φ is not printed; k/Φ = 1e5 1/s", gt=0, le=1e9
+    )
+    eta_m_s3: float = quantity(
+        2.8e5,
+        "m/s³",
+        "assumption: η is not printed; β·η is the full speed authority",
+        ge=0,
+        le=1e12,
+    )
+    mass_min_kg: float = quantity(1.4, "kg", "Table 2", gt=0, le=1000)
+    mass_max_kg: float = quantity(1.8, "kg", "Table 2", gt=0, le=1000)
+    stiffness_uncertainty_n_per_m: float = quantity(
+        0.0, "N/m", "assumption: ΔK_max of Eq. 27 is not printed", ge=0, le=1e7
+    )
+    damping_uncertainty_n_s_per_m: float = quantity(
+        0.0, "N/(m/s)", "assumption: ΔB_max of Eq. 27 is not printed", ge=0, le=1e6
+    )
+    load_rate_uncertainty_n_per_s: float = quantity(
+        0.0, "N/s", "assumption: bound on dF_L/dt in Eq. 27 is not printed", ge=0, le=1e9
+    )
+    command_limit_rad_s: float = quantity(
+        5000.0 * RPM, "rad/s", "Table 2: u <= 5000 rpm", gt=0, le=1e12
+    )
+
+    @property
+    def mass_estimate_kg(self) -> float:
+        """Geometric mean of the mass bounds, m̂ = √(m_min m_max) (Table 2), in kg."""
+        return math.sqrt(self.mass_min_kg * self.mass_max_kg)
+
+    @property
+    def gain_ratio(self) -> float:
+        """β = √(b_max/b_min) = √(m_max/m_min); Eq. 23 prints its inverse."""
+        return math.sqrt(self.mass_max_kg / self.mass_min_kg)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> SlidingModeParameters:
+        if self.mass_min_kg > self.mass_max_kg:
+            raise ValueError(
+                f"mass_min_kg = {self.mass_min_kg:g} kg must not exceed "
+                f"mass_max_kg = {self.mass_max_kg:g} kg"
+            )
+        return self
+
+
+class PidParameters(Parameters):
+    """PID controller on the knee angle; the output is a motor speed."""
+
+    kind: Literal["pid"] = "pid"
+    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, gt=0, le=1)
+    proportional_per_s: float = quantity(
+        5.0,
+        "1/s",
+        "assumption: PID gains are not printed; 5 1/s gives the error of Fig. 12",
+        ge=0,
+        le=1e4,
+    )
+    integral_per_s2: float = quantity(0.0, "1/s²", "assumption: not printed", ge=0, le=1e6)
+    derivative: float = quantity(0.0, "1", "assumption: not printed", ge=0, le=1e4)
+    derivative_filter_s: float = quantity(
+        0.020, "s", "assumption: lag of the derivative term", gt=0, le=10
+    )
+    anti_windup_s: float = quantity(
+        0.1, "s", "assumption: tracking time constant of back-calculation", gt=0, le=1e3
+    )
+    velocity_feedforward: float = quantity(
+        0.0, "1", "assumption: share of the reference's rate that is fed forward", ge=0, le=2
+    )
+    moment_arm_m: float = quantity(
+        0.1,
+        "m",
+        "assumption: moment arm that turns a knee rate into a rod speed (mid-range of Table 1)",
+        gt=0,
+        le=2,
+    )
+    command_limit_rad_s: float = quantity(
+        5000.0 * RPM, "rad/s", "Table 2: u <= 5000 rpm", gt=0, le=1e12
+    )
+
+
+# ----------------------------------------------------------------------------- reference
+
+
+def _flexion(default: float, source: str) -> Any:
+    return quantity(default, "deg", source, ge=-2, le=91)
+
+
+class SineReference(Parameters):
+    """Knee angle mean − amplitude·cos(2πft): starts at rest at its smallest value."""
+
+    kind: Literal["sine"] = "sine"
+    mean_deg: float = _flexion(40.0, "Section 5: 10…70°")
+    amplitude_deg: float = quantity(30.0, "deg", "Section 5: 10…70°", ge=0, le=46)
+    frequency_hz: float = quantity(0.1, "Hz", "Section 5: 0.1 Hz", gt=0, le=250)
+
+
+class StepReference(Parameters):
+    """Knee angle that jumps once."""
+
+    kind: Literal["step"] = "step"
+    start_deg: float = _flexion(30.0, "assumption: an example")
+    end_deg: float = _flexion(50.0, "assumption: an example")
+    time_s: float = quantity(1.0, "s", "assumption: an example", ge=0, le=1e6)
+
+
+class RampReference(Parameters):
+    """Knee angle that moves from one value to another at a constant rate."""
+
+    kind: Literal["ramp"] = "ramp"
+    start_deg: float = _flexion(20.0, "assumption: an example")
+    end_deg: float = _flexion(60.0, "assumption: an example")
+    time_s: float = quantity(1.0, "s", "assumption: an example", ge=0, le=1e6)
+    rate_deg_s: float = quantity(
+        15.0, "deg/s", "assumption: below the 23 deg/s that the speed limit allows", gt=0, le=1e4
+    )
+
+
+class SampledReference(Parameters):
+    """Knee angle from samples, joined by a cubic spline with continuous acceleration."""
+
+    kind: Literal["samples"] = "samples"
+    times_s: tuple[float, ...] = Field(
+        min_length=3,
+        json_schema_extra={"unit": "s", "source": "given by the user; strictly increasing"},
+    )
+    angles_deg: tuple[float, ...] = Field(
+        min_length=3, json_schema_extra={"unit": "deg", "source": "given by the user"}
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SampledReference:
+        if len(self.times_s) != len(self.angles_deg):
+            raise ValueError(
+                f"times_s has {len(self.times_s)} values and angles_deg has "
+                f"{len(self.angles_deg)}: must be as many"
+            )
+        if any(b <= a for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
+            raise ValueError("times_s must be strictly increasing")
+        return self
+
+
+Reference = Annotated[
+    SineReference | StepReference | RampReference | SampledReference, Field(discriminator="kind")
+]
+
+
+# ------------------------------------------------------------------------------ scenario
+
+
+class SimulationParameters(Parameters):
+    """How Drake's Simulator runs a diagram."""
+
+    duration_s: float = quantity(30.0, "s", "three periods of 0.1 Hz, as in Fig. 12", gt=0, le=1e5)
+    integrator: Literal["radau3", "radau1", "runge_kutta3", "implicit_euler"] = choice(
+        "radau3", "Drake's name; implicit, because the hydraulic mode lies at 447 Hz"
+    )
+    step_s: float = quantity(0.002, "s", "the control period", gt=0, le=1)
+    error_controlled: bool = choice(False, "True: step_s is only the largest step")
+    accuracy: float = quantity(
+        1e-4, "1", "accuracy of the error-controlled integrator", ge=1e-12, le=0.1
+    )
+
+
+class Scenario(Parameters):
+    """One closed-loop run: plant, measurement, controller, reference and simulation.
+
+    ``nominal`` is the plant that the controller believes in; left out, it is ``plant``.
+    """
+
+    plant: PlantParameters = PlantParameters()
+    nominal: PlantParameters | None = None
+    polynomial: RodPolynomialParameters = RodPolynomialParameters()
+    encoder: EncoderParameters = EncoderParameters()
+    estimator: Annotated[
+        ObserverParameters | DifferenceParameters | ExactParameters, Field(discriminator="kind")
+    ] = ObserverParameters()
+    controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")] = (
+        SlidingModeParameters()
+    )
+    can_delay_samples: int = Field(
+        default=0,
+        ge=0,
+        le=10,
+        json_schema_extra={
+            "unit": "samples",
+            "source": "assumption: latency of the CAN bus from controller to motor",
+        },
+    )
+    reference: Reference = SineReference()
+    initial_offset_m: float = quantity(
+        0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15
+    )
+    simulation: SimulationParameters = SimulationParameters()
+
+    @property
+    def believed_plant(self) -> PlantParameters:
+        """The plant that the controller is designed for."""
+        return self.plant if self.nominal is None else self.nominal
+
+    @model_validator(mode="after")
+    def _compatible(self) -> Scenario:
+        continuous = self.controller.kind == "smc" and self.controller.continuous
+        if continuous and self.estimator.kind != "exact":
+            raise ValueError(
+                f"controller.continuous = true needs estimator.kind = exact, "
+                f"not {self.estimator.kind}"
+            )
+        if continuous and self.can_delay_samples:
+            raise ValueError(
+                f"can_delay_samples = {self.can_delay_samples} needs a discrete controller"
+            )
+        return self
+
+
+# --------------------------------------------------------------- studies of the paper
+
+IDEAL_SMC = Scenario(
+    plant=PlantParameters(
+        pump=BldcPumpParameters(internal_leakage_m3_per_s_pa=0.0),
+        rod_map="polynomial",
+        ideal_motor=True,
+    ),
+    encoder=EncoderParameters(quantized=False),
+    estimator=ExactParameters(),
+    controller=SlidingModeParameters(continuous=True, lambda_per_s=10.0, command_limit_rad_s=1e12),
+    initial_offset_m=-0.089,
+    simulation=SimulationParameters(duration_s=10.0, error_controlled=True, accuracy=1e-8),
+)
+"""Fig. 9: continuous sliding mode, exact states, no speed limit, no leakage, 89 mm off."""
+
+PID_PAPER = PidParameters()
+"""A PID tuned as poorly as Fig. 12 shows: proportional action alone, 5 1/s."""

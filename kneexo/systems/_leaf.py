@@ -1,0 +1,112 @@
+"""What every leaf system of kneexo shares: named Context parameters and three-scalar helpers."""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from pydrake.math import max as _max
+from pydrake.math import min as _min
+from pydrake.symbolic import Expression, if_then_else
+from pydrake.systems.framework import BasicVector_, LeafSystem_
+
+
+def clip(value: Any, lower: Any, upper: Any) -> Any:
+    """Limit a float, AutoDiffXd or Expression to lower…upper, keeping its derivative inside."""
+    return _min(_max(value, lower), upper)
+
+
+def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
+    """``positive`` where ``condition`` > 0, else ``otherwise``; for all three scalars."""
+    if isinstance(condition, Expression):
+        branches = (
+            v if isinstance(v, Expression) else Expression(v) for v in (positive, otherwise)
+        )
+        return if_then_else(condition > 0.0, *branches)
+    return positive if condition > 0.0 else otherwise
+
+
+class NamedLeaf:
+    """Mixin for ``LeafSystem_[T]``: scalar conversion and Context parameters by name."""
+
+    def _begin(self: Any, scalar: Any, converter: Any, *arguments: Any) -> None:
+        """Initialize the LeafSystem; ``arguments`` are kept for the conversion to other scalars."""
+        LeafSystem_[scalar].__init__(self, converter)
+        self._scalar = scalar
+        self._arguments = arguments
+
+    def _declare_parameters(self: Any, source: Any, names: Sequence[str]) -> None:
+        """Declare one numeric parameter vector whose elements are attributes of ``source``."""
+        values = source if isinstance(source, Mapping) else {n: getattr(source, n) for n in names}
+        self._values = namedtuple("Values", list(names))  # type: ignore[misc]
+        self.DeclareNumericParameter(BasicVector_[self._scalar]([float(values[n]) for n in names]))
+
+    def _declare_output(
+        self: Any,
+        name: str,
+        size: int,
+        calc: Callable[[Any], Sequence[Any]],
+        *sources: Any,
+    ) -> Any:
+        """Declare an output of ``calc(context)`` that reads ``sources``: ports or tickets."""
+
+        def copy(context: Any, out: Any) -> None:
+            for index, value in enumerate(calc(context)):
+                out.SetAtIndex(index, value)
+
+        tickets = {s.ticket() if hasattr(s, "ticket") else s for s in sources}
+        return self.DeclareVectorOutputPort(name, size, copy, tickets or {self.nothing_ticket()})
+
+    def _declare_update(
+        self: Any, period: float, size: int, update: Callable[[Any], Sequence[Any]]
+    ) -> None:
+        """Declare one discrete state of ``size`` with x⁺ = ``update(context)`` every ``period``."""
+
+        def copy(context: Any, discrete_state: Any) -> None:
+            vector = discrete_state.get_mutable_vector(0)
+            for index, value in enumerate(update(context)):
+                vector.SetAtIndex(index, value)
+
+        self.DeclareDiscreteState(size)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, copy)
+
+    def _declare_initialization(self: Any, initialize: Callable[[Any], Sequence[Any]]) -> None:
+        """Declare x = ``initialize(context)``, which ``Simulator.Initialize()`` applies once."""
+
+        def copy(context: Any, discrete_state: Any) -> None:
+            vector = discrete_state.get_mutable_vector(0)
+            for index, value in enumerate(initialize(context)):
+                vector.SetAtIndex(index, value)
+
+        self.DeclareInitializationDiscreteUpdateEvent(copy)
+
+    def parameters(self: Any, context: Any) -> Any:
+        """All named Context parameters of this system, as a named tuple of scalars."""
+        return self._values._make(context.get_numeric_parameter(0).CopyToVector().tolist())
+
+    def set_parameter(self: Any, context: Any, name: str, value: Any) -> None:
+        """Set one Context parameter by its name.
+
+        Raises `ValueError` for an unknown name or a number that is not finite.
+        """
+        names = self._values._fields
+        if name not in names:
+            raise ValueError(
+                f"{self.get_name()}: unknown parameter {name!r}; known: {', '.join(names)}"
+            )
+        if isinstance(value, int | float) and not math.isfinite(value):
+            raise ValueError(f"{self.get_name()}: {name} = {value}: must be finite")
+        context.get_mutable_numeric_parameter(0).SetAtIndex(names.index(name), value)
+
+
+def discrete_state(context: Any) -> list[Any]:
+    """The first discrete state group as scalars."""
+    values: list[Any] = context.get_discrete_state(0).CopyToVector().tolist()
+    return values
+
+
+def value_or_zero(port: Any, context: Any) -> Any:
+    """The scalar at an input port that may be left unconnected: then zero."""
+    return port.Eval(context)[0] if port.HasValue(context) else 0.0

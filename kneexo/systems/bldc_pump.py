@@ -1,0 +1,144 @@
+"""BLDC motor with gear and axial-piston pump (Lee et al. 2020, Eq. 12, 13)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from kneexo.parameters import BldcPumpParameters
+from kneexo.systems._leaf import NamedLeaf, clip
+
+
+def motor_acceleration(
+    command: Any, speed: Any, lag: Any, speed_limit: Any, acceleration_limit: Any
+) -> Any:
+    """Acceleration of the speed-controlled motor in rad/s².
+
+    dω/dt = clip((clip(ω_cmd, ±ω_max) − ω)/τ, ±α_max); speeds in rad/s, ``lag`` in s.
+    """
+    limited = clip(command, -speed_limit, speed_limit)
+    return clip((limited - speed) / lag, -acceleration_limit, acceleration_limit)
+
+
+def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, leakage: Any) -> Any:
+    """Load flow Q_L = D_m ω/gear − (C_im + C_em/2) P_L in m³/s (Eq. 13)."""
+    return displacement * speed / gear_ratio - leakage * pressure
+
+
+@TemplateSystem.define("BldcPump_")
+def BldcPump_(T: Any) -> Any:
+    """BLDC motor and pump for the scalar ``T``."""
+
+    class Impl(NamedLeaf, LeafSystem_[T]):
+        """Speed-controlled BLDC motor with gear and axial-piston pump.
+
+        dω_m/dt = clip((clip(ω_cmd, ±ω_max) − ω_m)/τ_m, ±α_max),
+        Q_L = D_m ω_m/gear − (C_im + C_em/2) P_L.
+
+        ===================  ====  =======  ==============================================
+        input port           size  unit
+        ===================  ====  =======  ==============================================
+        motor_speed_command  1     rad/s    motor side of the gear
+        load_pressure        1     Pa       P_L = P_1 − P_2
+        **output port**
+        motor_speed          1     rad/s    motor side; positive drives the rod out
+        load_flow            1     m³/s     Q_L
+        shaft_torque         1     N·m      motor side, D_m P_L/gear (lossless pump)
+        shaft_power          1     W        torque times motor speed
+        hydraulic_power      1     W        Q_L P_L, after leakage
+        ===================  ====  =======  ==============================================
+
+        State: motor speed in krad/s (order one). With ``ideal=True`` there is none: the speed is
+        the command, without limit, as in Eq. 17. Context parameters: `Parameters of
+        BldcPumpParameters` by name (see ``parameters``). Source: Lee et al. 2020, Eq. 12, 13;
+        lag and acceleration limit are assumptions.
+        """
+
+        def _construct(
+            self,
+            parameters: BldcPumpParameters = BldcPumpParameters(),
+            ideal: bool = False,
+            *,
+            converter: Any = None,
+        ) -> None:
+            self._begin(T, converter, parameters, ideal)
+            self._declare_parameters(
+                parameters,
+                (
+                    "speed_limit_rad_s",
+                    "lag_s",
+                    "acceleration_limit_rad_s2",
+                    "gear_ratio",
+                    "displacement_m3_per_rad",
+                    "leakage_m3_per_s_pa",
+                ),
+            )
+            self._ideal = ideal
+            self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
+            self._pressure = self.DeclareVectorInputPort("load_pressure", 1)
+            if not ideal:
+                self.DeclareContinuousState(BasicVector_[T]([0.0]))
+            speed = self._command if ideal else self.xc_ticket()
+            given = self.all_parameters_ticket()
+            declare = self._declare_output
+            declare("motor_speed", 1, lambda c: [self._speed(c)], speed)
+            declare("load_flow", 1, lambda c: [self._flow(c)], speed, self._pressure, given)
+            declare("shaft_torque", 1, lambda c: [self._torque(c)], self._pressure, given)
+            declare(
+                "shaft_power",
+                1,
+                lambda c: [self._torque(c) * self._speed(c)],
+                speed,
+                self._pressure,
+                given,
+            )
+            declare(
+                "hydraulic_power",
+                1,
+                lambda c: [self._flow(c) * self._pressure.Eval(c)[0]],
+                speed,
+                self._pressure,
+                given,
+            )
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._arguments, converter=converter)
+
+        def _speed(self, context: Any) -> Any:
+            if self._ideal:
+                return self._command.Eval(context)[0]
+            return 1e3 * context.get_continuous_state_vector().GetAtIndex(0)
+
+        def _flow(self, context: Any) -> Any:
+            p = self.parameters(context)
+            return load_flow(
+                self._speed(context),
+                self._pressure.Eval(context)[0],
+                p.displacement_m3_per_rad,
+                p.gear_ratio,
+                p.leakage_m3_per_s_pa,
+            )
+
+        def _torque(self, context: Any) -> Any:
+            p = self.parameters(context)
+            return p.displacement_m3_per_rad * self._pressure.Eval(context)[0] / p.gear_ratio
+
+        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+            if self._ideal:
+                return
+            p = self.parameters(context)
+            acceleration = motor_acceleration(
+                self._command.Eval(context)[0],
+                self._speed(context),
+                p.lag_s,
+                p.speed_limit_rad_s,
+                p.acceleration_limit_rad_s2,
+            )
+            derivatives.get_mutable_vector().SetAtIndex(0, 1e-3 * acceleration)
+
+    return Impl
+
+
+BldcPump = BldcPump_[None]

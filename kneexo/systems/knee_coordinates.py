@@ -1,0 +1,140 @@
+"""Coordinates of the controller: encoder to knee to rod (Lee et al. 2020, Eq. 3–7, 10)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pydrake.math as drake_math
+from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from kneexo.linkage import eq6_sign, knee_angle_from_encoder, polynomial, polynomial_derivative
+from kneexo.parameters import LinkageParameters, RodPolynomialParameters
+from kneexo.systems._leaf import NamedLeaf
+
+
+def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
+    """x, dx/dt, d²x/dt², d³x/dt³ of knee angle and derivatives, by Eq. 10 and the chain rule.
+
+    ``coefficients``: Eq. 10 in SI, highest power first. ``knee``: θ_p and its derivatives to the
+    third, in rad and s. Returns m and s.
+    """
+    angle, rate, acceleration, jerk = knee
+    x_1, x_2, x_3 = (
+        polynomial(polynomial_derivative(coefficients, order), angle) for order in (1, 2, 3)
+    )
+    return [
+        polynomial(coefficients, angle),
+        x_1 * rate,
+        x_2 * rate * rate + x_1 * acceleration,
+        x_3 * rate * rate * rate + 3.0 * x_2 * rate * acceleration + x_1 * jerk,
+    ]
+
+
+@TemplateSystem.define("KneeCoordinates_")
+def KneeCoordinates_(T: Any) -> Any:
+    """Measured coordinates for the scalar ``T``."""
+
+    class Impl(NamedLeaf, LeafSystem_[T]):
+        """What the microcontroller makes of the encoder: knee angle, then rod by Table 1.
+
+        θ_4 = reading + offset; θ_p by Eq. 3–7; x = p_1 θ_p⁵ + … + p_6 (Eq. 10).
+
+        ===============  ====  ====  =========================================================
+        input port       size  unit
+        ===============  ====  ====  =========================================================
+        encoder_reading  1     rad   θ_4 as the encoder reports it
+        **output port**
+        knee_angle       1     rad   measured θ_p
+        rod_extension    1     m     measured x
+        ===============  ====  ====  =========================================================
+
+        Stateless. Context parameters: 0 the links, the sign of Eq. 6 and ``offset_rad`` (zero of
+        the encoder plus half a count, because the encoder rounds down) by name; 1 the
+        coefficients of Eq. 10 in SI. Raises `LinkageError` on construction when the linkage is not
+        one-to-one.
+        """
+
+        def _construct(
+            self,
+            parameters: LinkageParameters = LinkageParameters(),
+            table_1: RodPolynomialParameters = RodPolynomialParameters(),
+            offset_rad: float = 0.0,
+            *,
+            converter: Any = None,
+        ) -> None:
+            self._begin(T, converter, parameters, table_1, offset_rad)
+            names = ("o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m", "a_2_m", "a_3_m", "a_4_m")
+            values = {name: getattr(parameters, name) for name in (*names, "phi_rad")} | {
+                "eq6_sign": eq6_sign(parameters),
+                "offset_rad": offset_rad,
+            }
+            self._declare_parameters(values, tuple(values))
+            self.DeclareNumericParameter(BasicVector_[T](list(table_1.p_si)))
+            self._reading = self.DeclareVectorInputPort("encoder_reading", 1)
+            given = self.all_parameters_ticket()
+            self._knee_angle = self._declare_output(
+                "knee_angle", 1, self._calc_knee_angle, self._reading, given
+            )
+            self._declare_output("rod_extension", 1, self._calc_rod_extension, self._reading, given)
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._arguments, converter=converter)
+
+        def _calc_knee_angle(self, context: Any) -> list[Any]:
+            p = self.parameters(context)
+            theta_4 = self._reading.Eval(context)[0] + p.offset_rad
+            return [knee_angle_from_encoder(p, theta_4, p.eq6_sign, xp=drake_math)]
+
+        def _calc_rod_extension(self, context: Any) -> list[Any]:
+            coefficients = context.get_numeric_parameter(1).CopyToVector().tolist()
+            return [polynomial(coefficients, self._knee_angle.Eval(context)[0])]
+
+    return Impl
+
+
+KneeCoordinates = KneeCoordinates_[None]
+
+
+@TemplateSystem.define("RodReference_")
+def RodReference_(T: Any) -> Any:
+    """Rod reference for the scalar ``T``."""
+
+    class Impl(NamedLeaf, LeafSystem_[T]):
+        """Reference of the rod from that of the knee, by Eq. 10 and the chain rule.
+
+        ==============  ====  ===========================  ===================================
+        input port      size  unit
+        ==============  ====  ===========================  ===================================
+        knee_reference  4     rad, rad/s, rad/s², rad/s³   θ_d and derivatives to the third
+        **output port**
+        rod_reference   4     m, m/s, m/s², m/s³           x_d and derivatives to the third
+        ==============  ====  ===========================  ===================================
+
+        Stateless. Context parameter 0: the coefficients of Eq. 10 in SI, highest power first.
+        """
+
+        def _construct(
+            self,
+            table_1: RodPolynomialParameters = RodPolynomialParameters(),
+            *,
+            converter: Any = None,
+        ) -> None:
+            self._begin(T, converter, table_1)
+            self.DeclareNumericParameter(BasicVector_[T](list(table_1.p_si)))
+            self._knee = self.DeclareVectorInputPort("knee_reference", 4)
+            self._declare_output(
+                "rod_reference", 4, self._calc, self._knee, self.all_parameters_ticket()
+            )
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._arguments, converter=converter)
+
+        def _calc(self, context: Any) -> list[Any]:
+            coefficients = context.get_numeric_parameter(0).CopyToVector().tolist()
+            return rod_derivatives(coefficients, self._knee.Eval(context))
+
+    return Impl
+
+
+RodReference = RodReference_[None]

@@ -1,0 +1,109 @@
+"""Load of the rod: shank weight, disturbance and the wearer's torque."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pydrake.math as drake_math
+from pydrake.systems.framework import LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from kneexo.parameters import KneeLoadParameters
+from kneexo.systems._leaf import NamedLeaf, value_or_zero
+
+
+def weight_torque(
+    knee_angle: Any, *, mass: Any, centre_of_mass: Any, thigh_inclination: Any, gravity: Any
+) -> Any:
+    """Torque of the shank's weight in N·m, positive in flexion: m g l sin(α − θ_p)."""
+    return mass * gravity * centre_of_mass * drake_math.sin(thigh_inclination - knee_angle)
+
+
+@TemplateSystem.define("KneeLoad_")
+def KneeLoad_(T: Any) -> Any:
+    """Load of the rod for the scalar ``T``."""
+
+    class Impl(NamedLeaf, LeafSystem_[T]):
+        """Force that the leg exerts on the rod.
+
+        F_L = (m g l sin(α − θ_p) + τ_0 + τ)/r + F_0 + F_1 sin(2πft) + F.
+
+        =================  ====  ====  ======================================================
+        input port         size  unit
+        =================  ====  ====  ======================================================
+        knee_angle         1     rad   θ_p
+        moment_arm         1     m     r = −dx/dθ_p
+        knee_torque        1     N·m   τ of the wearer, positive flexes; 0 if unconnected
+        disturbance_force  1     N     F, positive opposes extension; 0 if unconnected
+        **output port**
+        load_force         1     N     F_L, positive opposes extension of the rod
+        =================  ====  ====  ======================================================
+
+        Stateless. Context parameters: those of `KneeLoadParameters`, by name. A torque that
+        flexes the knee pushes the rod in, so F_L = τ/r (from −F_L dx/dt = τ dθ_p/dt); a hanging
+        thigh (α = 0) lets the weight help extension. Source: F_L of Lee et al. 2020, Eq. 16,
+        which the paper leaves open.
+        """
+
+        def _construct(
+            self, parameters: KneeLoadParameters = KneeLoadParameters(), *, converter: Any = None
+        ) -> None:
+            self._begin(T, converter, parameters)
+            self._declare_parameters(
+                parameters,
+                (
+                    "segment_mass_kg",
+                    "centre_of_mass_m",
+                    "thigh_inclination_rad",
+                    "gravity_m_s2",
+                    "knee_torque_n_m",
+                    "disturbance_n",
+                    "disturbance_amplitude_n",
+                    "disturbance_frequency_hz",
+                ),
+            )
+            self._angle = self.DeclareVectorInputPort("knee_angle", 1)
+            self._arm = self.DeclareVectorInputPort("moment_arm", 1)
+            self._torque = self.DeclareVectorInputPort("knee_torque", 1)
+            self._disturbance = self.DeclareVectorInputPort("disturbance_force", 1)
+            self._declare_output(
+                "load_force",
+                1,
+                self._calc,
+                self._angle,
+                self._arm,
+                self._torque,
+                self._disturbance,
+                self.time_ticket(),
+                self.all_parameters_ticket(),
+            )
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._arguments, converter=converter)
+
+        def _calc(self, context: Any) -> list[Any]:
+            p = self.parameters(context)
+            torque = (
+                weight_torque(
+                    self._angle.Eval(context)[0],
+                    mass=p.segment_mass_kg,
+                    centre_of_mass=p.centre_of_mass_m,
+                    thigh_inclination=p.thigh_inclination_rad,
+                    gravity=p.gravity_m_s2,
+                )
+                + p.knee_torque_n_m
+                + value_or_zero(self._torque, context)
+            )
+            phase = 2.0 * math.pi * p.disturbance_frequency_hz * context.get_time()
+            disturbance = (
+                p.disturbance_n
+                + p.disturbance_amplitude_n * drake_math.sin(phase)
+                + value_or_zero(self._disturbance, context)
+            )
+            return [torque / self._arm.Eval(context)[0] + disturbance]
+
+    return Impl
+
+
+KneeLoad = KneeLoad_[None]

@@ -1,0 +1,201 @@
+"""Knee references: θ_d(t) with derivatives to the third order.
+
+Each system has one output port, ``knee_reference``: θ_d, dθ_d/dt, d²θ_d/dt², d³θ_d/dt³ in rad and
+s. `make_knee_reference` picks the system for a parameter class; samples become Drake's
+`TrajectorySource`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pydrake.math as drake_math
+from pydrake.systems.framework import LeafSystem_
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.systems.scalar_conversion import TemplateSystem
+from pydrake.trajectories import PiecewisePolynomial
+
+from kneexo.parameters import (
+    RampReference,
+    SampledReference,
+    SineReference,
+    StepReference,
+)
+from kneexo.systems._leaf import NamedLeaf, clip, where_positive
+
+
+class _KneeReference(NamedLeaf):
+    """One output that depends on time and on the named Context parameters."""
+
+    def _declare(self: Any, values: dict[str, float]) -> None:
+        self._declare_parameters(values, tuple(values))
+        self._declare_output(
+            "knee_reference",
+            4,
+            lambda c: self._calc(c.get_time(), self.parameters(c)),
+            self.time_ticket(),
+            self.all_parameters_ticket(),
+        )
+
+
+@TemplateSystem.define("SineKneeReference_")
+def SineKneeReference_(T: Any) -> Any:
+    """Sinusoidal reference for the scalar ``T``."""
+
+    class Impl(_KneeReference, LeafSystem_[T]):
+        """θ_d = mean − amplitude·cos(2πft), with three derivatives.
+
+        Context parameters by name: ``mean_rad``, ``amplitude_rad``, ``frequency_hz``.
+        """
+
+        def _construct(
+            self, parameters: SineReference = SineReference(), *, converter: Any = None
+        ) -> None:
+            self._begin(T, converter, parameters)
+            self._declare(
+                {
+                    "mean_rad": math.radians(parameters.mean_deg),
+                    "amplitude_rad": math.radians(parameters.amplitude_deg),
+                    "frequency_hz": parameters.frequency_hz,
+                }
+            )
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._arguments, converter=converter)
+
+        def _calc(self, time: Any, p: Any) -> list[Any]:
+            omega = 2.0 * math.pi * p.frequency_hz
+            cosine = p.amplitude_rad * drake_math.cos(omega * time)
+            sine = p.amplitude_rad * drake_math.sin(omega * time)
+            return [
+                p.mean_rad - cosine,
+                omega * sine,
+                omega * omega * cosine,
+                -omega * omega * omega * sine,
+            ]
+
+    return Impl
+
+
+SineKneeReference = SineKneeReference_[None]
+
+
+@TemplateSystem.define("StepKneeReference_")
+def StepKneeReference_(T: Any) -> Any:
+    """Step reference for the scalar ``T``."""
+
+    class Impl(_KneeReference, LeafSystem_[T]):
+        """θ_d jumps from start to end just after a given time; its derivatives are zero.
+
+        Context parameters by name: ``start_rad``, ``end_rad``, ``time_s``.
+        """
+
+        def _construct(
+            self, parameters: StepReference = StepReference(), *, converter: Any = None
+        ) -> None:
+            self._begin(T, converter, parameters)
+            self._declare(
+                {
+                    "start_rad": math.radians(parameters.start_deg),
+                    "end_rad": math.radians(parameters.end_deg),
+                    "time_s": parameters.time_s,
+                }
+            )
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._arguments, converter=converter)
+
+        def _calc(self, time: Any, p: Any) -> list[Any]:
+            return [where_positive(time - p.time_s, p.end_rad, p.start_rad), 0.0, 0.0, 0.0]
+
+    return Impl
+
+
+StepKneeReference = StepKneeReference_[None]
+
+
+@TemplateSystem.define("RampKneeReference_")
+def RampKneeReference_(T: Any) -> Any:
+    """Ramp reference for the scalar ``T``."""
+
+    class Impl(_KneeReference, LeafSystem_[T]):
+        """θ_d moves from start to end at a constant rate, from a given time on.
+
+        Context parameters by name: ``start_rad``, ``end_rad``, ``time_s``, ``rate_rad_s`` (> 0).
+        """
+
+        def _construct(
+            self, parameters: RampReference = RampReference(), *, converter: Any = None
+        ) -> None:
+            self._begin(T, converter, parameters)
+            self._declare(
+                {
+                    "start_rad": math.radians(parameters.start_deg),
+                    "end_rad": math.radians(parameters.end_deg),
+                    "time_s": parameters.time_s,
+                    "rate_rad_s": math.radians(parameters.rate_deg_s),
+                }
+            )
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._arguments, converter=converter)
+
+        def _calc(self, time: Any, p: Any) -> list[Any]:
+            distance = p.end_rad - p.start_rad
+            travel = drake_math.abs(distance)
+            direction = where_positive(distance, 1.0, -1.0)
+            covered = p.rate_rad_s * (time - p.time_s)
+            inside = where_positive(covered, where_positive(travel - covered, 1.0, 0.0), 0.0)
+            return [
+                p.start_rad + direction * clip(covered, 0.0, travel),
+                direction * p.rate_rad_s * inside,
+                0.0,
+                0.0,
+            ]
+
+    return Impl
+
+
+RampKneeReference = RampKneeReference_[None]
+
+
+def make_knee_reference(
+    parameters: SineReference | StepReference | RampReference | SampledReference,
+) -> Any:
+    """The reference system of a parameter class.
+
+    Samples are joined by a cubic spline with continuous acceleration; the first and last angle
+    hold outside. That one is a `TrajectorySource`, which has no symbolic form.
+    """
+    if isinstance(parameters, SineReference):
+        return SineKneeReference(parameters)
+    if isinstance(parameters, StepReference):
+        return StepKneeReference(parameters)
+    if isinstance(parameters, RampReference):
+        return RampKneeReference(parameters)
+    return TrajectorySource(
+        _spline(parameters), output_derivative_order=3, zero_derivatives_beyond_limits=True
+    )
+
+
+def _spline(parameters: SampledReference) -> Any:
+    return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+        np.array(parameters.times_s), np.radians([parameters.angles_deg])
+    )
+
+
+def reference_range_deg(
+    parameters: SineReference | StepReference | RampReference | SampledReference,
+) -> tuple[float, float]:
+    """Smallest and largest knee angle of a reference, in deg; for a spline, between samples too."""
+    if isinstance(parameters, SineReference):
+        low = parameters.mean_deg - parameters.amplitude_deg
+        return low, parameters.mean_deg + parameters.amplitude_deg
+    if isinstance(parameters, SampledReference):
+        times = np.linspace(parameters.times_s[0], parameters.times_s[-1], 2001)
+        angles = np.degrees(_spline(parameters).vector_values(times)[0])
+        return float(angles.min()), float(angles.max())
+    ends = (parameters.start_deg, parameters.end_deg)
+    return min(ends), max(ends)
