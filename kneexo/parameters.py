@@ -83,7 +83,7 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
     shown_with_unit = f"{shown} {unit}".strip()
     kind = fault["type"]
     if kind == "extra_forbidden":
-        known = ", ".join(_names_at(model, location[:-1]))
+        known = ", ".join(names_at(model, location[:-1]))
         line = f"{path}: unknown name; known here: {known}"
     elif kind in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
         bounds = f"finite and {bounds}" if bounds else "finite"
@@ -147,7 +147,8 @@ def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldI
     return field
 
 
-def _names_at(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
+def names_at(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
+    """The names that are known at a location inside a parameter class."""
     field = _field_at(model, location)
     models = _models_of(field) if location else (model,)
     return sorted({name for m in models for name in m.model_fields})
@@ -595,8 +596,13 @@ class PidParameters(Parameters):
     )
     integral_per_s2: float = quantity(0.0, "1/s²", "assumption: not printed", ge=0, le=1e6)
     derivative: float = quantity(0.0, "1", "assumption: not printed", ge=0, le=1e4)
-    derivative_filter_s: float = quantity(
-        0.020, "s", "assumption: lag of the derivative term", gt=0, le=10
+    filter_s: float = quantity(
+        0.020,
+        "s",
+        "assumption: lag of the error's filter, T_d; as the observer's, because both see the "
+        "same encoder",
+        ge=1e-4,
+        le=10,
     )
     anti_windup_s: float = quantity(
         0.1, "s", "assumption: tracking time constant of back-calculation", gt=0, le=1e3
@@ -752,6 +758,68 @@ class Scenario(Parameters):
 
 # --------------------------------------------------------------- studies of the paper
 
+_TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the paper does not describe"
+
+
+class SinestreamParameters(Parameters):
+    """Frequency response with one sine after another, and what differs between repetitions."""
+
+    frequencies_hz: tuple[Annotated[float, Field(gt=0, le=250)], ...] = Field(
+        default=(
+            *(0.05, 0.07, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2),
+            *(0.21, 0.22, 0.23, 0.24, 0.27, 0.31, 0.38, 0.5),
+        ),
+        min_length=2,
+        json_schema_extra={
+            "unit": "Hz",
+            "source": "assumption: Fig. 13 spans the neighbourhood of its 0.21 Hz",
+        },
+    )
+    transient_cycles: int = Field(
+        default=1,
+        ge=0,
+        le=1000,
+        json_schema_extra={"unit": "cycles", "source": "assumption: discarded before measuring"},
+    )
+    measured_cycles: int = Field(
+        default=3,
+        ge=1,
+        le=1000,
+        json_schema_extra={"unit": "cycles", "source": "Section 5: more than three cycles"},
+    )
+    trials: int = Field(
+        default=5,
+        ge=1,
+        le=10_000,
+        json_schema_extra={"unit": "1", "source": "Section 5: five times for each frequency"},
+    )
+    seed: int = Field(
+        default=2020, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
+    )
+    internal_leakage_min_m3_per_s_pa: float = quantity(0.0, "m³/(s·Pa)", _TRIALS, ge=0, le=1e-9)
+    internal_leakage_max_m3_per_s_pa: float = quantity(2e-12, "m³/(s·Pa)", _TRIALS, ge=0, le=1e-9)
+    acceleration_limit_min_rad_s2: float = quantity(2e3, "rad/s²", _TRIALS, gt=0, le=1e7)
+    acceleration_limit_max_rad_s2: float = quantity(1.8e4, "rad/s²", _TRIALS, gt=0, le=1e7)
+    bulk_modulus_min_pa: float = quantity(0.2e9, "Pa", _TRIALS + "; entrained air", gt=0, le=1e11)
+    bulk_modulus_max_pa: float = quantity(17_200e5, "Pa", _TRIALS, gt=0, le=1e11)
+    mass_min_kg: float = quantity(1.4, "kg", "Table 2", gt=0, le=1000)
+    mass_max_kg: float = quantity(1.8, "kg", "Table 2", gt=0, le=1000)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> SinestreamParameters:
+        for name in type(self).model_fields:
+            if "_min_" in name:
+                low, high = getattr(self, name), getattr(self, name.replace("_min_", "_max_"))
+                if low > high:
+                    raise ValueError(
+                        f"{name} = {low:g} must not exceed "
+                        f"{name.replace('_min_', '_max_')} = {high:g}"
+                    )
+        if len(set(self.frequencies_hz)) < len(self.frequencies_hz):
+            raise ValueError("frequencies_hz must not repeat a value")
+        return self
+
+
 IDEAL_SMC = Scenario(
     plant=PlantParameters(
         pump=BldcPumpParameters(internal_leakage_m3_per_s_pa=0.0),
@@ -762,9 +830,74 @@ IDEAL_SMC = Scenario(
     estimator=ExactParameters(),
     controller=SlidingModeParameters(continuous=True, lambda_per_s=10.0, command_limit_rad_s=1e12),
     initial_offset_m=-0.089,
-    simulation=SimulationParameters(duration_s=10.0, error_controlled=True, accuracy=1e-8),
+    simulation=SimulationParameters(duration_s=10.0, error_controlled=True, accuracy=1e-6),
 )
 """Fig. 9: continuous sliding mode, exact states, no speed limit, no leakage, 89 mm off."""
 
 PID_PAPER = PidParameters()
 """A PID tuned as poorly as Fig. 12 shows: proportional action alone, 5 1/s."""
+
+PID_TUNED = PidParameters(
+    proportional_per_s=11.89, integral_per_s2=380.5, derivative=0.02, filter_s=0.01915
+)
+"""The best PID found for Fig. 12 within the chattering budget: ``benchmarks/tune_pid.py``."""
+
+PID_FEEDFORWARD = PidParameters(
+    proportional_per_s=10.0,
+    integral_per_s2=20.0,
+    derivative=0.02,
+    filter_s=0.020,
+    velocity_feedforward=1.0,
+)
+"""The same with the reference's velocity: ``benchmarks/tune_pid.py --feedforward``."""
+
+FIG_12 = {
+    "smc": Scenario(),
+    "pid": Scenario(controller=PID_PAPER),
+    "pid_tuned": Scenario(controller=PID_TUNED),
+    "pid_feedforward": Scenario(controller=PID_FEEDFORWARD),
+}
+"""Fig. 12: 10…70° at 0.1 Hz with the sliding-mode controller and with PIDs."""
+
+FIG_13_SCALING = {
+    "gear_3": (
+        Scenario(plant=PlantParameters(pump=BldcPumpParameters(gear_ratio=3.0))),
+        SinestreamParameters(frequencies_hz=(0.40, 0.42, 0.44, 0.46, 0.48)),
+    ),
+    "half_amplitude": (
+        Scenario(reference=SineReference(amplitude_deg=15.0)),
+        SinestreamParameters(frequencies_hz=(0.40, 0.42, 0.44, 0.46, 0.48)),
+    ),
+}
+"""What should double the bandwidth of Fig. 13: twice the flow, or half the way."""
+
+
+def _eq_27(slope_per_s: float) -> SlidingModeParameters:
+    """The default controller with another k/Φ, taking k = β·η (1/s)."""
+    default = SlidingModeParameters()
+    return SlidingModeParameters(phi_m_s2=default.gain_ratio * default.eta_m_s3 / slope_per_s)
+
+
+EQ_27_EXACT_STATES = {
+    f"{slope:.1e} 1/s": Scenario(
+        encoder=EncoderParameters(quantized=False),
+        estimator=ExactParameters(),
+        controller=_eq_27(slope),
+        reference=StepReference(start_deg=30.0, end_deg=30.0),
+        initial_offset_m=5e-5,
+        simulation=SimulationParameters(duration_s=3.0, integrator="runge_kutta3", step_s=4e-5),
+    )
+    for slope in (1.0e4, 1.3e4)
+}
+"""Eq. 27 at 2 ms with exact states: k/Φ below and above the stability boundary of the sampled
+hydraulic mode. The step is small because RK3 damps that mode: at 0.2 ms more than the oil does."""
+
+EQ_27_DIFFERENCES = {
+    f"k/Φ = {slope:.0e} 1/s": Scenario(
+        estimator=DifferenceParameters(),
+        controller=_eq_27(slope),
+        simulation=SimulationParameters(duration_s=20.0),
+    )
+    for slope in (1.0e4, 4.0e4)
+}
+"""Eq. 27 at 2 ms with plain differences of the quantized encoder."""

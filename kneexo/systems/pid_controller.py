@@ -17,13 +17,14 @@ def PidController_(T: Any) -> Any:
     """PID controller for the scalar ``T``."""
 
     class Impl(NamedLeaf, LeafSystem_[T]):
-        """PID on the knee angle with filtered derivative and back-calculated anti-windup.
+        """PID on the knee angle with filtered error and back-calculated anti-windup.
 
-        With e = θ_d − θ_p and G = gear·Ā/D_m (motor speed per rod speed):
-        w = K_p e + I + K_d (e − z)/T_d,  u = clip(G(−r_0 w + K_v dx_d/dt), ±u_max),
+        With e = θ_d − θ_p, its first-order filter z and G = gear·Ā/D_m (motor per rod speed):
         z⁺ = z + (1 − e^(−T/T_d))(e − z),  I⁺ = I + T(K_i e + (w_u − w)/T_t),
+        w = K_p z⁺ + I + K_d (e − z⁺)/T_d,  u = clip(G(−r_0 w + K_v dx_d/dt), ±u_max),
         where w_u is the knee rate that gives the limited command. More flexion means that the rod
-        goes in, hence the minus sign.
+        goes in, hence the minus sign. The filter takes from P and D the counts of the encoder, as
+        the observer does for the sliding-mode controller.
 
         ===================  ====  =====================  ===================================
         input port           size  unit
@@ -52,7 +53,7 @@ def PidController_(T: Any) -> Any:
                 "proportional_per_s",
                 "integral_per_s2",
                 "derivative",
-                "derivative_filter_s",
+                "filter_s",
                 "anti_windup_s",
                 "velocity_feedforward",
                 "moment_arm_m",
@@ -85,8 +86,10 @@ def PidController_(T: Any) -> Any:
             _, integral, filtered = discrete_state(context)
             error = self._error(context)
             dt = self._sample_time
-            slope = (error - filtered) / p.derivative_filter_s
-            rate = p.proportional_per_s * error + integral + p.derivative * slope
+            share = 1.0 - drake_math.exp(-dt / p.filter_s)
+            filtered = filtered + share * (error - filtered)
+            slope = (error - filtered) / p.filter_s
+            rate = p.proportional_per_s * filtered + integral + p.derivative * slope
             per_rate = -p.speed_gain_rad_per_m * p.moment_arm_m
             feedforward = (
                 p.speed_gain_rad_per_m
@@ -100,7 +103,7 @@ def PidController_(T: Any) -> Any:
             return [
                 command,
                 integral + dt * (p.integral_per_s2 * error + excess / p.anti_windup_s),
-                filtered + (1.0 - drake_math.exp(-dt / p.derivative_filter_s)) * (error - filtered),
+                filtered,
             ]
 
     return Impl

@@ -1,0 +1,261 @@
+"""Sinestream frequency response of the closed loop (Lee et al. 2020, Fig. 13)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from pydrake.systems.framework import Diagram
+from pydrake.trajectories import PiecewisePolynomial
+
+from kneexo.analysis.parallel import parallel_map
+from kneexo.analysis.simulation import Array, simulate_diagram
+from kneexo.diagrams import columns, make_closed_loop, set_encoder_phase
+from kneexo.errors import ParameterError
+from kneexo.parameters import Scenario, SimulationParameters, SinestreamParameters
+
+MINUS_3_DB = 1.0 / math.sqrt(2.0)
+"""The bandwidth's threshold on the gain of the fundamental."""
+
+_SIGNALS = ("knee_reference", "knee_angle")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What differs between the repetitions of the experiment; SI units."""
+
+    internal_leakage_m3_per_s_pa: float
+    acceleration_limit_rad_s2: float
+    bulk_modulus_pa: float
+    mass_kg: float
+    encoder_phase_rad: float
+
+
+def draw_trials(scenario: Scenario, settings: SinestreamParameters) -> tuple[Trial, ...]:
+    """Draw the trials uniformly from the ranges of ``settings``, by its seed."""
+    random = np.random.default_rng(settings.seed)
+    return tuple(
+        Trial(
+            internal_leakage_m3_per_s_pa=random.uniform(
+                settings.internal_leakage_min_m3_per_s_pa,
+                settings.internal_leakage_max_m3_per_s_pa,
+            ),
+            acceleration_limit_rad_s2=random.uniform(
+                settings.acceleration_limit_min_rad_s2, settings.acceleration_limit_max_rad_s2
+            ),
+            bulk_modulus_pa=random.uniform(
+                settings.bulk_modulus_min_pa, settings.bulk_modulus_max_pa
+            ),
+            mass_kg=random.uniform(settings.mass_min_kg, settings.mass_max_kg),
+            encoder_phase_rad=random.uniform(0.0, scenario.encoder.resolution_rad),
+        )
+        for _ in range(settings.trials)
+    )
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """Sinestream response θ_p/θ_d of the fundamental.
+
+    ``frequencies_hz`` (n,), ``response`` (trials, n) complex. ``bandwidth_hz`` is the −3 dB
+    crossing (gain 1/√2) of the shape-preserving cubic through the means, ``phase_at_bandwidth_deg``
+    the phase there; both nan when the gain does not cross within the frequencies.
+    """
+
+    frequencies_hz: Array
+    response: Any
+    bandwidth_hz: float
+    phase_at_bandwidth_deg: float
+    trials: tuple[Trial, ...]
+    scenario: Scenario
+    settings: SinestreamParameters
+
+    @property
+    def gain(self) -> Array:
+        """Mean gain over the trials, (n,)."""
+        return np.asarray(np.mean(np.abs(self.response), axis=0))
+
+    @property
+    def phase_deg(self) -> Array:
+        """Mean phase over the trials in deg, unwrapped over frequency, (n,)."""
+        return np.asarray(np.mean(_phase_deg(self.response), axis=0))
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot magnitude and phase as Fig. 13 does: trials, means and PCHIP; ``ax``: two axes."""
+        if ax is None:
+            ax = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")[1]
+        f = self.frequencies_hz
+        fine = np.linspace(f[0], f[-1], 400)
+        gains, phases = np.abs(self.response), _phase_deg(self.response)
+        decibel = 20.0 * np.log10(_pchip(f, self.gain).vector_values(fine)[0])
+        phase = _pchip(f, self.phase_deg).vector_values(fine)[0]
+        for index, (values, curve, mean, label) in enumerate(
+            (
+                (20.0 * np.log10(gains), decibel, 20.0 * np.log10(self.gain), "magnitude (dB)"),
+                (phases, phase, self.phase_deg, "phase (deg)"),
+            )
+        ):
+            axis = ax[index]
+            for trial in values:
+                axis.plot(f, trial, ".", color="0.6", ms=5)
+            axis.plot([], [], ".", color="0.6", label=f"{len(values)} trials")
+            axis.plot(f, mean, "C0o", ms=4, label="mean")
+            axis.plot(fine, curve, "C0", lw=1.2, label="PCHIP")
+            axis.set(xlabel="frequency (Hz)", ylabel=label, xscale="log")
+            ticks = [t for t in (0.05, 0.1, 0.2, 0.3, 0.5, 1.0) if f[0] <= t <= f[-1]]
+            axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
+            axis.minorticks_off()
+            axis.grid(alpha=0.3)
+        if math.isfinite(self.bandwidth_hz):
+            ax[0].axhline(20.0 * math.log10(MINUS_3_DB), color="C3", ls="--", lw=1)
+            for axis in ax:
+                axis.axvline(
+                    self.bandwidth_hz,
+                    color="C3",
+                    ls="--",
+                    lw=1,
+                    label=f"−3 dB at {self.bandwidth_hz:.3f} Hz",
+                )
+        ax[0].set_title("(a) magnitude")
+        ax[1].set_title("(b) phase")
+        ax[0].legend(loc="lower left")
+        return ax
+
+
+def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
+    """Complex amplitude of the fundamental by least squares: signal ≈ c + Re(A e^{jωt}).
+
+    ``time_s`` and ``signal`` (n,) should span whole periods.
+    """
+    phase = 2.0 * np.pi * frequency_hz * time_s
+    basis = np.column_stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)])
+    _, real, imaginary = np.linalg.lstsq(basis, signal, rcond=None)[0]
+    return complex(real, imaginary)
+
+
+def _phase_deg(response: Any) -> Array:
+    """Phase in deg, unwrapped along the last axis, which must be sorted by frequency."""
+    return np.degrees(np.unwrap(np.angle(response), axis=-1))
+
+
+def _pchip(x: Array, y: Array) -> PiecewisePolynomial:
+    return PiecewisePolynomial.CubicShapePreserving(x, y[None, :])
+
+
+def crossing(frequencies_hz: Array, gain: Array, threshold: float = MINUS_3_DB) -> float:
+    """First frequency in Hz where the PCHIP through ``gain`` (n,) falls to ``threshold``.
+
+    nan when it does not within ``frequencies_hz`` (n,), which must be increasing.
+    """
+    below = np.flatnonzero((gain[:-1] >= threshold) & (gain[1:] < threshold))
+    if below.size == 0:
+        return math.nan
+    curve = _pchip(frequencies_hz, gain)
+    low, high = frequencies_hz[below[0]], frequencies_hz[below[0] + 1]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if curve.value(middle)[0, 0] >= threshold:
+            low = middle
+        else:
+            high = middle
+    return float(0.5 * (low + high))
+
+
+@lru_cache(maxsize=4)
+def _diagram(scenario: Scenario) -> Diagram:
+    """One diagram a process: on Python 3.11 a LeafSystem is never freed."""
+    return make_closed_loop(scenario, signals=_SIGNALS)
+
+
+def _measure(
+    scenario: Scenario, settings: SinestreamParameters, work: tuple[float, Trial]
+) -> complex:
+    """Response of one trial at one frequency."""
+    frequency, trial = work
+    diagram = _diagram(scenario)
+    context = diagram.CreateDefaultContext()
+    plant = diagram.GetSubsystemByName("plant")
+
+    def change(system: Any, **values: float) -> None:
+        own = system.GetMyMutableContextFromRoot(context)
+        for name, value in values.items():
+            system.set_parameter(own, name, value)
+
+    pump = scenario.plant.pump
+    change(diagram.GetSubsystemByName("reference"), frequency_hz=frequency)
+    change(
+        plant.GetSubsystemByName("motor"),
+        acceleration_limit_rad_s2=trial.acceleration_limit_rad_s2,
+        leakage_m3_per_s_pa=trial.internal_leakage_m3_per_s_pa
+        + 0.5 * pump.external_leakage_m3_per_s_pa,
+    )
+    change(
+        plant.GetSubsystemByName("cylinder"),
+        bulk_modulus_pa=trial.bulk_modulus_pa,
+        mass_kg=trial.mass_kg,
+    )
+    if scenario.encoder.quantized:
+        set_encoder_phase(diagram, context, scenario, trial.encoder_phase_rad)
+    duration = (settings.transient_cycles + settings.measured_cycles) / frequency
+    run = simulate_diagram(
+        diagram,
+        context,
+        columns(_SIGNALS),
+        SimulationParameters(**{**dict(scenario.simulation), "duration_s": duration}),
+    )
+    measured = run.time_s >= settings.transient_cycles / frequency
+    measured[-1] = False  # the end of the last period is its beginning
+    time = run.time_s[measured]
+    return fundamental(time, run["knee_angle_rad"][measured], frequency) / fundamental(
+        time, run["knee_reference_rad"][measured], frequency
+    )
+
+
+def sinestream(
+    scenario: Scenario = Scenario(),
+    settings: SinestreamParameters = SinestreamParameters(),
+    *,
+    trials: Sequence[Trial] | None = None,
+    workers: int | None = 1,
+    executor: Executor | None = None,
+    progress: bool = False,
+) -> FrequencyResponse:
+    """Measure the closed loop's frequency response with one sine after another.
+
+    ``scenario`` needs a sinusoidal reference; its frequency is replaced. Each of ``trials`` (drawn
+    by `draw_trials` when left out) runs at each frequency: the transient cycles are discarded, the
+    fundamental of the rest is fitted. ``workers``, ``executor``: see `parallel_map`.
+
+    Raises `ParameterError` when the reference is no sine, and what the simulation raises.
+    """
+    if scenario.reference.kind != "sine":
+        raise ParameterError(
+            f"reference.kind = {scenario.reference.kind!r}: a sinestream needs 'sine'"
+        )
+    drawn = draw_trials(scenario, settings) if trials is None else tuple(trials)
+    frequencies = sorted(settings.frequencies_hz)
+    work = [(frequency, trial) for trial in drawn for frequency in frequencies]
+    measure: Callable[[tuple[float, Trial]], complex] = partial(_measure, scenario, settings)
+    values = parallel_map(
+        measure,
+        work,
+        workers=workers,
+        executor=executor,
+        description="frequency response" if progress else None,
+        weight=lambda item: 1.0 / item[0],
+    )
+    response = np.array(values).reshape(len(drawn), len(frequencies))
+    f = np.array(frequencies)
+    gain = np.mean(np.abs(response), axis=0)
+    bandwidth = crossing(f, gain)
+    phase = math.nan
+    if math.isfinite(bandwidth):
+        means = np.mean(_phase_deg(response), axis=0)
+        phase = float(_pchip(f, means).value(bandwidth)[0, 0])
+    return FrequencyResponse(f, response, bandwidth, phase, drawn, scenario, settings)

@@ -1,0 +1,89 @@
+"""Polynomial fit of the linkage (Lee et al. 2020, Fig. 5 and Table 1, Eq. 10, 11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.polynomial import Polynomial
+
+from kneexo import linkage
+from kneexo.analysis.simulation import Array
+from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
+
+SAMPLES = 901
+"""Every 0.1° from 0 to 90°."""
+
+
+@dataclass(frozen=True)
+class PolynomialFit:
+    """Quintic fits of x(θ_p) and θ_p(x) to a linkage, in the paper's units, beside Table 1.
+
+    ``angle_deg`` and ``extension_mm`` (901,) are the linkage. ``p_mm_deg`` and ``q_deg_mm`` (6,)
+    are the fitted coefficients, highest power first. Errors are linkage minus polynomial:
+    ``p_error_mm`` and ``q_error_deg`` of this fit, ``table_p_error_mm`` and ``table_q_error_deg``
+    of Table 1.
+    """
+
+    angle_deg: Array
+    extension_mm: Array
+    p_mm_deg: Array
+    q_deg_mm: Array
+    p_error_mm: Array
+    q_error_deg: Array
+    table_p_error_mm: Array
+    table_q_error_deg: Array
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot both maps as Fig. 5 does: linkage, fit and Table 1; ``ax``: two axes."""
+        if ax is None:
+            ax = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")[1]
+        table = RodPolynomialParameters()
+        angle, rod = self.angle_deg, self.extension_mm
+        self._plot_map(ax[0], angle, rod, self.p_mm_deg, table.p_mm_deg)
+        ax[0].set(xlabel="knee angle θ_p (deg)", ylabel="rod extension x (mm)", title="(a)")
+        self._plot_map(ax[1], rod, angle, self.q_deg_mm, table.q_deg_mm)
+        ax[1].set(xlabel="rod extension x (mm)", ylabel="knee angle θ_p (deg)", title="(b)")
+        return ax
+
+    @staticmethod
+    def _plot_map(ax: Axes, argument: Array, value: Array, fit: Any, table: Any) -> None:
+        ax.plot(argument[::30], value[::30], "ko", ms=3.5, mfc="none", label="linkage (Eq. 1–9)")
+        ax.plot(argument, np.polyval(fit, argument), "C0", lw=1.2, label="quintic fit")
+        ax.plot(argument, np.polyval(table, argument), "C3--", lw=1.2, label="Table 1")
+        ax.legend()
+
+
+def rms(error: Array) -> float:
+    """Root mean square of ``error`` (n,)."""
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def fit_polynomials(link: LinkageParameters = G1) -> PolynomialFit:
+    """Fit Eq. 10 and 11 to a linkage over 0…90°.
+
+    Raises `LinkageError` when it cannot be assembled.
+    """
+    table = RodPolynomialParameters()
+    angle = np.linspace(0.0, 90.0, SAMPLES)
+    extension = 1e3 * linkage.rod_extension(link, np.radians(angle))
+    p = _quintic(angle, extension)
+    q = _quintic(extension, angle)
+    return PolynomialFit(
+        angle_deg=angle,
+        extension_mm=extension,
+        p_mm_deg=p,
+        q_deg_mm=q,
+        p_error_mm=extension - np.polyval(p, angle),
+        q_error_deg=angle - np.polyval(q, extension),
+        table_p_error_mm=extension - np.polyval(table.p_mm_deg, angle),
+        table_q_error_deg=angle - np.polyval(table.q_deg_mm, extension),
+    )
+
+
+def _quintic(argument: Array, value: Array) -> Array:
+    """Coefficients of the least-squares quintic, highest power first, (6,)."""
+    return np.asarray(Polynomial.fit(argument, value, 5).convert().coef[::-1], dtype=float)

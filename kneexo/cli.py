@@ -1,0 +1,279 @@
+"""Command line of kneexo: ``kneexo --help``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kneexo import __version__
+from kneexo.errors import KneexoError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from kneexo.parameters import Scenario
+
+# Each command imports what it needs: `kneexo --help` and `kneexo params` need no Drake.
+
+EPILOG = """\
+examples:
+  kneexo reproduce --out results      every figure and number of the paper
+  kneexo simulate --out run           the paper's default scenario
+  kneexo simulate my.yaml --out run   a scenario of your own
+  kneexo params --yaml > my.yaml      a complete scenario file to edit
+  kneexo diagram --out pictures       the block diagram
+
+Exit codes: 0 done, 2 wrong input or a run that failed (one line says why), 130 interrupted.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        options.run(options)
+    except KneexoError as error:
+        print(f"kneexo: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("kneexo: interrupted; nothing was written", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output went away, as with `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="kneexo",
+        description="Polycentric knee exoskeleton with electro-hydraulic actuator, on Drake: "
+        "reproduces Lee et al. 2020 and simulates designs of your own.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"kneexo {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    def command(name: str, run: Any, text: str, detail: str = "") -> argparse.ArgumentParser:
+        sub = commands.add_parser(
+            name,
+            help=text,
+            description=f"{text[0].upper()}{text[1:]}. {detail}".strip(),
+            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        )
+        sub.add_argument("--json", action="store_true", help="print the result as JSON")
+        sub.set_defaults(run=run)
+        return sub
+
+    def add_out(sub: argparse.ArgumentParser, files: str) -> None:
+        sub.add_argument(
+            "--out",
+            metavar="DIR",
+            type=Path,
+            required=True,
+            help=f"directory for {files}; made when missing, files of the same name are replaced",
+        )
+
+    def add_scenario(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument(
+            "scenario",
+            nargs="?",
+            metavar="SCENARIO.yaml",
+            help="scenario file; left out: the paper's setup (see `kneexo params`)",
+        )
+
+    sub = command(
+        "reproduce",
+        _reproduce,
+        "compute every figure and number of the paper",
+        "Table 1 and Fig. 5 (linkage), Fig. 9 (ideal sliding mode), Fig. 12 (tracking with SMC and "
+        "PID), Fig. 13 (frequency response), and Eq. 27 taken literally at 2 ms. "
+        "Takes some minutes on two cores.",
+    )
+    add_out(sub, "figures (PNG, PDF), results.json and report.md")
+    sub.add_argument("--workers", type=int, metavar="N", help="processes; all cores by default")
+
+    sub = command("simulate", _simulate, "run one scenario")
+    add_scenario(sub)
+    add_out(sub, "signals.csv, metrics.json, scenario.yaml and tracking.png, .pdf")
+
+    sub = command("params", _params, "list every parameter with value, unit, range and provenance")
+    add_scenario(sub)
+    form = sub.add_mutually_exclusive_group()
+    form.add_argument("--yaml", action="store_true", help="print a complete scenario file instead")
+    form.add_argument(
+        "--schema", action="store_true", help="print the JSON schema of scenario files instead"
+    )
+
+    sub = command(
+        "diagram",
+        _diagram,
+        "draw the block diagram of a scenario",
+        "Always writes closed_loop.dot; also SVG and PNG when Graphviz is installed.",
+    )
+    add_scenario(sub)
+    add_out(sub, "closed_loop.dot, .svg and .png")
+    return parser
+
+
+def _scenario(options: argparse.Namespace) -> Scenario:
+    if options.scenario is None:
+        from kneexo.parameters import Scenario
+
+        return Scenario()
+    from kneexo.scenario import load_scenario
+
+    return load_scenario(options.scenario)
+
+
+def _headless() -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+
+
+# -------------------------------------------------------------------------------- commands
+
+
+def _reproduce(options: argparse.Namespace) -> None:
+    _headless()
+    import matplotlib.pyplot as plt
+
+    from kneexo.errors import ParameterError
+    from kneexo.output import output_directory, save_figure, to_json
+    from kneexo.reproduction import figures, report, reproduce, results
+
+    if options.workers is not None and options.workers < 1:
+        raise ParameterError(f"--workers = {options.workers}: must be at least 1")
+    with output_directory(options.out) as directory:
+        done = reproduce(workers=options.workers, progress=True)
+        numbers = results(done)
+        (directory / "results.json").write_text(to_json(numbers), encoding="utf-8")
+        text = report(numbers)
+        (directory / "report.md").write_text(text, encoding="utf-8")
+        for name, figure in figures(done).items():
+            save_figure(directory, name, figure)
+            plt.close(figure)
+    if options.json:
+        print(to_json(numbers), end="")
+    else:
+        print(text)
+        print(f"In {options.out}: the figures, results.json, report.md")
+
+
+def _simulate(options: argparse.Namespace) -> None:
+    scenario = _scenario(options)
+    _headless()
+    from dataclasses import asdict
+
+    from tqdm import tqdm
+
+    from kneexo.analysis import track
+    from kneexo.output import output_directory, save_figure, to_json, write_csv
+    from kneexo.scenario import dump_scenario
+
+    with output_directory(options.out) as directory:
+        with tqdm(
+            total=scenario.simulation.duration_s,
+            desc="simulated time",
+            mininterval=0.5,
+            bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
+        ) as bar:
+            result = track(
+                scenario, all_signals=True, progress=lambda time: bar.update(time - bar.n)
+            )
+        metrics = to_json(asdict(result.metrics))
+        (directory / "metrics.json").write_text(metrics, encoding="utf-8")
+        (directory / "scenario.yaml").write_text(dump_scenario(scenario), encoding="utf-8")
+        write_csv(directory / "signals.csv", result.run)
+        save_figure(directory, "tracking", result.plot()[0].figure)
+    if options.json:
+        print(metrics, end="")
+        return
+    for name, value in asdict(result.metrics).items():
+        print(f"{name:28s} {value:.6g}")
+    print(f"In {options.out}: signals.csv, metrics.json, scenario.yaml, tracking.png, tracking.pdf")
+
+
+def _params(options: argparse.Namespace) -> None:
+    scenario = _scenario(options)
+    if options.yaml:
+        from kneexo.scenario import dump_scenario
+
+        print(dump_scenario(scenario), end="")
+        return
+    import json
+
+    if options.schema:
+        from kneexo.scenario import json_schema
+
+        print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+        return
+    rows = list(_parameter_rows(scenario))
+    if options.json:
+        print(json.dumps(rows, indent=2, ensure_ascii=False))
+        return
+    for row in rows:
+        bounds = f"  [{row['range']}]" if row["range"] else ""
+        print(f"{row['parameter']} = {row['value']} {row['unit']}{bounds}\n    {row['provenance']}")
+
+
+def _parameter_rows(model: BaseModel, path: str = "") -> Iterator[dict[str, Any]]:
+    """Every number and choice of a parameter object, with what is known of it."""
+    from pydantic import BaseModel
+
+    from kneexo.parameters import allowed_range, source_of, unit_of
+
+    for name, field in type(model).model_fields.items():
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            yield from _parameter_rows(value, f"{path}{name}.")
+        elif source_of(field):
+            yield {
+                "parameter": path + name,
+                "value": f"{value:.10g}" if isinstance(value, float) else value,
+                "unit": unit_of(field),
+                "range": allowed_range(field),
+                "provenance": source_of(field),
+            }
+
+
+def _diagram(options: argparse.Namespace) -> None:
+    scenario = _scenario(options)
+    import json
+
+    from kneexo.diagrams import make_closed_loop
+    from kneexo.output import output_directory
+
+    diagram = make_closed_loop(scenario)
+    graphviz = shutil.which("dot")
+    with output_directory(options.out) as directory:
+        source = directory / "closed_loop.dot"
+        source.write_text(diagram.GetGraphvizString(), encoding="utf-8")
+        if graphviz:
+            for kind in ("svg", "png"):
+                picture = source.with_suffix(f".{kind}")
+                subprocess.run([graphviz, f"-T{kind}", source, "-o", picture], check=True)
+        written = sorted(file.name for file in directory.iterdir())
+    if options.json:
+        print(json.dumps({"directory": str(options.out), "files": written}))
+        return
+    print(
+        f"{', '.join(written)} are in {options.out}"
+        if graphviz
+        else f"{written[0]} is in {options.out}"
+    )
+    if not graphviz:
+        print(
+            "For a picture install Graphviz (Debian, Ubuntu: apt-get install graphviz) and run "
+            "this again.",
+            file=sys.stderr,
+        )

@@ -1,0 +1,185 @@
+"""Scenario files: YAML to `kneexo.parameters.Scenario` and back.
+
+A file names only what differs from the defaults. Every fault is a `ScenarioError` whose single
+line tells file, line, path, value, unit and range.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import yaml
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+from yaml.reader import ReaderError
+
+from kneexo.errors import ScenarioError
+from kneexo.parameters import Parameters, Scenario, allowed_range, names_at, one_line, unit_of
+
+_Path = tuple[str | int, ...]
+_TAG = "tag:yaml.org,2002:"
+_MOST_VALUES = 300_000  # aliases can multiply a short text without end
+_DEEPEST = 20
+
+
+def load_scenario(path: str | os.PathLike[str]) -> Scenario:
+    """Scenario from a YAML file in UTF-8; what the file leaves out has its default.
+
+    Parameters
+    ----------
+    path
+        The file. An empty one is the default scenario.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, is not YAML, or has a duplicate, unknown, missing or wrong entry.
+    """
+    name = os.fspath(path)
+    try:
+        text = Path(name).read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
+        raise _fault(name, line, f"is not UTF-8: byte 0x{byte:02x}") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise _fault(name, None, f"cannot be read: {reason}") from error
+    data, lines = _read(name, text)
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        location, message = one_line(Scenario, error)
+        first = error.errors()[0]
+    known = location
+    while known not in lines:
+        known = known[:-1]
+    if first["input"] is None:
+        message = f"{_dotted(location)} has no value"
+    elif first["type"] == "extra_forbidden":
+        names = names_at(Scenario, location[:-1])
+        for close in get_close_matches(str(location[-1]), names, n=1):
+            message += f"; did you mean {close!r}?"
+    raise _fault(name, lines[known], message)
+
+
+def dump_scenario(scenario: Scenario) -> str:
+    """YAML text (write it as UTF-8) of every value, with unit, range or choices as a comment.
+
+    `load_scenario` reads an equal scenario from it: floats have all their digits.
+    """
+    return "\n".join(_dumped(scenario, "")) + "\n"
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema of a scenario file, for editors; each number carries its unit and source."""
+    return Scenario.model_json_schema()
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader with the scalars of YAML 1.2: 1e5 is a number; on, 1:30 and dates are text."""
+
+    def __init__(self, name: str, text: str) -> None:
+        super().__init__(text)
+        self.name = name
+        self.lines: dict[_Path, int] = {}
+
+    def fault(self, node: yaml.Node, path: _Path, message: str) -> ScenarioError:
+        where = f"{_dotted(path)}: " if path else ""
+        return _fault(self.name, node.start_mark.line + 1, where + message)
+
+    def plain(self, node: yaml.Node, path: _Path) -> Any:
+        """Dictionaries, tuples and scalars of a node; notes the line of each path in ``lines``."""
+        self.lines.setdefault(path, node.start_mark.line + 1)
+        if len(path) > _DEEPEST or len(self.lines) > _MOST_VALUES:
+            raise self.fault(node, path, "too deep or too many values (aliases?)")
+        quoted = isinstance(node, yaml.ScalarNode) and node.style is not None
+        implied = self.resolve(type(node), node.value, (not quoted, quoted))  # type: ignore[no-untyped-call]
+        if node.tag != implied:
+            raise self.fault(node, path, f"tag {node.tag!r} is not supported")
+        if isinstance(node, yaml.ScalarNode):
+            return self.construct_object(node)
+        if isinstance(node, yaml.SequenceNode):
+            return tuple(self.plain(item, (*path, n)) for n, item in enumerate(node.value))
+        data: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key = key_node.value
+            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag != f"{_TAG}str":
+                shown = (key or "null") if isinstance(key, str) else "a list or mapping"
+                raise self.fault(key_node, path, f"a name must be text, not {shown}")
+            at = (*path, key)
+            if first := self.lines.get(at):
+                raise self.fault(key_node, at, f"duplicate name, first on line {first}")
+            self.lines[at] = key_node.start_mark.line + 1
+            data[key] = self.plain(value_node, at)
+        return data
+
+
+_Loader.yaml_implicit_resolvers = {}  # its own, in place of SafeLoader's
+for _kind, _pattern in {
+    "null": r"|~|null|Null|NULL",
+    "bool": r"true|True|TRUE|false|False|FALSE",
+    "int": r"[-+]?(0|[1-9][0-9]{0,17})",  # with more digits, a float
+    "float": r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"
+    r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+}.items():
+    _Loader.add_implicit_resolver(f"{_TAG}{_kind}", re.compile(rf"(?:{_pattern})\Z"), None)
+
+
+def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
+    """The top-level mapping of a YAML text, and the line of each path in it."""
+    try:
+        loader = _Loader(name, text)
+        root = loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        problem = ", ".join(part for part in (error.context, error.problem) if part)
+        mark = error.problem_mark
+        line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        raise _fault(name, line, f"YAML syntax, column {column}: {problem}") from None
+    except ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise _fault(name, line, f"YAML syntax: {text[error.position]!a}: {error.reason}") from None
+    except (ArithmeticError, ValueError, RecursionError) as error:  # an absurd \U, %YAML, nesting
+        raise _fault(name, None, f"YAML syntax: {error}") from None
+    if root is None or (data := loader.plain(root, ())) is None:
+        return {}, loader.lines
+    if not isinstance(data, dict):
+        found = "a list" if isinstance(data, tuple) else "a single value"
+        raise _fault(name, loader.lines[()], f"the top level must be a mapping, not {found}")
+    return data, loader.lines
+
+
+def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
+    for name, field in type(parameters).model_fields.items():
+        value = getattr(parameters, name)
+        comment = f"  # {note}" if (note := _note(field)) else ""
+        if isinstance(value, Parameters):
+            yield f"{indent}{name}:{comment}"
+            yield from _dumped(value, indent + "  ")
+        else:
+            number = re.sub(r"(?<![.\d])(\d+)e", r"\1.0e", json.dumps(value))  # as YAML 1.1 wants
+            yield f"{indent}{name}: {value if isinstance(value, str) else number}{comment}"
+
+
+def _note(field: FieldInfo) -> str:
+    """Unit and range of a field, or what may be chosen."""
+    options = get_args(field.annotation)
+    if field.discriminator:
+        return "kind: " + ", ".join(member.model_fields["kind"].default for member in options)
+    if get_origin(field.annotation) is Literal and len(options) > 1:
+        return ", ".join(str(option) for option in options)
+    return ", ".join(part for part in (unit_of(field), allowed_range(field)) if part)
+
+
+def _dotted(path: _Path) -> str:
+    return ".".join(str(key) for key in path)
+
+
+def _fault(name: str, line: int | None, message: str) -> ScenarioError:
+    text = f"{name}: {message}" if line is None else f"{name}:{line}: {message}"
+    return ScenarioError("".join(c if c.isprintable() else " " for c in text))

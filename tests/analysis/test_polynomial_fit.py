@@ -1,0 +1,39 @@
+import numpy as np
+import pytest
+
+from kneexo.analysis import fit_polynomials
+from kneexo.analysis.polynomial_fit import rms
+from kneexo.errors import LinkageError
+from kneexo.parameters import G2, LinkageParameters
+
+
+def test_the_linkage_agrees_with_table_1():
+    fit = fit_polynomials()
+    assert fit.angle_deg.size == 901
+    assert rms(fit.table_p_error_mm) <= 0.0296
+    assert np.max(np.abs(fit.table_p_error_mm)) <= 0.154
+
+
+@pytest.mark.parametrize("link", [LinkageParameters(), G2])
+def test_the_fit_is_the_least_squares_one(link):
+    fit = fit_polynomials(link)
+    # The residual of a least-squares fit is orthogonal to every power that it fits.
+    for residual, argument in (
+        (fit.p_error_mm, fit.angle_deg / 90.0),
+        (fit.q_error_deg, fit.extension_mm / 150.0),
+    ):
+        powers = np.vander(argument, 6)
+        # Evaluation of a degree-5 polynomial at 90 in doubles leaves about 1e-11 a point.
+        assert np.abs(powers.T @ residual).max() < 1e-6
+    assert rms(fit.p_error_mm) <= rms(fit.table_p_error_mm)
+    assert rms(fit.q_error_deg) <= rms(fit.table_q_error_deg)
+
+
+def test_a_linkage_that_cannot_be_assembled_is_refused():
+    with pytest.raises(LinkageError, match="cannot be assembled"):
+        fit_polynomials(LinkageParameters(a_2_m=0.2))
+
+
+def test_the_plot_has_the_two_maps_of_fig_5():
+    axes = fit_polynomials().plot()
+    assert [ax.get_xlabel() for ax in axes] == ["knee angle θ_p (deg)", "rod extension x (mm)"]

@@ -1,0 +1,144 @@
+import math
+
+import numpy as np
+import pytest
+
+from kneexo.analysis.tracking import mean_change, saturated_share, track, tracking_metrics
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import (
+    BldcPumpParameters,
+    PlantParameters,
+    RampReference,
+    Scenario,
+    SimulationParameters,
+    SineReference,
+    StepReference,
+)
+
+TIME = np.arange(0.0, 4.0, 0.002)
+
+
+def metrics(error, command=None, power=None, settled_s=0.0):
+    zero = np.zeros_like(TIME)
+    return tracking_metrics(
+        TIME,
+        error,
+        zero if command is None else command,
+        np.full_like(TIME, 2e6),
+        zero if power is None else power,
+        zero,
+        settled_s=settled_s,
+        command_limit_rad_s=100.0,
+        pressure_rating_pa=3.5e6,
+    )
+
+
+def test_errors_are_split_at_the_first_period():
+    error = np.radians(np.where(TIME < 1.0, 5.0, 0.5))
+    m = metrics(error, settled_s=1.0)
+    assert m.max_error_deg == pytest.approx(0.5)
+    assert m.rms_error_deg == pytest.approx(0.5)
+    assert m.max_error_overall_deg == pytest.approx(5.0)
+    assert m.rms_error_overall_deg == pytest.approx(math.sqrt(0.25 * 25 + 0.75 * 0.25))
+
+
+def test_rms_of_a_sine_is_its_amplitude_over_root_two():
+    m = metrics(np.radians(3.0 * np.sin(2 * np.pi * TIME)))
+    assert m.rms_error_deg == pytest.approx(3.0 / math.sqrt(2.0), rel=1e-9)
+
+
+def test_chattering_index_is_the_mean_change_in_rpm():
+    command = np.tile([1.0, -1.0], TIME.size // 2)
+    assert metrics(0 * TIME, command).mean_command_change_rpm == pytest.approx(60.0 / math.pi)
+    assert mean_change(np.array([0.0, 3.0, 2.0])) == 2.0
+
+
+def test_saturated_share_counts_both_limits():
+    assert saturated_share(np.array([100.0, -100.0, 99.0, 0.0]), 100.0) == 0.5
+
+
+def test_energy_is_the_integral_of_power_and_delivered_energy_leaves_out_returns():
+    m = metrics(0 * TIME, power=np.sin(2 * np.pi * TIME))
+    # Four whole periods but for the last sample: trapezoid error below 1e-4 J.
+    assert m.shaft_energy_j == pytest.approx(0.0, abs=1e-4)
+    assert m.shaft_energy_delivered_j == pytest.approx(4.0 / math.pi, abs=1e-4)
+    assert m.peak_shaft_power_w == pytest.approx(1.0, abs=1e-4)
+
+
+def test_pressure_over_rating_is_flagged():
+    assert metrics(0 * TIME).pressure_over_rating_share == 0.0
+    m = tracking_metrics(
+        TIME,
+        *(0 * TIME, 0 * TIME),
+        np.where(TIME < 1.0, -4e6, 0.0),
+        *(0 * TIME, 0 * TIME),
+        settled_s=0.0,
+        command_limit_rad_s=1.0,
+        pressure_rating_pa=3.5e6,
+    )
+    assert m.pressure_over_rating_share == pytest.approx(0.25)
+    assert m.peak_pressure_mpa == pytest.approx(4.0)
+
+
+def test_a_run_within_the_first_period_is_refused():
+    with pytest.raises(ParameterError, match=r"duration_s = 5 s must exceed .* 10 s"):
+        track(Scenario(simulation=SimulationParameters(duration_s=5.0)))
+
+
+def test_tracking_a_fast_small_sine_gives_settings_signals_and_a_plot():
+    scenario = Scenario(
+        reference=SineReference(mean_deg=40.0, amplitude_deg=2.0, frequency_hz=1.0),
+        simulation=SimulationParameters(duration_s=1.5),
+    )
+    result = track(scenario, all_signals=True)
+    assert result.metrics.max_error_deg < 0.5
+    assert result.run.settings == scenario.simulation
+    assert result.run.time_s[-1] == pytest.approx(1.5)
+    assert np.all(np.isfinite(np.stack(list(result.run.data.values()))))
+    axes = result.plot()
+    assert [ax.get_ylabel() for ax in axes] == [
+        "knee angle (deg)",
+        "tracking error (deg)",
+        "motor speed command (rpm)",
+    ]
+
+
+def test_a_step_saturates_and_settles():
+    result = track(
+        Scenario(
+            reference=StepReference(start_deg=30.0, end_deg=40.0, time_s=0.2),
+            simulation=SimulationParameters(duration_s=1.5),
+        )
+    )
+    assert result.metrics.saturated_share > 0.1
+    assert abs(result.error_deg[-1]) < 0.2
+
+
+def test_a_ramp_is_followed():
+    result = track(
+        Scenario(
+            reference=RampReference(start_deg=30.0, end_deg=45.0, time_s=0.2, rate_deg_s=10.0),
+            simulation=SimulationParameters(duration_s=2.2),
+        )
+    )
+    assert abs(result.error_deg[-1]) < 0.1
+
+
+def test_an_explicit_integrator_at_the_control_period_diverges_with_one_line():
+    scenario = Scenario(
+        reference=SineReference(frequency_hz=1.0, amplitude_deg=5.0),
+        simulation=SimulationParameters(duration_s=2.0, integrator="runge_kutta3", step_s=0.002),
+    )
+    with pytest.raises(SimulationError, match=r"^t = .* s: ") as caught:
+        track(scenario)
+    assert "\n" not in str(caught.value)
+
+
+def test_leaving_the_range_of_motion_says_time_and_signal():
+    scenario = Scenario(
+        plant=PlantParameters(pump=BldcPumpParameters(lag_s=0.5)),
+        reference=StepReference(start_deg=20.0, end_deg=2.0, time_s=0.0),
+        simulation=SimulationParameters(duration_s=3.0),
+    )
+    with pytest.raises(SimulationError, match=r"t = .* knee_angle = -.* deg left the range"):
+        track(scenario)

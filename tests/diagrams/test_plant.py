@@ -1,0 +1,553 @@
+"""The plant against solutions that share no code with it: exact, closed-form or by energy."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, Linearize, Sine
+
+from kneexo.diagrams import PLANT_OUTPUTS, make_plant
+from kneexo.errors import LinkageError, SimulationError
+from kneexo.parameters import (
+    G1,
+    G2,
+    G3,
+    BldcPumpParameters,
+    CylinderParameters,
+    KneeLoadParameters,
+    KneeParameters,
+    LinkageParameters,
+    PlantParameters,
+)
+
+LOADED = PlantParameters(load=KneeLoadParameters())
+WEIGHTLESS = KneeLoadParameters(segment_mass_kg=0.0)
+
+# Lee et al. 2020, Tables 2 and 3; lag and leakage are this project's assumptions.
+PAPER = {
+    "lag": 0.010,
+    "gear": 6.0,
+    "displacement": 0.8e-6 / (2.0 * math.pi),
+    "c_im": 2e-13,
+    "c_em": 0.0,
+    "c_l": 0.0,
+    "area": math.pi / 4.0 * (0.020**2 - 0.5 * 0.010**2),
+    "volume": 41_233e-9,
+    "bulk": 1.72e9,
+    "mass": 1.6,
+    "damping": 0.05,
+    "stiffness": 0.0,
+}
+# Soft oil, a spring and every leakage, so that no term of Eq. 13, 15, 16 can hide.
+SOFT = PAPER | {
+    "lag": 0.020,
+    "gear": 4.0,
+    "c_im": 3e-12,
+    "c_em": 8e-12,
+    "c_l": 5e-12,
+    "bulk": 5e7,
+    "mass": 1.4,
+    "damping": 40.0,
+    "stiffness": 3000.0,
+}
+
+
+def plant_parameters(n):
+    return PlantParameters(
+        pump=BldcPumpParameters(
+            lag_s=n["lag"],
+            gear_ratio=n["gear"],
+            displacement_m3_per_rad=n["displacement"],
+            internal_leakage_m3_per_s_pa=n["c_im"],
+            external_leakage_m3_per_s_pa=n["c_em"],
+        ),
+        cylinder=CylinderParameters(
+            total_volume_m3=n["volume"],
+            bulk_modulus_pa=n["bulk"],
+            mass_kg=n["mass"],
+            damping_n_s_per_m=n["damping"],
+            stiffness_n_per_m=n["stiffness"],
+            leakage_m3_per_s_pa=n["c_l"],
+        ),
+    )
+
+
+def by_name(system, name, context):
+    """Value of an output port, a scalar where it has one element."""
+    value = system.GetOutputPort(name).Eval(context)
+    return value[0] if value.size == 1 else value
+
+
+def with_command(plant, command=0.0):
+    context = plant.CreateDefaultContext()
+    plant.GetInputPort("motor_speed_command").FixValue(context, [command])
+    return context
+
+
+def set_state(plant, context, *, speed=0.0, extension=0.1, velocity=0.0, pressure=0.0):
+    """Set the continuous state from SI values; ``context`` is the root's."""
+    motor = plant.GetSubsystemByName("motor").GetMyMutableContextFromRoot(context)
+    cylinder = plant.GetSubsystemByName("cylinder").GetMyMutableContextFromRoot(context)
+    motor.SetContinuousState([1e-3 * speed])
+    cylinder.SetContinuousState([extension, velocity, 1e-6 * pressure])
+
+
+def acceleration(plant, context):
+    return by_name(plant, "rod_state", context)[2]
+
+
+def load_force(plant, context, cylinder):
+    """F_L by Eq. 16 from the plant's own motion."""
+    x, v, a = by_name(plant, "rod_state", context)
+    pressure = by_name(plant, "load_pressure", context)
+    area = math.pi / 4.0 * (cylinder.bore_m**2 - 0.5 * cylinder.rod_diameter_m**2)
+    return (
+        area * pressure
+        - cylinder.damping_n_s_per_m * v
+        - cylinder.stiffness_n_per_m * x
+        - cylinder.mass_kg * a
+    )
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+@pytest.mark.parametrize("loaded", [False, True])
+def test_subsystems_and_exported_ports_are_named(loaded):
+    plant = make_plant(LOADED if loaded else PlantParameters())
+    systems = {"motor", "cylinder", "knee"} | ({"load"} if loaded else set())
+    inputs = {"motor_speed_command": 1, "disturbance_force": 1}
+    if loaded:
+        inputs["knee_torque"] = 1
+    sizes = {"icr": 2, "rod_state": 3}
+    outputs = {
+        name: sizes.get(name, 1)
+        for name in (
+            *("knee_angle", "encoder_angle", "moment_arm", "icr"),
+            *("rod_extension", "rod_velocity", "rod_state", "load_pressure", "rod_force"),
+            *("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power"),
+        )
+    }
+    assert {system.get_name() for system in plant.GetSystems()} == systems
+    ports = [plant.get_input_port(i) for i in range(plant.num_input_ports())]
+    assert {port.get_name(): port.size() for port in ports} == inputs
+    ports = [plant.get_output_port(i) for i in range(plant.num_output_ports())]
+    assert {port.get_name(): port.size() for port in ports} == outputs
+    assert {name for names in PLANT_OUTPUTS.values() for name in names} == set(outputs)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "states"),
+    [(PlantParameters(), 4), (LOADED, 4), (PlantParameters(ideal_motor=True), 3)],
+)
+def test_plant_is_continuous_only(parameters, states):
+    context = make_plant(parameters).CreateDefaultContext()
+    assert context.num_continuous_states() == states
+    assert context.num_discrete_state_groups() == 0
+    assert context.num_abstract_states() == 0
+
+
+@pytest.mark.parametrize("degrees", [2.0, 30.0, 60.0, 88.0])
+@pytest.mark.parametrize(
+    "load",
+    [
+        KneeLoadParameters(),
+        KneeLoadParameters(thigh_inclination_rad=1.2, knee_torque_n_m=-4.0, disturbance_n=30.0),
+        None,
+    ],
+    ids=["hanging", "leaning", "none"],
+)
+@pytest.mark.parametrize(
+    "geometry",
+    [{"linkage": G1}, {"linkage": G2}, {"linkage": G3}, {"rod_map": "polynomial"}],
+    ids=["G1", "G2", "G3", "table_1"],
+)
+def test_plant_starts_at_rest_with_the_pressure_holding_the_load(degrees, load, geometry):
+    parameters = PlantParameters(**geometry, **({"load": load} if load else {}))
+    plant = make_plant(parameters, initial_knee_angle_rad=math.radians(degrees))
+    context = with_command(plant)
+    # 1e-11 rad: the fit of the rod's inverse is good to 1e-12.
+    assert by_name(plant, "knee_angle", context) == pytest.approx(math.radians(degrees), abs=1e-9)
+    assert by_name(plant, "motor_speed", context) == 0.0
+    assert by_name(plant, "rod_velocity", context) == 0.0
+    # 1e-9 m/s²: loads of 100 N on 1.6 kg with a moment arm good to 1e-12.
+    assert acceleration(plant, context) == pytest.approx(0.0, abs=1e-9)
+    assert (by_name(plant, "load_pressure", context) != 0.0) == (load is not None)
+
+
+def test_weight_of_a_hanging_shank_is_carried_by_negative_pressure():
+    plant = make_plant(LOADED, initial_knee_angle_rad=math.radians(60.0))
+    force = PAPER["area"] * by_name(plant, "load_pressure", with_command(plant))
+    # 1.6 kg · 9.81 m/s² · 0.2 m · sin 60° / 106.4 mm from Table 1, 0.2 % off the linkage's arm.
+    assert force == pytest.approx(-25.55, rel=5e-3)
+
+
+def test_initial_offset_shifts_the_rod_and_nothing_else():
+    at, off = (make_plant(initial_offset_m=offset) for offset in (0.0, -0.089))
+    shift = [
+        with_command(plant).get_continuous_state_vector().CopyToVector() for plant in (at, off)
+    ]
+    # 1e-15 m: one rounding of the sum.
+    np.testing.assert_allclose(shift[1] - shift[0], [0.0, -0.089, 0.0, 0.0], atol=1e-15)
+
+
+# ------------------------------------------------------------- exact solution of the model
+
+
+def matrix_exponential(matrix):
+    """exp(matrix) by scaling and squaring of its Taylor series."""
+    squarings = max(0, math.ceil(math.log2(np.linalg.norm(matrix, 1) / 0.5)))
+    scaled = matrix / 2.0**squarings
+    result = term = np.eye(len(matrix))
+    for n in range(1, 19):  # 0.5^19/19! is far below rounding
+        term = term @ scaled / n
+        result = result + term
+    for _ in range(squarings):
+        result = result @ result
+    return result
+
+
+def linear_model(n):
+    """A and B of Eq. 12, 13, 15, 16 for the state ω, x, v, P_L (MPa) and inputs ω_cmd, F_L."""
+    stiffness = 4.0 * n["bulk"] / n["volume"]
+    leakage = n["c_im"] + 0.5 * n["c_em"] + n["c_l"]
+    a = np.zeros((4, 4))
+    a[0, 0] = -1.0 / n["lag"]
+    a[1, 2] = 1.0
+    a[2, 1] = -n["stiffness"] / n["mass"]
+    a[2, 2] = -n["damping"] / n["mass"]
+    a[2, 3] = 1e6 * n["area"] / n["mass"]
+    a[3, 0] = 1e-6 * stiffness * n["displacement"] / n["gear"]
+    a[3, 2] = -1e-6 * stiffness * n["area"]
+    a[3, 3] = -stiffness * leakage
+    b = np.array([[1.0 / n["lag"], 0.0], [0.0, 0.0], [0.0, -1.0 / n["mass"]], [0.0, 0.0]])
+    return a, b
+
+
+def exact_solution(n, start, times, *, force, amplitude, frequency=None):
+    """States at ``times`` for a step or, with a frequency in rad/s, a sine of the command."""
+    a, b = linear_model(n)
+    omega = frequency or 0.0
+    augmented = np.zeros((7, 7))  # state, constant one, sin ωt, cos ωt
+    augmented[:4, :4] = a
+    augmented[:4, 4] = force * b[:, 1]
+    augmented[:4, 5 if frequency else 4] += amplitude * b[:, 0]
+    augmented[5, 6], augmented[6, 5] = omega, -omega
+    z = np.array([*start, 1.0, 0.0, 1.0])
+    step = matrix_exponential(augmented * (times[1] - times[0]))
+    states = [z]
+    for _ in times[1:]:
+        states.append(step @ states[-1])
+    return np.array(states)[:, :4]
+
+
+def simulated(fixed_step, n, start, times, step, *, force, amplitude, frequency=None):
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("plant", make_plant(plant_parameters(n)))
+    source = builder.AddNamedSystem(
+        "source",
+        Sine(amplitude, frequency, 0.0, 1) if frequency else ConstantVectorSource([amplitude]),
+    )
+    builder.Connect(source.get_output_port(0), plant.GetInputPort("motor_speed_command"))
+    simulator = fixed_step(builder.Build(), "runge_kutta3", step)
+    root = simulator.get_mutable_context()
+    context = plant.GetMyMutableContextFromRoot(root)
+    plant.GetInputPort("disturbance_force").FixValue(context, [force])
+    speed, x, v, pressure = start
+    set_state(plant, root, speed=speed, extension=x, velocity=v, pressure=1e6 * pressure)
+    states = []
+    for time in times:
+        simulator.AdvanceTo(time)
+        names = ("motor_speed", "rod_extension", "rod_velocity", "load_pressure")
+        states.append([by_name(plant, name, context) for name in names])
+    return np.array(states) * [1.0, 1.0, 1.0, 1e-6]
+
+
+# The motor accelerates by at most 100 rad/s in 10 ms: below its limit, so the plant is linear.
+CASES = {
+    "step": (PAPER, 0.014, 2.5e-6, (0.0, 0.1, 0.0, 0.0), {"amplitude": 50.0}),
+    "sine": (
+        PAPER,
+        0.014,
+        2.5e-6,
+        (0.0, 0.1, 0.0, 0.0),
+        {"amplitude": 40.0, "frequency": 2.0 * math.pi * 40.0},
+    ),
+    "soft, loaded, moving, sine": (
+        SOFT,
+        0.075,
+        1.5e-5,
+        (30.0, 0.1, 0.02, 1.0),
+        {"amplitude": 60.0, "frequency": 2.0 * math.pi * 15.0, "force": 20.0},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_state_follows_the_exact_solution(case, fixed_step):
+    numbers, duration, step, start, command = CASES[case]
+    command = {"force": 0.0} | command
+    times = np.linspace(0.0, duration, 11)
+    exact = exact_solution(numbers, start, times, **command)
+    runs = [simulated(fixed_step, numbers, start, times, h, **command) for h in (step, 0.5 * step)]
+    peak = np.max(np.abs(exact), axis=0)
+    # RK3 loses ωt(ωh)³/24 of the hydraulic mode: at most 7e-7 of it with these steps, and an
+    # eighth of that with half of them.
+    assert np.max(np.abs(runs[0] - exact) / peak) <= 1e-6
+    assert np.max(np.abs(runs[1] - exact) / peak) <= 1.5e-7
+    assert np.max(np.abs(runs[1] - runs[0]) / peak) <= 1e-6
+
+
+def linearized_poles(n):
+    plant = make_plant(plant_parameters(n))
+    context = with_command(plant)
+    set_state(plant, context, extension=0.0 if n["stiffness"] else 0.1)
+    system = Linearize(
+        plant,
+        context,
+        plant.GetInputPort("motor_speed_command").get_index(),
+        plant.GetOutputPort("rod_extension").get_index(),
+    )
+    return np.sort_complex(np.linalg.eigvals(system.A()))
+
+
+def test_linearized_poles_are_integrator_motor_lag_and_hydraulic_pair():
+    n = PAPER
+    hydraulic = 4.0 * n["bulk"] * n["area"] ** 2 / (n["mass"] * n["volume"])
+    leakage = 4.0 * n["bulk"] / n["volume"] * n["c_im"]
+    friction = n["damping"] / n["mass"]
+    real = -0.5 * (leakage + friction)
+    imaginary = math.sqrt(hydraulic - 0.25 * (leakage - friction) ** 2)
+    expected = [-1.0 / n["lag"], complex(real, -imaginary), complex(real, imaginary), 0.0]
+    # 1e-8 1/s of 2807: rounding of eigenvalues of a matrix whose norm is 5e4.
+    np.testing.assert_allclose(linearized_poles(n), np.sort_complex(expected), atol=1e-8)
+    # The specification's round numbers: 447 Hz and a damping ratio of 0.0059.
+    assert abs(expected[1]) / (2.0 * math.pi) == pytest.approx(447.0, abs=0.5)
+    assert -real / abs(expected[1]) == pytest.approx(0.0059, abs=1e-4)
+
+
+def test_linearized_poles_with_spring_and_all_leakages_solve_the_cubic():
+    n = SOFT
+    k = 4.0 * n["bulk"] / n["volume"]
+    c = k * (n["c_im"] + 0.5 * n["c_em"] + n["c_l"])
+    cubic = np.polyadd(
+        np.polymul([n["mass"], n["damping"], n["stiffness"]], [1.0, c]),
+        [k * n["area"] ** 2, 0.0],
+    )
+    expected = np.sort_complex([*np.roots(cubic), -1.0 / n["lag"]])
+    # 1e-8 1/s of 500: as above.
+    np.testing.assert_allclose(linearized_poles(n), expected, atol=1e-8)
+
+
+# ---------------------------------------------------------------------------------- loads
+
+
+def postures(count=6):
+    rng = np.random.default_rng(5)
+    return [
+        {"extension": x, "velocity": v, "pressure": p, "speed": w}
+        for x, v, p, w in zip(
+            rng.uniform(0.004, 0.147, count),
+            rng.uniform(-0.04, 0.04, count),
+            rng.uniform(-2e6, 2e6, count),
+            rng.uniform(-500.0, 500.0, count),
+            strict=True,
+        )
+    ]
+
+
+def slope(function, x, step=1e-6):
+    return (function(x + step) - function(x - step)) / (2.0 * step)
+
+
+@pytest.mark.parametrize("posture", postures(), ids=lambda p: f"x={p['extension']:.3f}")
+def test_knee_torque_does_the_work_that_the_rod_feels(posture, four_bar):
+    parameters = PlantParameters(load=WEIGHTLESS.model_copy(update={"knee_torque_n_m": 3.0}))
+    plant = make_plant(parameters)
+    context = with_command(plant)
+    set_state(plant, context, **posture)
+    plant.GetInputPort("knee_torque").FixValue(context, [4.0])
+    knee_rate = slope(four_bar.knee_of_rod, posture["extension"]) * posture["velocity"]
+    rod_power = -load_force(plant, context, parameters.cylinder) * posture["velocity"]
+    # 1e-7: central differences over 1 µm of a rod angle known to 1e-15 rad.
+    assert rod_power == pytest.approx((3.0 + 4.0) * knee_rate, rel=1e-7)
+
+
+@pytest.mark.parametrize("inclination", [0.0, 0.9])
+@pytest.mark.parametrize("posture", postures(), ids=lambda p: f"x={p['extension']:.3f}")
+def test_weight_on_the_rod_is_the_slope_of_the_potential_energy(posture, inclination, four_bar):
+    load = KneeLoadParameters(
+        segment_mass_kg=2.0, centre_of_mass_m=0.25, thigh_inclination_rad=inclination
+    )
+    parameters = PlantParameters(load=load)
+    plant = make_plant(parameters)
+    context = with_command(plant)
+    set_state(plant, context, **posture)
+
+    def energy(extension):  # flexion turns the shank back from the thigh's direction
+        return -2.0 * 9.81 * 0.25 * math.cos(inclination - four_bar.knee_of_rod(extension))
+
+    force = load_force(plant, context, parameters.cylinder)
+    # 1e-7 of 50 N: as above; absolute, because the force changes sign with the posture.
+    assert force == pytest.approx(slope(energy, posture["extension"]), abs=5e-6)
+
+
+@pytest.mark.parametrize("load", [None, WEIGHTLESS], ids=["without load", "with load"])
+def test_disturbance_force_opposes_extension(load):
+    parameters = PlantParameters(**({"load": load} if load else {}))
+    plant = make_plant(parameters)
+    context = with_command(plant)
+    plant.GetInputPort("disturbance_force").FixValue(context, [8.0])
+    # From rest without pressure, m dv/dt = −F.
+    assert acceleration(plant, context) == pytest.approx(-8.0 / 1.6, rel=1e-14)
+
+
+def test_constant_and_sinusoidal_disturbances_add_to_the_input():
+    load = WEIGHTLESS.model_copy(
+        update={
+            "disturbance_n": 5.0,
+            "disturbance_amplitude_n": 7.0,
+            "disturbance_frequency_hz": 2.0,
+        }
+    )
+    parameters = PlantParameters(load=load)
+    plant = make_plant(parameters)
+    context = with_command(plant)
+    plant.GetInputPort("disturbance_force").FixValue(context, [11.0])
+    for time in (0.0, 0.03, 0.4):
+        context.SetTime(time)
+        expected = 5.0 + 7.0 * math.sin(4.0 * math.pi * time) + 11.0
+        # 1e-12: a few roundings.
+        assert load_force(plant, context, parameters.cylinder) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("loaded", [False, True])
+def test_unconnected_disturbance_and_knee_torque_count_as_zero(loaded):
+    plant = make_plant(LOADED if loaded else PlantParameters())
+    context = with_command(plant, 100.0)
+    set_state(plant, context, **postures()[0])
+    unconnected = plant.EvalTimeDerivatives(context).CopyToVector()
+    for name in ("disturbance_force", "knee_torque") if loaded else ("disturbance_force",):
+        plant.GetInputPort(name).FixValue(context, [0.0])
+        np.testing.assert_array_equal(
+            plant.EvalTimeDerivatives(context).CopyToVector(), unconnected
+        )
+        plant.GetInputPort(name).FixValue(context, [1.0])
+        assert np.any(plant.EvalTimeDerivatives(context).CopyToVector() != unconnected)
+        plant.GetInputPort(name).FixValue(context, [0.0])
+
+
+# --------------------------------------------------------------------------------- energy
+
+
+@pytest.mark.parametrize("posture", postures(), ids=lambda p: f"P={p['pressure']:.2g}")
+def test_hydraulic_power_is_shaft_power_less_leakage(posture):
+    plant = make_plant(plant_parameters(SOFT))
+    context = with_command(plant)
+    set_state(plant, context, **posture)
+    loss = (SOFT["c_im"] + 0.5 * SOFT["c_em"]) * posture["pressure"] ** 2
+    shaft = by_name(plant, "shaft_power", context)
+    # 1e-12: a few roundings of watts.
+    assert by_name(plant, "hydraulic_power", context) == pytest.approx(shaft - loss, rel=1e-12)
+    torque = SOFT["displacement"] * posture["pressure"] / SOFT["gear"]
+    assert by_name(plant, "shaft_torque", context) == pytest.approx(torque, rel=1e-12)
+    assert shaft == pytest.approx(torque * posture["speed"], rel=1e-12)
+
+
+@pytest.mark.parametrize("posture", postures(), ids=lambda p: f"P={p['pressure']:.2g}")
+def test_stored_energy_changes_by_hydraulic_power_less_losses_and_work(posture):
+    n = SOFT
+    plant = make_plant(plant_parameters(n))
+    context = with_command(plant)
+    set_state(plant, context, **posture)
+    plant.GetInputPort("disturbance_force").FixValue(context, [15.0])
+    pressure_rate = 1e6 * plant.EvalTimeDerivatives(context).CopyToVector()[3]
+    x, v, a = by_name(plant, "rod_state", context)
+    p = posture["pressure"]
+    stored = n["mass"] * v * a + n["stiffness"] * x * v
+    stored += n["volume"] / (4.0 * n["bulk"]) * p * pressure_rate
+    lost = n["c_l"] * p**2 + n["damping"] * v**2 + 15.0 * v
+    power = by_name(plant, "hydraulic_power", context)
+    # 1e-9 W: rounding of terms up to some 1e4 W that cancel.
+    assert stored == pytest.approx(power - lost, abs=1e-9)
+
+
+# ------------------------------------------------------------------------------- geometry
+
+
+def kinematics(plant, extension):
+    context = with_command(plant)
+    set_state(plant, context, extension=extension)
+    return [by_name(plant, name, context) for name in ("knee_angle", "encoder_angle", "moment_arm")]
+
+
+def test_knee_and_encoder_angle_are_those_of_the_linkage_at_the_rod(four_bar):
+    plant = make_plant()
+    for knee in np.radians([0.0, 5.0, 30.0, 60.0, 90.0]):
+        angle, encoder, arm = kinematics(plant, four_bar.rod(knee))
+        # 1e-11: the fit is good to 1e-12 rad; the arm is checked by differences over 1 µrad.
+        assert angle == pytest.approx(knee, abs=1e-11)
+        assert encoder == pytest.approx(four_bar.theta_4(knee), abs=1e-11)
+        assert arm == pytest.approx(-slope(four_bar.rod, knee), rel=1e-7)
+
+
+def test_polynomial_rod_map_inverts_table_1_exactly(four_bar):
+    table_1 = [1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0]
+    plant = make_plant(PlantParameters(rod_map="polynomial"))
+    for degrees in np.linspace(0.0, 90.0, 19):
+        angle, encoder, arm = kinematics(plant, 1e-3 * np.polyval(table_1, degrees))
+        # 1e-9 rad is asked for; the encoder stays on the linkage, on which 1e-9 rad is 2e-9 rad.
+        assert angle == pytest.approx(math.radians(degrees), abs=1e-9)
+        assert encoder == pytest.approx(four_bar.theta_4(math.radians(degrees)), abs=2e-9)
+        slope_m_rad = 1e-3 * math.degrees(1.0) * np.polyval(np.polyder(table_1), degrees)
+        assert arm == pytest.approx(-slope_m_rad, rel=1e-8)
+
+
+# --------------------------------------------------------------------------------- errors
+
+
+def test_linkage_that_cannot_be_assembled_is_refused():
+    with pytest.raises(LinkageError, match=r"cannot be assembled") as error:
+        make_plant(PlantParameters(linkage=LinkageParameters(a_2_m=1e-3)))
+    assert "\n" not in str(error.value)
+
+
+NARROW = PlantParameters(knee=KneeParameters(flexion_min_deg=30.0, flexion_max_deg=40.0))
+SHORT = PlantParameters(cylinder=CylinderParameters(stroke_m=0.118))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "command", "signal", "low", "high"),
+    [
+        (NARROW, 500.0, "knee: knee_angle", 29.0, 30.0),
+        (NARROW, -500.0, "knee: knee_angle", 40.0, 41.0),
+        (SHORT, 500.0, "cylinder: rod_extension", 0.118, 0.119),
+    ],
+)
+def test_leaving_the_range_raises_with_time_and_signal(parameters, command, signal, low, high):
+    plant = make_plant(parameters, initial_knee_angle_rad=math.radians(34.0))
+    simulator = Simulator(plant)
+    context = simulator.get_mutable_context()
+    plant.GetInputPort("motor_speed_command").FixValue(context, [command])
+    with pytest.raises(SimulationError) as error:
+        simulator.AdvanceTo(5.0)
+    message = str(error.value)
+    found = re.match(rf"t = (\S+) s: {signal} = (\S+) (deg|m) left the ", message)
+    assert found, message
+    assert "\n" not in message
+    # The message rounds to six digits.
+    assert float(found[1]) == pytest.approx(context.get_time(), rel=1e-5)
+    # Told at the step that leaves, not later: a step is shorter than 25 ms.
+    assert low <= float(found[2]) < high
+
+
+def test_command_that_is_not_a_number_raises_instead_of_hanging():
+    plant = make_plant()
+    simulator = Simulator(plant)
+    port = plant.GetInputPort("motor_speed_command")
+    port.FixValue(simulator.get_mutable_context(), [math.nan])
+    with pytest.raises(SimulationError, match=r"^t = \S+ s: cylinder: .* not finite"):
+        simulator.AdvanceTo(1.0)

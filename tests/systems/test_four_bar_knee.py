@@ -1,0 +1,238 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+
+from kneexo.errors import LinkageError, ParameterError, SimulationError
+from kneexo.parameters import (
+    G1,
+    G2,
+    G3,
+    LINKAGES,
+    KneeParameters,
+    LinkageParameters,
+    RodPolynomialParameters,
+)
+from kneexo.systems import FourBarKnee
+
+P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
+THETA_4_DEG = {"G1": (82.5, -4.7), "G2": (-101.95, -189.26), "G3": (-87.6, 38.72)}
+INPUTS = {"rod_extension": [(0.01, 0.13)]}
+OUTPUTS = {"knee_kinematics": 3, "knee_angle": 1, "encoder_angle": 1, "moment_arm": 1, "icr": 2}
+
+names = pytest.mark.parametrize("name", LINKAGES)
+
+
+def outputs(system, extension):
+    context = system.CreateDefaultContext()
+    system.GetInputPort("rod_extension").FixValue(context, extension)
+    return {name: np.array(system.GetOutputPort(name).Eval(context)) for name in OUTPUTS}
+
+
+def many_outputs(system, extensions):
+    every = [outputs(system, x) for x in extensions]
+    return {name: np.array([one[name] for one in every]) for name in OUTPUTS}
+
+
+def travel(start, end, seconds):
+    """A simulator of the knee whose rod moves at constant speed."""
+    builder = DiagramBuilder()
+    rod = PiecewisePolynomial.FirstOrderHold([0.0, seconds], [[start, end]])
+    source = builder.AddNamedSystem("source", TrajectorySource(rod))
+    knee = builder.AddNamedSystem("knee", FourBarKnee())
+    builder.Connect(source.get_output_port(), knee.get_input_port())
+    return Simulator(builder.Build())
+
+
+def advance_by_steps(simulator, times):
+    for time in times:
+        simulator.AdvanceTo(time)
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def test_ports_are_stateless_and_fed_through(leaf):
+    found = leaf.structure(FourBarKnee())
+    assert found.inputs == {"rod_extension": 1}
+    assert found.outputs == OUTPUTS
+    assert (found.continuous, found.discrete) == (0, [])
+    assert found.feedthrough == {("rod_extension", name) for name in OUTPUTS}
+
+
+def test_parameters_are_links_and_scaling_and_three_groups_of_coefficients():
+    system = FourBarKnee(G3, KneeParameters(flexion_min_deg=5.0, flexion_max_deg=80.0))
+    context = system.CreateDefaultContext()
+    values = system.parameters(context)._asdict()
+    links = ("o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m", "a_3_m", "a_4_m", "phi_rad")
+    assert [values.pop(name) for name in links] == [getattr(G3, name) for name in links]
+    assert values.pop("flexion_min_rad") == pytest.approx(math.radians(5.0), rel=1e-15)
+    assert values.pop("flexion_max_rad") == pytest.approx(math.radians(80.0), rel=1e-15)
+    assert list(values) == ["dead_centre_m", "centre", "half_width"]
+    groups = range(1, context.num_numeric_parameter_groups())
+    assert [context.get_numeric_parameter(i).size() for i in groups] == [26, 26, 26]
+
+
+# ----------------------------------------------------------------------------- conversion
+
+
+@names
+def test_conversions_agree_and_keep_arguments_and_changes(leaf, name):
+    probe = leaf.Probe(FourBarKnee(LINKAGES[name]), INPUTS, spread=1e-3)
+    probe.check_conversions(2)
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("dead_centre_m", 0.155)
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+def test_conversions_keep_the_table_and_the_range_of_motion(leaf):
+    knee = KneeParameters(flexion_max_deg=80.0)
+    system = FourBarKnee(G1, knee, RodPolynomialParameters())
+    leaf.Probe(system, INPUTS).check_conversions_keep_arguments()
+    converted = system.ToAutoDiffXd()
+    kept = converted.parameters(converted.CreateDefaultContext()).flexion_max_rad.value()
+    assert kept == pytest.approx(math.radians(80.0), rel=1e-15)
+
+
+def test_extracted_elements_equal_the_cached_kinematics():
+    found = outputs(FourBarKnee(), 0.1)
+    single = [found[n][0] for n in ("knee_angle", "encoder_angle", "moment_arm")]
+    assert list(found["knee_kinematics"]) == single
+
+
+# -------------------------------------------------------------------------------- numbers
+
+
+@names
+def test_knee_and_encoder_angles_meet_the_compass_construction(name, compass):
+    link = LINKAGES[name]
+    walk = compass(link, np.radians(np.linspace(*THETA_4_DEG[name], 301)))
+    found = many_outputs(FourBarKnee(link), walk.rod_extension)
+    # The fit leaves 4e-13 m at arms of 0.03 m or more, and up to 4e-12 rad.
+    np.testing.assert_allclose(found["knee_angle"][:, 0], walk.knee_angle, rtol=0.0, atol=2e-11)
+    np.testing.assert_allclose(found["encoder_angle"][:, 0], walk.theta_4, rtol=0.0, atol=2e-11)
+
+
+@names
+def test_moment_arm_and_centre_of_rotation_meet_differences_of_the_construction(name, compass):
+    link, h = LINKAGES[name], 1e-5
+    theta_4 = np.radians(np.linspace(*THETA_4_DEG[name], 61))
+    start = np.radians(THETA_4_DEG[name][0])  # the walk needs to start at the extended knee
+    at, ahead, behind = (
+        compass(link, np.concatenate([[start], theta_4 + step])) for step in (0.0, h, -h)
+    )
+    turned = (ahead.knee_angle - behind.knee_angle)[1:]
+    arm = -(ahead.rod_extension - behind.rod_extension)[1:] / turned
+    # A point of the coupler at A moves at j(A − centre) per rad.
+    centre = at.joint_a[1:] + 1j * (ahead.joint_a - behind.joint_a)[1:] / turned
+    found = many_outputs(FourBarKnee(link), at.rod_extension[1:])
+    # Truncation h² ~ 1e-10 times curvatures below 1e2 (m, rad); rounding 1e-16/1e-5.
+    np.testing.assert_allclose(found["moment_arm"][:, 0], arm, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(found["icr"] @ [1.0, 1.0j], centre, rtol=0.0, atol=1e-8)
+
+
+def test_knee_of_table_1_follows_eq_10_and_keeps_the_encoder_of_the_linkage(compass):
+    knee_deg = np.linspace(0.0, 90.0, 91)
+    x = 1e-3 * np.polyval(P_MM_DEG, knee_deg)
+    found = many_outputs(FourBarKnee(G1, table_1=RodPolynomialParameters()), x)
+    # Degree 25 leaves 2.4e-10 rad for the polynomial.
+    np.testing.assert_allclose(found["knee_angle"][:, 0], np.radians(knee_deg), atol=1e-9)
+    walk = compass(G1, np.radians(np.linspace(82.6, -5.0, 20_001)))
+    theta_4 = np.interp(np.radians(knee_deg), walk.knee_angle, walk.theta_4)
+    # Linear interpolation over 8e-5 rad: its square over 8, times curvature.
+    np.testing.assert_allclose(found["encoder_angle"][:, 0], theta_4, rtol=0.0, atol=1e-8)
+
+
+def test_extended_knee_has_the_rod_out_148_mm_and_flexion_draws_it_in():
+    system = FourBarKnee()
+    assert outputs(system, 0.148044)["knee_angle"] == pytest.approx([0.0], abs=2e-5)  # 0.5 µm / r
+    assert outputs(system, 0.002223)["knee_angle"] == pytest.approx(
+        [math.radians(90.001)], abs=2e-5
+    )
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"flexion_min_deg": -3.0}, r"flexion_min_deg = -3 deg is out of range: .*>= -2 .* deg"),
+        ({"flexion_max_deg": 95.0}, r"flexion_max_deg = 95 deg is out of range: .*<= 91 deg"),
+        (
+            {"flexion_min_deg": 50.0, "flexion_max_deg": 40.0},
+            r"flexion_min_deg = 50 deg must be below flexion_max_deg = 40 deg",
+        ),
+    ],
+)
+def test_range_of_motion_out_of_range_is_refused_in_one_line(values, line):
+    with pytest.raises(ParameterError, match=rf"^KneeParameters: {line}\Z"):
+        FourBarKnee(G1, KneeParameters(**values))
+
+
+def test_link_length_out_of_range_is_refused_in_one_line():
+    line = r"^LinkageParameters: a_3_m = 0 m is out of range: .*> 0 and <= 2 m\Z"
+    with pytest.raises(ParameterError, match=line):
+        FourBarKnee(LinkageParameters(a_3_m=0.0))
+
+
+def test_linkage_that_does_not_close_is_refused_on_construction():
+    with pytest.raises(LinkageError, match="cannot be assembled at knee angle -2 deg"):
+        FourBarKnee(LinkageParameters(**(G1.model_dump() | {"a_4_m": 0.015})))
+
+
+@pytest.mark.parametrize(("end", "limit"), [(-0.01, 90.0), (0.16, 0.0)])
+def test_leaving_the_range_of_motion_raises_with_time_and_signal(end, limit):
+    start, seconds = 0.075, 1.0
+    simulator = travel(start, end, seconds)
+    stop = {90.0: 2.22e-3, 0.0: 148.04e-3}[limit]
+    leaves = seconds * (stop - start) / (end - start)
+    steps = np.arange(0.01, 1.0, 0.01)
+    first = steps[steps > leaves][0]
+    with pytest.raises(SimulationError) as error:
+        advance_by_steps(simulator, steps)
+    message = str(error.value)
+    assert message.startswith(f"t = {first:.6g} s: ")
+    assert "knee: knee_angle = " in message
+    assert message.endswith(
+        " deg left the range of motion 0 … 90 deg; reduce the motion or the load"
+    )
+    angle = float(message.split("knee_angle = ")[1].split(" deg")[0])
+    # One step of 10 ms at 85 mm/s is 0.85 mm, at most 1.4 deg.
+    assert 0.0 < abs(angle - limit) < 1.4
+    assert (angle > limit) == (limit > 0.0)
+
+
+def test_range_of_motion_is_a_context_parameter():
+    system = FourBarKnee()
+    context = system.CreateDefaultContext()
+    system.GetInputPort("rod_extension").FixValue(context, 0.075)
+    Simulator(system, context.Clone()).Initialize()  # 47 deg are inside 0 … 90 deg
+    system.set_parameter(context, "flexion_max_rad", math.radians(45.0))
+    with pytest.raises(SimulationError, match="left the range of motion 0 … 45 deg"):
+        Simulator(system, context).Initialize()
+
+
+@pytest.mark.parametrize("extension", [math.nan, 1.0, -1.0])
+def test_extension_without_a_knee_angle_raises_instead_of_hanging(extension):
+    system = FourBarKnee(G2)
+    system.set_name("knee")
+    context = system.CreateDefaultContext()
+    system.GetInputPort("rod_extension").FixValue(context, extension)
+    with pytest.raises(
+        SimulationError, match=r"^t = 0 s: knee: knee_angle = [^\n]* left the range"
+    ):
+        Simulator(system, context).AdvanceTo(0.1)
+
+
+def test_unknown_or_nan_context_parameter_is_refused():
+    system = FourBarKnee()
+    context = system.CreateDefaultContext()
+    with pytest.raises(ValueError, match="unknown parameter 'a_2_m'; known: o_a_x_m, "):
+        system.set_parameter(context, "a_2_m", 0.03)
+    with pytest.raises(ValueError, match="a_3_m = nan: must be finite"):
+        system.set_parameter(context, "a_3_m", math.nan)

@@ -1,0 +1,204 @@
+import math
+
+import numpy as np
+import pytest
+from numpy import poly1d
+
+from kneexo.errors import LinkageError, ParameterError
+from kneexo.parameters import G1, LINKAGES, LinkageParameters, RodPolynomialParameters
+from kneexo.systems import KneeCoordinates, RodReference
+
+P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
+OTHER_TABLE = RodPolynomialParameters(p_mm_deg=(2e-8, -4e-6, 0.0005, -0.03, -0.6, 140.0))
+THETA_4_DEG = {"G1": (82.5, -4.7), "G2": (-101.95, -189.26), "G3": (-87.6, 38.72)}
+COUNT = 2.0 * math.pi / 4096
+
+names = pytest.mark.parametrize("name", LINKAGES)
+
+
+def reading_range(name):
+    """Encoder angles well inside the range of motion, ascending."""
+    return [tuple(sorted(np.radians(THETA_4_DEG[name]) * 0.98))]
+
+
+def coordinates(system, reading):
+    context = system.CreateDefaultContext()
+    system.GetInputPort("encoder_reading").FixValue(context, reading)
+    return [system.GetOutputPort(n).Eval(context)[0] for n in ("knee_angle", "rod_extension")]
+
+
+def rod(system, knee):
+    context = system.CreateDefaultContext()
+    system.GetInputPort("knee_reference").FixValue(context, knee)
+    return system.GetOutputPort("rod_reference").Eval(context)
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def test_coordinates_are_stateless_and_fed_through(leaf):
+    found = leaf.structure(KneeCoordinates())
+    assert found.inputs == {"encoder_reading": 1}
+    assert found.outputs == {"knee_angle": 1, "rod_extension": 1}
+    assert (found.continuous, found.discrete) == (0, [])
+    assert found.feedthrough == {
+        ("encoder_reading", "knee_angle"), ("encoder_reading", "rod_extension"),
+    }  # fmt: skip
+
+
+def test_rod_reference_is_stateless_and_fed_through(leaf):
+    found = leaf.structure(RodReference())
+    assert (found.inputs, found.outputs) == ({"knee_reference": 4}, {"rod_reference": 4})
+    assert (found.continuous, found.discrete) == (0, [])
+    assert found.feedthrough == {("knee_reference", "rod_reference")}
+
+
+def test_parameters_of_coordinates_are_the_links_the_sign_and_the_offset():
+    system = KneeCoordinates(offset_rad=1e-3)
+    values = system.parameters(system.CreateDefaultContext())._asdict()
+    assert (values.pop("eq6_sign"), values.pop("offset_rad")) == (-1.0, 1e-3)
+    links = ("o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m", "a_2_m", "a_3_m", "a_4_m", "phi_rad")
+    assert values == {name: getattr(G1, name) for name in links}
+
+
+@pytest.mark.parametrize(("system", "group"), [(KneeCoordinates(), 1), (RodReference(), 0)])
+def test_table_1_is_a_parameter_group_in_si(system, group):
+    p = system.CreateDefaultContext().get_numeric_parameter(group).CopyToVector()
+    expected = [1e-3 * c * math.degrees(1.0) ** (5 - n) for n, c in enumerate(P_MM_DEG)]
+    assert p == pytest.approx(expected, rel=1e-14)
+
+
+# ----------------------------------------------------------------------------- conversion
+
+
+@names
+def test_conversions_of_coordinates_agree_and_keep_arguments_and_changes(leaf, name):
+    system = KneeCoordinates(LINKAGES[name], OTHER_TABLE, 0.01)
+    probe = leaf.Probe(system, {"encoder_reading": reading_range(name)}, spread=1e-3)
+    probe.check_conversions()
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("offset_rad", 0.02)
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+def test_conversions_of_the_rod_reference_agree_and_keep_the_table(leaf):
+    ranges = [(0.1, 1.4), (-1.0, 1.0), (-2.0, 2.0), (-5.0, 5.0)]
+    probe = leaf.Probe(RodReference(OTHER_TABLE), {"knee_reference": ranges})
+    probe.check_conversions()
+    probe.check_conversions_keep_arguments()
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+def test_conversions_of_the_rod_reference_keep_changed_coefficients():
+    system = RodReference()
+    context = system.CreateDefaultContext()
+    context.get_mutable_numeric_parameter(0).SetAtIndex(5, 0.2)
+    converted = system.ToAutoDiffXd()
+    other = converted.CreateDefaultContext()
+    other.SetTimeStateAndParametersFrom(context)
+    converted.GetInputPort("knee_reference").FixValue(other, np.zeros(4))
+    assert converted.GetOutputPort("rod_reference").Eval(other)[0].value() == 0.2
+
+
+# -------------------------------------------------------------------------------- numbers
+
+
+@names
+def test_coordinates_meet_the_compass_construction_and_table_1(name, compass):
+    link = LINKAGES[name]
+    walk = compass(link, np.radians(np.linspace(*THETA_4_DEG[name], 201)))
+    system = KneeCoordinates(link)
+    found = np.array([coordinates(system, theta_4) for theta_4 in walk.theta_4])
+    x = 1e-3 * np.polyval(P_MM_DEG, np.degrees(walk.knee_angle))
+    # Rounding of acos near the stretched positions: 1e-12 rad.
+    np.testing.assert_allclose(found[:, 0], walk.knee_angle, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found[:, 1], x, rtol=0.0, atol=1e-12)
+
+
+def test_measured_angle_is_the_same_for_every_full_turn_of_the_encoder():
+    system = KneeCoordinates()
+    here, turned = coordinates(system, 0.5), coordinates(system, 0.5 - 2.0 * math.pi)
+    assert turned == pytest.approx(here, abs=1e-13)
+
+
+def test_half_a_count_of_offset_centres_the_error_of_an_encoder_that_rounds_down(compass):
+    walk = compass(G1, np.radians(np.linspace(82.5, -4.7, 997)))
+    readings = COUNT * np.floor(walk.theta_4 / COUNT)
+
+    def errors_in_counts(offset):
+        system = KneeCoordinates(offset_rad=offset)
+        knee = [coordinates(system, reading)[0] for reading in readings]
+        ahead = compass(G1, np.concatenate([[walk.theta_4[0]], walk.theta_4 + COUNT]))
+        per_count = ahead.knee_angle[1:] - walk.knee_angle
+        return (np.array(knee) - walk.knee_angle) / per_count
+
+    # Uniform over one count: mean 0 or 0.5, each to 3 standard errors 0.29/√997 = 0.009.
+    assert errors_in_counts(0.0).mean() == pytest.approx(-0.5, abs=0.03)
+    assert errors_in_counts(0.5 * COUNT).mean() == pytest.approx(0.0, abs=0.03)
+    # The sensitivity changes by 2 % within a count.
+    assert np.abs(errors_in_counts(0.5 * COUNT)).max() < 0.52
+
+
+def test_rod_reference_equals_the_derivatives_of_a_composed_polynomial():
+    rng = np.random.default_rng(5)
+    system = RodReference()
+    p_rad = poly1d([1e-3 * c * math.degrees(1.0) ** (5 - n) for n, c in enumerate(P_MM_DEG)])
+    for _ in range(20):
+        angle, rate, acceleration, jerk = rng.uniform([0, -1, -3, -9], [1.5, 1, 3, 9])
+        knee = poly1d([jerk / 6.0, acceleration / 2.0, rate, angle])  # of time, at t = 0
+        x = p_rad(knee)  # numpy composes polynomials
+        expected = [x(0.0), x.deriv(1)(0.0), x.deriv(2)(0.0), x.deriv(3)(0.0)]
+        found = rod(system, [angle, rate, acceleration, jerk])
+        # Rounding of a dozen products of order one.
+        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
+
+
+def test_flexing_knee_draws_the_rod_in():
+    x, v, _, _ = rod(RodReference(), [math.radians(10.0), 0.1, 0.0, 0.0])
+    # Lee et al. 2020, Table 1: 139.05 mm and 64.8 mm/rad at 10 deg, to the digits shown.
+    assert x == pytest.approx(0.13905, abs=5e-6)
+    assert v == pytest.approx(-0.00648, abs=1e-5)
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+def test_table_that_is_not_finite_is_refused_in_one_line():
+    with pytest.raises(ParameterError, match=r"^RodPolynomialParameters: p_mm_deg[^\n]*finite"):
+        RodReference(RodPolynomialParameters(p_mm_deg=(0.0, 0.0, 0.0, 0.0, math.nan, 1.0)))
+
+
+def test_link_out_of_range_is_refused_in_one_line():
+    line = r"^LinkageParameters: a_2_m = -0\.01 m is out of range: .*> 0 and <= 2 m\Z"
+    with pytest.raises(ParameterError, match=line):
+        KneeCoordinates(LinkageParameters(a_2_m=-0.01))
+
+
+def test_linkage_whose_encoder_reverses_is_refused_on_construction():
+    values = {
+        "o_a_x_m": 0.0135, "o_a_y_m": -0.0244, "o_b_x_m": -0.0052, "o_b_y_m": -0.0143,
+        "a_2_m": 0.0268, "a_3_m": 0.0183, "a_4_m": 0.0268,
+    }  # fmt: skip
+    with pytest.raises(LinkageError, match="the encoder angle reverses near knee angle 4"):
+        KneeCoordinates(LinkageParameters(**(G1.model_dump() | values)))
+
+
+def test_reading_out_of_reach_gives_nan_and_never_a_plausible_angle():
+    assert np.isnan(coordinates(KneeCoordinates(), math.radians(-30.0))).all()
+    assert np.isnan(coordinates(KneeCoordinates(), math.nan)).all()
+
+
+def test_unknown_or_nan_context_parameter_is_refused():
+    system = KneeCoordinates()
+    context = system.CreateDefaultContext()
+    with pytest.raises(ValueError, match="unknown parameter 'offset'; known: o_a_x_m, "):
+        system.set_parameter(context, "offset", 0.0)
+    with pytest.raises(ValueError, match="offset_rad = nan: must be finite"):
+        system.set_parameter(context, "offset_rad", math.nan)
+
+
+@pytest.mark.xfail(strict=True, reason="AttributeError: RodReference has no named parameters")
+def test_unknown_context_parameter_of_the_rod_reference_is_refused():
+    system = RodReference()
+    with pytest.raises(ValueError, match="unknown parameter 'p_1'"):
+        system.set_parameter(system.CreateDefaultContext(), "p_1", 1.0)

@@ -1,0 +1,154 @@
+import math
+
+import numpy as np
+import pytest
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import KneeLoadParameters
+from kneexo.systems import KneeLoad
+
+P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
+PARAMETERS = KneeLoadParameters(
+    segment_mass_kg=3.0,
+    centre_of_mass_m=0.25,
+    thigh_inclination_rad=0.4,
+    knee_torque_n_m=2.0,
+    disturbance_n=-7.0,
+    disturbance_amplitude_n=5.0,
+    disturbance_frequency_hz=0.7,
+)
+INPUTS = {
+    "knee_angle": [(0.0, 1.5)],
+    "moment_arm": [(0.03, 0.11)],
+    "knee_torque": [(-10.0, 10.0)],
+    "disturbance_force": [(-50.0, 50.0)],
+}
+
+
+def force(system, knee_angle, moment_arm, *, torque=None, disturbance=None, time=0.0):
+    context = system.CreateDefaultContext()
+    context.SetTime(time)
+    inputs = {
+        "knee_angle": knee_angle,
+        "moment_arm": moment_arm,
+        "knee_torque": torque,
+        "disturbance_force": disturbance,
+    }
+    for name, value in inputs.items():
+        if value is not None:
+            system.GetInputPort(name).FixValue(context, value)
+    return system.GetOutputPort("load_force").Eval(context)[0]
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def test_ports_are_stateless_and_fed_through(leaf):
+    found = leaf.structure(KneeLoad())
+    assert found.inputs == dict.fromkeys(INPUTS, 1)
+    assert found.outputs == {"load_force": 1}
+    assert (found.continuous, found.discrete) == (0, [])
+    assert found.feedthrough == {(name, "load_force") for name in INPUTS}
+
+
+def test_parameters_have_these_names_and_values():
+    system = KneeLoad()
+    assert system.parameters(system.CreateDefaultContext())._asdict() == {
+        "segment_mass_kg": 1.6,
+        "centre_of_mass_m": 0.20,
+        "thigh_inclination_rad": 0.0,
+        "gravity_m_s2": 9.81,
+        "knee_torque_n_m": 0.0,
+        "disturbance_n": 0.0,
+        "disturbance_amplitude_n": 0.0,
+        "disturbance_frequency_hz": 1.0,
+    }
+
+
+# ----------------------------------------------------------------------------- conversion
+
+
+def test_conversions_agree_and_keep_arguments_and_changes(leaf):
+    probe = leaf.Probe(KneeLoad(PARAMETERS), INPUTS)
+    probe.check_conversions()
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("disturbance_frequency_hz", 0.9)
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+# -------------------------------------------------------------------------------- numbers
+
+
+def test_random_points_meet_the_written_out_equation(leaf):
+    probe = leaf.Probe(KneeLoad(PARAMETERS), INPUTS, spread=0.0)
+    for z in probe.points(50):
+        time, knee, arm, torque, disturbance = z[:5]
+        weight = 3.0 * 9.81 * 0.25 * math.sin(0.4 - knee)
+        sine = 5.0 * math.sin(2.0 * math.pi * 0.7 * time)
+        expected = (weight + 2.0 + torque) / arm - 7.0 + sine + disturbance
+        assert probe.results(z) == pytest.approx([expected], rel=1e-12, abs=1e-11)  # rounding
+
+
+def test_shank_weight_at_60_deg_helps_extension_by_25_5_n():
+    # r(60 deg) = 106.4 mm/rad; both figures are known to their last digit.
+    assert force(KneeLoad(), math.radians(60.0), 0.1064) == pytest.approx(-25.5, abs=0.06)
+
+
+def test_weight_along_the_thigh_does_no_work_and_a_forward_thigh_bends_the_knee():
+    forward = KneeLoad(KneeLoadParameters(thigh_inclination_rad=0.3))
+    assert force(forward, 0.3, 0.1) == pytest.approx(0.0, abs=1e-15)
+    assert force(forward, 0.1, 0.1) > 0.0 > force(forward, 0.5, 0.1)
+
+
+def test_torque_that_flexes_opposes_the_rod_by_torque_over_arm():
+    idle = KneeLoad(KneeLoadParameters(segment_mass_kg=0.0))
+    assert force(idle, 0.7, 0.1, torque=3.0) == pytest.approx(30.0, rel=1e-15)
+    assert force(idle, 0.7, 0.1, disturbance=12.0) == 12.0
+
+
+def test_unconnected_torque_and_disturbance_count_as_zero():
+    system = KneeLoad(PARAMETERS)
+    assert force(system, 0.7, 0.1) == force(system, 0.7, 0.1, torque=0.0, disturbance=0.0)
+
+
+def test_work_of_the_weight_on_the_rod_is_its_loss_of_potential_energy():
+    degrees = np.linspace(0.0, 90.0, 2001)
+    x = 1e-3 * np.polyval(P_MM_DEG, degrees)
+    arm = -1e-3 * np.polyval(np.polyder(np.array(P_MM_DEG)), degrees) * math.degrees(1.0)
+    system = KneeLoad(KneeLoadParameters(segment_mass_kg=2.0, thigh_inclination_rad=0.9))
+    forces = [force(system, k, r) for k, r in zip(np.radians(degrees), arm, strict=True)]
+    # Height of the centre of mass below the knee: 0.2 m · cos(α − θ).
+    sinks = 0.2 * (math.cos(0.9 - math.pi / 2.0) - math.cos(0.9))
+    # The load drives the rod by −F_L dx; the trapezoidal rule over 2000 steps leaves 1e-6.
+    assert -np.trapezoid(forces, x) == pytest.approx(2.0 * 9.81 * sinks, rel=1e-5)
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"segment_mass_kg": -1.0}, r"segment_mass_kg = -1 kg is out of range: .*>= 0 .*200 kg"),
+        (
+            {"disturbance_frequency_hz": 2000.0},
+            r"disturbance_frequency_hz = 2000 Hz is out of range: .*<= 1000 Hz",
+        ),
+        (
+            {"knee_torque_n_m": math.nan},
+            r"knee_torque_n_m = nan N·m is out of range: must be finite.*N·m",
+        ),
+    ],
+)
+def test_parameter_out_of_range_is_refused_in_one_line(values, line):
+    with pytest.raises(ParameterError, match=rf"^KneeLoadParameters: {line}\Z"):
+        KneeLoad(KneeLoadParameters(**values))
+
+
+def test_unknown_or_nan_context_parameter_is_refused():
+    system = KneeLoad()
+    context = system.CreateDefaultContext()
+    with pytest.raises(ValueError, match="unknown parameter 'mass'; known: segment_mass_kg, "):
+        system.set_parameter(context, "mass", 1.6)
+    with pytest.raises(ValueError, match="disturbance_n = inf: must be finite"):
+        system.set_parameter(context, "disturbance_n", math.inf)

@@ -1,0 +1,258 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.autodiffutils import AutoDiffXd
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import RampReference, SampledReference, SineReference, StepReference
+from kneexo.systems import (
+    RampKneeReference,
+    SineKneeReference,
+    StepKneeReference,
+    make_knee_reference,
+)
+from kneexo.systems.knee_reference import reference_range_deg
+
+TIMES = (0.0, 0.3, 0.5, 1.1, 1.4, 2.0)
+ANGLES = (5.0, 30.0, 62.0, 20.0, 18.0, 40.0)
+SAMPLES = SampledReference(times_s=TIMES, angles_deg=ANGLES)
+
+kinds = pytest.mark.parametrize(
+    ("kind", "parameters", "change"),
+    [
+        (
+            SineKneeReference,
+            SineReference(mean_deg=45.0, amplitude_deg=20.0, frequency_hz=0.3),
+            ("frequency_hz", 0.5),
+        ),
+        (StepKneeReference, StepReference(start_deg=10.0, time_s=0.05), ("end_rad", 1.2)),
+        (
+            RampKneeReference,
+            RampReference(start_deg=70.0, end_deg=15.0, time_s=0.05, rate_deg_s=20.0),
+            ("rate_rad_s", 0.2),
+        ),
+    ],
+    ids=["sine", "step", "ramp"],
+)
+
+
+def reference(system, time):
+    context = system.CreateDefaultContext()
+    context.SetTime(time)
+    return np.array(system.get_output_port().Eval(context))
+
+
+def references(system, times):
+    return np.array([reference(system, time) for time in times])
+
+
+def rad(*degrees):
+    return pytest.approx(np.radians(degrees), rel=1e-14, abs=1e-15)
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+@kinds
+def test_one_output_of_four_and_no_state(leaf, kind, parameters, change):
+    found = leaf.structure(kind(parameters))
+    assert (found.inputs, found.outputs) == ({}, {"knee_reference": 4})
+    assert (found.continuous, found.discrete) == (0, [])
+
+
+def test_parameters_are_in_si_and_named():
+    values = [
+        dict(system.parameters(system.CreateDefaultContext())._asdict())
+        for system in (SineKneeReference(), StepKneeReference(), RampKneeReference())
+    ]
+    assert values == [
+        pytest.approx(
+            {"mean_rad": math.radians(40), "amplitude_rad": math.radians(30), "frequency_hz": 0.1}
+        ),
+        pytest.approx({"start_rad": math.radians(30), "end_rad": math.radians(50), "time_s": 1.0}),
+        pytest.approx(
+            {
+                "start_rad": math.radians(20),
+                "end_rad": math.radians(60),
+                "time_s": 1.0,
+                "rate_rad_s": math.radians(15),
+            }
+        ),
+    ]
+
+
+# ----------------------------------------------------------------------------- conversion
+
+
+@kinds
+def test_conversions_agree_and_keep_arguments_and_changes(leaf, kind, parameters, change):
+    probe = leaf.Probe(kind(parameters), {}, time=(0.2, 1.8))
+    probe.check_conversions(6)
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep(*change)
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+def test_autodiff_time_derivative_of_each_output_is_the_next_one():
+    for system in (SineKneeReference(), RampKneeReference()):
+        converted = system.ToAutoDiffXd()
+        context = converted.CreateDefaultContext()
+        context.SetTime(AutoDiffXd(1.23, [1.0]))
+        dual = converted.get_output_port().Eval(context)
+        slopes = [v.derivatives()[0] if v.derivatives().size else 0.0 for v in dual[:3]]
+        values = [v.value() for v in dual[1:]]
+        np.testing.assert_allclose(slopes, values, rtol=1e-12, atol=1e-14)
+
+
+# --------------------------------------------------------------------------- numbers: sine
+
+
+def test_sine_is_40_minus_30_cosine_with_its_derivatives():
+    omega = 2.0 * math.pi * 0.1
+    for t in np.linspace(0.0, 12.0, 25):
+        expected = np.radians(30.0) * np.array(
+            [
+                40.0 / 30.0 - math.cos(omega * t),
+                omega * math.sin(omega * t),
+                omega**2 * math.cos(omega * t),
+                -(omega**3) * math.sin(omega * t),
+            ]
+        )
+        np.testing.assert_allclose(reference(SineKneeReference(), t), expected, atol=1e-14)
+
+
+def test_sine_starts_at_rest_at_10_deg_and_peaks_at_70_deg():
+    assert reference(SineKneeReference(), 0.0)[:2] == rad(10.0, 0.0)
+    assert reference(SineKneeReference(), 5.0)[:2] == rad(70.0, 0.0)
+
+
+@pytest.mark.parametrize("parameters", [SineReference(frequency_hz=0.5), SAMPLES])
+def test_derivatives_are_those_of_the_angle(parameters):
+    system, h = make_knee_reference(parameters), 1e-4
+    times = np.array([0.13, 0.41, 0.77, 1.23, 1.71])  # between the samples
+    at, ahead, behind = (references(system, times + step) for step in (0.0, h, -h))
+    # Truncation h²/6 times the fourth to sixth derivatives, rounding 1e-16/h.
+    np.testing.assert_allclose((ahead - behind)[:, :3] / (2 * h), at[:, 1:], rtol=0, atol=1e-5)
+
+
+# ----------------------------------------------------------------------- numbers: step, ramp
+
+
+def test_step_jumps_just_after_its_time_with_zero_derivatives():
+    system = StepKneeReference(StepReference(start_deg=20.0, end_deg=45.0, time_s=0.5))
+    for time in (0.0, 0.5):
+        assert reference(system, time) == rad(20.0, 0.0, 0.0, 0.0)
+    for time in (0.5 + 1e-9, 3.0):
+        assert reference(system, time) == rad(45.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("start", "end", "sign"), [(20.0, 50.0, 1.0), (50.0, 20.0, -1.0)])
+def test_ramp_moves_at_its_rate_between_its_ends(start, end, sign):
+    system = RampKneeReference(
+        RampReference(start_deg=start, end_deg=end, time_s=0.5, rate_deg_s=15.0)
+    )
+    assert reference(system, 0.3) == rad(start, 0.0, 0.0, 0.0)
+    assert reference(system, 1.5) == rad(start + sign * 15.0, sign * 15.0, 0.0, 0.0)
+    assert reference(system, 2.4) == rad(start + sign * 28.5, sign * 15.0, 0.0, 0.0)
+    assert reference(system, 2.6) == rad(end, 0.0, 0.0, 0.0)
+
+
+def test_ramp_without_a_distance_stands_still():
+    system = RampKneeReference(RampReference(start_deg=30.0, end_deg=30.0))
+    for time in (0.0, 1.0, 1.5, 5.0):
+        assert reference(system, time) == rad(30.0, 0.0, 0.0, 0.0)
+
+
+# ------------------------------------------------------------------------ numbers: samples
+
+
+def test_spline_passes_the_samples_with_continuous_acceleration():
+    system = make_knee_reference(SAMPLES)
+    np.testing.assert_allclose(references(system, TIMES)[:, 0], np.radians(ANGLES), atol=1e-14)
+    inner, h = np.array(TIMES[1:-1]), 1e-9
+    before, after = references(system, inner - h), references(system, inner + h)
+    # The third derivative is below 4e2 rad/s³: 1e-6 over 2 ns. It jumps itself, but not at the
+    # second and the last but one sample (not-a-knot).
+    np.testing.assert_allclose(before[:, :3], after[:, :3], rtol=0.0, atol=1e-6)
+    assert np.abs(before[1:-1, 3] - after[1:-1, 3]).min() > 1.0
+
+
+def test_spline_of_a_cubic_is_that_cubic():
+    times = (0.0, 0.2, 0.5, 0.9, 1.0)
+    cubic = np.poly1d([40.0, -60.0, 30.0, 10.0])
+    samples = SampledReference(times_s=times, angles_deg=tuple(map(float, cubic(np.array(times)))))
+    found = references(make_knee_reference(samples), np.linspace(0.01, 0.99, 23))
+    # Not-a-knot ends reproduce any cubic; rounding of the linear solve.
+    for order in range(4):
+        expected = np.radians(cubic.deriv(order)(np.linspace(0.01, 0.99, 23)))
+        np.testing.assert_allclose(found[:, order], expected, rtol=0.0, atol=1e-10)
+
+
+def test_spline_holds_its_first_and_last_angle_outside():
+    system = make_knee_reference(SAMPLES)
+    assert reference(system, 2.5) == rad(40.0, 0.0, 0.0, 0.0)
+    assert reference(system, -0.5) == rad(5.0, 0.0, 0.0, 0.0)
+
+
+# ----------------------------------------------------------------------------------- ranges
+
+
+@pytest.mark.parametrize(
+    ("parameters", "low", "high"),
+    [
+        (SineReference(), 10.0, 70.0),
+        (StepReference(start_deg=50.0, end_deg=20.0), 20.0, 50.0),
+        (RampReference(start_deg=5.0, end_deg=80.0), 5.0, 80.0),
+    ],
+)
+def test_range_of_a_reference_in_closed_form(parameters, low, high):
+    assert reference_range_deg(parameters) == pytest.approx((low, high))
+
+
+def test_range_of_a_spline_includes_what_it_overshoots_between_samples():
+    low, high = reference_range_deg(SAMPLES)
+    angles = np.degrees(references(make_knee_reference(SAMPLES), np.linspace(0, 2, 997))[:, 0])
+    assert high > max(ANGLES) + 0.5  # it does overshoot
+    assert (low, high) == pytest.approx((angles.min(), angles.max()), abs=1e-2)  # grid of 2 ms
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "line"),
+    [
+        (SineReference, {"frequency_hz": 0.0}, r"frequency_hz = 0 Hz is out of range: .*> 0 .* Hz"),
+        (SineReference, {"mean_deg": 95.0}, r"mean_deg = 95 deg is out of range: .*<= 91 deg"),
+        (RampReference, {"rate_deg_s": -1.0}, r"rate_deg_s = -1 deg/s is out of range: .*deg/s"),
+        (
+            StepReference,
+            {"time_s": math.nan},
+            r"time_s = nan s is out of range: must be finite.* s",
+        ),
+        (
+            SampledReference,
+            {"times_s": (0.0, 1.0, 1.0), "angles_deg": (1.0, 2.0, 3.0)},
+            "times_s must be strictly increasing",
+        ),
+        (
+            SampledReference,
+            {"times_s": (0.0, 1.0, 2.0), "angles_deg": (1.0, 2.0, 3.0, 4.0)},
+            "times_s has 3 values and angles_deg has 4: must be as many",
+        ),
+    ],
+)
+def test_parameter_out_of_range_is_refused_in_one_line(kind, values, line):
+    with pytest.raises(ParameterError, match=rf"^{kind.__name__}: {line}\Z"):
+        make_knee_reference(kind(**values))
+
+
+@kinds
+def test_unknown_or_nan_context_parameter_is_refused(kind, parameters, change):
+    system = kind(parameters)
+    context = system.CreateDefaultContext()
+    with pytest.raises(ValueError, match="unknown parameter 'phase'; known: "):
+        system.set_parameter(context, "phase", 1.0)
+    with pytest.raises(ValueError, match=f"{change[0]} = nan: must be finite"):
+        system.set_parameter(context, change[0], math.nan)

@@ -1,0 +1,210 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression, Variable
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, value_or_zero, where_positive
+
+SOURCE = {"gain": 2.0, "offset": 0.5}
+
+
+@TemplateSystem.define("Sample_")
+def Sample_(T):
+    class Impl(NamedLeaf, LeafSystem_[T]):
+        """y = gain·u + offset; x⁺ = [x_1 + u, x_0]; starts at [u, −1]."""
+
+        def _construct(self, source=SOURCE, period=0.25, *, converter=None):
+            self._begin(T, converter, source, period)
+            self._declare_parameters(source, ("gain", "offset"))
+            self._u = self.DeclareVectorInputPort("u", 1)
+            self._declare_update(period, 2, self._update)
+            self._declare_initialization(lambda c: [value_or_zero(self._u, c), -1.0])
+            given = self.all_parameters_ticket()
+            self._declare_output("y", 1, self._calc, self._u, given)
+            self._declare_output("held", 2, discrete_state, self.xd_ticket())
+            self._declare_output("constant", 2, lambda c: [3.0, 4.0])
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(self, *other._arguments, converter=converter)
+
+        def _calc(self, context):
+            p = self.parameters(context)
+            return [p.gain * value_or_zero(self._u, context) + p.offset]
+
+        def _update(self, context):
+            x_0, x_1 = discrete_state(context)
+            return [x_1 + value_or_zero(self._u, context), x_0]
+
+    return Impl
+
+
+Sample = Sample_[None]
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def test_outputs_depend_on_their_sources_only(leaf):
+    found = leaf.structure(Sample())
+    assert found.inputs == {"u": 1}
+    assert found.outputs == {"y": 1, "held": 2, "constant": 2}
+    assert (found.continuous, found.discrete) == (0, [2])
+    assert found.feedthrough == {("u", "y")}
+
+
+def test_outputs_follow_a_changed_parameter_and_a_changed_input():
+    system = Sample()
+    context = system.CreateDefaultContext()
+    port = system.GetOutputPort("y")
+    system.GetInputPort("u").FixValue(context, 1.0)
+    assert port.Eval(context) == [2.5]
+    system.set_parameter(context, "gain", 4.0)
+    assert port.Eval(context) == [4.5]
+    system.GetInputPort("u").FixValue(context, 2.0)
+    assert port.Eval(context) == [8.5]
+
+
+def test_tree_counter_unfolds_shared_expressions(leaf):
+    x = Variable("x")
+    shared = Expression(x)
+    for _ in range(4):
+        shared = abs(shared) * abs(shared + 1.0)
+    single = leaf.tree_size(shared)
+    for _ in range(4):
+        shared = abs(shared) * abs(shared + 1.0)
+    assert single > 2**4
+    assert leaf.tree_size(shared, limit=10**6) > 2**4 * single
+    assert leaf.tree_size(shared, limit=100) == 101
+    assert leaf.tree_size(Expression(x)) == leaf.tree_size(Expression(2.0)) == 1
+
+
+# ----------------------------------------------------------------------------- conversion
+
+
+def test_conversions_agree_and_keep_arguments(leaf):
+    probe = leaf.Probe(Sample({"gain": 5.0, "offset": -3.0}), {"u": [(-1, 1)]}, [(-1, 1)] * 2)
+    probe.check_conversions()
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("gain", 7.0)
+    assert probe.largest_tree() < 10
+
+
+def test_conversions_keep_the_period():
+    system = Sample(SOURCE, 0.125)
+    for converted in (system, system.ToAutoDiffXd(), system.ToSymbolic()):
+        timing = converted.GetUniquePeriodicDiscreteUpdateAttribute()
+        assert (timing.period_sec(), timing.offset_sec()) == (0.125, 0.0)
+
+
+def test_source_may_be_an_object_with_attributes():
+    class Source:
+        gain, offset, unused = 6.0, 7.0, 8.0
+
+    system = Sample(Source)
+    assert system.parameters(system.CreateDefaultContext())._asdict() == {
+        "gain": 6.0,
+        "offset": 7.0,
+    }
+
+
+# -------------------------------------------------------------------------------- helpers
+
+
+@pytest.mark.parametrize(
+    ("value", "expected", "slope"), [(-3.0, -2.0, 0.0), (0.5, 0.5, 1.0), (7.0, 5.0, 0.0)]
+)
+def test_clip_limits_all_scalars_and_keeps_the_derivative_inside(value, expected, slope):
+    x = Variable("x")
+    dual = clip(AutoDiffXd(value, [1.0]), -2.0, 5.0)
+    dual = dual if isinstance(dual, AutoDiffXd) else AutoDiffXd(dual)
+    assert clip(value, -2.0, 5.0) == expected
+    assert dual.value() == expected
+    assert dual.derivatives().sum() == slope
+    assert clip(Expression(x), -2.0, 5.0).Evaluate({x: value}) == expected
+
+
+def test_clip_does_not_hide_nan():
+    assert math.isnan(clip(math.nan, -1.0, 1.0))
+
+
+@pytest.mark.parametrize(("condition", "expected"), [(1e-9, 2.0), (0.0, 3.0), (-1.0, 3.0)])
+def test_where_positive_chooses_in_all_scalars_and_zero_is_not_positive(condition, expected):
+    x, y = Variable("x"), Variable("y")
+    assert where_positive(condition, 2.0, 3.0) == expected
+    dual = where_positive(AutoDiffXd(condition, [1.0]), AutoDiffXd(2.0, [4.0]), 3.0)
+    assert (dual.value() if isinstance(dual, AutoDiffXd) else dual) == expected
+    chosen = where_positive(Expression(x), Expression(y), 3.0)
+    assert chosen.Evaluate({x: condition, y: 2.0}) == expected
+
+
+def test_unconnected_input_counts_as_zero():
+    system = Sample()
+    context = system.CreateDefaultContext()
+    assert system.GetOutputPort("y").Eval(context) == [0.5]
+    system.GetInputPort("u").FixValue(context, 1.5)
+    assert value_or_zero(system.GetInputPort("u"), context) == 1.5
+
+
+def test_discrete_state_is_a_list_of_the_scalars_of_the_context():
+    symbolic = Sample().ToSymbolic()
+    assert all(isinstance(v, Expression) for v in discrete_state(symbolic.CreateDefaultContext()))
+    system = Sample()
+    context = system.CreateDefaultContext()
+    context.SetDiscreteState(0, [1.0, 2.0])
+    assert discrete_state(context) == [1.0, 2.0]
+
+
+def test_initialization_sets_the_state_once_and_updates_follow_every_period():
+    system = Sample()
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    system.GetInputPort("u").FixValue(context, 10.0)
+    simulator.Initialize()
+    x = np.array([10.0, -1.0])
+    assert discrete_state(context) == list(x)
+    simulator.AdvanceTo(0.6)  # updates at 0, 0.25 and 0.5 s
+    for _ in range(3):
+        x = np.array([x[1] + 10.0, x[0]])
+    assert discrete_state(context) == list(x)
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+def test_set_parameter_changes_one_value_in_one_context():
+    system = Sample()
+    context, untouched = system.CreateDefaultContext(), system.CreateDefaultContext()
+    system.set_parameter(context, "offset", 9.0)
+    assert system.parameters(context)._asdict() == {"gain": 2.0, "offset": 9.0}
+    assert system.parameters(untouched)._asdict() == SOURCE
+
+
+def test_set_parameter_takes_the_scalar_of_the_system():
+    system = Sample().ToAutoDiffXd()
+    context = system.CreateDefaultContext()
+    system.set_parameter(context, "gain", AutoDiffXd(3.0, [1.0, 0.0]))
+    assert system.parameters(context).gain.derivatives() == pytest.approx([1.0, 0.0])
+
+
+def test_unknown_parameter_is_refused_with_the_known_names():
+    system = Sample()
+    system.set_name("sample")
+    with pytest.raises(
+        ValueError, match=r"^sample: unknown parameter 'gian'; known: gain, offset$"
+    ):
+        system.set_parameter(system.CreateDefaultContext(), "gian", 1.0)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float64(np.nan)])
+def test_number_that_is_not_finite_is_refused(value):
+    system = Sample()
+    system.set_name("sample")
+    context = system.CreateDefaultContext()
+    with pytest.raises(ValueError, match=rf"^sample: gain = {value}: must be finite$"):
+        system.set_parameter(context, "gain", value)
+    assert system.parameters(context).gain == 2.0

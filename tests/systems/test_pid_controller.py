@@ -1,0 +1,270 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import (
+    BldcPumpParameters,
+    CylinderParameters,
+    PidParameters,
+    PlantParameters,
+)
+from kneexo.systems import PidController
+
+# Lee et al. 2020, Tables 2 and 3.
+AREA, DISPLACEMENT, GEAR = 274.8894e-6, 0.8e-6 / (2.0 * math.pi), 6.0
+SPEED_GAIN = GEAR * AREA / DISPLACEMENT
+LIMIT = 5000.0 * 2.0 * math.pi / 60.0
+T = 0.002
+GAINS = {
+    "proportional_per_s": 8.0,
+    "integral_per_s2": 30.0,
+    "derivative": 0.4,
+    "filter_s": 0.015,
+    "anti_windup_s": 0.05,
+    "velocity_feedforward": 0.7,
+    "moment_arm_m": 0.09,
+}
+INPUTS = {
+    "knee_angle": [(0.5, 0.52)],
+    "knee_reference": [(0.5, 0.52), (-1.0, 1.0), (-1.0, 1.0), (-1.0, 1.0)],
+    "rod_reference": [(0.05, 0.1), (-0.01, 0.01), (-1.0, 1.0), (-1.0, 1.0)],
+}
+FAR = INPUTS | {"knee_angle": [(1.0, 1.4)]}
+STATE = [(-500.0, 500.0), (-0.02, 0.02), (-0.02, 0.02)]
+
+
+def at(system, knee_angle=0.5, knee_reference=0.5, rod_velocity=0.0, state=(0.0, 0.0, 0.0)):
+    context = system.CreateDefaultContext()
+    system.GetInputPort("knee_angle").FixValue(context, knee_angle)
+    system.GetInputPort("knee_reference").FixValue(context, [knee_reference, 0.0, 0.0, 0.0])
+    system.GetInputPort("rod_reference").FixValue(context, [0.07, rod_velocity, 0.0, 0.0])
+    context.SetDiscreteState(0, list(state))
+    return context
+
+
+def update(system, *arguments, **values):
+    context = at(system, *arguments, **values)
+    return system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0).CopyToVector()
+
+
+def settled(system, error):
+    """The command once the filter has reached a constant error."""
+    return update(system, 0.0, error, state=(0.0, 0.0, error))[0]
+
+
+def written_out(error, rod_velocity, state, limit=LIMIT, gain=SPEED_GAIN, dt=T):
+    """The law with `GAINS`, as difference equations."""
+    _, integral, filtered = state
+    decay = math.exp(-dt / 0.015)
+    filtered = decay * filtered + (1.0 - decay) * error
+    rate = 8.0 * filtered + integral + 0.4 * (error - filtered) / 0.015
+    wanted = gain * (0.7 * rod_velocity - 0.09 * rate)
+    limited = min(max(wanted, -limit), limit)
+    surplus = (wanted - limited) / (gain * 0.09)  # knee rate that the limit takes away, negative
+    return [
+        limited,
+        integral + dt * (30.0 * error + surplus / 0.05),
+        filtered,
+    ]
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def test_held_command_has_no_direct_feedthrough(leaf):
+    found = leaf.structure(PidController())
+    assert found.inputs == {"knee_angle": 1, "knee_reference": 4, "rod_reference": 4}
+    assert found.outputs == {"motor_speed_command": 1}
+    assert (found.continuous, found.discrete) == (0, [3])
+    assert found.feedthrough == set()
+
+
+def test_command_is_renewed_every_2_ms_or_as_told():
+    for values, period in (({}, 0.002), ({"sample_time_s": 0.001}, 0.001)):
+        system = PidController(PidParameters(**values))
+        for converted in (system, system.ToAutoDiffXd(), system.ToSymbolic()):
+            timing = converted.GetUniquePeriodicDiscreteUpdateAttribute()
+            assert (timing.period_sec(), timing.offset_sec()) == (period, 0.0)
+
+
+def test_parameters_have_these_names_and_values():
+    system = PidController(PidParameters(**GAINS))
+    values = system.parameters(system.CreateDefaultContext())._asdict()
+    expected = GAINS | {"command_limit_rad_s": LIMIT, "speed_gain_rad_per_m": SPEED_GAIN}
+    assert values == pytest.approx(expected, rel=1e-6)  # seven printed digits of the area
+
+
+# ----------------------------------------------------------------------------- conversion
+
+
+@pytest.mark.parametrize("ranges", [INPUTS, FAR], ids=["near", "limited"])
+def test_conversions_agree_and_keep_arguments_and_changes(leaf, ranges):
+    system = PidController(
+        PidParameters(**GAINS, sample_time_s=0.004),
+        PlantParameters(pump=BldcPumpParameters(gear_ratio=5.0)),
+    )
+    probe = leaf.Probe(system, ranges, STATE)
+    probe.check_conversions()
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("integral_per_s2", 500.0)
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+# -------------------------------------------------------------------------------- numbers
+
+
+@pytest.mark.parametrize("ranges", [INPUTS, FAR], ids=["near", "limited"])
+def test_random_points_meet_the_written_out_law(leaf, ranges):
+    probe = leaf.Probe(PidController(PidParameters(**GAINS)), ranges, STATE, spread=0.0)
+    for z in probe.points(50):
+        error, state = z[2] - z[1], z[10:13]
+        expected = written_out(error, z[7], state)
+        # Seven printed digits of the area; sums of terms of up to 1e3 rad/s.
+        np.testing.assert_allclose(probe.results(z), [state[0], *expected], rtol=1e-6, atol=1e-3)
+
+
+def test_simulated_sequence_meets_the_difference_equations():
+    system = PidController(PidParameters(**GAINS))
+    errors = 0.1 * np.sin(np.arange(60) / 9.0)  # saturates at its peaks
+    simulator = Simulator(system, at(system))
+    context, state = simulator.get_mutable_context(), [0.0, 0.0, 0.0]
+    simulator.Initialize()
+    limited = 0
+    for index, error in enumerate(errors):
+        system.GetInputPort("knee_angle").FixValue(context, 0.5 - error)
+        simulator.AdvanceTo((index + 0.5) * T)
+        state = written_out(error, 0.0, state)
+        limited += abs(state[0]) == LIMIT
+        held = system.GetOutputPort("motor_speed_command").Eval(context)[0]
+        assert held == pytest.approx(state[0], rel=1e-5, abs=1e-3)  # digits of the area
+    assert 5 < limited < 55
+
+
+def test_proportional_gain_of_5_per_s_is_6477_rad_per_s_per_rad():
+    command = settled(PidController(), 0.01)
+    # Wanting more flexion draws the rod in.
+    assert command == pytest.approx(-6477.0 * 0.01, abs=0.005)  # last printed digit
+    assert settled(PidController(), -0.01) == pytest.approx(-command, rel=1e-12)
+
+
+def test_knee_at_the_reference_stands_still():
+    assert list(update(PidController(), 0.5, 0.5)) == [0.0, 0.0, 0.0]
+
+
+def test_command_gain_follows_gear_area_and_displacement():
+    plant = PlantParameters(
+        pump=BldcPumpParameters(gear_ratio=3.0, displacement_m3_per_rad=2e-7),
+        cylinder=CylinderParameters(bore_m=0.03, rod_diameter_m=0.01),
+    )
+    area = math.pi / 4.0 * (0.03**2 - 0.5 * 0.01**2)
+    command = settled(PidController(PidParameters(), plant), 0.01)
+    assert command == pytest.approx(-5.0 * 0.1 * 0.01 * 3.0 * area / 2e-7, rel=1e-12)
+
+
+def test_feedforward_alone_commands_the_speed_of_the_reference():
+    system = PidController(PidParameters(velocity_feedforward=1.0))
+    command = update(system, rod_velocity=-0.02)[0]
+    # Continuity: gear · Ā · v / D_m.
+    assert command == pytest.approx(GEAR * AREA * -0.02 / DISPLACEMENT, rel=1e-6)
+
+
+@pytest.mark.parametrize("limit", [LIMIT, 50.0])
+def test_command_stays_within_its_limit_both_ways(limit):
+    system = PidController(PidParameters(command_limit_rad_s=limit))
+    assert settled(system, 1.0) == pytest.approx(-limit, rel=1e-15)
+    assert settled(system, -1.0) == pytest.approx(limit, rel=1e-15)
+
+
+def test_integral_of_an_unlimited_error_grows_by_gain_times_error_times_period():
+    system = PidController(PidParameters(integral_per_s2=20.0))
+    state = np.zeros(3)
+    for _ in range(10):
+        state = update(system, 0.5, 0.501, state=state)
+    assert state[1] == pytest.approx(10 * T * 20.0 * 0.001, rel=1e-10)
+
+
+def test_back_calculation_keeps_the_integral_of_a_saturated_error_bounded():
+    k_p, k_i, t_t, error = 5.0, 20.0, 0.1, 0.3
+    system = PidController(
+        PidParameters(proportional_per_s=k_p, integral_per_s2=k_i, anti_windup_s=t_t)
+    )
+    state = np.zeros(3)
+    for _ in range(1000):  # 20 time constants
+        state = update(system, 0.5, 0.5 + error, state=state)
+    limited_rate = LIMIT / SPEED_GAIN / 0.1
+    # At rest K_i e + (w_u − K_p e − I)/T_t = 0.
+    assert state[1] == pytest.approx(limited_rate - k_p * error + k_i * t_t * error, rel=1e-6)
+    without = 1000 * T * k_i * error
+    assert abs(state[1]) < 0.1 * without
+
+
+def test_derivative_reads_the_slope_of_a_ramp_once_its_filter_has_settled():
+    system = PidController(PidParameters(proportional_per_s=0.0, derivative=0.3))
+    slope, state = 0.05, np.zeros(3)
+    for index in range(300):  # 30 time constants of 20 ms
+        state = update(system, 0.5, 0.5 + slope * T * index, state=state)
+    rate = -state[0] / (SPEED_GAIN * 0.1)
+    # A ramp's lag in the sampled filter is T/(e^(T/T_d) − 1).
+    lag = T / (math.exp(T / 0.020) - 1.0)
+    assert rate == pytest.approx(0.3 * slope * lag / 0.020, rel=1e-6)  # digits of the area
+    assert lag == pytest.approx(0.020, rel=0.06)  # hence the slope itself, to half a period
+
+
+def test_filter_takes_a_single_encoder_count_from_the_proportional_term():
+    count = math.radians(0.046)
+    system = PidController()
+    first = update(system, 0.5, 0.5 + count)[0]
+    share = 1.0 - math.exp(-T / 0.020)
+    assert first == pytest.approx(share * settled(system, count), rel=1e-10)  # rounding of e
+
+
+def test_initial_error_gives_no_derivative_kick():
+    system = PidController(PidParameters(proportional_per_s=0.0, derivative=0.3))
+    simulator = Simulator(system, at(system, 0.3, 0.5))
+    context = simulator.get_context()
+    simulator.Initialize()
+    assert context.get_discrete_state(0).CopyToVector() == pytest.approx([0.0, 0.0, 0.2])
+    simulator.AdvanceTo(0.1)
+    assert system.GetOutputPort("motor_speed_command").Eval(context)[0] == 0.0
+    kick = update(system, 0.3, 0.5)[0]  # from z = 0 there would be one
+    assert abs(kick) == LIMIT
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        (
+            {"proportional_per_s": -1.0},
+            r"proportional_per_s = -1 1/s is out of range: .*>= 0 .*1/s",
+        ),
+        ({"moment_arm_m": 0.0}, r"moment_arm_m = 0 m is out of range: .*> 0 and <= 2 m"),
+        ({"anti_windup_s": 0.0}, r"anti_windup_s = 0 s is out of range: .*> 0 and <= 1000 s"),
+        ({"sample_time_s": 2.0}, r"sample_time_s = 2 s is out of range: .*> 0 and <= 1 s"),
+        ({"derivative": math.inf}, r"derivative = inf 1 is out of range: must be finite.*"),
+    ],
+)
+def test_parameter_out_of_range_is_refused_in_one_line(values, line):
+    with pytest.raises(ParameterError, match=rf"^PidParameters: {line}\Z"):
+        PidController(PidParameters(**values))
+
+
+def test_nan_angle_is_not_hidden_by_the_limit():
+    system = PidController()
+    simulator = Simulator(system, at(system, math.nan))
+    simulator.AdvanceTo(0.01)
+    assert np.isnan(system.GetOutputPort("motor_speed_command").Eval(simulator.get_context()))
+
+
+def test_unknown_or_nan_context_parameter_is_refused():
+    system = PidController()
+    context = system.CreateDefaultContext()
+    with pytest.raises(ValueError, match="unknown parameter 'k_p'; known: proportional_per_s, "):
+        system.set_parameter(context, "k_p", 1.0)
+    with pytest.raises(ValueError, match="moment_arm_m = nan: must be finite"):
+        system.set_parameter(context, "moment_arm_m", math.nan)

@@ -1,0 +1,308 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.systems.analysis import Simulator
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import (
+    BldcPumpParameters,
+    CylinderParameters,
+    PlantParameters,
+    SlidingModeParameters,
+)
+from kneexo.systems import SlidingModeController
+
+# Lee et al. 2020, Tables 2 and 3.
+AREA, VOLUME, BULK_MODULUS = 274.8894e-6, 41_233e-9, 1.72e9
+DISPLACEMENT, GEAR = 0.8e-6 / (2.0 * math.pi), 6.0
+M_HAT, BETA = math.sqrt(1.4 * 1.8), math.sqrt(1.8 / 1.4)
+B_HAT = 4.0 * BULK_MODULUS * AREA * DISPLACEMENT / (GEAR * M_HAT * VOLUME)
+STIFFNESS_HAT = 4.0 * BULK_MODULUS * AREA**2 / (M_HAT * VOLUME)  # ω̂² in 1/s²
+LIMIT = 5000.0 * 2.0 * math.pi / 60.0
+
+UNCERTAIN = {
+    "stiffness_uncertainty_n_per_m": 300.0,
+    "damping_uncertainty_n_s_per_m": 20.0,
+    "load_rate_uncertainty_n_per_s": 50.0,
+}
+PLANT = PlantParameters(
+    cylinder=CylinderParameters(stiffness_n_per_m=150.0, damping_n_s_per_m=12.0),
+    pump=BldcPumpParameters(gear_ratio=5.0),
+)
+INSIDE = {  # of the boundary layer: |s| stays below 3.2 m/s²
+    "estimated_state": [(0.0749, 0.0751), (-0.02, 0.02), (-0.5, 0.5)],
+    "rod_reference": [(0.0749, 0.0751), (-0.02, 0.02), (-0.5, 0.5), (-5.0, 5.0)],
+}
+OUTSIDE = {"estimated_state": [(0.0, 0.15), (-0.05, 0.05), (-1.0, 1.0)]} | {
+    "rod_reference": [(0.0, 0.15), (-0.05, 0.05), (-1.0, 1.0), (-5.0, 5.0)],
+}
+UNLIMITED = {"command_limit_rad_s": 1e12}
+
+
+def at(system, state, reference):
+    context = system.CreateDefaultContext()
+    system.GetInputPort("estimated_state").FixValue(context, state)
+    system.GetInputPort("rod_reference").FixValue(context, reference)
+    return context
+
+
+def command(state, reference, plant=PLANT, **values):
+    """The next command of the discrete controller."""
+    system = SlidingModeController(SlidingModeParameters(**values), plant)
+    update = system.EvalUniquePeriodicDiscreteUpdate(at(system, state, reference))
+    return update.get_vector(0).GetAtIndex(0)
+
+
+def sliding(state, reference, lambda_):
+    e, e_1, e_2 = np.subtract(state, reference[:3])
+    return e_2 + 2.0 * lambda_ * e_1 + lambda_**2 * e
+
+
+def written_out(state, reference, *, signum=False):
+    """Eq. 27 for `PLANT`, `UNCERTAIN` and the default gains, unlimited."""
+    lambda_, phi, eta = 20.0, 3.2, 2.8e5
+    _, v, a = state
+    demand = reference[3] - 2.0 * lambda_ * (a - reference[2]) - lambda_**2 * (v - reference[1])
+    f = -(STIFFNESS_HAT + 150.0 / M_HAT) * v - 12.0 / M_HAT * a
+    k = (300.0 * abs(v) + 20.0 * abs(a) + 50.0) / M_HAT
+    k += abs(1.0 - BETA) * abs(demand) + BETA * eta
+    s = sliding(state, reference, lambda_)
+    switch = np.sign(s) if signum else min(max(s / phi, -1.0), 1.0)
+    return (demand - f - k * switch) / (B_HAT * GEAR / 5.0)
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def test_held_command_has_no_direct_feedthrough(leaf):
+    found = leaf.structure(SlidingModeController())
+    assert found.inputs == {"estimated_state": 3, "rod_reference": 4}
+    assert found.outputs == {"motor_speed_command": 1, "sliding_variable": 1}
+    assert (found.continuous, found.discrete) == (0, [1])
+    assert found.feedthrough == {
+        ("estimated_state", "sliding_variable"), ("rod_reference", "sliding_variable"),
+    }  # fmt: skip
+
+
+def test_continuous_controller_has_no_state_and_feeds_through(leaf):
+    found = leaf.structure(SlidingModeController(SlidingModeParameters(continuous=True)))
+    assert (found.continuous, found.discrete) == (0, [])
+    assert found.feedthrough == {(i, o) for i in found.inputs for o in found.outputs}
+
+
+def test_command_is_renewed_every_2_ms_or_as_told():
+    for values, period in (({}, 0.002), ({"sample_time_s": 0.001}, 0.001)):
+        system = SlidingModeController(SlidingModeParameters(**values))
+        for converted in (system, system.ToAutoDiffXd(), system.ToSymbolic()):
+            timing = converted.GetUniquePeriodicDiscreteUpdateAttribute()
+            assert (timing.period_sec(), timing.offset_sec()) == (period, 0.0)
+
+
+def test_parameters_have_these_names_and_values():
+    system = SlidingModeController()
+    values = system.parameters(system.CreateDefaultContext())._asdict()
+    assert values == pytest.approx(
+        {
+            "lambda_per_s": 20.0,
+            "phi_m_s2": 3.2,
+            "eta_m_s3": 2.8e5,
+            **dict.fromkeys(UNCERTAIN, 0.0),
+            "mass_estimate_kg": M_HAT,
+            "gain_ratio": BETA,
+            "command_limit_rad_s": LIMIT,
+            "mean_area_m2": AREA,
+            "total_volume_m3": VOLUME,
+            "bulk_modulus_pa": BULK_MODULUS,
+            "damping_n_s_per_m": 0.05,
+            "stiffness_n_per_m": 0.0,
+            "gear_ratio": GEAR,
+            "displacement_m3_per_rad": DISPLACEMENT,
+        },
+        rel=1e-6,  # Table 2 prints seven digits of the area
+    )
+    assert values["gain_ratio"] == pytest.approx(1.134, abs=5e-4)  # √(b_max/b_min) > 1
+    assert values["mass_estimate_kg"] == pytest.approx(1.587, abs=5e-4)
+
+
+# ----------------------------------------------------------------------------- conversion
+
+
+@pytest.mark.parametrize("ranges", [INSIDE, OUTSIDE], ids=["inside", "outside"])
+@pytest.mark.parametrize(
+    "values",
+    [UNLIMITED, {}, {**UNLIMITED, "switching": "signum"}, {**UNLIMITED, "continuous": True}],
+    ids=["unlimited", "limited", "signum", "continuous"],
+)
+def test_conversions_agree_and_keep_arguments(leaf, ranges, values):
+    parameters = SlidingModeParameters(**UNCERTAIN, **values)
+    state = [] if parameters.continuous else [(-500.0, 500.0)]
+    probe = leaf.Probe(SlidingModeController(parameters, PLANT), ranges, state, spread=0.01)
+    probe.check_conversions()
+    probe.check_conversions_keep_arguments()
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+def test_conversions_keep_changed_parameters(leaf):
+    probe = leaf.Probe(SlidingModeController(), INSIDE, [(-500.0, 500.0)])
+    probe.check_conversions_keep("lambda_per_s", 30.0)
+    probe.check_conversions_keep("phi_m_s2", 9.0)
+
+
+# -------------------------------------------------------------------------------- numbers
+
+
+@pytest.mark.parametrize("ranges", [INSIDE, OUTSIDE], ids=["inside", "outside"])
+@pytest.mark.parametrize("switching", ["saturation", "signum"])
+def test_random_points_meet_the_written_out_law(leaf, ranges, switching):
+    parameters = SlidingModeParameters(switching=switching, **UNCERTAIN, **UNLIMITED)
+    system = SlidingModeController(parameters, PLANT)
+    probe = leaf.Probe(system, ranges, [(-500.0, 500.0)], spread=0.0)
+    for z in probe.points(50):
+        state, reference, held = z[1:4], z[4:8], z[8]
+        expected = written_out(state, reference, signum=switching == "signum")
+        results = probe.results(z)
+        # Seven printed digits of the area, squared; terms of up to 1e3 rad/s.
+        assert results[2] == pytest.approx(expected, rel=1e-6, abs=1e-3)
+        assert results[1] == pytest.approx(sliding(state, reference, 20.0), rel=1e-12, abs=1e-12)
+        assert results[0] == held
+
+
+def test_continuous_command_is_the_same_law(leaf):
+    system = SlidingModeController(
+        SlidingModeParameters(continuous=True, **UNCERTAIN, **UNLIMITED), PLANT
+    )
+    probe = leaf.Probe(system, INSIDE, spread=0.0)
+    for z in probe.points(5):
+        expected = written_out(z[1:4], z[4:8])
+        assert probe.results(z)[0] == pytest.approx(expected, rel=1e-6, abs=1e-3)  # as above
+
+
+def test_default_gains_slope_at_1e5_per_s_and_use_the_full_speed_authority():
+    still = [0.075, 0.0, 0.0, 0.0]  # at rest on the reference the demand is zero
+    e = 1e-6
+    u = command([0.075 + e, 0.0, 0.0], still, PlantParameters())
+    assert -u * B_HAT / (20.0**2 * e) == pytest.approx(1e5, rel=0.01)  # k/Φ, to the digits shown
+    full = command([0.15, 0.0, 0.0], still, PlantParameters(), **UNLIMITED)
+    assert -full == pytest.approx(BETA * 2.8e5 / B_HAT, rel=1e-6)
+    assert -full == pytest.approx(LIMIT, rel=0.015)  # βη is b̂ · 524 rad/s to two digits
+
+
+def test_hydraulic_stiffness_and_gain_have_the_known_size():
+    assert pytest.approx(7.94e6, abs=5e3) == STIFFNESS_HAT  # last printed digit
+    # The velocity term of the command is ω̂² v / b̂; on the sliding surface it is all there is.
+    v = 0.01
+    on_surface = [0.075, v, 0.0, 0.0]
+    u = command([0.075, v, 0.0], on_surface, PlantParameters(), **UNLIMITED)
+    assert u == pytest.approx(STIFFNESS_HAT * v / B_HAT, rel=1e-6)  # digits of the area
+    # … and that is the pump's speed for this rod speed: gear · Ā · v / D_m.
+    assert u == pytest.approx(GEAR * AREA * v / DISPLACEMENT, rel=1e-6)
+
+
+def test_saturation_is_linear_inside_the_boundary_layer_and_signum_is_not():
+    still = [0.075, 0.0, 0.0, 0.0]
+
+    def u(s, switching):
+        return command([0.075 + s / 400.0, 0.0, 0.0], still, switching=switching, **UNLIMITED)
+
+    full = u(32.0, "saturation")
+    shares = [u(s, "saturation") / full for s in (-32.0, -3.2, -1.6, 1.6, 3.2)]
+    assert shares == pytest.approx([-1.0, -1.0, -0.5, 0.5, 1.0], rel=1e-9)  # rounding of e
+    signs = [u(s, "signum") / full for s in (-32.0, -1e-3, 0.0, 1e-3, 32.0)]
+    assert signs == pytest.approx([-1.0, -1.0, 0.0, 1.0, 1.0], rel=1e-12)
+
+
+@pytest.mark.parametrize("limit", [LIMIT, 100.0])
+def test_command_stays_within_its_limit_both_ways(limit):
+    values = {"command_limit_rad_s": limit}
+    still = [0.075, 0.0, 0.0, 0.0]
+    assert command([0.15, -0.05, 0.0], still, PlantParameters(), **values) == pytest.approx(-limit)
+    assert command([0.0, 0.05, 0.0], still, PlantParameters(), **values) == pytest.approx(limit)
+
+
+@given(
+    mass=st.floats(1.4, 1.8),
+    state=st.tuples(st.floats(0.0, 0.15), st.floats(-0.05, 0.05), st.floats(-2.0, 2.0)),
+    reference=st.tuples(
+        st.floats(0.0, 0.15), st.floats(-0.05, 0.05), st.floats(-2.0, 2.0), st.floats(-9.0, 9.0)
+    ),
+)
+@settings(deadline=None, max_examples=100)
+def test_sliding_condition_holds_for_every_mass_between_the_bounds(mass, state, reference):
+    # d/dt s² / 2 <= −η|s| outside the boundary layer (Lee et al. 2020, Eq. 24 to 27).
+    s = sliding(state, reference, 20.0)
+    u = command(state, reference, PlantParameters(), **UNLIMITED)
+    jerk = M_HAT / mass * (B_HAT * u - STIFFNESS_HAT * state[1])  # the plant, without friction
+    demand = reference[3] - 40.0 * (state[2] - reference[2]) - 400.0 * (state[1] - reference[1])
+    if abs(s) >= 3.2:
+        # 1e-6 of k for the digits of the area and the friction that the controller expects.
+        assert s * (jerk - demand) <= -(1.0 - 1e-5) * 2.8e5 * abs(s)
+
+
+def test_nominal_plant_reaches_the_surface_at_the_rate_of_the_boundary_layer():
+    # With the exact plant ds/dt = −k sat(s/Φ).
+    state, reference = [0.0752, 0.011, 0.1], [0.075, 0.01, 0.12, 0.5]
+    s = sliding(state, reference, 20.0)
+    u = command(state, reference, PlantParameters(), **UNLIMITED)
+    jerk = B_HAT * u - STIFFNESS_HAT * state[1] - 0.05 / M_HAT * state[2]
+    demand = reference[3] - 40.0 * (state[2] - reference[2]) - 400.0 * (state[1] - reference[1])
+    k = (BETA - 1.0) * abs(demand) + BETA * 2.8e5
+    assert abs(s) < 3.2
+    assert jerk - demand == pytest.approx(-k * s / 3.2, rel=1e-5)  # digits of the area
+
+
+def test_held_command_is_the_one_of_the_last_sample():
+    system = SlidingModeController()
+    simulator = Simulator(system, at(system, [0.0751, 0.0, 0.0], [0.075, 0.0, 0.0, 0.0]))
+    context, port = simulator.get_mutable_context(), system.GetOutputPort("motor_speed_command")
+    simulator.Initialize()
+    assert port.Eval(context) == [0.0]  # no update yet
+    simulator.AdvanceTo(0.0)
+    first = port.Eval(context)[0]
+    assert first == pytest.approx(-BETA * 2.8e5 / B_HAT * 0.04 / 3.2, rel=1e-6)
+    system.GetInputPort("estimated_state").FixValue(context, [0.0749, 0.0, 0.0])
+    simulator.AdvanceTo(0.0015)
+    assert port.Eval(context)[0] == first
+    simulator.AdvanceTo(0.0025)
+    assert port.Eval(context)[0] == pytest.approx(-first, rel=1e-9)  # rounding of e
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"phi_m_s2": 0.0}, r"phi_m_s2 = 0 m/s² is out of range: .*> 0 and <= 1e\+09 m/s²"),
+        ({"lambda_per_s": -1.0}, r"lambda_per_s = -1 1/s is out of range: .*> 0 .*10000 1/s"),
+        ({"sample_time_s": 0.0}, r"sample_time_s = 0 s is out of range: .*> 0 and <= 1 s"),
+        ({"eta_m_s3": math.nan}, r"eta_m_s3 = nan m/s³ is out of range: must be finite.*m/s³"),
+        (
+            {"mass_min_kg": 2.0},
+            r"mass_min_kg = 2 kg must not exceed mass_max_kg = 1\.8 kg",
+        ),
+        ({"switching": "relay"}, r"switching = 'relay': must be 'saturation' or 'signum'"),
+    ],
+)
+def test_parameter_out_of_range_is_refused_in_one_line(values, line):
+    with pytest.raises(ParameterError, match=rf"^SlidingModeParameters: {line}\Z"):
+        SlidingModeController(SlidingModeParameters(**values))
+
+
+@pytest.mark.parametrize("continuous", [False, True], ids=["discrete", "continuous"])
+def test_nan_estimate_is_not_hidden_by_the_limit(continuous):
+    system = SlidingModeController(SlidingModeParameters(continuous=continuous))
+    simulator = Simulator(system, at(system, [0.07, math.nan, 0.0], [0.07, 0.0, 0.0, 0.0]))
+    simulator.AdvanceTo(0.01)
+    assert np.isnan(system.GetOutputPort("motor_speed_command").Eval(simulator.get_context()))
+
+
+def test_unknown_or_nan_context_parameter_is_refused():
+    system = SlidingModeController()
+    context = system.CreateDefaultContext()
+    with pytest.raises(ValueError, match="unknown parameter 'phi'; known: lambda_per_s, phi_m_s2"):
+        system.set_parameter(context, "phi", 1.0)
+    with pytest.raises(ValueError, match="phi_m_s2 = nan: must be finite"):
+        system.set_parameter(context, "phi_m_s2", math.nan)

@@ -1,0 +1,223 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import ObserverParameters
+from kneexo.systems import BackwardDifference, TrackingObserver
+
+T, T_F = 0.002, 0.020  # Lee et al. 2020, Table 3; default of the observer
+Z = math.exp(-T / T_F)
+GAINS = np.array([1.0 - Z**3, 1.5 * (1.0 - Z**2) * (1.0 - Z) / T, (1.0 - Z) ** 3 / T**2])
+PREDICT = np.array([[1.0, T, 0.5 * T**2], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
+INPUTS = {"measured_position": [(0.0, 0.15)]}
+OBSERVER_STATE = [(0.0, 0.15), (-0.1, 0.1), (-1.0, 1.0)]
+
+both = pytest.mark.parametrize("kind", [TrackingObserver, BackwardDifference])
+
+
+def run(system, positions):
+    """Feed measured positions one period after the other; return the estimates (n, 3)."""
+    context = system.CreateDefaultContext()
+    estimates = []
+    for index, y in enumerate(positions):
+        system.GetInputPort("measured_position").FixValue(context, y)
+        if index == 0:  # at rest there
+            context.SetDiscreteState(0, [y, *[0.0] * (context.get_discrete_state(0).size() - 1)])
+        estimates.append(system.GetOutputPort("estimated_state").Eval(context).copy())
+        update = system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0)
+        context.SetDiscreteState(0, update.CopyToVector())
+    return np.array(estimates)
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+@pytest.mark.parametrize(("kind", "states"), [(TrackingObserver, 3), (BackwardDifference, 2)])
+def test_estimate_feeds_the_measurement_through_and_remembers(leaf, kind, states):
+    found = leaf.structure(kind())
+    assert (found.inputs, found.outputs) == ({"measured_position": 1}, {"estimated_state": 3})
+    assert (found.continuous, found.discrete) == (0, [states])
+    assert found.feedthrough == {("measured_position", "estimated_state")}
+
+
+@both
+def test_updates_come_every_2_ms_or_as_told(kind):
+    for system, period in ((kind(), 0.002), (kind(sample_time_s=0.005), 0.005)):
+        timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+        assert (timing.period_sec(), timing.offset_sec()) == (period, 0.0)
+
+
+def test_only_parameter_of_the_observer_is_its_time_constant():
+    system = TrackingObserver(ObserverParameters(time_constant_s=0.05))
+    values = system.parameters(system.CreateDefaultContext())._asdict()
+    assert values == {"time_constant_s": 0.05}
+    assert BackwardDifference().CreateDefaultContext().num_numeric_parameter_groups() == 0
+
+
+# ----------------------------------------------------------------------------- conversion
+
+
+def test_conversions_of_the_observer_agree_and_keep_arguments_and_changes(leaf):
+    system = TrackingObserver(ObserverParameters(time_constant_s=0.03), 0.005)
+    probe = leaf.Probe(system, INPUTS, OBSERVER_STATE)
+    probe.check_conversions()
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("time_constant_s", 0.05)
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+def test_conversions_of_the_differences_agree_and_keep_arguments(leaf):
+    probe = leaf.Probe(BackwardDifference(0.005), INPUTS, [(0.0, 0.15), (-0.1, 0.1)])
+    probe.check_conversions()
+    probe.check_conversions_keep_arguments()
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+# ------------------------------------------------------------------- numbers: the observer
+
+
+def test_observer_meets_the_written_out_equations(leaf):
+    probe = leaf.Probe(TrackingObserver(), INPUTS, OBSERVER_STATE, spread=0.0)
+    for z in probe.points(20):
+        y, predicted = z[1], z[2:5]
+        corrected = predicted + GAINS * (y - predicted[0])
+        expected = np.concatenate([corrected, PREDICT @ corrected])
+        # Rounding: the gain on a is 9e2 … 2e2 1/s².
+        np.testing.assert_allclose(probe.results(z), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("time_constant", [0.008, 0.020, 0.1])
+def test_observer_has_its_three_poles_at_exp_of_minus_t_over_t_f(time_constant):
+    system = TrackingObserver(ObserverParameters(time_constant_s=time_constant))
+    context = system.CreateDefaultContext()
+    system.GetInputPort("measured_position").FixValue(context, 0.0)
+    columns = []
+    for unit in np.eye(3):  # the update is linear and has no constant part
+        context.SetDiscreteState(0, unit)
+        update = system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0)
+        columns.append(update.CopyToVector())
+    found = np.poly(np.transpose(columns))
+    # A triple root is ill-conditioned, its polynomial is not: rounding of gains up to 1e4.
+    np.testing.assert_allclose(found, np.poly([math.exp(-T / time_constant)] * 3), atol=1e-10)
+
+
+def test_observer_follows_constant_acceleration_without_error():
+    times = T * np.arange(600)  # 60 time constants; the poles leave exp(-60)·60²
+    a = 0.8
+    estimates = run(TrackingObserver(), 0.02 + 0.01 * times + 0.5 * a * times**2)
+    exact = [0.02 + 0.01 * times[-1] + 0.5 * a * times[-1] ** 2, 0.01 + a * times[-1], a]
+    # Rounding of the position, 1e-16 m, times the gains of up to 2.4e2 1/s², a few times.
+    np.testing.assert_allclose(estimates[-1], exact, rtol=1e-10)
+
+
+def test_observer_lags_a_constant_jerk_by_the_known_amounts():
+    times, jerk = T * np.arange(900), 3.0
+    error = run(TrackingObserver(), jerk * times**3 / 6.0)[-1] - [
+        jerk * times[-1] ** 3 / 6.0, jerk * times[-1] ** 2 / 2.0, jerk * times[-1],
+    ]  # fmt: skip
+    # The prediction misses jT³/6 each time; the innovation that makes â grow by jT is jT/γ.
+    innovation = jerk * T / GAINS[2]
+    assert error[0] == pytest.approx(-(1.0 - GAINS[0]) * innovation, rel=1e-6)
+    # The velocity gains Tâ + (gain on v)·innovation each time, and must gain Ta + jT²/2.
+    assert error[2] == pytest.approx(-(GAINS[1] * innovation - 0.5 * jerk * T**2) / T, rel=1e-6)
+
+
+def test_one_encoder_count_moves_the_velocity_estimate_far_less_than_differences_do():
+    count = 0.38e-3  # m of rod at 90 deg of flexion
+    positions = np.r_[0.0, np.full(99, count)]
+    plain = run(BackwardDifference(), positions)[:, 1].max()
+    observed = run(TrackingObserver(), positions)[:, 1].max()
+    assert plain == pytest.approx(0.19, rel=1e-12)  # one count per 2 ms
+    # In continuous time (3τ − τ²) e^(−τ) count/T_F with τ = t/T_F, greatest at τ = (5 − √13)/2;
+    # sampling ten times per time constant shifts it by 1 %.
+    tau = 0.5 * (5.0 - math.sqrt(13.0))
+    peak = (3.0 * tau - tau**2) * math.exp(-tau) * count / T_F
+    assert observed == pytest.approx(peak, rel=0.02)
+    assert observed < 0.1 * plain
+
+
+# ---------------------------------------------------------------- numbers: the differences
+
+
+def test_differences_of_random_positions_are_the_written_out_ones():
+    y = np.random.default_rng(2).uniform(0.0, 0.15, 12)
+    v = np.r_[0.0, np.diff(y) / T]
+    a = np.r_[0.0, np.diff(v) / T]
+    # Rounding of y over T²: 1e-17 m / 4e-6 s².
+    np.testing.assert_allclose(
+        run(BackwardDifference(), y), np.transpose([y, v, a]), rtol=1e-9, atol=1e-9
+    )
+
+
+def test_differences_lag_constant_acceleration_by_half_a_period():
+    times, a = T * np.arange(10), 0.8
+    estimates = run(BackwardDifference(), 0.5 * a * times**2)
+    np.testing.assert_allclose(estimates[2:, 1], a * (times[2:] - 0.5 * T), rtol=1e-11)
+    np.testing.assert_allclose(estimates[3:, 2], a, rtol=1e-8)  # 1e-17 m over T²
+
+
+# ------------------------------------------------------------------------- initialization
+
+
+@both
+def test_initialize_puts_the_estimator_at_rest_at_the_measured_position(kind):
+    system = kind()
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    system.GetInputPort("measured_position").FixValue(context, 0.123)
+    simulator.Initialize()
+    assert list(system.GetOutputPort("estimated_state").Eval(context)) == [0.123, 0.0, 0.0]
+    simulator.AdvanceTo(0.1)  # and it stays there
+    assert list(system.GetOutputPort("estimated_state").Eval(context)) == [0.123, 0.0, 0.0]
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("value", "line"),
+    [
+        (0.0, r"time_constant_s = 0 s is out of range: .*> 0 and <= 10 s"),
+        (math.nan, r"time_constant_s = nan s is out of range: must be finite.*<= 10 s"),
+    ],
+)
+def test_time_constant_out_of_range_is_refused_in_one_line(value, line):
+    with pytest.raises(ParameterError, match=rf"^ObserverParameters: {line}\Z"):
+        TrackingObserver(ObserverParameters(time_constant_s=value))
+
+
+@pytest.mark.xfail(strict=True, reason="the sample time is not validated")
+@pytest.mark.parametrize("sample_time", [0.0, -0.002, math.nan])
+@both
+def test_sample_time_out_of_range_is_refused_in_one_line(kind, sample_time):
+    with pytest.raises(ParameterError, match="sample_time_s"):
+        kind(sample_time_s=sample_time)
+
+
+@both
+def test_nan_measurement_shows_in_every_estimate(kind):
+    system = kind()
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    system.GetInputPort("measured_position").FixValue(context, math.nan)
+    simulator.AdvanceTo(0.01)
+    assert np.isnan(system.GetOutputPort("estimated_state").Eval(context)).all()
+
+
+def test_unknown_or_nan_context_parameter_is_refused():
+    system = TrackingObserver()
+    context = system.CreateDefaultContext()
+    with pytest.raises(ValueError, match=r"unknown parameter 't_f'; known: time_constant_s$"):
+        system.set_parameter(context, "t_f", 0.02)
+    with pytest.raises(ValueError, match="time_constant_s = nan: must be finite"):
+        system.set_parameter(context, "time_constant_s", math.nan)
+
+
+@pytest.mark.xfail(strict=True, reason="AttributeError: BackwardDifference has no parameters")
+def test_unknown_context_parameter_of_the_differences_is_refused():
+    system = BackwardDifference()
+    with pytest.raises(ValueError, match="unknown parameter"):
+        system.set_parameter(system.CreateDefaultContext(), "time_constant_s", 0.02)

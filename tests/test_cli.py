@@ -1,0 +1,156 @@
+import csv
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from kneexo.cli import main
+from kneexo.parameters import Scenario
+from kneexo.scenario import load_scenario
+
+SHORT = """
+reference: {frequency_hz: 1.0, amplitude_deg: 2.0}
+simulation: {duration_s: 1.2}
+"""
+
+
+@pytest.fixture
+def scenario_file(tmp_path):
+    def write(text):
+        path = tmp_path / "scenario.yaml"
+        path.write_text(text)
+        return str(path)
+
+    return write
+
+
+def test_help_names_every_command_and_needs_no_drake():
+    code = (
+        "import sys, kneexo.cli\n"
+        "try: kneexo.cli.main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "assert not {'pydrake', 'matplotlib', 'numpy'} & set(sys.modules)\n"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    for command in ("reproduce", "simulate", "params", "diagram"):
+        assert command in out.stdout
+
+
+def test_params_lists_every_number_with_unit_and_provenance(capsys):
+    assert main(["params", "--json"]) == 0
+    rows = {row["parameter"]: row for row in json.loads(capsys.readouterr().out)}
+    mass = rows["plant.cylinder.mass_kg"]
+    assert (mass["value"], mass["unit"]) == ("1.6", "kg")
+    assert "Table" in mass["provenance"]
+    assert all(row["provenance"] for row in rows.values())
+    assert main(["params"]) == 0
+    assert "plant.pump.lag_s = 0.01 s" in capsys.readouterr().out
+
+
+def test_params_prints_a_scenario_file_that_loads(capsys, tmp_path):
+    assert main(["params", "--yaml"]) == 0
+    path = tmp_path / "full.yaml"
+    path.write_text(capsys.readouterr().out)
+    assert load_scenario(path) == Scenario()
+
+
+def test_params_prints_a_json_schema(capsys):
+    assert main(["params", "--schema"]) == 0
+    assert "plant" in json.loads(capsys.readouterr().out)["properties"]
+
+
+def test_simulate_writes_signals_metrics_scenario_and_plot(capsys, scenario_file, tmp_path):
+    out = tmp_path / "out"
+    assert main(["simulate", scenario_file(SHORT), "--out", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert {file.name for file in out.iterdir()} == {
+        "signals.csv",
+        "metrics.json",
+        "scenario.yaml",
+        "tracking.png",
+        "tracking.pdf",
+    }
+    assert json.loads((out / "metrics.json").read_text()) == printed
+    assert printed["max_error_deg"] < 0.5
+    assert load_scenario(out / "scenario.yaml").reference.frequency_hz == 1.0
+    with (out / "signals.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0][:2] == ["time_s", "knee_reference_rad"]
+    assert "load_pressure_pa" in rows[0]
+    assert len(rows) == 1 + 601
+
+
+def test_diagram_always_writes_the_dot_file(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))  # no Graphviz here
+    assert main(["diagram", "--out", str(tmp_path / "out")]) == 0
+    text = (tmp_path / "out" / "closed_loop.dot").read_text()
+    assert "digraph" in text
+    assert "controller" in text
+    captured = capsys.readouterr()
+    assert "install Graphviz" in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_diagram_draws_with_graphviz(capsys, tmp_path, monkeypatch):
+    fake = tmp_path / "dot"
+    fake.write_text('#!/bin/sh\nfor last; do :; done\necho "$1" > "$last"\n')
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    assert main(["diagram", "--out", str(tmp_path / "out"), "--json"]) == 0
+    names = json.loads(capsys.readouterr().out)["files"]
+    assert names == ["closed_loop.dot", "closed_loop.png", "closed_loop.svg"]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("plant: {cylinder: {mass_kg: -1}}", "plant.cylinder.mass_kg = -1 kg is out of range"),
+        ("plant: {cylinder: {mass_kg: .nan}}", "mass_kg = nan kg is out of range"),
+        ("plant: {cylinder: {mas_kg: 1.0}}", "plant.cylinder.mas_kg: unknown name"),
+        ("reference: {mean_deg: 70.0}", "leaves the range of motion 0 … 90 deg"),
+        ("plant: {linkage: {a_2_m: 0.2}}", "cannot be assembled"),
+        ("simulation: {duration_s: 5.0}", "must exceed the first period"),
+        ("controller: {kind: lqr}", "controller.kind = 'lqr'"),
+        (
+            SHORT + "  integrator: runge_kutta3\n".replace("  ", "  "),
+            "t = ",
+        ),
+    ],
+)
+def test_bad_scenarios_are_one_line_exit_2_and_leave_nothing(
+    capsys, scenario_file, tmp_path, text, told
+):
+    text = text.replace("{duration_s: 1.2}\n  integrator", "{duration_s: 1.2, integrator").replace(
+        "runge_kutta3\n", "runge_kutta3}\n"
+    )
+    out = tmp_path / "out"
+    assert main(["simulate", scenario_file(text), "--out", str(out)]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("kneexo:")]
+    assert len(lines) == 1
+    assert told in lines[0]
+    assert not out.exists()
+
+
+def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp_path):
+    assert main(["simulate", str(tmp_path / "no.yaml"), "--out", str(tmp_path / "o")]) == 2
+    assert "no.yaml" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    for command in ("reproduce", "simulate", "diagram"):
+        assert main([command, "--out", str(tmp_path / "file")]) == 2
+        error = capsys.readouterr().err
+        assert "cannot write there" in error
+        assert len(error.splitlines()) == 1
+
+
+def test_workers_below_one_are_refused(capsys, tmp_path):
+    assert main(["reproduce", "--out", str(tmp_path / "o"), "--workers", "0"]) == 2
+    assert "--workers = 0" in capsys.readouterr().err
+
+
+def test_python_m_kneexo_is_the_same_command():
+    out = subprocess.run(
+        [sys.executable, "-m", "kneexo", "--version"], capture_output=True, text=True, check=True
+    )
+    assert out.stdout.startswith("kneexo ")

@@ -1,0 +1,68 @@
+import json
+import math
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from kneexo.errors import OutputError
+from kneexo.output import output_directory, save_figure, to_json
+
+
+def test_files_appear_when_the_body_ends(tmp_path):
+    target = tmp_path / "a" / "b"
+    with output_directory(target) as directory:
+        (directory / "x.txt").write_text("1")
+        assert not (target / "x.txt").exists()
+    assert [file.name for file in target.iterdir()] == ["x.txt"]
+
+
+def test_nothing_is_left_when_the_body_fails(tmp_path):
+    target = tmp_path / "out"
+    with pytest.raises(ZeroDivisionError), output_directory(target) as directory:
+        (directory / "x.txt").write_text("half")
+        raise ZeroDivisionError
+    assert not target.exists()
+
+
+def test_old_files_survive_a_failure(tmp_path):
+    (tmp_path / "x.txt").write_text("old")
+    with pytest.raises(KeyboardInterrupt), output_directory(tmp_path) as directory:
+        (directory / "x.txt").write_text("new")
+        raise KeyboardInterrupt
+    assert [file.name for file in tmp_path.iterdir()] == ["x.txt"]
+    assert (tmp_path / "x.txt").read_text() == "old"
+
+
+@pytest.mark.parametrize("where", ["file", "file/below", "/proc/kneexo"])
+def test_an_unwritable_directory_is_refused_before_the_body(tmp_path, where):
+    (tmp_path / "file").write_text("")
+    entered = False
+    with pytest.raises(OutputError, match="cannot write there") as caught:
+        with output_directory(tmp_path / where):
+            entered = True
+    assert not entered
+    assert "\n" not in str(caught.value)
+
+
+def test_a_failing_write_is_an_output_error(tmp_path):
+    with pytest.raises(OutputError, match="No space"), output_directory(tmp_path / "out"):
+        raise OSError(28, "No space left on device")
+    assert not (tmp_path / "out").exists()
+
+
+def test_json_has_plain_numbers_and_null_for_nan():
+    text = to_json({"a": np.arange(2), "b": (math.nan, np.float64(1.5)), "c": {"d": "µ"}})
+    assert json.loads(text) == {"a": [0, 1], "b": [None, 1.5], "c": {"d": "µ"}}
+
+
+def test_equal_figures_are_equal_files(tmp_path):
+    for name in "ab":
+        figure, ax = plt.subplots()
+        ax.plot([0, 1])
+        (tmp_path / name).mkdir()
+        save_figure(tmp_path / name, "f", figure)
+        plt.close(figure)
+    for kind in ("png", "pdf"):
+        first, second = ((tmp_path / name / f"f.{kind}").read_bytes() for name in "ab")
+        assert first == second

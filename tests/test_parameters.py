@@ -1,0 +1,425 @@
+"""Parameter classes: the paper's numbers, units, ranges, provenance and the faults they raise."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import re
+import typing
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from kneexo.errors import KneexoError, ParameterError
+from kneexo.parameters import (
+    G1,
+    G2,
+    G3,
+    IDEAL_SMC,
+    LINKAGES,
+    RPM,
+    BldcPumpParameters,
+    CylinderParameters,
+    EncoderParameters,
+    ExactParameters,
+    KneeLoadParameters,
+    KneeParameters,
+    LinkageParameters,
+    Parameters,
+    PidParameters,
+    PlantParameters,
+    RodPolynomialParameters,
+    SampledReference,
+    Scenario,
+    SimulationParameters,
+    SineReference,
+    SlidingModeParameters,
+    allowed_range,
+    source_of,
+    unit_of,
+)
+
+
+def classes_of(annotation: typing.Any) -> list[type[Parameters]]:
+    """The parameter classes that an annotation names, with those of their fields."""
+    if isinstance(annotation, type) and issubclass(annotation, Parameters):
+        nested = [classes_of(field.annotation) for field in annotation.model_fields.values()]
+        return [annotation, *(model for models in nested for model in models)]
+    return [model for part in typing.get_args(annotation) for model in classes_of(part)]
+
+
+def is_number(annotation: typing.Any) -> bool:
+    parts = typing.get_args(annotation) if typing.get_origin(annotation) is tuple else [annotation]
+    return any(part in (int, float) for part in parts)
+
+
+CLASSES = list(dict.fromkeys(classes_of(Scenario)))
+FIELDS = {
+    f"{model.__name__}.{name}": (model, name, field)
+    for model in CLASSES
+    for name, field in model.model_fields.items()
+}
+NUMBERS = {key: entry for key, entry in FIELDS.items() if is_number(entry[2].annotation)}
+BOUNDED = {key: entry for key, entry in NUMBERS.items() if entry[2].annotation in (int, float)}
+
+each_number = pytest.mark.parametrize(("model", "name", "field"), NUMBERS.values(), ids=NUMBERS)
+each_bounded = pytest.mark.parametrize(("model", "name", "field"), BOUNDED.values(), ids=BOUNDED)
+
+
+def bounds_of(field: FieldInfo) -> tuple[float, float, bool]:
+    """Lower and upper bound, and whether the lower one is excluded."""
+    found = {
+        key: getattr(bound, key)
+        for bound in field.metadata
+        for key in ("ge", "gt", "le")
+        if getattr(bound, key, None) is not None
+    }
+    return found.get("gt", found.get("ge")), found["le"], "gt" in found
+
+
+def fault(model: type[Parameters], **values: typing.Any) -> str:
+    with pytest.raises(ParameterError) as caught:
+        model(**values)
+    line = str(caught.value)
+    assert line.isprintable()
+    assert line.startswith(f"{model.__name__}: ")
+    return line
+
+
+# ------------------------------------------------------------------------ introspection
+
+
+def test_introspection_sees_every_class() -> None:
+    assert len(CLASSES) >= 20
+    assert len(BOUNDED) >= 60
+    assert {LinkageParameters, KneeLoadParameters, PidParameters, SampledReference} <= {*CLASSES}
+
+
+@each_number
+def test_number_has_unit_range_and_provenance(
+    model: type[Parameters], name: str, field: FieldInfo
+) -> None:
+    assert unit_of(field)
+    listed = typing.get_origin(field.annotation) is tuple
+    assert listed or re.fullmatch(r">=? \S+ and <= \S+", allowed_range(field))
+    kinds = "Tables? |Sections? |Eq\\. |Fig\\. |assumption|given by the user|standard gravity"
+    run = "three periods|the control period|accuracy of|rod position minus reference"
+    assert re.match(f"({kinds}|{run})", source_of(field)), source_of(field)
+
+
+def test_choices_have_a_provenance() -> None:
+    for key, (_, name, field) in FIELDS.items():
+        assert source_of(field) or classes_of(field.annotation) or name == "kind", key
+
+
+SUFFIXES = {
+    "1": "",
+    "deg": "_deg",
+    "deg/s": "_deg_s",
+    "deg/mm^n": "_deg_mm",
+    "Hz": "_hz",
+    "kg": "_kg",
+    "m": "_m",
+    "m/s²": "_m_s2",
+    "m/s³": "_m_s3",
+    "m³": "_m3",
+    "m³/(s·Pa)": "_m3_per_s_pa",
+    "m³/rad": "_m3_per_rad",
+    "mm/deg^n": "_mm_deg",
+    "N": "_n",
+    "N/(m/s)": "_n_s_per_m",
+    "N/m": "_n_per_m",
+    "N/s": "_n_per_s",
+    "N·m": "_n_m",
+    "Pa": "_pa",
+    "rad": "_rad",
+    "rad/s": "_rad_s",
+    "rad/s²": "_rad_s2",
+    "s": "_s",
+    "samples": "_samples",
+    "W": "_w",
+    "1/s": "_per_s",
+    "1/s²": "_per_s2",
+}
+
+
+@each_number
+def test_name_ends_with_the_unit(model: type[Parameters], name: str, field: FieldInfo) -> None:
+    longest = max((s for s in SUFFIXES.values() if name.endswith(s)), key=len)
+    assert longest == SUFFIXES[unit_of(field)]
+
+
+@pytest.mark.parametrize("model", CLASSES)
+def test_classes_are_documented_and_frozen(model: type[Parameters]) -> None:
+    assert model.__doc__
+    samples = {"times_s": (0.0, 1.0, 2.0), "angles_deg": (1.0, 2.0, 3.0)}
+    instance = model(**samples) if model is SampledReference else model()
+    for name in model.model_fields:
+        with pytest.raises(ValidationError, match="frozen"):
+            setattr(instance, name, getattr(instance, name))
+    assert hash(instance) == hash(instance.model_copy())
+
+
+# -------------------------------------------------------------------- the paper's tables
+
+
+def test_table_1() -> None:
+    polynomial = RodPolynomialParameters()
+    assert polynomial.p_mm_deg == (1.571e-8, -4.164e-6, 4.789e-4, -0.03192, -0.6195, 148.0)
+    assert polynomial.q_deg_mm == (-1.807e-9, 5.788e-7, -7.285e-5, 0.004161, -0.6389, 91.73)
+    angle = math.radians(60.0)
+    rod = sum(p * angle ** (5 - n) for n, p in enumerate(polynomial.p_si))
+    rod_mm = sum(p * 60.0 ** (5 - n) for n, p in enumerate(polynomial.p_mm_deg))
+    assert 1e3 * rod == pytest.approx(rod_mm, rel=1e-13)
+    back = sum(q * rod_mm ** (5 - n) for n, q in enumerate(polynomial.q_deg_mm))
+    assert back == pytest.approx(60.0, abs=0.1)  # the printed maps are inverse to 0.1 deg
+
+
+def test_table_2() -> None:
+    cylinder, controller = CylinderParameters(), SlidingModeParameters()
+    assert 1e6 * cylinder.mean_area_m2 == pytest.approx(274.8894, abs=5e-5)
+    assert 1e9 * cylinder.total_volume_m3 == pytest.approx(41_233.0, rel=1e-14)
+    assert 1e9 * cylinder.mean_area_m2 * cylinder.stroke_m == pytest.approx(41_233.0, abs=0.5)
+    assert cylinder.bulk_modulus_pa == pytest.approx(17_200 * 1e5, rel=1e-14)
+    assert cylinder.mass_kg == 1.6
+    assert cylinder.damping_n_s_per_m == 0.05
+    assert (controller.mass_min_kg, controller.mass_max_kg) == (1.4, 1.8)
+    assert controller.mass_estimate_kg == pytest.approx(1.587, abs=5e-4)
+    assert controller.gain_ratio == pytest.approx(1.134, abs=5e-4)
+    for limited in (controller, PidParameters()):
+        assert limited.command_limit_rad_s / RPM == pytest.approx(5000.0, rel=1e-14)
+
+
+def test_table_3() -> None:
+    pump, cylinder = BldcPumpParameters(), CylinderParameters()
+    assert pump.speed_limit_rad_s == pytest.approx(5000 * 2 * math.pi / 60, rel=1e-14)
+    assert 1e6 * pump.displacement_m3_per_rad * 2 * math.pi == pytest.approx(0.8, rel=1e-14)
+    assert pump.rated_power_w == 200.0
+    assert (cylinder.bore_m, cylinder.rod_diameter_m, cylinder.stroke_m) == (0.02, 0.01, 0.15)
+    assert 1e6 * cylinder.cap_area_m2 == pytest.approx(100 * math.pi, rel=1e-14)
+    assert 1e6 * cylinder.rod_side_area_m2 == pytest.approx(75 * math.pi, rel=1e-14)
+    assert cylinder.pressure_rating_pa == 3.5e6
+    assert SlidingModeParameters().sample_time_s == PidParameters().sample_time_s == 0.002
+
+
+def test_text_of_the_paper() -> None:
+    assert BldcPumpParameters().gear_ratio == 6.0
+    assert EncoderParameters().counts_per_revolution == 2**12
+    assert EncoderParameters().resolution_rad == pytest.approx(2 * math.pi / 4096, rel=1e-14)
+    assert EncoderParameters(quantized=False).resolution_rad == 0.0
+    knee, reference = KneeParameters(), SineReference()
+    assert (knee.flexion_min_deg, knee.flexion_max_deg) == (0.0, 90.0)
+    assert reference.mean_deg - reference.amplitude_deg == 10.0
+    assert reference.mean_deg + reference.amplitude_deg == 70.0
+    assert reference.frequency_hz == 0.1
+
+
+def test_derived_values() -> None:
+    pump = BldcPumpParameters(
+        internal_leakage_m3_per_s_pa=3e-13, external_leakage_m3_per_s_pa=2e-13
+    )
+    assert pump.leakage_m3_per_s_pa == pytest.approx(4e-13, rel=1e-14)  # C_im + C_em/2
+    nominal = PlantParameters(cylinder=CylinderParameters(mass_kg=1.0))
+    assert Scenario().believed_plant is Scenario().plant
+    assert Scenario(nominal=nominal).believed_plant == nominal
+
+
+def test_linkage_may_be_named() -> None:
+    assert LINKAGES == {"G1": G1, "G2": G2, "G3": G3}
+    assert len({G1, G2, G3}) == 3
+    assert LinkageParameters() == G1 == PlantParameters().linkage
+    assert PlantParameters(linkage="G3").linkage is G3
+    line = fault(PlantParameters, linkage="G4")
+    assert "linkage" in line
+    assert "must be one of G1, G2, G3" in line
+
+
+# ------------------------------------------------------------------------------- faults
+
+
+@each_bounded
+def test_number_must_be_finite(model: type[Parameters], name: str, field: FieldInfo) -> None:
+    unit, allowed = unit_of(field), allowed_range(field)
+    for value in (math.nan, math.inf, -math.inf):
+        line = fault(model, **{name: value})
+        assert line.startswith(f"{model.__name__}: {name} = {value:g} {unit}")
+        assert line.endswith(f"{allowed} {unit}")
+        if field.annotation is float:
+            assert f"{unit} is out of range: must be finite and " in line
+
+
+@each_bounded
+def test_number_must_be_a_number(model: type[Parameters], name: str, field: FieldInfo) -> None:
+    for value in ("1", True, (1.0,), {}):
+        line = fault(model, **{name: value})
+        assert line.startswith(f"{model.__name__}: {name} = {value!r} {unit_of(field)}: must be ")
+        assert line.endswith(f"{allowed_range(field)} {unit_of(field)}")
+
+
+@each_bounded
+def test_bounds_are_exact(model: type[Parameters], name: str, field: FieldInfo) -> None:
+    low, high, exclusive = bounds_of(field)
+    if field.annotation is int:
+        outside = (low - 1, high + 1)
+    else:
+        outside = (low if exclusive else math.nextafter(low, -1e9), math.nextafter(high, 1e99))
+    for value in outside:
+        assert "is out of range" in fault(model, **{name: value})
+
+
+COUPLED = ("must be below", "must not exceed")
+
+
+@given(data=st.data(), key=st.sampled_from(sorted(BOUNDED)))
+def test_value_inside_the_range_is_accepted_and_kept(data: st.DataObject, key: str) -> None:
+    model, name, field = BOUNDED[key]
+    low, high, exclusive = bounds_of(field)
+    value = data.draw(
+        st.integers(low, high)
+        if field.annotation is int
+        else st.floats(low, high, exclude_min=exclusive)
+    )
+    try:
+        assert getattr(model(**{name: value}), name) == value
+    except ParameterError as error:  # a neighbour's default does not fit
+        assert any(reason in str(error) for reason in COUPLED)  # noqa: PT017
+
+
+@given(data=st.data(), key=st.sampled_from(sorted(BOUNDED)))
+def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> None:
+    model, name, field = BOUNDED[key]
+    low, high, exclusive = bounds_of(field)
+    if field.annotation is int:
+        outside = st.integers(max_value=low - 1) | st.integers(min_value=high + 1)
+    else:
+        outside = st.floats(max_value=low, exclude_max=not exclusive, allow_infinity=False)
+        outside |= st.floats(min_value=high, exclude_min=True)
+    value = data.draw(outside)
+    shown = f"{value:g}" if isinstance(value, float) else f"{value}"
+    line = fault(model, **{name: value})
+    assert line.startswith(f"{model.__name__}: {name} = ")
+    assert shown in line or len(shown) > 60
+    assert f"{allowed_range(field)} {unit_of(field)}" in line
+
+
+@pytest.mark.parametrize(
+    ("model", "values", "line"),
+    [
+        (
+            CylinderParameters,
+            {"mass_kg": -1},
+            "mass_kg = -1 kg is out of range: must be finite and > 0 and <= 1000 kg",
+        ),
+        (
+            CylinderParameters,
+            {"mass_kg": "heavy"},
+            "mass_kg = 'heavy' kg: must be a valid number, > 0 and <= 1000 kg",
+        ),
+        (
+            KneeParameters,
+            {"flexion_deg": 3.0},
+            "flexion_deg: unknown name; known here: flexion_max_deg, flexion_min_deg",
+        ),
+        (
+            CylinderParameters,
+            {"rod_diameter_m": 0.02},
+            "rod_diameter_m = 0.02 m must be below bore_m = 0.02 m",
+        ),
+        (
+            KneeParameters,
+            {"flexion_min_deg": 50.0, "flexion_max_deg": 40.0},
+            "flexion_min_deg = 50 deg must be below flexion_max_deg = 40 deg",
+        ),
+        (
+            SlidingModeParameters,
+            {"mass_min_kg": 2.0},
+            "mass_min_kg = 2 kg must not exceed mass_max_kg = 1.8 kg",
+        ),
+        (
+            SampledReference,
+            {"times_s": (0.0, 1.0, 2.0), "angles_deg": (1.0,) * 4},
+            "times_s has 3 values and angles_deg has 4: must be as many",
+        ),
+        (
+            SampledReference,
+            {"times_s": (0.0, 1.0, 1.0), "angles_deg": (1.0,) * 3},
+            "times_s must be strictly increasing",
+        ),
+        (SampledReference, {"times_s": (0.0, 1.0, 2.0)}, "angles_deg: is missing"),
+        (
+            SimulationParameters,
+            {"integrator": "euler"},
+            "integrator = 'euler': must be 'radau3', 'radau1', 'runge_kutta3' or 'implicit_euler'",
+        ),
+        (
+            Scenario,
+            {"plant": {"load": {"kind": "knee", "segment_mass_kg": -1.0}}},
+            "plant.load.segment_mass_kg = -1 kg is out of range: "
+            "must be finite and >= 0 and <= 200 kg",
+        ),
+        (
+            Scenario,
+            {"controller": {"kind": "lqr"}},
+            "controller.kind = 'lqr': must be 'smc', 'pid'",
+        ),
+        (
+            Scenario,
+            {"controller": SlidingModeParameters(continuous=True)},
+            "controller.continuous = true needs estimator.kind = exact, not observer",
+        ),
+        (
+            Scenario,
+            {
+                "controller": SlidingModeParameters(continuous=True),
+                "estimator": ExactParameters(),
+                "can_delay_samples": 1,
+            },
+            "can_delay_samples = 1 needs a discrete controller",
+        ),
+        (
+            BldcPumpParameters,
+            {"lag_s": 5.0, "gear_ratio": 0.0},
+            "lag_s = 5 s is out of range: must be finite and >= 0.0001 and <= 1 s (and 1 more)",
+        ),
+    ],
+)
+def test_fault_is_one_line(
+    model: type[Parameters], values: dict[str, typing.Any], line: str
+) -> None:
+    assert fault(model, **values) == f"{model.__name__}: {line}"
+
+
+def test_parameter_error_is_a_value_error() -> None:
+    assert issubclass(ParameterError, ValueError)
+    assert issubclass(ParameterError, KneexoError)
+
+
+# ----------------------------------------------------------------------- hash and pickle
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        Scenario(),
+        IDEAL_SMC,
+        Scenario(
+            nominal=PlantParameters(linkage=G2, load=KneeLoadParameters()),
+            controller=PidParameters(),
+            reference=SampledReference(times_s=(0.0, 1.0, 2.0), angles_deg=(5.0, 6.0, 5.5)),
+        ),
+    ],
+    ids=["default", "ideal", "pid"],
+)
+def test_scenario_is_hashable_and_picklable(scenario: Scenario) -> None:
+    copy = pickle.loads(pickle.dumps(scenario))
+    assert copy == scenario
+    assert hash(copy) == hash(scenario)
+    assert len({scenario, copy, Scenario(can_delay_samples=3)}) == 2
+
+
+def test_integers_become_floats() -> None:
+    mass = CylinderParameters(mass_kg=2).mass_kg
+    assert isinstance(mass, float)
