@@ -230,7 +230,7 @@ def _parameter_rows(model: BaseModel, path: str = "") -> Iterator[dict[str, Any]
     """Every number and choice of a parameter object, with what is known of it."""
     from pydantic import BaseModel
 
-    from kneexo.parameters import allowed_range, source_of, unit_of
+    from kneexo.quantity import allowed_range, source_of, unit_of
 
     for name, field in type(model).model_fields.items():
         value = getattr(model, name)

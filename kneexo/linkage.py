@@ -27,7 +27,9 @@ FIT_RANGE_DEG = (-2.0, 91.0)
 """Knee angles that the inverse `RodInverse` covers: the range of motion and a margin."""
 
 FIT_DEGREE = 25
-"""Chebyshev degree of `RodInverse`: below 1e-12 rad for G1, G2 and G3."""
+"""Chebyshev degree of `RodInverse`: below 5e-12 rad for G1, G2 and G3."""
+
+_FIT_TOLERANCE_RAD = 1e-8
 
 
 # ------------------------------------------------------------- encoder angle to knee angle
@@ -98,8 +100,9 @@ def pose(link: LinkageParameters, knee_angle: ArrayLike) -> LinkagePose:
     Raises `LinkageError` where the links do not close.
     """
     theta_p = np.asarray(knee_angle, dtype=float)
+    wrapped = _theta_4(link, theta_p)
     middle = _theta_4(link, np.asarray(np.pi / 4.0))
-    theta_4 = middle + wrap(_theta_4(link, theta_p) - middle)
+    theta_4 = middle + wrap(wrapped - middle)
     o_a, o_b = _ground(link)
     theta_3 = theta_p - link.phi_rad
     joint_b = o_b + link.a_4_m * np.exp(1j * theta_4)
@@ -188,19 +191,25 @@ def _rod_and_arm(link: LinkageParameters, angle: Array) -> tuple[Array, Array]:
     return at.rod_extension, at.moment_arm
 
 
+def _table(rod_and_arm: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Knee angles every 0.5° and their rod extensions, which must fall; else `LinkageError`."""
+    grid = np.radians(np.linspace(*FIT_RANGE_DEG, 187))
+    extension, _ = rod_and_arm(grid)
+    if np.any(rising := np.diff(extension) >= 0.0):
+        angle = np.degrees(grid[np.argmax(rising)])
+        raise LinkageError(
+            f"the rod has a dead centre near knee angle {angle:.4g} deg: its extension must fall "
+            f"as the knee flexes over {FIT_RANGE_DEG[0]:g}…{FIT_RANGE_DEG[1]:g} deg"
+        )
+    return grid, extension
+
+
 def _invert(
     rod_and_arm: Callable[[Array], tuple[Array, Array]],
     extension: ArrayLike,
 ) -> Array:
     x = np.asarray(extension, dtype=float)
-    grid = np.radians(np.linspace(*FIT_RANGE_DEG, 187))
-    table, _ = rod_and_arm(grid)
-    if np.any(np.diff(table) >= 0.0):
-        angle = np.degrees(grid[np.argmax(np.diff(table) >= 0.0)])
-        raise LinkageError(
-            f"the rod has a dead centre near knee angle {angle:.4g} deg: its extension must fall "
-            f"as the knee flexes over {FIT_RANGE_DEG[0]:g}…{FIT_RANGE_DEG[1]:g} deg"
-        )
+    grid, table = _table(rod_and_arm)
     slack = 1e-9
     if np.any(bad := ~((x >= table[-1] - slack) & (x <= table[0] + slack))):
         raise LinkageError(
@@ -293,8 +302,9 @@ class RodInverse:
     """θ_p, θ_4 and r as polynomials of t = (√(x_dc − x) − centre)/half_width.
 
     The rod's dead centre (θ_dc, x_dc) lies outside the range of motion, and in √(x_dc − x) the
-    inverse is analytic, so a Chebyshev fit of degree 25 reaches 1e-12; it is kept in powers of t,
-    highest first, because Horner's rule stays small in symbolic form where Clenshaw's unfolds.
+    inverse is analytic, so a Chebyshev fit of degree 25 is exact to rounding. It is kept in powers
+    of t, highest first, because Horner's rule stays small in symbolic form where Clenshaw's
+    unfolds.
     """
 
     dead_centre_m: float
@@ -311,8 +321,8 @@ def fit_rod_inverse(
 ) -> RodInverse:
     """Fit `RodInverse` to the exact linkage, or to Eq. 10 where ``table_1`` is given.
 
-    Raises `LinkageError` when the linkage cannot be assembled or the rod does not fall as the knee
-    flexes, over −2…91°.
+    Raises `LinkageError` when the linkage cannot be assembled, the rod does not fall as the knee
+    flexes over −2…91°, or the fit is off by more than 1e-8 rad.
     """
 
     if table_1 is None:
@@ -325,23 +335,30 @@ def fit_rod_inverse(
         def rod_and_arm(angle: Array) -> tuple[Array, Array]:
             return polynomial(p, angle), -polynomial(polynomial_derivative(p), angle)
 
-    low, high = np.radians(FIT_RANGE_DEG)
-    dead_centre = _dead_centre(rod_and_arm, float(low))
-    ends, _ = rod_and_arm(np.array([low, high]))
-    w_low, w_high = np.sqrt(dead_centre - ends)
+    angles, extensions = _table(rod_and_arm)
+    dead_centre = _dead_centre(rod_and_arm, float(angles[0]))
+    w_low, w_high = np.sqrt(dead_centre - extensions[[0, -1]])
     centre, half_width = 0.5 * (w_low + w_high), 0.5 * (w_high - w_low)
     t = chebyshev.chebpts1(4 * FIT_DEGREE)
     angle = _invert(rod_and_arm, dead_centre - (centre + half_width * t) ** 2)
 
     def fit(values: Array) -> tuple[float, ...]:
-        coefficients = chebyshev.chebfit(t, values, FIT_DEGREE)
-        return tuple(float(c) for c in chebyshev.cheb2poly(coefficients)[::-1])
+        coefficients = chebyshev.cheb2poly(chebyshev.chebfit(t, values, FIT_DEGREE))[::-1]
+        return tuple(float(c) for c in coefficients)
+
+    knee_angle = fit(angle)
+    error = float(np.max(np.abs(polynomial(knee_angle, t) - angle)))
+    if error > _FIT_TOLERANCE_RAD:
+        raise LinkageError(
+            f"the inverse of the rod cannot be fitted: off by {error:.1g} rad, must be below "
+            f"{_FIT_TOLERANCE_RAD:g} rad; move the rod's dead centre away from the range of motion"
+        )
 
     return RodInverse(
         dead_centre_m=dead_centre,
         centre=float(centre),
         half_width=float(half_width),
-        knee_angle=fit(angle),
+        knee_angle=knee_angle,
         encoder_angle=fit(encoder_angle(link, angle)),
         moment_arm=fit(rod_and_arm(angle)[1]),
     )

@@ -12,178 +12,14 @@ one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic.fields import FieldInfo
+from pydantic import Field, field_validator, model_validator
 
-from kneexo.errors import ParameterError
+from kneexo.quantity import Parameters, choice, quantity
 
 RPM = 2.0 * math.pi / 60.0
 """One revolution per minute in rad/s."""
-
-
-def quantity(
-    default: float,
-    unit: str,
-    source: str,
-    *,
-    ge: float | None = None,
-    gt: float | None = None,
-    le: float | None = None,
-) -> Any:
-    """A pydantic field for one physical number, with its unit, range and provenance."""
-    return Field(
-        default=default, ge=ge, gt=gt, le=le, json_schema_extra={"unit": unit, "source": source}
-    )
-
-
-def choice(default: Any, source: str) -> Any:
-    """A pydantic field for a structural choice (no unit), with its provenance."""
-    return Field(default=default, json_schema_extra={"unit": "", "source": source})
-
-
-def allowed_range(field: FieldInfo) -> str:
-    """The range of a field as text, for instance ``0 … 150`` or ``> 0``."""
-    lower = upper = ""
-    for bound in field.metadata:
-        if getattr(bound, "ge", None) is not None:
-            lower = f">= {bound.ge:g}"
-        if getattr(bound, "gt", None) is not None:
-            lower = f"> {bound.gt:g}"
-        if getattr(bound, "le", None) is not None:
-            upper = f"<= {bound.le:g}"
-    return " and ".join(part for part in (lower, upper) if part)
-
-
-def unit_of(field: FieldInfo) -> str:
-    """The unit of a field made by `quantity`, or an empty string."""
-    extra = field.json_schema_extra
-    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-
-
-def source_of(field: FieldInfo) -> str:
-    """The provenance of a field made by `quantity` or `choice`, or an empty string."""
-    extra = field.json_schema_extra
-    return str(extra.get("source", "")) if isinstance(extra, dict) else ""
-
-
-def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:
-    """Where the first fault of a validation error lies, and one line that says what it is."""
-    fault = error.errors()[0]
-    location = _without_tags(model, fault["loc"])
-    path = ".".join(str(key) for key in location)
-    value = fault["input"]
-    field = _field_at(model, location)
-    unit = unit_of(field) if field else ""
-    bounds = allowed_range(field) if field else ""
-    shown = f"{value:g}" if isinstance(value, float) else repr(value)
-    if len(shown) > 60:
-        shown = type(value).__name__
-    shown_with_unit = f"{shown} {unit}".strip()
-    kind = fault["type"]
-    if kind == "extra_forbidden":
-        known = ", ".join(names_at(model, location[:-1]))
-        line = f"{path}: unknown name; known here: {known}"
-    elif kind in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
-        bounds = f"finite and {bounds}" if bounds else "finite"
-        line = f"{path} = {shown_with_unit} is out of range: must be {bounds} {unit}".rstrip()
-    elif kind == "union_tag_invalid":
-        line = f"{path}.kind = {fault['ctx']['tag']!r}: must be {fault['ctx']['expected_tags']}"
-    elif kind == "missing":
-        line = f"{path}: is missing"
-    elif kind == "value_error":
-        line = str(fault["ctx"]["error"])
-        line = f"{path}: {line}" if path else line
-    else:
-        expected = fault["msg"].removeprefix("Input should be ")
-        line = f"{path} = {shown_with_unit}: must be {expected}"
-        if bounds:
-            line += f", {bounds} {unit}".rstrip()
-    more = error.error_count() - 1
-    return location, line + (f" (and {more} more)" if more else "")
-
-
-def _without_tags(model: type[BaseModel], location: tuple[str | int, ...]) -> tuple[str | int, ...]:
-    """Drop the discriminator tags that pydantic inserts into an error's location."""
-    kept: list[str | int] = []
-    members: tuple[type[BaseModel], ...] = (model,)
-    for key in location:
-        if len(members) > 1 and any(_kind(member) == key for member in members):
-            members = tuple(member for member in members if _kind(member) == key)
-            continue
-        kept.append(key)
-        members = _models_of(members[0].model_fields.get(str(key))) if members else ()
-    return tuple(kept)
-
-
-def _kind(model: type[BaseModel]) -> object:
-    field = model.model_fields.get("kind")
-    return None if field is None else field.default
-
-
-def _models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
-    """The parameter classes that a field may hold."""
-    found: list[type[BaseModel]] = []
-    pending: list[Any] = [] if field is None else [field.annotation]
-    while pending:
-        annotation = pending.pop(0)
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            found.append(annotation)
-        else:
-            pending.extend(getattr(annotation, "__args__", ()))
-    return tuple(found)
-
-
-def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldInfo | None:
-    models: tuple[type[BaseModel], ...] = (model,)
-    field = None
-    for key in location:
-        fields = [m.model_fields[str(key)] for m in models if str(key) in m.model_fields]
-        if not fields:
-            return field
-        field = fields[0]
-        models = _models_of(field)
-    return field
-
-
-def names_at(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
-    """The names that are known at a location inside a parameter class."""
-    field = _field_at(model, location)
-    models = _models_of(field) if location else (model,)
-    return sorted({name for m in models for name in m.model_fields})
-
-
-class Parameters(BaseModel):
-    """Base of all parameter classes: frozen, no unknown names, no silent type changes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _default_kind(cls, data: Any) -> Any:
-        """A mapping that does not say its kind is of the default's kind."""
-        if not isinstance(data, dict):
-            return data
-        kinds = {
-            name: {"kind": field.default.kind} | data[name]
-            for name, field in cls.model_fields.items()
-            if field.discriminator and isinstance(data.get(name), dict)
-        }
-        return data | kinds
-
-    if not TYPE_CHECKING:  # the type checker keeps the signature that pydantic makes
-
-        def __init__(self, **data: Any) -> None:
-            """Validate; raises `ParameterError` with one line."""
-            try:
-                super().__init__(**data)
-            except ValidationError as error:
-                line = one_line(type(self), error)[1]
-                raise ParameterError(f"{type(self).__name__}: {line}") from None
-
-        # Nested parameters are validated by the outermost constructor, which knows their path.
-        __init__.__pydantic_base_init__ = True
 
 
 # ---------------------------------------------------------------------------------- plant
@@ -465,16 +301,14 @@ class PlantParameters(Parameters):
         False, "Eq. 17: pump speed equals the command, without lag, acceleration or speed limit"
     )
 
-    @model_validator(mode="before")
+    @field_validator("linkage", mode="before")
     @classmethod
-    def _named_linkage(cls, data: Any) -> Any:
-        if isinstance(data, dict) and isinstance(name := data.get("linkage"), str):
-            if name not in LINKAGES:
-                raise ValueError(
-                    f"linkage = {name!r}: must be one of {', '.join(LINKAGES)}, or a mapping"
-                )
-            return {**data, "linkage": LINKAGES[name]}
-        return data
+    def _named_linkage(cls, linkage: Any) -> Any:
+        if not isinstance(linkage, str):
+            return linkage
+        if linkage not in LINKAGES:
+            raise ValueError(f"{linkage!r} must be one of {', '.join(LINKAGES)}, or a mapping")
+        return LINKAGES[linkage]
 
 
 # --------------------------------------------------------------- measurement and control
@@ -769,7 +603,7 @@ class SinestreamParameters(Parameters):
             *(0.05, 0.07, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2),
             *(0.21, 0.22, 0.23, 0.24, 0.27, 0.31, 0.38, 0.5),
         ),
-        min_length=2,
+        min_length=3,
         json_schema_extra={
             "unit": "Hz",
             "source": "assumption: Fig. 13 spans the neighbourhood of its 0.21 Hz",
@@ -843,10 +677,10 @@ PID_TUNED = PidParameters(
 """The best PID found for Fig. 12 within the chattering budget: ``benchmarks/tune_pid.py``."""
 
 PID_FEEDFORWARD = PidParameters(
-    proportional_per_s=10.0,
-    integral_per_s2=20.0,
+    proportional_per_s=1.25,
+    integral_per_s2=40.0,
     derivative=0.02,
-    filter_s=0.020,
+    filter_s=0.010,
     velocity_feedforward=1.0,
 )
 """The same with the reference's velocity: ``benchmarks/tune_pid.py --feedforward``."""
@@ -879,7 +713,7 @@ def _eq_27(slope_per_s: float) -> SlidingModeParameters:
 
 
 EQ_27_EXACT_STATES = {
-    f"{slope:.1e} 1/s": Scenario(
+    f"{slope:g}": Scenario(
         encoder=EncoderParameters(quantized=False),
         estimator=ExactParameters(),
         controller=_eq_27(slope),
@@ -889,15 +723,16 @@ EQ_27_EXACT_STATES = {
     )
     for slope in (1.0e4, 1.3e4)
 }
-"""Eq. 27 at 2 ms with exact states: k/Φ below and above the stability boundary of the sampled
-hydraulic mode. The step is small because RK3 damps that mode: at 0.2 ms more than the oil does."""
+"""Eq. 27 at 2 ms with exact states, by k/Φ in 1/s: below and above the stability boundary of the
+sampled hydraulic mode. The step is small because RK3 damps that mode, at 0.2 ms more than the oil
+does."""
 
 EQ_27_DIFFERENCES = {
-    f"k/Φ = {slope:.0e} 1/s": Scenario(
+    f"{slope:g}": Scenario(
         estimator=DifferenceParameters(),
         controller=_eq_27(slope),
         simulation=SimulationParameters(duration_s=20.0),
     )
     for slope in (1.0e4, 4.0e4)
 }
-"""Eq. 27 at 2 ms with plain differences of the quantized encoder."""
+"""Eq. 27 at 2 ms with plain differences of the quantized encoder, by k/Φ in 1/s."""

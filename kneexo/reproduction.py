@@ -39,6 +39,9 @@ from kneexo.parameters import (
 )
 from kneexo.systems.knee_coordinates import rod_derivatives
 
+PAPER_BANDWIDTH_HZ = 0.21
+"""The paper's measured −3 dB bandwidth (Section 5, Fig. 13)."""
+
 
 @dataclass(frozen=True)
 class Reproduction:
@@ -300,7 +303,7 @@ def report(numbers: Mapping[str, Any]) -> str:
         (
             "−3 dB bandwidth (Fig. 13)",
             "Hz",
-            0.21,
+            PAPER_BANDWIDTH_HZ,
             fig13["bandwidth_hz"],
             "{:.4f}",
             "fundamental, 1/√2, five trials, nothing fitted",
@@ -373,7 +376,7 @@ def report(numbers: Mapping[str, Any]) -> str:
         "Two separate failures. With exact states the sampled 447 Hz mode of the oil is unstable "
         "when k/Φ is too large:",
         "",
-        "| k/Φ | growth rate of the pressure oscillation (1/s) |",
+        "| k/Φ (1/s) | growth rate of the pressure oscillation (1/s) |",
         "|---|---|",
         *(
             f"| {name} | {case['growth_rate_per_s']:+.2f} |"
@@ -382,7 +385,7 @@ def report(numbers: Mapping[str, Any]) -> str:
         "",
         "With plain differences of the encoder, quantization ruins the tracking:",
         "",
-        "| case | max error (deg) | rms error (deg) | mean change of command (rpm/sample) |",
+        "| k/Φ (1/s) | max error (deg) | rms error (deg) | mean change of command (rpm/sample) |",
         "|---|---|---|---|",
         *(
             f"| {name} | {case['max_error_deg']:.2f} | {case['rms_error_deg']:.2f} "
@@ -409,7 +412,7 @@ def figures(done: Reproduction) -> dict[str, Figure]:
         "fig05_polynomial_fit": done.fit.plot()[0].figure,
         "fig09_ideal_smc": _plot_fig9(done.fig9),
         "fig12_tracking": _plot_fig12(done.fig12),
-        "fig13_frequency_response": done.fig13.plot()[0].figure,
+        "fig13_frequency_response": _plot_fig13(done.fig13),
         "eq27_at_2ms": _plot_eq27(done),
     }
 
@@ -443,22 +446,31 @@ def _plot_fig12(cases: Mapping[str, TrackingResult]) -> Figure:
     return figure
 
 
+def _plot_fig13(response: FrequencyResponse) -> Figure:
+    ax = response.plot()
+    ax[0].axvline(PAPER_BANDWIDTH_HZ, color="0.3", ls=":", label=f"paper {PAPER_BANDWIDTH_HZ} Hz")
+    ax[0].legend(loc="lower left")
+    return ax[0].figure
+
+
 def _plot_eq27(done: Reproduction) -> Figure:
     figure, ax = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
     for name, run in done.eq27_exact.items():
-        ax[0].plot(run.time_s, 1e-3 * run["load_pressure_pa"], lw=0.7, label=f"k/Φ = {name}")
+        ax[0].semilogy(run.time_s, np.abs(run["load_pressure_pa"]), ".", ms=1.5, label=name)
     ax[0].set(
         xlabel="time (s)",
-        ylabel="load pressure (kPa)",
+        ylabel="|load pressure| (Pa)",
+        ylim=(1e-2, 1e4),
         title="(a) exact states: sampled hydraulic mode",
     )
-    ax[0].legend(loc="upper left")
     for name, tracked in done.eq27_differences.items():
         ax[1].plot(tracked.run.time_s, tracked.error_deg, lw=0.8, label=name)
     ax[1].set(
         xlabel="time (s)",
         ylabel="tracking error (deg)",
+        ylim=(-24, 16),
         title="(b) differences of the encoder: quantization",
     )
-    ax[1].legend(loc="upper left")
+    for axis in ax:
+        axis.legend(loc="upper left", title="k/Φ", ncols=2, markerscale=6)
     return figure

@@ -10,7 +10,6 @@ import json
 import os
 import re
 from collections.abc import Iterator
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -20,7 +19,8 @@ from pydantic.fields import FieldInfo
 from yaml.reader import ReaderError
 
 from kneexo.errors import ScenarioError
-from kneexo.parameters import Parameters, Scenario, allowed_range, names_at, one_line, unit_of
+from kneexo.parameters import Scenario
+from kneexo.quantity import Parameters, allowed_range, one_line, unit_of
 
 _Path = tuple[str | int, ...]
 _TAG = "tag:yaml.org,2002:"
@@ -43,7 +43,7 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     """
     name = os.fspath(path)
     try:
-        text = Path(name).read_bytes().decode("utf-8-sig")
+        text = Path(name).read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
         line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
         raise _fault(name, line, f"is not UTF-8: byte 0x{byte:02x}") from None
@@ -55,16 +55,9 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
         return Scenario.model_validate(data)
     except ValidationError as error:
         location, message = one_line(Scenario, error)
-        first = error.errors()[0]
     known = location
     while known not in lines:
         known = known[:-1]
-    if first["input"] is None:
-        message = f"{_dotted(location)} has no value"
-    elif first["type"] == "extra_forbidden":
-        names = names_at(Scenario, location[:-1])
-        for close in get_close_matches(str(location[-1]), names, n=1):
-            message += f"; did you mean {close!r}?"
     raise _fault(name, lines[known], message)
 
 

@@ -488,10 +488,7 @@ def test_dead_centre_inside_the_range_is_reported_with_its_angle(anchor_deg):
     [
         180.0,
         150.0,
-        pytest.param(
-            60.0,
-            marks=pytest.mark.xfail(strict=True, reason="sqrt of a negative number comes first"),
-        ),
+        60.0,
     ],
 )
 def test_fit_refuses_a_rod_with_a_dead_centre_inside_the_range(anchor_deg):

@@ -17,19 +17,23 @@ def test_files_appear_when_the_body_ends(tmp_path):
     assert [file.name for file in target.iterdir()] == ["x.txt"]
 
 
+def write_and_fail(target, text, error):
+    with output_directory(target) as directory:
+        (directory / "x.txt").write_text(text)
+        raise error
+
+
 def test_nothing_is_left_when_the_body_fails(tmp_path):
     target = tmp_path / "out"
-    with pytest.raises(ZeroDivisionError), output_directory(target) as directory:
-        (directory / "x.txt").write_text("half")
-        raise ZeroDivisionError
+    with pytest.raises(ZeroDivisionError):
+        write_and_fail(target, "half", ZeroDivisionError())
     assert not target.exists()
 
 
 def test_old_files_survive_a_failure(tmp_path):
     (tmp_path / "x.txt").write_text("old")
-    with pytest.raises(KeyboardInterrupt), output_directory(tmp_path) as directory:
-        (directory / "x.txt").write_text("new")
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        write_and_fail(tmp_path, "new", KeyboardInterrupt())
     assert [file.name for file in tmp_path.iterdir()] == ["x.txt"]
     assert (tmp_path / "x.txt").read_text() == "old"
 
@@ -37,11 +41,8 @@ def test_old_files_survive_a_failure(tmp_path):
 @pytest.mark.parametrize("where", ["file", "file/below", "/proc/kneexo"])
 def test_an_unwritable_directory_is_refused_before_the_body(tmp_path, where):
     (tmp_path / "file").write_text("")
-    entered = False
     with pytest.raises(OutputError, match="cannot write there") as caught:
-        with output_directory(tmp_path / where):
-            entered = True
-    assert not entered
+        write_and_fail(tmp_path / where, "", AssertionError("the body was entered"))
     assert "\n" not in str(caught.value)
 
 

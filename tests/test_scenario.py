@@ -67,7 +67,9 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> File:
 # --------------------------------------------------------------------------- what loads
 
 
-@pytest.mark.parametrize("text", ["", "\n", "# only a comment\n", "---\n", "~", "{}", "\ufeff"])
+@pytest.mark.parametrize(
+    "text", ["", "\n", "# only a comment\n", "---\n", "~", "{}", "\ufeffplant: {}"]
+)
 def test_empty_file_is_the_default_scenario(file: File, text: str) -> None:
     assert file.load(text) == Scenario()
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 from pydrake.math import max as _max
 from pydrake.math import min as _min
 from pydrake.symbolic import Expression, if_then_else
 from pydrake.systems.framework import BasicVector_, LeafSystem_
+
+from kneexo.errors import SimulationError
 
 
 def clip(value: Any, lower: Any, upper: Any) -> Any:
@@ -28,6 +31,10 @@ def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
     return positive if condition > 0.0 else otherwise
 
 
+def _named_values(names: Sequence[str]) -> Any:
+    return namedtuple("Values", names)
+
+
 class NamedLeaf:
     """Mixin for ``LeafSystem_[T]``: scalar conversion and Context parameters by name."""
 
@@ -35,12 +42,13 @@ class NamedLeaf:
         """Initialize the LeafSystem; ``arguments`` are kept for the conversion to other scalars."""
         LeafSystem_[scalar].__init__(self, converter)
         self._scalar = scalar
+        self._values = _named_values(())
         self._arguments = arguments
 
     def _declare_parameters(self: Any, source: Any, names: Sequence[str]) -> None:
         """Declare one numeric parameter vector whose elements are attributes of ``source``."""
         values = source if isinstance(source, Mapping) else {n: getattr(source, n) for n in names}
-        self._values = namedtuple("Values", list(names))  # type: ignore[misc]
+        self._values = _named_values(names)
         self.DeclareNumericParameter(BasicVector_[self._scalar]([float(values[n]) for n in names]))
 
     def _declare_output(
@@ -96,9 +104,23 @@ class NamedLeaf:
             raise ValueError(
                 f"{self.get_name()}: unknown parameter {name!r}; known: {', '.join(names)}"
             )
-        if isinstance(value, int | float) and not math.isfinite(value):
+        if isinstance(value, Real) and not math.isfinite(value):
             raise ValueError(f"{self.get_name()}: {name} = {value}: must be finite")
         context.get_mutable_numeric_parameter(0).SetAtIndex(names.index(name), value)
+
+
+def require_finite(system: Any, context: Any, **values: Any) -> None:
+    """Raise `SimulationError` when one of the floats ``values`` is not finite.
+
+    A NaN derivative would hang Drake's error-controlled integrators and pass silently through the
+    others. AutoDiffXd and Expression are not checked.
+    """
+    for name, value in values.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise SimulationError(
+                f"t = {context.get_time():.6g} s: {system.get_name()}: {name} = {value} is not "
+                f"finite; reduce the step or check the inputs"
+            )
 
 
 def discrete_state(context: Any) -> list[Any]:

@@ -8,7 +8,7 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.parameters import BldcPumpParameters
-from kneexo.systems._leaf import NamedLeaf, clip
+from kneexo.systems._leaf import NamedLeaf, clip, require_finite
 
 
 def motor_acceleration(
@@ -52,7 +52,8 @@ def BldcPump_(T: Any) -> Any:
 
         State: motor speed in krad/s (order one). With ``ideal=True`` there is none: the speed is
         the command, without limit, as in Eq. 17. Context parameters: `Parameters of
-        BldcPumpParameters` by name (see ``parameters``). Source: Lee et al. 2020, Eq. 12, 13;
+        BldcPumpParameters` by name (see ``parameters``). Raises
+        `SimulationError` when the acceleration is not finite. Source: Lee et al. 2020, Eq. 12, 13;
         lag and acceleration limit are assumptions.
         """
 
@@ -136,6 +137,7 @@ def BldcPump_(T: Any) -> Any:
                 p.speed_limit_rad_s,
                 p.acceleration_limit_rad_s2,
             )
+            require_finite(self, context, motor_acceleration=acceleration)
             derivatives.get_mutable_vector().SetAtIndex(0, 1e-3 * acceleration)
 
     return Impl

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pydrake.math as drake_math
-from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.linkage import eq6_sign, knee_angle_from_encoder, polynomial, polynomial_derivative
@@ -31,6 +31,13 @@ def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
     ]
 
 
+_COEFFICIENTS = ("p_1", "p_2", "p_3", "p_4", "p_5", "p_6")
+
+
+def _named(table_1: RodPolynomialParameters) -> dict[str, float]:
+    return dict(zip(_COEFFICIENTS, table_1.p_si, strict=True))
+
+
 @TemplateSystem.define("KneeCoordinates_")
 def KneeCoordinates_(T: Any) -> Any:
     """Measured coordinates for the scalar ``T``."""
@@ -49,9 +56,9 @@ def KneeCoordinates_(T: Any) -> Any:
         rod_extension    1     m     measured x
         ===============  ====  ====  =========================================================
 
-        Stateless. Context parameters: 0 the links, the sign of Eq. 6 and ``offset_rad`` (zero of
-        the encoder plus half a count, because the encoder rounds down) by name; 1 the
-        coefficients of Eq. 10 in SI. Raises `LinkageError` on construction when the linkage is not
+        Stateless. Context parameters by name: the links, ``eq6_sign``, ``offset_rad`` (zero of
+        the encoder plus half a count, because the encoder rounds down), and p_1 … p_6 of Eq. 10 in
+        SI. Raises `LinkageError` on construction when the linkage is not
         one-to-one.
         """
 
@@ -68,9 +75,9 @@ def KneeCoordinates_(T: Any) -> Any:
             values = {name: getattr(parameters, name) for name in (*names, "phi_rad")} | {
                 "eq6_sign": eq6_sign(parameters),
                 "offset_rad": offset_rad,
+                **_named(table_1),
             }
             self._declare_parameters(values, tuple(values))
-            self.DeclareNumericParameter(BasicVector_[T](list(table_1.p_si)))
             self._reading = self.DeclareVectorInputPort("encoder_reading", 1)
             given = self.all_parameters_ticket()
             self._knee_angle = self._declare_output(
@@ -87,7 +94,7 @@ def KneeCoordinates_(T: Any) -> Any:
             return [knee_angle_from_encoder(p, theta_4, p.eq6_sign, xp=drake_math)]
 
         def _calc_rod_extension(self, context: Any) -> list[Any]:
-            coefficients = context.get_numeric_parameter(1).CopyToVector().tolist()
+            coefficients = self.parameters(context)[-len(_COEFFICIENTS) :]
             return [polynomial(coefficients, self._knee_angle.Eval(context)[0])]
 
     return Impl
@@ -111,7 +118,7 @@ def RodReference_(T: Any) -> Any:
         rod_reference   4     m, m/s, m/s², m/s³           x_d and derivatives to the third
         ==============  ====  ===========================  ===================================
 
-        Stateless. Context parameter 0: the coefficients of Eq. 10 in SI, highest power first.
+        Stateless. Context parameters by name: ``p_1`` … ``p_6`` of Eq. 10 in SI.
         """
 
         def _construct(
@@ -121,7 +128,7 @@ def RodReference_(T: Any) -> Any:
             converter: Any = None,
         ) -> None:
             self._begin(T, converter, table_1)
-            self.DeclareNumericParameter(BasicVector_[T](list(table_1.p_si)))
+            self._declare_parameters(_named(table_1), _COEFFICIENTS)
             self._knee = self.DeclareVectorInputPort("knee_reference", 4)
             self._declare_output(
                 "rod_reference", 4, self._calc, self._knee, self.all_parameters_ticket()
@@ -131,8 +138,7 @@ def RodReference_(T: Any) -> Any:
             Impl._construct(self, *other._arguments, converter=converter)
 
         def _calc(self, context: Any) -> list[Any]:
-            coefficients = context.get_numeric_parameter(0).CopyToVector().tolist()
-            return rod_derivatives(coefficients, self._knee.Eval(context))
+            return rod_derivatives(self.parameters(context), self._knee.Eval(context))
 
     return Impl
 

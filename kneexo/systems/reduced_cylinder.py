@@ -10,9 +10,9 @@ from pydrake.symbolic import Expression
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from kneexo.errors import SimulationError
+from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import CylinderParameters
-from kneexo.systems._leaf import NamedLeaf, value_or_zero
+from kneexo.systems._leaf import NamedLeaf, require_finite, value_or_zero
 
 PA_PER_MPA = 1e6
 
@@ -64,9 +64,10 @@ def ReducedCylinder_(T: Any) -> Any:
         ``mean_area_m2, total_volume_m3, bulk_modulus_pa, leakage_m3_per_s_pa, mass_kg,
         damping_n_s_per_m, stiffness_n_per_m, stroke_m``.
 
-        Raises `SimulationError` at the end of a step that leaves the stroke 0…``stroke_m``, and
-        when a derivative is not finite. Source: Lee et al. 2020, Eq. 15, 16; Eq. 15 holds at
-        V_1 = V_2, and Eq. 16 drops the force (P_1 + P_2)(A_1 − A_2)/2.
+        Raises `ParameterError` when it would start outside the stroke; `SimulationError` at the
+        end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
+        al. 2020, Eq. 15, 16; Eq. 15 holds at V_1 = V_2, and Eq. 16 drops the
+        force (P_1 + P_2)(A_1 − A_2)/2.
         """
 
         def _construct(
@@ -93,6 +94,15 @@ def ReducedCylinder_(T: Any) -> Any:
             )
             if initial_extension_m is None:
                 initial_extension_m = 0.5 * parameters.stroke_m
+            if not 0.0 <= initial_extension_m <= parameters.stroke_m:
+                raise ParameterError(
+                    f"initial_extension_m = {initial_extension_m:g} m is outside the stroke "
+                    f"0 … {parameters.stroke_m:g} m"
+                )
+            if not math.isfinite(initial_pressure_pa):
+                raise ParameterError(
+                    f"initial_pressure_pa = {initial_pressure_pa} Pa: must be finite"
+                )
             self._flow = self.DeclareVectorInputPort("load_flow", 1)
             self._force = self.DeclareVectorInputPort("load_force", 1)
             self.DeclareContinuousState(
@@ -146,12 +156,7 @@ def ReducedCylinder_(T: Any) -> Any:
                 leakage=p.leakage_m3_per_s_pa,
             )
             _, _, acceleration = self._motion(context)
-            if isinstance(acceleration, float) and not math.isfinite(pressure_dot + acceleration):
-                raise SimulationError(
-                    f"t = {context.get_time():.6g} s: {self.get_name()}: the rod's acceleration = "
-                    f"{acceleration:g} m/s² or pressure rate = {pressure_dot:g} Pa/s is not "
-                    f"finite; reduce the step or check the inputs"
-                )
+            require_finite(self, context, rod_acceleration=acceleration, pressure_rate=pressure_dot)
             vector = derivatives.get_mutable_vector()
             vector.SetAtIndex(0, v)
             vector.SetAtIndex(1, acceleration)

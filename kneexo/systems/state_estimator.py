@@ -7,12 +7,14 @@ attempt that quantization ruins.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pydrake.math as drake_math
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from kneexo.errors import ParameterError
 from kneexo.parameters import ObserverParameters, SlidingModeParameters
 from kneexo.systems._leaf import NamedLeaf, discrete_state
 
@@ -30,6 +32,12 @@ def tracking_gains(time_constant: Any, sample_time: float) -> tuple[Any, Any, An
         1.5 * (1.0 - z * z) * (1.0 - z) / sample_time,
         (1.0 - z) * (1.0 - z) * (1.0 - z) / (sample_time * sample_time),
     )
+
+
+def _checked(sample_time_s: float) -> float:
+    if not 0.0 < sample_time_s < math.inf:
+        raise ParameterError(f"sample_time_s = {sample_time_s} s: must be finite and > 0")
+    return sample_time_s
 
 
 @TemplateSystem.define("TrackingObserver_")
@@ -52,7 +60,7 @@ def TrackingObserver_(T: Any) -> Any:
 
         Discrete state, every ``sample_time_s``: the prediction x̂⁻, v̂⁻, â⁻.
         ``Simulator.Initialize()`` sets it to y at rest. Context parameter: ``time_constant_s``
-        (T_f), by name.
+        (T_f), by name. Raises `ParameterError` for a sample time that is not positive.
         """
 
         def _construct(
@@ -64,7 +72,7 @@ def TrackingObserver_(T: Any) -> Any:
         ) -> None:
             self._begin(T, converter, parameters, sample_time_s)
             self._declare_parameters(parameters, ("time_constant_s",))
-            self._sample_time = sample_time_s
+            self._sample_time = _checked(sample_time_s)
             self._position = self.DeclareVectorInputPort("measured_position", 1)
             self._estimate = self._declare_output(
                 "estimated_state",
@@ -114,7 +122,7 @@ def BackwardDifference_(T: Any) -> Any:
             self, sample_time_s: float = _SAMPLE_TIME_S, *, converter: Any = None
         ) -> None:
             self._begin(T, converter, sample_time_s)
-            self._sample_time = sample_time_s
+            self._sample_time = _checked(sample_time_s)
             self._position = self.DeclareVectorInputPort("measured_position", 1)
             self._estimate = self._declare_output(
                 "estimated_state", 3, self._differences, self._position, self.xd_ticket()

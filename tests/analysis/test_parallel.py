@@ -39,7 +39,7 @@ def test_the_callers_executor_is_used_and_left_running():
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_error_in_the_work_is_raised(workers):
-    with pytest.raises(ValueError, match="math domain|nonnegative"):
+    with pytest.raises(ValueError, match=r"math domain|nonnegative"):
         parallel_map(math.sqrt, [1.0, -1.0], workers=workers)
 
 

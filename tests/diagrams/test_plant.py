@@ -161,20 +161,28 @@ def test_plant_is_continuous_only(parameters, states):
     ids=["hanging", "leaning", "none"],
 )
 @pytest.mark.parametrize(
-    "geometry",
-    [{"linkage": G1}, {"linkage": G2}, {"linkage": G3}, {"rod_map": "polynomial"}],
+    ("geometry", "angle_error", "acceleration_error"),
+    # The fit of the rod's inverse is good to 1e-12 rad for linkages and to 3e-10 rad for Table 1;
+    # its moment arm to 1e-12, for G3 to 1e-10 and for Table 1 to 1e-9, of loads of 60 N on 1.6 kg.
+    [
+        ({"linkage": G1}, 1e-11, 1e-9),
+        ({"linkage": G2}, 1e-11, 1e-9),
+        ({"linkage": G3}, 1e-11, 5e-9),
+        ({"rod_map": "polynomial"}, 1e-9, 1e-7),
+    ],
     ids=["G1", "G2", "G3", "table_1"],
 )
-def test_plant_starts_at_rest_with_the_pressure_holding_the_load(degrees, load, geometry):
+def test_plant_starts_at_rest_with_the_pressure_holding_the_load(
+    degrees, load, geometry, angle_error, acceleration_error
+):
     parameters = PlantParameters(**geometry, **({"load": load} if load else {}))
     plant = make_plant(parameters, initial_knee_angle_rad=math.radians(degrees))
     context = with_command(plant)
-    # 1e-11 rad: the fit of the rod's inverse is good to 1e-12.
-    assert by_name(plant, "knee_angle", context) == pytest.approx(math.radians(degrees), abs=1e-9)
+    angle = by_name(plant, "knee_angle", context)
+    assert angle == pytest.approx(math.radians(degrees), abs=angle_error)
     assert by_name(plant, "motor_speed", context) == 0.0
     assert by_name(plant, "rod_velocity", context) == 0.0
-    # 1e-9 m/s²: loads of 100 N on 1.6 kg with a moment arm good to 1e-12.
-    assert acceleration(plant, context) == pytest.approx(0.0, abs=1e-9)
+    assert acceleration(plant, context) == pytest.approx(0.0, abs=acceleration_error)
     assert (by_name(plant, "load_pressure", context) != 0.0) == (load is not None)
 
 
@@ -268,18 +276,18 @@ def simulated(fixed_step, n, start, times, step, *, force, amplitude, frequency=
 
 # The motor accelerates by at most 100 rad/s in 10 ms: below its limit, so the plant is linear.
 CASES = {
-    "step": (PAPER, 0.014, 2.5e-6, (0.0, 0.1, 0.0, 0.0), {"amplitude": 50.0}),
+    "step": (PAPER, 0.014, 3.5e-6, (0.0, 0.1, 0.0, 0.0), {"amplitude": 50.0}),
     "sine": (
         PAPER,
         0.014,
-        2.5e-6,
+        5e-6,
         (0.0, 0.1, 0.0, 0.0),
         {"amplitude": 40.0, "frequency": 2.0 * math.pi * 40.0},
     ),
     "soft, loaded, moving, sine": (
         SOFT,
         0.075,
-        1.5e-5,
+        2.5e-5,
         (30.0, 0.1, 0.02, 1.0),
         {"amplitude": 60.0, "frequency": 2.0 * math.pi * 15.0, "force": 20.0},
     ),
@@ -294,8 +302,8 @@ def test_every_state_follows_the_exact_solution(case, fixed_step):
     exact = exact_solution(numbers, start, times, **command)
     runs = [simulated(fixed_step, numbers, start, times, h, **command) for h in (step, 0.5 * step)]
     peak = np.max(np.abs(exact), axis=0)
-    # RK3 loses ωt(ωh)³/24 of the hydraulic mode: at most 7e-7 of it with these steps, and an
-    # eighth of that with half of them.
+    # RK3 loses ωt(ωh)³/24 of the hydraulic mode, about 1e-6 with these steps (measured: 7e-7 of
+    # the peak of the pressure); with half of them an eighth.
     assert np.max(np.abs(runs[0] - exact) / peak) <= 1e-6
     assert np.max(np.abs(runs[1] - exact) / peak) <= 1.5e-7
     assert np.max(np.abs(runs[1] - runs[0]) / peak) <= 1e-6
@@ -549,5 +557,5 @@ def test_command_that_is_not_a_number_raises_instead_of_hanging():
     simulator = Simulator(plant)
     port = plant.GetInputPort("motor_speed_command")
     port.FixValue(simulator.get_mutable_context(), [math.nan])
-    with pytest.raises(SimulationError, match=r"^t = \S+ s: cylinder: .* not finite"):
+    with pytest.raises(SimulationError, match=r"^t = \S+ s: motor: .* not finite"):
         simulator.AdvanceTo(1.0)

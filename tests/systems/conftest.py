@@ -98,18 +98,24 @@ class Probe:
     def context(self, system, z, *, parameters=True):
         """A Context of ``system`` at z; with ``parameters=False`` it keeps its own ones."""
         context = system.CreateDefaultContext()
-        (time,), *parts = np.split(np.asarray(z), self.splits)
-        context.SetTime(time)
-        for name in self.ports:
-            system.GetInputPort(name).FixValue(context, parts.pop(0))
-        state = parts.pop(0)
-        if context.num_continuous_states():
-            context.SetContinuousState(state)
-        elif context.num_discrete_state_groups():
-            context.SetDiscreteState(0, state)
-        for index, values in enumerate(parts if parameters else ()):
-            context.get_mutable_numeric_parameter(index).SetFromVector(values)
+        parts = np.split(np.asarray(z), self.splits)
+        for index in range(len(parts) if parameters else len(self.ports) + 2):
+            self._set(system, context, index, parts[index])
         return context
+
+    def _set(self, system, context, index, values):
+        """Set one part of z: the time, an input, the state or a group of parameters."""
+        group = index - len(self.ports) - 2
+        if index == 0:
+            context.SetTime(values[0])
+        elif index <= len(self.ports):
+            system.GetInputPort(self.ports[index - 1]).FixValue(context, values)
+        elif group >= 0:
+            context.get_mutable_numeric_parameter(group).SetFromVector(values)
+        elif context.num_continuous_states():
+            context.SetContinuousState(values)
+        elif context.num_discrete_state_groups():
+            context.SetDiscreteState(0, values)
 
     def results(self, z, system=None):
         system = system or self.system
@@ -145,6 +151,18 @@ class Probe:
             difference = (8.0 * one - two) / 12e-3
             error = np.abs(gradient[:, index] - difference)
             assert np.all(error <= 1e-6 * np.abs(difference) + 1e-10 * largest), (index, error)
+
+    def check_outputs_follow_every_source(self):
+        """In one Context, no cached output survives a change of what it depends on."""
+        z, other = self.points(2, seed=4)
+        context = self.context(self.system, z)
+        results(self.system, context)  # fills the caches
+        parts = np.split(z, self.splits)
+        for index, values in enumerate(np.split(other, self.splits)):
+            parts[index] = values
+            self._set(self.system, context, index, values)
+            fresh = self.results(np.concatenate(parts))
+            np.testing.assert_array_equal(results(self.system, context), fresh)
 
     def largest_tree(self):
         """Nodes of the largest output, derivative or update with all of z symbolic."""

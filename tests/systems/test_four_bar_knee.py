@@ -84,6 +84,7 @@ def test_parameters_are_links_and_scaling_and_three_groups_of_coefficients():
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, name):
     probe = leaf.Probe(FourBarKnee(LINKAGES[name]), INPUTS, spread=1e-3)
     probe.check_conversions(2)
+    probe.check_outputs_follow_every_source()
     probe.check_conversions_keep_arguments()
     probe.check_conversions_keep("dead_centre_m", 0.155)
     assert probe.largest_tree() < leaf.tree_limit

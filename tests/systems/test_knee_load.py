@@ -71,6 +71,7 @@ def test_parameters_have_these_names_and_values():
 def test_conversions_agree_and_keep_arguments_and_changes(leaf):
     probe = leaf.Probe(KneeLoad(PARAMETERS), INPUTS)
     probe.check_conversions()
+    probe.check_outputs_follow_every_source()
     probe.check_conversions_keep_arguments()
     probe.check_conversions_keep("disturbance_frequency_hz", 0.9)
     assert probe.largest_tree() < leaf.tree_limit

@@ -89,6 +89,7 @@ def test_parameters_are_in_si_and_named():
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, kind, parameters, change):
     probe = leaf.Probe(kind(parameters), {}, time=(0.2, 1.8))
     probe.check_conversions(6)
+    probe.check_outputs_follow_every_source()
     probe.check_conversions_keep_arguments()
     probe.check_conversions_keep(*change)
     assert probe.largest_tree() < leaf.tree_limit

@@ -141,6 +141,7 @@ def test_conversions_agree_and_keep_arguments(leaf, ranges, values):
     state = [] if parameters.continuous else [(-500.0, 500.0)]
     probe = leaf.Probe(SlidingModeController(parameters, PLANT), ranges, state, spread=0.01)
     probe.check_conversions()
+    probe.check_outputs_follow_every_source()
     probe.check_conversions_keep_arguments()
     assert probe.largest_tree() < leaf.tree_limit
 
