@@ -24,6 +24,7 @@ from kneexo.parameters import PidParameters, Scenario, SimulationParameters
 
 NAMES = ("proportional_per_s", "integral_per_s2", "derivative", "filter_s")
 START = (10.0, 20.0, 0.02, 0.02)
+DURATION_S = 30.0
 
 
 def scenario(gains: tuple[float, ...], feedforward: float) -> Scenario:
@@ -31,7 +32,7 @@ def scenario(gains: tuple[float, ...], feedforward: float) -> Scenario:
     values = dict(zip(NAMES, gains, strict=True))
     return Scenario(
         controller=PidParameters(velocity_feedforward=feedforward, **values),
-        simulation=SimulationParameters(duration_s=20.0),
+        simulation=SimulationParameters(duration_s=DURATION_S),
     )
 
 
@@ -50,14 +51,16 @@ def main() -> None:
     parser.add_argument("--feedforward", action="store_true", help="feed the rod velocity forward")
     parser.add_argument("--budget", type=float, help="rpm per sample; default: that of the SMC")
     parser.add_argument("--rounds", type=int, default=12)
+    parser.add_argument("--start", type=float, nargs=4, default=START, metavar=NAMES)
+    parser.add_argument("--factor", type=float, default=2.0)
     options = parser.parse_args()
     budget = options.budget
     if budget is None:
-        budget = measure(Scenario(simulation=SimulationParameters(duration_s=20.0)))[1]
+        budget = measure(Scenario(simulation=SimulationParameters(duration_s=DURATION_S)))[1]
     print(f"budget: {budget:.2f} rpm per sample")
     feedforward = 1.0 if options.feedforward else 0.0
 
-    best, best_error, factor = START, math.inf, 2.0
+    best, best_error, factor = tuple(options.start), math.inf, options.factor
     for step in range(options.rounds):
         single = [
             tuple(g * factor ** (s * (i == j)) for i, g in enumerate(best))

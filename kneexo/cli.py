@@ -217,25 +217,43 @@ def _params(options: argparse.Namespace) -> None:
 
         print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
         return
-    rows = list(_parameter_rows(scenario))
+    rows = list(_parameter_rows(scenario, others=options.scenario is None))
+    if options.scenario is None:
+        from kneexo.parameters import SinestreamParameters
+
+        rows += _parameter_rows(SinestreamParameters(), "frequency response: ")
     if options.json:
         print(json.dumps(rows, indent=2, ensure_ascii=False))
         return
     for row in rows:
         bounds = f"  [{row['range']}]" if row["range"] else ""
-        print(f"{row['parameter']} = {row['value']} {row['unit']}{bounds}\n    {row['provenance']}")
+        unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
+        print(f"{row['parameter']} = {row['value']}{unit}{bounds}\n    {row['provenance']}")
 
 
-def _parameter_rows(model: BaseModel, path: str = "") -> Iterator[dict[str, Any]]:
-    """Every number and choice of a parameter object, with what is known of it."""
+def _parameter_rows(
+    model: BaseModel | type[BaseModel], path: str = "", others: bool = False
+) -> Iterator[dict[str, Any]]:
+    """Every number and choice of a parameter object or class, with what is known of it.
+
+    ``others``: also the kinds that are not chosen, with their defaults.
+    """
     from pydantic import BaseModel
 
-    from kneexo.quantity import allowed_range, source_of, unit_of
+    from kneexo.quantity import allowed_range, models_of, source_of, unit_of
 
-    for name, field in type(model).model_fields.items():
-        value = getattr(model, name)
+    cls = model if isinstance(model, type) else type(model)
+    for name, field in cls.model_fields.items():
+        required = isinstance(model, type) and field.is_required()
+        default = "(required)" if required else field.default
+        value = default if isinstance(model, type) else getattr(model, name)
         if isinstance(value, BaseModel):
-            yield from _parameter_rows(value, f"{path}{name}.")
+            yield from _parameter_rows(value, f"{path}{name}.", others)
+            if others and field.discriminator:
+                for other in models_of(field):
+                    if other is not type(value):
+                        kind = other.model_fields["kind"].default
+                        yield from _parameter_rows(other, f"{path}{name}({kind}).")
         elif source_of(field):
             yield {
                 "parameter": path + name,

@@ -23,3 +23,7 @@ class SimulationError(KneexoError, RuntimeError):
 
 class OutputError(KneexoError, OSError):
     """A result cannot be written."""
+
+
+class LinearizationError(KneexoError, ArithmeticError):
+    """There is no equilibrium, or no linear loop, where a linearization was asked for."""

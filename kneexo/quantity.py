@@ -120,7 +120,7 @@ def _without_tags(
             continue
         kept.append(key)
         holders = members
-        members = _models_of(members[0].model_fields.get(str(key))) if members else ()
+        members = models_of(members[0].model_fields.get(str(key))) if members else ()
     return tuple(kept), holders
 
 
@@ -129,7 +129,7 @@ def _kind(model: type[BaseModel]) -> object:
     return None if field is None else field.default
 
 
-def _models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
+def models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
     """The parameter classes that a field may hold."""
     found: list[type[BaseModel]] = []
     pending: list[Any] = [] if field is None else [field.annotation]
@@ -150,7 +150,7 @@ def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldI
         if not fields:
             return field
         field = fields[0]
-        models = _models_of(field)
+        models = models_of(field)
     return field
 
 

@@ -472,5 +472,5 @@ def _plot_eq27(done: Reproduction) -> Figure:
         title="(b) differences of the encoder: quantization",
     )
     for axis in ax:
-        axis.legend(loc="upper left", title="k/Φ", ncols=2, markerscale=6)
+        axis.legend(loc="upper left", title="k/Φ (1/s)", ncols=2, markerscale=6)
     return figure

@@ -80,7 +80,10 @@ def columns(signals: Sequence[str]) -> tuple[str, ...]:
 
 
 def make_closed_loop(
-    scenario: Scenario = Scenario(), *, signals: Sequence[str] | None = None
+    scenario: Scenario = Scenario(),
+    *,
+    signals: Sequence[str] | None = None,
+    external_reference: bool = False,
 ) -> Diagram:
     """Build the closed loop of a scenario; without arguments the paper's sliding-mode setup.
 
@@ -90,6 +93,10 @@ def make_closed_loop(
     (a `VectorLogSink` at the control period with the columns ``columns(signals)``; all available
     signals by default, none with ``signals=()``). Inputs: ``disturbance_force`` and, with a load,
     ``knee_torque``; both may stay unconnected. Outputs: each of `available_signals`.
+
+    With ``external_reference`` there is no ``reference`` subsystem but an input ``knee_reference``
+    (θ_d and its derivatives to the third); the scenario's reference then only says where the
+    plant starts.
 
     A logged command at t is the one held up to t: Drake's updates and publishes at t both see the
     state before the update. The paper's ideal case (Fig. 9) is `kneexo.parameters.IDEAL_SMC`.
@@ -115,7 +122,7 @@ def make_closed_loop(
     def add(name: str, system: Any) -> Any:
         return builder.AddNamedSystem(name, system)
 
-    reference = add("reference", make_knee_reference(scenario.reference))
+    reference = make_knee_reference(scenario.reference)
     start = reference.get_output_port().Eval(reference.CreateDefaultContext())[0]
     plant = add(
         "plant",
@@ -141,12 +148,17 @@ def make_closed_loop(
             0.5 * scenario.encoder.resolution_rad,
         ),
     )
-    builder.Connect(reference.get_output_port(), rod_reference.get_input_port())
+    if external_reference:
+        knee_reference = add("knee_reference", PassThrough(4))
+        builder.ExportInput(knee_reference.get_input_port(), "knee_reference")
+    else:
+        knee_reference = add("reference", reference)
+    builder.Connect(knee_reference.get_output_port(), rod_reference.get_input_port())
     builder.Connect(plant.GetOutputPort("encoder_angle"), encoder.get_input_port())
     builder.Connect(encoder.get_output_port(), coordinates.get_input_port())
 
     ports = {name: plant.GetOutputPort(name) for name in SIGNALS if plant.HasOutputPort(name)} | {
-        "knee_reference": reference.get_output_port(),
+        "knee_reference": knee_reference.get_output_port(),
         "rod_reference": rod_reference.get_output_port(),
         "encoder_reading": encoder.get_output_port(),
         "measured_knee_angle": coordinates.GetOutputPort("knee_angle"),

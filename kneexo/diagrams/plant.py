@@ -15,7 +15,6 @@ from kneexo.parameters import (
     SineReference,
 )
 from kneexo.systems import BldcPump, FourBarKnee, KneeLoad, ReducedCylinder
-from kneexo.systems.knee_load import weight_torque
 
 PLANT_OUTPUTS = {
     "knee": ("knee_angle", "encoder_angle", "moment_arm", "icr"),
@@ -25,18 +24,6 @@ PLANT_OUTPUTS = {
 """Exported output ports, by subsystem; each keeps the name that it has in its leaf system."""
 
 _START_RAD = math.radians(SineReference().mean_deg - SineReference().amplitude_deg)
-
-
-def rod_at(
-    plant: PlantParameters, table_1: RodPolynomialParameters, knee_angle: float
-) -> tuple[float, float]:
-    """Rod extension and moment arm of the plant in m at a knee angle in rad."""
-    if plant.rod_map == "polynomial":
-        p = table_1.p_si
-        slope = linkage.polynomial(linkage.polynomial_derivative(p), knee_angle)
-        return float(linkage.polynomial(p, knee_angle)), -float(slope)
-    at = linkage.pose(plant.linkage, knee_angle)
-    return float(at.rod_extension), float(at.moment_arm)
 
 
 def make_plant(
@@ -53,43 +40,37 @@ def make_plant(
     ``disturbance_force`` (N, on the rod, positive opposes extension) and, with a load,
     ``knee_torque`` (N·m, positive flexes); the last two count as zero when left unconnected.
     Outputs: `PLANT_OUTPUTS`. It starts at rest at the given posture, plus ``initial_offset_m`` of
-    rod, the pressure holding the load.
+    rod, the pressure holding load and spring there.
 
     Raises `LinkageError` when the linkage cannot be assembled. Without load the derivatives do
     not depend on the knee, so its kinematics cost nothing between outputs.
     """
-    extension, arm = rod_at(parameters, table_1, initial_knee_angle_rad)
+    polynomial = parameters.rod_map == "polynomial"
+    knee = FourBarKnee(parameters.linkage, parameters.knee, table_1 if polynomial else None)
+    if polynomial:
+        extension = linkage.polynomial(table_1.p_si, initial_knee_angle_rad)
+    else:
+        extension = float(linkage.rod_extension(parameters.linkage, initial_knee_angle_rad))
+    extension += initial_offset_m
     load = parameters.load
-    force = (
-        _static_force(load, initial_knee_angle_rad, arm)
-        if isinstance(load, KneeLoadParameters)
-        else 0.0
-    )
+    force = parameters.cylinder.stiffness_n_per_m * extension
+    if isinstance(load, KneeLoadParameters):
+        knee_load = KneeLoad(load)
+        force += _static_force(knee_load, knee, extension)
 
     builder = DiagramBuilder()
     motor = builder.AddNamedSystem("motor", BldcPump(parameters.pump, parameters.ideal_motor))
     cylinder = builder.AddNamedSystem(
         "cylinder",
-        ReducedCylinder(
-            parameters.cylinder,
-            extension + initial_offset_m,
-            force / parameters.cylinder.mean_area_m2,
-        ),
+        ReducedCylinder(parameters.cylinder, extension, force / parameters.cylinder.mean_area_m2),
     )
-    knee = builder.AddNamedSystem(
-        "knee",
-        FourBarKnee(
-            parameters.linkage,
-            parameters.knee,
-            table_1 if parameters.rod_map == "polynomial" else None,
-        ),
-    )
+    builder.AddNamedSystem("knee", knee)
     _connect(builder, motor, "load_flow", cylinder, "load_flow")
     _connect(builder, cylinder, "load_pressure", motor, "load_pressure")
     _connect(builder, cylinder, "rod_extension", knee, "rod_extension")
     builder.ExportInput(motor.GetInputPort("motor_speed_command"), "motor_speed_command")
     if isinstance(load, KneeLoadParameters):
-        knee_load = builder.AddNamedSystem("load", KneeLoad(load))
+        builder.AddNamedSystem("load", knee_load)
         _connect(builder, knee, "knee_angle", knee_load, "knee_angle")
         _connect(builder, knee, "moment_arm", knee_load, "moment_arm")
         _connect(builder, knee_load, "load_force", cylinder, "load_force")
@@ -105,15 +86,13 @@ def make_plant(
     return plant
 
 
-def _static_force(load: KneeLoadParameters, angle: float, arm: float) -> float:
-    torque = weight_torque(
-        angle,
-        mass=load.segment_mass_kg,
-        centre_of_mass=load.centre_of_mass_m,
-        thigh_inclination=load.thigh_inclination_rad,
-        gravity=load.gravity_m_s2,
-    )
-    return float((torque + load.knee_torque_n_m) / arm + load.disturbance_n)
+def _static_force(load: Any, knee: Any, extension: float) -> float:
+    """Force of the load on the resting rod at t = 0, in N."""
+    at, under = knee.CreateDefaultContext(), load.CreateDefaultContext()
+    knee.GetInputPort("rod_extension").FixValue(at, [extension])
+    for name in ("knee_angle", "moment_arm"):
+        load.GetInputPort(name).FixValue(under, knee.GetOutputPort(name).Eval(at))
+    return float(load.GetOutputPort("load_force").Eval(under)[0])
 
 
 def _connect(builder: Any, source: Any, output: str, target: Any, input_: str) -> None:

@@ -114,7 +114,7 @@ def FourBarKnee_(T: Any) -> Any:
             if not p.flexion_min_rad <= angle <= p.flexion_max_rad:
                 raise SimulationError(
                     f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle = "
-                    f"{math.degrees(angle):.4g} deg left the range of motion "
+                    f"{math.degrees(angle):.6g} deg left the range of motion "
                     f"{math.degrees(p.flexion_min_rad):g} … {math.degrees(p.flexion_max_rad):g} "
                     f"deg; reduce the motion or the load"
                 )

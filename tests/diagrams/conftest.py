@@ -21,7 +21,7 @@ def fixed_step():
 
 
 class FourBarOracle:
-    """Geometry G1 by intersecting circles, in m and rad (Lee et al. 2020, Fig. 3, Eq. 1–9).
+    """Geometry G1 by intersecting circles, in m and rad (Lee et al. 2020, Eq. 1–9).
 
     Joint A lies on the circle around O_A with radius a_2; the second circle follows from whichever
     angle is given. It shares neither code nor formula with `kneexo.linkage`.

@@ -332,7 +332,7 @@ def test_linearized_poles_are_integrator_motor_lag_and_hydraulic_pair():
     expected = [-1.0 / n["lag"], complex(real, -imaginary), complex(real, imaginary), 0.0]
     # 1e-8 1/s of 2807: rounding of eigenvalues of a matrix whose norm is 5e4.
     np.testing.assert_allclose(linearized_poles(n), np.sort_complex(expected), atol=1e-8)
-    # The specification's round numbers: 447 Hz and a damping ratio of 0.0059.
+    # In round numbers: 447 Hz and a damping ratio of 0.0059.
     assert abs(expected[1]) / (2.0 * math.pi) == pytest.approx(447.0, abs=0.5)
     assert -real / abs(expected[1]) == pytest.approx(0.0059, abs=1e-4)
 
@@ -507,7 +507,7 @@ def test_polynomial_rod_map_inverts_table_1_exactly(four_bar):
     plant = make_plant(PlantParameters(rod_map="polynomial"))
     for degrees in np.linspace(0.0, 90.0, 19):
         angle, encoder, arm = kinematics(plant, 1e-3 * np.polyval(table_1, degrees))
-        # 1e-9 rad is asked for; the encoder stays on the linkage, on which 1e-9 rad is 2e-9 rad.
+        # The fit is good to 3e-10 rad; the encoder stays on the linkage, where dθ_4 < 2 dθ_p.
         assert angle == pytest.approx(math.radians(degrees), abs=1e-9)
         assert encoder == pytest.approx(four_bar.theta_4(math.radians(degrees)), abs=2e-9)
         slope_m_rad = 1e-3 * math.degrees(1.0) * np.polyval(np.polyder(table_1), degrees)
