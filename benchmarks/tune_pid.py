@@ -2,8 +2,9 @@
 
 The search that `kneexo.parameters.PID_TUNED` and `PID_FEEDFORWARD` come from:
 
-    python benchmarks/tune_pid.py                  # error feedback alone
-    python benchmarks/tune_pid.py --feedforward    # with the reference's velocity
+    python benchmarks/tune_pid.py                           # error feedback alone
+    python benchmarks/tune_pid.py --start 14 400 0 0.015    # the same without derivative
+    python benchmarks/tune_pid.py --feedforward             # with the reference's velocity
 
 Pattern search on the logarithm of the gains: every gain is tried a factor up and down, the best
 improvement is taken, and the factor shrinks when there is none. The objective is the largest
@@ -23,7 +24,7 @@ from kneexo.errors import SimulationError
 from kneexo.parameters import PidParameters, Scenario, SimulationParameters
 
 NAMES = ("proportional_per_s", "integral_per_s2", "derivative", "filter_s")
-START = (10.0, 20.0, 0.02, 0.02)
+START = (10.0, 20.0, 0.02, 0.02)  # a start of 0 stays 0
 DURATION_S = 30.0
 
 

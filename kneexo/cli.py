@@ -27,6 +27,7 @@ examples:
   kneexo simulate --out run           the paper's default scenario
   kneexo simulate my.yaml --out run   a scenario of your own
   kneexo params --yaml > my.yaml      a complete scenario file to edit
+  kneexo linearize --out margins       stability margins of the sampled loop
   kneexo diagram --out pictures       the block diagram
 
 Exit codes: 0 done, 2 wrong input or a run that failed (one line says why), 130 interrupted.
@@ -40,9 +41,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options.run(options)
     except KneexoError as error:
-        print(f"kneexo: {error}", file=sys.stderr)
+        scenario = getattr(options, "scenario", None)
+        where = f"{scenario}: " if scenario and scenario not in str(error) else ""
+        print(f"kneexo: {where}{error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ImportError) as error:
+        # An interrupt during the import of Drake arrives as an ImportError that it caused.
+        cause = error.__cause__ or error.__context__
+        if isinstance(error, ImportError) and not isinstance(cause, KeyboardInterrupt):
+            raise
         print("kneexo: interrupted; nothing was written", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of our output went away, as with `| head`
@@ -104,6 +111,18 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("simulate", _simulate, "run one scenario")
     add_scenario(sub)
     add_out(sub, "signals.csv, metrics.json, scenario.yaml and tracking.png, .pdf")
+
+    sub = command(
+        "linearize",
+        _linearize,
+        "poles, margins and small-signal bandwidth of plant and sampled loop",
+        "At a posture; the quantizer is bypassed.",
+    )
+    add_scenario(sub)
+    sub.add_argument(
+        "--knee-angle", type=float, default=40.0, metavar="DEG", help="posture, knee angle in deg"
+    )
+    add_out(sub, "linearization.json, loop.png and loop.pdf")
 
     sub = command("params", _params, "list every parameter with value, unit, range and provenance")
     add_scenario(sub)
@@ -177,10 +196,12 @@ def _simulate(options: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     from kneexo.analysis import track
+    from kneexo.diagrams import make_closed_loop
     from kneexo.output import output_directory, save_figure, to_json, write_csv
     from kneexo.scenario import dump_scenario
 
     with output_directory(options.out) as directory:
+        make_closed_loop(scenario)  # what is wrong with it shows before the progress bar
         with tqdm(
             total=scenario.simulation.duration_s,
             desc="simulated time",
@@ -201,6 +222,39 @@ def _simulate(options: argparse.Namespace) -> None:
     for name, value in asdict(result.metrics).items():
         print(f"{name:28s} {value:.6g}")
     print(f"In {options.out}: signals.csv, metrics.json, scenario.yaml, tracking.png, tracking.pdf")
+
+
+def _linearize(options: argparse.Namespace) -> None:
+    scenario = _scenario(options)
+    _headless()
+    from dataclasses import asdict
+
+    from kneexo.analysis import linearize_loop, linearize_plant
+    from kneexo.output import output_directory, save_figure, to_json
+
+    with output_directory(options.out) as directory:
+        plant = linearize_plant(scenario.plant, options.knee_angle)
+        loop = linearize_loop(scenario, options.knee_angle)
+        frequency, damping = plant.damping
+        text = to_json(
+            {
+                "operating_point": asdict(plant.operating_point),
+                "plant_poles_per_s": [[p.real, p.imag] for p in plant.poles],
+                "plant_frequencies_rad_s": frequency,
+                "plant_damping_ratios": damping,
+                "plant_velocity_gain": plant.velocity_gain,
+                "loop_eigenvalues": [[z.real, z.imag] for z in loop.eigenvalues],
+                "margins": asdict(loop.margins()),
+                "bandwidth_hz": loop.bandwidth_hz() if loop.stable else None,
+            }
+        )
+        (directory / "linearization.json").write_text(text, encoding="utf-8")
+        save_figure(directory, "loop", loop.plot()[0].figure)
+    if options.json:
+        print(text, end="")
+        return
+    print(f"plant: {plant}\nloop: {loop}")
+    print(f"In {options.out}: linearization.json, loop.png, loop.pdf")
 
 
 def _params(options: argparse.Namespace) -> None:
@@ -228,7 +282,8 @@ def _params(options: argparse.Namespace) -> None:
     for row in rows:
         bounds = f"  [{row['range']}]" if row["range"] else ""
         unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
-        print(f"{row['parameter']} = {row['value']}{unit}{bounds}\n    {row['provenance']}")
+        value = f"{row['value']:.10g}" if isinstance(row["value"], float) else row["value"]
+        print(f"{row['parameter']} = {value}{unit}{bounds}\n    {row['provenance']}")
 
 
 def _parameter_rows(
@@ -257,7 +312,7 @@ def _parameter_rows(
         elif source_of(field):
             yield {
                 "parameter": path + name,
-                "value": f"{value:.10g}" if isinstance(value, float) else value,
+                "value": value,
                 "unit": unit_of(field),
                 "range": allowed_range(field),
                 "provenance": source_of(field),
@@ -279,7 +334,13 @@ def _diagram(options: argparse.Namespace) -> None:
         if graphviz:
             for kind in ("svg", "png"):
                 picture = source.with_suffix(f".{kind}")
-                subprocess.run([graphviz, f"-T{kind}", source, "-o", picture], check=True)
+                done = subprocess.run(
+                    [graphviz, f"-T{kind}", source, "-o", picture], capture_output=True, text=True
+                )
+                if done.returncode:
+                    picture.unlink(missing_ok=True)
+                    reason = (done.stderr.splitlines() or ["no message"])[0]
+                    print(f"kneexo: Graphviz could not draw the {kind}: {reason}", file=sys.stderr)
         written = sorted(file.name for file in directory.iterdir())
     if options.json:
         print(json.dumps({"directory": str(options.out), "files": written}))

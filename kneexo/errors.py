@@ -27,3 +27,7 @@ class OutputError(KneexoError, OSError):
 
 class LinearizationError(KneexoError, ArithmeticError):
     """There is no equilibrium, or no linear loop, where a linearization was asked for."""
+
+
+class WorkerError(KneexoError, RuntimeError):
+    """A worker process died."""

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 
 from kneexo.errors import LinkageError
 from kneexo.parameters import LinkageParameters, RodPolynomialParameters
@@ -365,7 +366,7 @@ def fit_rod_inverse(
 
 
 def _dead_centre(rod_and_arm: Callable[[Array], tuple[Array, Array]], start: float) -> float:
-    """Rod extension where r = 0, below ``start``; by bisection.
+    """Rod extension where r = 0, below ``start``.
 
     A linkage without a dead centre within 60° (or that cannot be assembled so far) gets a
     fictitious one, well outside: the fit only needs a square root that is analytic in its range.
@@ -378,13 +379,8 @@ def _dead_centre(rod_and_arm: Callable[[Array], tuple[Array, Array]], start: flo
         except LinkageError:
             break
         if arm <= 0.0:
-            low, high = angle, previous
-            for _ in range(60):
-                middle = 0.5 * (low + high)
-                low, high = (
-                    (low, middle) if rod_and_arm(np.array(middle))[1] > 0 else (middle, high)
-                )
-            return float(rod_and_arm(np.array(0.5 * (low + high)))[0])
+            zero = brentq(lambda a: float(rod_and_arm(np.array(a))[1]), angle, previous, xtol=1e-15)
+            return float(rod_and_arm(np.array(zero))[0])
         previous = angle
     extension, arm = rod_and_arm(np.array(start))
     return float(extension + 0.25 * arm)

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 def output_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary directory whose files move to ``path`` when the body ends without error.
 
-    ``path`` is made when missing, and removed again when the body fails. Raises `OutputError`
-    before the body when ``path`` cannot be written, and when writing fails.
+    ``path`` and its parents are made when missing, and removed again when the body fails. Raises
+    `OutputError` before the body when ``path`` cannot be written, and when writing fails.
     """
     target = Path(path)
-    existed = target.is_dir()
+    made = [folder for folder in (target, *target.parents) if not folder.exists()]
     try:
         target.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=".kneexo-", dir=target))
@@ -46,8 +46,9 @@ def output_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise _output_error(target, error) from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-        if not existed and not any(target.iterdir()):
-            target.rmdir()
+        for folder in made:
+            if not any(folder.iterdir()):
+                folder.rmdir()
 
 
 def _output_error(path: Path, error: OSError) -> OutputError:

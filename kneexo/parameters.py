@@ -77,12 +77,16 @@ class CylinderParameters(Parameters):
     rod_diameter_m: float = quantity(0.010, "m", "Table 3", ge=0, le=1)
     stroke_m: float = quantity(0.150, "m", "Tables 2 and 3", gt=0, le=5)
     total_volume_m3: float = quantity(
-        41_233e-9, "m³", "Table 2: V_t = V_1 + V_2, mean area times stroke", gt=0, le=1
+        41_233e-9,
+        "m³",
+        "Table 2: V_t = V_1 + V_2, mean area times stroke; does not follow bore and stroke",
+        gt=0,
+        le=1,
     )
     bulk_modulus_pa: float = quantity(
         17_200e5, "Pa", "Tables 2 and 3: 17 200 bar (ISO VG 46)", gt=0, le=1e11
     )
-    mass_kg: float = quantity(1.6, "kg", "Tables 2 and 3: shank", gt=0, le=1000)
+    mass_kg: float = quantity(1.6, "kg", "Tables 2 and 3: shank", ge=0.01, le=1000)
     damping_n_s_per_m: float = quantity(0.05, "N/(m/s)", "Table 2: B", ge=0, le=1e6)
     stiffness_n_per_m: float = quantity(
         0.0, "N/m", "assumption: K of Eq. 16 is not printed", ge=0, le=1e7
@@ -119,6 +123,88 @@ class CylinderParameters(Parameters):
                 f"bore_m = {self.bore_m:g} m"
             )
         return self
+
+
+class FullCylinderParameters(Parameters):
+    """What the full order adds to `CylinderParameters`: both chambers, valves and seals (Eq. 14).
+
+    C_im' of Eq. 14 is `CylinderParameters.leakage_m3_per_s_pa`; with external leakage C_em' the
+    reduced order's C_L is C_im' + C_em'/2. Pressures are relative to the atmosphere.
+    """
+
+    dead_volume_m3: float = quantity(
+        5e-6,
+        "m³",
+        "assumption: V_d of each chamber, with its hose; Eq. 14 leaves V_1⁰ and V_2⁰ open, and "
+        "0 is singular at the end of the stroke",
+        gt=0,
+        le=1,
+    )
+    reservoir_pressure_pa: float = quantity(
+        0.2e6,
+        "Pa",
+        "assumption: P_r of Eq. 14 is not printed; 2 bar keep the return line from cavitating",
+        ge=0,
+        le=1e6,
+    )
+    cap_external_leakage_m3_per_s_pa: float = quantity(
+        0.0, "m³/(s·Pa)", "assumption: C_em1' of Eq. 14 is not printed", ge=0, le=1e-9
+    )
+    rod_side_external_leakage_m3_per_s_pa: float = quantity(
+        0.0, "m³/(s·Pa)", "assumption: C_em2' of Eq. 14 is not printed", ge=0, le=1e-9
+    )
+    makeup_conductance_m3_per_s_pa: float = quantity(
+        2e-10,
+        "m³/(s·Pa)",
+        "assumption: 0.02 MPa at the 3.7 cm³/s that A_1 − A_2 asks for at full speed; 0 blocks "
+        "the valves",
+        ge=0,
+        le=1e-6,
+    )
+    makeup_band_pa: float = quantity(
+        0.05e6,
+        "Pa",
+        "assumption: |P_1 − P_2| that opens one pilot-operated check valve and closes the other",
+        gt=0,
+        le=1e7,
+    )
+    relief_pressure_pa: float = quantity(
+        3.5e6,
+        "Pa",
+        "assumption: both lines are relieved at the cylinder's rating of Table 3",
+        gt=1e6,
+        le=1e9,
+    )
+    relief_conductance_m3_per_s_pa: float = quantity(
+        5e-10,
+        "m³/(s·Pa)",
+        "assumption: the whole flow of the pump, 11 cm³/s, 1 % above the relief pressure",
+        ge=0,
+        le=1e-6,
+    )
+    valve_band_pa: float = quantity(
+        0.02e6, "Pa", "assumption: rounds the opening of check and relief valves", gt=0, le=1e7
+    )
+    entrained_air: float = quantity(
+        0.0,
+        "1",
+        "assumption: volume of free air in that of the oil at atmospheric pressure; 1.5 % makes "
+        "0.05 GPa of β_e at P_r",
+        ge=0,
+        le=0.5,
+    )
+    coulomb_friction_n: float = quantity(
+        0.0, "N", "assumption: seal friction in motion; Eq. 16 has none", ge=0, le=1e5
+    )
+    stribeck_friction_n: float = quantity(
+        0.0, "N", "assumption: what breakaway takes beyond it", ge=0, le=1e5
+    )
+    stribeck_speed_m_s: float = quantity(
+        0.01, "m/s", "assumption: typical of hydraulic seals", gt=0, le=10
+    )
+    friction_band_m_s: float = quantity(
+        1e-3, "m/s", "assumption: rounds the reversal of the friction", gt=0, le=10
+    )
 
 
 _IDENTIFIED = (
@@ -219,6 +305,14 @@ class KneeParameters(Parameters):
 
     flexion_min_deg: float = quantity(0.0, "deg", "Section 2: 0…90°", ge=-2, le=90)
     flexion_max_deg: float = quantity(90.0, "deg", "Section 2: 0…90°", ge=0, le=91)
+    overshoot_deg: float = quantity(
+        0.5,
+        "deg",
+        "assumption: how far a run may pass the range of motion before it is an error, so that a "
+        "reference may touch the stops",
+        ge=0,
+        le=1,
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> KneeParameters:
@@ -300,6 +394,9 @@ class PlantParameters(Parameters):
     ideal_motor: bool = choice(
         False, "Eq. 17: pump speed equals the command, without lag, acceleration or speed limit"
     )
+    full_order: FullCylinderParameters | None = choice(
+        None, "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15"
+    )
 
     @field_validator("linkage", mode="before")
     @classmethod
@@ -363,7 +460,7 @@ class SlidingModeParameters(Parameters):
     """Sliding-mode controller (Eq. 20–27)."""
 
     kind: Literal["smc"] = "smc"
-    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, gt=0, le=1)
+    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, ge=1e-5, le=1)
     continuous: bool = choice(
         False, "True: continuous time, as in the ideal simulation of Fig. 9; needs exact states"
     )
@@ -393,7 +490,11 @@ class SlidingModeParameters(Parameters):
         0.0, "N/s", "assumption: bound on dF_L/dt in Eq. 27 is not printed", ge=0, le=1e9
     )
     command_limit_rad_s: float = quantity(
-        5000.0 * RPM, "rad/s", "Table 2: u <= 5000 rpm", gt=0, le=1e12
+        5000.0 * RPM,
+        "rad/s",
+        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
+        gt=0,
+        le=1e12,
     )
 
     @property
@@ -420,7 +521,7 @@ class PidParameters(Parameters):
     """PID controller on the knee angle; the output is a motor speed."""
 
     kind: Literal["pid"] = "pid"
-    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, gt=0, le=1)
+    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, ge=1e-5, le=1)
     proportional_per_s: float = quantity(
         5.0,
         "1/s",
@@ -429,12 +530,14 @@ class PidParameters(Parameters):
         le=1e4,
     )
     integral_per_s2: float = quantity(0.0, "1/s²", "assumption: not printed", ge=0, le=1e6)
-    derivative: float = quantity(0.0, "1", "assumption: not printed", ge=0, le=1e4)
+    derivative: float = quantity(
+        0.0, "1", "assumption: not printed; gain on the error's rate", ge=0, le=1e4
+    )
     filter_s: float = quantity(
         0.020,
         "s",
-        "assumption: lag of the error's filter, T_d; as the observer's, because both see the "
-        "same encoder",
+        "assumption: lag of the error's filter, on P and D; as the observer's, because both see "
+        "the same encoder",
         ge=1e-4,
         le=10,
     )
@@ -452,8 +555,21 @@ class PidParameters(Parameters):
         le=2,
     )
     command_limit_rad_s: float = quantity(
-        5000.0 * RPM, "rad/s", "Table 2: u <= 5000 rpm", gt=0, le=1e12
+        5000.0 * RPM,
+        "rad/s",
+        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
+        gt=0,
+        le=1e12,
     )
+
+    @model_validator(mode="after")
+    def _anti_windup_is_stable(self) -> PidParameters:
+        if self.anti_windup_s < self.sample_time_s:
+            raise ValueError(
+                f"anti_windup_s = {self.anti_windup_s:g} s must be at least sample_time_s = "
+                f"{self.sample_time_s:g} s"
+            )
+        return self
 
 
 # ----------------------------------------------------------------------------- reference
@@ -471,6 +587,11 @@ class SineReference(Parameters):
     amplitude_deg: float = quantity(30.0, "deg", "Section 5: 10…70°", ge=0, le=46)
     frequency_hz: float = quantity(0.1, "Hz", "Section 5: 0.1 Hz", gt=0, le=250)
 
+    @property
+    def range_deg(self) -> tuple[float, float]:
+        """Smallest and largest angle in deg."""
+        return self.mean_deg - self.amplitude_deg, self.mean_deg + self.amplitude_deg
+
 
 class StepReference(Parameters):
     """Knee angle that jumps once."""
@@ -479,6 +600,11 @@ class StepReference(Parameters):
     start_deg: float = _flexion(30.0, "assumption: an example")
     end_deg: float = _flexion(50.0, "assumption: an example")
     time_s: float = quantity(1.0, "s", "assumption: an example", ge=0, le=1e6)
+
+    @property
+    def range_deg(self) -> tuple[float, float]:
+        """Smallest and largest angle in deg."""
+        return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
 
 
 class RampReference(Parameters):
@@ -491,6 +617,11 @@ class RampReference(Parameters):
     rate_deg_s: float = quantity(
         15.0, "deg/s", "assumption: below the 23 deg/s that the speed limit allows", gt=0, le=1e4
     )
+
+    @property
+    def range_deg(self) -> tuple[float, float]:
+        """Smallest and largest angle in deg."""
+        return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
 
 
 class SampledReference(Parameters):
@@ -512,9 +643,16 @@ class SampledReference(Parameters):
                 f"times_s has {len(self.times_s)} values and angles_deg has "
                 f"{len(self.angles_deg)}: must be as many"
             )
-        if any(b <= a for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
-            raise ValueError("times_s must be strictly increasing")
+        if any(b - a < 1e-6 for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
+            raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
+        if max(abs(self.times_s[0]), abs(self.times_s[-1])) > 1e5:
+            raise ValueError("times_s must lie within ±100000 s")
         return self
+
+    @property
+    def range_deg(self) -> tuple[float, float]:
+        """Smallest and largest sample in deg; the spline between them may reach further."""
+        return min(self.angles_deg), max(self.angles_deg)
 
 
 Reference = Annotated[
@@ -532,7 +670,7 @@ class SimulationParameters(Parameters):
     integrator: Literal["radau3", "radau1", "runge_kutta3", "implicit_euler"] = choice(
         "radau3", "Drake's name; implicit, because the hydraulic mode lies at 447 Hz"
     )
-    step_s: float = quantity(0.002, "s", "the control period", gt=0, le=1)
+    step_s: float = quantity(0.002, "s", "the control period", ge=1e-7, le=1)
     error_controlled: bool = choice(False, "True: step_s is only the largest step")
     accuracy: float = quantity(
         1e-4, "1", "accuracy of the error-controlled integrator", ge=1e-12, le=0.1
@@ -571,12 +709,26 @@ class Scenario(Parameters):
     simulation: SimulationParameters = SimulationParameters()
 
     @property
+    def command_limit_rad_s(self) -> float:
+        """Limit of the command: the controller's, or the believed motor's where that is lower."""
+        pump = self.believed_plant
+        own = self.controller.command_limit_rad_s
+        return own if pump.ideal_motor else min(own, pump.pump.speed_limit_rad_s)
+
+    @property
     def believed_plant(self) -> PlantParameters:
         """The plant that the controller is designed for."""
         return self.plant if self.nominal is None else self.nominal
 
     @model_validator(mode="after")
     def _compatible(self) -> Scenario:
+        knee = self.plant.knee
+        low, high = self.reference.range_deg
+        if low < knee.flexion_min_deg or high > knee.flexion_max_deg:
+            raise ValueError(
+                f"reference = {low:.4g} … {high:.4g} deg leaves the range of motion "
+                f"{knee.flexion_min_deg:g} … {knee.flexion_max_deg:g} deg; reduce it"
+            )
         continuous = self.controller.kind == "smc" and self.controller.continuous
         if continuous and self.estimator.kind != "exact":
             raise ValueError(
@@ -630,10 +782,10 @@ class SinestreamParameters(Parameters):
     seed: int = Field(
         default=2020, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
     )
-    internal_leakage_min_m3_per_s_pa: float = quantity(0.0, "m³/(s·Pa)", _TRIALS, ge=0, le=1e-9)
-    internal_leakage_max_m3_per_s_pa: float = quantity(2e-12, "m³/(s·Pa)", _TRIALS, ge=0, le=1e-9)
+    internal_leakage_min_m3_per_s_pa: float = quantity(2e-14, "m³/(s·Pa)", _TRIALS, gt=0, le=1e-9)
+    internal_leakage_max_m3_per_s_pa: float = quantity(2e-12, "m³/(s·Pa)", _TRIALS, gt=0, le=1e-9)
     acceleration_limit_min_rad_s2: float = quantity(2e3, "rad/s²", _TRIALS, gt=0, le=1e7)
-    acceleration_limit_max_rad_s2: float = quantity(1.8e4, "rad/s²", _TRIALS, gt=0, le=1e7)
+    acceleration_limit_max_rad_s2: float = quantity(1e4, "rad/s²", _TRIALS, gt=0, le=1e7)
     bulk_modulus_min_pa: float = quantity(0.2e9, "Pa", _TRIALS + "; entrained air", gt=0, le=1e11)
     bulk_modulus_max_pa: float = quantity(17_200e5, "Pa", _TRIALS, gt=0, le=1e11)
     mass_min_kg: float = quantity(1.4, "kg", "Table 2", gt=0, le=1000)
@@ -671,10 +823,12 @@ IDEAL_SMC = Scenario(
 PID_PAPER = PidParameters()
 """A PID tuned as poorly as Fig. 12 shows: proportional action alone, 5 1/s."""
 
-PID_TUNED = PidParameters(
-    proportional_per_s=11.89, integral_per_s2=380.5, derivative=0.02, filter_s=0.01915
-)
-"""The best PID found for Fig. 12 within the chattering budget: ``benchmarks/tune_pid.py``."""
+PID_TUNED = PidParameters(proportional_per_s=14.0, integral_per_s2=400.0, filter_s=0.015)
+"""The best PID found for Fig. 12 within the chattering of the SMC: ``benchmarks/tune_pid.py``.
+
+The largest error depends on where single counts of the encoder fall, so neighbouring gains differ
+by some hundredths of a degree in no order.
+"""
 
 PID_FEEDFORWARD = PidParameters(
     proportional_per_s=1.25,
@@ -693,14 +847,17 @@ FIG_12 = {
 }
 """Fig. 12: 10…70° at 0.1 Hz with the sliding-mode controller and with PIDs."""
 
+_BASE_HZ = (0.20, 0.21, 0.22, 0.23, 0.24)
+
 FIG_13_SCALING = {
+    "nominal": (Scenario(), SinestreamParameters(frequencies_hz=_BASE_HZ)),
     "gear_3": (
         Scenario(plant=PlantParameters(pump=BldcPumpParameters(gear_ratio=3.0))),
-        SinestreamParameters(frequencies_hz=(0.40, 0.42, 0.44, 0.46, 0.48)),
+        SinestreamParameters(frequencies_hz=tuple(2.0 * f for f in _BASE_HZ)),
     ),
     "half_amplitude": (
         Scenario(reference=SineReference(amplitude_deg=15.0)),
-        SinestreamParameters(frequencies_hz=(0.40, 0.42, 0.44, 0.46, 0.48)),
+        SinestreamParameters(frequencies_hz=tuple(2.0 * f for f in _BASE_HZ)),
     ),
 }
 """What should double the bandwidth of Fig. 13: twice the flow, or half the way."""

@@ -88,12 +88,19 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
         line = f"{path} has no value"
     elif kind in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
         bounds = f"finite and {bounds}" if bounds else "finite"
+        if field is None or not allowed_range(field):
+            unit = ""  # "finite" needs none
         line = f"{path} = {shown_with_unit} is out of range: must be {bounds} {unit}".rstrip()
     elif kind == "union_tag_invalid":
         line = f"{path}.kind = {fault['ctx']['tag']!r}: must be {fault['ctx']['expected_tags']}"
         location = (*location, "kind")
     elif kind == "missing":
         line = f"{path}: is missing"
+    elif kind in {"too_short", "too_long"}:
+        context = fault["ctx"]
+        bound = context.get("min_length", context.get("max_length"))
+        word = "at least" if kind == "too_short" else "at most"
+        line = f"{path} has {context['actual_length']} values: must have {word} {bound}"
     elif kind == "value_error":
         line = str(fault["ctx"]["error"])
         line = f"{path}: {line}" if path else line

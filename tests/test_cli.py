@@ -1,8 +1,10 @@
 import csv
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -42,7 +44,7 @@ def test_params_lists_every_number_with_unit_and_provenance(capsys):
     assert main(["params", "--json"]) == 0
     rows = {row["parameter"]: row for row in json.loads(capsys.readouterr().out)}
     mass = rows["plant.cylinder.mass_kg"]
-    assert (mass["value"], mass["unit"]) == ("1.6", "kg")
+    assert (mass["value"], mass["unit"]) == (1.6, "kg")
     assert "Table" in mass["provenance"]
     assert all(row["provenance"] for row in rows.values())
     assert main(["params"]) == 0
@@ -111,26 +113,60 @@ def test_diagram_draws_with_graphviz(capsys, tmp_path, monkeypatch):
         ("plant: {cylinder: {mas_kg: 1.0}}", "plant.cylinder.mas_kg: unknown name"),
         ("reference: {mean_deg: 70.0}", "leaves the range of motion 0 … 90 deg"),
         ("plant: {linkage: {a_2_m: 0.2}}", "cannot be assembled"),
-        ("simulation: {duration_s: 5.0}", "must exceed the first period"),
         ("controller: {kind: lqr}", "controller.kind = 'lqr'"),
         (
-            SHORT + "  integrator: runge_kutta3\n".replace("  ", "  "),
-            "t = ",
+            "reference: {frequency_hz: 1.0, amplitude_deg: 2.0}\n"
+            "simulation: {duration_s: 1.2, integrator: runge_kutta3}",
+            "left the stroke 0 … 0.15 m; reduce the motion, the load or the step",
         ),
+        ("initial_offset_m: -0.15", "outside the stroke 0 … 0.15 m; change the offset"),
+        ("controller: {kind: pid, anti_windup_s: 1e-3}", "must be at least sample_time_s"),
+        (
+            "reference: {kind: samples, times_s: [0, 1, 1e300], angles_deg: [1, 2, 3]}",
+            "times_s must lie within ±100000 s",
+        ),
+        (
+            "reference: {kind: samples, times_s: [0, 1e-9, 1], angles_deg: [1, 2, 3]}",
+            "times_s must increase by at least 1e-6 s",
+        ),
+        (
+            "reference: {kind: samples, times_s: [0, 1, 2, 3], angles_deg: [5, 89, 89, 5]}\n"
+            "simulation: {duration_s: 1.0}",
+            "leaves the range of motion",
+        ),
+        ("reference: {kind: samples, times_s: [0, 1], angles_deg: [1, 2]}", "must have at least 3"),
     ],
 )
 def test_bad_scenarios_are_one_line_exit_2_and_leave_nothing(
     capsys, scenario_file, tmp_path, text, told
 ):
-    text = text.replace("{duration_s: 1.2}\n  integrator", "{duration_s: 1.2, integrator").replace(
-        "runge_kutta3\n", "runge_kutta3}\n"
-    )
     out = tmp_path / "out"
     assert main(["simulate", scenario_file(text), "--out", str(out)]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("kneexo:")]
     assert len(lines) == 1
     assert told in lines[0]
+    assert "scenario.yaml" in lines[0]
     assert not out.exists()
+
+
+def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path):
+    out = tmp_path / "deep" / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "kneexo", "reproduce", "--workers", "2", "--out", str(out)],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60.0
+    while not any(out.glob(".kneexo-*")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(3.0)  # the workers are at it, or just starting: both must end
+    os.killpg(process.pid, signal.SIGINT)
+    error = process.communicate(timeout=20)[1]
+    assert process.returncode == 130
+    assert "Traceback" not in error
+    assert error.splitlines()[-1] == "kneexo: interrupted; nothing was written"
+    assert not (tmp_path / "deep").exists()
 
 
 def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp_path):
@@ -154,3 +190,17 @@ def test_python_m_kneexo_is_the_same_command():
         [sys.executable, "-m", "kneexo", "--version"], capture_output=True, text=True, check=True
     )
     assert out.stdout.startswith("kneexo ")
+
+
+def test_linearize_writes_margins_and_refuses_a_posture_out_of_range(capsys, tmp_path):
+    assert main(["linearize", "--out", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["margins"]["stable"] is True
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {
+        "linearization.json",
+        "loop.png",
+        "loop.pdf",
+    }
+    assert main(["linearize", "--knee-angle", "200", "--out", str(tmp_path / "no")]) == 2
+    assert "knee angle = 200 deg" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()

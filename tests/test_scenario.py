@@ -203,21 +203,22 @@ KNOWN = ", ".join(sorted(Scenario.model_fields))
         (  # ranges and types
             "# shank\n\nplant:\n  cylinder:\n    bore_m: 0.02\n    mass_kg: -1\n",
             "6: plant.cylinder.mass_kg = -1 kg is out of range: "
-            "must be finite and > 0 and <= 1000 kg",
+            "must be finite and >= 0.01 and <= 1000 kg",
         ),
         (
             "plant:\n  cylinder:\n    mass_kg: .inf\n",
             "3: plant.cylinder.mass_kg = inf kg is out of range: "
-            "must be finite and > 0 and <= 1000 kg",
+            "must be finite and >= 0.01 and <= 1000 kg",
         ),
         (
             "plant:\n  cylinder:\n    mass_kg: .NaN\n",
             "3: plant.cylinder.mass_kg = nan kg is out of range: "
-            "must be finite and > 0 and <= 1000 kg",
+            "must be finite and >= 0.01 and <= 1000 kg",
         ),
         (
             "plant:\n  cylinder: {stroke_m: 0.1,\n    mass_kg: heavy}\n",
-            "3: plant.cylinder.mass_kg = 'heavy' kg: must be a valid number, > 0 and <= 1000 kg",
+            "3: plant.cylinder.mass_kg = 'heavy' kg: must be a valid number, "
+            ">= 0.01 and <= 1000 kg",
         ),
         (
             "can_delay_samples: 1\nencoder:\n  quantized: 1\n",
@@ -244,7 +245,8 @@ KNOWN = ", ".join(sorted(Scenario.model_fields))
         ),
         (
             "plant: &p\n  cylinder: &c\n    mass_kg: 1\nnominal:\n  cylinder: *c\n  knee: *c\n",
-            "3: nominal.knee.mass_kg: unknown name; known here: flexion_max_deg, flexion_min_deg",
+            "3: nominal.knee.mass_kg: unknown name; known here: flexion_max_deg, "
+            "flexion_min_deg, overshoot_deg",
         ),
         # values that contradict each other
         (
@@ -269,7 +271,7 @@ KNOWN = ", ".join(sorted(Scenario.model_fields))
         (
             "plant:\n  knee:\n    flexion_min: 3\n",
             "3: plant.knee.flexion_min: unknown name; known here: flexion_max_deg, "
-            "flexion_min_deg; did you mean 'flexion_min_deg'?",
+            "flexion_min_deg, overshoot_deg; did you mean 'flexion_min_deg'?",
         ),
         ("encoder: {}\nqqq: 1\n", f"2: qqq: unknown name; known here: {KNOWN}"),
         (
@@ -338,7 +340,10 @@ def test_fault_is_one_line_with_file_line_and_path(
         ("controller: {lambda: 2}", ["controller.lambda: ", "did you mean 'lambda_per_s'?"]),
         ("plant: 3", ["plant = 3"]),
         ("polynomial: {p_mm_deg: [1, 2, 3]}", ["polynomial.p_mm_deg.3", "missing"]),
-        ("polynomial: {p_mm_deg: [1, 2, 3, 4, 5, 6, 7]}", ["polynomial.p_mm_deg", "6 items"]),
+        (
+            "polynomial: {p_mm_deg: [1, 2, 3, 4, 5, 6, 7]}",
+            ["polynomial.p_mm_deg has 7 values: must have at most 6"],
+        ),
         ("polynomial: {p_mm_deg: 1}", ["polynomial.p_mm_deg = 1"]),
         ("plant: {load: {kind: knee, segment_mass_kg: -1}}", ["plant.load.segment_mass_kg = -1"]),
         ("plant: {rod_map: 'a\\u2028\nb'}", ["plant.rod_map"]),
@@ -457,7 +462,9 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
 def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
     """Random valid instances of a parameter class."""
     if model is SampledReference:
-        times = st.lists(st.floats(0, 100), min_size=3, max_size=6, unique=True).map(sorted)
+        times = st.lists(
+            st.integers(0, 10**6).map(lambda n: 1e-3 * n), min_size=3, max_size=6, unique=True
+        ).map(sorted)
         return times.map(lambda t: SampledReference(times_s=tuple(t), angles_deg=(1.5,) * len(t)))
     fields = {}
     for name, field in model.model_fields.items():
@@ -472,6 +479,13 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
         fields["continuous"] = st.just(False)  # True asks for exact states
 
     def build(drawn: dict[str, typing.Any]) -> Parameters:
+        if model is PidParameters:
+            drawn["anti_windup_s"] = max(drawn["anti_windup_s"], drawn["sample_time_s"])
+        if model is Scenario:  # the reference must lie within the range of motion
+            low, high = drawn["reference"].range_deg
+            knee = drawn["plant"].knee
+            if low < knee.flexion_min_deg or high > knee.flexion_max_deg:
+                del drawn["reference"], drawn["plant"]
         low, high = ORDERED.get(model, (None, None))
         if low and drawn[low] >= drawn[high]:  # then both have their default
             del drawn[low], drawn[high]
@@ -507,7 +521,7 @@ def test_small_and_large_floats_are_floats_in_yaml_1_1(file: File) -> None:
 
 def test_dump_is_documented() -> None:
     lines = dump_scenario(Scenario()).splitlines()
-    assert "    mass_kg: 1.6  # kg, > 0 and <= 1000" in lines
+    assert "    mass_kg: 1.6  # kg, >= 0.01 and <= 1000" in lines
     assert "controller:  # kind: smc, pid" in lines
     assert "  rod_map: linkage  # linkage, polynomial" in lines
     assert "nominal: null" in lines
@@ -519,5 +533,5 @@ def test_schema_names_sections_units_and_ranges() -> None:
     assert set(schema["properties"]) == set(Scenario.model_fields)
     mass = schema["$defs"]["CylinderParameters"]["properties"]["mass_kg"]
     assert mass["unit"] == "kg"
-    assert mass["exclusiveMinimum"] == 0
+    assert mass["minimum"] == 0.01
     assert mass["maximum"] == 1000

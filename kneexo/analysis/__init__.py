@@ -6,25 +6,44 @@ from kneexo.analysis.frequency_response import (
     crossing,
     draw_trials,
     fundamental,
+    nominal_trial,
     sinestream,
 )
-from kneexo.analysis.parallel import parallel_map
+from kneexo.analysis.linearization import (
+    Margins,
+    OperatingPoint,
+    PlantLinearization,
+    SampledLoop,
+    find_operating_point,
+    linearize_loop,
+    linearize_plant,
+)
+from kneexo.analysis.parallel import parallel_map, process_pool
 from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
 from kneexo.analysis.simulation import Run, simulate, simulate_diagram
 from kneexo.analysis.tracking import TrackingMetrics, TrackingResult, track, tracking_metrics
 
 __all__ = [
     "FrequencyResponse",
+    "Margins",
+    "OperatingPoint",
+    "PlantLinearization",
     "PolynomialFit",
     "Run",
+    "SampledLoop",
     "TrackingMetrics",
     "TrackingResult",
     "Trial",
     "crossing",
     "draw_trials",
+    "find_operating_point",
     "fit_polynomials",
     "fundamental",
+    "linearize_loop",
+    "linearize_plant",
+    "nominal_trial",
     "parallel_map",
+    "process_pool",
     "simulate",
     "simulate_diagram",
     "sinestream",

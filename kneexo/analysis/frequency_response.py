@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from pydrake.systems.framework import Diagram
 from pydrake.trajectories import PiecewisePolynomial
+from scipy.optimize import brentq
 
 from kneexo.analysis.parallel import parallel_map
 from kneexo.analysis.simulation import Array, simulate_diagram
@@ -38,24 +39,41 @@ class Trial:
 
 
 def draw_trials(scenario: Scenario, settings: SinestreamParameters) -> tuple[Trial, ...]:
-    """Draw the trials uniformly from the ranges of ``settings``, by its seed."""
+    """Draw the trials from the ranges of ``settings``, by its seed.
+
+    Mass and encoder phase are uniform; leakage, acceleration limit and bulk modulus, known only
+    by their order of magnitude, are log-uniform.
+    """
     random = np.random.default_rng(settings.seed)
+
+    def log_uniform(low: float, high: float) -> float:
+        return math.exp(random.uniform(math.log(low), math.log(high)))
+
     return tuple(
         Trial(
-            internal_leakage_m3_per_s_pa=random.uniform(
+            internal_leakage_m3_per_s_pa=log_uniform(
                 settings.internal_leakage_min_m3_per_s_pa,
                 settings.internal_leakage_max_m3_per_s_pa,
             ),
-            acceleration_limit_rad_s2=random.uniform(
+            acceleration_limit_rad_s2=log_uniform(
                 settings.acceleration_limit_min_rad_s2, settings.acceleration_limit_max_rad_s2
             ),
-            bulk_modulus_pa=random.uniform(
-                settings.bulk_modulus_min_pa, settings.bulk_modulus_max_pa
-            ),
+            bulk_modulus_pa=log_uniform(settings.bulk_modulus_min_pa, settings.bulk_modulus_max_pa),
             mass_kg=random.uniform(settings.mass_min_kg, settings.mass_max_kg),
             encoder_phase_rad=random.uniform(0.0, scenario.encoder.resolution_rad),
         )
         for _ in range(settings.trials)
+    )
+
+
+def nominal_trial(scenario: Scenario) -> Trial:
+    """The trial that changes nothing."""
+    return Trial(
+        internal_leakage_m3_per_s_pa=scenario.plant.pump.internal_leakage_m3_per_s_pa,
+        acceleration_limit_rad_s2=scenario.plant.pump.acceleration_limit_rad_s2,
+        bulk_modulus_pa=scenario.plant.cylinder.bulk_modulus_pa,
+        mass_kg=scenario.plant.cylinder.mass_kg,
+        encoder_phase_rad=0.0,
     )
 
 
@@ -157,14 +175,14 @@ def crossing(frequencies_hz: Array, gain: Array, threshold: float = MINUS_3_DB) 
     if below.size == 0:
         return math.nan
     curve = _pchip(frequencies_hz, gain)
-    low, high = frequencies_hz[below[0]], frequencies_hz[below[0] + 1]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if curve.value(middle)[0, 0] >= threshold:
-            low = middle
-        else:
-            high = middle
-    return float(0.5 * (low + high))
+    return float(
+        brentq(
+            lambda f: curve.value(f)[0, 0] - threshold,
+            frequencies_hz[below[0]],
+            frequencies_hz[below[0] + 1],
+            xtol=1e-14,
+        )
+    )
 
 
 @lru_cache(maxsize=4)
@@ -232,14 +250,23 @@ def sinestream(
     by `draw_trials` when left out) runs at each frequency: the transient cycles are discarded, the
     fundamental of the rest is fitted. ``workers``, ``executor``: see `parallel_map`.
 
-    Raises `ParameterError` when the reference is no sine, and what the simulation raises.
+    Raises `ParameterError` when the reference is no sine or does not move, there are no trials, or
+    a frequency has fewer than ten samples a period; and what the simulation raises.
     """
-    if scenario.reference.kind != "sine":
-        raise ParameterError(
-            f"reference.kind = {scenario.reference.kind!r}: a sinestream needs 'sine'"
-        )
+    reference = scenario.reference
+    if reference.kind != "sine" or reference.amplitude_deg == 0.0:
+        shown = reference.kind if reference.kind != "sine" else "sine with amplitude_deg = 0 deg"
+        raise ParameterError(f"reference = {shown}: a sinestream needs a sine that moves")
     drawn = draw_trials(scenario, settings) if trials is None else tuple(trials)
+    if not drawn:
+        raise ParameterError("trials: there are none; a sinestream needs at least one")
     frequencies = sorted(settings.frequencies_hz)
+    highest = 0.1 / scenario.controller.sample_time_s
+    if frequencies[-1] > highest:
+        raise ParameterError(
+            f"frequencies_hz: {frequencies[-1]:g} Hz is too high: must be <= {highest:g} Hz, ten "
+            f"samples a period"
+        )
     work = [(frequency, trial) for trial in drawn for frequency in frequencies]
     measure: Callable[[tuple[float, Trial]], complex] = partial(_measure, scenario, settings)
     values = parallel_map(

@@ -5,14 +5,53 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from typing import TypeVar
 
 from tqdm import tqdm
 
+from kneexo.errors import WorkerError
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+@contextmanager
+def process_pool(workers: int | None) -> Iterator[Executor | None]:
+    """An executor of spawned processes, which die at once when the body fails or is interrupted.
+
+    ``workers``: their number, None for all cores of this process; with 1 there is none, and
+    `parallel_map` works in this process. Raises `WorkerError` when a process dies.
+    """
+    count = len(os.sched_getaffinity(0)) if workers is None else workers
+    if count == 1:
+        yield None
+        return
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    except BaseException as error:
+        for process in list((pool._processes or {}).values()):
+            process.terminate()
+        if isinstance(error, BrokenExecutor):
+            raise WorkerError(
+                f"one of {count} worker processes died (out of memory?); use fewer workers"
+            ) from None
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupt_later() -> Iterator[None]:
+    """Hold Ctrl-C back. Processes that start meanwhile inherit that: only this one answers it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def parallel_map(
@@ -26,12 +65,16 @@ def parallel_map(
 ) -> list[Result]:
     """``[function(item) for item in items]``, the heaviest items first.
 
-    ``workers``: processes; 1 works in this process, None takes all cores. Processes are spawned,
-    so with more than one a script needs ``if __name__ == "__main__":``. An ``executor`` of the
-    caller's goes before ``workers``. ``description`` shows a progress bar that advances by
+    ``workers``: see `process_pool`; with more than one a script needs
+    ``if __name__ == "__main__":``, because processes are spawned. An ``executor`` of the caller's
+    goes before ``workers``. ``description`` shows a progress bar that advances by
     ``weight(item)``. The first error ends the work and is raised; so does KeyboardInterrupt.
     """
-    workers = os.cpu_count() or 1 if workers is None else workers
+    if executor is None and workers != 1:
+        with process_pool(workers) as pool:
+            return parallel_map(
+                function, items, executor=pool, description=description, weight=weight
+            )
     order = sorted(range(len(items)), key=lambda index: -weight(items[index]))
     results: dict[int, Result] = {}
     with tqdm(
@@ -41,33 +84,20 @@ def parallel_map(
         mininterval=0.5,
         bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
     ) as bar:
-        if executor is None and workers == 1:
+        if executor is None:
             for index in order:
                 results[index] = function(items[index])
                 bar.update(weight(items[index]))
-            return [results[index] for index in range(len(items))]
-        pool: Any = executor or ProcessPoolExecutor(
-            workers, multiprocessing.get_context("spawn"), initializer=_die_on_interrupt
-        )
-        futures = {pool.submit(function, items[index]): index for index in order}
-        try:
-            for future in as_completed(futures):
-                index = futures[future]
-                results[index] = future.result()
-                bar.update(weight(items[index]))
-        except BaseException:
-            for future in futures:
-                future.cancel()
-            if executor is None:
-                for process in list(pool._processes.values()):
-                    process.terminate()
-            raise
-        finally:
-            if executor is None:
-                pool.shutdown(cancel_futures=True)
+        else:
+            with _interrupt_later():
+                futures = {executor.submit(function, items[index]): index for index in order}
+            try:
+                for future in as_completed(futures):
+                    index = futures[future]
+                    results[index] = future.result()
+                    bar.update(weight(items[index]))
+            except BaseException:
+                for future in futures:
+                    future.cancel()
+                raise
     return [results[index] for index in range(len(items))]
-
-
-def _die_on_interrupt() -> None:
-    """Let Ctrl-C end a worker at once, without a traceback of its own."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)

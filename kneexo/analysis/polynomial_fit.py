@@ -57,11 +57,6 @@ class PolynomialFit:
         ax.legend()
 
 
-def rms(error: Array) -> float:
-    """Root mean square of ``error`` (n,)."""
-    return float(np.sqrt(np.mean(error**2)))
-
-
 def fit_polynomials(link: LinkageParameters = G1) -> PolynomialFit:
     """Fit Eq. 10 and 11 to a linkage over 0…90°.
 

@@ -57,15 +57,15 @@ def simulate_diagram(
             max_step_size=settings.step_s,
             accuracy=settings.accuracy,
             use_error_control=settings.error_controlled,
+            start_time=context.get_time(),
         ),
         simulator,
     )
-    simulator.Initialize()
-    end = 0.0
-    while end < settings.duration_s:
-        end = min(end + 0.25, settings.duration_s)
+    start = end = context.get_time()
+    while end < start + settings.duration_s:
+        end = min(end + 0.25, start + settings.duration_s)
         try:
-            simulator.AdvanceTo(end)
+            simulator.AdvanceTo(end)  # initializes, the first time
         except (RuntimeError, ValueError) as error:
             if isinstance(error, SimulationError):
                 raise
@@ -76,7 +76,7 @@ def simulate_diagram(
                 f"reduce the step"
             ) from None
         if progress is not None:
-            progress(end)
+            progress(end - start)
     values = log.data().copy()
     finite = np.isfinite(values)
     if not finite.all():
@@ -109,6 +109,11 @@ def period_s(scenario: Scenario) -> float:
     """Period of a sinusoidal reference in s; zero for every other one."""
     reference = scenario.reference
     return 1.0 / reference.frequency_hz if reference.kind == "sine" else 0.0
+
+
+def rms(values: Array) -> float:
+    """Root mean square of ``values`` (n,)."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def to_rpm(speed: Any) -> Any:

@@ -105,7 +105,7 @@ def make_closed_loop(
     `LinkageError` when the linkage cannot be assembled.
     """
     plant_range = scenario.plant.knee
-    low, high = reference_range_deg(scenario.reference)
+    low, high = reference_range_deg(scenario.reference)  # a spline may pass its samples
     if low < plant_range.flexion_min_deg or high > plant_range.flexion_max_deg:
         raise ParameterError(
             f"reference = {low:.4g} … {high:.4g} deg leaves the range of motion "
@@ -164,15 +164,16 @@ def make_closed_loop(
         "measured_knee_angle": coordinates.GetOutputPort("knee_angle"),
         "measured_rod_extension": coordinates.GetOutputPort("rod_extension"),
     }
-    if scenario.controller.kind == "smc":
-        controller = add(
-            "controller", SlidingModeController(scenario.controller, scenario.believed_plant)
-        )
+    law = scenario.controller.model_copy(
+        update={"command_limit_rad_s": scenario.command_limit_rad_s}
+    )
+    if law.kind == "smc":
+        controller = add("controller", SlidingModeController(law, scenario.believed_plant))
         ports["estimated_state"] = _estimate(builder, scenario, plant, coordinates)
         ports["sliding_variable"] = controller.GetOutputPort("sliding_variable")
         inputs = {"estimated_state": "estimated_state"}
     else:
-        controller = add("controller", PidController(scenario.controller, scenario.believed_plant))
+        controller = add("controller", PidController(law, scenario.believed_plant))
         inputs = {"knee_angle": "measured_knee_angle", "knee_reference": "knee_reference"}
     for port, signal in (inputs | {"rod_reference": "rod_reference"}).items():
         builder.Connect(ports[signal], controller.GetInputPort(port))

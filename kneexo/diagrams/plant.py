@@ -8,13 +8,15 @@ from typing import Any
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import linkage
+from kneexo.errors import ParameterError
 from kneexo.parameters import (
     KneeLoadParameters,
     PlantParameters,
     RodPolynomialParameters,
     SineReference,
 )
-from kneexo.systems import BldcPump, FourBarKnee, KneeLoad, ReducedCylinder
+from kneexo.systems import BldcPump, FourBarKnee, FullCylinder, KneeLoad, ReducedCylinder
+from kneexo.systems.full_cylinder import holding_pressures
 
 PLANT_OUTPUTS = {
     "knee": ("knee_angle", "encoder_angle", "moment_arm", "icr"),
@@ -22,6 +24,9 @@ PLANT_OUTPUTS = {
     "motor": ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power"),
 }
 """Exported output ports, by subsystem; each keeps the name that it has in its leaf system."""
+
+FULL_ORDER_OUTPUTS = ("chamber_pressures", "makeup_flow", "relief_flow")
+"""Output ports of ``cylinder`` that only the full order has; exported too."""
 
 _START_RAD = math.radians(SineReference().mean_deg - SineReference().amplitude_deg)
 
@@ -35,16 +40,25 @@ def make_plant(
 ) -> Diagram:
     """Build the plant: motor → cylinder → knee, with load; continuous only, so that it linearizes.
 
-    Subsystems: ``motor`` (`BldcPump`), ``cylinder`` (`ReducedCylinder`), ``knee`` (`FourBarKnee`)
-    and, unless the load is none, ``load`` (`KneeLoad`). Inputs: ``motor_speed_command`` (rad/s),
-    ``disturbance_force`` (N, on the rod, positive opposes extension) and, with a load,
-    ``knee_torque`` (N·m, positive flexes); the last two count as zero when left unconnected.
-    Outputs: `PLANT_OUTPUTS`. It starts at rest at the given posture, plus ``initial_offset_m`` of
-    rod, the pressure holding load and spring there.
+    Subsystems: ``motor`` (`BldcPump`), ``cylinder`` (`ReducedCylinder`, or `FullCylinder` with
+    ``full_order``), ``knee`` (`FourBarKnee`) and, unless the load is none, ``load`` (`KneeLoad`).
+    Inputs: ``motor_speed_command`` (rad/s), ``disturbance_force`` (N, on the rod, positive opposes
+    extension) and, with a load, ``knee_torque`` (N·m, positive flexes); the last two count as zero
+    when left unconnected.
+    Outputs: `PLANT_OUTPUTS`, with the full order `FULL_ORDER_OUTPUTS` too. It starts at rest at the
+    given posture, plus ``initial_offset_m`` of rod, the pressure holding load and spring there; in
+    the full order the lower line is at the reservoir's pressure.
 
-    Raises `LinkageError` when the linkage cannot be assembled. Without load the derivatives do
+    Raises `ParameterError` for a start outside the range of motion or the stroke, `LinkageError`
+    when the linkage cannot be assembled. Without load the derivatives do
     not depend on the knee, so its kinematics cost nothing between outputs.
     """
+    low, high = parameters.knee.flexion_min_deg, parameters.knee.flexion_max_deg
+    if not low - 1e-9 <= math.degrees(initial_knee_angle_rad) <= high + 1e-9:
+        raise ParameterError(
+            f"knee angle = {math.degrees(initial_knee_angle_rad):.6g} deg at the start lies "
+            f"outside the range of motion {low:g} … {high:g} deg"
+        )
     polynomial = parameters.rod_map == "polynomial"
     knee = FourBarKnee(parameters.linkage, parameters.knee, table_1 if polynomial else None)
     if polynomial:
@@ -52,6 +66,11 @@ def make_plant(
     else:
         extension = float(linkage.rod_extension(parameters.linkage, initial_knee_angle_rad))
     extension += initial_offset_m
+    if not 0.0 <= extension <= parameters.cylinder.stroke_m:
+        raise ParameterError(
+            f"the rod starts at {extension:.6g} m (initial offset {initial_offset_m:g} m), outside "
+            f"the stroke 0 … {parameters.cylinder.stroke_m:g} m; change the offset or the posture"
+        )
     load = parameters.load
     force = parameters.cylinder.stiffness_n_per_m * extension
     if isinstance(load, KneeLoadParameters):
@@ -60,10 +79,7 @@ def make_plant(
 
     builder = DiagramBuilder()
     motor = builder.AddNamedSystem("motor", BldcPump(parameters.pump, parameters.ideal_motor))
-    cylinder = builder.AddNamedSystem(
-        "cylinder",
-        ReducedCylinder(parameters.cylinder, extension, force / parameters.cylinder.mean_area_m2),
-    )
+    cylinder = builder.AddNamedSystem("cylinder", _cylinder(parameters, extension, force))
     builder.AddNamedSystem("knee", knee)
     _connect(builder, motor, "load_flow", cylinder, "load_flow")
     _connect(builder, cylinder, "load_pressure", motor, "load_pressure")
@@ -81,9 +97,27 @@ def make_plant(
     for system in (knee, cylinder, motor):
         for name in PLANT_OUTPUTS[system.get_name()]:
             builder.ExportOutput(system.GetOutputPort(name), name)
+    for name in FULL_ORDER_OUTPUTS if parameters.full_order is not None else ():
+        builder.ExportOutput(cylinder.GetOutputPort(name), name)
     plant = builder.Build()
     plant.set_name("plant")
     return plant
+
+
+def _cylinder(parameters: PlantParameters, extension: float, force: float) -> Any:
+    """The cylinder at rest at ``extension`` (m), its pressures holding ``force`` (N)."""
+    cylinder, full_order = parameters.cylinder, parameters.full_order
+    if full_order is None:
+        return ReducedCylinder(cylinder, extension, force / cylinder.mean_area_m2)
+    pressures = holding_pressures(
+        force,
+        cap_area=cylinder.cap_area_m2,
+        rod_side_area=cylinder.rod_side_area_m2,
+        reservoir=full_order.reservoir_pressure_pa,
+    )
+    return FullCylinder(
+        cylinder, full_order, extension, pressures, parameters.pump.external_leakage_m3_per_s_pa
+    )
 
 
 def _static_force(load: Any, knee: Any, extension: float) -> float:

@@ -7,6 +7,7 @@ by scalar type. The encoder is Drake's own `RotaryEncoders`.
 
 from kneexo.systems.bldc_pump import BldcPump, BldcPump_
 from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
+from kneexo.systems.full_cylinder import FullCylinder, FullCylinder_
 from kneexo.systems.knee_coordinates import (
     KneeCoordinates,
     KneeCoordinates_,
@@ -43,6 +44,8 @@ __all__ = [
     "BldcPump_",
     "FourBarKnee",
     "FourBarKnee_",
+    "FullCylinder",
+    "FullCylinder_",
     "KneeCoordinates",
     "KneeCoordinates_",
     "KneeLoad",

@@ -51,8 +51,9 @@ def BldcPump_(T: Any) -> Any:
         ===================  ====  =======  ==============================================
 
         State: motor speed in krad/s (order one). With ``ideal=True`` there is none: the speed is
-        the command, without limit, as in Eq. 17. Context parameters: `Parameters of
-        BldcPumpParameters` by name (see ``parameters``). Raises
+        the command, without limit, as in Eq. 17. Context parameters by name: ``speed_limit_rad_s,
+        lag_s, acceleration_limit_rad_s2, gear_ratio, displacement_m3_per_rad,
+        leakage_m3_per_s_pa`` (C_im + C_em/2). Raises
         `SimulationError` when the acceleration is not finite. Source: Lee et al. 2020, Eq. 12, 13;
         lag and acceleration limit are assumptions.
         """

@@ -46,8 +46,9 @@ def FourBarKnee_(T: Any) -> Any:
         (the paper's controller side), θ_4 still the linkage.
 
         Raises `LinkageError` on construction when the linkage cannot be assembled, and
-        `SimulationError` at the end of a step that leaves the range of motion: the end stops are
-        an error, not a force. Source: Lee et al. 2020, Eq. 1–9.
+        `SimulationError` at the end of a step that leaves the range of motion by more than
+        ``overshoot_deg``: the end stops are an error, not a force. Source: Lee et al. 2020,
+        Eq. 1–9.
         """
 
         def _construct(
@@ -67,6 +68,7 @@ def FourBarKnee_(T: Any) -> Any:
                 "half_width": fit.half_width,
                 "flexion_min_rad": math.radians(knee.flexion_min_deg),
                 "flexion_max_rad": math.radians(knee.flexion_max_deg),
+                "overshoot_rad": math.radians(knee.overshoot_deg),
             }
             self._declare_parameters(values, tuple(values))
             for coefficients in (fit.knee_angle, fit.encoder_angle, fit.moment_arm):
@@ -111,12 +113,13 @@ def FourBarKnee_(T: Any) -> Any:
         def _check(self, context: Any) -> None:
             p = self.parameters(context)
             angle = self._pose(context)[0]
-            if not p.flexion_min_rad <= angle <= p.flexion_max_rad:
+            below, above = p.flexion_min_rad - angle, angle - p.flexion_max_rad
+            if not max(below, above) <= p.overshoot_rad:
                 raise SimulationError(
                     f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle = "
                     f"{math.degrees(angle):.6g} deg left the range of motion "
                     f"{math.degrees(p.flexion_min_rad):g} … {math.degrees(p.flexion_max_rad):g} "
-                    f"deg; reduce the motion or the load"
+                    f"deg; reduce the motion, the load or the step"
                 )
 
     return Impl

@@ -1,13 +1,16 @@
 """Knee references: θ_d(t) with derivatives to the third order.
 
 Each system has one output port, ``knee_reference``: θ_d, dθ_d/dt, d²θ_d/dt², d³θ_d/dt³ in rad and
-s. `make_knee_reference` picks the system for a parameter class; samples become Drake's
-`TrajectorySource`.
+s. `make_knee_reference` picks the system for a parameter class. Samples become Drake's
+`TrajectorySource` (same output, port ``y0``), which has no Context parameters and no value at a
+symbolic time: where that matters, take ``make_closed_loop(external_reference=True)`` and feed the
+samples in.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -189,13 +192,15 @@ def _spline(parameters: SampledReference) -> Any:
 def reference_range_deg(
     parameters: SineReference | StepReference | RampReference | SampledReference,
 ) -> tuple[float, float]:
-    """Smallest and largest knee angle of a reference, in deg; for a spline, between samples too."""
-    if isinstance(parameters, SineReference):
-        low = parameters.mean_deg - parameters.amplitude_deg
-        return low, parameters.mean_deg + parameters.amplitude_deg
-    if isinstance(parameters, SampledReference):
-        times = np.linspace(parameters.times_s[0], parameters.times_s[-1], 2001)
-        angles = np.degrees(_spline(parameters).vector_values(times)[0])
-        return float(angles.min()), float(angles.max())
-    ends = (parameters.start_deg, parameters.end_deg)
-    return min(ends), max(ends)
+    """Smallest and largest knee angle of a reference in deg; for a spline, between samples too."""
+    if not isinstance(parameters, SampledReference):
+        return parameters.range_deg
+    spline = _spline(parameters)
+    samples = parameters.times_s
+    times = [*samples]
+    for start, end in pairwise(samples):  # the rate is a parabola in between
+        rate, slope, curvature = (spline.EvalDerivative(start, n)[0, 0] for n in (1, 2, 3))
+        roots = np.roots([0.5 * curvature, slope, rate])
+        times += [start + t.real for t in roots if t.imag == 0.0 and 0.0 < t.real < end - start]
+    angles = np.degrees(spline.vector_values(times)[0])
+    return float(angles.min()), float(angles.max())

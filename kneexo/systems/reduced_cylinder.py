@@ -38,6 +38,28 @@ def rod_force(
     return pressure * area - damping * velocity - stiffness * extension
 
 
+def start_extension(parameters: CylinderParameters, initial_extension_m: float | None) -> float:
+    """Rod extension at the start in m, by default half the stroke; checks the stroke."""
+    if initial_extension_m is None:
+        return 0.5 * parameters.stroke_m
+    if not 0.0 <= initial_extension_m <= parameters.stroke_m:
+        raise ParameterError(
+            f"initial_extension_m = {initial_extension_m:g} m is outside the stroke "
+            f"0 … {parameters.stroke_m:g} m"
+        )
+    return initial_extension_m
+
+
+def require_in_stroke(system: Any, context: Any, extension: float, stroke: float) -> None:
+    """Raise `SimulationError` when the rod extension (m) has left 0…``stroke``."""
+    if not 0.0 <= extension <= stroke:
+        raise SimulationError(
+            f"t = {context.get_time():.6g} s: {system.get_name()}: rod_extension = "
+            f"{extension:.6g} m left the stroke 0 … {stroke:g} m; reduce the motion, the load or "
+            f"the step"
+        )
+
+
 @TemplateSystem.define("ReducedCylinder_")
 def ReducedCylinder_(T: Any) -> Any:
     """Reduced-order cylinder for the scalar ``T``."""
@@ -92,13 +114,7 @@ def ReducedCylinder_(T: Any) -> Any:
                     "stroke_m",
                 ),
             )
-            if initial_extension_m is None:
-                initial_extension_m = 0.5 * parameters.stroke_m
-            if not 0.0 <= initial_extension_m <= parameters.stroke_m:
-                raise ParameterError(
-                    f"initial_extension_m = {initial_extension_m:g} m is outside the stroke "
-                    f"0 … {parameters.stroke_m:g} m"
-                )
+            extension = start_extension(parameters, initial_extension_m)
             if not math.isfinite(initial_pressure_pa):
                 raise ParameterError(
                     f"initial_pressure_pa = {initial_pressure_pa} Pa: must be finite"
@@ -106,7 +122,7 @@ def ReducedCylinder_(T: Any) -> Any:
             self._flow = self.DeclareVectorInputPort("load_flow", 1)
             self._force = self.DeclareVectorInputPort("load_force", 1)
             self.DeclareContinuousState(
-                BasicVector_[T]([initial_extension_m, 0.0, initial_pressure_pa / PA_PER_MPA])
+                BasicVector_[T]([extension, 0.0, initial_pressure_pa / PA_PER_MPA])
             )
             state, given = self.xc_ticket(), self.all_parameters_ticket()
             declare = self._declare_output
@@ -163,13 +179,8 @@ def ReducedCylinder_(T: Any) -> Any:
             vector.SetAtIndex(2, pressure_dot / PA_PER_MPA)
 
         def _check(self, context: Any) -> None:
-            x = self._state(context)[0]
             stroke = self.parameters(context).stroke_m
-            if not 0.0 <= x <= stroke:
-                raise SimulationError(
-                    f"t = {context.get_time():.6g} s: {self.get_name()}: rod_extension = {x:.6g} m "
-                    f"left the stroke 0 … {stroke:g} m; reduce the motion or the load"
-                )
+            require_in_stroke(self, context, self._state(context)[0], stroke)
 
     return Impl
 

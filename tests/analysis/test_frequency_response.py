@@ -69,6 +69,7 @@ def test_trials_are_seeded_and_within_their_ranges():
     limits = [trial.acceleration_limit_rad_s2 for trial in trials]
     assert min(limits) >= settings.acceleration_limit_min_rad_s2
     assert max(limits) <= settings.acceleration_limit_max_rad_s2
+    assert np.median(limits) < 6e3  # log-uniform: half of them below the geometric mean
     count = 2 * math.pi / 4096
     assert all(0.0 <= trial.encoder_phase_rad <= count for trial in trials)
 
@@ -86,13 +87,26 @@ def test_ranges_that_cross_are_refused():
         SinestreamParameters(mass_min_kg=1.7, mass_max_kg=1.6)
 
 
+@pytest.mark.parametrize(
+    ("scenario", "frequencies", "trials", "told"),
+    [
+        (Scenario(reference=SineReference(amplitude_deg=0.0)), (0.1, 0.2, 0.3), None, "moves"),
+        (Scenario(), (0.1, 0.2, 51.0), None, "51 Hz is too high: must be <= 50 Hz"),
+        (Scenario(), (0.1, 0.2, 0.3), [], "at least one"),
+    ],
+)
+def test_a_sinestream_that_means_nothing_is_refused(scenario, frequencies, trials, told):
+    with pytest.raises(ParameterError, match=told):
+        sinestream(scenario, SinestreamParameters(frequencies_hz=frequencies), trials=trials)
+
+
 def test_repeated_frequencies_are_refused():
     with pytest.raises(ParameterError, match="must not repeat"):
         SinestreamParameters(frequencies_hz=(0.1, 0.2, 0.1))
 
 
 def test_a_sinestream_needs_a_sine():
-    with pytest.raises(ParameterError, match=r"reference.kind = 'ramp'"):
+    with pytest.raises(ParameterError, match=r"reference = ramp: "):
         sinestream(Scenario(reference=RampReference()))
 
 

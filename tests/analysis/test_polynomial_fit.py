@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import fit_polynomials
-from kneexo.analysis.polynomial_fit import rms
+from kneexo.analysis.simulation import rms
 from kneexo.errors import LinkageError
 from kneexo.parameters import G2, LinkageParameters
 

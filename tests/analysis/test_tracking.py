@@ -80,9 +80,30 @@ def test_pressure_over_rating_is_flagged():
     assert m.peak_pressure_mpa == pytest.approx(4.0)
 
 
-def test_a_run_within_the_first_period_is_refused():
-    with pytest.raises(ParameterError, match=r"duration_s = 5 s must exceed .* 10 s"):
-        track(Scenario(simulation=SimulationParameters(duration_s=5.0)))
+def test_a_run_within_the_first_period_has_overall_figures_only():
+    result = track(Scenario(simulation=SimulationParameters(duration_s=0.3)))
+    assert math.isnan(result.metrics.max_error_deg)
+    assert math.isnan(result.metrics.mean_command_change_rpm)
+    assert 0.0 < result.metrics.max_error_overall_deg < 0.5
+
+
+def test_a_run_of_one_sample_is_refused():
+    with pytest.raises(ParameterError, match="1 samples are too few"):
+        track(Scenario(simulation=SimulationParameters(duration_s=1e-5)))
+
+
+def test_power_over_rating_is_flagged():
+    m = tracking_metrics(
+        TIME,
+        *(0 * TIME, 0 * TIME, 0 * TIME),
+        np.where(TIME < 1.0, -250.0, 100.0),
+        0 * TIME,
+        settled_s=0.0,
+        command_limit_rad_s=1.0,
+        pressure_rating_pa=1.0,
+        power_rating_w=200.0,
+    )
+    assert m.power_over_rating_share == pytest.approx(0.25)
 
 
 def test_tracking_a_fast_small_sine_gives_settings_signals_and_a_plot():

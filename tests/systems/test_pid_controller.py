@@ -246,7 +246,7 @@ def test_initial_error_gives_no_derivative_kick():
         ),
         ({"moment_arm_m": 0.0}, r"moment_arm_m = 0 m is out of range: .*> 0 and <= 2 m"),
         ({"anti_windup_s": 0.0}, r"anti_windup_s = 0 s is out of range: .*> 0 and <= 1000 s"),
-        ({"sample_time_s": 2.0}, r"sample_time_s = 2 s is out of range: .*> 0 and <= 1 s"),
+        ({"sample_time_s": 2.0}, r"sample_time_s = 2 s is out of range: .*>= 1e-05 and <= 1 s"),
         ({"derivative": math.inf}, r"derivative = inf is out of range: must be finite.*"),
     ],
 )

@@ -189,7 +189,7 @@ def test_load_cell_reads_inertia_and_load():
 @pytest.mark.parametrize(
     ("values", "line"),
     [
-        ({"mass_kg": 0.0}, r"mass_kg = 0 kg is out of range: .*> 0 and <= 1000 kg"),
+        ({"mass_kg": 0.0}, r"mass_kg = 0 kg is out of range: .*>= 0.01 and <= 1000 kg"),
         ({"bulk_modulus_pa": -1.0}, r"bulk_modulus_pa = -1 Pa is out of range: .*> 0 .* Pa"),
         ({"stroke_m": math.inf}, r"stroke_m = inf m is out of range: must be finite.*<= 5 m"),
         ({"rod_diameter_m": 0.02}, r"rod_diameter_m = 0\.02 m must be below bore_m = 0\.02 m"),
@@ -216,7 +216,7 @@ def test_leaving_the_stroke_raises_with_time_and_signal(start, flow):
     time, name, rest = str(error.value).split(": ", 2)
     assert name == "cylinder"
     assert rest.startswith("rod_extension = ")
-    assert rest.endswith(" m left the stroke 0 … 0.15 m; reduce the motion or the load")
+    assert rest.endswith(" m left the stroke 0 … 0.15 m; reduce the motion, the load or the step")
     # 0.5 mm at 40 mm/s take 12.5 ms; the mode adds up to 40 mm/s / 2807 rad/s = 14 µm.
     assert float(time.removeprefix("t = ").removesuffix(" s")) == pytest.approx(0.0125, abs=1e-3)
 

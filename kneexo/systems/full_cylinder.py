@@ -1,0 +1,305 @@
+"""Full-order single-rod cylinder with the valves of its closed circuit (Lee et al. 2020, Eq. 14).
+
+Eq. 14 is read with three signs corrected: as printed, Eq. 15 does not follow from it (A_2 dx/dt
+and C_im' in its second line, A_2 x in V_2). The paper does not say how a closed pump circuit
+exchanges the oil that the rod displaces; the valves here are the usual answer.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pydrake.math as drake_math
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression
+from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import CylinderParameters, FullCylinderParameters
+from kneexo.systems._leaf import NamedLeaf, clip, require_finite, value_or_zero
+from kneexo.systems.reduced_cylinder import PA_PER_MPA, require_in_stroke, start_extension
+
+ATMOSPHERE_PA = 101_325.0
+AIR_EXPONENT = 1.4
+"""Polytropic exponent of entrained air: adiabatic, as the hydraulic mode is fast."""
+
+_LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus of air is not continued below
+
+
+def opening(excess: Any, band: Any) -> Any:
+    """max(excess, 0), its corner rounded to a parabola over 0…``band``; exactly 0 when closed."""
+    rounded = clip(excess, 0.0, band)
+    return 0.5 * rounded * rounded / band + drake_math.max(excess - band, 0.0)
+
+
+def share_open(difference: Any, band: Any) -> Any:
+    """Smooth step from exactly 0 at −``band`` to exactly 1 at +``band``."""
+    z = clip(0.5 + 0.5 * difference / band, 0.0, 1.0)
+    return z * z * (3.0 - 2.0 * z)
+
+
+def makeup_flow(
+    pressure: Any, pilot: Any, *, reservoir: Any, conductance: Any, pilot_band: Any, band: Any
+) -> Any:
+    """Flow from the reservoir into a line through its pilot-operated check valve, in m³/s.
+
+    ``pilot``, the pressure of the other line, holds the valve open in both directions while it is
+    the higher one; otherwise only a pressure below that of the reservoir opens it.
+    """
+    deficit = reservoir - pressure
+    held = share_open(pilot - pressure, pilot_band)
+    return conductance * (held * deficit + (1.0 - held) * opening(deficit, band))
+
+
+def relief_flow(pressure: Any, *, limit: Any, conductance: Any, band: Any) -> Any:
+    """Flow from a line to the reservoir through its relief valve, in m³/s."""
+    return conductance * opening(pressure - limit, band)
+
+
+def effective_bulk_modulus(pressure: Any, *, bulk_modulus: Any, entrained_air: Any) -> Any:
+    """Bulk modulus in Pa of oil with free air, at a pressure relative to the atmosphere.
+
+    With α of air per oil at p_0, whose volume follows (p_0/p)^(1/n):
+    1/β_e = (1/β + α (p_0/p)^(1/n)/(n p))/(1 + α (p_0/p)^(1/n)), p absolute.
+    """
+    absolute = drake_math.max(pressure + ATMOSPHERE_PA, _LOWEST_ABSOLUTE_PA)
+    air = entrained_air * (ATMOSPHERE_PA / absolute) ** (1.0 / AIR_EXPONENT)
+    return (1.0 + air) / (1.0 / bulk_modulus + air / (AIR_EXPONENT * absolute))
+
+
+def seal_friction(
+    velocity: Any, *, coulomb: Any, stribeck: Any, stribeck_speed: Any, band: Any
+) -> Any:
+    """Friction of the seals in N, (F_c + F_s exp(−(v/v_s)²)) tanh(v/v_0); it opposes motion."""
+    ratio = velocity / stribeck_speed
+    return (coulomb + stribeck * drake_math.exp(-ratio * ratio)) * drake_math.tanh(velocity / band)
+
+
+def holding_pressures(
+    force: float, *, cap_area: float, rod_side_area: float, reservoir: float
+) -> tuple[float, float]:
+    """P_1 and P_2 in Pa that hold ``force`` (N, against extension), the lower line at P_r.
+
+    Above the switching force P_r (A_1 − A_2) the cap side carries the load, below it the rod side.
+    """
+    if force > reservoir * (cap_area - rod_side_area):
+        return (force + reservoir * rod_side_area) / cap_area, reservoir
+    return reservoir, (reservoir * cap_area - force) / rod_side_area
+
+
+@TemplateSystem.define("FullCylinder_")
+def FullCylinder_(T: Any) -> Any:
+    """Full-order cylinder for the scalar ``T``."""
+
+    class Impl(NamedLeaf, LeafSystem_[T]):
+        """Full-order cylinder with its valves and the mass that it moves.
+
+        V_1/β_e dP_1/dt = Q_1 − A_1 v − C_im' P_L − C_em1' (P_1 − P_r) + Q_m1 − Q_r1,
+        V_2/β_e dP_2/dt = A_2 v − Q_2 + C_im' P_L − C_em2' (P_2 − P_r) + Q_m2 − Q_r2,
+        m dv/dt = P_1 A_1 − P_2 A_2 − F_f(v) − B v − K x − F_L,
+        V_1 = V_d + A_1 x, V_2 = V_d + A_2 (stroke − x), P_L = P_1 − P_2.
+
+        Eq. 12 gives Q_1, Q_2 = Q_L ∓ C_em/2 ((P_1 − P_r) + (P_2 − P_r)): the pump's external
+        leakage returns to the reservoir. Q_m ties the line with the lower pressure to the
+        reservoir (`makeup_flow`), Q_r relieves both lines (`relief_flow`). The rod speed therefore
+        follows the loaded chamber, not the direction: Q/A_1 with P_1 loaded, which takes
+        F_L > P_r (A_1 − A_2), and Q/A_2 otherwise.
+
+        =================  ====  ===========  ===============================================
+        input port         size  unit
+        =================  ====  ===========  ===============================================
+        load_flow          1     m³/s         Q_L, positive drives the rod out
+        load_force         1     N            F_L, positive opposes extension; 0 if unconnected
+        **output port**
+        rod_extension      1     m            x, grows as the rod leaves the cylinder
+        rod_velocity       1     m/s          v
+        load_pressure      1     Pa           P_L = P_1 − P_2
+        rod_force          1     N            load cell: m dv/dt + F_L
+        rod_state          3     m, m/s, …    x, v and the acceleration
+        chamber_pressures  2     Pa           P_1 (cap side) and P_2 (rod side)
+        makeup_flow        2     m³/s         Q_m1 and Q_m2, positive out of the reservoir
+        relief_flow        2     m³/s         Q_r1 and Q_r2, positive into the reservoir
+        =================  ====  ===========  ===============================================
+
+        State: x in m, v in m/s, P_1 and P_2 in MPa (order one); it starts at rest, without
+        ``initial_pressures_pa`` holding no load. Context parameters by name: the two areas
+        (``cap_area_m2, rod_side_area_m2``), those of `ReducedCylinder` but ``mean_area_m2`` and
+        ``total_volume_m3``, those of `FullCylinderParameters` and
+        ``pump_external_leakage_m3_per_s_pa``, C_em of the pump; ``leakage_m3_per_s_pa`` is C_im'.
+
+        Raises `ParameterError` when it would start outside the stroke; `SimulationError` at the
+        end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
+        al. 2020, Eq. 12, 14 with the signs of Eq. 14 corrected; valves, air and friction are
+        assumptions. At V_1 = V_2, with equal external leakages and idle valves, dP_L/dt is Eq. 15
+        with V_t = V_1 + V_2 and C_L = C_im' + C_em'/2, whatever the areas.
+        """
+
+        def _construct(
+            self,
+            parameters: CylinderParameters = CylinderParameters(),
+            full_order: FullCylinderParameters = FullCylinderParameters(),
+            initial_extension_m: float | None = None,
+            initial_pressures_pa: tuple[float, float] | None = None,
+            pump_external_leakage_m3_per_s_pa: float = 0.0,
+            *,
+            converter: Any = None,
+        ) -> None:
+            self._begin(
+                T,
+                converter,
+                parameters,
+                full_order,
+                initial_extension_m,
+                initial_pressures_pa,
+                pump_external_leakage_m3_per_s_pa,
+            )
+            values = {
+                "cap_area_m2": parameters.cap_area_m2,
+                "rod_side_area_m2": parameters.rod_side_area_m2,
+                "bulk_modulus_pa": parameters.bulk_modulus_pa,
+                "leakage_m3_per_s_pa": parameters.leakage_m3_per_s_pa,
+                "mass_kg": parameters.mass_kg,
+                "damping_n_s_per_m": parameters.damping_n_s_per_m,
+                "stiffness_n_per_m": parameters.stiffness_n_per_m,
+                "stroke_m": parameters.stroke_m,
+                "pump_external_leakage_m3_per_s_pa": pump_external_leakage_m3_per_s_pa,
+                **dict(full_order),
+            }
+            self._declare_parameters(values, tuple(values))
+            extension = start_extension(parameters, initial_extension_m)
+            if initial_pressures_pa is None:
+                initial_pressures_pa = holding_pressures(
+                    parameters.stiffness_n_per_m * extension,
+                    cap_area=parameters.cap_area_m2,
+                    rod_side_area=parameters.rod_side_area_m2,
+                    reservoir=full_order.reservoir_pressure_pa,
+                )
+            if not all(map(math.isfinite, initial_pressures_pa)):
+                raise ParameterError(
+                    f"initial_pressures_pa = {initial_pressures_pa} Pa: must be finite"
+                )
+            self._flow = self.DeclareVectorInputPort("load_flow", 1)
+            self._force = self.DeclareVectorInputPort("load_force", 1)
+            pressures = [pressure / PA_PER_MPA for pressure in initial_pressures_pa]
+            self.DeclareContinuousState(BasicVector_[T]([extension, 0.0, *pressures]))
+            state, given = self.xc_ticket(), self.all_parameters_ticket()
+            declare = self._declare_output
+            declare("rod_extension", 1, lambda c: self._state(c)[:1], state)
+            declare("rod_velocity", 1, lambda c: self._state(c)[1:2], state)
+            declare("load_pressure", 1, self._load_pressure, state)
+            declare("rod_force", 1, lambda c: [self._rod_force(c)], state, given)
+            declare("rod_state", 3, self._motion, state, given, self._force)
+            declare("chamber_pressures", 2, lambda c: self._state(c)[2:], state)
+            declare("makeup_flow", 2, lambda c: self._valve_flows(c)[0], state, given)
+            declare("relief_flow", 2, lambda c: self._valve_flows(c)[1], state, given)
+            if T not in (AutoDiffXd, Expression):
+                self.DeclarePerStepPublishEvent(self._check)
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._arguments, converter=converter)
+
+        def _state(self, context: Any) -> list[Any]:
+            """X in m, v in m/s, P_1 and P_2 in Pa."""
+            x, v, cap, rod_side = context.get_continuous_state_vector().CopyToVector().tolist()
+            return [x, v, PA_PER_MPA * cap, PA_PER_MPA * rod_side]
+
+        def _load_pressure(self, context: Any) -> list[Any]:
+            _, _, cap, rod_side = self._state(context)
+            return [cap - rod_side]
+
+        def _rod_force(self, context: Any) -> Any:
+            p = self.parameters(context)
+            x, v, cap, rod_side = self._state(context)
+            friction = seal_friction(
+                v,
+                coulomb=p.coulomb_friction_n,
+                stribeck=p.stribeck_friction_n,
+                stribeck_speed=p.stribeck_speed_m_s,
+                band=p.friction_band_m_s,
+            )
+            pressure_force = cap * p.cap_area_m2 - rod_side * p.rod_side_area_m2
+            return pressure_force - friction - p.damping_n_s_per_m * v - p.stiffness_n_per_m * x
+
+        def _motion(self, context: Any) -> list[Any]:
+            x, v, *_ = self._state(context)
+            force = self._rod_force(context) - value_or_zero(self._force, context)
+            return [x, v, force / self.parameters(context).mass_kg]
+
+        def _valve_flows(self, context: Any) -> tuple[list[Any], list[Any]]:
+            """Make-up and relief flows of both lines."""
+            p = self.parameters(context)
+            _, _, cap, rod_side = self._state(context)
+            makeup = [
+                makeup_flow(
+                    pressure,
+                    pilot,
+                    reservoir=p.reservoir_pressure_pa,
+                    conductance=p.makeup_conductance_m3_per_s_pa,
+                    pilot_band=p.makeup_band_pa,
+                    band=p.valve_band_pa,
+                )
+                for pressure, pilot in ((cap, rod_side), (rod_side, cap))
+            ]
+            relief = [
+                relief_flow(
+                    pressure,
+                    limit=p.relief_pressure_pa,
+                    conductance=p.relief_conductance_m3_per_s_pa,
+                    band=p.valve_band_pa,
+                )
+                for pressure in (cap, rod_side)
+            ]
+            return makeup, relief
+
+        def _pressure_rates(self, context: Any) -> list[Any]:
+            """dP_1/dt and dP_2/dt in Pa/s."""
+            p = self.parameters(context)
+            x, v, cap, rod_side = self._state(context)
+            flow = self._flow.Eval(context)[0]
+            (makeup_1, makeup_2), (relief_1, relief_2) = self._valve_flows(context)
+            above_1, above_2 = cap - p.reservoir_pressure_pa, rod_side - p.reservoir_pressure_pa
+            pump_loss = 0.5 * p.pump_external_leakage_m3_per_s_pa * (above_1 + above_2)
+            across = p.leakage_m3_per_s_pa * (cap - rod_side)
+            into_1 = (flow - pump_loss) - p.cap_area_m2 * v - across
+            into_1 += makeup_1 - relief_1 - p.cap_external_leakage_m3_per_s_pa * above_1
+            into_2 = p.rod_side_area_m2 * v - (flow + pump_loss) + across
+            into_2 += makeup_2 - relief_2 - p.rod_side_external_leakage_m3_per_s_pa * above_2
+            volume_1 = p.dead_volume_m3 + p.cap_area_m2 * x
+            volume_2 = p.dead_volume_m3 + p.rod_side_area_m2 * (p.stroke_m - x)
+            return [
+                into
+                / volume
+                * effective_bulk_modulus(
+                    pressure, bulk_modulus=p.bulk_modulus_pa, entrained_air=p.entrained_air
+                )
+                for into, volume, pressure in (
+                    (into_1, volume_1, cap),
+                    (into_2, volume_2, rod_side),
+                )
+            ]
+
+        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+            _, v, acceleration = self._motion(context)
+            rate_1, rate_2 = self._pressure_rates(context)
+            require_finite(
+                self,
+                context,
+                rod_acceleration=acceleration,
+                cap_pressure_rate=rate_1,
+                rod_side_pressure_rate=rate_2,
+            )
+            rates = (v, acceleration, rate_1 / PA_PER_MPA, rate_2 / PA_PER_MPA)
+            vector = derivatives.get_mutable_vector()
+            for index, rate in enumerate(rates):
+                vector.SetAtIndex(index, rate)
+
+        def _check(self, context: Any) -> None:
+            stroke = self.parameters(context).stroke_m
+            require_in_stroke(self, context, self._state(context)[0], stroke)
+
+    return Impl
+
+
+FullCylinder = FullCylinder_[None]

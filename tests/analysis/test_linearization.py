@@ -1,0 +1,1020 @@
+"""The linear analysis against hand-written formulas, Drake's Simulator and python-control."""
+
+import dataclasses
+import itertools
+import math
+import re
+
+import control
+import numpy as np
+import pytest
+from pydrake.systems.analysis import InitializeParams, ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
+from scipy.interpolate import CubicSpline
+from scipy.optimize import linear_sum_assignment
+
+from kneexo.analysis.linearization import (
+    find_operating_point,
+    linearize_loop,
+    linearize_plant,
+)
+from kneexo.diagrams import make_closed_loop, make_plant
+from kneexo.errors import KneexoError, LinearizationError, LinkageError, ParameterError
+from kneexo.parameters import (
+    EQ_27_EXACT_STATES,
+    G1,
+    IDEAL_SMC,
+    BldcPumpParameters,
+    CylinderParameters,
+    DifferenceParameters,
+    EncoderParameters,
+    ExactParameters,
+    KneeLoadParameters,
+    LinkageParameters,
+    ObserverParameters,
+    PidParameters,
+    PlantParameters,
+    RodPolynomialParameters,
+    Scenario,
+    SineReference,
+    SlidingModeParameters,
+    StepReference,
+)
+
+T = 0.002
+AREA = math.pi / 4.0 * (0.020**2 - 0.5 * 0.010**2)
+DISPLACEMENT = 0.8e-6 / (2.0 * math.pi)
+GRAVITY = 9.81
+
+# Lee et al. 2020, Tables 2 and 3; lag and leakage are this project's assumptions.
+PAPER = {
+    "lag": 0.010,
+    "gear": 6.0,
+    "c_im": 2e-13,
+    "c_em": 0.0,
+    "c_l": 0.0,
+    "volume": 41_233e-9,
+    "bulk": 1.72e9,
+    "mass": 1.6,
+    "damping": 0.05,
+    "stiffness": 0.0,
+}
+LEAKY = PAPER | {"c_im": 3e-12, "c_em": 8e-12, "c_l": 5e-12, "damping": 40.0, "lag": 0.003}
+# Soft oil, a spring and every leakage, so that no term of Eq. 13, 15, 16 can hide.
+SOFT = LEAKY | {"gear": 4.0, "bulk": 5e7, "mass": 1.4, "stiffness": 1500.0, "lag": 0.020}
+SPRING = PAPER | {"stiffness": 2e4, "c_em": 1e-12, "damping": 300.0}
+SETS = {"paper": PAPER, "leaky": LEAKY, "soft": SOFT, "spring": SPRING}
+
+
+def plant_parameters(n, **more):
+    return PlantParameters(
+        pump=BldcPumpParameters(
+            lag_s=n["lag"],
+            gear_ratio=n["gear"],
+            displacement_m3_per_rad=DISPLACEMENT,
+            internal_leakage_m3_per_s_pa=n["c_im"],
+            external_leakage_m3_per_s_pa=n["c_em"],
+        ),
+        cylinder=CylinderParameters(
+            total_volume_m3=n["volume"],
+            bulk_modulus_pa=n["bulk"],
+            mass_kg=n["mass"],
+            damping_n_s_per_m=n["damping"],
+            stiffness_n_per_m=n["stiffness"],
+            leakage_m3_per_s_pa=n["c_l"],
+        ),
+        **more,
+    )
+
+
+def total_leakage(n):
+    return n["c_l"] + n["c_im"] + 0.5 * n["c_em"]
+
+
+def cubic(n, load_stiffness=0.0):
+    """Characteristic polynomial of [x, v, P] (Eq. 13, 15, 16), highest power first.
+
+    dP/dt = h(q − Āv − C_t P), m dv/dt = ĀP − Bv − Kx, h = 4β_e/V_t.
+    """
+    h, c_t = 4.0 * n["bulk"] / n["volume"], total_leakage(n)
+    k = n["stiffness"] + load_stiffness
+    return [
+        n["mass"],
+        n["damping"] + n["mass"] * h * c_t,
+        k + n["damping"] * h * c_t + h * AREA**2,
+        k * h * c_t,
+    ]
+
+
+def polished(polynomial, root):
+    """Root of a polynomial nearest to ``root``, by Newton's method on its own coefficients."""
+    slope = np.polyder(polynomial)
+    for _ in range(20):
+        root = root - np.polyval(polynomial, root) / np.polyval(slope, root)
+    return root
+
+
+def roots(polynomial):
+    """All roots to full relative precision, also a slow one next to fast ones; 0 if it is one."""
+    if polynomial[-1] == 0.0:
+        return np.append(roots(polynomial[:-1]), 0.0)
+    return np.array([polished(polynomial, root + 0j) for root in np.roots(polynomial)])
+
+
+def distance(found, expected):
+    """Largest distance of two sets of complex numbers, paired as well as can be."""
+    found, expected = np.asarray(found), np.asarray(expected)
+    assert found.size == expected.size
+    cost = np.abs(found[:, None] - expected[None, :])
+    return cost[linear_sum_assignment(cost)].max()
+
+
+def nearest(values, value):
+    return values[np.argmin(np.abs(values - value))]
+
+
+def raises_one_line(kind, match):
+    return pytest.raises(kind, match=rf"\A(?=.*{match})[^\n]*\Z")
+
+
+@pytest.fixture(scope="module")
+def rod_of_knee(compass):
+    """Rod extension of G1 as a function of the knee angle, by compass and ruler."""
+    walk = compass(G1, np.radians(np.linspace(82.6, -4.8, 4001)))
+    return CubicSpline(walk.knee_angle, walk.rod_extension)
+
+
+# -------------------------------------------------------------------------- operating point
+
+WEIGHT = KneeLoadParameters(thigh_inclination_rad=0.4)
+POSTURES = {
+    "none": (plant_parameters(PAPER), {}),
+    "weight": (plant_parameters(LEAKY, load=WEIGHT), {}),
+    "torque": (plant_parameters(LEAKY, load=WEIGHT), {"knee_torque_n_m": -14.0}),
+    "disturbed": (plant_parameters(SOFT), {"disturbance_n": 90.0}),
+    "spring": (
+        plant_parameters(SOFT, load=WEIGHT, rod_map="polynomial"),
+        {"knee_torque_n_m": 3.0, "disturbance_n": -25.0},
+    ),
+    "ideal": (plant_parameters(LEAKY, load=WEIGHT, ideal_motor=True), {}),
+}
+
+
+@pytest.mark.parametrize("name", POSTURES)
+@pytest.mark.parametrize("angle", [12.0, 67.0])
+def test_an_operating_point_is_an_equilibrium_of_the_plant(name, angle):
+    parameters, forces = POSTURES[name]
+    point = find_operating_point(parameters, angle, **forces)
+    plant = make_plant(parameters)
+    context = plant.CreateDefaultContext()
+    context.SetContinuousState(point.state)
+    plant.GetInputPort("motor_speed_command").FixValue(context, [point.motor_speed_rad_s])
+    if "knee_torque_n_m" in forces:
+        plant.GetInputPort("knee_torque").FixValue(context, [forces["knee_torque_n_m"]])
+    plant.GetInputPort("disturbance_force").FixValue(context, [forces.get("disturbance_n", 0.0)])
+    # Rounding: the pressure's rate in MPa/s is the difference of terms below 1e3.
+    rates = plant.EvalTimeDerivatives(context).CopyToVector()
+    assert np.abs(rates).max() < 1e-9
+    assert math.degrees(point.knee_angle_rad) == pytest.approx(angle, abs=1e-9)
+    for port, value in (
+        ("knee_angle", point.knee_angle_rad),
+        ("load_pressure", point.load_pressure_pa),
+        ("rod_force", point.rod_force_n),
+        ("motor_speed", point.motor_speed_rad_s),
+    ):
+        assert plant.GetOutputPort(port).Eval(context)[0] == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", POSTURES)
+def test_the_motor_makes_up_for_the_leakage(name, rod_of_knee):
+    parameters, forces = POSTURES[name]
+    knee = math.radians(33.0)
+    if parameters.rod_map == "polynomial":
+        p = RodPolynomialParameters().p_mm_deg
+        x, arm = 1e-3 * np.polyval(p, 33.0), -0.18 / math.pi * np.polyval(np.polyder(p), 33.0)
+    else:
+        x, arm = float(rod_of_knee(knee)), -float(rod_of_knee(knee, 1))
+    n = {"none": PAPER, "disturbed": SOFT, "spring": SOFT}.get(name, LEAKY)
+    force = forces.get("disturbance_n", 0.0)
+    if parameters.load.kind == "knee":
+        weight = 1.6 * GRAVITY * 0.20 * math.sin(0.4 - knee)
+        force += (weight + forces.get("knee_torque_n_m", 0.0)) / arm
+    pressure = (force + n["stiffness"] * x) / AREA
+    speed = n["gear"] / DISPLACEMENT * total_leakage(n) * pressure
+    point = find_operating_point(parameters, 33.0, **forces)
+    # The spline of the linkage is exact to 1e-9.
+    assert point.load_pressure_pa == pytest.approx(pressure, rel=1e-8, abs=1e-6)
+    assert point.rod_force_n == pytest.approx(force, rel=1e-8, abs=1e-7)
+    assert point.motor_speed_rad_s == pytest.approx(speed, rel=1e-8, abs=1e-12)
+
+
+def test_an_operating_point_prints_in_the_papers_units():
+    point = find_operating_point(plant_parameters(PAPER), 40.0, disturbance_n=1e7 * AREA)
+    rpm = 6.0 / DISPLACEMENT * 2e-13 * 1e7 * 30.0 / math.pi
+    assert str(point) == (
+        f"knee at 40 deg: motor {rpm:.4g} rpm, load pressure 10 MPa, rod force 2749 N"
+    )
+
+
+@pytest.mark.parametrize("torque", [3e3, 1e5, 1e9, -1e6])
+def test_a_load_that_the_motor_cannot_hold_has_no_equilibrium(torque):
+    with raises_one_line(LinearizationError, "no equilibrium at knee angle 40 deg"):
+        find_operating_point(
+            plant_parameters(PAPER, load=KneeLoadParameters()), 40.0, knee_torque_n_m=torque
+        )
+
+
+@pytest.mark.parametrize("angle", [-30.0, 95.0, 400.0, math.nan, math.inf])
+def test_a_posture_beyond_the_knee_is_refused(angle):
+    with raises_one_line(KneexoError, "") as caught:
+        find_operating_point(PlantParameters(), angle)
+    assert isinstance(caught.value, ParameterError | LinkageError)
+
+
+def test_a_linkage_that_does_not_close_is_refused():
+    with raises_one_line(LinkageError, "cannot be assembled"):
+        linearize_plant(PlantParameters(linkage=LinkageParameters(a_3_m=0.5)))
+
+
+# ---------------------------------------------------------------------------------- plant
+
+
+@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize("angle", [5.0, 40.0])
+def test_poles_are_those_of_the_closed_form(name, angle):
+    n = SETS[name]
+    expected = np.append(roots(cubic(n)), -1.0 / n["lag"])
+    found = linearize_plant(plant_parameters(n), angle).poles
+    assert np.all(np.diff(np.abs(found)) > -1e-6 * np.abs(found[1:]))
+    for pole in expected:
+        # 1e-9 of each pole, and rounding of the largest for one that is zero or slow.
+        floor = 1e-15 * np.abs(expected).max()
+        assert abs(nearest(found, pole) - pole) <= 1e-9 * abs(pole) + floor
+    assert distance(found, expected) <= 1e-9 * np.abs(expected).max()
+
+
+def test_an_ideal_motor_has_no_pole():
+    found = linearize_plant(plant_parameters(SOFT, ideal_motor=True)).poles
+    assert distance(found, roots(cubic(SOFT))) <= 1e-9 * np.abs(found).max()
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_damping_is_that_of_the_closed_form(name):
+    n = SETS[name]
+    frequency, ratio = linearize_plant(plant_parameters(n)).damping
+    m, c_2, c_1, c_0 = cubic(n)
+    oscillating = np.flatnonzero(ratio < 1.0 - 1e-6)
+    assert oscillating.size == 2
+    omega, zeta = frequency[oscillating[0]], ratio[oscillating[0]]
+    slow = 0.0 if c_0 == 0.0 else max(roots([m, c_2, c_1, c_0]).real)
+    # The pair and the slow root −σ: c_2/m = σ + 2ζω, c_1/m = ω² + 2ζωσ.
+    assert 2.0 * zeta * omega - slow == pytest.approx(c_2 / m, rel=1e-8)
+    assert omega**2 - 2.0 * zeta * omega * slow == pytest.approx(c_1 / m, rel=1e-9)
+    real = np.setdiff1d(np.arange(4), oscillating)
+    assert ratio[real] == pytest.approx([1.0, 1.0])
+
+
+def test_the_papers_hydraulic_mode_lies_at_447_hz_and_is_nearly_undamped():
+    frequency, ratio = linearize_plant().damping
+    assert frequency[-1] / (2.0 * math.pi) == pytest.approx(446.8, abs=0.1)
+    assert ratio[-1] == pytest.approx(0.0059, abs=1e-4)
+
+
+def slope_of_table_1(angle_deg):
+    """dx/dθ_p of Eq. 10 in m/rad."""
+    return 0.18 / math.pi * np.polyval(np.polyder(RodPolynomialParameters().p_mm_deg), angle_deg)
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_the_response_is_that_of_the_closed_form(name):
+    n = SETS[name]
+    plant = linearize_plant(
+        plant_parameters(n, rod_map="polynomial"), 52.0, outputs=("knee_angle", "rod_extension")
+    )
+    f = np.array([0.02, 1.0, 30.0, 447.0, 2e3])
+    s = 2j * math.pi * f
+    h = 4.0 * n["bulk"] / n["volume"]
+    rod = h * AREA * DISPLACEMENT / n["gear"] / (1.0 + n["lag"] * s) / np.polyval(cubic(n), s)
+    # 3e-10 rad in the inverse of Table 1 become 1e-7 in its slope.
+    assert plant.response(f) == pytest.approx(rod / slope_of_table_1(52.0), rel=1e-6)
+    assert plant.to_control()(s)[1, 0] == pytest.approx(rod, rel=1e-8)
+
+
+def test_knee_and_load_give_the_row_of_the_output(rod_of_knee):
+    plant = linearize_plant(outputs=("knee_angle", "moment_arm", "rod_state"))
+    knee = math.radians(40.0)
+    x_1, x_2 = float(rod_of_knee(knee, 1)), float(rod_of_knee(knee, 2))
+    assert plant.c.shape == (5, 4)
+    assert plant.d == pytest.approx(np.zeros((5, 1)), abs=1e-15)
+    assert plant.c[0] == pytest.approx([0.0, 1.0 / x_1, 0.0, 0.0], rel=1e-7)
+    assert plant.c[1] == pytest.approx([0.0, -x_2 / x_1, 0.0, 0.0], rel=1e-5)
+    assert plant.c[4] == pytest.approx([0.0, 0.0, -0.05 / 1.6, 1e6 * AREA / 1.6])
+
+
+def test_the_knee_angle_has_no_zeros_and_the_pressure_those_of_the_mass():
+    assert linearize_plant(plant_parameters(SOFT)).zeros.size == 0
+    pressure = linearize_plant(plant_parameters(SOFT), outputs=("load_pressure",)).zeros
+    assert distance(pressure, np.roots([1.4, 40.0, 1500.0])) < 1e-6
+    velocity = linearize_plant(plant_parameters(SOFT), outputs=("rod_velocity",)).zeros
+    assert distance(velocity, [0.0]) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["paper", "leaky"])
+def test_velocity_gain_is_displacement_over_area_less_leakage(name):
+    # Steady: ĀP = Bv and Dω/gear = Āv + C_t P, so v/ω = (D/gear)Ā/(Ā² + C_t B).
+    n = SETS[name]
+    gain = DISPLACEMENT / n["gear"] * AREA / (AREA**2 + total_leakage(n) * n["damping"])
+    plant = plant_parameters(n, rod_map="polynomial")
+    rod = linearize_plant(plant, 25.0, outputs=("rod_extension",)).velocity_gain
+    assert rod == pytest.approx(gain, rel=1e-9)
+    knee = linearize_plant(plant, 25.0).velocity_gain
+    assert knee == pytest.approx(gain / slope_of_table_1(25.0), rel=1e-6)
+
+
+def test_a_strong_spring_leaves_no_velocity_gain():
+    # Its pole, −K C_t/Ā² = −1.4 1/s, is no integrator next to the motor's −100 1/s.
+    plant = linearize_plant(plant_parameters(SPRING | {"c_em": 1e-11}), 85.0)
+    assert plant.velocity_gain == 0.0
+
+
+def test_the_plant_goes_to_control_and_back():
+    plant = linearize_plant(plant_parameters(SOFT), outputs=("knee_angle", "load_pressure"))
+    system = plant.to_control()
+    assert system.dt == 0
+    for name in ("a", "b", "c", "d"):
+        assert np.array_equal(getattr(system, name.upper()), getattr(plant, name))
+    f = np.array([0.1, 3.0, 60.0])
+    assert system(2j * math.pi * f)[0, 0] == pytest.approx(plant.response(f), rel=1e-9)
+
+
+@pytest.mark.parametrize("angle", [15.0, 40.0, 75.0])
+@pytest.mark.parametrize("torque", [0.0, 6.0])
+def test_the_weight_acts_as_a_spring_in_the_slow_pole(angle, torque, rod_of_knee):
+    # F_L = τ(θ)/r(θ), dθ/dx = −1/r: dF_L/dx = −τ'/r² + τ r'/r³.
+    knee = math.radians(angle)
+    x_1, x_2 = float(rod_of_knee(knee, 1)), float(rod_of_knee(knee, 2))
+    arm, arm_1 = -x_1, -x_2
+    moment = 1.6 * GRAVITY * 0.20
+    tau, tau_1 = moment * math.sin(0.4 - knee) + torque, -moment * math.cos(0.4 - knee)
+    stiffness = -tau_1 / arm**2 + tau * arm_1 / arm**3
+    n = LEAKY | {"c_im": 1e-11}  # so that the slow pole stands out of the rounding
+    plant = linearize_plant(plant_parameters(n, load=WEIGHT), angle, knee_torque_n_m=torque)
+    expected = roots(cubic(n, stiffness))
+    slow = expected[np.argmin(np.abs(expected))]
+    assert abs(slow) > 0.01
+    # The second derivative of the spline is exact to 1e-6.
+    assert plant.poles[0] == pytest.approx(slow, rel=1e-5)
+
+
+def test_a_diagram_may_take_the_place_of_the_parameters():
+    parameters = plant_parameters(LEAKY, load=WEIGHT)
+    ours = linearize_plant(make_plant(parameters), 55.0, knee_torque_n_m=2.0, disturbance_n=9.0)
+    theirs = linearize_plant(parameters, 55.0, knee_torque_n_m=2.0, disturbance_n=9.0)
+    for name in ("a", "b", "c", "d"):
+        scale = np.abs(getattr(theirs, name)).max() + 1e-300
+        assert np.abs(getattr(ours, name) - getattr(theirs, name)).max() <= 1e-9 * scale
+
+
+def test_a_plant_prints_its_poles_and_gain():
+    text = str(linearize_plant())
+    assert "-100 +0j 1/s" in text
+    assert "446.8 Hz, damping ratio 0.005949" in text
+    assert re.search(r"velocity gain of knee_angle: -0\.0007\d+$", text)
+
+
+# -------------------------------------------------------------------- sampled loop: structure
+
+PI = PidParameters(
+    proportional_per_s=11.89, integral_per_s2=380.5, derivative=0.02, filter_s=0.01915
+)
+SCENARIOS = {
+    "smc": Scenario(),
+    "pid": Scenario(controller=PidParameters()),
+    "pid_tuned": Scenario(controller=PI),
+    "can_1": Scenario(can_delay_samples=1),
+    "can_2": Scenario(can_delay_samples=2),
+    "difference": Scenario(estimator=DifferenceParameters()),
+    "exact": Scenario(
+        estimator=ExactParameters(), controller=SlidingModeParameters(phi_m_s2=31.75)
+    ),
+    "weight": Scenario(plant=PlantParameters(load=KneeLoadParameters())),
+    "other_plant": Scenario(
+        plant=plant_parameters(SOFT | {"stiffness": 0.0}, rod_map="polynomial"),
+        nominal=PlantParameters(),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def loops():
+    return {name: linearize_loop(scenario) for name, scenario in SCENARIOS.items()}
+
+
+def eq_27(slope_per_s):
+    """k/Φ with k = β η, β = √(1.8/1.4)."""
+    phi = math.sqrt(1.8 / 1.4) * 2.8e5 / slope_per_s
+    return Scenario(estimator=ExactParameters(), controller=SlidingModeParameters(phi_m_s2=phi))
+
+
+@pytest.fixture(scope="module")
+def unstable():
+    return linearize_loop(eq_27(1.3e4))
+
+
+def test_states_and_sizes(loops):
+    sizes = {name: loop.g_z.shape[0] for name, loop in loops.items()}
+    # Command and estimator; the PID's filter, and its integral where it has integral action.
+    assert sizes == {
+        "smc": 4,
+        "pid": 2,
+        "pid_tuned": 3,
+        "can_1": 5,
+        "can_2": 6,
+        "difference": 3,
+        "exact": 1,
+        "weight": 4,
+        "other_plant": 4,
+    }
+    for name, loop in loops.items():
+        m = sizes[name]
+        assert loop.a.shape == (4, 4)
+        assert loop.b.shape == (4, 1)
+        assert loop.c.shape == (1, 4)
+        assert loop.g_x.shape == (m, 4)
+        assert loop.g_r.shape == (m, 4)
+        assert loop.c_u.shape == (1, m)
+        assert loop.monodromy.shape == (4 + m, 4 + m)
+        assert loop.sample_time_s == T
+        assert loop.stable
+        assert loop.to_control().dt == T
+
+
+@pytest.mark.parametrize("name", ["smc", "pid_tuned", "other_plant"])
+def test_the_held_plant_is_that_of_the_modal_sum(loops, name):
+    loop = loops[name]
+    values, right = np.linalg.eig(loop.a)
+    left = np.linalg.inv(right)
+    a_d = right @ np.diag(np.exp(values * T)) @ left
+    integral = [T if abs(v) < 1e-12 else (np.exp(v * T) - 1.0) / v for v in values]
+    b_d = right @ np.diag(integral) @ left @ loop.b
+    found = loop.plant_step()
+    assert np.abs(found[0] - a_d).max() < 1e-11 * np.abs(a_d).max()
+    assert np.abs(found[1] - b_d).max() < 1e-11 * np.abs(b_d).max()
+    sampled = control.sample_system(control.ss(loop.a, loop.b, loop.c, [[0.0]]), T, method="zoh")
+    assert np.abs(found[0] - sampled.A).max() < 1e-12 * np.abs(a_d).max()
+    assert np.abs(found[1] - sampled.B).max() < 1e-12 * np.abs(b_d).max()
+
+
+def test_the_plant_of_a_loop_is_the_linearized_plant(loops):
+    plant = linearize_plant()
+    for name in ("smc", "pid", "can_2", "exact"):
+        assert np.abs(loops[name].a - plant.a).max() < 1e-9 * np.abs(plant.a).max()
+        assert np.abs(loops[name].b - plant.b).max() < 1e-12 * np.abs(plant.b).max()
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [
+        # With these the integral's update differs from the identity by rounding.
+        PidParameters(
+            proportional_per_s=11.3, moment_arm_m=0.0931, derivative=0.03, filter_s=0.013
+        ),
+        PidParameters(proportional_per_s=7.7, moment_arm_m=0.113, velocity_feedforward=0.9),
+        PidParameters(proportional_per_s=3.1, moment_arm_m=0.077, anti_windup_s=0.37),
+    ],
+)
+def test_an_unused_integral_is_no_state_of_the_loop(controller):
+    loop = linearize_loop(Scenario(controller=controller))
+    assert loop.g_z.shape == (2, 2)
+    assert loop.stable
+
+
+EQ_27_GAIN = (
+    4.0 * PAPER["bulk"] * AREA * DISPLACEMENT / (6.0 * math.sqrt(1.4 * 1.8) * PAPER["volume"])
+)
+"""b̂ of Eq. 27 in m/s³ per rad/s."""
+
+
+def test_a_loop_rests_where_leakage_and_slope_of_the_boundary_layer_meet():
+    # Eq. 27 at rest: u = −(k/Φ) λ² e/b̂ must feed the leakage under a constant force.
+    force, n = 300.0, PAPER | {"c_im": 2e-12}
+    load = KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force)
+    loop = linearize_loop(Scenario(plant=plant_parameters(n, load=load)))
+    speed = n["gear"] / DISPLACEMENT * total_leakage(n) * force / AREA
+    slope = math.sqrt(1.8 / 1.4) * 2.8e5 / 3.2
+    error = -speed * EQ_27_GAIN / (slope * 20.0**2)
+    p = RodPolynomialParameters().p_mm_deg
+    rod = np.polyval(p, math.degrees(loop.knee_angle_rad))
+    assert 1e-3 * (rod - np.polyval(p, 40.0)) == pytest.approx(error, rel=1e-8)
+
+
+@pytest.mark.parametrize("estimator", [ObserverParameters(), DifferenceParameters()])
+@pytest.mark.parametrize("force", [0.0, 300.0, 800.0])
+def test_the_kink_of_eq_27_at_rest_leaves_no_trace(force, estimator):
+    # |x⃛_d − 2λë − λ²ė| multiplies s, which is not zero under a load: its slope there is the mean
+    # of both sides, 0, and the jerk of the reference acts through b̂⁻¹ alone.
+    n = PAPER | {"c_im": 2e-12}
+    load = KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force)
+    controller = SlidingModeParameters(
+        stiffness_uncertainty_n_per_m=1e4, damping_uncertainty_n_s_per_m=1e3
+    )
+    plant = plant_parameters(n, load=load)
+    loop = linearize_loop(Scenario(plant=plant, controller=controller, estimator=estimator))
+    command = loop.c_u @ loop.g_r
+    assert command[0, 3] == pytest.approx(slope_of_table_1(40.0) / EQ_27_GAIN, rel=1e-7)
+    # û has λ² and 2λ on the velocity and the acceleration, k/Φ times sat's slope 2λ and 1.
+    slope = math.sqrt(1.8 / 1.4) * 2.8e5 / 3.2
+    expected = (
+        slope_of_table_1(40.0)
+        / EQ_27_GAIN
+        * np.array([20.0**2 * slope, 20.0**2 + 40.0 * slope, 40.0 + slope])
+    )
+    assert command[0, :3] == pytest.approx(expected, rel=1e-7)
+
+
+# ------------------------------------------------------------- sampled loop: one sample by Drake
+
+
+def at_rest(scenario, angle_deg):
+    """The scenario with a constant reference and without the quantizer."""
+    return scenario.model_copy(
+        update={
+            "encoder": EncoderParameters(quantized=False),
+            "reference": StepReference(start_deg=angle_deg, end_deg=angle_deg),
+        }
+    )
+
+
+def fixed_step(diagram, step, scheme="runge_kutta5"):
+    """Simulator at a fixed step.
+
+    The fifth order changes the 447 Hz mode by (ωh)⁶/720 a step: 3e-9 at 40 µs, 7e-7 at 0.1 ms,
+    where RK3 at 20 µs changes it by (ωh)⁴/24 = 4e-7.
+    """
+    simulator = Simulator(diagram)
+    ResetIntegratorFromFlags(simulator, scheme, step)
+    simulator.get_mutable_integrator().set_fixed_step_mode(True)
+    return simulator
+
+
+def perturbations(scenario):
+    """Small steps of all states, by their units.
+
+    |x⃛_d − 2λë − λ²ė| of Eq. 27 has a kink where the loop rests; s stays below Φ/1000.
+    """
+    plant = [1e-4, 1e-7, 1e-5, 1e-3]  # krad/s, m, m/s, MPa
+    if scenario.controller.kind == "pid":
+        controller = [1e-2, 1e-3, 1e-6]  # rad/s, rad/s, rad
+    else:
+        estimator = {"observer": [1e-7, 1e-5, 1e-3], "difference": [1e-7, 1e-5], "exact": []}
+        controller = [1e-2, *estimator[scenario.estimator.kind]]  # rad/s; m, m/s, m/s²
+    return np.diag([*plant, *controller, *[1e-2] * scenario.can_delay_samples])
+
+
+def monodromy_by_differences(scenario, angle_deg=40.0, step=4e-5):
+    """Map of all states over one sample by Drake's Simulator, around where the loop rests.
+
+    ``AdvanceTo(T)`` from t = 0 makes the update at 0 and leaves that at T undone. States in the
+    order of the Context; the update of the estimator by initialization is suppressed.
+    """
+    diagram = make_closed_loop(at_rest(scenario, angle_deg), signals=(), external_reference=True)
+    simulator = fixed_step(diagram, step)
+    context = simulator.get_mutable_context()
+    diagram.GetInputPort("knee_reference").FixValue(
+        context, [math.radians(angle_deg), 0.0, 0.0, 0.0]
+    )
+    simulator.Initialize()
+    groups = [
+        context.get_discrete_state(i).size() for i in range(context.num_discrete_state_groups())
+    ]
+    n = context.num_continuous_states()
+    bounds = list(itertools.pairwise([n, *(n + np.cumsum(groups)).tolist()]))
+
+    def state():
+        discrete = [context.get_discrete_state(i).CopyToVector() for i in range(len(groups))]
+        return np.concatenate([context.get_continuous_state_vector().CopyToVector(), *discrete])
+
+    def sample(start):
+        context.SetTime(0.0)
+        context.SetContinuousState(start[:n])
+        for index, (low, high) in enumerate(bounds):
+            context.SetDiscreteState(index, start[low:high])
+        simulator.Initialize(InitializeParams(suppress_initialization_events=True))
+        simulator.AdvanceTo(T)
+        return state()
+
+    rest = state()
+    if scenario.plant.load.kind == "knee":  # the load shifts the rest: let it settle
+        for _ in range(600):
+            rest = sample(rest)
+    return np.array(
+        [
+            (sample(rest + delta) - sample(rest - delta)) / (2.0 * delta.sum())
+            for delta in perturbations(scenario)
+        ]
+    ).T
+
+
+def compare_with_differences(loop, found):
+    """Largest difference of the matrices, each row by its largest element."""
+    scale = np.abs(found).max(axis=1, keepdims=True)
+    return (np.abs(found - loop.monodromy) / scale).max()
+
+
+@pytest.mark.parametrize(
+    "name", ["smc", "pid", "pid_tuned", "can_1", "can_2", "difference", "other_plant"]
+)
+def test_monodromy_is_that_of_the_simulator(loops, name):
+    found = monodromy_by_differences(SCENARIOS[name])
+    if name == "pid":  # the unused integral, of which nothing depends
+        assert np.abs(found[5] - np.eye(7)[5]).max() < 1e-7
+        found = np.delete(np.delete(found, 5, axis=0), 5, axis=1)
+    assert compare_with_differences(loops[name], found) < 1e-6
+    # Multiple eigenvalues near zero (delays) amplify the rounding of the differences.
+    values = np.linalg.eigvals(found)
+    expected = loops[name].eigenvalues
+    large = np.abs(expected) > 0.05
+    assert distance(values[np.abs(values) > 0.05], expected[large]) < 1e-6
+
+
+def test_monodromy_with_exact_states_is_that_of_the_simulator(loops):
+    # The differences are taken beside the rest, which Table 1 puts a little off the start.
+    found = monodromy_by_differences(SCENARIOS["exact"])
+    assert compare_with_differences(loops["exact"], found) < 1e-6
+    assert distance(np.linalg.eigvals(found), loops["exact"].eigenvalues) < 1e-6
+
+
+@pytest.mark.slow
+def test_monodromy_under_load_is_that_of_the_simulator(loops):
+    found = monodromy_by_differences(SCENARIOS["weight"], step=1e-4)
+    assert compare_with_differences(loops["weight"], found) < 2e-5  # 20 steps of 7e-7
+    assert distance(np.linalg.eigvals(found), loops["weight"].eigenvalues) < 1e-5
+
+
+def test_eigenvalues_are_sorted_and_become_poles(loops):
+    loop = loops["can_2"]
+    values = loop.eigenvalues
+    assert np.all(np.diff(np.abs(values)) <= 1e-12)
+    kept = values[np.abs(values) > 1e-9]
+    assert np.exp(loop.poles() * T) == pytest.approx(kept, rel=1e-12)
+
+
+# ------------------------------------------------------------------------ stability boundary
+
+
+def test_exact_states_lose_stability_between_1_0e4_and_1_3e4():
+    def stable(slope):
+        return linearize_loop(eq_27(slope)).stable
+
+    low, high = 1.0e4, 1.3e4
+    assert stable(low)
+    assert not stable(high)
+    for _ in range(25):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    assert high - low < 1e-3
+    assert low == pytest.approx(BOUNDARY_PER_S, rel=1e-4)
+    # There the hydraulic mode leaves the unit circle, seen folded below the Nyquist frequency.
+    loop = linearize_loop(eq_27(low))
+    critical = loop.eigenvalues[0]
+    assert abs(critical) == pytest.approx(1.0, abs=1e-6)
+    hydraulic = linearize_plant().poles[-1]
+    folded = abs(np.angle(np.exp(hydraulic * T)))
+    assert abs(np.angle(critical)) == pytest.approx(folded, abs=0.05)
+
+
+BOUNDARY_PER_S = 11_781.5
+"""k/Φ where the loop with exact states loses stability, found by the bisection above."""
+
+
+@pytest.mark.slow
+def test_the_unstable_loop_grows_as_its_eigenvalue_says(unstable):
+    inner = make_closed_loop(at_rest(EQ_27_EXACT_STATES["13000"], 40.0), signals=())
+    builder = DiagramBuilder()
+    builder.AddSystem(inner)
+    sink = LogVectorOutput(inner.GetOutputPort("load_pressure"), builder, publish_period=T)
+    simulator = fixed_step(builder.Build(), 1e-4)
+    simulator.AdvanceTo(2.4)
+    log = sink.FindLog(simulator.get_context())
+    time, pressure = log.sample_times(), log.data()[0]
+    # Three states of the mode and a constant in each window: y = Re(c zᵏ) + const.
+    value = unstable.eigenvalues[0]
+    amplitudes, centres = [], np.arange(1.3, 2.3, 0.1)
+    for centre in centres:
+        rows = np.abs(time - centre) < 0.05
+        shift = time[rows] - centre
+        mode = np.exp(1j * np.angle(value) * shift / T)
+        basis = np.stack([mode.real, mode.imag, np.ones_like(shift), shift], axis=1)
+        fit = np.linalg.lstsq(basis, pressure[rows], rcond=None)[0]
+        amplitudes.append(math.hypot(fit[0], fit[1]))
+    growth = np.polyfit(centres, np.log(amplitudes), 1)[0]
+    assert np.abs(pressure).max() < 1e5  # still small: inside the boundary layer
+    assert growth == pytest.approx(math.log(abs(value)) / T, rel=0.01)
+
+
+# -------------------------------------------------------------------------------- margins
+
+STABLE = ["smc", "pid", "pid_tuned", "can_2", "difference", "exact"]
+
+
+@pytest.fixture(scope="module")
+def margins(loops):
+    return {name: loops[name].margins() for name in STABLE}
+
+
+def frequency_response(loop, frequencies_hz):
+    """L by python-control on the same matrices."""
+    return loop.to_control()(np.exp(2j * math.pi * np.asarray(frequencies_hz) * T))
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_margins_are_those_of_python_control(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    assert m.stable
+    f = np.geomspace(0.05, 249.9, 1500)
+    data = control.FRD(frequency_response(loop, f), 2.0 * math.pi * f, smooth=True)
+    gain, phase, _, omega_phase, omega_gain, _ = control.stability_margins(data)
+    assert m.gain_margin == pytest.approx(gain, rel=1e-6)
+    assert m.phase_margin_deg == pytest.approx(phase, rel=1e-6)
+    # The argument of a crossing is as exact as the spline through the data.
+    assert 2.0 * math.pi * m.gain_margin_frequency_hz == pytest.approx(omega_phase, rel=1e-5)
+    assert 2.0 * math.pi * m.phase_margin_frequency_hz == pytest.approx(omega_gain, rel=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore:stability_margins")
+@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "difference"])
+def test_margins_are_those_of_python_control_on_the_state_space(loops, margins, name):
+    m = margins[name]
+    gain, phase, *_ = control.stability_margins(loops[name].to_control())
+    assert m.gain_margin == pytest.approx(gain, rel=1e-6)
+    assert m.phase_margin_deg == pytest.approx(phase, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_disk_margins_are_those_of_python_control(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    # The minimum of a dense grid about it: flat to 1e-8 between its points.
+    f = m.disk_margin_frequency_hz * (1.0 + np.linspace(-0.03, 0.03, 401))
+    f = np.sort(np.concatenate([np.geomspace(0.05, 249.9, 600), f[f < 250.0]]))
+    disk, gain_db, phase = control.disk_margins(loop.to_control(), 2.0 * math.pi * f, skew=0.0)
+    assert m.disk_margin == pytest.approx(disk, rel=1e-6)
+    assert 20.0 * math.log10(m.disk_gain_margin) == pytest.approx(gain_db, rel=1e-6)
+    assert m.disk_phase_margin_deg == pytest.approx(phase, rel=1e-6)
+
+
+def scaled(loop, factor):
+    """The loop with its gain multiplied."""
+    return dataclasses.replace(loop, b=factor * loop.b)
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_the_gain_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    critical = np.exp(2j * math.pi * m.gain_margin_frequency_hz * T)
+    values = scaled(loop, m.gain_margin).eigenvalues
+    assert abs(nearest(values, critical) - critical) < 1e-6
+    assert scaled(loop, 0.999 * m.gain_margin).stable
+    assert not scaled(loop, 1.001 * m.gain_margin).stable
+    assert m.lower_gain_margin == 0.0
+    assert scaled(loop, 1e-3).stable
+
+
+def test_the_lower_gain_margin_makes_an_unstable_loop_stable(unstable):
+    m = unstable.margins()
+    assert not m.stable
+    assert 0.0 < m.lower_gain_margin < 1.0
+    values = scaled(unstable, m.lower_gain_margin).eigenvalues
+    assert abs(values[0]) == pytest.approx(1.0, abs=1e-6)
+    assert scaled(unstable, 0.999 * m.lower_gain_margin).stable
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_the_phase_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    system = loop.to_control()
+    turned = system.A - np.exp(-1j * math.radians(m.phase_margin_deg)) * (system.B @ system.C)
+    critical = np.exp(2j * math.pi * m.phase_margin_frequency_hz * T)
+    assert abs(nearest(np.linalg.eigvals(turned), critical) - critical) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["difference", "pid_tuned"])
+def test_the_delay_margin_is_what_the_can_bus_may_take(margins, name):
+    samples = margins[name].delay_margin_s / T
+    assert 1.0 < samples < 10.0
+    below, above = (
+        linearize_loop(SCENARIOS[name].model_copy(update={"can_delay_samples": n}))
+        for n in (math.floor(samples), math.ceil(samples))
+    )
+    assert below.stable
+    assert not above.stable
+
+
+def test_can_delay_is_a_delay_of_the_loop(loops):
+    f = np.array([0.3, 5.0, 90.0, 240.0])
+    z = np.exp(2j * math.pi * f * T)
+    for name, n in (("can_1", 1), ("can_2", 2)):
+        expected = loops["smc"].loop_response(f) / z**n
+        assert loops[name].loop_response(f) == pytest.approx(expected, rel=1e-9)
+
+
+# ------------------------------------------------------------------------------ responses
+
+
+@pytest.mark.parametrize("name", ["smc", "pid_tuned", "difference"])
+def test_sensitivities_are_those_of_the_closed_loop(loops, name):
+    loop = loops[name]
+    f = np.array([0.1, 1.0, 17.0, 130.0])
+    s, t = loop.sensitivity(f), loop.complementary_sensitivity(f)
+    assert s + t == pytest.approx(np.ones(4), abs=1e-12)
+    assert loop.loop_response(f) == pytest.approx(frequency_response(loop, f), rel=1e-8)
+    # det(zI − closed) = det(zI − open)(1 + L)
+    z = np.exp(2j * math.pi * f * T)
+    eye = np.eye(loop.monodromy.shape[0])
+    ratio = [np.linalg.det(v * eye - loop.to_control().A) for v in z]
+    ratio /= np.array([np.linalg.det(v * eye - loop.monodromy) for v in z])
+    assert s == pytest.approx(ratio, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "can_2", "difference", "weight"])
+def test_the_output_follows_a_slow_reference(loops, name):
+    loop = loops[name]
+    # P action alone lags by f/0.8 Hz; so does a slow rest under the weight, less than 1e-2.
+    assert loop.output_response(1e-3)[0] == pytest.approx(1.0, abs=2e-2)
+    f = 0.05
+    s, z = 2j * math.pi * f, np.exp(2j * math.pi * f * T)
+    b_d = loop.plant_step()[1]
+    drive = np.vstack([b_d @ loop.c_u @ loop.g_r, loop.g_r]) @ np.array([1.0, s, s**2, s**3])
+    state = np.linalg.solve(z * np.eye(loop.monodromy.shape[0]) - loop.monodromy, drive)
+    sampled = (loop.c @ state[:4])[0]
+    # What the samples fold down from beyond 499 Hz is all that tells them apart.
+    assert loop.output_response(f)[0] == pytest.approx(sampled, rel=1e-6)
+
+
+def test_the_output_may_be_another_port(loops):
+    rod = linearize_loop(output="rod_extension")
+    assert rod.c == pytest.approx(np.array([[0.0, 1.0, 0.0, 0.0]]))
+    f = np.array([0.5, 30.0])
+    slope = 1.0 / loops["smc"].c[0, 1]
+    assert rod.output_response(f) == pytest.approx(slope * loops["smc"].output_response(f))
+
+
+def test_a_frequency_of_zero_is_refused(loops):
+    with raises_one_line(LinearizationError, "must be > 0"):
+        loops["smc"].output_response([0.0, 1.0])
+
+
+@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "difference", "exact"])
+def test_the_bandwidth_is_the_first_crossing(loops, name):
+    loop = loops[name]
+    bandwidth = loop.bandwidth_hz()
+    assert abs(loop.output_response(bandwidth)[0]) == pytest.approx(math.sqrt(0.5), rel=1e-9)
+    below = np.abs(loop.output_response(np.geomspace(1e-3, 0.9999 * bandwidth, 300)))
+    assert below.min() > math.sqrt(0.5)
+
+
+def test_an_output_that_never_falls_has_no_bandwidth(loops):
+    loud = dataclasses.replace(loops["smc"], c=10.0 * loops["smc"].c)
+    assert math.isnan(loud.bandwidth_hz())
+
+
+def test_an_unstable_loop_says_so(unstable):
+    assert not unstable.stable
+    assert not unstable.margins().stable
+    with raises_one_line(LinearizationError, "unstable .* it has no bandwidth"):
+        unstable.bandwidth_hz()
+    assert "unstable" in str(unstable)
+    assert "margin " not in str(unstable)
+
+
+def test_a_loop_prints_its_margins_and_plots(loops):
+    loop = loops["smc"]
+    m, text = loop.margins(), str(loop)
+    assert "knee at 40 deg, T = 0.002 s: stable" in text
+    for number in (m.gain_margin, m.phase_margin_deg, 1e3 * m.delay_margin_s, m.disk_margin):
+        assert f"{number:.4g}" in text
+    assert f"bandwidth {loop.bandwidth_hz():.4g} Hz" in text
+    magnitude, phase = loop.plot()
+    line = magnitude.lines[0]
+    at_1_hz = np.interp(0.0, np.log10(line.get_xdata()), line.get_ydata())
+    assert at_1_hz == pytest.approx(20.0 * math.log10(abs(loop.loop_response(1.0)[0])), abs=0.01)
+    assert phase.get_ylabel() == "loop phase (deg)"
+
+
+# -------------------------------------------------------------------------------- refusals
+
+
+def test_there_is_no_linear_loop_without_samples_or_slope():
+    with raises_one_line(LinearizationError, "controller.continuous = true"):
+        linearize_loop(IDEAL_SMC)
+    with raises_one_line(LinearizationError, "controller.switching = signum"):
+        linearize_loop(Scenario(controller=SlidingModeParameters(switching="signum")))
+
+
+def pushed(force, **more):
+    """A leaky plant whose motor must turn at ``speed`` to hold a constant force on the rod."""
+    n = PAPER | {"c_im": 5e-12}
+    load = KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force)
+    speed = n["gear"] / DISPLACEMENT * total_leakage(n) * force / AREA
+    return plant_parameters(n, load=load, **more), speed
+
+
+@pytest.mark.parametrize("share", [0.99, 0.5])
+@pytest.mark.parametrize("kind", [SlidingModeParameters, PidParameters])
+def test_a_command_limit_below_the_leakage_leaves_no_rest(share, kind):
+    plant, speed = pushed(200.0)
+    controller = kind(command_limit_rad_s=share * speed)
+    with raises_one_line(LinearizationError, "does not rest at knee angle 40 deg"):
+        linearize_loop(Scenario(plant=plant, controller=controller))
+
+
+def test_a_rest_at_the_speed_limit_is_refused():
+    plant, speed = pushed(200.0)
+    controller = PidParameters(proportional_per_s=50.0, command_limit_rad_s=speed * (1.0 + 1e-10))
+    with raises_one_line(LinearizationError, "motor_speed_command = .* is at its limit of"):
+        linearize_loop(Scenario(plant=plant, controller=controller))
+
+
+@pytest.mark.parametrize("eta", [3e3, 5e3, 8e3])
+def test_a_boundary_layer_too_weak_for_the_leakage_leaves_no_rest(eta):
+    plant, speed = pushed(800.0)
+    controller = SlidingModeParameters(eta_m_s3=eta)
+    assert speed > 100.0
+    with raises_one_line(LinearizationError, "does not rest at knee angle 40 deg"):
+        linearize_loop(Scenario(plant=plant, controller=controller))
+
+
+def test_a_rest_outside_the_boundary_layer_is_refused():
+    # Without η nothing pulls s to zero; Table 1 and the linkage differ by λ²·0.03 mm.
+    controller = SlidingModeParameters(eta_m_s3=0.0, phi_m_s2=1e-6)
+    with raises_one_line(LinearizationError, "outside the boundary layer"):
+        linearize_loop(Scenario(estimator=ExactParameters(), controller=controller))
+
+
+# ------------------------------------------------------------------- by brute force, in time
+
+
+def small_sine(scenario, frequency_hz, amplitude_deg, settle_s, window_s, step=1e-4):
+    """Fundamental of the knee angle over that of the reference, by Drake's Simulator.
+
+    The window holds whole periods of the sine and of the sampling. The samples' images at
+    500k ± f Hz are fitted along, under a Hann window that keeps out what is left of the transient.
+    """
+    reference = SineReference(
+        mean_deg=40.0, amplitude_deg=amplitude_deg, frequency_hz=min(frequency_hz, 250.0)
+    )
+    inner = make_closed_loop(
+        at_rest(scenario, 40.0).model_copy(update={"reference": reference}), signals=()
+    )
+    builder = DiagramBuilder()
+    builder.AddSystem(inner)
+    sink = LogVectorOutput(inner.GetOutputPort("knee_angle"), builder, publish_period=0.2e-3)
+    simulator = fixed_step(builder.Build(), step)
+    source = inner.GetSubsystemByName("reference")
+    context = source.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    source.set_parameter(context, "frequency_hz", frequency_hz)  # also beyond the parameter's range
+    simulator.AdvanceTo(settle_s + window_s)
+    log = sink.FindLog(simulator.get_context())
+    count = round(window_s / 0.2e-3)
+    time, angle = log.sample_times()[-count:], log.data()[0, -count:] - math.radians(40.0)
+    rates = {frequency_hz, *(abs(500.0 * k + i * frequency_hz) for k in (1, 2) for i in (1, -1))}
+    phases = 2.0 * math.pi * np.array([frequency_hz, *sorted(rates - {frequency_hz})])[:, None]
+    basis = [np.cos(phases * time), np.sin(phases * time), [np.ones(count)], [time - time[0]]]
+    weight = np.hanning(count + 1)[:-1]
+    rows = np.concatenate(basis) * weight
+    fit = np.linalg.lstsq(rows.T, weight * angle, rcond=None)[0]
+    return -(fit[0] - 1j * fit[len(rates)]) / math.radians(amplitude_deg)
+
+
+def assert_response(scenario, frequency_hz, *settings):
+    expected = linearize_loop(scenario).output_response(frequency_hz)[0]
+    ratio = small_sine(scenario, frequency_hz, *settings) / expected
+    assert abs(ratio) == pytest.approx(1.0, abs=1e-3)
+    assert math.degrees(np.angle(ratio)) == pytest.approx(0.0, abs=0.1)
+
+
+# Amplitudes stay inside the boundary layer, whose s grows with f², and below the motor's
+# acceleration limit, 100 rad/s of sudden command.
+@pytest.mark.parametrize(("frequency_hz", "amplitude_deg"), [(20.0, 1e-3), (100.0, 1e-4)])
+def test_the_response_to_a_small_sine_is_that_of_the_simulator(frequency_hz, amplitude_deg):
+    assert_response(SCENARIOS["smc"], frequency_hz, amplitude_deg, 0.6, 0.2, 2e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "frequency_hz", "amplitude_deg", "settle_s", "window_s"),
+    [
+        ("smc", 0.5, 1e-2, 1.0, 4.0),
+        ("smc", 2.0, 1e-2, 0.6, 1.0),
+        ("smc", 8.0, 1e-3, 0.6, 0.5),
+        ("smc", 240.0, 1e-5, 0.6, 0.4),
+        ("smc", 300.0, 1e-5, 0.6, 0.4),
+        ("pid", 8.0, 1e-3, 1.0, 1.0),
+        ("pid_tuned", 2.0, 1e-3, 2.0, 1.0),
+        ("difference", 20.0, 1e-4, 0.6, 0.3),
+        ("can_2", 40.0, 1e-4, 0.6, 0.3),
+        ("weight", 8.0, 1e-3, 0.6, 0.5),
+    ],
+)
+def test_more_responses_to_small_sines(name, frequency_hz, amplitude_deg, settle_s, window_s):
+    assert_response(SCENARIOS[name], frequency_hz, amplitude_deg, settle_s, window_s)
