@@ -162,9 +162,10 @@ class FullCylinderParameters(Parameters):
         le=1e-6,
     )
     makeup_band_pa: float = quantity(
-        0.05e6,
+        0.02e6,
         "Pa",
-        "assumption: |P_1 − P_2| that opens one pilot-operated check valve and closes the other",
+        "assumption: |P_1 − P_2| that opens one pilot-operated check valve and closes the other; "
+        "narrow beside the 0.067 MPa that P_r leaves between the lines without load",
         gt=0,
         le=1e7,
     )
@@ -189,7 +190,7 @@ class FullCylinderParameters(Parameters):
         0.0,
         "1",
         "assumption: volume of free air in that of the oil at atmospheric pressure; 1.5 % makes "
-        "0.05 GPa of β_e at P_r",
+        "0.06 GPa of β_e at P_r",
         ge=0,
         le=0.5,
     )

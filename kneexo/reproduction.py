@@ -273,7 +273,7 @@ def report(numbers: Mapping[str, Any]) -> str:
             0.1781,
             table1["refit_p_sse_mm2"],
             "{:.4f}",
-            "quintic fitted to linkage G1, 901 points; the paper's RMSE and SSE mean about 200",
+            "quintic fitted to linkage G1, 901 points; the paper's SSE and RMSE imply about 200",
         ),
         (
             "SSE of θ_p(x) (Fig. 5b)",

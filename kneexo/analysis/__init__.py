@@ -20,6 +20,7 @@ from kneexo.analysis.linearization import (
 )
 from kneexo.analysis.parallel import parallel_map, process_pool
 from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
+from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
 from kneexo.analysis.simulation import Run, simulate, simulate_diagram
 from kneexo.analysis.tracking import TrackingMetrics, TrackingResult, track, tracking_metrics
 
@@ -44,6 +45,8 @@ __all__ = [
     "nominal_trial",
     "parallel_map",
     "process_pool",
+    "rate_limit_bandwidth_hz",
+    "rate_limited_gain",
     "simulate",
     "simulate_diagram",
     "sinestream",

@@ -641,19 +641,24 @@ def _initial_discrete(diagram: Any, context: Any) -> Array:
     return np.concatenate([context.get_discrete_state(i).CopyToVector() for i in range(groups)])
 
 
+def _loop_context(diagram: Any, point: Any, n: int) -> Any:
+    """Context of the loop at ``point``: n continuous states, all discrete ones, the reference."""
+    context = diagram.CreateDefaultContext()
+    context.SetContinuousState(point[:n])
+    for index in range(context.num_discrete_state_groups()):
+        size = context.get_discrete_state(index).size()
+        context.SetDiscreteState(index, point[n : n + size])
+        n += size
+    diagram.GetInputPort("knee_reference").FixValue(context, point[n:])
+    return context
+
+
 def _loop_gradients(
     diagram: Any, point: Array, n: int, reference: Array, output: str
 ) -> tuple[Array, Array, Array, float]:
     """Values and gradients of dx/dt and z⁺ in (x, z, r); row of the output in x; knee angle."""
     seeded = InitializeAutoDiff(np.append(point, reference).reshape(-1, 1)).reshape(-1)
-    context = diagram.CreateDefaultContext()
-    context.SetContinuousState(seeded[:n])
-    position = n
-    for index in range(context.num_discrete_state_groups()):
-        size = context.get_discrete_state(index).size()
-        context.SetDiscreteState(index, seeded[position : position + size])
-        position += size
-    diagram.GetInputPort("knee_reference").FixValue(context, seeded[position:])
+    context = _loop_context(diagram, seeded, n)
     updated = diagram.EvalUniquePeriodicDiscreteUpdate(context)
     values = np.concatenate(
         [
@@ -669,16 +674,9 @@ def _loop_gradients(
 
 def _require_linear(diagram: Any, scenario: Scenario, point: Array, n: int, reference: Any) -> None:
     """Refuse a rest at the speed limit or outside the boundary layer."""
-    context = diagram.CreateDefaultContext()
-    context.SetContinuousState(point[:n])
-    position = n
-    for index in range(context.num_discrete_state_groups()):
-        size = context.get_discrete_state(index).size()
-        context.SetDiscreteState(index, point[position : position + size])
-        position += size
-    diagram.GetInputPort("knee_reference").FixValue(context, reference)
+    context = _loop_context(diagram, np.append(point, reference), n)
     command = abs(float(diagram.GetOutputPort("motor_speed_command").Eval(context)[0]))
-    limit = scenario.controller.command_limit_rad_s
+    limit = scenario.command_limit_rad_s
     if command >= limit * (1.0 - 1e-9):
         raise LinearizationError(
             f"motor_speed_command = {command:.4g} rad/s is at its limit of {limit:.4g} rad/s: "

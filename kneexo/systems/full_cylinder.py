@@ -31,7 +31,7 @@ _LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus of air is not continued below
 def opening(excess: Any, band: Any) -> Any:
     """max(excess, 0), its corner rounded to a parabola over 0…``band``; exactly 0 when closed."""
     rounded = clip(excess, 0.0, band)
-    return 0.5 * rounded * rounded / band + drake_math.max(excess - band, 0.0)
+    return rounded * (excess - 0.5 * rounded) / band
 
 
 def share_open(difference: Any, band: Any) -> Any:
@@ -105,7 +105,9 @@ def FullCylinder_(T: Any) -> Any:
         leakage returns to the reservoir. Q_m ties the line with the lower pressure to the
         reservoir (`makeup_flow`), Q_r relieves both lines (`relief_flow`). The rod speed therefore
         follows the loaded chamber, not the direction: Q/A_1 with P_1 loaded, which takes
-        F_L > P_r (A_1 − A_2), and Q/A_2 otherwise.
+        F_L > P_r (A_1 − A_2), and Q/A_2 otherwise. Within a few newtons of that switching force
+        a retracting rod oscillates between the two (by default at 12…23 N; Coulomb friction moves
+        that zone by itself), and runs with radau3 then take ten times as long.
 
         =================  ====  ===========  ===============================================
         input port         size  unit

@@ -798,6 +798,16 @@ def test_the_phase_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, 
     assert abs(nearest(np.linalg.eigvals(turned), critical) - critical) < 1e-6
 
 
+@pytest.mark.parametrize("name", STABLE)
+def test_the_delay_margin_is_the_smallest_of_all_crossings(loops, margins, name):
+    f = np.geomspace(0.05, 249.9, 4000)
+    data = control.FRD(frequency_response(loops[name], f), 2.0 * math.pi * f, smooth=True)
+    _, phases, _, _, omegas, _ = control.stability_margins(data, returnall=True)
+    expected = min(np.radians(np.mod(phases, 360.0)) / omegas)
+    # The spline is good for 1e-6 where the loop bends most (the 447 Hz mode, exact states).
+    assert margins[name].delay_margin_s == pytest.approx(expected, rel=1e-5)
+
+
 @pytest.mark.parametrize("name", ["difference", "pid_tuned"])
 def test_the_delay_margin_is_what_the_can_bus_may_take(margins, name):
     samples = margins[name].delay_margin_s / T

@@ -1,0 +1,411 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.systems.analysis import Simulator
+
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import CylinderParameters, FullCylinderParameters
+from kneexo.systems import FullCylinder, ReducedCylinder
+from kneexo.systems.full_cylinder import (
+    effective_bulk_modulus,
+    holding_pressures,
+    makeup_flow,
+    opening,
+    relief_flow,
+    seal_friction,
+    share_open,
+)
+
+# Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm.
+AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)
+CYLINDER = CylinderParameters(
+    mass_kg=1.45, damping_n_s_per_m=30.0, stiffness_n_per_m=250.0, leakage_m3_per_s_pa=3e-13
+)
+# Every term of the equations is there.
+FULL = FullCylinderParameters(
+    dead_volume_m3=4e-6,
+    reservoir_pressure_pa=0.3e6,
+    cap_external_leakage_m3_per_s_pa=4e-13,
+    rod_side_external_leakage_m3_per_s_pa=7e-13,
+    makeup_conductance_m3_per_s_pa=3e-11,
+    makeup_band_pa=0.4e6,
+    relief_pressure_pa=2.5e6,
+    relief_conductance_m3_per_s_pa=2e-11,
+    valve_band_pa=0.3e6,
+    entrained_air=0.004,
+    coulomb_friction_n=20.0,
+    stribeck_friction_n=15.0,
+    stribeck_speed_m_s=0.02,
+    friction_band_m_s=0.015,
+)
+PUMP_LEAKAGE = 9e-13
+IDLE = FullCylinderParameters(
+    makeup_conductance_m3_per_s_pa=0.0, relief_conductance_m3_per_s_pa=0.0
+)
+INPUTS = {"load_flow": [(-1.2e-5, 1.2e-5)], "load_force": [(-100.0, 100.0)]}
+# The three seeded points of check_conversions keep clear of the corners of the valves' slopes,
+# over which differences would step.
+STATE = [(0.0, 0.15), (-0.05, 0.05), (0.1, 2.9), (0.1, 2.9)]
+OUTPUTS = {
+    "rod_extension": 1, "rod_velocity": 1, "load_pressure": 1, "rod_force": 1, "rod_state": 3,
+    "chamber_pressures": 2, "makeup_flow": 2, "relief_flow": 2,
+}  # fmt: skip
+
+
+def at(system, *, flow=0.0, force=None, state=None):
+    context = system.CreateDefaultContext()
+    system.GetInputPort("load_flow").FixValue(context, flow)
+    if force is not None:
+        system.GetInputPort("load_force").FixValue(context, force)
+    if state is not None:
+        context.SetContinuousState(state)
+    return context
+
+
+def rates(system, **values):
+    return system.EvalTimeDerivatives(at(system, **values)).CopyToVector()
+
+
+def full_system():
+    return FullCylinder(CYLINDER, FULL, 0.06, (0.4e6, 0.7e6), PUMP_LEAKAGE)
+
+
+# ------------------------------------------------------------- the equations, written anew
+
+
+def rounded_corner(excess, band):
+    if excess <= 0.0:
+        return 0.0
+    return excess**2 / (2.0 * band) if excess < band else excess - band / 2.0
+
+
+def smooth_step(difference, band):
+    z = min(max((difference + band) / (2.0 * band), 0.0), 1.0)
+    return 3.0 * z**2 - 2.0 * z**3
+
+
+def written_out(state, flow, force, c=CYLINDER, n=FULL, c_em=PUMP_LEAKAGE):
+    """Eq. 12 and 14 with the signs corrected, chamber by chamber; pressures in MPa, P_r = gauge."""
+    x, v = state[:2]
+    pressures, p_r = [1e6 * state[2], 1e6 * state[3]], n.reservoir_pressure_pa
+    load = pressures[0] - pressures[1]
+    # Eq. 12: D ω follows from the load flow by Eq. 13; C_im of the pump cancels, so it is zero.
+    displaced = flow + 0.5 * c_em * load
+    pump = [displaced - c_em * (pressures[0] - p_r), -displaced - c_em * (pressures[1] - p_r)]
+    swept, areas = [-AREA_1 * v, AREA_2 * v], [AREA_1, AREA_2]
+    volumes = [n.dead_volume_m3 + AREA_1 * x, n.dead_volume_m3 + AREA_2 * (0.150 - x)]
+    external = [n.cap_external_leakage_m3_per_s_pa, n.rod_side_external_leakage_m3_per_s_pa]
+    makeup, relief, pressure_rates = [], [], []
+    for i, own in enumerate(pressures):
+        other, sign = pressures[1 - i], (1.0, -1.0)[i]
+        held = smooth_step(other - own, n.makeup_band_pa)
+        check = rounded_corner(p_r - own, n.valve_band_pa)
+        makeup.append(
+            n.makeup_conductance_m3_per_s_pa * (held * (p_r - own) + (1.0 - held) * check)
+        )
+        relief.append(
+            n.relief_conductance_m3_per_s_pa
+            * rounded_corner(own - n.relief_pressure_pa, n.valve_band_pa)
+        )
+        into = pump[i] + swept[i] - sign * c.leakage_m3_per_s_pa * load
+        into += makeup[i] - relief[i] - external[i] * (own - p_r)
+        absolute = own + 101_325.0
+        air = n.entrained_air * (101_325.0 / absolute) ** (1.0 / 1.4)
+        compliance = (1.0 / c.bulk_modulus_pa + air / (1.4 * absolute)) / (1.0 + air)
+        pressure_rates.append(1e-6 * into / volumes[i] / compliance)
+    stribeck = n.stribeck_friction_n * math.exp(-((v / n.stribeck_speed_m_s) ** 2))
+    friction = (n.coulomb_friction_n + stribeck) * math.tanh(v / n.friction_band_m_s)
+    rod_force = pressures[0] * areas[0] - pressures[1] * areas[1] - friction
+    rod_force -= c.damping_n_s_per_m * v + c.stiffness_n_per_m * x
+    a = (rod_force - force) / c.mass_kg
+    outputs = [x, v, load, rod_force, x, v, a, *pressures, *makeup, *relief]
+    return [*outputs, v, a, *pressure_rates]
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def test_ports_state_and_feedthrough(leaf):
+    found = leaf.structure(FullCylinder())
+    assert found.inputs == leaf.structure(ReducedCylinder()).inputs
+    assert found.outputs == OUTPUTS
+    assert set(leaf.structure(ReducedCylinder()).outputs) <= set(OUTPUTS)
+    assert (found.continuous, found.discrete) == (4, [])
+    assert found.feedthrough == {("load_force", "rod_state")}
+
+
+def test_parameters_are_those_of_the_two_classes_by_name():
+    system = FullCylinder(pump_external_leakage_m3_per_s_pa=6e-13)
+    found = system.parameters(system.CreateDefaultContext())._asdict()
+    assert found.pop("cap_area_m2") == pytest.approx(AREA_1, rel=1e-15)
+    assert found.pop("rod_side_area_m2") == pytest.approx(AREA_2, rel=1e-15)
+    assert found.pop("pump_external_leakage_m3_per_s_pa") == 6e-13
+    for name, value in FullCylinderParameters():
+        assert found.pop(name) == value
+    reduced = ReducedCylinder()
+    common = reduced.parameters(reduced.CreateDefaultContext())._asdict()
+    assert set(common) - set(found) == {"mean_area_m2", "total_volume_m3"}
+    assert found == {name: common[name] for name in found}
+
+
+def test_rod_starts_at_rest_holding_nothing_or_where_told():
+    system = FullCylinder()
+    start = system.CreateDefaultContext().get_continuous_state_vector().CopyToVector()
+    # Without load P_1 = P_r is the lower pressure: P_1 A_1 = P_2 A_2.
+    np.testing.assert_allclose(start, [0.075, 0.0, 0.2, 0.2 * AREA_1 / AREA_2], rtol=1e-14)
+    np.testing.assert_allclose(rates(system), 0.0, atol=1e-9)
+    context = full_system().CreateDefaultContext()
+    assert list(context.get_continuous_state_vector().CopyToVector()) == [0.06, 0.0, 0.4, 0.7]
+
+
+# ----------------------------------------------------------------------------- conversion
+
+
+def test_conversions_agree_and_keep_arguments_and_changes(leaf):
+    probe = leaf.Probe(full_system(), INPUTS, STATE)
+    probe.check_conversions()
+    probe.check_outputs_follow_every_source()
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("dead_volume_m3", 9e-6)
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+def test_conversions_keep_the_initial_state():
+    state = full_system().ToAutoDiffXd().CreateDefaultContext().get_continuous_state_vector()
+    assert [value.value() for value in state.CopyToVector()] == [0.06, 0.0, 0.4, 0.7]
+
+
+@pytest.mark.parametrize("pressure", [-0.3e6, -0.1e6, 0.0, 0.1e6, 0.5e6])
+def test_valve_laws_keep_the_slope_in_autodiff(pressure):
+    def flow(p):
+        numbers = {"reservoir": 0.2e6, "conductance": 1e-10, "pilot_band": 4e5, "band": 3e5}
+        relieved = relief_flow(p, limit=0.1e6, conductance=1e-10, band=3e5)
+        return makeup_flow(p, 0.2e6, **numbers) - relieved
+
+    step = 10.0
+    slope = flow(AutoDiffXd(pressure, [1.0])).derivatives()[0]
+    difference = (flow(pressure + step) - flow(pressure - step)) / (2.0 * step)
+    # These pressures are the corners of the slope too, where differences err by step/band.
+    assert slope == pytest.approx(difference, rel=1e-4)
+
+
+# -------------------------------------------------------------------------------- numbers
+
+
+def test_random_points_meet_the_written_out_equations(leaf):
+    probe = leaf.Probe(full_system(), INPUTS, STATE, spread=0.0)
+    regimes = set()
+    for z in probe.points(200):
+        flow, force, state = z[1], z[2], z[3:7]
+        expected = written_out(state, flow, force)
+        # Forces of up to 900 N cancel in the acceleration, and flows of 1e-4 m³/s in the rates.
+        np.testing.assert_allclose(probe.results(z), expected, rtol=1e-11, atol=1e-10)
+        regimes.add(tuple(np.sign(expected[9:13])))
+    assert len(regimes) >= 6  # each valve was seen open and shut
+
+
+def test_unconnected_load_force_counts_as_zero():
+    system, state = full_system(), [0.05, 0.01, 0.3, 0.9]
+    assert list(rates(system, state=state)) == list(rates(system, state=state, force=0.0))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_reduces_to_eq_15_at_equal_volumes_with_equal_leakages_and_idle_valves(seed):
+    # dP_L/dt = (β/V)(Q_1 + Q_2 − (A_1 + A_2) v − (2 C_im' + C_em') P_L) with V_1 = V_2 = V and
+    # Q_1 + Q_2 = 2 Q_L: Eq. 15 with V_t = 2 V and C_L = C_im' + C_em'/2, for any two areas.
+    random = np.random.default_rng(seed)
+    c_im, c_em, pump, dead = random.uniform(0.1e-12, 5e-12, 4) * [1.0, 1.0, 1.0, 1e6]
+    x = AREA_2 * 0.150 / (AREA_1 + AREA_2)
+    volume = dead + AREA_1 * x
+    full_order = FullCylinderParameters(
+        **dict(IDLE)
+        | {
+            "dead_volume_m3": dead,
+            "cap_external_leakage_m3_per_s_pa": c_em,
+            "rod_side_external_leakage_m3_per_s_pa": c_em,
+        }
+    )
+    full = FullCylinder(
+        CylinderParameters(leakage_m3_per_s_pa=c_im),
+        full_order,
+        pump_external_leakage_m3_per_s_pa=pump,
+    )
+    reduced = ReducedCylinder(
+        CylinderParameters(total_volume_m3=2.0 * volume, leakage_m3_per_s_pa=c_im + 0.5 * c_em)
+    )
+    flow, v = random.uniform(-1.2e-5, 1.2e-5), random.uniform(-0.05, 0.05)
+    cap, rod_side = random.uniform(0.0, 3.5, 2)
+    both = rates(full, flow=flow, state=[x, v, cap, rod_side])
+    one = rates(reduced, flow=flow, state=[x, v, cap - rod_side])
+    assert both[2] - both[3] == pytest.approx(one[2], rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_idle_valves_that_are_not_blocked_pass_nothing_at_all(seed):
+    # One line at P_r and the other above it, below the relief pressure: no flow to the last bit.
+    loaded = np.random.default_rng(seed).uniform(0.25, 3.4)
+    for pressures in ((0.2, loaded), (loaded, 0.2)):
+        state = [0.07, 0.01, *pressures]
+        system = FullCylinder()
+        context = at(system, state=state)
+        assert not system.GetOutputPort("relief_flow").Eval(context).any()
+        # P_r = 0.2 MPa differs from 1e6 · 0.2 by rounding at most.
+        assert np.abs(system.GetOutputPort("makeup_flow").Eval(context)).max() < 1e-19
+        blocked = rates(FullCylinder(CylinderParameters(), IDLE), state=state)
+        np.testing.assert_allclose(rates(system, state=state), blocked, rtol=1e-12, atol=1e-12)
+
+
+def test_without_valves_and_leakages_each_chamber_keeps_its_oil():
+    # dP/β + dV/V = q dt/V, so P/β + ln V rises by ∫q/V: without flow it stays.
+    system = FullCylinder(CylinderParameters(), IDLE, 0.07, (1.0e6, 1.6e6))
+    simulator = Simulator(system, at(system))
+    states = []
+    for time in (0.0, 0.003, 0.01, 0.02):
+        simulator.AdvanceTo(time)
+        states.append(simulator.get_context().get_continuous_state_vector().CopyToVector())
+    x, v, cap, rod_side = np.transpose(states)
+    assert np.ptp(v) > 1e-3  # the rod does move
+    for oil in (
+        1e6 * cap / 1.72e9 + np.log(5e-6 + AREA_1 * x),
+        1e6 * rod_side / 1.72e9 + np.log(5e-6 + AREA_2 * (0.150 - x)),
+    ):
+        # Drake's default accuracy of 1e-3 MPa over 1720 MPa.
+        assert np.ptp(oil) < 1e-6
+
+
+def test_all_oil_comes_from_the_reservoir_or_goes_there():
+    # Sum of both chambers, without compressibility: V_1' + V_2' + Σ V/β_e P' is what they exchange.
+    system = full_system()
+    state = [0.04, -0.03, 0.15, 2.8]
+    context = at(system, flow=8e-6, state=state)
+    _, v, rate_1, rate_2 = system.EvalTimeDerivatives(context).CopyToVector()
+    v = state[1]
+    stored = 0.0
+    for pressure, rate, volume in (
+        (0.15e6, rate_1, 4e-6 + AREA_1 * 0.04),
+        (2.8e6, rate_2, 4e-6 + AREA_2 * 0.11),
+    ):
+        modulus = effective_bulk_modulus(pressure, bulk_modulus=1.72e9, entrained_air=0.004)
+        stored += volume / modulus * 1e6 * rate
+    above = np.array([0.15e6, 2.8e6]) - 0.3e6
+    exchanged = system.GetOutputPort("makeup_flow").Eval(context).sum()
+    exchanged -= system.GetOutputPort("relief_flow").Eval(context).sum()
+    exchanged -= above @ [4e-13, 7e-13] + PUMP_LEAKAGE * above.sum()
+    assert stored + (AREA_1 - AREA_2) * v == pytest.approx(exchanged, rel=1e-11)
+
+
+def test_load_cell_reads_inertia_and_load():
+    system = full_system()
+    context = at(system, force=20.0, state=[0.05, 0.02, 0.4, 0.9])
+    a = system.GetOutputPort("rod_state").Eval(context)[2]
+    reading = system.GetOutputPort("rod_force").Eval(context)[0]
+    assert reading == pytest.approx(CYLINDER.mass_kg * a + 20.0, rel=1e-13)
+
+
+# ---------------------------------------------------------------------------- component laws
+
+
+@pytest.mark.parametrize("force", [-600.0, -1.0, 0.0, 15.0, 16.0, 800.0])
+def test_holding_pressures_balance_the_force_with_the_lower_line_at_the_reservoir(force):
+    cap, rod_side = holding_pressures(force, cap_area=AREA_1, rod_side_area=AREA_2, reservoir=0.2e6)
+    assert cap * AREA_1 - rod_side * AREA_2 == pytest.approx(force, abs=1e-10)
+    assert min(cap, rod_side) == 0.2e6
+    assert (cap > rod_side) == (force > 0.2e6 * math.pi / 4.0 * 0.010**2)  # 15.7 N
+
+
+@pytest.mark.parametrize(
+    ("excess", "expected"), [(-1.0, 0.0), (0.0, 0.0), (1.0, 0.25), (2.0, 1.0), (7.0, 6.0)]
+)
+def test_opening_is_a_rounded_corner(excess, expected):
+    assert opening(excess, 2.0) == expected
+
+
+@pytest.mark.parametrize(
+    ("difference", "expected"), [(-9.0, 0.0), (-2.0, 0.0), (0.0, 0.5), (2.0, 1.0), (9.0, 1.0)]
+)
+def test_share_open_is_a_smooth_step(difference, expected):
+    assert share_open(difference, 2.0) == expected
+
+
+def test_makeup_valve_is_one_way_unless_piloted():
+    numbers = {"reservoir": 0.2e6, "conductance": 1e-10, "pilot_band": 1e4, "band": 1e4}
+    # Piloted: both ways. Not piloted: inflow only.
+    assert makeup_flow(0.3e6, 1e6, **numbers) == pytest.approx(-1e-5, rel=1e-12)
+    assert makeup_flow(0.1e6, 1e6, **numbers) == pytest.approx(1e-5, rel=1e-12)
+    assert makeup_flow(0.3e6, 0.1e6, **numbers) == 0.0
+    assert makeup_flow(0.1e6, 0.05e6, **numbers) == pytest.approx(0.95e-5, rel=1e-12)
+
+
+def test_air_softens_the_oil_most_at_low_pressure():
+    def modulus(pressure, air):
+        return effective_bulk_modulus(pressure, bulk_modulus=1.72e9, entrained_air=air)
+
+    assert modulus(0.2e6, 0.0) == pytest.approx(1.72e9, rel=1e-15)
+    assert modulus(0.2e6, 0.015) == pytest.approx(0.06e9, rel=0.02)
+    assert modulus(0.2e6, 0.015) < modulus(1e6, 0.015) < modulus(3.5e6, 0.015) < 1.72e9
+    assert modulus(-5e6, 0.015) > 0.0
+    # Air alone at the atmosphere: n p_0, adiabatic.
+    stiff = effective_bulk_modulus(0.0, bulk_modulus=1e30, entrained_air=1.0)
+    assert stiff == pytest.approx(2.0 * 1.4 * 101_325.0, rel=1e-12)
+
+
+def test_friction_opposes_motion_and_falls_from_breakaway_to_coulomb():
+    def friction(v):
+        return seal_friction(v, coulomb=20.0, stribeck=15.0, stribeck_speed=0.01, band=1e-4)
+
+    assert friction(0.0) == 0.0
+    assert friction(1e-3) == pytest.approx(20.0 + 15.0 * math.exp(-0.01), rel=1e-8)
+    assert friction(1.0) == 20.0
+    assert friction(-0.01) == -friction(0.01)
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"dead_volume_m3": 0.0}, r"dead_volume_m3 = 0 m³ is out of range: .*> 0 and <= 1 m³"),
+        ({"relief_pressure_pa": 1e5}, r"relief_pressure_pa = 100000 Pa is out of range: .* Pa"),
+        (
+            {"reservoir_pressure_pa": 2e6},
+            r"reservoir_pressure_pa = 2e\+06 Pa is out .*<= 1e\+06 Pa",
+        ),
+        ({"relief": 3e6}, r"relief: unknown name; known here: .*"),
+    ],
+)
+def test_parameter_out_of_range_is_refused_in_one_line(values, line):
+    with pytest.raises(ParameterError, match=rf"^FullCylinderParameters: {line}\Z"):
+        FullCylinderParameters(**values)
+
+
+@pytest.mark.parametrize("start", [-0.01, 0.2, math.nan])
+def test_start_outside_the_stroke_is_refused(start):
+    with pytest.raises(ParameterError, match="initial_extension_m"):
+        FullCylinder(initial_extension_m=start)
+
+
+def test_start_with_a_pressure_that_is_not_finite_is_refused():
+    with pytest.raises(ParameterError, match=r"^initial_pressures_pa = .*nan.*: must be finite$"):
+        FullCylinder(initial_pressures_pa=(0.2e6, math.nan))
+
+
+@pytest.mark.parametrize(("start", "flow"), [(0.1495, 1.1e-5), (0.0005, -1.1e-5)])
+def test_leaving_the_stroke_raises_with_time_and_signal(start, flow):
+    system = FullCylinder(initial_extension_m=start)
+    system.set_name("cylinder")
+    with pytest.raises(
+        SimulationError,
+        match=r"^t = 0.01\S* s: cylinder: rod_extension = \S+ m left the stroke 0 … 0.15 m; ",
+    ):
+        Simulator(system, at(system, flow=flow)).AdvanceTo(0.1)
+
+
+@pytest.mark.parametrize("values", [{"flow": math.nan}, {"force": math.nan}, {"force": math.inf}])
+def test_input_that_is_not_finite_raises_instead_of_hanging(values):
+    system = FullCylinder()
+    system.set_name("cylinder")
+    with pytest.raises(SimulationError, match=r"^t = 0 s: cylinder: .* is not finite; [^\n]*$"):
+        Simulator(system, at(system, **values)).AdvanceTo(0.1)
