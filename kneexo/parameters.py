@@ -22,6 +22,12 @@ RPM = 2.0 * math.pi / 60.0
 """One revolution per minute in rad/s."""
 
 
+ATMOSPHERE_PA = 101_325.0
+"""Standard atmosphere in Pa; pressures are relative to it."""
+
+AIR_EXPONENT = 1.4
+"""Polytropic exponent of entrained air: adiabatic, as the hydraulic mode is fast (assumption)."""
+
 # ---------------------------------------------------------------------------------- plant
 
 

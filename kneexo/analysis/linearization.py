@@ -23,6 +23,7 @@ from pydrake.systems.framework import Diagram
 from scipy.linalg import expm
 from scipy.optimize import brentq, minimize_scalar
 
+from kneexo.analysis.frequency_response import MINUS_3_DB
 from kneexo.analysis.simulation import Array, to_rpm
 from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.errors import LinearizationError
@@ -103,6 +104,11 @@ def find_operating_point(
     speed limit; `ParameterError` or `LinkageError` for a posture that the knee does not have.
     """
     diagram = _plant(plant, knee_angle_deg)
+    if knee_torque_n_m and not diagram.HasInputPort("knee_torque"):
+        raise LinearizationError(
+            f"knee_torque = {knee_torque_n_m:g} N·m: the plant has no load to apply it to; give it "
+            f"one (plant.load.kind = knee)"
+        )
     automatic = diagram.ToAutoDiffXd()
     point = np.append(
         np.asarray(diagram.CreateDefaultContext().get_continuous_state_vector().CopyToVector()), 0.0
@@ -401,22 +407,23 @@ class SampledLoop:
         return np.asarray(plant * held, dtype=complex)[:, 0, 0]
 
     def bandwidth_hz(self) -> float:
-        """Small-signal −3 dB bandwidth of `output_response` in Hz: first fall below 1/√2.
+        """Small-signal −3 dB bandwidth of `output_response` in Hz: its first fall below 1/√2.
 
-        Searched up to the Nyquist frequency; nan when there is none. For an unstable loop it has
-        no meaning: `LinearizationError`.
+        Relative to the gain at 0.01 Hz; searched up to the Nyquist frequency, nan when there is
+        none. The gain may rise again beyond: the sliding-mode controller's does, because it feeds
+        the reference's jerk forward. For an unstable loop it has no meaning: `LinearizationError`.
         """
         self._require_stable("bandwidth")
         grid = np.geomspace(1e-2, 0.5 / self.sample_time_s, 2000)
-        low = np.abs(self.output_response(grid)) < 1.0 / math.sqrt(2.0)
+        gain = np.abs(self.output_response(grid))
+        threshold = MINUS_3_DB * gain[0]
+        low = gain < threshold
         if not low.any():
             return math.nan
         index = int(np.argmax(low))
-        if index == 0:
-            return float(grid[0])
 
         def excess(frequency: float) -> float:
-            return float(np.abs(self.output_response(frequency)[0])) - 1.0 / math.sqrt(2.0)
+            return float(np.abs(self.output_response(frequency)[0])) - threshold
 
         return float(brentq(excess, grid[index - 1], grid[index]))
 

@@ -17,13 +17,14 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import ParameterError
-from kneexo.parameters import CylinderParameters, FullCylinderParameters
+from kneexo.parameters import (
+    AIR_EXPONENT,
+    ATMOSPHERE_PA,
+    CylinderParameters,
+    FullCylinderParameters,
+)
 from kneexo.systems._leaf import NamedLeaf, clip, require_finite, value_or_zero
 from kneexo.systems.reduced_cylinder import PA_PER_MPA, require_in_stroke, start_extension
-
-ATMOSPHERE_PA = 101_325.0
-AIR_EXPONENT = 1.4
-"""Polytropic exponent of entrained air: adiabatic, as the hydraulic mode is fast."""
 
 _LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus of air is not continued below
 
