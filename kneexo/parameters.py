@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from kneexo.errors import ParameterError
 from kneexo.quantity import Parameters, choice, quantity
 
 RPM = 2.0 * math.pi / 60.0
@@ -320,6 +321,14 @@ class KneeParameters(Parameters):
         ge=0,
         le=1,
     )
+
+    def require_in_range(self, low_deg: float, high_deg: float) -> None:
+        """`ParameterError` when a reference of that range, in deg, leaves the range of motion."""
+        if low_deg < self.flexion_min_deg or high_deg > self.flexion_max_deg:
+            raise ParameterError(
+                f"reference = {low_deg:.4g} … {high_deg:.4g} deg leaves the range of motion "
+                f"{self.flexion_min_deg:g} … {self.flexion_max_deg:g} deg; reduce it"
+            )
 
     @model_validator(mode="after")
     def _ordered(self) -> KneeParameters:
@@ -729,13 +738,7 @@ class Scenario(Parameters):
 
     @model_validator(mode="after")
     def _compatible(self) -> Scenario:
-        knee = self.plant.knee
-        low, high = self.reference.range_deg
-        if low < knee.flexion_min_deg or high > knee.flexion_max_deg:
-            raise ValueError(
-                f"reference = {low:.4g} … {high:.4g} deg leaves the range of motion "
-                f"{knee.flexion_min_deg:g} … {knee.flexion_max_deg:g} deg; reduce it"
-            )
+        self.plant.knee.require_in_range(*self.reference.range_deg)
         continuous = self.controller.kind == "smc" and self.controller.continuous
         if continuous and self.estimator.kind != "exact":
             raise ValueError(

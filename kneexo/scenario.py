@@ -92,6 +92,7 @@ class _Loader(yaml.SafeLoader):
         if len(path) > _DEEPEST or len(self.lines) > _MOST_VALUES:
             raise self.fault(node, path, "too deep or too many values (aliases?)")
         quoted = isinstance(node, yaml.ScalarNode) and node.style is not None
+        # PyYAML's stubs leave resolve() untyped.
         implied = self.resolve(type(node), node.value, (not quoted, quoted))  # type: ignore[no-untyped-call]
         if node.tag != implied:
             raise self.fault(node, path, f"tag {node.tag!r} is not supported")

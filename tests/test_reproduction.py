@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import matplotlib.pyplot as plt
@@ -88,6 +89,15 @@ def test_results_have_the_keys_that_others_read(short):
     assert numbers["table1"]["strokes_per_period_mm"] == pytest.approx(200.27, abs=0.01)
     # 89 mm (1 + λt) e^{−λt} at λ = 10 1/s and 1 s.
     assert numbers["fig9"]["error_after_1s_mm"] == pytest.approx(0.0444, abs=2e-4)
+
+
+def test_the_scaling_is_relative_to_the_nominal_plant(short):
+    known = {"nominal": 0.2, "gear_3": 0.4, "half_amplitude": 0.3}
+    scaling = {name: dataclasses.replace(short.fig13, bandwidth_hz=f) for name, f in known.items()}
+    numbers = results(dataclasses.replace(short, scaling=scaling))["scaling"]
+    assert {name: case["ratio"] for name, case in numbers.items()} == pytest.approx(
+        {"nominal": 1.0, "gear_3": 2.0, "half_amplitude": 1.5}
+    )
 
 
 def test_the_report_is_a_table_with_every_number_of_the_paper(short):

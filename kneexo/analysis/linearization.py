@@ -66,7 +66,7 @@ class OperatingPoint:
         )
 
 
-def _evaluate(diagram: Any, context: Any, knee_torque: float, disturbance: float) -> None:
+def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float) -> None:
     for name, value in (("knee_torque", knee_torque), ("disturbance_force", disturbance)):
         if diagram.HasInputPort(name):
             diagram.GetInputPort(name).FixValue(context, [value])
@@ -80,7 +80,7 @@ def _plant_gradients(
     seeded = InitializeAutoDiff(point.reshape(-1, 1)).reshape(-1)
     context.SetContinuousState(seeded[:-1])
     plant.GetInputPort("motor_speed_command").FixValue(context, seeded[-1:])
-    _evaluate(plant, context, knee_torque, disturbance)
+    _fix_load(plant, context, knee_torque, disturbance)
     values = np.concatenate(
         [
             plant.EvalTimeDerivatives(context).CopyToVector(),
@@ -134,7 +134,7 @@ def find_operating_point(
     context = diagram.CreateDefaultContext()
     context.SetContinuousState(point[:-1])
     diagram.GetInputPort("motor_speed_command").FixValue(context, point[-1:])
-    _evaluate(diagram, context, knee_torque_n_m, disturbance_n)
+    _fix_load(diagram, context, knee_torque_n_m, disturbance_n)
 
     def output(name: str) -> float:
         return float(diagram.GetOutputPort(name).Eval(context)[0])

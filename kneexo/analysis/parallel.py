@@ -32,7 +32,7 @@ def process_pool(workers: int | None) -> Iterator[Executor | None]:
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
     try:
         yield pool
-    except BaseException as error:
+    except BaseException as error:  # KeyboardInterrupt too: nothing may go on working
         for process in list((pool._processes or {}).values()):
             process.terminate()
         if isinstance(error, BrokenExecutor):
@@ -96,7 +96,7 @@ def parallel_map(
                     index = futures[future]
                     results[index] = future.result()
                     bar.update(weight(items[index]))
-            except BaseException:
+            except BaseException:  # KeyboardInterrupt too; raised again
                 for future in futures:
                     future.cancel()
                 raise

@@ -28,6 +28,7 @@ class PolynomialFit:
     of Table 1.
     """
 
+    table: RodPolynomialParameters
     angle_deg: Array
     extension_mm: Array
     p_mm_deg: Array
@@ -41,7 +42,7 @@ class PolynomialFit:
         """Plot both maps as Fig. 5 does: linkage, fit and Table 1; ``ax``: two axes."""
         if ax is None:
             ax = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")[1]
-        table = RodPolynomialParameters()
+        table = self.table
         angle, rod = self.angle_deg, self.extension_mm
         self._plot_map(ax[0], angle, rod, self.p_mm_deg, table.p_mm_deg)
         ax[0].set(xlabel="knee angle θ_p (deg)", ylabel="rod extension x (mm)", title="(a)")
@@ -57,17 +58,19 @@ class PolynomialFit:
         ax.legend()
 
 
-def fit_polynomials(link: LinkageParameters = G1) -> PolynomialFit:
-    """Fit Eq. 10 and 11 to a linkage over 0…90°.
+def fit_polynomials(
+    link: LinkageParameters = G1, table: RodPolynomialParameters = RodPolynomialParameters()
+) -> PolynomialFit:
+    """Fit Eq. 10 and 11 to a linkage over 0…90°, and compare ``table`` with it.
 
     Raises `LinkageError` when it cannot be assembled.
     """
-    table = RodPolynomialParameters()
     angle = np.linspace(0.0, 90.0, SAMPLES)
     extension = 1e3 * linkage.rod_extension(link, np.radians(angle))
     p = _quintic(angle, extension)
     q = _quintic(extension, angle)
     return PolynomialFit(
+        table=table,
         angle_deg=angle,
         extension_mm=extension,
         p_mm_deg=p,

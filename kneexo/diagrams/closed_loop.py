@@ -104,13 +104,8 @@ def make_closed_loop(
     Raises `ParameterError` when the reference leaves the range of motion or a signal is unknown,
     `LinkageError` when the linkage cannot be assembled.
     """
-    plant_range = scenario.plant.knee
-    low, high = reference_range_deg(scenario.reference)  # a spline may pass its samples
-    if low < plant_range.flexion_min_deg or high > plant_range.flexion_max_deg:
-        raise ParameterError(
-            f"reference = {low:.4g} … {high:.4g} deg leaves the range of motion "
-            f"{plant_range.flexion_min_deg:g} … {plant_range.flexion_max_deg:g} deg; reduce it"
-        )
+    # The scenario has checked the samples; a spline may pass them.
+    scenario.plant.knee.require_in_range(*reference_range_deg(scenario.reference))
     names = available_signals(scenario) if signals is None else tuple(signals)
     for name in names:
         if name not in available_signals(scenario):

@@ -49,3 +49,12 @@ def test_a_worker_that_dies_is_one_line():
     with pytest.raises(WorkerError, match="one of 2 worker processes died") as caught:
         parallel_map(die, [1, 2], workers=2)
     assert "\n" not in str(caught.value)
+
+
+def interrupt_is_held_back(_):
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, set())
+
+
+def test_workers_leave_an_interrupt_to_the_parent():
+    assert parallel_map(interrupt_is_held_back, [1, 2, 3], workers=2) == [True, True, True]
+    assert not interrupt_is_held_back(None)
