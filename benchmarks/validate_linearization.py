@@ -20,8 +20,7 @@ from pydrake.systems.analysis import InitializeParams, ResetIntegratorFromFlags,
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from kneexo.analysis import parallel_map
-from kneexo.analysis.linearization import SampledLoop, linearize_loop, linearize_plant
+from kneexo.analysis import SampledLoop, linearize_loop, linearize_plant, parallel_map
 from kneexo.diagrams import make_closed_loop
 from kneexo.parameters import (
     EQ_27_EXACT_STATES,

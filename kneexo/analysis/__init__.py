@@ -9,18 +9,16 @@ from kneexo.analysis.frequency_response import (
     nominal_trial,
     sinestream,
 )
-from kneexo.analysis.linearization import (
-    Margins,
+from kneexo.analysis.parallel import parallel_map, process_pool
+from kneexo.analysis.plant_linearization import (
     OperatingPoint,
     PlantLinearization,
-    SampledLoop,
     find_operating_point,
-    linearize_loop,
     linearize_plant,
 )
-from kneexo.analysis.parallel import parallel_map, process_pool
 from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
+from kneexo.analysis.sampled_loop import Margins, SampledLoop, linearize_loop
 from kneexo.analysis.simulation import Run, simulate, simulate_diagram
 from kneexo.analysis.tracking import TrackingMetrics, TrackingResult, track, tracking_metrics
 

@@ -14,11 +14,8 @@ from pydrake.systems.primitives import LogVectorOutput
 from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
-from kneexo.analysis.linearization import (
-    find_operating_point,
-    linearize_loop,
-    linearize_plant,
-)
+from kneexo.analysis.plant_linearization import find_operating_point, linearize_plant
+from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.errors import KneexoError, LinearizationError, LinkageError, ParameterError
 from kneexo.parameters import (

@@ -1,0 +1,247 @@
+"""Operating points of the plant, and its linearization there by AutoDiff (continuous time)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.systems.framework import Diagram
+
+from kneexo.analysis.simulation import Array, to_rpm
+from kneexo.diagrams import make_plant
+from kneexo.errors import LinearizationError
+from kneexo.parameters import PlantParameters
+
+Complex = NDArray[np.complex128]
+
+NEWTON_STEPS = 50
+MID_RANGE_DEG = 40.0
+"""Middle of the paper's 10…70°."""
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """A posture that the plant holds: all derivatives zero.
+
+    ``state`` (n,) in the units of the plant's Context; ``motor_speed_rad_s`` makes up for the
+    leakage under the load.
+    """
+
+    knee_angle_rad: float
+    motor_speed_rad_s: float
+    load_pressure_pa: float
+    rod_force_n: float
+    state: Array
+
+    def __str__(self) -> str:
+        """One line in the paper's units."""
+        return (
+            f"knee at {math.degrees(self.knee_angle_rad):.4g} deg: motor "
+            f"{to_rpm(self.motor_speed_rad_s):.4g} rpm, load pressure "
+            f"{1e-6 * self.load_pressure_pa:.4g} MPa, rod force {self.rod_force_n:.4g} N"
+        )
+
+
+def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float) -> None:
+    for name, value in (("knee_torque", knee_torque), ("disturbance_force", disturbance)):
+        if diagram.HasInputPort(name):
+            diagram.GetInputPort(name).FixValue(context, [value])
+
+
+def _plant_gradients(
+    plant: Any, point: Array, outputs: tuple[str, ...], knee_torque: float, disturbance: float
+) -> tuple[Array, Array]:
+    """Values and gradients of derivatives and outputs at ``point`` (states, then command)."""
+    context = plant.CreateDefaultContext()
+    seeded = InitializeAutoDiff(point.reshape(-1, 1)).reshape(-1)
+    context.SetContinuousState(seeded[:-1])
+    plant.GetInputPort("motor_speed_command").FixValue(context, seeded[-1:])
+    _fix_load(plant, context, knee_torque, disturbance)
+    values = np.concatenate(
+        [
+            plant.EvalTimeDerivatives(context).CopyToVector(),
+            *(plant.GetOutputPort(name).Eval(context) for name in outputs),
+        ]
+    ).reshape(-1, 1)
+    return ExtractValue(values).reshape(-1), ExtractGradient(values)
+
+
+def find_operating_point(
+    plant: PlantParameters | Diagram = PlantParameters(),
+    knee_angle_deg: float = MID_RANGE_DEG,
+    *,
+    knee_torque_n_m: float = 0.0,
+    disturbance_n: float = 0.0,
+) -> OperatingPoint:
+    """Find the state and motor speed that hold a knee angle under load, by Newton's method.
+
+    ``plant``: parameters, or a diagram with the ports of `make_plant`. Raises
+    `LinearizationError` when there is no such equilibrium, or when it needs a motor beyond its
+    speed limit; `ParameterError` or `LinkageError` for a posture that the knee does not have.
+    """
+    diagram = _plant(plant, knee_angle_deg)
+    if knee_torque_n_m and not diagram.HasInputPort("knee_torque"):
+        raise LinearizationError(
+            f"knee_torque = {knee_torque_n_m:g} N·m: the plant has no load to apply it to; give it "
+            f"one (plant.load.kind = knee)"
+        )
+    automatic = diagram.ToAutoDiffXd()
+    point = np.append(
+        np.asarray(diagram.CreateDefaultContext().get_continuous_state_vector().CopyToVector()), 0.0
+    )
+    target = math.radians(knee_angle_deg)
+    residual = math.inf
+    for _ in range(NEWTON_STEPS):
+        values, gradient = _plant_gradients(
+            automatic, point, ("knee_angle",), knee_torque_n_m, disturbance_n
+        )
+        values[-1] -= target
+        residual = float(np.max(np.abs(values)))
+        step = np.linalg.lstsq(gradient, values, rcond=None)[0]
+        point = point - step
+        if np.max(np.abs(step)) < 1e-13:
+            break
+    if not residual < 1e-8:
+        raise LinearizationError(
+            f"no equilibrium at knee angle {knee_angle_deg:g} deg with knee_torque = "
+            f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: the largest "
+            f"derivative left is {residual:.3g}; reduce the load or the leakage"
+        )
+    context = diagram.CreateDefaultContext()
+    context.SetContinuousState(point[:-1])
+    diagram.GetInputPort("motor_speed_command").FixValue(context, point[-1:])
+    _fix_load(diagram, context, knee_torque_n_m, disturbance_n)
+
+    def output(name: str) -> float:
+        return float(diagram.GetOutputPort(name).Eval(context)[0])
+
+    return OperatingPoint(
+        knee_angle_rad=output("knee_angle"),
+        motor_speed_rad_s=output("motor_speed"),
+        load_pressure_pa=output("load_pressure"),
+        rod_force_n=output("rod_force"),
+        state=point[:-1],
+    )
+
+
+def _plant(plant: PlantParameters | Diagram, knee_angle_deg: float) -> Any:
+    if isinstance(plant, PlantParameters):
+        return make_plant(plant, initial_knee_angle_rad=math.radians(knee_angle_deg))
+    return plant
+
+
+@dataclass(frozen=True)
+class PlantLinearization:
+    """The plant around an operating point: dx/dt = A x + B u, y = C x + D u.
+
+    u: motor speed command in rad/s (one column); y: the ports ``outputs``, one row an element.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    outputs: tuple[str, ...]
+    operating_point: OperatingPoint
+
+    @property
+    def poles(self) -> Complex:
+        """Eigenvalues of A in 1/s, by magnitude."""
+        values = np.linalg.eigvals(self.a).astype(complex)
+        return values[np.argsort(np.abs(values))]
+
+    @property
+    def zeros(self) -> Complex:
+        """Transmission zeros from the command to the first output, in 1/s."""
+        import control
+
+        return np.asarray(control.zeros(self.to_control()[0, 0]), dtype=complex)
+
+    @property
+    def damping(self) -> tuple[Array, Array]:
+        """Natural frequencies in rad/s and damping ratios of `poles`; an integrator has ratio 1."""
+        poles = self.poles
+        frequency = np.abs(poles)
+        ratio = np.ones_like(frequency)
+        moving = frequency > 1e-9
+        ratio[moving] = -poles.real[moving] / frequency[moving]
+        return frequency, ratio
+
+    @property
+    def velocity_gain(self) -> float:
+        """Steady rate of the first output per motor speed command: lim s·G(s) for s → 0.
+
+        The residue of the integrating pole. Under a load that leaks back that pole is not quite
+        zero; it counts as integrating while it is a hundred times slower than the next one, and
+        the gain is zero otherwise (a spring holds the rod).
+        """
+        values, right = np.linalg.eig(self.a)
+        index, following = np.argsort(np.abs(values))[:2]
+        if abs(values[index]) > 1e-2 * abs(values[following]):
+            return 0.0
+        left = np.linalg.inv(right)[index]
+        return float(np.real((self.c[0] @ right[:, index]) * (left @ self.b[:, 0])))
+
+    def to_control(self) -> Any:
+        """As `control.StateSpace` in continuous time."""
+        import control
+
+        return control.ss(self.a, self.b, self.c, self.d)
+
+    def response(self, frequencies_hz: ArrayLike) -> Complex:
+        """G(j2πf) of the first output, (n,)."""
+        s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+        eye = np.eye(self.a.shape[0])
+        return np.array(
+            [(self.c[0] @ np.linalg.solve(v * eye - self.a, self.b) + self.d[0])[0] for v in s]
+        )
+
+    def __str__(self) -> str:
+        """Operating point, poles with damping, velocity gain."""
+        frequency, ratio = self.damping
+        rows = [str(self.operating_point)]
+        rows += [
+            f"  pole {p.real:.5g} {p.imag:+.5g}j 1/s: "
+            f"{f / (2 * np.pi):.4g} Hz, damping ratio {z:.4g}"
+            for p, f, z in zip(self.poles, frequency, ratio, strict=True)
+        ]
+        rows.append(f"  velocity gain of {self.outputs[0]}: {self.velocity_gain:.6g}")
+        return "\n".join(rows)
+
+
+def linearize_plant(
+    plant: PlantParameters | Diagram = PlantParameters(),
+    knee_angle_deg: float = MID_RANGE_DEG,
+    *,
+    outputs: tuple[str, ...] = ("knee_angle",),
+    knee_torque_n_m: float = 0.0,
+    disturbance_n: float = 0.0,
+) -> PlantLinearization:
+    """Linearize the plant where it holds a posture, by AutoDiff.
+
+    Raises what `find_operating_point` raises.
+    """
+    diagram = _plant(plant, knee_angle_deg)
+    point = find_operating_point(
+        diagram, knee_angle_deg, knee_torque_n_m=knee_torque_n_m, disturbance_n=disturbance_n
+    )
+    n = point.state.size
+    _, gradient = _plant_gradients(
+        diagram.ToAutoDiffXd(),
+        np.append(point.state, point.motor_speed_rad_s),
+        outputs,
+        knee_torque_n_m,
+        disturbance_n,
+    )
+    return PlantLinearization(
+        a=gradient[:n, :n],
+        b=gradient[:n, n:],
+        c=gradient[n:, :n],
+        d=gradient[n:, n:],
+        outputs=outputs,
+        operating_point=point,
+    )
