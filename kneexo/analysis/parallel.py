@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
+from kneexo.analysis.checkpoint import Checkpoint, piece_key
 from kneexo.errors import WorkerError
 
 Item = TypeVar("Item")
@@ -62,6 +63,7 @@ def parallel_map(
     executor: Executor | None = None,
     description: str | None = None,
     weight: Callable[[Item], float] = lambda item: 1.0,
+    checkpoint: Checkpoint | None = None,
 ) -> list[Result]:
     """``[function(item) for item in items]``, the heaviest items first.
 
@@ -69,14 +71,27 @@ def parallel_map(
     ``if __name__ == "__main__":``, because processes are spawned. An ``executor`` of the caller's
     goes before ``workers``. ``description`` shows a progress bar that advances by
     ``weight(item)``. The first error ends the work and is raised; so does KeyboardInterrupt.
+
+    With a ``checkpoint`` every result is kept there as soon as it is known, and what it has
+    already is not computed again; ``function`` then returns plain JSON data.
     """
     if executor is None and workers != 1:
         with process_pool(workers) as pool:
             return parallel_map(
-                function, items, executor=pool, description=description, weight=weight
+                function,
+                items,
+                executor=pool,
+                description=description,
+                weight=weight,
+                checkpoint=checkpoint,
             )
-    order = sorted(range(len(items)), key=lambda index: -weight(items[index]))
+    keys = [] if checkpoint is None else [piece_key(function, item) for item in items]
     results: dict[int, Result] = {}
+
+    def done(index: int, result: Result) -> None:
+        results[index] = result if checkpoint is None else checkpoint.keep(keys[index], result)
+        bar.update(weight(items[index]))
+
     with tqdm(
         total=round(sum(weight(item) for item in items), 6),
         desc=description,
@@ -84,18 +99,20 @@ def parallel_map(
         mininterval=0.5,
         bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
     ) as bar:
+        if checkpoint is not None:
+            for index in (n for n, key in enumerate(keys) if key in checkpoint):
+                results[index] = checkpoint[keys[index]]
+                bar.update(weight(items[index]))
+        order = sorted(set(range(len(items))) - set(results), key=lambda n: (-weight(items[n]), n))
         if executor is None:
             for index in order:
-                results[index] = function(items[index])
-                bar.update(weight(items[index]))
+                done(index, function(items[index]))
         else:
             with _interrupt_later():
                 futures = {executor.submit(function, items[index]): index for index in order}
             try:
                 for future in as_completed(futures):
-                    index = futures[future]
-                    results[index] = future.result()
-                    bar.update(weight(items[index]))
+                    done(futures[future], future.result())
             except BaseException:  # KeyboardInterrupt too; raised again
                 for future in futures:
                     future.cancel()
