@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from yaml.reader import ReaderError
 
-from kneexo.errors import ScenarioError
+from kneexo.errors import ParameterError, ScenarioError
 from kneexo.parameters import Scenario
 from kneexo.quantity import Parameters, allowed_range, one_line, unit_of
 
@@ -67,6 +67,27 @@ def dump_scenario(scenario: Scenario) -> str:
     `load_scenario` reads an equal scenario from it: floats have all their digits.
     """
     return "\n".join(_dumped(scenario, "")) + "\n"
+
+
+def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    """A copy with other values at dotted paths, such as ``plant.cylinder.mass_kg``; validated.
+
+    A value may be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
+    scenario does not have, and for a value out of range.
+    """
+    data = scenario.model_dump()
+    for path, value in values.items():
+        *parents, name = path.split(".")
+        holder: Any = data
+        for parent in parents:
+            holder = holder.get(parent)
+            if not isinstance(holder, dict):
+                break
+        # A wrong name in an existing mapping is found by the validation below.
+        if not isinstance(holder, dict):
+            raise ParameterError(f"{path}: this scenario has no {path.rpartition('.')[0]}")
+        holder[name] = value
+    return Scenario(**data)
 
 
 def json_schema() -> dict[str, Any]:

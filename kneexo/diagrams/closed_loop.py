@@ -140,7 +140,7 @@ def make_closed_loop(
         KneeCoordinates(
             scenario.believed_plant.linkage,
             scenario.polynomial,
-            0.5 * scenario.encoder.resolution_rad,
+            _encoder_offset(scenario),
         ),
     )
     if external_reference:
@@ -221,6 +221,11 @@ def _estimate(builder: Any, scenario: Scenario, plant: Any, coordinates: Any) ->
     return estimator.get_output_port()
 
 
+def _encoder_offset(scenario: Scenario) -> float:
+    """What the controller adds to a reading: half a count, less what calibration got wrong."""
+    return 0.5 * scenario.encoder.resolution_rad - scenario.encoder.mounting_error_rad
+
+
 def set_encoder_phase(diagram: Diagram, context: Any, scenario: Scenario, phase_rad: float) -> None:
     """Shift where the counts of the encoder fall, by a calibrated (known) mounting angle in rad.
 
@@ -232,5 +237,5 @@ def set_encoder_phase(diagram: Diagram, context: Any, scenario: Scenario, phase_
     coordinates.set_parameter(
         coordinates.GetMyMutableContextFromRoot(context),
         "offset_rad",
-        phase_rad + 0.5 * scenario.encoder.resolution_rad,
+        phase_rad + _encoder_offset(scenario),
     )

@@ -20,6 +20,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.systems.scalar_conversion import TemplateSystem
 from pydrake.trajectories import PiecewisePolynomial
 
+from kneexo.linkage import polynomial, polynomial_derivative
 from kneexo.parameters import (
     RampReference,
     SampledReference,
@@ -43,14 +44,38 @@ class _KneeReference(NamedLeaf):
         )
 
 
+_SMOOTHSTEP = (-20.0, 70.0, -84.0, 35.0, 0.0, 0.0, 0.0, 0.0)
+"""From 0 to 1 over 0…1 with three derivatives that vanish at both ends; highest power first."""
+
+
+def _ramp(time: Any, ramp_s: Any) -> list[Any]:
+    """Rise from 0 to 1 over ``ramp_s``, with three derivatives; 1 at once when that is zero."""
+    scale = 1.0 / where_positive(ramp_s, ramp_s, 1.0)
+    share = time * scale
+    return [
+        where_positive(
+            ramp_s - time,
+            scale**order * polynomial(polynomial_derivative(_SMOOTHSTEP, order), share),
+            1.0 if order == 0 else 0.0,
+        )
+        for order in range(4)
+    ]
+
+
+def _product_derivatives(u: list[Any], v: list[Any]) -> list[Any]:
+    """Product u·v and its derivatives, from those of u and v (Leibniz)."""
+    return [sum(math.comb(n, k) * u[k] * v[n - k] for k in range(n + 1)) for n in range(len(u))]
+
+
 @TemplateSystem.define("SineKneeReference_")
 def SineKneeReference_(T: Any) -> Any:
     """Sinusoidal reference for the scalar ``T``."""
 
     class Impl(_KneeReference, LeafSystem_[T]):
-        """θ_d = mean − amplitude·cos(2πft), with three derivatives.
+        """θ_d = mean − w(t)·amplitude·cos(2πft), with three derivatives.
 
-        Context parameters by name: ``mean_rad``, ``amplitude_rad``, ``frequency_hz``.
+        w rises from 0 to 1 over the ramp, with three continuous derivatives; without ramp it is 1.
+        Context parameters by name: ``mean_rad``, ``amplitude_rad``, ``frequency_hz``, ``ramp_s``.
         """
 
         def _construct(
@@ -62,6 +87,7 @@ def SineKneeReference_(T: Any) -> Any:
                     "mean_rad": math.radians(parameters.mean_deg),
                     "amplitude_rad": math.radians(parameters.amplitude_deg),
                     "frequency_hz": parameters.frequency_hz,
+                    "ramp_s": parameters.ramp_s,
                 }
             )
 
@@ -72,12 +98,9 @@ def SineKneeReference_(T: Any) -> Any:
             omega = 2.0 * math.pi * p.frequency_hz
             cosine = p.amplitude_rad * drake_math.cos(omega * time)
             sine = p.amplitude_rad * drake_math.sin(omega * time)
-            return [
-                p.mean_rad - cosine,
-                omega * sine,
-                omega * omega * cosine,
-                -omega * omega * omega * sine,
-            ]
+            wave = [-cosine, omega * sine, omega * omega * cosine, -omega * omega * omega * sine]
+            angle, *rates = _product_derivatives(_ramp(time, p.ramp_s), wave)
+            return [p.mean_rad + angle, *rates]
 
     return Impl
 

@@ -740,6 +740,20 @@ def test_proportional_control_misses_fig_12_by_four_degrees(fixed_step):
 # --------------------------------------------------------------------------- encoder phase
 
 
+@pytest.mark.parametrize("quantized", [True, False])
+def test_a_mounting_error_shifts_the_measured_knee_angle(four_bar, quantized):
+    error = 20 * COUNT
+    scenario = Scenario(encoder=EncoderParameters(quantized=quantized, mounting_error_rad=error))
+    diagram = make_closed_loop(scenario)
+    context = diagram.CreateDefaultContext()
+    knee = diagram.GetOutputPort("knee_angle").Eval(context)[0]
+    measured = diagram.GetOutputPort("measured_knee_angle").Eval(context)[0]
+    expected = four_bar.knee(four_bar.theta_4(knee) - error)
+    count = abs(four_bar.knee(four_bar.theta_4(knee) - error + COUNT) - expected)
+    assert abs(expected - knee) > 10 * count
+    assert measured == pytest.approx(expected, abs=0.51 * count if quantized else 1e-9)
+
+
 def test_encoder_phase_moves_the_counts_and_leaves_no_mean_error(four_bar):
     scenario = Scenario()
     diagram = make_closed_loop(scenario)

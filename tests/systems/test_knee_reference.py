@@ -68,7 +68,12 @@ def test_parameters_are_in_si_and_named():
     ]
     assert values == [
         pytest.approx(
-            {"mean_rad": math.radians(40), "amplitude_rad": math.radians(30), "frequency_hz": 0.1}
+            {
+                "mean_rad": math.radians(40),
+                "amplitude_rad": math.radians(30),
+                "frequency_hz": 0.1,
+                "ramp_s": 0.0,
+            }
         ),
         pytest.approx({"start_rad": math.radians(30), "end_rad": math.radians(50), "time_s": 1.0}),
         pytest.approx(
@@ -128,7 +133,22 @@ def test_sine_starts_at_rest_at_10_deg_and_peaks_at_70_deg():
     assert reference(SineKneeReference(), 5.0)[:2] == rad(70.0, 0.0)
 
 
-@pytest.mark.parametrize("parameters", [SineReference(frequency_hz=0.5), SAMPLES])
+def test_a_ramp_starts_at_rest_at_the_mean_and_ends_in_the_sine():
+    ramped = SineKneeReference(SineReference(ramp_s=4.0))
+    assert reference(ramped, 0.0) == rad(40.0, 0.0, 0.0, 0.0)
+    for time in (4.0, 4.0 + 1e-9, 7.3):  # all three derivatives join there
+        assert reference(ramped, time) == pytest.approx(
+            reference(SineKneeReference(), time), abs=1e-8
+        )
+    # Half the amplitude at half the ramp: the cosine there is cos(0.4π).
+    half = 40.0 - 15.0 * math.cos(0.4 * math.pi)
+    assert reference(ramped, 2.0)[0] == pytest.approx(math.radians(half), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [SineReference(frequency_hz=0.5), SineReference(frequency_hz=0.5, ramp_s=1.5), SAMPLES],
+)
 def test_derivatives_are_those_of_the_angle(parameters):
     system, h = make_knee_reference(parameters), 1e-4
     times = np.array([0.13, 0.41, 0.77, 1.23, 1.71])  # between the samples

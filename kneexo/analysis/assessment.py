@@ -1,0 +1,54 @@
+"""One scenario in numbers: how it tracks, and how far its sampled loop is from instability."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.tracking import track
+from kneexo.errors import KneexoError
+from kneexo.parameters import Scenario
+
+TRACKING_FIGURES = (
+    "max_error_deg",
+    "rms_error_deg",
+    "mean_command_change_rpm",
+    "saturated_share",
+    "peak_pressure_mpa",
+)
+"""Figures of `kneexo.analysis.TrackingMetrics` that an assessment quotes."""
+
+MARGIN_FIGURES = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
+"""Figures of `kneexo.analysis.Margins` that an assessment quotes."""
+
+
+def assess(scenario: Scenario, *, tracking: bool = True, margins: bool = True) -> dict[str, Any]:
+    """Plain numbers by name: `TRACKING_FIGURES`, ``stable`` and `MARGIN_FIGURES`.
+
+    The margins are those at the middle of the reference's range. What fails is nan (``stable``:
+    None) and ``tracking_failure`` or ``margins_failure`` says why in one line, so that a sweep
+    over many scenarios shows where a run diverges in place of ending there. An unstable loop has
+    no margins: they are nan.
+    """
+    found: dict[str, Any] = {}
+    if tracking:
+        figures = dict.fromkeys(TRACKING_FIGURES, math.nan)
+        found |= figures | {"tracking_failure": ""}
+        try:
+            metrics = track(scenario).metrics
+            found |= {name: getattr(metrics, name) for name in figures}
+        except KneexoError as error:
+            found["tracking_failure"] = str(error)
+    if margins:
+        found |= dict.fromkeys(MARGIN_FIGURES, math.nan)
+        found |= {"stable": None, "margins_failure": ""}
+        try:
+            loop = linearize_loop(scenario, 0.5 * sum(scenario.reference.range_deg))
+            found["stable"] = loop.stable
+            if loop.stable:
+                values = loop.margins()
+                found |= {name: getattr(values, name) for name in MARGIN_FIGURES}
+        except KneexoError as error:
+            found["margins_failure"] = str(error)
+    return found
