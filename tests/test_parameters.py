@@ -21,6 +21,8 @@ from kneexo.parameters import (
     IDEAL_SMC,
     LINKAGES,
     RPM,
+    UNCERTAIN_KNEE,
+    UNCERTAINTY,
     BldcPumpParameters,
     CylinderParameters,
     EncoderParameters,
@@ -36,8 +38,11 @@ from kneexo.parameters import (
     SimulationParameters,
     SineReference,
     SlidingModeParameters,
+    Uncertainty,
+    UncertaintySet,
 )
 from kneexo.quantity import Parameters, allowed_range, source_of, unit_of
+from kneexo.scenario import changed
 
 
 def classes_of(annotation: typing.Any) -> list[type[Parameters]]:
@@ -435,3 +440,45 @@ def test_scenario_is_hashable_and_picklable(scenario: Scenario) -> None:
 def test_integers_become_floats() -> None:
     mass = CylinderParameters(mass_kg=2).mass_kg
     assert isinstance(mass, float)
+
+
+# --------------------------------------------------------------------------- uncertainty
+
+
+@given(share=st.floats(0.0, 1.0))
+def test_an_interval_spans_its_ends_on_its_scale(share: float) -> None:
+    linear = Uncertainty(low=-2.0, high=6.0)
+    assert linear.at(share) == pytest.approx(-2.0 + 8.0 * share, abs=1e-12)
+    log = Uncertainty(low=1e-14, high=1e-12, scale="log")
+    assert math.log10(log.at(share)) == pytest.approx(-14.0 + 2.0 * share, abs=1e-12)
+    assert (log.at(0.0), log.at(1.0)) == (1e-14, 1e-12)  # exactly
+    assert Uncertainty(options=("a", "b", "c")).at(share) == "abc"[min(int(3 * share), 2)]
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({}, "must have either low and high, or options"),
+        ({"low": 1.0}, "must have either"),
+        ({"low": 1.0, "options": (1,)}, "must have either"),
+        ({"low": 1.0, "high": 2.0, "options": (1,)}, "must have either"),
+        ({"low": 2.0, "high": 2.0}, "low = 2 must be below high = 2"),
+        ({"low": 0.0, "high": 2.0, "scale": "log"}, "low = 0 must be > 0"),
+    ],
+)
+def test_an_uncertainty_is_an_interval_or_options(fields: dict[str, typing.Any], told: str) -> None:
+    with pytest.raises(ParameterError, match=re.escape(told)):
+        Uncertainty(**fields)
+
+
+def test_an_empty_uncertainty_set_is_refused() -> None:
+    with pytest.raises(ParameterError, match="values"):
+        UncertaintySet(values={})
+
+
+@pytest.mark.parametrize("path", UNCERTAINTY.values)
+def test_every_uncertain_value_has_a_source_and_fits_the_scenario(path: str) -> None:
+    uncertain = UNCERTAINTY.values[path]
+    assert uncertain.source != "given by the user"
+    for share in (0.0, 0.5, 1.0):
+        changed(UNCERTAIN_KNEE, {path: uncertain.at(share)})

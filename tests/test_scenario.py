@@ -12,7 +12,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kneexo.errors import ScenarioError
+from kneexo.errors import ParameterError, ScenarioError
 from kneexo.parameters import (
     G2,
     IDEAL_SMC,
@@ -32,7 +32,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
-from kneexo.scenario import dump_scenario, json_schema, load_scenario
+from kneexo.scenario import changed, dump_scenario, json_schema, load_scenario
 
 NAME = "scenario.yaml"
 
@@ -535,3 +535,46 @@ def test_schema_names_sections_units_and_ranges() -> None:
     assert mass["unit"] == "kg"
     assert mass["minimum"] == 0.01
     assert mass["maximum"] == 1000
+
+
+# ------------------------------------------------------------------------------- changes
+
+
+def test_changed_gives_a_validated_copy() -> None:
+    base = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
+    copy = changed(
+        base,
+        {
+            "plant.cylinder.mass_kg": 1.8,
+            "plant.linkage": "G2",
+            "plant.full_order": {"coulomb_friction_n": 40.0},
+            "plant.load.knee_torque_n_m": 3.0,
+            "can_delay_samples": 2,
+        },
+    )
+    assert copy.plant.cylinder == CylinderParameters(mass_kg=1.8)
+    assert copy.plant.linkage == G2
+    assert copy.plant.full_order is not None
+    assert copy.plant.full_order.coulomb_friction_n == 40.0
+    assert copy.plant.load == KneeLoadParameters(knee_torque_n_m=3.0)
+    assert copy.can_delay_samples == 2
+    assert base == Scenario(plant=PlantParameters(load=KneeLoadParameters()))
+    assert changed(base, {}) == base
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "told"),
+    [
+        ("plant.pomp.lag_s", 0.01, "plant.pomp.lag_s: this scenario has no plant.pomp"),
+        ("plant.full_order.dead_volume_m3", 1e-6, "this scenario has no plant.full_order"),
+        ("plant.pump.lg_s", 0.01, "plant.pump.lg_s: unknown name"),
+        ("plant.pump.lag_s", -1.0, "plant.pump.lag_s = -1 s is out of range"),
+        ("can_delay_samples", 1.5, "can_delay_samples = 1.5 samples: must be a valid integer"),
+        ("reference.mean_deg", 80.0, "leaves the range of motion"),
+    ],
+)
+def test_a_change_that_the_scenario_does_not_have_is_refused(
+    path: str, value: object, told: str
+) -> None:
+    with pytest.raises(ParameterError, match=re.escape(told)):
+        changed(Scenario(), {path: value})
