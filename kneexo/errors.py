@@ -29,5 +29,9 @@ class LinearizationError(KneexoError, ArithmeticError):
     """There is no equilibrium, or no linear loop, where a linearization was asked for."""
 
 
+class CompilationError(KneexoError, TypeError):
+    """A diagram cannot be compiled: says which subsystem and port."""
+
+
 class WorkerError(KneexoError, RuntimeError):
     """A worker process died."""

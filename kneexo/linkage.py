@@ -146,6 +146,7 @@ def _theta_4(link: LinkageParameters, theta_p: Array) -> Array:
     return np.asarray(np.angle(d) + link.branch * np.arccos(cosine))
 
 
+@lru_cache(maxsize=64)
 def eq6_sign(link: LinkageParameters) -> int:
     """The sign in Eq. 6 that belongs to the linkage's assembly: −1 or 1.
 

@@ -12,6 +12,7 @@ one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -512,6 +513,14 @@ class SlidingModeParameters(Parameters):
     load_rate_uncertainty_n_per_s: float = quantity(
         0.0, "N/s", "assumption: bound on dF_L/dt in Eq. 27 is not printed", ge=0, le=1e9
     )
+    area_uncertainty: float = quantity(
+        0.0,
+        "1",
+        "Eq. 27 has no such term: bound on |A/Ā − 1|, how far the area that moves the oil may be "
+        "from the mean area; 1/7 covers A_1 and A_2 of Table 3",
+        ge=0,
+        le=1,
+    )
     command_limit_rad_s: float = quantity(
         5000.0 * RPM,
         "rad/s",
@@ -693,17 +702,32 @@ Reference = Annotated[
 
 
 class SimulationParameters(Parameters):
-    """How Drake's Simulator runs a diagram."""
+    """How a closed loop is run: by the compiled engine, or by Drake's Simulator."""
 
     duration_s: float = quantity(30.0, "s", "three periods of 0.1 Hz, as in Fig. 12", gt=0, le=1e5)
-    integrator: Literal["radau3", "radau1", "runge_kutta3", "implicit_euler"] = choice(
-        "radau3", "Drake's name; implicit, because the hydraulic mode lies at 447 Hz"
+    integrator: Literal[
+        "exact_hold", "rk4", "radau3", "radau1", "runge_kutta3", "implicit_euler"
+    ] = choice(
+        "exact_hold",
+        "exact_hold and rk4 are those of the compiled engine, the others Drake's; implicit or "
+        "exponential, because the hydraulic mode lies at 447 Hz",
     )
-    step_s: float = quantity(0.002, "s", "the control period", ge=1e-7, le=1)
-    error_controlled: bool = choice(False, "True: step_s is only the largest step")
+    step_s: float = quantity(
+        0.002, "s", "the control period; exact_hold controls its error instead", ge=1e-7, le=1
+    )
+    error_controlled: bool = choice(False, "of Drake's: step_s is only the largest step")
     accuracy: float = quantity(
-        1e-4, "1", "accuracy of the error-controlled integrator", ge=1e-12, le=0.1
+        1e-4, "1", "accuracy of Drake's error-controlled integrators", ge=1e-12, le=0.1
     )
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the compiled engine runs it."""
+        return self.integrator in ("exact_hold", "rk4")
+
+    def with_drake(self) -> SimulationParameters:
+        """The same for Drake's Simulator: with radau3 if the integrator is not one of Drake's."""
+        return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
 
 
 class Scenario(Parameters):
@@ -829,6 +853,194 @@ class SinestreamParameters(Parameters):
         return self
 
 
+# ------------------------------------------------- frequency response, small to large signal
+
+
+class SineEstimateParameters(Parameters):
+    """How the response to one sine is estimated: ramp, settling, averaging."""
+
+    ramp_cycles: float = quantity(
+        1.0, "cycles", "assumption: over which the amplitude grows from zero", ge=0, le=1000
+    )
+    ramp_min_s: float = quantity(
+        0.5,
+        "s",
+        "assumption: five times the slowest time constant of the default loop, so that short "
+        "cycles do not start its transients",
+        ge=0,
+        le=1e3,
+    )
+    tolerance: float = quantity(
+        2e-3,
+        "1",
+        "assumption: change of the response from one cycle to the next, relative to it, below "
+        "which the loop has settled",
+        gt=0,
+        le=0.5,
+    )
+    averaged_cycles: int = Field(
+        default=3,
+        ge=2,
+        le=1000,
+        json_schema_extra={
+            "unit": "cycles",
+            "source": "Section 5: more than three cycles, of which the ramp is the first",
+        },
+    )
+    largest_cycles: int = Field(
+        default=24,
+        ge=3,
+        le=10_000,
+        json_schema_extra={"unit": "cycles", "source": "assumption: then it has not settled"},
+    )
+
+    @model_validator(mode="after")
+    def _enough_cycles(self) -> SineEstimateParameters:
+        if self.largest_cycles <= self.averaged_cycles:
+            raise ValueError(
+                f"largest_cycles = {self.largest_cycles}: too few cycles, must be more than "
+                f"averaged_cycles = {self.averaged_cycles}"
+            )
+        return self
+
+
+class AmplitudeMapParameters(Parameters):
+    """Frequency response over amplitude and frequency: ``kneexo bandwidth``."""
+
+    amplitudes_deg: tuple[float, ...] = Field(
+        default=(0.1, 0.3, 1.0, 3.0, 10.0, 30.0),
+        min_length=1,
+        json_schema_extra={
+            "unit": "deg",
+            "source": "assumption: from about one count of the encoder to Section 5's 10…70°",
+        },
+    )
+    frequencies_hz: tuple[float, ...] = Field(
+        default=(
+            *(0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.315, 0.4, 0.5, 0.63, 0.8),
+            *(1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5, 16.0, 20.0),
+        ),
+        min_length=3,
+        json_schema_extra={
+            "unit": "Hz",
+            "source": "assumption: preferred numbers (R 10) about the bandwidths of all amplitudes",
+        },
+    )
+    estimate: SineEstimateParameters = SineEstimateParameters()
+
+    @model_validator(mode="after")
+    def _increasing(self) -> AmplitudeMapParameters:
+        for name in ("amplitudes_deg", "frequencies_hz"):
+            values = getattr(self, name)
+            if any(b <= a for a, b in zip((0.0, *values), values, strict=False)):
+                raise ValueError(f"{name} must be above zero and increase")
+        return self
+
+
+# ------------------------------------------------------------------------------- sizing
+
+GAIT_STRIDE_S = 0.890
+"""Median stride time of the measured gait, as the head of ``data/gait_knee_flexion.csv`` says."""
+
+
+def _tried(default: tuple[float, ...], unit: str, source: str) -> Any:
+    return Field(default=default, min_length=1, json_schema_extra={"unit": unit, "source": source})
+
+
+_Positive = tuple[Annotated[float, Field(gt=0, le=1e9)], ...]
+
+
+class SizingParameters(Parameters):
+    """Hardware and gains that `kneexo.analysis.sizing` tries, and what walking must reach."""
+
+    factors: _Positive = _tried(
+        (0.125, 0.25, 0.5, 0.707, 1.0, 1.414, 2.0, 4.0, 8.0),
+        "1",
+        "assumption: what each value of the scenario's hardware is multiplied by",
+    )
+    walking_factors: _Positive = _tried(
+        (0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0),
+        "1",
+        "assumption: the same for the hardware that was sized for walking",
+    )
+    stride_frequencies_hz: tuple[Annotated[float, Field(gt=0, le=10)], ...] = _tried(
+        (1.0, 1.0 / GAIT_STRIDE_S), "Hz", "assumption: walking at 1 Hz; the measured stride"
+    )
+    cycles: int = Field(
+        default=3,
+        ge=2,
+        le=1000,
+        json_schema_extra={"unit": "1", "source": "assumption: strides; the first is discarded"},
+    )
+    error_bound_deg: float = quantity(
+        2.0, "deg", "Section 5: the error was less than 2° with the SMC", gt=0, le=90
+    )
+    largest_flow_factor: float = quantity(
+        25.0,
+        "1",
+        "assumption: the search for the smallest flow begins here, 40 % above what the measured "
+        "stride asks for",
+        gt=1,
+        le=100,
+    )
+    acceleration_limit_min_rad_s2: float = quantity(
+        1e3, "rad/s²", "assumption: a tenth of the default", gt=0, le=1e7
+    )
+    acceleration_limit_max_rad_s2: float = quantity(
+        1e5, "rad/s²", "assumption: ten times the default, without effect on walking", gt=0, le=1e7
+    )
+    search_tolerance: float = quantity(
+        0.005, "1", "assumption: relative accuracy of the smallest values", gt=0, le=0.5
+    )
+    margin: float = quantity(
+        1.1, "1", "assumption: sized flow and acceleration limit over the smallest", ge=1, le=10
+    )
+    lambda_per_s: _Positive = _tried(
+        (20.0, 40.0, 60.0, 80.0, 100.0, 120.0), "1/s", "assumption: λ to try"
+    )
+    slope_per_s: _Positive = _tried(
+        (2.5e4, 3.5e4, 5e4, 7e4, 1e5, 1.4e5), "1/s", "assumption: k/Φ to try, with k = β·η"
+    )
+    observer_s: _Positive = _tried((0.010, 0.020), "s", "assumption: T_f to try")
+    disk_margin_min: float = quantity(
+        0.5, "1", "assumption: 28° of phase and a gain of 1.67 at the same time", gt=0, le=2
+    )
+    command_change_ratio_max: float = quantity(
+        1.5,
+        "1",
+        "assumption: mean change of the command over what the motion itself asks for; beyond it "
+        "is chattering",
+        gt=1,
+        le=1000,
+    )
+    check_step_s: float = quantity(
+        1e-4, "s", "assumption: step of RK4 for pressure and power; half of it too", gt=0, le=2e-3
+    )
+    seal_friction_n: float = quantity(
+        40.0, "N", "assumption: as in UNCERTAINTY; a sized design must bear it", ge=0, le=1e5
+    )
+    wearer_torques_n_m: tuple[Annotated[float, Field(ge=-500, le=500)], ...] = _tried(
+        (-20.0, -10.0, 0.0, 10.0, 20.0), "N·m", "assumption: constant torques of a wearer"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> SizingParameters:
+        for name in ("factors", "walking_factors"):
+            values = getattr(self, name)
+            if any(b <= a for a, b in zip(values, values[1:], strict=False)):
+                raise ValueError(f"{name} must increase")
+        low, high = self.acceleration_limit_min_rad_s2, self.acceleration_limit_max_rad_s2
+        if low >= high:
+            raise ValueError(
+                f"acceleration_limit_min_rad_s2 = {low:g} rad/s² must be below "
+                f"acceleration_limit_max_rad_s2 = {high:g} rad/s²"
+            )
+        return self
+
+
+# --------------------------------------------------------------------------- uncertainty
+
+
 class Uncertainty(Parameters):
     """What one value of a scenario may be: an interval ``low`` … ``high``, or one of ``options``.
 
@@ -919,6 +1131,45 @@ UNCERTAINTY = UncertaintySet(
 UNCERTAIN_KNEE = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
 """The paper's setup under the weight of the shank: what `UNCERTAINTY` varies."""
 
+
+class RobustnessParameters(Parameters):
+    """How uncertainty is explored: ``kneexo robustness``."""
+
+    samples: int = Field(
+        default=500,
+        ge=2,
+        le=1_000_000,
+        json_schema_extra={
+            "unit": "1",
+            "source": "assumption: the worst of 500 leaves out 0.6 % of all plants at most, with "
+            "95 % confidence",
+        },
+    )
+    seed: int = Field(
+        default=2020, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
+    )
+    corners_max: int = Field(
+        default=1000,
+        ge=1,
+        le=10_000_000,
+        json_schema_extra={"unit": "1", "source": "assumption: as many minutes as the samples"},
+    )
+    bandwidth: bool = choice(True, "False leaves out the large-signal bandwidth, which costs most")
+    sensitivity_duration_s: float = quantity(
+        20.0,
+        "s",
+        "assumption: two periods of 0.1 Hz, of which the second counts; 0 leaves AutoDiff through "
+        "the run out",
+        ge=0,
+        le=1e5,
+    )
+    nyquist_loops: int = Field(
+        default=60,
+        ge=0,
+        le=10_000,
+        json_schema_extra={"unit": "1", "source": "assumption: lines that a plot can carry"},
+    )
+
 IDEAL_SMC = Scenario(
     plant=PlantParameters(
         pump=BldcPumpParameters(internal_leakage_m3_per_s_pa=0.0),
@@ -929,7 +1180,9 @@ IDEAL_SMC = Scenario(
     estimator=ExactParameters(),
     controller=SlidingModeParameters(continuous=True, lambda_per_s=10.0, command_limit_rad_s=1e12),
     initial_offset_m=-0.089,
-    simulation=SimulationParameters(duration_s=10.0, error_controlled=True, accuracy=1e-6),
+    simulation=SimulationParameters(
+        duration_s=10.0, integrator="radau3", error_controlled=True, accuracy=1e-6
+    ),
 )
 """Fig. 9: continuous sliding mode, exact states, no speed limit, no leakage, 89 mm off."""
 
@@ -1006,3 +1259,359 @@ EQ_27_DIFFERENCES = {
     for slope in (1.0e4, 4.0e4)
 }
 """Eq. 27 at 2 ms with plain differences of the quantized encoder, by k/Φ in 1/s."""
+
+
+# ------------------------------------------------------------------------ controller study
+
+
+class ControllerStudyParameters(Parameters):
+    """Grid over λ, Φ and η, and the experiments made at each of its points: ``kneexo study``."""
+
+    lambdas_per_s: _Positive = _tried(
+        (5.0, 7.1, 10.0, 14.1, 20.0, 28.3, 40.0, 56.6, 80.0),
+        "1/s",
+        "assumption: the default times powers of √2",
+    )
+    phis_m_s2: _Positive = _tried(
+        (0.32, 0.57, 1.0, 1.8, 3.2, 5.7, 10.0, 18.0, 32.0, 57.0, 100.0),
+        "m/s²",
+        "assumption: the default times powers of 10^(1/4)",
+    )
+    etas_m_s3: _Positive = _tried(
+        (8.9e3, 2.8e4, 8.9e4, 2.8e5, 8.9e5, 2.8e6),
+        "m/s³",
+        "assumption: the default times powers of √10",
+    )
+    step_deg: float = quantity(
+        2.0,
+        "deg",
+        "assumption: twenty counts of the encoder, and within the speed limit up to λ = 60 1/s",
+        gt=0,
+        le=45,
+    )
+    large_step_deg: float = quantity(
+        20.0, "deg", "assumption: one that the speed limit governs", gt=0, le=45
+    )
+    step_duration_s: float = quantity(
+        4.0, "s", "assumption: four times what the large step takes", gt=0, le=1e3
+    )
+    settled_share: float = quantity(
+        0.1, "1", "assumption: of the small step; two counts of the encoder", gt=0, le=0.9
+    )
+    fast_amplitude_deg: float = quantity(
+        2.5, "deg", "assumption: at 1 Hz it stays below the speed limit", gt=0, le=45
+    )
+    fast_frequency_hz: float = quantity(
+        1.0, "Hz", "assumption: ten times the reference of Section 5", gt=0, le=250
+    )
+    fast_duration_s: float = quantity(4.0, "s", "assumption: four periods", gt=0, le=1e4)
+    chattering_factor: float = quantity(
+        2.0,
+        "1",
+        "assumption: a value chatters whose command changes by so much more than at the best one",
+        gt=1,
+        le=100,
+    )
+    wrong_factor: float = quantity(
+        3.0, "1", "assumption: a value is wrong that is so much too large or small", gt=1, le=100
+    )
+    sound_disk_margin: float = quantity(
+        0.5,
+        "1",
+        "assumption: gain by a factor of 0.6…1.67 and phase by 28°, alone; a loop below it is "
+        "counted apart",
+        gt=0,
+        le=2,
+    )
+    trap_time_constant_s: float = quantity(
+        0.008,
+        "s",
+        "assumption: T_f of a loop that is linearly stable and errs by degrees",
+        gt=0,
+        le=1,
+    )
+    trap_slope_per_s: float = quantity(1e4, "1/s", "assumption: k/Φ of the same", gt=0, le=1e12)
+    trap_lambdas_per_s: _Positive = _tried((20.0, 10.0), "1/s", "assumption: λ of the same")
+    hold_duration_s: float = quantity(
+        20.0, "s", "assumption: long enough for an oscillation at rest to settle", gt=0, le=1e4
+    )
+    unlimited_acceleration_rad_s2: float = quantity(
+        1e7, "rad/s²", "assumption: a thousand times the default limit", gt=0, le=1e7
+    )
+    map_time_constants_s: _Positive = _tried(
+        (0.003, 0.004, 0.006, 0.008, 0.012, 0.016, 0.020, 0.028, 0.040),
+        "s",
+        "assumption: T_f about its default",
+    )
+    map_slopes_per_s: _Positive = _tried(
+        (5.6e3, 1e4, 1.8e4, 3.2e4, 5.6e4, 1e5, 1.8e5, 3.2e5, 5.6e5, 1e6),
+        "1/s",
+        "assumption: k/Φ about its default",
+    )
+
+    @field_validator(
+        "lambdas_per_s", "phis_m_s2", "etas_m_s3", "map_time_constants_s", "map_slopes_per_s"
+    )
+    @classmethod
+    def _increasing(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        if any(b <= a for a, b in pairwise(values)):
+            raise ValueError("must increase")
+        return values
+
+
+# ------------------------------------------------- sliding condition, reduced and full order
+
+
+class SlidingStudyParameters(Parameters):
+    """Which η, loads and gains the check of the sliding condition runs through."""
+
+    etas_m_s3: tuple[Annotated[float, Field(gt=0, le=1e12)], ...] = Field(
+        default=(1e3, 1e4, 3e4, 3.6e4, 7e4, 9e4, 2.8e5),
+        min_length=1,
+        json_schema_extra={
+            "unit": "m/s³",
+            "source": "assumption: from 1/300 of the speed authority to all of it, with two each "
+            "about 3.3e4 and 8.0e4, what the closed forms ask for with P_1 and P_2 loaded",
+        },
+    )
+    loads_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
+        default=(60.0, -60.0),
+        min_length=1,
+        json_schema_extra={
+            "unit": "N",
+            "source": "assumption: four times the switching force, so that one chamber carries "
+            "the load throughout, P_1 or P_2",
+        },
+    )
+    start_eta_m_s3: float = quantity(
+        1e3,
+        "m/s³",
+        "assumption: so small that reaching the layer takes a time worth looking at",
+        gt=0,
+        le=1e12,
+    )
+    start_offset_m: float = quantity(
+        -0.010, "m", "assumption: λ² times it lies outside the layer", ge=-0.15, le=0.15
+    )
+    start_duration_s: float = quantity(
+        0.010, "s", "assumption: ten times what reaching takes", gt=0, le=1e3
+    )
+    start_sample_time_s: float = quantity(
+        2e-5, "s", "assumption: of the log; fifty before the layer is reached", ge=1e-5, le=1
+    )
+    sampled_eta_m_s3: float = quantity(
+        2.8e4,
+        "m/s³",
+        "assumption: k/Φ = 9.9e3 1/s, below the stability boundary of exact states at 2 ms",
+        gt=0,
+        le=1e12,
+    )
+    sampled_offset_m: float = quantity(
+        -0.020, "m", "assumption: half a second at the speed limit", ge=-0.15, le=0.15
+    )
+    settling_factor: float = quantity(
+        8.0,
+        "1",
+        "assumption: times 1/λ after which what is left of the start does not count, 0.3 %",
+        ge=0,
+        le=1e3,
+    )
+    rated_samples: int = Field(
+        default=2000,
+        ge=10,
+        le=1_000_000,
+        json_schema_extra={
+            "unit": "1",
+            "source": "assumption: samples outside the layer at which ds/dt is evaluated, at most",
+        },
+    )
+
+
+class OrderComparisonParameters(Parameters):
+    """What the full order is compared with the reduced one in."""
+
+    disturbances_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
+        default=(0.0, 60.0, -60.0),
+        min_length=1,
+        json_schema_extra={
+            "unit": "N",
+            "source": "assumption: none, and enough for P_1 or P_2 to carry the load throughout",
+        },
+    )
+    postures_deg: tuple[Annotated[float, Field(ge=0, le=90)], ...] = Field(
+        default=(10.0, 40.0, 70.0),
+        min_length=1,
+        json_schema_extra={"unit": "deg", "source": "Section 5: ends and middle of 10…70°"},
+    )
+    speed_rate_deg_s: float = quantity(
+        60.0, "deg/s", "assumption: beyond the speed limit at every posture", gt=0, le=1e4
+    )
+    switching_forces_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
+        default=tuple(float(force) for force in range(0, 41, 2)),
+        min_length=1,
+        json_schema_extra={
+            "unit": "N",
+            "source": "assumption: about the switching force P_r (A_1 − A_2) = 15.7 N",
+        },
+    )
+    switching_rate_deg_s: float = quantity(
+        15.0, "deg/s", "assumption: two thirds of what the speed limit allows", gt=0, le=1e4
+    )
+    switching_step_s: float = quantity(
+        2e-5,
+        "s",
+        "assumption: step of rk4, which takes the many openings of the valves better than an "
+        "exact hold; a third of the make-up valve's time constant",
+        gt=0,
+        le=1e-3,
+    )
+    oscillation_m_s: float = quantity(
+        0.010,
+        "m/s",
+        "assumption: peak to peak of the rod's velocity about its reference that counts as "
+        "oscillation; without, a tenth of it is left",
+        gt=0,
+        le=10,
+    )
+
+
+SLIDING_LAW = Scenario(
+    plant=PlantParameters(
+        load=KneeLoadParameters(segment_mass_kg=0.0), rod_map="polynomial", ideal_motor=True
+    ),
+    encoder=EncoderParameters(quantized=False),
+    estimator=ExactParameters(),
+    controller=SlidingModeParameters(
+        continuous=True,
+        sample_time_s=2e-4,
+        load_rate_uncertainty_n_per_s=2.5e3,
+        command_limit_rad_s=1e12,
+    ),
+    simulation=SimulationParameters(duration_s=10.0),
+)
+"""The setting of the sliding condition: continuous time, exact states, an ideal motor.
+
+The sample time is that of the log. Eq. 27 drops the leakage, 4 β_e C_t/V_t = 33 N/s per newton of
+load; here its bound on dF_L/dt holds it, for 75 N."""
+
+
+# --------------------------------------------------------------------------------- contest
+
+_WIDE = "assumption: wide enough that the optimum lies inside"
+
+
+def _gain(low: float, high: float, source: str = _WIDE) -> Uncertainty:
+    return Uncertainty(low=low, high=high, scale="log", source=source)
+
+
+class Contestant(Parameters):
+    """A controller, and which of a scenario's values the optimizer may set, by dotted path."""
+
+    controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")]
+    gains: dict[str, Uncertainty] = Field(min_length=1)
+
+
+_PID_GAINS = {
+    "controller.proportional_per_s": _gain(0.1, 100.0),
+    "controller.integral_per_s2": _gain(0.1, 2000.0),
+    "controller.derivative": _gain(1e-4, 1.0, _WIDE + "; the lowest is none"),
+    "controller.filter_s": _gain(0.002, 0.1, _WIDE + "; not below one sample"),
+}
+
+CONTESTANTS = {
+    "SMC": Contestant(
+        controller=SlidingModeParameters(),
+        gains={
+            "controller.lambda_per_s": _gain(2.0, 200.0),
+            "controller.phi_m_s2": _gain(0.1, 100.0),
+            "controller.eta_m_s3": _gain(1e4, 1e7),
+            "estimator.time_constant_s": _gain(0.002, 0.1, _WIDE + "; not below one sample"),
+        },
+    ),
+    "PID": Contestant(controller=PidParameters(), gains=_PID_GAINS),
+    "PID with reference velocity": Contestant(
+        controller=PidParameters(velocity_feedforward=1.0), gains=_PID_GAINS
+    ),
+}
+"""Who is tuned in `kneexo.analysis.contest`: four gains each."""
+
+UNTUNED = {
+    "SMC, default": SlidingModeParameters(),
+    "PID as in the paper": PID_PAPER,
+    "PID, error only": PID_TUNED,
+    "PID with reference velocity, error only": PID_FEEDFORWARD,
+}
+"""Who runs beside them: the default, the paper's, and those tuned for the error of Fig. 12 alone
+(``benchmarks/tune_pid.py``)."""
+
+
+class ContestParameters(Parameters):
+    """Tuning under one budget, and the test of what it finds."""
+
+    contestants: dict[str, Contestant] = Field(default=CONTESTANTS, min_length=1)
+    training_samples: int = Field(
+        default=6,
+        ge=1,
+        le=10_000,
+        json_schema_extra={
+            "unit": "1",
+            "source": "assumption: of the uncertainty, beside the nominal plant; each costs a run "
+            "in every evaluation",
+        },
+    )
+    training_seed: int = Field(
+        default=1, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
+    )
+    test_samples: int = Field(
+        default=200,
+        ge=1,
+        le=100_000,
+        json_schema_extra={
+            "unit": "1",
+            "source": "assumption: the 95 % level then stands on ten samples",
+        },
+    )
+    test_seed: int = Field(
+        default=2, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any other number"}
+    )
+    optimizer_seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(
+        default=(1, 2),
+        min_length=1,
+        json_schema_extra={
+            "unit": "1",
+            "source": "assumption: two searches that end alike have converged",
+        },
+    )
+    population: int = Field(
+        default=32,
+        ge=5,
+        le=10_000,
+        json_schema_extra={"unit": "1", "source": "assumption: eight for each gain"},
+    )
+    generations: int = Field(
+        default=60,
+        ge=1,
+        le=100_000,
+        json_schema_extra={"unit": "1", "source": "assumption: the most; the budget of each"},
+    )
+    tolerance: float = quantity(
+        0.05,
+        "1",
+        "assumption: spread of the population's objectives, relative to their mean, at which a "
+        "search has converged",
+        gt=0,
+        le=1,
+    )
+    least_disk_margin: float = quantity(
+        0.5,
+        "1",
+        "assumption: gain by a factor of 0.6…1.67 and phase by 28°, alone, on every training plant",
+        gt=0,
+        le=2,
+    )
+    duration_s: float = quantity(
+        20.0, "s", "assumption: two periods of 0.1 Hz, of which the second counts", gt=0, le=1e5
+    )
+    other_reference: SineReference = SineReference(amplitude_deg=2.5, frequency_hz=1.0)
+    """A task that nobody is tuned for, below the speed limit."""
+    other_duration_s: float = quantity(5.0, "s", "assumption: five of its periods", gt=0, le=1e5)

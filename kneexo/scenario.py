@@ -1,4 +1,4 @@
-"""Scenario files: YAML to `kneexo.parameters.Scenario` and back.
+"""Scenario files: YAML to `kneexo.parameters.Scenario` and back; files of uncertain values.
 
 A file names only what differs from the defaults. Every fault is a `ScenarioError` whose single
 line tells file, line, path, value, unit and range.
@@ -9,18 +9,18 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from yaml.reader import ReaderError
 
 from kneexo.errors import ParameterError, ScenarioError
-from kneexo.parameters import Scenario
-from kneexo.quantity import Parameters, allowed_range, one_line, unit_of
+from kneexo.parameters import UNCERTAIN_KNEE, Scenario, Uncertainty, UncertaintySet
+from kneexo.quantity import Parameters, allowed_range, models_of, one_line, unit_of
 
 _Path = tuple[str | int, ...]
 _TAG = "tag:yaml.org,2002:"
@@ -42,23 +42,105 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
         The file cannot be read, is not YAML, or has a duplicate, unknown, missing or wrong entry.
     """
     name = os.fspath(path)
-    try:
-        text = Path(name).read_bytes().decode("utf-8")
-    except UnicodeDecodeError as error:
-        line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
-        raise _fault(name, line, f"is not UTF-8: byte 0x{byte:02x}") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise _fault(name, None, f"cannot be read: {reason}") from error
-    data, lines = _read(name, text)
+    data, lines = _read(name, _text(name))
     try:
         return Scenario.model_validate(data)
     except ValidationError as error:
         location, message = one_line(Scenario, error)
-    known = location
-    while known not in lines:
-        known = known[:-1]
-    raise _fault(name, lines[known], message)
+    raise _fault(name, _line(lines, location), message)
+
+
+def load_uncertainty(
+    path: str | os.PathLike[str], scenario: Scenario = UNCERTAIN_KNEE
+) -> UncertaintySet:
+    """Uncertain values from a YAML file in UTF-8: a mapping from dotted paths to `Uncertainty`.
+
+    .. code-block:: yaml
+
+        plant.cylinder.mass_kg: {low: 1.4, high: 1.8}
+        plant.pump.lag_s: {low: 0.005, high: 0.02, scale: log}
+        plant.linkage: {options: [G1, G2, G3], known: true}
+
+    Values that ``scenario`` does not have are kept: `applicable` tells which.
+
+    Raises
+    ------
+    ScenarioError
+        As `load_scenario`; also for an empty file, and for a value that is out of range.
+    """
+    name = os.fspath(path)
+    data, lines = _read(name, _text(name))
+    if not data:
+        raise _fault(name, None, "has no uncertain values")
+    found = {}
+    for own, value in data.items():
+        if not isinstance(value, dict):
+            raise _fault(name, lines[own,], f"{own}: must have low and high, or options")
+        try:
+            found[own] = Uncertainty.model_validate(value)
+            _applies(scenario, own, found[own], data)
+        except ValidationError as error:
+            location, message = one_line(Uncertainty, error)
+            separator = "." if location else ": "
+            line = _line(lines, (own, *location))
+            raise _fault(name, line, f"{own}{separator}{message}") from None
+        except ParameterError as error:
+            raise _fault(name, lines[own,], str(error)) from None
+    return UncertaintySet(values=found)
+
+
+def applicable(
+    scenario: Scenario, uncertainty: UncertaintySet
+) -> tuple[UncertaintySet, tuple[str, ...]]:
+    """The uncertain values that a scenario has, and the paths of the others.
+
+    Raises `ParameterError` for a path that no scenario has, one within another, a value out of
+    range, ``known`` for what is no part of the plant, and when no path is left.
+    """
+    values = uncertainty.values
+    kept = {path: one for path, one in values.items() if _applies(scenario, path, one, values)}
+    if not kept:
+        raise ParameterError(
+            f"none of the uncertain values is in this scenario: {', '.join(values)}"
+        )
+    return UncertaintySet(values=kept), tuple(path for path in values if path not in kept)
+
+
+def _applies(scenario: Scenario, path: str, one: Uncertainty, paths: Iterable[str]) -> bool:
+    """Whether the scenario has that uncertain value; raises what `applicable` raises."""
+    if within := next((other for other in paths if path.startswith(f"{other}.")), None):
+        raise ParameterError(f"{path}: lies within {within}, which is uncertain too")
+    if one.known and not path.startswith("plant."):
+        raise ParameterError(f"{path}: known is for values of the plant")
+    if not _has(scenario, path) and _known(path):
+        return False
+    for value in one.options or (one.low, one.high):
+        try:
+            changed(scenario, {path: value})
+        except ParameterError as error:
+            raise ParameterError(str(error).removeprefix("Scenario: ")) from None
+    return True
+
+
+def _has(scenario: Scenario, path: str) -> bool:
+    """Whether the scenario has a value at a dotted path."""
+    holder: Any = scenario
+    for name in path.split("."):
+        if not isinstance(holder, Parameters) or name not in type(holder).model_fields:
+            return False
+        holder = getattr(holder, name)
+    return True
+
+
+def _known(path: str) -> bool:
+    """Whether some scenario has a value at a dotted path."""
+    holders: tuple[type[BaseModel], ...] = (Scenario,)
+    for name in path.split("."):
+        fields = [holder.model_fields[name] for holder in holders if name in holder.model_fields]
+        if not fields:
+            return False
+        holders = tuple(model for field in fields for model in models_of(field))
+    return True
 
 
 def dump_scenario(scenario: Scenario) -> str:
@@ -67,6 +149,14 @@ def dump_scenario(scenario: Scenario) -> str:
     `load_scenario` reads an equal scenario from it: floats have all their digits.
     """
     return "\n".join(_dumped(scenario, "")) + "\n"
+
+
+def read_value(name: str, text: str) -> Any:
+    """One value as a scenario file would write it: a scalar, list or mapping in YAML.
+
+    ``name`` is what a `ScenarioError` calls it.
+    """
+    return _read(name, f"value: {text}")[0]["value"]
 
 
 def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
@@ -144,6 +234,25 @@ for _kind, _pattern in {
     r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
 }.items():
     _Loader.add_implicit_resolver(f"{_TAG}{_kind}", re.compile(rf"(?:{_pattern})\Z"), None)
+
+
+def _line(lines: Mapping[_Path, int], location: _Path) -> int:
+    """Line of a location, or of what holds it."""
+    while location not in lines:
+        location = location[:-1]
+    return lines[location]
+
+
+def _text(name: str) -> str:
+    """The text of a file in UTF-8."""
+    try:
+        return Path(name).read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
+        raise _fault(name, line, f"is not UTF-8: byte 0x{byte:02x}") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise _fault(name, None, f"cannot be read: {reason}") from error
 
 
 def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:

@@ -231,7 +231,7 @@ KNOWN = ", ".join(sorted(Scenario.model_fields))
         (
             "simulation:\n  integrator: euler\n",
             "2: simulation.integrator = 'euler': "
-            "must be 'radau3', 'radau1', 'runge_kutta3' or 'implicit_euler'",
+            "must be 'exact_hold', 'rk4', 'radau3', 'radau1', 'runge_kutta3' or 'implicit_euler'",
         ),
         (
             "reference:\n  kind: samples\n  angles_deg: [1, 2, 3, 4]\n  times_s:\n"

@@ -45,9 +45,10 @@ def simulate_diagram(
     """Run a diagram that has a `VectorLogSink` named ``log`` with the columns ``names``.
 
     ``context`` is the root Context to start from; it is changed. ``progress`` gets the simulated
-    time every 0.25 s. Raises `SimulationError` when the run diverges, stalls or leaves the range
-    of motion.
+    time every 0.25 s. Drake's `radau3` stands in for the compiled engine's integrators. Raises
+    `SimulationError` when the run diverges, stalls or leaves the range of motion.
     """
+    settings = settings.with_drake()
     log = diagram.GetSubsystemByName("log").FindMutableLog(context)
     log.Clear()
     simulator = Simulator(diagram, context)
@@ -94,10 +95,21 @@ def simulate(
     signals: Sequence[str] | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Run:
-    """Build the closed loop of ``scenario`` and run it; all available signals by default.
+    """Run the closed loop of ``scenario``; all available signals by default.
 
+    ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator.
     Raises what `make_closed_loop` and `simulate_diagram` raise.
     """
+    settings = scenario.simulation
+    if settings.compiled:
+        from kneexo.compilation.scenarios import simulate_compiled
+
+        run = simulate_compiled(
+            scenario, signals=signals, integrator=settings.integrator, step_s=settings.step_s
+        )
+        if progress is not None:
+            progress(settings.duration_s)
+        return run
     names = available_signals(scenario) if signals is None else tuple(signals)
     diagram = make_closed_loop(scenario, signals=names)
     return simulate_diagram(

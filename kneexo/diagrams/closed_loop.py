@@ -14,7 +14,7 @@ from pydrake.systems.primitives import (
 )
 from pydrake.systems.sensors import RotaryEncoders
 
-from kneexo.diagrams.plant import make_plant
+from kneexo.diagrams.plant import FULL_ORDER_OUTPUTS, make_plant
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.systems import (
@@ -26,7 +26,7 @@ from kneexo.systems import (
     TrackingObserver,
     make_knee_reference,
 )
-from kneexo.systems.knee_reference import reference_range_deg
+from kneexo.systems.knee_reference import reference_range_deg, start_angle_rad
 
 SIGNALS = {
     "knee_reference": (
@@ -63,15 +63,31 @@ SIGNALS = {
     "shaft_torque": ("shaft_torque_n_m",),
     "shaft_power": ("shaft_power_w",),
     "hydraulic_power": ("hydraulic_power_w",),
+    "chamber_pressures": ("cap_pressure_pa", "rod_side_pressure_pa"),
+    "makeup_flow": ("cap_makeup_flow_m3_s", "rod_side_makeup_flow_m3_s"),
+    "relief_flow": ("cap_relief_flow_m3_s", "rod_side_relief_flow_m3_s"),
 }
 """Every signal of the closed loop and the names of its columns, which end in the unit."""
 
 
 def available_signals(scenario: Scenario) -> tuple[str, ...]:
     """The names of `SIGNALS` that the scenario's closed loop has."""
-    smc = scenario.controller.kind == "smc"
-    missing = set() if smc else {"estimated_state", "sliding_variable"}
+    missing = set()
+    if scenario.controller.kind != "smc":
+        missing |= {"estimated_state", "sliding_variable"}
+    if scenario.plant.full_order is None:
+        missing |= set(FULL_ORDER_OUTPUTS)
     return tuple(name for name in SIGNALS if name not in missing)
+
+
+def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> tuple[str, ...]:
+    """``signals``, all available ones when None; `ParameterError` for an unknown one."""
+    available = available_signals(scenario)
+    names = available if signals is None else tuple(signals)
+    for name in names:
+        if name not in available:
+            raise ParameterError(f"signal {name!r} is unknown; known: {', '.join(available)}")
+    return names
 
 
 def columns(signals: Sequence[str]) -> tuple[str, ...]:
@@ -106,24 +122,17 @@ def make_closed_loop(
     """
     # The scenario has checked the samples; a spline may pass them.
     scenario.plant.knee.require_in_range(*reference_range_deg(scenario.reference))
-    names = available_signals(scenario) if signals is None else tuple(signals)
-    for name in names:
-        if name not in available_signals(scenario):
-            known = ", ".join(available_signals(scenario))
-            raise ParameterError(f"signal {name!r} is unknown; known: {known}")
-
+    names = chosen_signals(scenario, signals)
     builder = DiagramBuilder()
 
     def add(name: str, system: Any) -> Any:
         return builder.AddNamedSystem(name, system)
 
-    reference = make_knee_reference(scenario.reference)
-    start = reference.get_output_port().Eval(reference.CreateDefaultContext())[0]
     plant = add(
         "plant",
         make_plant(
             scenario.plant,
-            initial_knee_angle_rad=float(start),
+            initial_knee_angle_rad=start_angle_rad(scenario.reference),
             initial_offset_m=scenario.initial_offset_m,
             table_1=scenario.polynomial,
         ),
@@ -140,14 +149,14 @@ def make_closed_loop(
         KneeCoordinates(
             scenario.believed_plant.linkage,
             scenario.polynomial,
-            _encoder_offset(scenario),
+            encoder_offset_rad(scenario),
         ),
     )
     if external_reference:
         knee_reference = add("knee_reference", PassThrough(4))
         builder.ExportInput(knee_reference.get_input_port(), "knee_reference")
     else:
-        knee_reference = add("reference", reference)
+        knee_reference = add("reference", make_knee_reference(scenario.reference))
     builder.Connect(knee_reference.get_output_port(), rod_reference.get_input_port())
     builder.Connect(plant.GetOutputPort("encoder_angle"), encoder.get_input_port())
     builder.Connect(encoder.get_output_port(), coordinates.get_input_port())
@@ -221,7 +230,7 @@ def _estimate(builder: Any, scenario: Scenario, plant: Any, coordinates: Any) ->
     return estimator.get_output_port()
 
 
-def _encoder_offset(scenario: Scenario) -> float:
+def encoder_offset_rad(scenario: Scenario) -> float:
     """What the controller adds to a reading: half a count, less what calibration got wrong."""
     return 0.5 * scenario.encoder.resolution_rad - scenario.encoder.mounting_error_rad
 
@@ -237,5 +246,5 @@ def set_encoder_phase(diagram: Diagram, context: Any, scenario: Scenario, phase_
     coordinates.set_parameter(
         coordinates.GetMyMutableContextFromRoot(context),
         "offset_rad",
-        phase_rad + _encoder_offset(scenario),
+        phase_rad + encoder_offset_rad(scenario),
     )

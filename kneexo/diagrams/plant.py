@@ -16,7 +16,9 @@ from kneexo.parameters import (
     SineReference,
 )
 from kneexo.systems import BldcPump, FourBarKnee, FullCylinder, KneeLoad, ReducedCylinder
+from kneexo.systems.four_bar_knee import knee_kinematics
 from kneexo.systems.full_cylinder import holding_pressures
+from kneexo.systems.knee_load import load_force
 
 PLANT_OUTPUTS = {
     "knee": ("knee_angle", "encoder_angle", "moment_arm", "icr"),
@@ -53,40 +55,19 @@ def make_plant(
     when the linkage cannot be assembled. Without load the derivatives do
     not depend on the knee, so its kinematics cost nothing between outputs.
     """
-    low, high = parameters.knee.flexion_min_deg, parameters.knee.flexion_max_deg
-    if not low - 1e-9 <= math.degrees(initial_knee_angle_rad) <= high + 1e-9:
-        raise ParameterError(
-            f"knee angle = {math.degrees(initial_knee_angle_rad):.6g} deg at the start lies "
-            f"outside the range of motion {low:g} … {high:g} deg"
-        )
-    polynomial = parameters.rod_map == "polynomial"
-    knee = FourBarKnee(parameters.linkage, parameters.knee, table_1 if polynomial else None)
-    if polynomial:
-        extension = linkage.polynomial(table_1.p_si, initial_knee_angle_rad)
-    else:
-        extension = float(linkage.rod_extension(parameters.linkage, initial_knee_angle_rad))
-    extension += initial_offset_m
-    if not 0.0 <= extension <= parameters.cylinder.stroke_m:
-        raise ParameterError(
-            f"the rod starts at {extension:.6g} m (initial offset {initial_offset_m:g} m), outside "
-            f"the stroke 0 … {parameters.cylinder.stroke_m:g} m; change the offset or the posture"
-        )
-    load = parameters.load
-    force = parameters.cylinder.stiffness_n_per_m * extension
-    if isinstance(load, KneeLoadParameters):
-        knee_load = KneeLoad(load)
-        force += _static_force(knee_load, knee, extension)
-
+    extension, force = plant_start(parameters, initial_knee_angle_rad, initial_offset_m, table_1)
     builder = DiagramBuilder()
     motor = builder.AddNamedSystem("motor", BldcPump(parameters.pump, parameters.ideal_motor))
     cylinder = builder.AddNamedSystem("cylinder", _cylinder(parameters, extension, force))
-    builder.AddNamedSystem("knee", knee)
+    knee = builder.AddNamedSystem(
+        "knee", FourBarKnee(parameters.linkage, parameters.knee, _rod_map(parameters, table_1))
+    )
     _connect(builder, motor, "load_flow", cylinder, "load_flow")
     _connect(builder, cylinder, "load_pressure", motor, "load_pressure")
     _connect(builder, cylinder, "rod_extension", knee, "rod_extension")
     builder.ExportInput(motor.GetInputPort("motor_speed_command"), "motor_speed_command")
-    if isinstance(load, KneeLoadParameters):
-        builder.AddNamedSystem("load", knee_load)
+    if isinstance(parameters.load, KneeLoadParameters):
+        knee_load = builder.AddNamedSystem("load", KneeLoad(parameters.load))
         _connect(builder, knee, "knee_angle", knee_load, "knee_angle")
         _connect(builder, knee, "moment_arm", knee_load, "moment_arm")
         _connect(builder, knee_load, "load_force", cylinder, "load_force")
@@ -104,29 +85,66 @@ def make_plant(
     return plant
 
 
-def _cylinder(parameters: PlantParameters, extension: float, force: float) -> Any:
-    """The cylinder at rest at ``extension`` (m), its pressures holding ``force`` (N)."""
+def _rod_map(
+    parameters: PlantParameters, table_1: RodPolynomialParameters
+) -> RodPolynomialParameters | None:
+    return table_1 if parameters.rod_map == "polynomial" else None
+
+
+def plant_start(
+    parameters: PlantParameters,
+    initial_knee_angle_rad: float,
+    initial_offset_m: float,
+    table_1: RodPolynomialParameters,
+) -> tuple[float, float]:
+    """Rod extension in m where `make_plant` starts, and the force of load and spring there in N."""
+    low, high = parameters.knee.flexion_min_deg, parameters.knee.flexion_max_deg
+    if not low - 1e-9 <= math.degrees(initial_knee_angle_rad) <= high + 1e-9:
+        raise ParameterError(
+            f"knee angle = {math.degrees(initial_knee_angle_rad):.6g} deg at the start lies "
+            f"outside the range of motion {low:g} … {high:g} deg"
+        )
+    fit = linkage.fit_rod_inverse(parameters.linkage, _rod_map(parameters, table_1))
+    if parameters.rod_map == "polynomial":
+        extension = linkage.polynomial(table_1.p_si, initial_knee_angle_rad)
+    else:
+        extension = float(linkage.rod_extension(parameters.linkage, initial_knee_angle_rad))
+    extension += initial_offset_m
+    if not 0.0 <= extension <= parameters.cylinder.stroke_m:
+        raise ParameterError(
+            f"the rod starts at {extension:.6g} m (initial offset {initial_offset_m:g} m), outside "
+            f"the stroke 0 … {parameters.cylinder.stroke_m:g} m; change the offset or the posture"
+        )
+    force = parameters.cylinder.stiffness_n_per_m * extension
+    if isinstance(parameters.load, KneeLoadParameters):
+        polynomials = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
+        angle, _, arm = knee_kinematics(fit, polynomials, extension)
+        force += load_force(parameters.load, angle, arm, 0.0)
+    return extension, force
+
+
+def start_pressures_pa(parameters: PlantParameters, force: float) -> tuple[float, ...]:
+    """Pressures in Pa that hold ``force`` (N) on the rod: P_L, or P_1 and P_2 in full order."""
     cylinder, full_order = parameters.cylinder, parameters.full_order
     if full_order is None:
-        return ReducedCylinder(cylinder, extension, force / cylinder.mean_area_m2)
-    pressures = holding_pressures(
+        return (force / cylinder.mean_area_m2,)
+    return holding_pressures(
         force,
         cap_area=cylinder.cap_area_m2,
         rod_side_area=cylinder.rod_side_area_m2,
         reservoir=full_order.reservoir_pressure_pa,
     )
+
+
+def _cylinder(parameters: PlantParameters, extension: float, force: float) -> Any:
+    """The cylinder at rest at ``extension`` (m), its pressures holding ``force`` (N)."""
+    cylinder, full_order = parameters.cylinder, parameters.full_order
+    pressures = start_pressures_pa(parameters, force)
+    if full_order is None:
+        return ReducedCylinder(cylinder, extension, *pressures)
     return FullCylinder(
         cylinder, full_order, extension, pressures, parameters.pump.external_leakage_m3_per_s_pa
     )
-
-
-def _static_force(load: Any, knee: Any, extension: float) -> float:
-    """Force of the load on the resting rod at t = 0, in N."""
-    at, under = knee.CreateDefaultContext(), load.CreateDefaultContext()
-    knee.GetInputPort("rod_extension").FixValue(at, [extension])
-    for name in ("knee_angle", "moment_arm"):
-        load.GetInputPort(name).FixValue(under, knee.GetOutputPort(name).Eval(at))
-    return float(load.GetOutputPort("load_force").Eval(under)[0])
 
 
 def _connect(builder: Any, source: Any, output: str, target: Any, input_: str) -> None:

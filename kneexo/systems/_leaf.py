@@ -31,6 +31,11 @@ def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
     return positive if condition > 0.0 else otherwise
 
 
+def values_of(source: Any, *names: str) -> dict[str, float]:
+    """The named attributes of a parameter object."""
+    return {name: getattr(source, name) for name in names}
+
+
 def _named_values(names: Sequence[str]) -> Any:
     return namedtuple("Values", names)
 
@@ -45,11 +50,13 @@ class NamedLeaf:
         self._values = _named_values(())
         self._arguments = arguments
 
-    def _declare_parameters(self: Any, source: Any, names: Sequence[str]) -> None:
-        """Declare one numeric parameter vector whose elements are attributes of ``source``."""
-        values = source if isinstance(source, Mapping) else {n: getattr(source, n) for n in names}
-        self._values = _named_values(names)
-        self.DeclareNumericParameter(BasicVector_[self._scalar]([float(values[n]) for n in names]))
+    def _declare_parameters(self: Any, source: Any, names: Sequence[str] = ()) -> None:
+        """Declare one numeric parameter vector: a mapping, or ``names`` of another object."""
+        values = source if isinstance(source, Mapping) else values_of(source, *names)
+        self._values = _named_values(tuple(values))
+        self.DeclareNumericParameter(
+            BasicVector_[self._scalar]([float(value) for value in values.values()])
+        )
 
     def _declare_output(
         self: Any,

@@ -8,7 +8,7 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.parameters import BldcPumpParameters
-from kneexo.systems._leaf import NamedLeaf, clip, require_finite
+from kneexo.systems._leaf import NamedLeaf, clip, require_finite, values_of
 
 
 def motor_acceleration(
@@ -25,6 +25,19 @@ def motor_acceleration(
 def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, leakage: Any) -> Any:
     """Load flow Q_L = D_m ω/gear − (C_im + C_em/2) P_L in m³/s (Eq. 13)."""
     return displacement * speed / gear_ratio - leakage * pressure
+
+
+def context_values(parameters: BldcPumpParameters) -> dict[str, float]:
+    """Context parameters of `BldcPump`."""
+    return values_of(
+        parameters,
+        "speed_limit_rad_s",
+        "lag_s",
+        "acceleration_limit_rad_s2",
+        "gear_ratio",
+        "displacement_m3_per_rad",
+        "leakage_m3_per_s_pa",
+    )
 
 
 @TemplateSystem.define("BldcPump_")
@@ -66,17 +79,7 @@ def BldcPump_(T: Any) -> Any:
             converter: Any = None,
         ) -> None:
             self._begin(T, converter, parameters, ideal)
-            self._declare_parameters(
-                parameters,
-                (
-                    "speed_limit_rad_s",
-                    "lag_s",
-                    "acceleration_limit_rad_s2",
-                    "gear_ratio",
-                    "displacement_m3_per_rad",
-                    "leakage_m3_per_s_pa",
-                ),
-            )
+            self._declare_parameters(context_values(parameters))
             self._ideal = ideal
             self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
             self._pressure = self.DeclareVectorInputPort("load_pressure", 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -13,9 +14,36 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import SimulationError
-from kneexo.linkage import fit_rod_inverse, icr, polynomial
+from kneexo.linkage import RodInverse, fit_rod_inverse, icr, polynomial
 from kneexo.parameters import KneeParameters, LinkageParameters, RodPolynomialParameters
-from kneexo.systems._leaf import NamedLeaf
+from kneexo.systems._leaf import NamedLeaf, values_of
+
+
+def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[Any]:
+    """θ_p, θ_4 and r at a rod extension in m, by the three ``polynomials`` of a `RodInverse`.
+
+    ``p`` has the dead centre and the scaling.
+    """
+    # Beyond the dead centre there is no knee angle; the check of the system reports it.
+    root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 0.0))
+    t = (root - p.centre) / p.half_width
+    return [polynomial(coefficients, t) for coefficients in polynomials]
+
+
+def context_values(
+    parameters: LinkageParameters, knee: KneeParameters, fit: RodInverse
+) -> dict[str, float]:
+    """The named Context parameters of `FourBarKnee`."""
+    return {
+        **values_of(
+            parameters,
+            *("o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m", "a_3_m", "a_4_m", "phi_rad"),
+        ),
+        **values_of(fit, "dead_centre_m", "centre", "half_width"),
+        "flexion_min_rad": math.radians(knee.flexion_min_deg),
+        "flexion_max_rad": math.radians(knee.flexion_max_deg),
+        "overshoot_rad": math.radians(knee.overshoot_deg),
+    }
 
 
 @TemplateSystem.define("FourBarKnee_")
@@ -61,16 +89,7 @@ def FourBarKnee_(T: Any) -> Any:
         ) -> None:
             self._begin(T, converter, parameters, knee, table_1)
             fit = fit_rod_inverse(parameters, table_1)
-            names = ("o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m", "a_3_m", "a_4_m", "phi_rad")
-            values = {name: getattr(parameters, name) for name in names} | {
-                "dead_centre_m": fit.dead_centre_m,
-                "centre": fit.centre,
-                "half_width": fit.half_width,
-                "flexion_min_rad": math.radians(knee.flexion_min_deg),
-                "flexion_max_rad": math.radians(knee.flexion_max_deg),
-                "overshoot_rad": math.radians(knee.overshoot_deg),
-            }
-            self._declare_parameters(values, tuple(values))
+            self._declare_parameters(context_values(parameters, knee, fit))
             for coefficients in (fit.knee_angle, fit.encoder_angle, fit.moment_arm):
                 self.DeclareNumericParameter(BasicVector_[T](list(coefficients)))
             self._extension = self.DeclareVectorInputPort("rod_extension", 1)
@@ -91,13 +110,9 @@ def FourBarKnee_(T: Any) -> Any:
         def _calc_kinematics(self, context: Any) -> list[Any]:
             p = self.parameters(context)
             x = self._extension.Eval(context)[0]
-            # Beyond the dead centre there is no knee angle; the check below reports it.
-            root = drake_math.sqrt(drake_math.max(p.dead_centre_m - x, 0.0))
-            t = (root - p.centre) / p.half_width
-            return [
-                polynomial(context.get_numeric_parameter(i).CopyToVector().tolist(), t)
-                for i in (1, 2, 3)
-            ]
+            return knee_kinematics(
+                p, (context.get_numeric_parameter(i).CopyToVector().tolist() for i in (1, 2, 3)), x
+            )
 
         def _pose(self, context: Any) -> Any:
             return self._kinematics.Eval(context)
@@ -110,11 +125,17 @@ def FourBarKnee_(T: Any) -> Any:
             theta_p, theta_4, _ = self._pose(context)
             return icr(p, theta_p - p.phi_rad, theta_4, xp=drake_math)
 
-        def _check(self, context: Any) -> None:
+        def margin(self, context: Any) -> Any:
+            """Rest of the range of motion and its overshoot in rad; a run stops below zero."""
             p = self.parameters(context)
             angle = self._pose(context)[0]
-            below, above = p.flexion_min_rad - angle, angle - p.flexion_max_rad
-            if not max(below, above) <= p.overshoot_rad:
+            inside = drake_math.min(angle - p.flexion_min_rad, p.flexion_max_rad - angle)
+            return inside + p.overshoot_rad
+
+        def _check(self, context: Any) -> None:
+            if not self.margin(context) >= 0.0:
+                p = self.parameters(context)
+                angle = self._pose(context)[0]
                 raise SimulationError(
                     f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle = "
                     f"{math.degrees(angle):.6g} deg left the range of motion "

@@ -23,8 +23,13 @@ from kneexo.parameters import (
     CylinderParameters,
     FullCylinderParameters,
 )
-from kneexo.systems._leaf import NamedLeaf, clip, require_finite, value_or_zero
-from kneexo.systems.reduced_cylinder import PA_PER_MPA, require_in_stroke, start_extension
+from kneexo.systems._leaf import NamedLeaf, clip, require_finite, value_or_zero, values_of
+from kneexo.systems.reduced_cylinder import (
+    PA_PER_MPA,
+    require_in_stroke,
+    start_extension,
+    stroke_margin,
+)
 
 _LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus of air is not continued below
 
@@ -88,6 +93,29 @@ def holding_pressures(
     if force > reservoir * (cap_area - rod_side_area):
         return (force + reservoir * rod_side_area) / cap_area, reservoir
     return reservoir, (reservoir * cap_area - force) / rod_side_area
+
+
+def context_values(
+    parameters: CylinderParameters,
+    full_order: FullCylinderParameters,
+    pump_external_leakage_m3_per_s_pa: float,
+) -> dict[str, float]:
+    """Context parameters of `FullCylinder`."""
+    return {
+        **values_of(
+            parameters,
+            "cap_area_m2",
+            "rod_side_area_m2",
+            "bulk_modulus_pa",
+            "leakage_m3_per_s_pa",
+            "mass_kg",
+            "damping_n_s_per_m",
+            "stiffness_n_per_m",
+            "stroke_m",
+        ),
+        "pump_external_leakage_m3_per_s_pa": pump_external_leakage_m3_per_s_pa,
+        **dict(full_order),
+    }
 
 
 @TemplateSystem.define("FullCylinder_")
@@ -158,19 +186,9 @@ def FullCylinder_(T: Any) -> Any:
                 initial_pressures_pa,
                 pump_external_leakage_m3_per_s_pa,
             )
-            values = {
-                "cap_area_m2": parameters.cap_area_m2,
-                "rod_side_area_m2": parameters.rod_side_area_m2,
-                "bulk_modulus_pa": parameters.bulk_modulus_pa,
-                "leakage_m3_per_s_pa": parameters.leakage_m3_per_s_pa,
-                "mass_kg": parameters.mass_kg,
-                "damping_n_s_per_m": parameters.damping_n_s_per_m,
-                "stiffness_n_per_m": parameters.stiffness_n_per_m,
-                "stroke_m": parameters.stroke_m,
-                "pump_external_leakage_m3_per_s_pa": pump_external_leakage_m3_per_s_pa,
-                **dict(full_order),
-            }
-            self._declare_parameters(values, tuple(values))
+            self._declare_parameters(
+                context_values(parameters, full_order, pump_external_leakage_m3_per_s_pa)
+            )
             extension = start_extension(parameters, initial_extension_m)
             if initial_pressures_pa is None:
                 initial_pressures_pa = holding_pressures(
@@ -297,6 +315,10 @@ def FullCylinder_(T: Any) -> Any:
             vector = derivatives.get_mutable_vector()
             for index, rate in enumerate(rates):
                 vector.SetAtIndex(index, rate)
+
+        def margin(self, context: Any) -> Any:
+            """Distance to the nearer end of the stroke in m; a compiled run stops below zero."""
+            return stroke_margin(self._state(context)[0], self.parameters(context).stroke_m)
 
         def _check(self, context: Any) -> None:
             stroke = self.parameters(context).stroke_m

@@ -10,7 +10,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.linkage import eq6_sign, knee_angle_from_encoder, polynomial, polynomial_derivative
 from kneexo.parameters import LinkageParameters, RodPolynomialParameters
-from kneexo.systems._leaf import NamedLeaf
+from kneexo.systems._leaf import NamedLeaf, values_of
 
 
 def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
@@ -34,8 +34,24 @@ def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
 _COEFFICIENTS = ("p_1", "p_2", "p_3", "p_4", "p_5", "p_6")
 
 
-def _named(table_1: RodPolynomialParameters) -> dict[str, float]:
+def rod_polynomial_values(table_1: RodPolynomialParameters) -> dict[str, float]:
+    """Context parameters of `RodReference`: Eq. 10 in SI."""
     return dict(zip(_COEFFICIENTS, table_1.p_si, strict=True))
+
+
+def context_values(
+    parameters: LinkageParameters, table_1: RodPolynomialParameters, offset_rad: float
+) -> dict[str, float]:
+    """Context parameters of `KneeCoordinates`; raises `LinkageError` as it does."""
+    return {
+        **values_of(
+            parameters,
+            *("o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m", "a_2_m", "a_3_m", "a_4_m", "phi_rad"),
+        ),
+        "eq6_sign": eq6_sign(parameters),
+        "offset_rad": offset_rad,
+        **rod_polynomial_values(table_1),
+    }
 
 
 @TemplateSystem.define("KneeCoordinates_")
@@ -71,13 +87,7 @@ def KneeCoordinates_(T: Any) -> Any:
             converter: Any = None,
         ) -> None:
             self._begin(T, converter, parameters, table_1, offset_rad)
-            names = ("o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m", "a_2_m", "a_3_m", "a_4_m")
-            values = {name: getattr(parameters, name) for name in (*names, "phi_rad")} | {
-                "eq6_sign": eq6_sign(parameters),
-                "offset_rad": offset_rad,
-                **_named(table_1),
-            }
-            self._declare_parameters(values, tuple(values))
+            self._declare_parameters(context_values(parameters, table_1, offset_rad))
             self._reading = self.DeclareVectorInputPort("encoder_reading", 1)
             given = self.all_parameters_ticket()
             self._knee_angle = self._declare_output(
@@ -128,7 +138,7 @@ def RodReference_(T: Any) -> Any:
             converter: Any = None,
         ) -> None:
             self._begin(T, converter, table_1)
-            self._declare_parameters(_named(table_1), _COEFFICIENTS)
+            self._declare_parameters(rod_polynomial_values(table_1))
             self._knee = self.DeclareVectorInputPort("knee_reference", 4)
             self._declare_output(
                 "rod_reference", 4, self._calc, self._knee, self.all_parameters_ticket()

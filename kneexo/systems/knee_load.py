@@ -10,7 +10,7 @@ from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.parameters import KneeLoadParameters
-from kneexo.systems._leaf import NamedLeaf, value_or_zero
+from kneexo.systems._leaf import NamedLeaf, value_or_zero, values_of
 
 
 def weight_torque(
@@ -18,6 +18,47 @@ def weight_torque(
 ) -> Any:
     """Torque of the shank's weight in N·m, positive in flexion: m g l sin(α − θ_p)."""
     return mass * gravity * centre_of_mass * drake_math.sin(thigh_inclination - knee_angle)
+
+
+def load_force(
+    p: Any,
+    knee_angle: Any,
+    moment_arm: Any,
+    time: Any,
+    *,
+    torque: Any = 0.0,
+    disturbance: Any = 0.0,
+) -> Any:
+    """Force that opposes extension of the rod in N; ``p`` has the names of `KneeLoadParameters`."""
+    torque = (
+        weight_torque(
+            knee_angle,
+            mass=p.segment_mass_kg,
+            centre_of_mass=p.centre_of_mass_m,
+            thigh_inclination=p.thigh_inclination_rad,
+            gravity=p.gravity_m_s2,
+        )
+        + p.knee_torque_n_m
+        + torque
+    )
+    phase = 2.0 * math.pi * p.disturbance_frequency_hz * time
+    disturbance = p.disturbance_n + p.disturbance_amplitude_n * drake_math.sin(phase) + disturbance
+    return torque / moment_arm + disturbance
+
+
+def context_values(parameters: KneeLoadParameters) -> dict[str, float]:
+    """Context parameters of `KneeLoad`."""
+    return values_of(
+        parameters,
+        "segment_mass_kg",
+        "centre_of_mass_m",
+        "thigh_inclination_rad",
+        "gravity_m_s2",
+        "knee_torque_n_m",
+        "disturbance_n",
+        "disturbance_amplitude_n",
+        "disturbance_frequency_hz",
+    )
 
 
 @TemplateSystem.define("KneeLoad_")
@@ -50,19 +91,7 @@ def KneeLoad_(T: Any) -> Any:
             self, parameters: KneeLoadParameters = KneeLoadParameters(), *, converter: Any = None
         ) -> None:
             self._begin(T, converter, parameters)
-            self._declare_parameters(
-                parameters,
-                (
-                    "segment_mass_kg",
-                    "centre_of_mass_m",
-                    "thigh_inclination_rad",
-                    "gravity_m_s2",
-                    "knee_torque_n_m",
-                    "disturbance_n",
-                    "disturbance_amplitude_n",
-                    "disturbance_frequency_hz",
-                ),
-            )
+            self._declare_parameters(context_values(parameters))
             self._angle = self.DeclareVectorInputPort("knee_angle", 1)
             self._arm = self.DeclareVectorInputPort("moment_arm", 1)
             self._torque = self.DeclareVectorInputPort("knee_torque", 1)
@@ -83,25 +112,16 @@ def KneeLoad_(T: Any) -> Any:
             Impl._construct(self, *other._arguments, converter=converter)
 
         def _calc(self, context: Any) -> list[Any]:
-            p = self.parameters(context)
-            torque = (
-                weight_torque(
+            return [
+                load_force(
+                    self.parameters(context),
                     self._angle.Eval(context)[0],
-                    mass=p.segment_mass_kg,
-                    centre_of_mass=p.centre_of_mass_m,
-                    thigh_inclination=p.thigh_inclination_rad,
-                    gravity=p.gravity_m_s2,
+                    self._arm.Eval(context)[0],
+                    context.get_time(),
+                    torque=value_or_zero(self._torque, context),
+                    disturbance=value_or_zero(self._disturbance, context),
                 )
-                + p.knee_torque_n_m
-                + value_or_zero(self._torque, context)
-            )
-            phase = 2.0 * math.pi * p.disturbance_frequency_hz * context.get_time()
-            disturbance = (
-                p.disturbance_n
-                + p.disturbance_amplitude_n * drake_math.sin(phase)
-                + value_or_zero(self._disturbance, context)
-            )
-            return [torque / self._arm.Eval(context)[0] + disturbance]
+            ]
 
     return Impl
 

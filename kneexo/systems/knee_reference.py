@@ -10,7 +10,9 @@ samples in.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,12 +35,14 @@ from kneexo.systems._leaf import NamedLeaf, clip, where_positive
 class _KneeReference(NamedLeaf):
     """One output that depends on time and on the named Context parameters."""
 
-    def _declare(self: Any, values: dict[str, float]) -> None:
-        self._declare_parameters(values, tuple(values))
+    def _declare(
+        self: Any, values: dict[str, float], evaluate: Callable[[Any, Any], list[Any]]
+    ) -> None:
+        self._declare_parameters(values)
         self._declare_output(
             "knee_reference",
             4,
-            lambda c: self._calc(c.get_time(), self.parameters(c)),
+            lambda c: evaluate(c.get_time(), self.parameters(c)),
             self.time_ticket(),
             self.all_parameters_ticket(),
         )
@@ -67,6 +71,51 @@ def _product_derivatives(u: list[Any], v: list[Any]) -> list[Any]:
     return [sum(math.comb(n, k) * u[k] * v[n - k] for k in range(n + 1)) for n in range(len(u))]
 
 
+def sine(time: Any, p: Any) -> list[Any]:
+    """θ_d = mean − w(t)·amplitude·cos(2πft) and three derivatives; ``p`` as `context_values`."""
+    omega = 2.0 * math.pi * p.frequency_hz
+    cosine = p.amplitude_rad * drake_math.cos(omega * time)
+    sine = p.amplitude_rad * drake_math.sin(omega * time)
+    wave = [-cosine, omega * sine, omega * omega * cosine, -omega * omega * omega * sine]
+    angle, *rates = _product_derivatives(_ramp(time, p.ramp_s), wave)
+    return [p.mean_rad + angle, *rates]
+
+
+def step(time: Any, p: Any) -> list[Any]:
+    """θ_d that jumps just after its time, and three derivatives; ``p`` as `context_values`."""
+    return [where_positive(time - p.time_s, p.end_rad, p.start_rad), 0.0, 0.0, 0.0]
+
+
+def ramp(time: Any, p: Any) -> list[Any]:
+    """θ_d at a constant rate from start to end, and derivatives; ``p`` as `context_values`."""
+    distance = p.end_rad - p.start_rad
+    travel = drake_math.abs(distance)
+    direction = where_positive(distance, 1.0, -1.0)
+    covered = p.rate_rad_s * (time - p.time_s)
+    inside = where_positive(covered, where_positive(travel - covered, 1.0, 0.0), 0.0)
+    angle = p.start_rad + direction * clip(covered, 0.0, travel)
+    return [angle, direction * p.rate_rad_s * inside, 0.0, 0.0]
+
+
+def context_values(parameters: SineReference | StepReference | RampReference) -> dict[str, float]:
+    """Context parameters of the reference system of a parameter class."""
+    if isinstance(parameters, SineReference):
+        return {
+            "mean_rad": math.radians(parameters.mean_deg),
+            "amplitude_rad": math.radians(parameters.amplitude_deg),
+            "frequency_hz": parameters.frequency_hz,
+            "ramp_s": parameters.ramp_s,
+        }
+    values = {
+        "start_rad": math.radians(parameters.start_deg),
+        "end_rad": math.radians(parameters.end_deg),
+        "time_s": parameters.time_s,
+    }
+    if isinstance(parameters, RampReference):
+        values["rate_rad_s"] = math.radians(parameters.rate_deg_s)
+    return values
+
+
 @TemplateSystem.define("SineKneeReference_")
 def SineKneeReference_(T: Any) -> Any:
     """Sinusoidal reference for the scalar ``T``."""
@@ -82,25 +131,10 @@ def SineKneeReference_(T: Any) -> Any:
             self, parameters: SineReference = SineReference(), *, converter: Any = None
         ) -> None:
             self._begin(T, converter, parameters)
-            self._declare(
-                {
-                    "mean_rad": math.radians(parameters.mean_deg),
-                    "amplitude_rad": math.radians(parameters.amplitude_deg),
-                    "frequency_hz": parameters.frequency_hz,
-                    "ramp_s": parameters.ramp_s,
-                }
-            )
+            self._declare(context_values(parameters), sine)
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
             Impl._construct(self, *other._arguments, converter=converter)
-
-        def _calc(self, time: Any, p: Any) -> list[Any]:
-            omega = 2.0 * math.pi * p.frequency_hz
-            cosine = p.amplitude_rad * drake_math.cos(omega * time)
-            sine = p.amplitude_rad * drake_math.sin(omega * time)
-            wave = [-cosine, omega * sine, omega * omega * cosine, -omega * omega * omega * sine]
-            angle, *rates = _product_derivatives(_ramp(time, p.ramp_s), wave)
-            return [p.mean_rad + angle, *rates]
 
     return Impl
 
@@ -122,19 +156,10 @@ def StepKneeReference_(T: Any) -> Any:
             self, parameters: StepReference = StepReference(), *, converter: Any = None
         ) -> None:
             self._begin(T, converter, parameters)
-            self._declare(
-                {
-                    "start_rad": math.radians(parameters.start_deg),
-                    "end_rad": math.radians(parameters.end_deg),
-                    "time_s": parameters.time_s,
-                }
-            )
+            self._declare(context_values(parameters), step)
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
             Impl._construct(self, *other._arguments, converter=converter)
-
-        def _calc(self, time: Any, p: Any) -> list[Any]:
-            return [where_positive(time - p.time_s, p.end_rad, p.start_rad), 0.0, 0.0, 0.0]
 
     return Impl
 
@@ -156,30 +181,10 @@ def RampKneeReference_(T: Any) -> Any:
             self, parameters: RampReference = RampReference(), *, converter: Any = None
         ) -> None:
             self._begin(T, converter, parameters)
-            self._declare(
-                {
-                    "start_rad": math.radians(parameters.start_deg),
-                    "end_rad": math.radians(parameters.end_deg),
-                    "time_s": parameters.time_s,
-                    "rate_rad_s": math.radians(parameters.rate_deg_s),
-                }
-            )
+            self._declare(context_values(parameters), ramp)
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
             Impl._construct(self, *other._arguments, converter=converter)
-
-        def _calc(self, time: Any, p: Any) -> list[Any]:
-            distance = p.end_rad - p.start_rad
-            travel = drake_math.abs(distance)
-            direction = where_positive(distance, 1.0, -1.0)
-            covered = p.rate_rad_s * (time - p.time_s)
-            inside = where_positive(covered, where_positive(travel - covered, 1.0, 0.0), 0.0)
-            return [
-                p.start_rad + direction * clip(covered, 0.0, travel),
-                direction * p.rate_rad_s * inside,
-                0.0,
-                0.0,
-            ]
 
     return Impl
 
@@ -202,14 +207,25 @@ def make_knee_reference(
     if isinstance(parameters, RampReference):
         return RampKneeReference(parameters)
     return TrajectorySource(
-        _spline(parameters), output_derivative_order=3, zero_derivatives_beyond_limits=True
+        sampled_spline(parameters), output_derivative_order=3, zero_derivatives_beyond_limits=True
     )
 
 
-def _spline(parameters: SampledReference) -> Any:
+def sampled_spline(parameters: SampledReference) -> Any:
+    """Drake's cubic spline through the samples, in rad."""
     return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
         np.array(parameters.times_s), np.radians([parameters.angles_deg])
     )
+
+
+def start_angle_rad(
+    parameters: SineReference | StepReference | RampReference | SampledReference,
+) -> float:
+    """θ_d at t = 0."""
+    if isinstance(parameters, SampledReference):
+        return float(sampled_spline(parameters).value(0.0)[0, 0])
+    evaluate = {"sine": sine, "step": step, "ramp": ramp}[parameters.kind]
+    return float(evaluate(0.0, SimpleNamespace(**context_values(parameters)))[0])
 
 
 def reference_range_deg(
@@ -218,7 +234,7 @@ def reference_range_deg(
     """Smallest and largest knee angle of a reference in deg; for a spline, between samples too."""
     if not isinstance(parameters, SampledReference):
         return parameters.range_deg
-    spline = _spline(parameters)
+    spline = sampled_spline(parameters)
     samples = parameters.times_s
     times = [*samples]
     for start, end in pairwise(samples):  # the rate is a parabola in between

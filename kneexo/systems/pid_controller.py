@@ -9,7 +9,26 @@ from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.parameters import PidParameters, PlantParameters
-from kneexo.systems._leaf import NamedLeaf, clip, discrete_state
+from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, values_of
+
+
+def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[str, float]:
+    """Context parameters of `PidController`."""
+    speed_gain = plant.pump.gear_ratio * plant.cylinder.mean_area_m2
+    return {
+        **values_of(
+            parameters,
+            "proportional_per_s",
+            "integral_per_s2",
+            "derivative",
+            "filter_s",
+            "anti_windup_s",
+            "velocity_feedforward",
+            "moment_arm_m",
+            "command_limit_rad_s",
+        ),
+        "speed_gain_rad_per_m": speed_gain / plant.pump.displacement_m3_per_rad,
+    }
 
 
 @TemplateSystem.define("PidController_")
@@ -49,22 +68,7 @@ def PidController_(T: Any) -> Any:
             converter: Any = None,
         ) -> None:
             self._begin(T, converter, parameters, plant)
-            names = (
-                "proportional_per_s",
-                "integral_per_s2",
-                "derivative",
-                "filter_s",
-                "anti_windup_s",
-                "velocity_feedforward",
-                "moment_arm_m",
-                "command_limit_rad_s",
-            )
-            values = {name: getattr(parameters, name) for name in names} | {
-                "speed_gain_rad_per_m": plant.pump.gear_ratio
-                * plant.cylinder.mean_area_m2
-                / plant.pump.displacement_m3_per_rad
-            }
-            self._declare_parameters(values, tuple(values))
+            self._declare_parameters(context_values(parameters, plant))
             self._sample_time = parameters.sample_time_s
             self._knee_angle = self.DeclareVectorInputPort("knee_angle", 1)
             self._knee_reference = self.DeclareVectorInputPort("knee_reference", 4)

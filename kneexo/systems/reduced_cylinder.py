@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import pydrake.math as drake_math
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import BasicVector_, LeafSystem_
@@ -12,7 +13,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import CylinderParameters
-from kneexo.systems._leaf import NamedLeaf, require_finite, value_or_zero
+from kneexo.systems._leaf import NamedLeaf, require_finite, value_or_zero, values_of
 
 PA_PER_MPA = 1e6
 
@@ -50,14 +51,34 @@ def start_extension(parameters: CylinderParameters, initial_extension_m: float |
     return initial_extension_m
 
 
+def stroke_margin(extension: Any, stroke: Any) -> Any:
+    """Distance of the rod extension to the nearer end of the stroke in m; negative outside."""
+    return drake_math.min(extension, stroke - extension)
+
+
 def require_in_stroke(system: Any, context: Any, extension: float, stroke: float) -> None:
     """Raise `SimulationError` when the rod extension (m) has left 0…``stroke``."""
-    if not 0.0 <= extension <= stroke:
+    if not stroke_margin(extension, stroke) >= 0.0:
         raise SimulationError(
             f"t = {context.get_time():.6g} s: {system.get_name()}: rod_extension = "
             f"{extension:.6g} m left the stroke 0 … {stroke:g} m; reduce the motion, the load or "
             f"the step"
         )
+
+
+def context_values(parameters: CylinderParameters) -> dict[str, float]:
+    """Context parameters of `ReducedCylinder`."""
+    return values_of(
+        parameters,
+        "mean_area_m2",
+        "total_volume_m3",
+        "bulk_modulus_pa",
+        "leakage_m3_per_s_pa",
+        "mass_kg",
+        "damping_n_s_per_m",
+        "stiffness_n_per_m",
+        "stroke_m",
+    )
 
 
 @TemplateSystem.define("ReducedCylinder_")
@@ -101,19 +122,7 @@ def ReducedCylinder_(T: Any) -> Any:
             converter: Any = None,
         ) -> None:
             self._begin(T, converter, parameters, initial_extension_m, initial_pressure_pa)
-            self._declare_parameters(
-                parameters,
-                (
-                    "mean_area_m2",
-                    "total_volume_m3",
-                    "bulk_modulus_pa",
-                    "leakage_m3_per_s_pa",
-                    "mass_kg",
-                    "damping_n_s_per_m",
-                    "stiffness_n_per_m",
-                    "stroke_m",
-                ),
-            )
+            self._declare_parameters(context_values(parameters))
             extension = start_extension(parameters, initial_extension_m)
             if not math.isfinite(initial_pressure_pa):
                 raise ParameterError(
@@ -177,6 +186,10 @@ def ReducedCylinder_(T: Any) -> Any:
             vector.SetAtIndex(0, v)
             vector.SetAtIndex(1, acceleration)
             vector.SetAtIndex(2, pressure_dot / PA_PER_MPA)
+
+        def margin(self, context: Any) -> Any:
+            """Distance to the nearer end of the stroke in m; a compiled run stops below zero."""
+            return stroke_margin(self._state(context)[0], self.parameters(context).stroke_m)
 
         def _check(self, context: Any) -> None:
             stroke = self.parameters(context).stroke_m

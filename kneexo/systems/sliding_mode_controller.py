@@ -9,7 +9,7 @@ from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.parameters import PlantParameters, SlidingModeParameters
-from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, where_positive
+from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, values_of, where_positive
 
 
 def sliding_variable(state: Any, reference: Any, lambda_: Any) -> Any:
@@ -26,9 +26,11 @@ def sliding_mode_command(state: Any, reference: Any, p: Any, signum: bool = Fals
 
     u = b̂⁻¹(û − k sat(s/Φ)),  û = −f̂ + x⃛_d − 2λë − λ²ė,
     f̂ = −(4β_eĀ²/(m̂V_t) + K/m̂) v − (B/m̂) a,  b̂ = 4β_eĀD_m/(gear·m̂V_t),
-    k = (ΔK|v| + ΔB|a| + ΔḞ_L)/m̂ + |1 − β||x⃛_d − 2λë − λ²ė| + βη.
+    k = (ΔK|v| + ΔB|a| + ΔḞ_L)/m̂ + ω̂²|ΔA/Ā||v| + |1 − β||x⃛_d − 2λë − λ²ė| + βη,
+    with ω̂² = 4β_eĀ²/(m̂V_t).
 
-    Eq. 27 lacks the absolute values of v and a, and Eq. 23 prints the inverse of
+    The second term of k is not in Eq. 27, and zero by default: it covers a chamber whose area is
+    not Ā. Eq. 27 lacks the absolute values of v and a, and Eq. 23 prints the inverse of
     β = √(b_max/b_min). ``p`` holds the Context parameters of `SlidingModeController`; ``signum``
     takes sgn(s) in place of sat(s/Φ).
     """
@@ -50,6 +52,7 @@ def sliding_mode_command(state: Any, reference: Any, p: Any, signum: bool = Fals
             + p.load_rate_uncertainty_n_per_s
         )
         / p.mass_estimate_kg
+        + p.area_uncertainty * hydraulic * p.mean_area_m2 * drake_math.abs(v)
         + drake_math.abs(1.0 - p.gain_ratio) * drake_math.abs(demand)
         + p.gain_ratio * p.eta_m_s3
     )
@@ -58,6 +61,34 @@ def sliding_mode_command(state: Any, reference: Any, p: Any, signum: bool = Fals
     else:
         switch = clip(s / p.phi_m_s2, -1.0, 1.0)
     return (demand - f - k * switch) / b
+
+
+def context_values(parameters: SlidingModeParameters, plant: PlantParameters) -> dict[str, float]:
+    """Context parameters of `SlidingModeController`."""
+    return {
+        **values_of(
+            parameters,
+            "lambda_per_s",
+            "phi_m_s2",
+            "eta_m_s3",
+            "stiffness_uncertainty_n_per_m",
+            "damping_uncertainty_n_s_per_m",
+            "load_rate_uncertainty_n_per_s",
+            "area_uncertainty",
+            "mass_estimate_kg",
+            "gain_ratio",
+            "command_limit_rad_s",
+        ),
+        **values_of(
+            plant.cylinder,
+            "mean_area_m2",
+            "total_volume_m3",
+            "bulk_modulus_pa",
+            "damping_n_s_per_m",
+            "stiffness_n_per_m",
+        ),
+        **values_of(plant.pump, "gear_ratio", "displacement_m3_per_rad"),
+    }
 
 
 @TemplateSystem.define("SlidingModeController_")
@@ -92,35 +123,7 @@ def SlidingModeController_(T: Any) -> Any:
             converter: Any = None,
         ) -> None:
             self._begin(T, converter, parameters, plant)
-            own = (
-                "lambda_per_s",
-                "phi_m_s2",
-                "eta_m_s3",
-                "stiffness_uncertainty_n_per_m",
-                "damping_uncertainty_n_s_per_m",
-                "load_rate_uncertainty_n_per_s",
-                "mass_estimate_kg",
-                "gain_ratio",
-                "command_limit_rad_s",
-            )
-            of_cylinder = (
-                "mean_area_m2",
-                "total_volume_m3",
-                "bulk_modulus_pa",
-                "damping_n_s_per_m",
-                "stiffness_n_per_m",
-            )
-            of_pump = ("gear_ratio", "displacement_m3_per_rad")
-            values = {
-                name: getattr(source, name)
-                for source, names in (
-                    (parameters, own),
-                    (plant.cylinder, of_cylinder),
-                    (plant.pump, of_pump),
-                )
-                for name in names
-            }
-            self._declare_parameters(values, tuple(values))
+            self._declare_parameters(context_values(parameters, plant))
             self._signum = parameters.switching == "signum"
             self._state = self.DeclareVectorInputPort("estimated_state", 3)
             self._reference = self.DeclareVectorInputPort("rod_reference", 4)

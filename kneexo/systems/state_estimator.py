@@ -16,7 +16,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import ObserverParameters, SlidingModeParameters
-from kneexo.systems._leaf import NamedLeaf, discrete_state
+from kneexo.systems._leaf import NamedLeaf, discrete_state, values_of
 
 _SAMPLE_TIME_S = SlidingModeParameters().sample_time_s
 
@@ -71,7 +71,7 @@ def TrackingObserver_(T: Any) -> Any:
             converter: Any = None,
         ) -> None:
             self._begin(T, converter, parameters, sample_time_s)
-            self._declare_parameters(parameters, ("time_constant_s",))
+            self._declare_parameters(values_of(parameters, "time_constant_s"))
             self._sample_time = _checked(sample_time_s)
             self._position = self.DeclareVectorInputPort("measured_position", 1)
             self._estimate = self._declare_output(

@@ -23,6 +23,7 @@ from kneexo.parameters import (
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
+    FullCylinderParameters,
     KneeLoadParameters,
     ObserverParameters,
     PidParameters,
@@ -51,6 +52,7 @@ def logged(diagram, context, scenario, *names):
 # ------------------------------------------------------------------------------ structure
 
 LOADED = PlantParameters(load=KneeLoadParameters(knee_torque_n_m=1.5))
+FULL_ORDER = PlantParameters(full_order=FullCylinderParameters())
 STRUCTURES = {
     "smc": (Scenario(), {"estimator"}, set()),
     "smc, loaded": (Scenario(plant=LOADED), {"estimator"}, {"knee_torque"}),
@@ -61,6 +63,7 @@ STRUCTURES = {
     "pid": (Scenario(controller=PidParameters()), set(), set()),
     "smc, can": (Scenario(can_delay_samples=1), {"estimator", "can_bus"}, set()),
     "pid, can": (Scenario(controller=PidParameters(), can_delay_samples=2), {"can_bus"}, set()),
+    "full order": (Scenario(plant=FULL_ORDER), {"estimator"}, set()),
 }
 OUTPUTS = {
     "knee_reference": 4,
@@ -84,6 +87,7 @@ OUTPUTS = {
     "shaft_power": 1,
     "hydraulic_power": 1,
 }
+FULL_ORDER_OUTPUTS = {"chamber_pressures": 2, "makeup_flow": 2, "relief_flow": 2}
 
 
 @pytest.mark.parametrize("case", STRUCTURES)
@@ -98,6 +102,8 @@ def test_subsystems_and_exported_ports_are_named(case):
     outputs = dict(OUTPUTS)
     if scenario.controller.kind == "pid":
         del outputs["estimated_state"], outputs["sliding_variable"]
+    if scenario.plant.full_order is not None:
+        outputs |= FULL_ORDER_OUTPUTS
     ports = [diagram.get_output_port(i) for i in range(diagram.num_output_ports())]
     assert {port.get_name(): port.size() for port in ports} == outputs
     assert set(available_signals(scenario)) == set(outputs)
@@ -133,6 +139,26 @@ def test_log_holds_only_the_signals_asked_for_in_their_order(fixed_step):
     expected = np.concatenate([diagram.GetOutputPort(name).Eval(context) for name in signals])
     assert columns(signals) == ("rod_velocity_m_s", "icr_x_m", "icr_y_m", "knee_angle_rad")
     np.testing.assert_array_equal(log.data()[:, -1], expected)
+
+
+def test_pressures_and_valve_flows_of_the_full_order_are_logged_by_name(fixed_step):
+    names = ("load_pressure", "chamber_pressures", "makeup_flow", "relief_flow")
+    diagram = make_closed_loop(Scenario(plant=FULL_ORDER), signals=names)
+    simulator = fixed_step(diagram, "radau3", PERIOD)
+    simulator.AdvanceTo(0.5)
+    log = diagram.GetSubsystemByName("log").FindLog(simulator.get_context())
+    run = dict(zip(columns(names), log.data(), strict=True))
+    across = run["cap_pressure_pa"] - run["rod_side_pressure_pa"]
+    np.testing.assert_allclose(run["load_pressure_pa"], across, rtol=1e-12, atol=1e-6)
+    # Without load the rod side carries: the knee flexes, A_1 hands out what A_2 does not take.
+    assert run["cap_makeup_flow_m3_s"][-1] < -1e-8
+    assert run["cap_relief_flow_m3_s"].max() == run["rod_side_relief_flow_m3_s"].max() == 0.0
+
+
+@pytest.mark.parametrize("name", sorted(FULL_ORDER_OUTPUTS))
+def test_reduced_order_has_no_chambers_to_log(name):
+    with pytest.raises(ParameterError, match=rf"^signal '{name}' is unknown; known: knee_ref"):
+        make_closed_loop(signals=[name])
 
 
 def test_without_signals_there_is_no_log_but_every_output():

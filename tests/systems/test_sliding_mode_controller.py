@@ -27,6 +27,7 @@ UNCERTAIN = {
     "stiffness_uncertainty_n_per_m": 300.0,
     "damping_uncertainty_n_s_per_m": 20.0,
     "load_rate_uncertainty_n_per_s": 50.0,
+    "area_uncertainty": 0.1,
 }
 PLANT = PlantParameters(
     cylinder=CylinderParameters(stiffness_n_per_m=150.0, damping_n_s_per_m=12.0),
@@ -68,7 +69,7 @@ def written_out(state, reference, *, signum=False):
     demand = reference[3] - 2.0 * lambda_ * (a - reference[2]) - lambda_**2 * (v - reference[1])
     f = -(STIFFNESS_HAT + 150.0 / M_HAT) * v - 12.0 / M_HAT * a
     k = (300.0 * abs(v) + 20.0 * abs(a) + 50.0) / M_HAT
-    k += abs(1.0 - BETA) * abs(demand) + BETA * eta
+    k += 0.1 * STIFFNESS_HAT * abs(v) + abs(1.0 - BETA) * abs(demand) + BETA * eta
     s = sliding(state, reference, lambda_)
     switch = np.sign(s) if signum else min(max(s / phi, -1.0), 1.0)
     return (demand - f - k * switch) / (B_HAT * GEAR / 5.0)
@@ -240,6 +241,28 @@ def test_sliding_condition_holds_for_every_mass_between_the_bounds(mass, state, 
     if abs(s) >= 3.2:
         # 1e-6 of k for the digits of the area and the friction that the controller expects.
         assert s * (jerk - demand) <= -(1.0 - 1e-5) * 2.8e5 * abs(s)
+
+
+def rate_outside(area_share, v, **values):
+    """sgn(s) ds/dt well outside the layer, of a plant that is right but for its piston area."""
+    state, reference = [0.15, v, 0.0], [0.0, v, 0.0, 0.0]
+    u = command(state, reference, PlantParameters(), **UNLIMITED, **values)
+    # The area scales what the pump's pressure does, and once more what the rod's speed costs.
+    return area_share * (B_HAT * u - area_share * STIFFNESS_HAT * v)
+
+
+@given(area_share=st.floats(6.0 / 7.0, 8.0 / 7.0), v=st.floats(-0.05, 0.05))
+@settings(deadline=None, max_examples=100)
+def test_area_term_completes_the_sliding_condition(area_share, v):
+    # With |A/Ā − 1| <= 1/7 and the gain A/Ā >= 6/7 inside β >= 1.134; 1e-5 for the digits.
+    eta = 1e4 * min(1.0, area_share * BETA)
+    assert rate_outside(area_share, v, eta_m_s3=1e4, area_uncertainty=1.0 / 7.0) <= -0.99999 * eta
+
+
+def test_eq_27_without_the_area_term_lets_s_grow():
+    # At −40 mm/s a chamber of 8/7 Ā asks for 7.94e6 · 0.04/7 = 45 000 m/s³ of k; βη is 11 339.
+    assert rate_outside(8.0 / 7.0, -0.04, eta_m_s3=1e4) > 3e4
+    assert rate_outside(8.0 / 7.0, -0.04, eta_m_s3=5e4) < 0.0
 
 
 def test_nominal_plant_reaches_the_surface_at_the_rate_of_the_boundary_layer():

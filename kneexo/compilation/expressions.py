@@ -1,0 +1,433 @@
+"""The equations of a Drake diagram, read off its symbolic form one leaf system at a time.
+
+The diagram is cut at its ports: each leaf is evaluated on fresh variables for time, states,
+parameters and inputs, and its small trees are joined in one `Graph`. An expression of the whole
+diagram would unfold to 10⁸ nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from pydrake.symbolic import Expression, ExpressionKind, FormulaKind, Variable
+from pydrake.systems.framework import InputPortIndex, OutputPortIndex, PortDataType
+
+from kneexo.compilation.graph import Graph
+from kneexo.errors import CompilationError
+
+LARGEST_TREE = 20_000
+"""Nodes of one expression beyond which a leaf is refused; shared values belong in ports."""
+
+_UNARY = {
+    getattr(ExpressionKind, name): name.lower()
+    for name in (
+        *("Log", "Abs", "Exp", "Sqrt", "Sin", "Cos", "Tan", "Asin", "Acos", "Atan"),
+        *("Sinh", "Cosh", "Tanh", "Ceil", "Floor"),
+    )
+}
+_BINARY = {
+    ExpressionKind.Min: "min",
+    ExpressionKind.Max: "max",
+    ExpressionKind.Atan2: "atan2",
+}
+_COMPARISONS = {
+    FormulaKind.Gt: "gt",
+    FormulaKind.Geq: "ge",
+    FormulaKind.Lt: "lt",
+    FormulaKind.Leq: "le",
+    FormulaKind.Eq: "eq",
+    FormulaKind.Neq: "ne",
+}
+_LOGIC = {FormulaKind.And: "and", FormulaKind.Or: "or", FormulaKind.Not: "not"}
+
+
+@dataclass(frozen=True)
+class Update:
+    """What one sample period changes: pairs of discrete state and its next value."""
+
+    period_s: float
+    offset_s: float
+    values: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A leaf that stops the run when its ``margin`` falls below zero."""
+
+    system: str
+    margin: int
+
+
+@dataclass
+class Equations:
+    """All equations of a diagram as nodes of one graph."""
+
+    graph: Graph = field(default_factory=Graph)
+    parameters: list[str] = field(default_factory=list)
+    states: list[str] = field(default_factory=list)
+    held: list[str] = field(default_factory=list)
+    inputs: list[str] = field(default_factory=list)
+    """Elements of the inputs that stay open."""
+    derivatives: list[int] = field(default_factory=list)
+    initial_held: list[int] = field(default_factory=list)
+    """Discrete state after ``Simulator.Initialize()``."""
+    updates: list[Update] = field(default_factory=list)
+    outputs: dict[str, list[int]] = field(default_factory=dict)
+    limits: list[Limit] = field(default_factory=list)
+
+
+# ------------------------------------------------------------------------- tree of systems
+
+
+class Node:
+    """A system within a diagram; paths are names joined by ``/``, empty for the root."""
+
+    def __init__(self, system: Any, parent: Node | None = None) -> None:
+        self.system = system
+        self.parent = parent
+        prefix = f"{parent.path}/" if parent is not None and parent.path else ""
+        self.path: str = "" if parent is None else prefix + system.get_name()
+        self.children: dict[str, Node] = {}
+        self._drivers: dict[tuple[str, int], tuple[str, int]] = {}
+        self._exported: dict[tuple[str, int], int] = {}
+        if not hasattr(system, "connection_map"):
+            return
+        self.children = {s.get_name(): Node(s, self) for s in system.GetSystems()}
+        for (target, port), (source, output) in system.connection_map().items():
+            self._drivers[target.get_name(), int(port)] = (source.get_name(), int(output))
+        for index in range(system.num_input_ports()):
+            for target, port in system.GetInputPortLocators(InputPortIndex(index)):
+                self._exported[target.get_name(), int(port)] = index
+
+    @property
+    def name(self) -> str:
+        """The path, or the system's own name for the root."""
+        return self.path or str(self.system.get_name())
+
+    @property
+    def has_equations(self) -> bool:
+        """Whether a leaf has outputs or a state; log sinks have none."""
+        return bool(self.system.num_output_ports()) or _has_state(self.system)
+
+    def leaves(self) -> Iterator[Node]:
+        """The leaf systems, in the order of the diagram."""
+        if not hasattr(self.system, "connection_map"):
+            yield self
+        for child in self.children.values():
+            yield from child.leaves()
+
+    def context(self, root: Any) -> Any:
+        """The Context of this system within that of the root of the tree."""
+        if self.parent is None:
+            return root
+        return self.parent.system.GetMutableSubsystemContext(self.system, self.parent.context(root))
+
+    def driver(self, index: int) -> tuple[Node, int] | int | None:
+        """What feeds input port ``index``: a leaf's output, an input of the root, or nothing."""
+        if self.parent is None:
+            return index
+        key = (self.system.get_name(), index)
+        if (source := self.parent._drivers.get(key)) is not None:
+            return self.parent.children[source[0]].output(source[1])
+        exported = self.parent._exported.get(key)
+        return None if exported is None else self.parent.driver(exported)
+
+    def output(self, index: int) -> tuple[Node, int]:
+        """The leaf and its output port behind output port ``index``."""
+        if not hasattr(self.system, "connection_map"):
+            return self, index
+        system, port = self.system.get_output_port_locator(OutputPortIndex(index))
+        return self.children[system.get_name()].output(int(port))
+
+
+def parameter_groups(leaf: Node, context: Any) -> list[list[str]]:
+    """Names of the elements of each numeric parameter group of a leaf."""
+    named = getattr(getattr(leaf.system, "_values", None), "_fields", ())
+    groups = []
+    for group in range(context.num_numeric_parameter_groups()):
+        size = context.get_numeric_parameter(group).size()
+        if group == 0 and len(named) == size:
+            groups.append([f"{leaf.path}.{name}" for name in named])
+        else:
+            groups.append([f"{leaf.path}.{group}[{i}]" for i in range(size)])
+    return groups
+
+
+# ----------------------------------------------------------------------------- extraction
+
+
+class _Leaf:
+    """A leaf, its context on variables, and what each variable stands for."""
+
+    def __init__(self, node: Node, equations: Equations, open_inputs: dict[int, int]) -> None:
+        self.node = node
+        self.system = node.system
+        self.context = context = node.system.CreateDefaultContext()
+        self.meaning: dict[int, int | tuple[Node, int, int]] = {}
+        self.outputs: dict[int, list[int] | None] = {}
+        graph = equations.graph
+
+        if context.num_abstract_states() or context.num_abstract_parameters():
+            raise CompilationError(
+                f"{node.name}: has an abstract state or parameter; only vectors compile"
+            )
+        context.SetTime(self._variables("time", [graph.source("time")])[0])
+        for group, names in enumerate(parameter_groups(node, context)):
+            first = len(equations.parameters)
+            sources = [graph.source("parameter", first + i) for i in range(len(names))]
+            variables = self._variables("parameter", sources)
+            context.get_mutable_numeric_parameter(group).SetFromVector(variables)
+            equations.parameters += names
+        self.first_state = len(equations.states)
+        size = context.num_continuous_states()
+        if size:
+            sources = [graph.source("state", self.first_state + i) for i in range(size)]
+            variables = self._variables("state", sources)
+            context.get_mutable_continuous_state_vector().SetFromVector(variables)
+            equations.states += [f"{node.path}.x[{i}]" for i in range(size)]
+        self.first_held = len(equations.held)
+        for group in range(context.num_discrete_state_groups()):
+            vector = context.get_mutable_discrete_state(group)
+            first = len(equations.held)
+            sources = [graph.source("held", first + i) for i in range(vector.size())]
+            vector.SetFromVector(self._variables("held", sources))
+            equations.held += [f"{node.path}.{group}[{i}]" for i in range(vector.size())]
+        for index in range(self.system.num_input_ports()):
+            port = self.system.get_input_port(index)
+            driver = node.driver(index)
+            if port.get_data_type() != PortDataType.kVectorValued or driver is None:
+                continue
+            if isinstance(driver, int):
+                if driver not in open_inputs:
+                    continue
+                sources = [
+                    graph.source("input", open_inputs[driver] + i) for i in range(port.size())
+                ]
+                port.FixValue(context, self._variables("input", sources))
+            else:
+                there = [(*driver, i) for i in range(port.size())]
+                port.FixValue(context, self._variables("input", there))
+
+    def _variables(self, name: str, meaning: Sequence[Any]) -> Any:
+        variables = [Variable(f"{name}{i}") for i in range(len(meaning))]
+        self.meaning.update(
+            (variable.get_id(), what) for variable, what in zip(variables, meaning, strict=True)
+        )
+        return np.array([Expression(variable) for variable in variables])
+
+
+class _Reader:
+    """Reads the leaves of a tree into `Equations`; outputs on demand, so in feedthrough order."""
+
+    def __init__(self, root: Node, inputs: Sequence[str]) -> None:
+        self.equations = Equations()
+        open_inputs: dict[int, int] = {}
+        for name in inputs:
+            port = root.system.GetInputPort(name)
+            open_inputs[int(port.get_index())] = len(self.equations.inputs)
+            self.equations.inputs += [f"{name}[{i}]" for i in range(port.size())]
+        self.leaves = {
+            leaf.path: _Leaf(leaf, self.equations, open_inputs)
+            for leaf in root.leaves()
+            if leaf.has_equations
+        }
+
+    def output(self, node: Node, index: int) -> list[int]:
+        """The nodes of an output port of a leaf."""
+        leaf = self.leaves[node.path]
+        port = leaf.system.get_output_port(index)
+        where = f"{node.name}: output port {port.get_name()}"
+        if index not in leaf.outputs:
+            leaf.outputs[index] = None  # being read
+            if port.get_data_type() != PortDataType.kVectorValued:
+                raise CompilationError(f"{where}: is not a vector; only vectors compile")
+            values = _symbolic(where, lambda: port.Eval(leaf.context))
+            leaf.outputs[index] = self._convert(where, leaf, values)
+        result = leaf.outputs[index]
+        if result is None:
+            raise CompilationError(f"{where}: depends on itself (algebraic loop)")
+        return result
+
+    def read(self, leaf: _Leaf) -> None:
+        """Add derivatives, updates, initial values and limits of one leaf."""
+        equations, context, system = self.equations, leaf.context, leaf.system
+        name = leaf.node.name
+        if context.num_continuous_states():
+            where = f"{name}: time derivatives"
+            values = _symbolic(
+                where, lambda: system.EvalTimeDerivatives(context).CopyToVector().tolist()
+            )
+            equations.derivatives += self._convert(where, leaf, values)
+        if context.num_discrete_state_groups():
+            timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+            if timing is None:
+                raise CompilationError(
+                    f"{name}: has a discrete state but not exactly one sample period; split it"
+                )
+            where = f"{name}: discrete update"
+            values = _symbolic(
+                where, lambda: _discrete(system.EvalUniquePeriodicDiscreteUpdate(context))
+            )
+            nodes = self._convert(where, leaf, values)
+            self._update(timing, list(enumerate(nodes, leaf.first_held)))
+        if margin := getattr(system, "margin", None):
+            where = f"{name}: margin"
+            (node,) = self._convert(where, leaf, [_symbolic(where, lambda: margin(context))])
+            equations.limits.append(Limit(leaf.node.path, node))
+
+    def read_initial(self, leaf: _Leaf) -> None:
+        """Add the discrete state after initialization; this changes the leaf's context."""
+        if not leaf.context.num_discrete_state_groups():
+            return
+        where = f"{leaf.node.name}: initialization"
+        _symbolic(where, lambda: leaf.system.ExecuteInitializationEvents(leaf.context))
+        after = _discrete(leaf.context.get_discrete_state())
+        self.equations.initial_held += self._convert(where, leaf, after)
+
+    def _update(self, timing: Any, values: list[tuple[int, int]]) -> None:
+        period, offset = timing.period_sec(), timing.offset_sec()
+        for number, update in enumerate(self.equations.updates):
+            if (update.period_s, update.offset_s) == (period, offset):
+                self.equations.updates[number] = Update(period, offset, (*update.values, *values))
+                return
+        self.equations.updates.append(Update(period, offset, tuple(values)))
+
+    # ------------------------------------------------------------------- trees to nodes
+
+    def _convert(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> list[int]:
+        nodes = []
+        for value in values:
+            self._size = 0
+            nodes.append(self._node(where, leaf, value))
+        return nodes
+
+    def _node(self, where: str, leaf: _Leaf, tree: Any) -> int:
+        graph = self.equations.graph
+        if isinstance(tree, float | int):
+            return graph.constant(tree)
+        self._size += 1
+        if self._size > LARGEST_TREE:
+            raise CompilationError(
+                f"{where}: its expression has more than {LARGEST_TREE} nodes; give shared "
+                f"intermediate results a port of their own"
+            )
+        kind = tree.get_kind()
+        if kind == ExpressionKind.Var:
+            (variable,) = tree.GetVariables()
+            return self._meaning(where, leaf, variable)
+        if kind == ExpressionKind.Constant:
+            return graph.constant(tree.Evaluate())
+        _, arguments = tree.Unapply()
+        if kind == ExpressionKind.IfThenElse:
+            condition = self._condition(where, leaf, arguments[0])
+            return graph.where(
+                condition, *(self._node(where, leaf, branch) for branch in arguments[1:])
+            )
+        nodes = [self._node(where, leaf, argument) for argument in arguments]
+        if kind == ExpressionKind.Add:
+            return graph.add(*nodes)
+        if kind == ExpressionKind.Mul:
+            return graph.multiply(*nodes)
+        if kind == ExpressionKind.Div:
+            return graph.divide(*nodes)
+        if kind == ExpressionKind.Pow:
+            return graph.power(*nodes)
+        if kind in _UNARY:
+            return graph.unary(_UNARY[kind], nodes[0])
+        if kind in _BINARY:
+            return graph.binary(_BINARY[kind], *nodes)
+        raise CompilationError(f"{where}: {kind} does not compile")
+
+    def _condition(self, where: str, leaf: _Leaf, formula: Any) -> int:
+        graph = self.equations.graph
+        kind = formula.get_kind()
+        if kind in (FormulaKind.True_, FormulaKind.False_):
+            holds = 1.0 if kind == FormulaKind.True_ else 0.0
+            return graph.compare("gt", graph.constant(holds), graph.zero)
+        _, arguments = formula.Unapply()
+        if kind in _COMPARISONS:
+            nodes = [self._node(where, leaf, argument) for argument in arguments]
+            return graph.compare(_COMPARISONS[kind], *nodes)
+        if kind in _LOGIC:
+            conditions = [self._condition(where, leaf, argument) for argument in arguments]
+            return graph.logic(_LOGIC[kind], *conditions)
+        raise CompilationError(f"{where}: the condition {kind} does not compile")
+
+    def _meaning(self, where: str, leaf: _Leaf, variable: Any) -> int:
+        meaning = leaf.meaning.get(variable.get_id())
+        if meaning is None:
+            raise CompilationError(f"{where}: contains a variable of its own, {variable}")
+        if isinstance(meaning, int):
+            return meaning
+        node, port, element = meaning
+        size = self._size
+        result = self.output(node, port)[element]
+        self._size = size
+        return result
+
+
+def _has_state(system: Any) -> bool:
+    context = system.CreateDefaultContext()
+    return bool(context.num_total_states())
+
+
+def _discrete(values: Any) -> list[Any]:
+    return [
+        element
+        for group in range(values.num_groups())
+        for element in values.get_vector(group).CopyToVector().tolist()
+    ]
+
+
+def _symbolic(where: str, evaluate: Callable[[], Any]) -> Any:
+    """What ``evaluate()`` returns; `CompilationError` when it has no symbolic value."""
+    try:
+        return evaluate()
+    except Exception as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise CompilationError(f"{where}: has no symbolic form ({reason})") from error
+
+
+def to_symbolic(diagram: Any) -> Any:
+    """The symbolic form of a diagram; `CompilationError` names the subsystem that has none."""
+    symbolic = diagram.ToSymbolicMaybe()
+    if symbolic is not None:
+        return symbolic
+    for leaf in Node(diagram).leaves():
+        if leaf.system.ToSymbolicMaybe() is None:
+            raise CompilationError(
+                f"{leaf.name}: {type(leaf.system).__name__} does not convert to symbolic "
+                f"Expression (see Drake's TemplateSystem)"
+            )
+    raise CompilationError(f"{diagram.get_name()}: does not convert to symbolic Expression")
+
+
+def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
+    """All equations of a diagram of floats, by its symbolic form.
+
+    Parameters
+    ----------
+    diagram
+        A Diagram, or a single leaf system.
+    inputs
+        Its input ports that stay inputs; the others count as unconnected.
+
+    Raises
+    ------
+    CompilationError
+        Names the subsystem and the port that cannot be converted.
+    """
+    root = Node(to_symbolic(diagram))
+    reader = _Reader(root, inputs)
+    for leaf in reader.leaves.values():
+        reader.read(leaf)
+    for index in range(root.system.num_output_ports()):
+        node, port = root.output(index)
+        name = root.system.get_output_port(index).get_name()
+        reader.equations.outputs[name] = reader.output(node, port)
+    for leaf in reader.leaves.values():
+        reader.read_initial(leaf)
+    return reader.equations

@@ -1,0 +1,287 @@
+"""Closed loops of scenarios, compiled: a run without any Drake diagram.
+
+What a scenario decides about the equations is its *structure*; a compiled model is made once for
+each and kept on disk. All other numbers go into the parameter vector and the initial state, which
+plain functions make from the scenario, the same that the leaf systems take their Context
+parameters from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kneexo import linkage
+from kneexo.compilation.cache import load_key, load_text, note_key
+from kneexo.compilation.codegen import source_text
+from kneexo.compilation.expressions import Node, read_equations
+from kneexo.compilation.model import (
+    STEP_S,
+    TOLERANCE,
+    Array,
+    CompiledModel,
+    InputTable,
+    State,
+    set_parameters,
+)
+from kneexo.diagrams.closed_loop import (
+    SIGNALS,
+    chosen_signals,
+    columns,
+    encoder_offset_rad,
+    make_closed_loop,
+)
+from kneexo.diagrams.plant import plant_start, start_pressures_pa
+from kneexo.parameters import (
+    KneeLoadParameters,
+    ObserverParameters,
+    SampledReference,
+    Scenario,
+    SlidingModeParameters,
+)
+from kneexo.quantity import Parameters
+from kneexo.systems import (
+    bldc_pump,
+    four_bar_knee,
+    full_cylinder,
+    knee_coordinates,
+    knee_load,
+    knee_reference,
+    pid_controller,
+    reduced_cylinder,
+    sliding_mode_controller,
+)
+from kneexo.systems.reduced_cylinder import PA_PER_MPA
+
+if TYPE_CHECKING:
+    from kneexo.analysis.simulation import Run
+
+_PACKAGE = Path(__file__).parents[1]
+_SOURCES = ("systems/*.py", "diagrams/*.py", "compilation/*.py", "linkage.py", "parameters.py")
+_BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into constants
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def structure(parameters: Parameters) -> dict[str, Any]:
+    """What parameters say about the form of the equations: all but plain numbers.
+
+    Whole numbers (counts, delays, branches) belong to it, and so do sample times.
+    """
+    kept: dict[str, Any] = {}
+    for name in type(parameters).model_fields:
+        value = getattr(parameters, name)
+        if isinstance(value, Parameters):
+            kept[name] = structure(value)
+        elif name in _BAKED_IN or not isinstance(value, float | tuple):
+            kept[name] = value
+    return kept
+
+
+def structure_key(scenario: Scenario) -> str:
+    """Text that is equal for scenarios whose closed loops differ in parameters only."""
+    kept = structure(scenario)
+    del kept["simulation"]  # says how to run, not what
+    return json.dumps([kept, _fingerprint()], sort_keys=True)
+
+
+@cache
+def _fingerprint() -> str:
+    """Of everything that makes equations from a scenario."""
+    digest = hashlib.sha256(version("drake").encode())
+    for pattern in _SOURCES:
+        for path in sorted(_PACKAGE.glob(pattern)):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def scenario_diagram(scenario: Scenario) -> Any:
+    """The closed loop to compile; a sampled reference stays an input, for it is not symbolic."""
+    external = isinstance(scenario.reference, SampledReference)
+    return make_closed_loop(scenario, signals=(), external_reference=external)
+
+
+def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
+    """The compiled closed loop of a scenario, and of all that differ from it in numbers only.
+
+    Its parameters, state and inputs come from `scenario_run`.
+    """
+    return CompiledModel(_module(structure_key(scenario), scenario))
+
+
+_modules: dict[str, Any] = {}
+
+
+def _module(key: str, scenario: Scenario) -> Any:
+    if key not in _modules:
+        module = load_key(key)
+        if module is None:
+            inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
+            equations = read_equations(scenario_diagram(scenario), inputs)
+            module = load_text(source_text("closed_loop", equations))
+            note_key(key, module)
+        _modules[key] = module
+    return _modules[key]
+
+
+# --------------------------------------------------------------- parameters, state, inputs
+
+
+def scenario_values(scenario: Scenario) -> dict[str, float]:
+    """Every Context parameter of the closed loop, by its name in the compiled model."""
+    plant, believed = scenario.plant, scenario.believed_plant
+    table_1 = scenario.polynomial if plant.rod_map == "polynomial" else None
+    fit = linkage.fit_rod_inverse(plant.linkage, table_1)
+    systems = {
+        "plant/motor": bldc_pump.context_values(plant.pump),
+        "plant/knee": four_bar_knee.context_values(plant.linkage, plant.knee, fit),
+        "rod_reference": knee_coordinates.rod_polynomial_values(scenario.polynomial),
+        "coordinates": knee_coordinates.context_values(
+            believed.linkage,
+            scenario.polynomial,
+            encoder_offset_rad(scenario),
+        ),
+    }
+    if plant.full_order is None:
+        systems["plant/cylinder"] = reduced_cylinder.context_values(plant.cylinder)
+    else:
+        systems["plant/cylinder"] = full_cylinder.context_values(
+            plant.cylinder, plant.full_order, plant.pump.external_leakage_m3_per_s_pa
+        )
+    if isinstance(plant.load, KneeLoadParameters):
+        systems["plant/load"] = knee_load.context_values(plant.load)
+    law = scenario.controller.model_copy(
+        update={"command_limit_rad_s": scenario.command_limit_rad_s}
+    )
+    if isinstance(law, SlidingModeParameters):
+        systems["controller"] = sliding_mode_controller.context_values(law, believed)
+    else:
+        systems["controller"] = pid_controller.context_values(law, believed)
+    if isinstance(scenario.estimator, ObserverParameters):
+        systems["estimator"] = {"time_constant_s": scenario.estimator.time_constant_s}
+    if not isinstance(scenario.reference, SampledReference):
+        systems["reference"] = knee_reference.context_values(scenario.reference)
+
+    values = {
+        f"{path}.{name}": value for path, named in systems.items() for name, value in named.items()
+    }
+    for group, fitted in enumerate((fit.knee_angle, fit.encoder_angle, fit.moment_arm), 1):
+        values |= {f"plant/knee.{group}[{i}]": value for i, value in enumerate(fitted)}
+    values["encoder.0[0]"] = 0.0  # Drake's calibration offset
+    return values
+
+
+def scenario_start(scenario: Scenario) -> dict[str, float]:
+    """The continuous states that do not start at zero, by name.
+
+    Raises `ParameterError` as `make_plant` does.
+    """
+    extension, force = plant_start(
+        scenario.plant,
+        knee_reference.start_angle_rad(scenario.reference),
+        scenario.initial_offset_m,
+        scenario.polynomial,
+    )
+    pressures = start_pressures_pa(scenario.plant, force)
+    return {"plant/cylinder.x[0]": extension} | {
+        f"plant/cylinder.x[{2 + i}]": pressure / PA_PER_MPA for i, pressure in enumerate(pressures)
+    }
+
+
+def reference_table(reference: SampledReference) -> InputTable:
+    """The spline of a sampled reference and its derivatives; constant before and after."""
+    spline = knee_reference.sampled_spline(reference)
+    breaks = np.array(reference.times_s)
+    table = np.zeros((breaks.size + 1, 4, 4))
+    table[0, 0, 0], table[-1, 0, 0] = (spline.value(t)[0, 0] for t in breaks[[0, -1]])
+    for segment in range(breaks.size - 1):
+        powers = spline.getPolynomialMatrix(segment)[0, 0].GetCoefficients()
+        for order in range(4):
+            table[segment + 1, order, : powers.size] = powers
+            powers = powers[1:] * np.arange(1, powers.size)
+    return InputTable(breaks, table)
+
+
+def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:
+    """Parameters, state after initialization and inputs of a scenario for its compiled model.
+
+    Raises `ParameterError` and `LinkageError` as `make_closed_loop` does.
+    """
+    reference = scenario.reference
+    scenario.plant.knee.require_in_range(*knee_reference.reference_range_deg(reference))
+    values, start = scenario_values(scenario), scenario_start(scenario)
+    parameters = np.array([values[name] for name in model.parameter_names])
+    state = State(
+        np.array([start.get(name, 0.0) for name in model.state_names]),
+        np.zeros(len(model.held_names)),
+    )
+    inputs = reference_table(reference) if isinstance(reference, SampledReference) else InputTable()
+    return parameters, model.initialized(parameters, state, inputs), inputs
+
+
+def simulate_compiled(
+    scenario: Scenario = Scenario(),
+    *,
+    signals: Sequence[str] | None = None,
+    integrator: str = "exact_hold",
+    step_s: float = STEP_S,
+    tolerance: float = TOLERANCE,
+) -> Run:
+    """Run the closed loop of ``scenario`` as machine code; all available signals by default.
+
+    Agrees with `kneexo.analysis.simulate`; of ``scenario.simulation`` only the duration counts.
+    The first run of a structure compiles it (some seconds, kept on disk).
+
+    Parameters
+    ----------
+    scenario
+        The closed loop, and how long it runs.
+    signals
+        Names of `kneexo.diagrams.SIGNALS`.
+    integrator, step_s, tolerance
+        See `CompiledModel.simulate`.
+
+    Raises
+    ------
+    SimulationError
+        A run diverged or left its range.
+    ParameterError, LinkageError
+        As `kneexo.diagrams.make_closed_loop`.
+    """
+    from kneexo.analysis.simulation import Run
+
+    names = chosen_signals(scenario, signals)
+    module = _module(structure_key(scenario), scenario)
+
+    def context_at(parameters: Array) -> tuple[Node, Any]:
+        root = Node(scenario_diagram(scenario))
+        context = root.system.CreateDefaultContext()
+        set_parameters(root, context, parameters)
+        return root, context
+
+    model = CompiledModel(module, context_at)
+    parameters, state, inputs = scenario_run(scenario, model)
+    result = model.simulate(
+        parameters,
+        state,
+        scenario.simulation.duration_s,
+        outputs=names,
+        record_period_s=scenario.controller.sample_time_s,
+        integrator=integrator,
+        step_s=step_s,
+        tolerance=tolerance,
+        inputs=inputs,
+    )
+    data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
+    settings = scenario.simulation.model_copy(
+        update={"integrator": integrator, "step_s": step_s, "error_controlled": False}
+    )
+    return Run(result.time_s, dict(zip(columns(names), data, strict=True)), settings)

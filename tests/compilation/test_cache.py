@@ -1,0 +1,122 @@
+"""The cache of compiled modules, and what a run of a known structure does not do."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from kneexo.compilation import cache, scenarios, simulate_compiled
+from kneexo.parameters import (
+    CylinderParameters,
+    EncoderParameters,
+    PlantParameters,
+    Scenario,
+    SimulationParameters,
+)
+
+SHORT = Scenario(
+    encoder=EncoderParameters(quantized=False), simulation=SimulationParameters(duration_s=0.05)
+)
+
+
+@pytest.fixture
+def empty_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path))
+    yield tmp_path
+    for name in [name for name in sys.modules if name.startswith("kneexo_model_")]:
+        file = sys.modules[name].__file__
+        if file and file.startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+def forget(module):
+    del sys.modules[module.__name__]
+
+
+@pytest.mark.parametrize(
+    ("variables", "expected"),
+    [
+        ({"KNEEXO_CACHE_DIR": "/a"}, "/a"),
+        ({"XDG_CACHE_HOME": "/b", "HOME": "/c"}, "/b/kneexo"),
+        ({"HOME": "/c"}, "/c/.cache/kneexo"),
+    ],
+)
+def test_directory_of_the_cache(variables, expected, monkeypatch):
+    for name in ("KNEEXO_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert str(cache.cache_directory()) == expected
+
+
+def test_equal_text_is_one_module_and_one_file(empty_cache):
+    first = cache.load_text("VALUE = 1\n")
+    assert cache.load_text("VALUE = 1\n") is first
+    assert cache.load_text("VALUE = 2\n").VALUE == 2
+    assert len(list(empty_cache.glob("*.py"))) == 2
+    cache.note_key("structure", first)
+    forget(first)
+    again = cache.load_key("structure")
+    assert again.VALUE == 1
+    assert again is not first
+    assert cache.load_key("another") is None
+
+
+def test_a_damaged_module_is_written_anew(empty_cache):
+    module = cache.load_text("VALUE = 1\n")
+    cache.note_key("structure", module)
+    (path,) = empty_cache.glob("*.py")
+    for damage in (b"VALUE = 3\n", b"", b"\xff\xfe"):
+        forget(module)
+        path.write_bytes(damage)
+        with pytest.warns(UserWarning, match="damaged"):
+            assert cache.load_key("structure") is None
+        with pytest.warns(UserWarning, match="damaged"):
+            module = cache.load_text("VALUE = 1\n")
+        assert module.VALUE == 1
+        assert path.read_text() == "VALUE = 1\n"
+
+
+def test_a_damaged_key_counts_as_missing(empty_cache):
+    module = cache.load_text("VALUE = 1\n")
+    cache.note_key("structure", module)
+    (path,) = empty_cache.glob("*.key")
+    for damage in (b"../../etc/passwd", b"\xff", b"kneexo_model_0", b""):
+        path.write_bytes(damage)
+        assert cache.load_key("structure") is None
+
+
+def test_a_cache_that_cannot_be_written_is_told_and_replaced(tmp_path, monkeypatch):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(blocked / "below"))
+    with pytest.warns(UserWarning, match="cannot be written"):
+        module = cache.load_text("VALUE = 4\n")
+    assert module.VALUE == 4
+    cache.note_key("structure", module)
+    assert cache.load_key("structure") is None
+
+
+def test_a_known_structure_needs_no_diagram_and_no_symbolic_work(monkeypatch):
+    first = simulate_compiled(SHORT, signals=["rod_velocity"])
+
+    def refuse(*_args, **_options):
+        raise AssertionError("not needed")
+
+    monkeypatch.setattr(scenarios, "read_equations", refuse)
+    monkeypatch.setattr(scenarios, "make_closed_loop", refuse)
+    monkeypatch.setattr(scenarios, "_modules", {})
+    heavier = SHORT.model_copy(
+        update={"plant": PlantParameters(cylinder=CylinderParameters(mass_kg=3.0))}
+    )
+    second = simulate_compiled(heavier, signals=["rod_velocity"])
+    assert np.max(np.abs(first["rod_velocity_m_s"] - second["rod_velocity_m_s"])) > 1e-6
+
+
+def test_importing_kneexo_imports_neither_numba_nor_drake():
+    code = (
+        "import sys, kneexo; assert not {'numba', 'pydrake'} & set(sys.modules);"
+        "import kneexo.compilation; assert 'numba' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

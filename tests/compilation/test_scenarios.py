@@ -1,0 +1,278 @@
+"""Every structure against Drake, and the numbers that a scenario gives it."""
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from kneexo.analysis.simulation import simulate
+from kneexo.compilation import scenarios
+from kneexo.compilation.codegen import source_text
+from kneexo.compilation.expressions import Node, read_equations
+from kneexo.compilation.model import parameters_of, state_of
+from kneexo.compilation.scenarios import (
+    reference_table,
+    scenario_diagram,
+    scenario_run,
+    scenario_values,
+    structure_key,
+)
+from kneexo.diagrams import SIGNALS, make_closed_loop
+from kneexo.errors import LinkageError, ParameterError
+from kneexo.parameters import (
+    G1,
+    IDEAL_SMC,
+    PID_FEEDFORWARD,
+    PID_TUNED,
+    BldcPumpParameters,
+    CylinderParameters,
+    DifferenceParameters,
+    EncoderParameters,
+    ExactParameters,
+    FullCylinderParameters,
+    KneeLoadParameters,
+    KneeParameters,
+    PlantParameters,
+    RampReference,
+    SampledReference,
+    Scenario,
+    SimulationParameters,
+    SineReference,
+    SlidingModeParameters,
+    StepReference,
+)
+from kneexo.quantity import Parameters
+from kneexo.systems.knee_reference import make_knee_reference
+
+FREE = EncoderParameters(quantized=False)
+LOADED = PlantParameters(
+    load=KneeLoadParameters(knee_torque_n_m=1.0, disturbance_amplitude_n=20.0),
+    cylinder=CylinderParameters(stiffness_n_per_m=100.0),
+)
+FULL = FullCylinderParameters(coulomb_friction_n=20.0, entrained_air=0.01)
+STRUCTURES = {
+    "smc": Scenario(encoder=FREE),
+    "quantized": Scenario(),
+    "loaded": Scenario(encoder=FREE, plant=LOADED),
+    "polynomial, nominal": Scenario(
+        encoder=FREE, plant=PlantParameters(rod_map="polynomial"), nominal=PlantParameters()
+    ),
+    "ideal motor, difference": Scenario(
+        encoder=FREE,
+        plant=PlantParameters(ideal_motor=True),
+        estimator=DifferenceParameters(),
+        controller=SlidingModeParameters(phi_m_s2=80.0),
+        reference=StepReference(time_s=0.01),
+    ),
+    "signum, exact": Scenario(
+        estimator=ExactParameters(),
+        encoder=FREE,
+        controller=SlidingModeParameters(switching="signum"),
+    ),
+    "can 2, ramp": Scenario(
+        encoder=FREE, can_delay_samples=2, reference=RampReference(time_s=0.01, rate_deg_s=200.0)
+    ),
+    "pid": Scenario(encoder=FREE, controller=PID_TUNED),
+    "pid, can 1, samples": Scenario(
+        encoder=FREE,
+        controller=PID_FEEDFORWARD,
+        can_delay_samples=1,
+        reference=SampledReference(times_s=(0.02, 0.05, 0.07, 0.1), angles_deg=(30, 31, 29, 30)),
+    ),
+    "full order": Scenario(
+        encoder=FREE,
+        plant=PlantParameters(
+            full_order=FULL,
+            load=KneeLoadParameters(),
+            pump=BldcPumpParameters(external_leakage_m3_per_s_pa=1e-13),
+        ),
+    ),
+    "ramped sine at 5 ms": Scenario(
+        encoder=FREE,
+        controller=SlidingModeParameters(sample_time_s=0.005),
+        reference=SineReference(frequency_hz=1.0, ramp_s=0.05),
+    ),
+    "continuous": IDEAL_SMC.model_copy(update={"initial_offset_m": -0.01}),
+}
+"""Every choice that changes the equations, in some combination."""
+
+
+@pytest.mark.parametrize("case", STRUCTURES)
+def test_every_structure_agrees_with_drake(case, interpreted):
+    # The same integrator and step: what is left is rounding, which the controller's gain on
+    # differences (1/T² = 4e4) and the stiff modes amplify.
+    period = STRUCTURES[case].controller.sample_time_s
+    step = 1e-5 if case in {"continuous", "full order"} else 2e-4
+    duration = 10.0 * period if step < 2e-4 else 40.0 * period
+    settings = SimulationParameters(duration_s=duration, integrator="runge_kutta3", step_s=step)
+    scenario = STRUCTURES[case].model_copy(update={"simulation": settings})
+    drake = simulate(scenario)
+    model, (parameters, state, inputs) = interpreted(scenario)
+    run = model.simulate(
+        parameters,
+        state,
+        duration,
+        integrator="runge_kutta3",
+        step_s=step,
+        record_period_s=period,
+        inputs=inputs,
+    )
+    np.testing.assert_array_equal(run.time_s, drake.time_s)
+    names = [name for name in SIGNALS if name in model.outputs]
+    assert names == [name for name, first in SIGNALS.items() if first[0] in drake.data]
+    for name in names:
+        for i, column in enumerate(SIGNALS[name]):
+            ours, theirs = run[name][:, i], drake[column]
+            scale = np.max(np.abs(theirs))
+            if name == "encoder_reading" and case == "quantized":
+                scale = 1.0  # exactly the same count, up to the rounding of one division
+            assert np.max(np.abs(ours - theirs)) <= 1e-9 * scale, column
+
+
+@pytest.mark.parametrize("case", STRUCTURES)
+def test_parameters_and_initial_state_are_those_of_the_diagram(case, interpreted):
+    scenario = STRUCTURES[case]
+    _, (parameters, state, _) = interpreted(scenario)
+    diagram = make_closed_loop(scenario, signals=())
+    simulator = Simulator(diagram)
+    simulator.Initialize()
+    root, context = Node(diagram), simulator.get_context()
+    np.testing.assert_array_equal(parameters, parameters_of(root, context))
+    initialized = state_of(root, context)
+    np.testing.assert_array_equal(state.continuous, initialized.continuous)
+    # Polynomials are summed in another order.
+    np.testing.assert_allclose(state.held, initialized.held, rtol=1e-13, atol=1e-15)
+
+
+# ------------------------------------------------------------------- nothing is baked in
+
+WITHOUT_EFFECT = {
+    "plant.pump.rated_power_w": "figure of merit",
+    "plant.cylinder.pressure_rating_pa": "figure of merit",
+    "polynomial.q_deg_mm": "Eq. 11, which no system uses",
+}
+EVERYTHING = {
+    "default": Scenario(),
+    "loaded full order": Scenario(
+        encoder=FREE, plant=LOADED.model_copy(update={"full_order": FULL})
+    ),
+    "pid": STRUCTURES["pid"],
+    "step": Scenario(reference=StepReference(), estimator=STRUCTURES["smc"].estimator),
+    "ramp": STRUCTURES["can 2, ramp"],
+    "samples": STRUCTURES["pid, can 1, samples"],
+}
+
+
+def quantities(parameters, path=()):
+    """Paths and values of all plain numbers, and tuples of them."""
+    for name in type(parameters).model_fields:
+        value = getattr(parameters, name)
+        if isinstance(value, Parameters):
+            yield from quantities(value, (*path, name))
+        elif isinstance(value, float | tuple) and not isinstance(value, bool):
+            yield (*path, name), value
+
+
+def changed(parameters, path, value):
+    """A copy with one value changed, not validated."""
+    name, *rest = path
+    if rest:
+        value = changed(getattr(parameters, name), rest, value)
+    return parameters.model_copy(update={name: value})
+
+
+def nudged(value):
+    if isinstance(value, tuple):
+        return tuple(0.9999 * v for v in value)
+    return 0.9999 * value if value else 1e-4
+
+
+def numbers(scenario):
+    """All that a compiled run gets from a scenario besides its structure."""
+    start = tuple(scenarios.scenario_start(scenario).items())
+    table = ()
+    if isinstance(scenario.reference, SampledReference):
+        inputs = reference_table(scenario.reference)
+        table = (inputs.breaks.tobytes(), inputs.coefficients.tobytes())
+    return tuple(scenario_values(scenario).items()), start, table
+
+
+@pytest.mark.parametrize("case", EVERYTHING)
+def test_every_quantity_changes_the_numbers_or_the_structure(case):
+    base = EVERYTHING[case]
+    before, key = numbers(base), structure_key(base)
+    inert = set()
+    for path, value in quantities(base):
+        if path[0] == "simulation":
+            continue
+        other = changed(base, path, nudged(value))
+        if (numbers(other), structure_key(other)) == (before, key):
+            inert.add(".".join(path))
+    assert inert == set(WITHOUT_EFFECT)
+
+
+@pytest.mark.parametrize("case", EVERYTHING)
+def test_no_quantity_is_baked_into_the_equations(case):
+    base = EVERYTHING[case]
+    other = base
+    for path, value in quantities(base):
+        if path[-1] != "sample_time_s":
+            other = changed(other, path, nudged(value))
+    assert structure_key(other) == structure_key(base)
+    assert numbers(other) != numbers(base)
+    inputs = ("knee_reference",) if case == "samples" else ()
+    texts = [
+        source_text("closed_loop", read_equations(scenario_diagram(scenario), inputs))
+        for scenario in (base, other)
+    ]
+    assert texts[0] == texts[1]
+
+
+def test_choices_change_the_structure():
+    keys = {structure_key(scenario) for scenario in STRUCTURES.values()}
+    assert len(keys) == len(STRUCTURES)
+    counts = Scenario(encoder=Scenario().encoder.model_copy(update={"counts_per_revolution": 512}))
+    assert structure_key(counts) != structure_key(Scenario())
+    longer = Scenario(simulation=SimulationParameters(duration_s=1.0))
+    assert structure_key(longer) == structure_key(Scenario())
+
+
+# -------------------------------------------------------------------- reference and faults
+
+
+def test_table_of_a_sampled_reference_is_that_of_drake(interpreted):
+    scenario = STRUCTURES["pid, can 1, samples"]
+    source = make_knee_reference(scenario.reference)
+    context = source.CreateDefaultContext()
+    model, (_, _, inputs) = interpreted(scenario)
+    u = np.empty(4)
+    for time in (0.0, 0.02, 0.03, 0.05, 0.0699, 0.07, 0.1, 0.11):
+        context.SetTime(time)
+        model._module.evaluate_inputs(time, inputs.breaks, inputs.coefficients, u)
+        expected = source.get_output_port().Eval(context)
+        np.testing.assert_allclose(u, expected, rtol=1e-12, atol=1e-12, err_msg=f"t = {time}")
+
+
+@pytest.mark.parametrize(
+    ("scenario", "error"),
+    [
+        (Scenario(initial_offset_m=0.1), ParameterError),
+        (
+            Scenario(
+                plant=PlantParameters(knee=KneeParameters(flexion_max_deg=80.0)),
+                reference=SampledReference(times_s=(0, 1, 2, 3), angles_deg=(0, 79, 79, 0)),
+            ),
+            ParameterError,
+        ),
+        (
+            Scenario(plant=PlantParameters(linkage=G1.model_copy(update={"a_4_m": 0.001}))),
+            LinkageError,
+        ),
+    ],
+)
+def test_faults_are_those_of_the_diagram(scenario, error, interpreted):
+    with pytest.raises(error) as drake:
+        make_closed_loop(scenario)
+    model, _ = interpreted(Scenario())
+    with pytest.raises(error) as ours:
+        scenario_run(scenario, model)
+    assert str(ours.value) == str(drake.value)
