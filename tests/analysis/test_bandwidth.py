@@ -1,0 +1,276 @@
+import json
+import math
+import runpy
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kneexo.analysis import amplitude_response, bandwidth, fundamental, linearize_loop
+from kneexo.analysis.amplitude_response import amplitude_map
+from kneexo.analysis.bandwidth import (
+    acceleration_bound_hz,
+    follower_bandwidth_hz,
+    follower_response,
+    large_signal_bandwidth_hz,
+    rod_amplitude_m,
+    rod_limits,
+    speed_limit_reached_hz,
+)
+from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.frequency_response import MINUS_3_DB, SineEstimate
+from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.output import to_json
+from kneexo.parameters import (
+    IDEAL_SMC,
+    AmplitudeMapParameters,
+    RampReference,
+    Scenario,
+    SineEstimateParameters,
+    SineReference,
+)
+from kneexo.scenario import changed
+
+QUICK = SineEstimateParameters(averaged_cycles=2, largest_cycles=3)
+BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "validate_bandwidth.py"
+
+
+def sine(amplitude_deg, **values):
+    return changed(Scenario(), {"reference.amplitude_deg": amplitude_deg, **values})
+
+
+# --------------------------------------------------------------------- limits of the motor
+
+
+def test_the_rods_limits_follow_from_motor_gear_and_pump():
+    speed, acceleration = rod_limits(Scenario())
+    assert speed == pytest.approx(0.8e-6 * 5000 / 60 / 6 / 274.8894e-6, rel=1e-6)  # 40.4 mm/s
+    assert acceleration == pytest.approx(speed * 1e4 / (5000 * math.pi / 30), rel=1e-12)
+
+
+def test_an_ideal_motor_has_no_acceleration_limit():
+    assert rod_limits(IDEAL_SMC)[1] == math.inf
+    assert acceleration_bound_hz(math.inf, 1.0) == math.inf
+
+
+def test_the_acceleration_bound_is_that_of_parabolas():
+    # Full acceleration one way, then the other, 1 Hz: the position's fundamental from its samples.
+    time = (np.arange(20_000) + 0.5) / 20_000
+    speed = np.cumsum(np.where(time < 0.5, 1.0, -1.0)) / 20_000
+    position = np.cumsum(speed - np.mean(speed)) / 20_000
+    amplitude = abs(fundamental(time, position, 1.0)) / MINUS_3_DB
+    assert acceleration_bound_hz(1.0, amplitude) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_the_speed_limit_is_reached_from_0_122_hz():
+    # Reproduction of Fig. 12, there from Eq. 10.
+    assert speed_limit_reached_hz(Scenario()) == pytest.approx(0.122, abs=5e-4)
+
+
+def test_the_follower_of_the_papers_sine_falls_to_0_2247_hz():
+    assert follower_bandwidth_hz(Scenario()) == pytest.approx(0.2247, abs=3e-4)
+
+
+def test_the_follower_of_a_small_sine_is_the_closed_form():
+    # A knee sine of 0.1° is one in the rod but for 1e-5 of curvature.
+    scenario = sine(0.1)
+    closed = rate_limit_bandwidth_hz(rod_limits(scenario)[0], rod_amplitude_m(scenario))
+    assert follower_bandwidth_hz(scenario) == pytest.approx(closed, rel=1e-4)
+
+
+@settings(max_examples=10, deadline=None)
+@given(amplitude=st.floats(1.0, 35.0), factor=st.floats(0.2, 5.0))
+def test_the_follower_depends_on_speed_over_frequency_alone(amplitude, factor):
+    scenario = sine(amplitude)
+    faster = changed(
+        scenario,
+        {"plant.pump.displacement_m3_per_rad": 0.8e-6 / math.tau * factor},
+    )
+    f = 8.0 / amplitude
+    assert follower_response(faster, f * factor) == pytest.approx(
+        follower_response(scenario, f), abs=1e-9
+    )
+
+
+# ------------------------------------------------------------------- large-signal bandwidth
+
+
+def measured_as(monkeypatch, gain):
+    """Replace the measurement by a function of frequency; returns the frequencies asked for."""
+    asked = []
+
+    def estimate(scenario, settings):
+        frequency = scenario.reference.frequency_hz
+        asked.append(frequency)
+        return SineEstimate(
+            frequency_hz=frequency,
+            amplitude_deg=scenario.reference.amplitude_deg,
+            response=complex(gain(frequency)),
+            uncertainty=0.0,
+            settled=True,
+            averaged_cycles=2,
+            cycles=3,
+            mean_deg=40.0,
+            speed_limited_share=0.0,
+            acceleration_limited_share=0.0,
+        )
+
+    monkeypatch.setattr(bandwidth, "estimate_sine", estimate)
+    return asked
+
+
+@pytest.mark.parametrize("corner", [0.03, 0.19, 0.21, 0.5, 45.0])
+def test_the_search_finds_the_corner_of_a_lag(monkeypatch, corner):
+    asked = measured_as(monkeypatch, lambda f: 1.0 / math.hypot(1.0, f / corner))
+    assert large_signal_bandwidth_hz(Scenario()) == pytest.approx(corner, rel=1e-3)
+    assert len(asked) == len(set(asked))
+    if 0.15 < corner < 0.3:
+        assert len(asked) <= 6  # from the closed form of 0.2313 Hz
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.5])
+def test_a_gain_that_does_not_cross_has_no_bandwidth(monkeypatch, gain):
+    asked = measured_as(monkeypatch, lambda f: gain)
+    assert math.isnan(large_signal_bandwidth_hz(Scenario()))
+    assert max(asked) == pytest.approx(50.0) if gain == 1.0 else min(asked) == pytest.approx(0.02)
+
+
+def test_the_first_of_two_crossings_counts(monkeypatch):
+    # As the sliding-mode loop at small amplitude: down at 3.5 Hz, up again at 5 Hz, down at 40 Hz.
+    measured_as(monkeypatch, lambda f: 0.5 if 3.5 < f < 5.0 or f > 40.0 else 1.0)
+    assert large_signal_bandwidth_hz(sine(0.1)) == pytest.approx(3.5, rel=1e-3)
+
+
+def test_a_small_sine_has_the_bandwidth_of_the_linear_loop():
+    scenario = sine(0.3, **{"encoder.quantized": False})
+    linear = linearize_loop(scenario, 40.0).bandwidth_hz()
+    # Tolerance of the search 0.1 %; cycles settled to 0.2 % of a gain that falls with f.
+    assert large_signal_bandwidth_hz(scenario) == pytest.approx(linear, rel=4e-3)
+
+
+def test_bandwidth_needs_a_sine_that_moves():
+    with pytest.raises(ParameterError, match="reference = ramp"):
+        large_signal_bandwidth_hz(Scenario(reference=RampReference()))
+    with pytest.raises(ParameterError, match="moves"):
+        large_signal_bandwidth_hz(Scenario(reference=SineReference(amplitude_deg=0.0)))
+
+
+@pytest.mark.slow
+def test_minus_3_db_of_a_sine_in_the_rod_is_that_of_the_closed_form():
+    measured, closed = runpy.run_path(str(BENCHMARK))["rod_sine_bandwidths_hz"](Scenario())
+    assert closed == pytest.approx(0.2313, abs=1e-4)
+    assert measured == pytest.approx(closed, rel=0.01)
+
+
+@pytest.mark.slow
+def test_minus_3_db_of_a_sine_in_the_knee_is_that_of_the_kinematic_follower():
+    measured, follower = large_signal_bandwidth_hz(Scenario()), follower_bandwidth_hz(Scenario())
+    assert measured == pytest.approx(follower, rel=0.015)
+    assert measured == pytest.approx(0.2236, abs=1e-3)  # Fig. 13 as `kneexo reproduce` has it
+
+
+# --------------------------------------------------------------------------- amplitude map
+
+
+SMALL_MAP = AmplitudeMapParameters(
+    amplitudes_deg=(0.3, 3.0), frequencies_hz=(2.5, 5.0, 12.5), estimate=QUICK
+)
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    path = tmp_path_factory.mktemp("map") / "checkpoint.jsonl"
+    return amplitude_map(Scenario(), SMALL_MAP, checkpoint=Checkpoint(path)), path
+
+
+def test_the_map_shows_where_the_limits_take_over(mapped):
+    result, _ = mapped
+    assert result.response.shape == (2, 3)
+    assert not result.failures
+    assert [result.decided_by(i)[0] for i in range(2)] == ["linear loop", "speed limit"]
+    # Bandwidths: the linear loop's 4.06 Hz; below the follower's 2.22 Hz, as acceleration counts.
+    assert result.bandwidths["measured_hz"][0] == pytest.approx(4.06, rel=0.02)
+    assert 0.88 <= result.bandwidths["measured_hz"][1] / result.bandwidths["follower_hz"][1] <= 1.0
+    assert result.cells["speed_limited_share"][1, 0] > 0.2
+    assert np.all(result.cells["speed_limited_share"][0] == 0.0)
+    assert np.all(result.cells["acceleration_limited_share"][:, 2] > 0.5)
+    assert result.linear_deviation(quantized=False) < 2e-3
+    assert result.linear_deviation(quantized=False) < result.linear_deviation(quantized=True) < 0.03
+    speed, acceleration = rod_limits(Scenario())
+    omega = math.tau * result.frequencies_hz
+    bound = 4 / math.pi * np.minimum(speed / omega, acceleration / omega**2)
+    for gain, amplitude in zip(np.abs(result.response), (0.3, 3.0), strict=True):
+        # The bound holds for any controller; 5 % for the curvature of x(θ) and the settling.
+        assert np.all(gain <= 1.05 * bound / rod_amplitude_m(sine(amplitude)))
+
+
+def test_the_map_is_plain_data_text_and_figures(mapped):
+    result, _ = mapped
+    data = json.loads(to_json(result.results()))
+    assert [row["amplitude_deg"] for row in data["amplitudes"]] == [0.3, 3.0]
+    assert data["amplitudes"][1]["gain"] == pytest.approx(np.abs(result.response[1]))
+    text = result.report()
+    assert f"| 3 | {result.bandwidths['measured_hz'][1]:.4g} |" in text
+    assert "the speed limit at 3°" in text
+    figures = result.figures()
+    assert set(figures) == {"amplitude_map", "bode_by_amplitude", "rate_limited_sine"}
+    for figure in figures.values():
+        figure.canvas.draw()
+        plt.close(figure)
+
+
+def test_an_interrupted_map_goes_on_with_identical_results(mapped):
+    result, path = mapped
+    lines = path.read_bytes().splitlines(keepends=True)
+    assert len(lines) == 6 + 3 + 2  # cells, without quantizer, bandwidths
+    path.write_bytes(b"".join(lines[:9]))
+    again = amplitude_map(Scenario(), SMALL_MAP, checkpoint=Checkpoint(path, resume=True))
+    assert to_json(again.results()) == to_json(result.results())
+
+
+def test_a_run_that_fails_leaves_its_cell_empty(monkeypatch):
+    def estimate(scenario, settings):
+        if scenario.reference.frequency_hz == 0.2 and scenario.reference.amplitude_deg == 30.0:
+            raise SimulationError("t = 0.1 s: left the range")
+        response = 1.0 / (1.0 + 1j * scenario.reference.frequency_hz)
+        if scenario.reference.frequency_hz == 0.4:
+            response = 0j  # a sine between two counts of the encoder
+        return SineEstimate(0.2, 1.0, response, 1e-3, True, 2, 3, 40.0, 0.0, 0.0)
+
+    for module in (bandwidth, amplitude_response):
+        monkeypatch.setattr(module, "estimate_sine", estimate)
+    chosen = AmplitudeMapParameters(amplitudes_deg=(1.0, 30.0), frequencies_hz=(0.1, 0.2, 0.4))
+    result = amplitude_map(Scenario(), chosen)
+    assert np.argwhere(np.isnan(result.response)).tolist() == [[1, 1]]
+    assert result.failures == ("30 deg, 0.2 Hz: t = 0.1 s: left the range",)
+    # The phase is unwrapped across the gap.
+    assert result.phase_deg[1, [0, 2]] == pytest.approx([-math.degrees(math.atan(0.1)), 0.0])
+    assert result.gain_db[1, 2] < -200.0
+    assert "- 30 deg, 0.2 Hz: t = 0.1 s: left the range" in result.report()
+    for figure in result.figures().values():
+        plt.close(figure)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "values", "told"),
+    [
+        (Scenario(), {"frequencies_hz": (1.0, 2.0, 51.0)}, "51 Hz is too high: must be <= 50 Hz"),
+        (Scenario(), {"amplitudes_deg": (1.0, 45.0)}, "leaves the range of motion"),
+        (Scenario(), {"amplitudes_deg": (1.0, 50.0)}, "amplitude_deg = 50 deg is out of range"),
+        (Scenario(reference=RampReference()), {}, "reference = ramp"),
+    ],
+)
+def test_a_map_that_means_nothing_is_refused(scenario, values, told):
+    with pytest.raises(ParameterError, match=told):
+        amplitude_map(scenario, AmplitudeMapParameters(**values))
+
+
+@pytest.mark.parametrize("name", ["amplitudes_deg", "frequencies_hz"])
+@pytest.mark.parametrize("values", [(1.0, 3.0, 2.0), (1.0, 1.0, 2.0), (0.0, 1.0, 2.0)])
+def test_amplitudes_and_frequencies_are_positive_and_increase(name, values):
+    with pytest.raises(ParameterError, match=f"{name} must be above zero and increase"):
+        AmplitudeMapParameters(**{name: values})
