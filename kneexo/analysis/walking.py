@@ -1,0 +1,249 @@
+"""Walking: what the measured gait asks of the actuator, and how well a closed loop walks.
+
+`walking_demand` goes from the knee backwards to the motor (inverse dynamics, no controller);
+`walking_metrics` simulates the closed loop. The load is that of the scenario: weight of the shank
+and, where it is given, a constant torque of the wearer. The torques of a leg that stands on the
+ground are not known here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from kneexo.analysis.bandwidth import rod_of
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.simulation import Array, simulate, to_rpm
+from kneexo.analysis.tracking import TRACKING_SIGNALS, tracking_metrics
+from kneexo.errors import KneexoError, ParameterError
+from kneexo.gait import gait_reference, gait_start_percent
+from kneexo.parameters import KneeLoadParameters, Scenario
+from kneexo.scenario import changed
+from kneexo.systems import KneeLoad
+
+WALKING_FIGURES = (
+    "max_error_deg",
+    "rms_error_deg",
+    "mean_command_change_rpm",
+    "saturated_share",
+    "peak_motor_speed_rpm",
+    "peak_motor_acceleration_rad_s2",
+    "peak_pressure_mpa",
+    "peak_shaft_power_w",
+    "delivered_energy_j",
+    "net_energy_j",
+)
+"""Figures of `walking_metrics`; energies are per stride."""
+
+_SAMPLES = 1000  # of a stride
+_HARMONICS = 40  # of a stride, in `linear_error_deg`: beyond lies the rounding of the data
+_ANGLE_STEP = 1e-5  # rad, of a central difference: 1e-10 of the moment arm
+
+
+@dataclass(frozen=True)
+class WalkingDemand:
+    """What one stride asks of the actuator; arrays (n,) from heel contact to heel contact.
+
+    Pump and motor without limits, lag or controller. ``segment_inertia``: whether the moving mass
+    is the shank as a point mass, m l²/r² at the rod, or the constant mass of Eq. 16.
+    """
+
+    frequency_hz: float
+    segment_inertia: bool
+    cycle_percent: Array
+    knee_angle_deg: Array
+    knee_rate_deg_s: Array
+    rod_speed_m_s: Array
+    rod_acceleration_m_s2: Array
+    rod_force_n: Array
+    load_pressure_pa: Array
+    load_flow_m3_s: Array
+    motor_speed_rad_s: Array
+    motor_acceleration_rad_s2: Array
+    shaft_power_w: Array
+
+    def peaks(self) -> dict[str, float]:
+        """Largest absolute value of each signal, mean motor acceleration, energy per cycle."""
+        time = self.cycle_percent / (100.0 * self.frequency_hz)
+        found = {
+            f"peak_{field.name}": float(np.max(np.abs(getattr(self, field.name))))
+            for field in fields(self)
+            if field.name not in ("frequency_hz", "segment_inertia", "cycle_percent")
+        }
+        return found | {
+            "mean_motor_acceleration_rad_s2": float(
+                np.mean(np.abs(self.motor_acceleration_rad_s2))
+            ),
+            **_energies(time, self.shaft_power_w, 1),
+        }
+
+
+def _energies(time_s: Array, power_w: Array, cycles: int) -> dict[str, float]:
+    """Work of the motor on the pump per cycle: what it delivers, and less what flows back."""
+    return {
+        "delivered_energy_j": float(np.trapezoid(np.maximum(power_w, 0.0), time_s)) / cycles,
+        "net_energy_j": float(np.trapezoid(power_w, time_s)) / cycles,
+    }
+
+
+def walking_demand(
+    scenario: Scenario, frequency_hz: float = 1.0, *, segment_inertia: bool = False
+) -> WalkingDemand:
+    """Inverse dynamics of the measured gait: Eq. 16, 15 and 13 solved backwards.
+
+    P_L = (m a + B v + K x + F_L)/Ā, Q_L = Ā v + C_L P_L + V_t/(4β_e) dP_L/dt,
+    ω_m = gear (Q_L + (C_im + C_em/2) P_L)/D_m. The full order is not inverted: the reduced one is
+    taken. With ``segment_inertia`` m a is −m_s l² d²θ_p/dt²/r, for the load's segment mass m_s at
+    the distance l, which a point mass has at least.
+
+    Raises `ParameterError` when the frequency is out of range, the gait leaves the range of
+    motion, or ``segment_inertia`` finds no segment in the scenario's load.
+    """
+    plant = scenario.plant
+    cylinder, pump, load = plant.cylinder, plant.pump, plant.load
+    reference = gait_reference(frequency_hz, 1)
+    plant.knee.require_in_range(*reference.range_deg)
+    knee = CubicSpline(reference.times_s, np.radians(reference.angles_deg), bc_type="periodic")
+    period = 1.0 / frequency_hz
+    # From heel contact on; the reference starts later.
+    time = np.linspace(0.0, period, _SAMPLES + 1)
+    phase = time - 0.01 * gait_start_percent() * period
+    angle, rate, acceleration = (knee(phase, order) for order in range(3))
+    arm = moment_arm_m(scenario, angle)
+    speed = -arm * rate
+    rod_acceleration = _rate(time, speed)
+    if segment_inertia:
+        if not isinstance(load, KneeLoadParameters):
+            raise ParameterError("plant.load.kind = none: has no segment; must be knee")
+        inertia = load.segment_mass_kg * load.centre_of_mass_m**2
+        inertial_force = -inertia * acceleration / arm
+    else:
+        inertial_force = cylinder.mass_kg * rod_acceleration
+    force = inertial_force + _load_force(scenario, time, angle, arm)
+    pressure = (
+        force
+        + cylinder.damping_n_s_per_m * speed
+        + cylinder.stiffness_n_per_m * rod_of(scenario, angle)
+    ) / cylinder.mean_area_m2
+    flow = (
+        cylinder.mean_area_m2 * speed
+        + cylinder.leakage_m3_per_s_pa * pressure
+        + cylinder.total_volume_m3 / (4.0 * cylinder.bulk_modulus_pa) * _rate(time, pressure)
+    )
+    per_revolution = pump.displacement_m3_per_rad / pump.gear_ratio
+    motor_speed = (flow + pump.leakage_m3_per_s_pa * pressure) / per_revolution
+    return WalkingDemand(
+        frequency_hz=frequency_hz,
+        segment_inertia=segment_inertia,
+        cycle_percent=100.0 * time / period,
+        knee_angle_deg=np.degrees(angle),
+        knee_rate_deg_s=np.degrees(rate),
+        rod_speed_m_s=speed,
+        rod_acceleration_m_s2=rod_acceleration,
+        rod_force_n=force,
+        load_pressure_pa=pressure,
+        load_flow_m3_s=flow,
+        motor_speed_rad_s=motor_speed,
+        motor_acceleration_rad_s2=_rate(time, motor_speed),
+        shaft_power_w=per_revolution * pressure * motor_speed,
+    )
+
+
+def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
+    """Knee error in deg, (n,), that the linear sampled loop leaves on a stride without limits.
+
+    Its response at mid-range (`linearize_loop`; in the rod's coordinates every posture has the
+    same but for the load), harmonic by harmonic. Raises `LinearizationError` where there is none.
+    """
+    angle = np.radians(demand.knee_angle_deg)
+    middle = 0.5 * float(demand.knee_angle_deg.min() + demand.knee_angle_deg.max())
+    loop = linearize_loop(scenario, middle)
+    harmonics = np.fft.rfft(rod_of(scenario, angle)[:-1])
+    harmonics[_HARMONICS + 1 :] = 0.0
+    orders = np.arange(1, _HARMONICS + 1)
+    harmonics[1 : _HARMONICS + 1] *= loop.output_response(orders * demand.frequency_hz) - 1.0
+    harmonics[0] = 0.0
+    error = np.fft.irfft(harmonics, angle.size - 1)
+    return np.degrees(np.append(error, error[0]) / moment_arm_m(scenario, angle))
+
+
+def moment_arm_m(scenario: Scenario, knee_angle_rad: Array) -> Array:
+    """Moment arm −dx/dθ_p in m at knee angles in rad, by the plant's own map."""
+    before, after = (rod_of(scenario, knee_angle_rad + h) for h in (-_ANGLE_STEP, _ANGLE_STEP))
+    return (before - after) / (2.0 * _ANGLE_STEP)
+
+
+def _rate(time: Array, periodic: Array) -> Array:
+    """Derivative of a periodic signal over one period."""
+    closed = np.append(periodic[:-1], periodic[0])
+    return np.asarray(CubicSpline(time, closed, bc_type="periodic")(time, 1))
+
+
+def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Array:
+    """F_L in N along the motion, from the plant's own load system."""
+    if not isinstance(scenario.plant.load, KneeLoadParameters):
+        return np.zeros_like(time)
+    load = KneeLoad(scenario.plant.load)
+    context = load.CreateDefaultContext()
+    force = np.empty_like(time)
+    for index in range(time.size):
+        context.SetTime(time[index])
+        load.GetInputPort("knee_angle").FixValue(context, [angle[index]])
+        load.GetInputPort("moment_arm").FixValue(context, [arm[index]])
+        force[index] = load.GetOutputPort("load_force").Eval(context)[0]
+    return force
+
+
+# ------------------------------------------------------------------------------ closed loop
+
+
+def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> dict[str, Array]:
+    """Closed loop that follows the measured gait: ``time_s`` and signals after the first stride.
+
+    Raises `ParameterError` for fewer than two ``cycles``, and what the simulation raises.
+    """
+    if cycles < 2:
+        raise ParameterError(f"cycles = {cycles}: must be >= 2, the first of which is discarded")
+    walking = scenario.model_copy(update={"reference": gait_reference(frequency_hz, cycles)})
+    walking = changed(walking, {"simulation.duration_s": cycles / frequency_hz})
+    run = simulate(walking, signals=(*TRACKING_SIGNALS, "motor_speed"))
+    kept = run.time_s >= 1.0 / frequency_hz - 1e-9
+    return {"time_s": run.time_s[kept]} | {n: values[kept] for n, values in run.data.items()}
+
+
+def walking_metrics(
+    scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3
+) -> dict[str, Any]:
+    """How a closed loop walks, after the first stride, as plain numbers by name.
+
+    `WALKING_FIGURES`, and ``failure``: a run that fails has nan for each, and one line says why.
+    """
+    limits, pump = scenario.plant.cylinder, scenario.plant.pump
+    try:
+        found = walk(scenario, frequency_hz, cycles)
+    except KneexoError as error:
+        return dict.fromkeys(WALKING_FIGURES, math.nan) | {"failure": str(error)}
+    time, power, speed = found["time_s"], found["shaft_power_w"], found["motor_speed_rad_s"]
+    metrics = tracking_metrics(
+        time,
+        found["knee_reference_rad"] - found["knee_angle_rad"],
+        found["motor_speed_command_rad_s"],
+        found["load_pressure_pa"],
+        power,
+        found["hydraulic_power_w"],
+        settled_s=0.0,
+        command_limit_rad_s=scenario.command_limit_rad_s,
+        pressure_rating_pa=limits.pressure_rating_pa,
+        power_rating_w=pump.rated_power_w,
+    )
+    own = {
+        "peak_motor_speed_rpm": to_rpm(float(np.max(np.abs(speed)))),
+        "peak_motor_acceleration_rad_s2": float(np.max(np.abs(np.diff(speed) / np.diff(time)))),
+        **_energies(time, power, cycles - 1),
+    }
+    values = asdict(metrics) | own
+    return {name: values[name] for name in WALKING_FIGURES} | {"failure": ""}

@@ -1,0 +1,155 @@
+"""The measured gait: the data, its licence, and the reference made of it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kneexo.errors import ParameterError
+from kneexo.gait import gait_knee_flexion, gait_reference, gait_start_percent
+from kneexo.parameters import GAIT_STRIDE_S
+from kneexo.systems.knee_reference import make_knee_reference, reference_range_deg
+
+
+def evaluate(reference, times):
+    """θ_d and three derivatives, (n, 4), in deg and s."""
+    system = make_knee_reference(reference)
+    context = system.CreateDefaultContext()
+
+    def at(time):
+        context.SetTime(time)
+        return system.get_output_port().Eval(context)
+
+    return np.degrees([at(time) for time in times])
+
+
+def test_the_data_name_their_source_and_licence():
+    text = files("kneexo").joinpath("data", "gait_knee_flexion.csv").read_text(encoding="utf-8")
+    head = text.splitlines()[:2]
+    assert all(line.startswith("#") for line in head)
+    for credit in ("NONAN GaitPrint", "Wiles et al.", "CC BY 4.0", f"{GAIT_STRIDE_S:.3f} s"):
+        assert credit in "".join(head)
+
+
+def test_the_data_span_one_cycle():
+    percent, mean, deviation = gait_knee_flexion()
+    assert np.array_equal(percent, np.arange(101.0))
+    assert mean.shape == deviation.shape == (101,)
+    assert (deviation > 0.0).all()
+    # As printed in the file: heel contact, the swing's peak, mid-stance.
+    assert (mean[0], mean[71], mean[41]) == (4.157, 59.159, 2.332)
+    assert gait_start_percent() == 41.0
+
+
+@pytest.mark.parametrize("frequency_hz", [1.0, 1.0 / GAIT_STRIDE_S])
+def test_rates_are_the_differences_of_the_data(frequency_hz):
+    percent, mean, _ = gait_knee_flexion()
+    step = 0.01 / frequency_hz
+    times = (percent + 100.0 - gait_start_percent()) * step
+    rate, acceleration = evaluate(gait_reference(frequency_hz, 3), times)[:, 1:3].T
+    # What a cubic spline with continuous acceleration obeys at every knot; the line that closes
+    # the cycle adds its slope. Rounding: 1e-16 · 60° / h² = 1e-10 of the peak.
+    slope = (mean[-1] - mean[0]) * frequency_hz
+    differences = (mean[2:] - mean[:-2]) / (2.0 * step) - slope
+    mixed = (rate[:-2] + 4.0 * rate[1:-1] + rate[2:]) / 6.0
+    assert mixed == pytest.approx(differences, abs=1e-8 * np.abs(differences).max())
+    second = (mean[2:] - 2.0 * mean[1:-1] + mean[:-2]) / step**2
+    mixed = (acceleration[:-2] + 4.0 * acceleration[1:-1] + acceleration[2:]) / 6.0
+    assert mixed == pytest.approx(second, abs=1e-8 * np.abs(second).max())
+
+
+def test_the_peak_rate_is_that_of_the_measured_stride():
+    times = np.linspace(0.0, GAIT_STRIDE_S, 2001)
+    rate = evaluate(gait_reference(1.0 / GAIT_STRIDE_S, 2), times)[:, 1]
+    assert np.abs(rate).max() == pytest.approx(446.0, abs=2.0)  # from the data: 3.97°/1 %
+
+
+def test_it_is_periodic_closed_and_smooth():
+    reference = gait_reference(1.0, 4)
+    times = np.linspace(1.0, 2.0, 500)
+    first, second = evaluate(reference, times), evaluate(reference, times + 1.0)
+    # The ends of the spline reach in with a factor of 0.27 a sample: nothing after 100 of them.
+    assert np.abs(first - second)[:, :3].max() <= 1e-9 * np.abs(first).max()
+    assert reference.angles_deg[0] == reference.angles_deg[-1]
+    percent, mean, _ = gait_knee_flexion()
+    kept = np.array(reference.angles_deg[59:160])  # heel contact to heel contact
+    # A straight line closes the cycle: nothing at its start, all of the gap at its end.
+    assert np.allclose(
+        mean - kept,
+        (mean[-1] - mean[0]) * percent / 100.0 * (percent < 100.0)
+        + (mean[-1] - mean[0]) * (percent == 100.0),
+        atol=1e-12,
+    )
+    assert np.abs(mean - kept).max() < 0.033
+    # Continuous acceleration: no jump within a microsecond at the samples.
+    beside = evaluate(reference, [1.5 - 1e-7, 1.5 + 1e-7])
+    assert np.abs(np.diff(beside[:, :3], axis=0)).max() < 0.05
+
+
+def test_it_stays_inside_the_range_of_motion_between_samples_too():
+    low, high = reference_range_deg(gait_reference(1.0, 3))
+    assert 2.31 < low < 2.332  # the spline passes the lowest sample by 0.014°
+    assert 59.1 < high < 59.17
+
+
+def test_it_starts_and_ends_at_rest():
+    reference = gait_reference(1.0, 3)
+    start, end = evaluate(reference, [0.0, 3.0])
+    assert reference.times_s[0] == 0.0
+    assert reference.times_s[-1] == pytest.approx(3.0)
+    # Least flexion: less than 0.5 % of the peak rate of 398 deg/s.
+    assert max(abs(start[1]), abs(end[1])) < 2.0
+
+
+@given(frequency=st.floats(0.05, 10.0), cycles=st.integers(1, 5))
+def test_only_time_scales_with_the_frequency(frequency, cycles):
+    reference, base = gait_reference(frequency, cycles), gait_reference(1.0, cycles)
+    assert reference.angles_deg == base.angles_deg
+    assert np.allclose(np.multiply(reference.times_s, frequency), base.times_s, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "cycles", "told"),
+    [
+        (0.0, 3, "frequency_hz = 0 Hz: must be > 0 and <= 10 Hz"),
+        (float("nan"), 3, "frequency_hz = nan Hz"),
+        (10.1, 3, "frequency_hz = 10.1 Hz"),
+        (1.0, 0, "cycles = 0: must be >= 1 and <= 1000"),
+        (1.0, 1001, "cycles = 1001"),
+    ],
+)
+def test_bad_input_is_one_line(frequency, cycles, told):
+    with pytest.raises(ParameterError) as caught:
+        gait_reference(frequency, cycles)
+    assert str(caught.value).startswith(told)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_a_built_wheel_ships_the_data(tmp_path):
+    root = Path(__file__).parents[1]
+    source = tmp_path / "source"
+    shutil.copytree(root / "kneexo", source / "kneexo", ignore=shutil.ignore_patterns("__py*"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(root / name, source / name)
+    built = subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--no-deps", "-w", str(tmp_path), str(source)],
+        capture_output=True,
+        text=True,
+    )
+    if "No matching distribution found for setuptools" in built.stderr:
+        pytest.skip("setuptools cannot be had offline")
+    assert built.returncode == 0, built.stderr
+    (wheel,) = tmp_path.glob("kneexo-*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        shipped = archive.read("kneexo/data/gait_knee_flexion.csv")
+    assert shipped == (root / "kneexo/data/gait_knee_flexion.csv").read_bytes()
