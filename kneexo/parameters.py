@@ -1027,7 +1027,7 @@ class SizingParameters(Parameters):
     def _ordered(self) -> SizingParameters:
         for name in ("factors", "walking_factors"):
             values = getattr(self, name)
-            if any(b <= a for a, b in zip(values, values[1:], strict=False)):
+            if any(b <= a for a, b in pairwise(values)):
                 raise ValueError(f"{name} must increase")
         low, high = self.acceleration_limit_min_rad_s2, self.acceleration_limit_max_rad_s2
         if low >= high:
@@ -1169,6 +1169,7 @@ class RobustnessParameters(Parameters):
         le=10_000,
         json_schema_extra={"unit": "1", "source": "assumption: lines that a plot can carry"},
     )
+
 
 IDEAL_SMC = Scenario(
     plant=PlantParameters(

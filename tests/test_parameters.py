@@ -369,8 +369,8 @@ def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> N
         (
             SimulationParameters,
             {"integrator": "euler"},
-            "integrator = 'euler': must be 'exact_hold', 'rk4', 'radau3', 'radau1', 'runge_kutta3' or "
-            "'implicit_euler'",
+            "integrator = 'euler': must be 'exact_hold', 'rk4', 'radau3', 'radau1', "
+            "'runge_kutta3' or 'implicit_euler'",
         ),
         (
             Scenario,

@@ -31,6 +31,7 @@ from kneexo.analysis.frequency_response import (
     require_sine,
 )
 from kneexo.analysis.heat_map import cell_borders, heat_map, plain_ticks
+from kneexo.analysis.markdown import number
 from kneexo.analysis.parallel import parallel_map
 from kneexo.analysis.plant_linearization import Complex
 from kneexo.analysis.rate_limit import (
@@ -179,8 +180,10 @@ class AmplitudeMap:
             name, expected = self.decided_by(i)
             measured = self.bandwidths["measured_hz"][i]
             values = [measured, *(self.bandwidths[column][i] for column in columns)]
-            shown = " | ".join(_number(value) for value in values)
-            lines.append(f"| {amplitude:g} | {shown} | {name} | {_number(measured / expected)} |")
+            shown = " | ".join(number(value, ".4g") for value in values)
+            lines.append(
+                f"| {amplitude:g} | {shown} | {name} | {number(measured / expected, '.4g')} |"
+            )
         lines += ["", self._limits_in_words(), "", self._linear_in_words()]
         if wandering := self._wandering_in_words():
             lines += ["", wandering]
@@ -378,10 +381,6 @@ def _unwrapped_deg(response: Any) -> Array:
     finite = np.isfinite(phase)
     phase[finite] = np.unwrap(phase[finite])
     return np.degrees(phase)
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}" if math.isfinite(value) else "–"
 
 
 # ---------------------------------------------------------------------------------- measurement

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -22,6 +21,7 @@ from kneexo.analysis.hardware import (
     tuned,
     value_at,
 )
+from kneexo.analysis.markdown import markdown_table, number
 from kneexo.analysis.simulation import to_rpm
 from kneexo.analysis.walking import WalkingDemand, linear_error_deg
 from kneexo.parameters import Scenario
@@ -179,17 +179,8 @@ def report(sizing: Sizing) -> str:
     return "\n\n".join("\n".join(part(sizing, found)) for part in parts) + "\n"
 
 
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    lines = [header, ["---"] * len(header), *rows]
-    return ["| " + " | ".join(line) + " |" for line in lines]
-
-
-def _number(value: float, form: str = ".3g") -> str:
-    return "—" if math.isnan(value) else f"{value:{form}}"
-
-
 def _list(values: Iterable[float]) -> str:
-    return " and ".join(_number(value) for value in values)
+    return " and ".join(number(value) for value in values)
 
 
 _AT_REFERENCE = (
@@ -236,9 +227,9 @@ def _hardware_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
         f"limits for a sine in the rod, the small signal that of the linear loop, the error the "
         f"largest at {reference.frequency_hz:g} Hz after the first period.",
         "",
-        *_table(
+        *markdown_table(
             ("hardware", "bound (Hz)", "small signal (Hz)", "measured −3 dB (Hz)", "error (deg)"),
-            [[name, *(_number(one[key]) for key in _AT_REFERENCE)] for name, one in measured],
+            [[name, *(number(one[key]) for key in _AT_REFERENCE)] for name, one in measured],
         ),
         "",
         "— is a figure that does not exist (a gain that does not fall by 3 dB) or a run that failed"
@@ -275,10 +266,10 @@ def _demand_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
         "mass, m l²/r² at the rod. The torques of a leg on the ground are not in it, nor is the "
         "inertia of motor and pump.",
         "",
-        *_table(
+        *markdown_table(
             ["", *(f"{one['frequency_hz']:.4g} Hz, {mass}" for mass, one in demands)],
             [
-                [label, *(_number(one[name], form) for _, one in demands)]
+                [label, *(number(one[name], form) for _, one in demands)]
                 for name, (label, form) in _DEMANDS.items()
             ],
         ),
@@ -295,10 +286,10 @@ def _demand_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
         f"{found['demand'][0]['frequency_hz']:.4g} Hz; the ratings are "
         f"{1e-6 * cylinder.pressure_rating_pa:g} MPa and {pump.rated_power_w:g} W:",
         "",
-        *_table(
+        *markdown_table(
             ("torque (N·m)", *(_DEMANDS[name][0] for name in names)),
             [
-                [torque, *(_number(one[name], _DEMANDS[name][1]) for name in names)]
+                [torque, *(number(one[name], _DEMANDS[name][1]) for name in names)]
                 for torque, one in torques.items()
             ],
         ),
@@ -320,7 +311,7 @@ _WALKING = {
 def _walked(found: Mapping[str, Any], names: Sequence[str]) -> list[str]:
     if found["failure"]:
         return [f"fails: {found['failure'].split(';')[0]}", *["—"] * (len(names) - 1)]
-    return [_number(found[name], _WALKING[name][1]) for name in names]
+    return [number(found[name], _WALKING[name][1]) for name in names]
 
 
 def _controller_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
@@ -343,7 +334,7 @@ def _controller_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
         if best["meets"]
         else f"** none of the {len(found['gains'])} gains tried has a disk margin of "
         f"{settings.disk_margin_min:g} without chattering** (this one: "
-        f"{_number(best['disk_margin'])})"
+        f"{number(best['disk_margin'])})"
     )
     return [
         "## What must change in the controller",
@@ -353,7 +344,7 @@ def _controller_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
         f"{settings.largest_flow_factor:g} times the flow and "
         f"{settings.acceleration_limit_max_rad_s2:g} rad/s² no limit is in the way. Still:",
         "",
-        *_table(
+        *markdown_table(
             [
                 "",
                 *(
@@ -385,7 +376,7 @@ def _searched(search: Mapping[str, Any], bound_deg: float) -> str:
         return f"{search['value']:.4g}"
     return (
         f"not reached in {search['low']:g} … {search['high']:g}: best "
-        f"{_number(search['max_error_deg'])}° (bound {bound_deg:g}°) at {search['value']:.4g}"
+        f"{number(search['max_error_deg'])}° (bound {bound_deg:g}°) at {search['value']:.4g}"
     )
 
 
@@ -411,17 +402,17 @@ def _designs_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
             *(_searched(one["acceleration_search"], bound) for one in designs),
         ],
         *(
-            [label, *(_number(one[name], form) for one in designs)]
+            [label, *(number(one[name], form) for one in designs)]
             for name, (label, form) in _SIZED.items()
         ),
     ]
     for name, (label, form) in _WALKING.items():
         kind = "halved_step" if name in _CHECKED else "walking"
-        rows.append([label, *(_number(one[kind][name], form) for one in designs)])
+        rows.append([label, *(number(one[kind][name], form) for one in designs)])
     rows.append(
         [
             "change of error, pressure, power and energy by halving the step (%), at most",
-            *(_number(100.0 * max(one["step_agreement"].values()), ".2f") for one in designs),
+            *(number(100.0 * max(one["step_agreement"].values()), ".2f") for one in designs),
         ]
     )
     return [
@@ -432,7 +423,7 @@ def _designs_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
         f"{_list(one['flow_factor'] for one in found['demand'])} times the flow; the bound on the "
         f"error lets its peak be cut.",
         "",
-        *_table(["", *(f"{one['frequency_hz']:.4g} Hz" for one in designs)], rows),
+        *markdown_table(["", *(f"{one['frequency_hz']:.4g} Hz" for one in designs)], rows),
     ]
 
 
@@ -453,15 +444,15 @@ def _around_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
         f"## Around the hardware sized for {frequency:.4g} Hz",
         "",
         f"It follows {low:g}…{high:g}° at {reference.frequency_hz:g} Hz to "
-        f"{_number(at_sine['max_error_deg'])}°. Its −3 dB for that sine: "
-        f"{_number(at_sine['bandwidth_hz'])} Hz (bound of its limits "
-        f"{_number(at_sine['expected_bandwidth_hz'])} Hz, linear loop "
-        f"{_number(at_sine['small_signal_bandwidth_hz'])} Hz)"
+        f"{number(at_sine['max_error_deg'])}°. Its −3 dB for that sine: "
+        f"{number(at_sine['bandwidth_hz'])} Hz (bound of its limits "
+        f"{number(at_sine['expected_bandwidth_hz'])} Hz, linear loop "
+        f"{number(at_sine['small_signal_bandwidth_hz'])} Hz)"
         + (f"; {at_sine['failure']}." if at_sine["failure"] else "."),
         "",
         "Walking on plants that the controller does not know of:",
         "",
-        *_table(
+        *markdown_table(
             ("plant", *(_WALKING[name][0] for name in columns)),
             [[name, *_walked(one, columns)] for name, one in found["variations"].items()],
         ),
@@ -469,5 +460,5 @@ def _around_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
         f"Factors on one of its values, of those tried in {min(tried):g} … {max(tried):g}, that "
         f"keep the error within {bound:g}°:",
         "",
-        *_table(("value", "factors"), kept),
+        *markdown_table(("value", "factors"), kept),
     ]

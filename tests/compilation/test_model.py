@@ -68,8 +68,8 @@ def test_runge_kutta3_is_that_of_drake():
 
 
 def test_runge_kutta3_stretches_its_last_step_as_drake_does():
-    # 2 ms are 3 steps of 0.6633 ms and 0.5 %: Drake stretches the last one; of 0.6 ms they are 4.
-    for step in (0.6633e-3, 0.6e-3):
+    # 2 ms are 4 steps of 0.499 ms and 0.8 % of one: Drake stretches the last; of 0.4 ms they are 5.
+    for step in (0.499e-3, 0.4e-3):
         settings = SimulationParameters(duration_s=0.1, integrator="runge_kutta3", step_s=step)
         scenario = Scenario(encoder=FREE, simulation=settings)
         drake, ours = (

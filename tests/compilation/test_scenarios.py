@@ -230,8 +230,20 @@ def test_no_quantity_is_baked_into_the_equations(case):
 def test_choices_change_the_structure():
     keys = {structure_key(scenario) for scenario in STRUCTURES.values()}
     assert len(keys) == len(STRUCTURES)
-    counts = Scenario(encoder=Scenario().encoder.model_copy(update={"counts_per_revolution": 512}))
-    assert structure_key(counts) != structure_key(Scenario())
+    for path, value in (
+        (("can_delay_samples",), 1),
+        (("encoder", "counts_per_revolution"), 512),
+        (("encoder", "quantized"), False),
+        (("controller", "switching"), "signum"),
+        (("controller", "sample_time_s"), 0.001),
+        (("estimator",), ExactParameters()),
+        (("plant", "ideal_motor"), True),
+        (("plant", "load"), KneeLoadParameters()),
+        (("plant", "full_order"), FullCylinderParameters()),
+        (("reference",), StepReference()),
+    ):
+        other = changed(Scenario(), path, value)
+        assert structure_key(other) != structure_key(Scenario()), path
     longer = Scenario(simulation=SimulationParameters(duration_s=1.0))
     assert structure_key(longer) == structure_key(Scenario())
 
