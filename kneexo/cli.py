@@ -7,9 +7,11 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from kneexo import __version__
 from kneexo.errors import KneexoError
@@ -18,17 +20,24 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from kneexo.parameters import Scenario
+    from kneexo.quantity import Parameters
+
+Settings = TypeVar("Settings", bound="Parameters")
 
 # Each command imports what it needs: `kneexo --help` and `kneexo params` need no Drake.
 
 EPILOG = """\
 examples:
-  kneexo reproduce --out results      every figure and number of the paper
-  kneexo simulate --out run           the paper's default scenario
-  kneexo simulate my.yaml --out run   a scenario of your own
-  kneexo params --yaml > my.yaml      a complete scenario file to edit
+  kneexo reproduce --out results       every figure and number of the paper
+  kneexo simulate --out run            the paper's default scenario
+  kneexo simulate my.yaml --out run    a scenario of your own
+  kneexo params --yaml > my.yaml       a complete scenario file to edit
   kneexo linearize --out margins       stability margins of the sampled loop
-  kneexo diagram --out pictures       the block diagram
+  kneexo bandwidth --out response      frequency response, small to large signal
+  kneexo robustness --out robust       worst cases over an uncertainty set
+  kneexo study contest --out contest   sliding mode against PID, tuned alike
+  kneexo size --out size               what a faster knee would take
+  kneexo diagram --out pictures        the block diagram
 
 Exit codes: 0 done, 2 wrong input or a run that failed (one line says why), 130 interrupted.
 """
@@ -50,7 +59,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         cause = error.__cause__ or error.__context__
         if isinstance(error, ImportError) and not isinstance(cause, KeyboardInterrupt):
             raise
-        print("kneexo: interrupted; nothing was written", file=sys.stderr)
+        kept = getattr(options, "checkpoint", None)
+        what = "nothing was written"
+        if kept:
+            what = (
+                f"{len(kept)} finished pieces are kept in {kept.path}; --resume goes on from them"
+            )
+        print(f"kneexo: interrupted; {what}", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of our output went away, as with `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -96,6 +111,30 @@ def _parser() -> argparse.ArgumentParser:
             metavar="SCENARIO.yaml",
             help="scenario file; left out: the paper's setup (see `kneexo params`)",
         )
+        sub.add_argument(
+            "--engine",
+            choices=("compiled", "drake"),
+            help="run on compiled equations, or through Drake's Simulator, 200 times slower; left "
+            "out: as the scenario's integrator says",
+        )
+
+    def add_sweep(sub: argparse.ArgumentParser) -> None:
+        add_scenario(sub)
+        add_out(sub, "figures (PNG, PDF), results (JSON) and report (Markdown)")
+        sub.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="NAME=VALUE",
+            dest="settings",
+            help="a setting of the study, such as its seed; `kneexo params` lists them all",
+        )
+        sub.add_argument("--workers", type=int, metavar="N", help="processes; all cores by default")
+        sub.add_argument(
+            "--resume",
+            action="store_true",
+            help="go on from what an interrupted run left in the directory",
+        )
 
     sub = command(
         "reproduce",
@@ -124,6 +163,48 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_out(sub, "linearization.json, loop.png and loop.pdf")
 
+    sub = command(
+        "bandwidth",
+        _bandwidth,
+        "measure the frequency response from small to large amplitude",
+        "Sinestream over frequencies and amplitudes, beside the linear prediction and the closed "
+        "form of the speed limit.",
+    )
+    add_sweep(sub)
+
+    sub = command(
+        "robustness",
+        _robustness,
+        "worst case, spread and sensitivities over an uncertainty set",
+        "Corners, seeded Monte Carlo and one value at a time: tracking error, bandwidth, margins.",
+    )
+    add_sweep(sub)
+    sub.add_argument(
+        "--uncertainty",
+        metavar="FILE.yaml",
+        help="values by dotted path, each {low, high, scale} or {options}; left out: the default "
+        "set (see `kneexo params`)",
+    )
+
+    sub = command(
+        "study",
+        _study,
+        "compare controllers, or the full order with the reduced one",
+        "controller: errors, chattering and margins over λ, Φ and η, and the paper's claims; "
+        "contest: SMC and PID tuned alike, compared over the uncertainty set; sliding: the sliding "
+        "condition and the bound on the error; order: full against reduced order.",
+    )
+    sub.add_argument("what", choices=("controller", "contest", "sliding", "order"))
+    add_sweep(sub)
+
+    sub = command(
+        "size",
+        _size,
+        "find the motor, pump and encoder that a task needs",
+        "Bandwidth and error over the hardware, and what walking takes.",
+    )
+    add_sweep(sub)
+
     sub = command("params", _params, "list every parameter with value, unit, range and provenance")
     add_scenario(sub)
     form = sub.add_mutually_exclusive_group()
@@ -143,20 +224,62 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _scenario(options: argparse.Namespace) -> Scenario:
+def _scenario(options: argparse.Namespace, default: Scenario | None = None) -> Scenario:
+    from kneexo.parameters import Scenario
+    from kneexo.scenario import changed, load_scenario
+
     if options.scenario is None:
-        from kneexo.parameters import Scenario
-
-        return Scenario()
-    from kneexo.scenario import load_scenario
-
-    return load_scenario(options.scenario)
+        scenario = default or Scenario()
+    else:
+        scenario = load_scenario(options.scenario)
+    if options.engine and (options.engine == "compiled") != scenario.simulation.compiled:
+        integrator = "exact_hold" if options.engine == "compiled" else "radau3"
+        scenario = changed(scenario, {"simulation.integrator": integrator})
+    return scenario
 
 
 def _headless() -> None:
     import matplotlib
 
     matplotlib.use("Agg")
+
+
+def _check_workers(options: argparse.Namespace) -> None:
+    if options.workers is not None and options.workers < 1:
+        from kneexo.errors import ParameterError
+
+        raise ParameterError(f"--workers = {options.workers}: must be at least 1")
+
+
+def _sweep(options: argparse.Namespace, name: str, compute: Callable[..., Any]) -> None:
+    """Run a study whose finished pieces are kept, and write results, report and figures.
+
+    ``compute`` takes ``workers``, ``checkpoint`` and ``progress``; what it returns has
+    ``results()``, ``report()`` and ``figures()``.
+    """
+    _check_workers(options)
+    _headless()
+    import matplotlib.pyplot as plt
+
+    from kneexo.analysis.checkpoint import Checkpoint
+    from kneexo.output import output_directory, save_figure, to_json
+
+    with output_directory(options.out) as directory:
+        checkpoint = Checkpoint(options.out / f"{name}.checkpoint.jsonl", resume=options.resume)
+        options.checkpoint = checkpoint
+        done = compute(workers=options.workers, checkpoint=checkpoint, progress=True)
+        numbers, text = to_json(done.results()), done.report()
+        (directory / f"{name}.json").write_text(numbers, encoding="utf-8")
+        (directory / f"{name}.md").write_text(text, encoding="utf-8")
+        for title, figure in done.figures().items():
+            save_figure(directory, title, figure)
+            plt.close(figure)
+        written = ", ".join(sorted(file.name for file in directory.iterdir()))
+    checkpoint.remove()
+    if options.json:
+        print(numbers, end="")
+    else:
+        print(f"{text}\nIn {options.out}: {written}")
 
 
 # -------------------------------------------------------------------------------- commands
@@ -166,12 +289,10 @@ def _reproduce(options: argparse.Namespace) -> None:
     _headless()
     import matplotlib.pyplot as plt
 
-    from kneexo.errors import ParameterError
     from kneexo.output import output_directory, save_figure, to_json
     from kneexo.reproduction import figures, report, reproduce, results
 
-    if options.workers is not None and options.workers < 1:
-        raise ParameterError(f"--workers = {options.workers}: must be at least 1")
+    _check_workers(options)
     with output_directory(options.out) as directory:
         done = reproduce(workers=options.workers, progress=True)
         numbers = results(done)
@@ -257,6 +378,63 @@ def _linearize(options: argparse.Namespace) -> None:
     print(f"In {options.out}: linearization.json, loop.png, loop.pdf")
 
 
+def _settings(options: argparse.Namespace, cls: type[Settings]) -> Settings:
+    """The settings of a study with what ``--set`` changes."""
+    from kneexo.errors import ParameterError
+    from kneexo.scenario import read_value
+
+    values = {}
+    for text in options.settings:
+        name, separator, value = text.partition("=")
+        if not separator:
+            raise ParameterError(f"--set {text}: must be NAME=VALUE")
+        values[name] = read_value(f"--set {name}", value)
+    return cls(**values)
+
+
+def _bandwidth(options: argparse.Namespace) -> None:
+    from kneexo.analysis.amplitude_response import amplitude_map
+    from kneexo.parameters import AmplitudeMapParameters
+
+    settings = _settings(options, AmplitudeMapParameters)
+    _sweep(options, "bandwidth", partial(amplitude_map, _scenario(options), settings))
+
+
+def _robustness(options: argparse.Namespace) -> None:
+    from kneexo.analysis.robustness import robustness
+    from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, RobustnessParameters
+    from kneexo.scenario import load_uncertainty
+
+    scenario = _scenario(options, UNCERTAIN_KNEE)
+    settings = _settings(options, RobustnessParameters)
+    uncertainty = UNCERTAINTY
+    if options.uncertainty is not None:
+        uncertainty = load_uncertainty(options.uncertainty, scenario)
+    _sweep(options, "robustness", partial(robustness, scenario, uncertainty, settings))
+
+
+def _study(options: argparse.Namespace) -> None:
+    from kneexo import parameters
+
+    module, function, default = {
+        "controller": ("controller_study", "controller_study", parameters.Scenario()),
+        "contest": ("contest", "contest", parameters.UNCERTAIN_KNEE),
+        "sliding": ("sliding_condition", "sliding_study", parameters.SLIDING_LAW),
+        "order": ("reduction", "compare_orders", parameters.UNCERTAIN_KNEE),
+    }[options.what]
+    compute = getattr(import_module(f"kneexo.analysis.{module}"), function)
+    settings = _settings(options, _study_settings()[f"study {options.what}"])
+    _sweep(options, options.what, partial(compute, _scenario(options, default), settings))
+
+
+def _size(options: argparse.Namespace) -> None:
+    from kneexo.analysis.sizing import sizing
+    from kneexo.parameters import UNCERTAIN_KNEE, SizingParameters
+
+    settings = _settings(options, SizingParameters)
+    _sweep(options, "size", partial(sizing, _scenario(options, UNCERTAIN_KNEE), settings))
+
+
 def _params(options: argparse.Namespace) -> None:
     scenario = _scenario(options)
     if options.yaml:
@@ -273,9 +451,9 @@ def _params(options: argparse.Namespace) -> None:
         return
     rows = list(_parameter_rows(scenario, others=options.scenario is None))
     if options.scenario is None:
-        from kneexo.parameters import SinestreamParameters
-
-        rows += _parameter_rows(SinestreamParameters(), "frequency response: ")
+        for name, cls in _study_settings().items():
+            rows += _parameter_rows(cls(), f"{name}: ")
+        rows += _uncertainty_rows()
     if options.json:
         print(json.dumps(rows, indent=2, ensure_ascii=False))
         return
@@ -284,6 +462,36 @@ def _params(options: argparse.Namespace) -> None:
         unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
         value = f"{row['value']:.10g}" if isinstance(row["value"], float) else row["value"]
         print(f"{row['parameter']} = {value}{unit}{bounds}\n    {row['provenance']}")
+
+
+def _study_settings() -> dict[str, type[Parameters]]:
+    """The settings of each study, by command."""
+    from kneexo import parameters
+
+    return {
+        "reproduce, Fig. 13": parameters.SinestreamParameters,
+        "bandwidth": parameters.AmplitudeMapParameters,
+        "robustness": parameters.RobustnessParameters,
+        "study controller": parameters.ControllerStudyParameters,
+        "study contest": parameters.ContestParameters,
+        "study sliding": parameters.SlidingStudyParameters,
+        "study order": parameters.OrderComparisonParameters,
+        "size": parameters.SizingParameters,
+    }
+
+
+def _uncertainty_rows() -> Iterator[dict[str, Any]]:
+    """The default uncertainty set."""
+    from kneexo.parameters import UNCERTAINTY
+
+    for path, one in UNCERTAINTY.values.items():
+        yield {
+            "parameter": f"uncertainty: {path}",
+            "value": list(one.options) or [one.low, one.high],
+            "unit": "",
+            "range": "one of these" if one.options else f"from, to; {one.scale}",
+            "provenance": one.source + ("; known to the controller" if one.known else ""),
+        }
 
 
 def _parameter_rows(

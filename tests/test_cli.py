@@ -204,3 +204,127 @@ def test_linearize_writes_margins_and_refuses_a_posture_out_of_range(capsys, tmp
     assert main(["linearize", "--knee-angle", "200", "--out", str(tmp_path / "no")]) == 2
     assert "knee angle = 200 deg" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
+
+
+# -------------------------------------------------------------------------------- studies
+
+SMALL_MAP = ["--set", "amplitudes_deg=[1.0]", "--set", "frequencies_hz=[2, 3, 5]"]
+
+
+def test_bandwidth_measures_writes_and_leaves_no_checkpoint(capsys, tmp_path):
+    out = tmp_path / "out"
+    assert main(["bandwidth", *SMALL_MAP, "--workers", "1", "--out", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert json.loads((out / "bandwidth.json").read_text()) == printed
+    names = {file.name for file in out.iterdir()}
+    assert {"bandwidth.md", "amplitude_map.png", "amplitude_map.pdf"} <= names
+    assert not any("checkpoint" in name for name in names)
+
+
+def test_an_interrupted_study_goes_on_with_identical_results(capsys, tmp_path, monkeypatch):
+    from kneexo.analysis import amplitude_response
+
+    whole, torn = tmp_path / "whole", tmp_path / "torn"
+    command = ["bandwidth", *SMALL_MAP, "--workers", "1", "--out"]
+    assert main([*command, str(whole)]) == 0
+    measure, calls = amplitude_response._measure, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return measure(*arguments)
+
+    interrupted.__module__, interrupted.__qualname__ = measure.__module__, measure.__qualname__
+    monkeypatch.setattr(amplitude_response, "_measure", interrupted)
+    capsys.readouterr()
+    assert main([*command, str(torn)]) == 130
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("kneexo: interrupted; 3 finished pieces are kept in ")
+    assert [file.name for file in torn.iterdir()] == ["bandwidth.checkpoint.jsonl"]
+    assert main([*command, str(torn), "--resume"]) == 0
+    pieces = len(calls) - 4
+    assert pieces > 0
+    for name in ("bandwidth.json", "bandwidth.md"):
+        assert (torn / name).read_bytes() == (whole / name).read_bytes()
+    assert not (torn / "bandwidth.checkpoint.jsonl").exists()
+    calls.clear()
+    monkeypatch.setattr(amplitude_response, "_measure", measure)
+    assert main([*command, str(tmp_path / "again"), "--resume"]) == 0
+
+
+class FakeStudy:
+    def __init__(self, arguments):
+        self.arguments = arguments
+
+    def results(self):
+        return {"settings": type(self.arguments[1]).__name__}
+
+    def report(self):
+        return "# found\n"
+
+    def figures(self):
+        return {}
+
+
+@pytest.mark.parametrize(
+    ("command", "module", "function", "settings"),
+    [
+        (["bandwidth"], "amplitude_response", "amplitude_map", "AmplitudeMapParameters"),
+        (["size"], "sizing", "sizing", "SizingParameters"),
+        (["study", "controller"], "controller_study", "controller_study", None),
+        (["study", "contest"], "contest", "contest", "ContestParameters"),
+        (["study", "sliding"], "sliding_condition", "sliding_study", "SlidingStudyParameters"),
+        (["study", "order"], "reduction", "compare_orders", "OrderComparisonParameters"),
+    ],
+)
+def test_each_study_is_wired(capsys, tmp_path, monkeypatch, command, module, function, settings):
+    seen = {}
+
+    def compute(*arguments, workers, checkpoint, progress):
+        seen["workers"] = workers
+        return FakeStudy(arguments)
+
+    monkeypatch.setattr(f"kneexo.analysis.{module}.{function}", compute)
+    out = tmp_path / "out"
+    assert main([*command, "--workers", "2", "--out", str(out), "--json"]) == 0
+    assert seen["workers"] == 2
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["settings"] == (settings or "ControllerStudyParameters")
+    name = command[-1]
+    assert {file.name for file in out.iterdir()} == {f"{name}.json", f"{name}.md"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--set", "frequencies_hz=[1, 2, 300]"], "300 Hz is too high: must be <= 50 Hz"),
+        (["--set", "frequencies_hz=[1, 2, 60]"], "60 Hz is too high: must be <= 50 Hz"),
+        (["--set", "estimate={averaged_cycles: 1}"], "estimate.averaged_cycles = 1 cycles"),
+        (["--set", "estimate={largest_cycles: 3}"], "too few cycles"),
+        (["--set", "amplitudes_deg"], "--set amplitudes_deg: must be NAME=VALUE"),
+        (["--set", "amplitude_deg=[1.0]"], "amplitude_deg: unknown name"),
+        (["--set", "amplitudes_deg=[1.0"], "YAML syntax"),
+        (["--workers", "0"], "--workers = 0: must be at least 1"),
+    ],
+)
+def test_bad_settings_of_a_study_are_one_line_and_leave_nothing(capsys, tmp_path, arguments, told):
+    out = tmp_path / "out"
+    assert main(["bandwidth", *arguments, "--out", str(out)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert told in lines[0]
+    assert not out.exists()
+
+
+def test_the_reference_engine_can_be_asked_for(capsys, scenario_file, tmp_path):
+    results = {}
+    for engine in ("compiled", "drake"):
+        arguments = ["simulate", scenario_file(SHORT), "--engine", engine, "--json"]
+        assert main([*arguments, "--out", str(tmp_path / engine)]) == 0
+        results[engine] = json.loads(capsys.readouterr().out)
+        saved = load_scenario(tmp_path / engine / "scenario.yaml")
+        assert saved.simulation.compiled == (engine == "compiled")
+    for name in ("max_error_deg", "rms_error_deg", "mean_command_change_rpm"):
+        # radau3 at 2 ms against the exact hold; a count of the encoder may fall a sample later.
+        assert results["compiled"][name] == pytest.approx(results["drake"][name], rel=2e-2)

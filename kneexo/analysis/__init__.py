@@ -1,10 +1,15 @@
 """Analysis of the closed loop; every function returns a frozen result with data and ``plot``."""
 
+from kneexo.analysis.amplitude_response import AmplitudeMap, amplitude_map
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.checkpoint import Checkpoint
 from kneexo.analysis.frequency_response import (
     FrequencyResponse,
+    SineEstimate,
     Trial,
     crossing,
     draw_trials,
+    estimate_sine,
     fundamental,
     nominal_trial,
     sinestream,
@@ -20,9 +25,12 @@ from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
 from kneexo.analysis.sampled_loop import Margins, SampledLoop, linearize_loop
 from kneexo.analysis.simulation import Run, simulate, simulate_diagram
+from kneexo.analysis.sizing import Sizing, sizing
 from kneexo.analysis.tracking import TrackingMetrics, TrackingResult, track, tracking_metrics
 
 __all__ = [
+    "AmplitudeMap",
+    "Checkpoint",
     "FrequencyResponse",
     "Margins",
     "OperatingPoint",
@@ -30,14 +38,19 @@ __all__ = [
     "PolynomialFit",
     "Run",
     "SampledLoop",
+    "SineEstimate",
+    "Sizing",
     "TrackingMetrics",
     "TrackingResult",
     "Trial",
+    "amplitude_map",
     "crossing",
     "draw_trials",
+    "estimate_sine",
     "find_operating_point",
     "fit_polynomials",
     "fundamental",
+    "large_signal_bandwidth_hz",
     "linearize_loop",
     "linearize_plant",
     "nominal_trial",
@@ -48,6 +61,7 @@ __all__ = [
     "simulate",
     "simulate_diagram",
     "sinestream",
+    "sizing",
     "track",
     "tracking_metrics",
 ]
