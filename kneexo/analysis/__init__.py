@@ -1,4 +1,8 @@
-"""Analysis of the closed loop; every function returns a frozen result with data and ``plot``."""
+"""Analysis of the closed loop; every function returns a frozen result with data and ``plot``.
+
+The studies are imported from their modules: `robustness`, `controller_study`, `contest`,
+`sliding_condition`, `reduction`, `sizing`.
+"""
 
 from kneexo.analysis.amplitude_response import AmplitudeMap, amplitude_map
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
@@ -25,7 +29,6 @@ from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
 from kneexo.analysis.sampled_loop import Margins, SampledLoop, linearize_loop
 from kneexo.analysis.simulation import Run, simulate, simulate_diagram
-from kneexo.analysis.sizing import Sizing, sizing
 from kneexo.analysis.tracking import TrackingMetrics, TrackingResult, track, tracking_metrics
 
 __all__ = [
@@ -39,7 +42,6 @@ __all__ = [
     "Run",
     "SampledLoop",
     "SineEstimate",
-    "Sizing",
     "TrackingMetrics",
     "TrackingResult",
     "Trial",
@@ -61,7 +63,6 @@ __all__ = [
     "simulate",
     "simulate_diagram",
     "sinestream",
-    "sizing",
     "track",
     "tracking_metrics",
 ]

@@ -1,4 +1,4 @@
-"""Shared by the tests of compilation: a cache of their own, models without numba, scenarios."""
+"""Shared by the tests of compilation: models without numba."""
 
 from types import ModuleType
 
@@ -8,15 +8,6 @@ from kneexo.compilation.codegen import source_text
 from kneexo.compilation.expressions import read_equations
 from kneexo.compilation.model import CompiledModel, DiagramModel
 from kneexo.compilation.scenarios import scenario_diagram, scenario_run
-
-
-@pytest.fixture(scope="session", autouse=True)
-def cache_of_the_tests(tmp_path_factory):
-    """Compiled modules go to a directory of this session."""
-    patch = pytest.MonkeyPatch()
-    patch.setenv("KNEEXO_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
-    yield
-    patch.undo()
 
 
 def interpreted_module(text):
