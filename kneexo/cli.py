@@ -397,7 +397,7 @@ def _bandwidth(options: argparse.Namespace) -> None:
     from kneexo.parameters import AmplitudeMapParameters
 
     settings = _settings(options, AmplitudeMapParameters)
-    _sweep(options, "bandwidth", partial(amplitude_map, _scenario(options), settings))
+    _sweep(options, "bandwidth", partial(amplitude_map, _scenario(options), settings=settings))
 
 
 def _robustness(options: argparse.Namespace) -> None:
@@ -410,7 +410,7 @@ def _robustness(options: argparse.Namespace) -> None:
     uncertainty = UNCERTAINTY
     if options.uncertainty is not None:
         uncertainty = load_uncertainty(options.uncertainty, scenario)
-    _sweep(options, "robustness", partial(robustness, scenario, uncertainty, settings))
+    _sweep(options, "robustness", partial(robustness, scenario, uncertainty, settings=settings))
 
 
 def _study(options: argparse.Namespace) -> None:
@@ -424,7 +424,7 @@ def _study(options: argparse.Namespace) -> None:
     }[options.what]
     compute = getattr(import_module(f"kneexo.analysis.{module}"), function)
     settings = _settings(options, _study_settings()[f"study {options.what}"])
-    _sweep(options, options.what, partial(compute, _scenario(options, default), settings))
+    _sweep(options, options.what, partial(compute, _scenario(options, default), settings=settings))
 
 
 def _size(options: argparse.Namespace) -> None:
@@ -432,7 +432,7 @@ def _size(options: argparse.Namespace) -> None:
     from kneexo.parameters import UNCERTAIN_KNEE, SizingParameters
 
     settings = _settings(options, SizingParameters)
-    _sweep(options, "size", partial(sizing, _scenario(options, UNCERTAIN_KNEE), settings))
+    _sweep(options, "size", partial(sizing, _scenario(options, UNCERTAIN_KNEE), settings=settings))
 
 
 def _params(options: argparse.Namespace) -> None:

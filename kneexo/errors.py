@@ -21,6 +21,10 @@ class SimulationError(KneexoError, RuntimeError):
     """A simulation diverged or left its range: says the time and the signal."""
 
 
+class StiffnessError(SimulationError):
+    """The exact hold cannot follow: the derivatives jump too often."""
+
+
 class OutputError(KneexoError, OSError):
     """A result cannot be written."""
 

@@ -254,11 +254,11 @@ def test_an_interrupted_study_goes_on_with_identical_results(capsys, tmp_path, m
 
 
 class FakeStudy:
-    def __init__(self, arguments):
-        self.arguments = arguments
+    def __init__(self, settings):
+        self.settings = settings
 
     def results(self):
-        return {"settings": type(self.arguments[1]).__name__}
+        return {"settings": type(self.settings).__name__}
 
     def report(self):
         return "# found\n"
@@ -281,9 +281,9 @@ class FakeStudy:
 def test_each_study_is_wired(capsys, tmp_path, monkeypatch, command, module, function, settings):
     seen = {}
 
-    def compute(*arguments, workers, checkpoint, progress):
+    def compute(scenario, *, settings, workers, checkpoint, progress):
         seen["workers"] = workers
-        return FakeStudy(arguments)
+        return FakeStudy(settings)
 
     monkeypatch.setattr(f"kneexo.analysis.{module}.{function}", compute)
     out = tmp_path / "out"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kneexo.compilation.cache import load_text
 from kneexo.compilation.codegen import INTEGRATORS, source_text
 from kneexo.compilation.expressions import Node, read_equations
-from kneexo.errors import CompilationError, SimulationError
+from kneexo.errors import CompilationError, SimulationError, StiffnessError
 
 Array = NDArray[np.float64]
 
@@ -157,7 +157,8 @@ class CompiledModel:
         Raises
         ------
         SimulationError
-            A state is not finite, a system left its limits, or the exact hold cannot follow.
+            A state is not finite or a system left its limits; `StiffnessError` where the exact
+            hold cannot follow.
         """
         if integrator not in INTEGRATORS:
             raise ValueError(
@@ -218,7 +219,7 @@ class CompiledModel:
                 f"check the parameters"
             )
         if status == module.TOO_ROUGH:
-            return SimulationError(
+            return StiffnessError(
                 f"t = {time:.6g} s: the integrator exact_hold cannot hold its tolerance (the "
                 f"derivatives jump too often); use rk4"
             )

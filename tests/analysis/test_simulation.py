@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+
+from kneexo.analysis import simulate
+from kneexo.compilation import scenarios
+from kneexo.errors import SimulationError, StiffnessError
+from kneexo.parameters import Scenario, SimulationParameters
+
+SHORT = Scenario(simulation=SimulationParameters(duration_s=0.2))
+
+
+def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
+    expected = simulate(SHORT, signals=("rod_extension",))
+    compiled = scenarios.simulate_compiled
+
+    def refusing(scenario, **options):
+        if options["integrator"] == "exact_hold":
+            raise StiffnessError("the derivatives jump too often")
+        return compiled(scenario, **options)
+
+    monkeypatch.setattr(scenarios, "simulate_compiled", refusing)
+    run = simulate(SHORT, signals=("rod_extension",))
+    assert (run.settings.integrator, run.settings.step_s) == ("rk4", 2e-5)
+    assert expected.settings.integrator == "exact_hold"
+    # Both are far more accurate than that; the rod moves by 1 mm.
+    np.testing.assert_allclose(run["rod_extension_m"], expected["rod_extension_m"], atol=1e-10)
+
+
+def test_another_failure_is_not_repeated(monkeypatch):
+    calls = []
+
+    def failing(scenario, **options):
+        calls.append(options)
+        raise SimulationError("left the stroke")
+
+    monkeypatch.setattr(scenarios, "simulate_compiled", failing)
+    with pytest.raises(SimulationError, match="left the stroke"):
+        simulate(SHORT)
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize("integrator", ["exact_hold", "radau3"])
+def test_progress_ends_at_the_duration(integrator):
+    told = []
+    settings = SimulationParameters(duration_s=0.1, integrator=integrator)
+    simulate(Scenario(simulation=settings), signals=("knee_angle",), progress=told.append)
+    assert told[-1] == pytest.approx(0.1)
