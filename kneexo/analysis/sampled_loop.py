@@ -13,21 +13,22 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
-from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from scipy.linalg import expm
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
-from kneexo.analysis.plant_linearization import MID_RANGE_DEG, NEWTON_STEPS, Complex
+from kneexo.analysis.loop_rest import find_rest, held_and_live
+from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
 from kneexo.analysis.simulation import Array
-from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinearizationError
-from kneexo.parameters import Scenario, StepReference
+from kneexo.parameters import Scenario
 
 _BESIDE_REST = 1e-12
 _BESIDE_REST_RAD_S3 = 1e-3
@@ -52,6 +53,7 @@ class Margins:
     phase_margin_deg: float
     phase_margin_frequency_hz: float
     delay_margin_s: float
+    delay_margin_frequency_hz: float
     disk_margin: float
     disk_margin_frequency_hz: float
     disk_gain_margin: float
@@ -91,9 +93,8 @@ class SampledLoop:
     @property
     def monodromy(self) -> Array:
         """Map of (x, z) over one sample time, for a constant reference."""
-        a_d, b_d = self.plant_step()
-        feedback = np.hstack([self.g_x, self.g_z])
-        return np.vstack([np.hstack([a_d, 0.0 * self.g_x.T]) + b_d @ self.c_u @ feedback, feedback])
+        a, b, c = self.loop_matrices
+        return a - b @ c
 
     @property
     def eigenvalues(self) -> Complex:
@@ -117,7 +118,9 @@ class SampledLoop:
 
     # The loop is broken at the held command: v drives the plant, −u is what comes back.
 
-    def _loop_matrices(self) -> tuple[Array, Array, Array]:
+    @cached_property
+    def loop_matrices(self) -> tuple[Array, Array, Array]:
+        """A, b, c of the loop transfer L(z) = c (zI − A)⁻¹ b; the closed loop is A − b c."""
         a_d, b_d = self.plant_step()
         n = a_d.shape[0]
         m = self.g_z.shape[0]
@@ -130,14 +133,21 @@ class SampledLoop:
         """Loop transfer L(z) as `control.StateSpace` with dt = T; the feedback is negative."""
         import control
 
-        return control.ss(*self._loop_matrices(), [[0.0]], self.sample_time_s)
+        return control.ss(*self.loop_matrices, [[0.0]], self.sample_time_s)
 
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
         """L(e^{j2πfT}) at frequencies in Hz, (n,); L is periodic in the sampling frequency."""
-        a, b, c = self._loop_matrices()
+        a, b, c = self.loop_matrices
         z = np.exp(2j * np.pi * _frequencies(frequencies_hz) * self.sample_time_s)
         shifted = z[:, None, None] * np.eye(a.shape[0]) - a
         return np.asarray(c @ np.linalg.solve(shifted, b[None, :, :]), dtype=complex)[:, 0, 0]
+
+    def loop_slope(self, frequency_hz: float) -> complex:
+        """dL/df in 1/Hz."""
+        a, b, c = self.loop_matrices
+        z = cmath.exp(2j * math.pi * frequency_hz * self.sample_time_s)
+        inverse = np.linalg.inv(z * np.eye(a.shape[0]) - a)
+        return complex((-2j * math.pi * self.sample_time_s * z * c @ inverse @ inverse @ b)[0, 0])
 
     def sensitivity(self, frequencies_hz: ArrayLike) -> Complex:
         """S = 1/(1 + L), (n,)."""
@@ -199,10 +209,23 @@ class SampledLoop:
                 f"{abs(self.eigenvalues[0]):.6g} > 1): it has no {what}; reduce the gain"
             )
 
+    def _loop_on_grid(self, frequencies_hz: Array) -> Complex:
+        """L for many frequencies at once, exact to some 1e-9.
+
+        1 + L = det(zI − closed)/det(zI − open), each the product of (z − eigenvalue).
+        """
+        a, _, _ = self.loop_matrices
+        z = np.exp(2j * np.pi * frequencies_hz * self.sample_time_s)
+        ratio = np.ones_like(z)
+        for closed, opened in zip(self.eigenvalues, np.linalg.eigvals(a), strict=True):
+            ratio *= (z - closed) / (z - opened)
+        return np.asarray(ratio - 1.0, dtype=complex)
+
     def margins(self) -> Margins:
         """Gain, phase, delay and disk margins up to the Nyquist frequency (`Margins`)."""
-        grid = np.geomspace(1e-3, 0.5 / self.sample_time_s, 20_000)
-        loop = self.loop_response(grid)
+        nyquist = 0.5 / self.sample_time_s
+        grid = np.geomspace(1e-3, nyquist, 20_000)
+        loop = self._loop_on_grid(grid)
 
         def loop_at(frequency: float) -> complex:
             return complex(self.loop_response(frequency)[0])
@@ -213,31 +236,23 @@ class SampledLoop:
         def level(frequency: float) -> float:
             return abs(loop_at(frequency)) - 1.0
 
-        phase_crossings = [
-            (-1.0 / loop_at(f).real, f)
-            for f in _crossings(imaginary, grid, loop.imag)
-            if loop_at(f).real < 0.0
-        ]
-        nyquist = float(grid[-1])
-        if loop_at(nyquist).real < 0.0:  # L is real at the Nyquist frequency
-            phase_crossings.append((-1.0 / loop_at(nyquist).real, nyquist))
-        gain_crossings = [
+        on_real_axis = [*_crossings(imaginary, grid, loop.imag), nyquist]  # L(nyquist) is real
+        gains = [(-1.0 / loop_at(f).real, f) for f in on_real_axis if loop_at(f).real < 0.0]
+        phases = [
             (180.0 + math.degrees(cmath.phase(loop_at(f))), f)
             for f in _crossings(level, grid, np.abs(loop) - 1.0)
         ]
         none = (math.inf, math.nan)
-        upper = min((c for c in phase_crossings if c[0] > 1.0), default=none)
-        lower = max((c for c in phase_crossings if c[0] < 1.0), default=(0.0, math.nan))
+        upper = min((c for c in gains if c[0] > 1.0), default=none)
+        lower = max((c for c in gains if c[0] < 1.0), default=(0.0, math.nan))
         phase = min(
-            ((p if p <= 180.0 else p - 360.0, f) for p, f in gain_crossings),
+            ((p if p <= 180.0 else p - 360.0, f) for p, f in phases),
             key=lambda c: abs(c[0]),
             default=none,
         )
-        delay = min(
-            (math.radians(p) / (2.0 * math.pi * f) for p, f in gain_crossings), default=none[0]
-        )
-        frequency = _minimum(self._disk_distance, grid)
-        disk = self._disk_distance(frequency)
+        delay = min(((p / 360.0 / f, f) for p, f in phases), default=none)
+        frequency = self._disk_frequency(grid, loop)
+        disk = float(_disk_distance(loop_at(frequency)))
         reach = 0.5 * disk
         return Margins(
             stable=self.stable,
@@ -246,18 +261,26 @@ class SampledLoop:
             lower_gain_margin=lower[0],
             phase_margin_deg=phase[0],
             phase_margin_frequency_hz=phase[1],
-            delay_margin_s=delay,
+            delay_margin_s=delay[0],
+            delay_margin_frequency_hz=delay[1],
             disk_margin=disk,
             disk_margin_frequency_hz=frequency,
             disk_gain_margin=(1.0 + reach) / (1.0 - reach) if reach < 1.0 else math.inf,
             disk_phase_margin_deg=math.degrees(2.0 * math.atan(reach)),
         )
 
-    def _disk_distance(self, frequency_hz: Any) -> Any:
-        """1/|(S − T)/2|: the balanced disk margin at each frequency."""
-        loop = self.loop_response(frequency_hz)
-        distance = 2.0 * np.abs((1.0 + loop) / (1.0 - loop))
-        return distance if np.ndim(frequency_hz) else float(distance[0])
+    def _disk_frequency(self, grid: Array, loop: Complex) -> float:
+        """Where the loop, known on ``grid``, is nearest to instability, in Hz."""
+
+        def slope(frequency: float) -> float:
+            at = self.loop_response(frequency)[0]
+            return float((self.loop_slope(frequency) / (1.0 - at * at)).real)
+
+        index = int(np.argmin(_disk_distance(loop)))
+        low, high = grid[max(index - 1, 0)], grid[min(index + 1, grid.size - 1)]
+        if slope(low) < 0.0 < slope(high):
+            return float(brentq(slope, low, high, xtol=1e-14))
+        return float(grid[index])
 
     def __str__(self) -> str:
         """Stability, margins and bandwidth in words."""
@@ -280,21 +303,98 @@ class SampledLoop:
         )
 
     def plot(self, ax: Any = None) -> Any:
-        """Bode plot of the loop up to its Nyquist frequency; ``ax``: two axes."""
+        """Bode plot of the loop up to its Nyquist frequency, with its margins; ``ax``: two axes.
+
+        The phase is unwrapped and starts in −270…90°. Green: phase margin; orange: gain margin.
+        """
         if ax is None:
             ax = plt.subplots(2, 1, sharex=True, figsize=(7, 6), layout="constrained")[1]
         nyquist = 0.5 / self.sample_time_s
-        f = np.geomspace(0.02, nyquist, 1500)
-        loop = self.loop_response(f)
-        ax[0].semilogx(f, 20.0 * np.log10(np.abs(loop)), "C0")
-        ax[1].semilogx(f, np.degrees(np.unwrap(np.angle(loop))), "C0")
-        ax[0].axhline(0.0, color="0.6", lw=0.8)
-        for axis in ax:
+        f = self._plot_grid(nyquist)
+        loop, margins = self.loop_response(f), self.margins()
+        with np.errstate(divide="ignore"):  # a loop without gain is nowhere in the plot
+            decibel = 20.0 * np.log10(np.abs(loop))
+        phase = np.degrees(np.unwrap(np.angle(loop)))
+        phase -= 360.0 * math.floor((phase[0] + 270.0) / 360.0)
+        for axis, values in zip(ax, (decibel, phase), strict=True):
+            axis.semilogx(f, values, "C0")
             axis.axvline(nyquist, color="C3", ls="--", lw=1, label=f"Nyquist, {nyquist:g} Hz")
             axis.grid(alpha=0.3)
+        crossover = margins.phase_margin_frequency_hz
+        if math.isfinite(crossover):
+            there = float(np.interp(crossover, f, phase))
+            ax[0].plot([crossover], [0.0], "C2.")
+            ax[1].plot([crossover] * 2, [there - margins.phase_margin_deg, there], "C2.-", lw=2)
+        if math.isfinite(margins.gain_margin):
+            at = margins.gain_margin_frequency_hz
+            ax[0].plot([at] * 2, [-20.0 * math.log10(margins.gain_margin), 0.0], "C1.-", lw=2)
+        ax[0].axhline(0.0, color="0.6", lw=0.8)
+        ax[1].axhline(-180.0, color="0.6", lw=0.8)
         ax[0].set(ylabel="loop magnitude (dB)")
         ax[1].set(xlabel="frequency (Hz)", ylabel="loop phase (deg)")
-        ax[0].legend()
+        ax[0].legend(loc="lower left")
+        return ax
+
+    def _plot_grid(self, nyquist: float) -> Array:
+        """Frequencies in Hz, dense also where a lightly damped pole bends the response."""
+        values = self.eigenvalues
+        values = np.append(values, np.linalg.eigvals(self.loop_matrices[0]))
+        modes = np.abs(np.angle(values[np.abs(values) > 0.5])) * nyquist / math.pi
+        near = modes[:, None] * (1.0 + np.linspace(-0.1, 0.1, 201))
+        grid = np.concatenate([np.geomspace(0.02, nyquist, 2000), near.ravel()])
+        return np.unique(grid[(grid >= 0.02) & (grid <= nyquist)])
+
+    def plot_nyquist(self, ax: Axes | None = None, *, disk_margin: float | None = None) -> Axes:
+        """Nyquist plot of the loop around −1, with the unit circle and the disk that it keeps out.
+
+        The disk is the balanced one of ``disk_margin``, by default the loop's own: 1 + fL does not
+        vanish for any complex factor f from 1/γ to γ, which belong to −γ … −1/γ on the real axis.
+        """
+        if ax is None:
+            ax = plt.subplots(figsize=(5.5, 5.5), layout="constrained")[1]
+        loop = self._loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
+        ax.plot(loop.real, loop.imag, "C0", lw=1.2)
+        ax.plot(loop.real, -loop.imag, "C0:", lw=0.8)
+        circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
+        ax.plot(circle.real, circle.imag, color="0.6", lw=0.8)
+        ax.plot([-1.0], [0.0], "C3+", ms=9, mew=1.5)
+        if disk_margin is None:
+            disk_margin = self.margins().disk_margin if self.stable else math.nan
+        reach = 0.5 * disk_margin
+        if reach < 1.0:  # else no circle; nor for an unstable loop, which has no margin
+            gain = (1.0 + reach) / (1.0 - reach)
+            disk = -0.5 * (gain + 1.0 / gain) + 0.5 * (gain - 1.0 / gain) * circle
+            label = f"disk margin {2.0 * reach:.3g}"
+            ax.fill(disk.real, disk.imag, color="C3", alpha=0.25, lw=0, label=label)
+            ax.legend(loc="upper right")
+        ax.set(xlabel="real part of L", ylabel="imaginary part of L")
+        ax.set_aspect("equal")
+        ax.set(xlim=(-3.5, 1.5), ylim=(-2.5, 2.5))
+        ax.grid(alpha=0.3)
+        return ax
+
+    def plot_poles(self, ax: Axes | None = None) -> Axes:
+        """Closed-loop eigenvalues in the z-plane, with the unit circle and lines of damping."""
+        if ax is None:
+            ax = plt.subplots(figsize=(5.5, 5.5), layout="constrained")[1]
+        for damping in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9):
+            turn = np.linspace(0.0, np.pi, 200)  # of the damped frequency, up to Nyquist
+            line = np.exp((1j - damping / math.sqrt(1.0 - damping**2)) * turn)
+            for half in (line, line.conj()):
+                grey = "0.4" if damping == 0.0 else "0.75"
+                ax.plot(half.real, half.imag, color=grey, lw=0.8, zorder=0)
+            if damping:
+                at = line[60 if damping < 0.6 else 40]
+                ax.text(at.real, at.imag, f"ζ = {damping:g}", color="0.45", fontsize=7)
+        values = self.eigenvalues
+        inside = np.abs(values) < 1.0
+        ax.plot(values[inside].real, values[inside].imag, "C0x", ms=7, mew=1.5, label="stable")
+        if not inside.all():
+            outside = values[~inside]
+            ax.plot(outside.real, outside.imag, "C3x", ms=7, mew=1.5, label="unstable")
+        ax.set(xlabel="real part of z", ylabel="imaginary part of z")
+        ax.set_aspect("equal")
+        ax.legend(loc="upper left")
         return ax
 
 
@@ -303,16 +403,19 @@ def _frequencies(frequencies_hz: ArrayLike) -> Array:
 
 
 def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:
-    """Zeros of ``function``, whose ``values`` on ``grid`` are known."""
+    """Zeros of ``function``, whose ``values`` on ``grid`` are known to a few digits."""
     changes = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
-    return [float(brentq(function, grid[i], grid[i + 1], xtol=1e-14)) for i in changes]
+    brackets = ((grid[i], grid[i + 1]) for i in changes)
+    return [
+        float(brentq(function, low, high, xtol=1e-14))
+        for low, high in brackets
+        if function(low) * function(high) <= 0.0
+    ]
 
 
-def _minimum(function: Callable[[Any], Any], grid: Array) -> float:
-    """Argument of the smallest value of ``function``: best of ``grid``, then refined."""
-    index = int(np.argmin(function(grid)))
-    bounds = (grid[max(index - 1, 0)], grid[min(index + 1, grid.size - 1)])
-    return float(minimize_scalar(function, bounds=bounds, options={"xatol": 1e-12}).x)
+def _disk_distance(loop: Any) -> Any:
+    """1/|(S − T)/2|, the balanced disk margin, from L."""
+    return 2.0 * np.abs((1.0 + loop) / (1.0 - loop))
 
 
 def linearize_loop(
@@ -330,134 +433,30 @@ def linearize_loop(
     when the rest lies outside the boundary layer or at the speed limit (there is no linear loop),
     or for a signum controller, which has none at all.
     """
-    controller = scenario.controller
-    if controller.kind == "smc" and (controller.continuous or controller.switching == "signum"):
-        what = "continuous = true" if controller.continuous else "switching = signum"
-        raise LinearizationError(f"controller.{what}: there is no linear sampled-data loop")
-    fixed = scenario.model_copy(
-        update={
-            "encoder": scenario.encoder.model_copy(update={"quantized": False}),
-            "reference": StepReference(start_deg=knee_angle_deg, end_deg=knee_angle_deg),
-            "initial_offset_m": 0.0,
-        }
-    )
-    diagram = make_closed_loop(fixed, signals=(), external_reference=True)
-    automatic = diagram.ToAutoDiffXd()
-    reference = np.array([math.radians(knee_angle_deg), 0.0, 0.0, 0.0])
-    context = diagram.CreateDefaultContext()
-    x = np.asarray(context.get_continuous_state_vector().CopyToVector())
-    # Start the controller's states as a run does.
-    diagram.GetInputPort("knee_reference").FixValue(context, reference)
-    z = _initial_discrete(diagram, context)
-    n, m = x.size, z.size
-    point = np.concatenate([x, z])
-    residual = math.inf
-    for _ in range(NEWTON_STEPS):
-        values, gradient, _, _ = _loop_gradients(automatic, point, n, reference, output)
-        values = np.concatenate([values[:n], values[n:] - point[n:]])
-        jacobian = gradient[:, : n + m].copy()
-        jacobian[n:, n:] -= np.eye(m)
-        residual = float(np.max(np.abs(values)))
-        if not (np.isfinite(jacobian).all() and math.isfinite(residual)):
-            break
-        # Minimum norm: a state without influence (an unused integral) stays where it is.
-        step = np.linalg.lstsq(jacobian, values, rcond=1e-14)[0]
-        point = point - step
-        if np.max(np.abs(step) / (1.0 + np.abs(point))) < 1e-13:
-            break
-    if not residual < 1e-6:
-        raise LinearizationError(
-            f"the loop does not rest at knee angle {knee_angle_deg:g} deg: the largest residual "
-            f"left is {residual:.3g}; reduce the load"
-        )
+    rest = find_rest(scenario, knee_angle_deg)
+    n, m = rest.continuous_states, rest.point.size - rest.continuous_states
     # The absolute values of Eq. 27 have their kinks at rest. A small motion sees the mean of both
     # sides; at the rest itself rounding would choose one.
-    _, _, c, angle = _loop_gradients(automatic, point, n, reference, output)
+    _, _, c = rest.gradients(rest.point, rest.reference, output)
     jerk = np.array([0.0, 0.0, 0.0, _BESIDE_REST_RAD_S3])
-    beside = _BESIDE_REST * (1.0 + np.abs(point))
+    beside = _BESIDE_REST * (1.0 + np.abs(rest.point))
     both = [
-        _loop_gradients(automatic, point + side * beside, n, reference + side * jerk, output)[1]
+        rest.gradients(rest.point + side * beside, rest.reference + side * jerk, output)[1]
         for side in (-1.0, 1.0)
     ]
     gradient = 0.5 * (both[0] + both[1])
-    _require_linear(diagram, fixed, point, n, reference)
-    # The plant sees the controller's state through the held command alone.
-    held = gradient[:n, n : n + m]
-    column = int(np.argmax(np.max(np.abs(held), axis=0)))
+    held, live = held_and_live(gradient, n)
     update = gradient[n:]
-    identity = np.hstack([np.zeros((m, n)), np.eye(m), np.zeros((m, reference.size))])
-    # Not merely identical: rounding leaves 1e-16 in the integral of a PID that has no K_i.
-    live = np.any(np.abs(update - identity) > 1e-12, axis=1)
     return SampledLoop(
         a=gradient[:n, :n],
-        b=held[:, [column]],
+        b=gradient[:n, [n + held]],
         c=c,
         g_x=update[live, :n],
         g_z=update[live, n : n + m][:, live],
         g_r=update[live, n + m :],
-        c_u=np.eye(m)[[column]][:, live],
-        sample_time_s=controller.sample_time_s,
+        c_u=np.eye(m)[[held]][:, live],
+        sample_time_s=scenario.controller.sample_time_s,
         output=output,
-        knee_angle_rad=angle,
+        knee_angle_rad=rest.knee_angle_rad,
         scenario=scenario,
     )
-
-
-def _initial_discrete(diagram: Any, context: Any) -> Array:
-    """Discrete state after initialization, all groups in one vector."""
-    from pydrake.systems.analysis import Simulator
-
-    simulator = Simulator(diagram, context)
-    simulator.Initialize()
-    groups = context.num_discrete_state_groups()
-    return np.concatenate([context.get_discrete_state(i).CopyToVector() for i in range(groups)])
-
-
-def _loop_context(diagram: Any, point: Any, n: int) -> Any:
-    """Context of the loop at ``point``: n continuous states, all discrete ones, the reference."""
-    context = diagram.CreateDefaultContext()
-    context.SetContinuousState(point[:n])
-    for index in range(context.num_discrete_state_groups()):
-        size = context.get_discrete_state(index).size()
-        context.SetDiscreteState(index, point[n : n + size])
-        n += size
-    diagram.GetInputPort("knee_reference").FixValue(context, point[n:])
-    return context
-
-
-def _loop_gradients(
-    diagram: Any, point: Array, n: int, reference: Array, output: str
-) -> tuple[Array, Array, Array, float]:
-    """Values and gradients of dx/dt and z⁺ in (x, z, r); row of the output in x; knee angle."""
-    seeded = InitializeAutoDiff(np.append(point, reference).reshape(-1, 1)).reshape(-1)
-    context = _loop_context(diagram, seeded, n)
-    updated = diagram.EvalUniquePeriodicDiscreteUpdate(context)
-    values = np.concatenate(
-        [
-            diagram.EvalTimeDerivatives(context).CopyToVector(),
-            *(updated.get_vector(i).CopyToVector() for i in range(updated.num_groups())),
-            diagram.GetOutputPort(output).Eval(context)[:1],
-        ]
-    ).reshape(-1, 1)
-    number, gradient = ExtractValue(values).reshape(-1), ExtractGradient(values)
-    angle = float(diagram.GetOutputPort("knee_angle").Eval(context)[0].value())
-    return number[:-1], gradient[:-1], gradient[-1:, :n], angle
-
-
-def _require_linear(diagram: Any, scenario: Scenario, point: Array, n: int, reference: Any) -> None:
-    """Refuse a rest at the speed limit or outside the boundary layer."""
-    context = _loop_context(diagram, np.append(point, reference), n)
-    command = abs(float(diagram.GetOutputPort("motor_speed_command").Eval(context)[0]))
-    limit = scenario.command_limit_rad_s
-    if command >= limit * (1.0 - 1e-9):
-        raise LinearizationError(
-            f"motor_speed_command = {command:.4g} rad/s is at its limit of {limit:.4g} rad/s: "
-            f"there is no linear loop; reduce the load"
-        )
-    if scenario.controller.kind == "smc":
-        s = abs(float(diagram.GetOutputPort("sliding_variable").Eval(context)[0]))
-        if s >= scenario.controller.phi_m_s2:
-            raise LinearizationError(
-                f"|s| = {s:.4g} m/s² lies outside the boundary layer phi_m_s2 = "
-                f"{scenario.controller.phi_m_s2:g} m/s²: there is no linear loop; increase Φ"
-            )

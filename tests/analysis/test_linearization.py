@@ -6,6 +6,7 @@ import math
 import re
 
 import control
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from pydrake.systems.analysis import InitializeParams, ResetIntegratorFromFlags, Simulator
@@ -14,6 +15,7 @@ from pydrake.systems.primitives import LogVectorOutput
 from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
+from kneexo.analysis import loop_rest
 from kneexo.analysis.plant_linearization import find_operating_point, linearize_plant
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.diagrams import make_closed_loop, make_plant
@@ -912,6 +914,91 @@ def test_a_loop_prints_its_margins_and_plots(loops):
     at_1_hz = np.interp(0.0, np.log10(line.get_xdata()), line.get_ydata())
     assert at_1_hz == pytest.approx(20.0 * math.log10(abs(loop.loop_response(1.0)[0])), abs=0.01)
     assert phase.get_ylabel() == "loop phase (deg)"
+
+
+def test_the_phase_of_a_bode_plot_is_unwrapped_also_through_a_resonance(loops):
+    loop = loops["exact"]  # its 447 Hz mode, folded to 53 Hz, turns the phase within 2 Hz
+    magnitude, phase = loop.plot()
+    f, values = phase.lines[0].get_data()
+    assert np.abs(np.diff(values)).max() < 30.0
+    assert -270.0 <= values[0] < 90.0
+    turned = np.degrees(np.angle(loop.loop_response(f))) - values
+    assert turned == pytest.approx(360.0 * np.round(turned / 360.0), abs=1e-6)
+    assert magnitude.get_legend().get_texts()[0].get_text() == "Nyquist, 250 Hz"
+    plt.close(phase.figure)
+
+
+def test_a_loop_without_gain_has_plots_too():
+    loop = linearize_loop(Scenario(controller=PidParameters(proportional_per_s=0.0)))
+    for axes in (*loop.plot(), loop.plot_nyquist(), loop.plot_poles()):
+        axes.figure.canvas.draw()
+        plt.close(axes.figure)
+
+
+@pytest.mark.parametrize("name", ["smc", "pid_tuned", "difference", "can_2"])
+def test_the_loop_touches_the_disk_that_it_keeps_out(loops, margins, name):
+    axes = loops[name].plot_nyquist()
+    circle = axes.patches[0].get_path().vertices @ [1.0, 1.0j]
+    m = margins[name]
+    # On the real axis the disk spans the gains that the loop stands.
+    assert circle.real.min() == pytest.approx(-m.disk_gain_margin, rel=1e-9)
+    assert circle.real.max() == pytest.approx(-1.0 / m.disk_gain_margin, rel=1e-9)
+    centre = 0.5 * (circle.real.min() + circle.real.max())
+    radius = 0.5 * np.ptp(circle.real)
+    assert np.abs(circle - centre) == pytest.approx(np.full(circle.size, radius), rel=1e-9)
+    at = loops[name].loop_response(m.disk_margin_frequency_hz)[0]
+    assert abs(at - centre) == pytest.approx(radius, rel=1e-9)
+    everywhere = loops[name].loop_response(np.geomspace(0.01, 250.0, 5000))
+    assert np.abs(everywhere - centre).min() >= (1.0 - 1e-9) * radius
+    plt.close(axes.figure)
+
+
+def test_an_unstable_loop_has_no_disk(unstable):
+    axes = unstable.plot_nyquist()
+    assert not axes.patches
+    plt.close(axes.figure)
+
+
+def test_the_pole_plot_tells_unstable_eigenvalues(loops, unstable):
+    for loop in (loops["smc"], unstable):
+        axes = loop.plot_poles()
+        marks = [line for line in axes.lines if line.get_label() in ("stable", "unstable")]
+        drawn = np.concatenate([line.get_xdata() + 1j * line.get_ydata() for line in marks])
+        assert distance(drawn, loop.eigenvalues) == 0.0
+        outside = [line for line in marks if line.get_label() == "unstable"]
+        assert bool(outside) is not loop.stable
+        plt.close(axes.figure)
+    # A line of damping ζ: z = e^{(−ζ + j√(1 − ζ²))ωT}.
+    line = axes.lines[2]
+    z = np.log(line.get_xdata()[1:] + 1j * line.get_ydata()[1:])
+    assert -z.real / np.abs(z) == pytest.approx(np.full(z.size, 0.1), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_the_delay_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    f = m.delay_margin_frequency_hz
+    delayed = loop.loop_response(f)[0] * np.exp(-2j * math.pi * f * m.delay_margin_s)
+    assert delayed == pytest.approx(-1.0, abs=1e-9)
+
+
+def test_one_diagram_serves_all_loops_of_a_structure(loops, monkeypatch):
+    monkeypatch.setattr(loop_rest, "_built", {})
+    for name in ("smc", "other_plant", "weight", "exact", "pid", "pid_tuned", "can_2"):
+        for scenario in (Scenario(plant=plant_parameters(LEAKY, load=WEIGHT)), SCENARIOS[name]):
+            found = linearize_loop(scenario, 52.0)
+        monkeypatch.setattr(loop_rest, "_built", {})
+        fresh = linearize_loop(SCENARIOS[name], 52.0)
+        monkeypatch.setattr(loop_rest, "_built", {})
+        for matrix in ("a", "b", "c", "g_x", "g_z", "g_r", "c_u"):
+            assert np.array_equal(getattr(found, matrix), getattr(fresh, matrix)), matrix
+
+
+def test_loops_that_differ_in_numbers_share_a_diagram(monkeypatch):
+    monkeypatch.setattr(loop_rest, "_built", {})
+    for n in (PAPER, LEAKY, SOFT):
+        linearize_loop(Scenario(plant=plant_parameters(n), nominal=PlantParameters()))
+    assert len(loop_rest._built) == 1
 
 
 # -------------------------------------------------------------------------------- refusals

@@ -1,0 +1,62 @@
+"""Figures of a `kneexo.analysis.contest.Contest`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from kneexo.analysis.contest import INFEASIBLE_DEG, Contest, errors_of
+
+
+def outcome(done: Contest) -> Figure:
+    """Errors over the test plants, at both tasks, and the margin beside them."""
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
+    share = (np.arange(len(done.samples)) + 1.0) / len(done.samples)
+    for index, name in enumerate(done.entrants):
+        tuned = name in done.settings.contestants
+        style: dict[str, Any] = {"color": f"C{index}", "lw": 2.0 if tuned else 1.0}
+        style["ls"] = "-" if tuned else "--"
+        errors = errors_of(done.tested[name])
+        axes[0].step(np.sort(errors), share, where="post", label=name, **style)
+        axes[1].step(np.sort(errors_of(done.elsewhere[name])), share, where="post", **style)
+        margins = [values["disk_margin"] for values in done.tested[name]]
+        axes[2].plot(
+            errors, margins, "o" if tuned else "x", ms=3.5, color=f"C{index}", alpha=0.6, mew=0.8
+        )
+    other = done.settings.other_reference
+    axes[0].set(ylabel="share of the test plants", title="(a) the task of the tuning")
+    axes[1].set(
+        ylabel="share of the test plants",
+        title=f"(b) {other.amplitude_deg:g}° at {other.frequency_hz:g} Hz",
+    )
+    axes[2].axhline(done.settings.least_disk_margin, color="0.4", ls=":", lw=1)
+    axes[2].set(ylabel="disk margin", title="(c) margin; dotted: least of the tuning")
+    for ax in axes:
+        ax.set(xscale="log", xlabel="largest error (deg)")
+        ax.grid(alpha=0.3)
+    figure.legend(loc="outside lower center", ncols=4, fontsize=8)
+    return figure
+
+
+def search(done: Contest) -> Figure:
+    """The best objective of each search over its evaluations; the first seed solid."""
+    figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    names = list(done.settings.contestants)
+    for tuning in done.tunings:
+        best = np.array(tuning.history_deg)
+        evaluations = done.settings.population * (np.arange(best.size) + 2)
+        first = tuning.seed == done.settings.optimizer_seeds[0]
+        ax.semilogy(
+            evaluations,
+            np.where(best < INFEASIBLE_DEG, best, np.nan),
+            color=f"C{names.index(tuning.contestant)}",
+            ls="-" if first else "--",
+            label=tuning.contestant + ("" if tuning.converged else " (not converged)"),
+        )
+    ax.set(xlabel="evaluations", ylabel="mean of the largest errors (deg)")
+    ax.grid(alpha=0.3, which="both")
+    ax.legend(fontsize=8)
+    return figure

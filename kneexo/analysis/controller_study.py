@@ -1,0 +1,615 @@
+"""What λ, Φ and η of the sliding-mode controller do: the discussion of Lee et al. 2020, counted.
+
+Every point of a grid over λ, Φ and η gets the scenario's own reference, a faster sine, a small and
+a large step, and the margins of its sampled loop. Inside the boundary layer the law knows Φ and η
+only by the slope k/Φ = βη/Φ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.optimize import brentq
+
+from kneexo.analysis.assessment import assess
+from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.parallel import parallel_map, process_pool
+from kneexo.analysis.simulation import Array, simulate
+from kneexo.analysis.tracking import track
+from kneexo.errors import KneexoError, ParameterError
+from kneexo.parameters import (
+    RPM,
+    ControllerStudyParameters,
+    ObserverParameters,
+    Scenario,
+    SineReference,
+    SlidingModeParameters,
+    StepReference,
+)
+from kneexo.scenario import changed
+
+FIGURES = (
+    "max_error_deg",
+    "mean_command_change_rpm",
+    "saturated_share",
+    "fast_max_error_deg",
+    "settling_s",
+    "large_settling_s",
+    "stable",
+    "disk_margin",
+    "phase_margin_deg",
+)
+"""What is measured at each point of the grid. The margins of an unstable loop are nan, and so is
+what a failed run leaves out; the settling time of a step that does not settle in its run is inf."""
+
+MAP_FIGURES = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin")
+
+TRAP_VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
+
+_SATURATED = 0.01  # share of the samples from which on a run counts as saturated
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement of the paper, and the ``share`` of ``cases`` on the grid in which it holds.
+
+    ``case`` says what is counted and when it holds; ``sound_cases`` are those between loops with a
+    sound disk margin.
+    """
+
+    quote: str
+    case: str
+    cases: int
+    share: float
+    sound_cases: int
+    sound_share: float
+    finding: str
+
+    @property
+    def verdict(self) -> str:
+        """True when it holds in every case, false when it holds in less than half of them."""
+        if self.cases == 0:
+            return "not decided"
+        if self.share == 1.0:
+            return "true"
+        return "false" if self.share < 0.5 else "true in part"
+
+
+@dataclass(frozen=True)
+class TrapCase:
+    """A loop that is linearly stable and errs by degrees; ``time_s`` and ``error_deg`` (n,).
+
+    ``oscillation_at_rest_deg``: peak to peak, at the upper end of the reference. Of a run that
+    failed nothing is left but the reason.
+    """
+
+    lambda_per_s: float
+    variant: str
+    stable: bool
+    disk_margin: float
+    max_error_deg: float
+    mean_command_change_rpm: float
+    oscillation_at_rest_deg: float
+    time_s: Array
+    error_deg: Array
+    failure: str
+
+
+@dataclass(frozen=True)
+class ControllerStudy:
+    """The grid, the trap, and what both say about the paper's discussion.
+
+    ``values``: an array (λ, Φ, η) for each of `FIGURES`. ``map_values``: an array (T_f, k/Φ) for
+    each of `MAP_FIGURES`, at the scenario's λ and η. ``failures``: why runs failed, by λ, Φ, η.
+    """
+
+    scenario: Scenario
+    settings: ControllerStudyParameters
+    values: Mapping[str, Array]
+    failures: Mapping[tuple[float, float, float], str]
+    trap: tuple[TrapCase, ...]
+    map_values: Mapping[str, Array]
+
+    @property
+    def slope_per_s(self) -> Array:
+        """k/Φ = βη/Φ in 1/s, the gain inside the boundary layer at rest; (Φ, η)."""
+        law = observed_smc(self.scenario)[0]
+        inverse = 1.0 / np.array(self.settings.phis_m_s2)
+        return law.gain_ratio * np.outer(inverse, self.settings.etas_m_s3)
+
+    @property
+    def centre(self) -> tuple[int, int, int]:
+        """Indices of the grid's λ, Φ and η that lie closest to the scenario's."""
+        grid, law = self.settings, observed_smc(self.scenario)[0]
+        return (
+            _nearest(grid.lambdas_per_s, law.lambda_per_s),
+            _nearest(grid.phis_m_s2, law.phi_m_s2),
+            _nearest(grid.etas_m_s3, law.eta_m_s3),
+        )
+
+    def claims(self) -> tuple[Claim, Claim, Claim]:
+        """What the paper says about λ, Φ and η, each counted over the grid."""
+        return _faster(self), _chattering(self), _adherence(self)
+
+    def results(self) -> dict[str, Any]:
+        """Plain data; the grid's arrays are in the order λ, Φ, η."""
+        grid = self.settings
+        return {
+            "lambdas_per_s": grid.lambdas_per_s,
+            "phis_m_s2": grid.phis_m_s2,
+            "etas_m_s3": grid.etas_m_s3,
+            "slope_per_s": self.slope_per_s,
+            "grid": dict(self.values),
+            "failures": [
+                {"lambda_per_s": point[0], "phi_m_s2": point[1], "eta_m_s3": point[2], "why": why}
+                for point, why in self.failures.items()
+            ],
+            "claims": [asdict(claim) | {"verdict": claim.verdict} for claim in self.claims()],
+            "trap": [
+                {key: v for key, v in asdict(case).items() if not isinstance(v, np.ndarray)}
+                for case in self.trap
+            ],
+            "map": {
+                "time_constants_s": grid.map_time_constants_s,
+                "slopes_per_s": grid.map_slopes_per_s,
+                **self.map_values,
+            },
+        }
+
+    def report(self) -> str:
+        """The findings as Markdown."""
+        return "\n".join([*_claims_report(self), *_lines_report(self), *_trap_report(self)])
+
+    def figures(self) -> dict[str, Figure]:
+        """Figures by name; the caller closes them."""
+        from kneexo.analysis import controller_study_figures as plots
+
+        return {
+            "study_lambda_slope": plots.lambda_and_slope(self),
+            "study_phi_eta": plots.phi_and_eta(self),
+            "study_claims": plots.claims(self),
+            "study_trap": plots.trap(self),
+        }
+
+
+# ------------------------------------------------------------------------------------- runs
+
+
+def controller_study(
+    scenario: Scenario = Scenario(),
+    settings: ControllerStudyParameters = ControllerStudyParameters(),
+    *,
+    workers: int | None = 1,
+    executor: Executor | None = None,
+    checkpoint: Checkpoint | None = None,
+    progress: bool = False,
+) -> ControllerStudy:
+    """Run the grid and the trap; ``workers``, ``executor``, ``checkpoint``: see `parallel_map`.
+
+    A run of the grid that fails leaves nan and its reason. Raises `ParameterError` when
+    ``scenario`` has no sampled sliding-mode controller behind an observer, or when a step or the
+    faster sine leaves the range of motion.
+    """
+    law = observed_smc(scenario)[0]
+    if executor is None and workers != 1:
+        with process_pool(workers) as pool:
+            return controller_study(
+                scenario, settings, executor=pool, checkpoint=checkpoint, progress=progress
+            )
+    experiments(scenario, settings)  # a reference out of range is found before the sweep
+
+    def run(what: str, function: Any, items: list[Scenario]) -> list[Any]:
+        return parallel_map(
+            function,
+            items,
+            executor=executor,
+            description=what if progress else None,
+            checkpoint=checkpoint,
+        )
+
+    def with_slope(slope: float, time_constant: float, lambda_: float) -> Scenario:
+        at = _with_law(scenario, lambda_, law.gain_ratio * law.eta_m_s3 / slope, law.eta_m_s3)
+        return changed(at, {"estimator.time_constant_s": time_constant})
+
+    axes = (settings.lambdas_per_s, settings.phis_m_s2, settings.etas_m_s3)
+    points = list(product(*axes))
+    found = run(
+        "grid of λ, Φ, η",
+        partial(_measure, settings),
+        [_with_law(scenario, *point) for point in points],
+    )
+    cases = list(product(settings.trap_lambdas_per_s, TRAP_VARIANTS))
+    trap = run(
+        "trap",
+        partial(_trap, settings),
+        [
+            changed(
+                with_slope(settings.trap_slope_per_s, settings.trap_time_constant_s, lambda_),
+                _variant(variant, settings),
+            )
+            for lambda_, variant in cases
+        ],
+    )
+    map_axes = (settings.map_time_constants_s, settings.map_slopes_per_s)
+    mapped = run(
+        "map of T_f, k/Φ",
+        assess,
+        [with_slope(slope, time, law.lambda_per_s) for time, slope in product(*map_axes)],
+    )
+    return ControllerStudy(
+        scenario,
+        settings,
+        values=_arrays(found, FIGURES, axes),
+        failures={
+            point: values["failure"]
+            for point, values in zip(points, found, strict=True)
+            if values["failure"]
+        },
+        trap=tuple(_trap_case(*case, own) for case, own in zip(cases, trap, strict=True)),
+        map_values=_arrays(mapped, MAP_FIGURES, map_axes),
+    )
+
+
+def experiments(scenario: Scenario, settings: ControllerStudyParameters) -> dict[str, Scenario]:
+    """The faster sine, both steps and the hold, about the middle of the scenario's reference."""
+    low, high = scenario.reference.range_deg
+    middle = 0.5 * (low + high)
+
+    def step(start: float, end: float, duration: float) -> Scenario:
+        reference = StepReference(start_deg=start, end_deg=end, time_s=0.0)
+        return changed(scenario, {"reference": reference, "simulation.duration_s": duration})
+
+    def about_the_middle(size: float) -> Scenario:
+        return step(middle - 0.5 * size, middle + 0.5 * size, settings.step_duration_s)
+
+    fast = SineReference(
+        mean_deg=middle,
+        amplitude_deg=settings.fast_amplitude_deg,
+        frequency_hz=settings.fast_frequency_hz,
+    )
+    return {
+        "fast": changed(
+            scenario, {"reference": fast, "simulation.duration_s": settings.fast_duration_s}
+        ),
+        "step": about_the_middle(settings.step_deg),
+        "large_step": about_the_middle(settings.large_step_deg),
+        "hold": step(high - settings.step_deg, high, settings.hold_duration_s),
+    }
+
+
+def settling_time_s(time_s: Array, error: Array, band: float) -> float:
+    """Last time at which |error| (n,) exceeds ``band``; inf when that is the end.
+
+    The first sample does not count: it is the start of the step.
+    """
+    outside = np.flatnonzero(np.abs(error[1:]) > band)
+    if outside.size == 0:
+        return 0.0
+    last = int(outside[-1]) + 1
+    return math.inf if last == time_s.size - 1 else float(time_s[last])
+
+
+def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
+    """Time in s in which (d/dt + λ)² e = 0 brings e, at rest, to ``share``: a step from s = 0."""
+    return float(brentq(lambda y: (1.0 + y) * math.exp(-y) - share, 0.0, 100.0)) / lambda_per_s
+
+
+def _measure(settings: ControllerStudyParameters, scenario: Scenario) -> dict[str, Any]:
+    """`FIGURES` of one point of the grid, and the first reason of a failure."""
+    cases = experiments(scenario, settings)
+    own, fast = assess(scenario), assess(cases["fast"], margins=False)
+    found: dict[str, Any] = {name: own[name] for name in FIGURES if name in own}
+    found["fast_max_error_deg"] = fast["max_error_deg"]
+    reasons = [own["tracking_failure"], own["margins_failure"], fast["tracking_failure"]]
+    for name, key in (("step", "settling_s"), ("large_step", "large_settling_s")):
+        try:
+            time, error = _error_deg(cases[name])
+            found[key] = settling_time_s(time, error, settings.settled_share * settings.step_deg)
+        except KneexoError as failure:
+            found[key] = math.nan
+            reasons.append(str(failure))
+    found["failure"] = next(filter(None, reasons), "")
+    return found
+
+
+def _trap(settings: ControllerStudyParameters, scenario: Scenario) -> dict[str, Any]:
+    """Fields of a `TrapCase` but for λ and the variant."""
+    linear = assess(scenario, tracking=False)
+    found = {
+        "stable": linear["stable"],
+        "disk_margin": linear["disk_margin"],
+        "max_error_deg": math.nan,
+        "mean_command_change_rpm": math.nan,
+        "oscillation_at_rest_deg": math.nan,
+        "time_s": [],
+        "error_deg": [],
+        "failure": "",
+    }
+    try:
+        tracked = track(scenario)
+        time, error = _error_deg(experiments(scenario, settings)["hold"])
+    except KneexoError as failure:
+        return found | {"failure": str(failure)}
+    return found | {
+        "max_error_deg": tracked.metrics.max_error_deg,
+        "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
+        "oscillation_at_rest_deg": float(np.ptp(error[time >= 0.5 * time[-1]])),
+        "time_s": tracked.run.time_s.tolist(),
+        "error_deg": tracked.error_deg.tolist(),
+    }
+
+
+def _trap_case(lambda_: float, variant: str, own: dict[str, Any]) -> TrapCase:
+    arrays = {name: np.array(own[name]) for name in ("time_s", "error_deg")}
+    return TrapCase(lambda_, variant, **(own | arrays))
+
+
+def _variant(name: str, settings: ControllerStudyParameters) -> dict[str, Any]:
+    unlimited = settings.unlimited_acceleration_rad_s2
+    changes: dict[str, dict[str, Any]] = {
+        "as built": {},
+        "exact encoder": {"encoder.quantized": False},
+        "unlimited acceleration": {"plant.pump.acceleration_limit_rad_s2": unlimited},
+    }
+    return changes[name]
+
+
+def _error_deg(scenario: Scenario) -> tuple[Array, Array]:
+    run = simulate(scenario, signals=("knee_reference", "knee_angle"))
+    return run.time_s, np.degrees(run["knee_reference_rad"] - run["knee_angle_rad"])
+
+
+def observed_smc(scenario: Scenario) -> tuple[SlidingModeParameters, ObserverParameters]:
+    """Controller and observer of a scenario that can be studied, else `ParameterError`."""
+    law, estimator = scenario.controller, scenario.estimator
+    if law.kind != "smc" or law.continuous or law.switching == "signum":
+        raise ParameterError(
+            f"controller.kind = {law.kind}: must be a sampled smc with switching: saturation, "
+            f"whose λ, Φ and η the study varies"
+        )
+    if estimator.kind != "observer":
+        raise ParameterError(f"estimator.kind = {estimator.kind}: must be observer for the study")
+    return law, estimator
+
+
+def _with_law(scenario: Scenario, lambda_: float, phi: float, eta: float) -> Scenario:
+    values = {"lambda_per_s": lambda_, "phi_m_s2": phi, "eta_m_s3": eta}
+    return changed(scenario, {f"controller.{name}": value for name, value in values.items()})
+
+
+def _arrays(
+    found: list[dict[str, Any]], names: tuple[str, ...], axes: tuple[tuple[float, ...], ...]
+) -> dict[str, Array]:
+    """Arrays by name over ``axes``; a missing value (None) is nan."""
+    shape = [len(axis) for axis in axes]
+    return {
+        name: np.array([values[name] for values in found], dtype=float).reshape(shape)
+        for name in names
+    }
+
+
+def _nearest(values: tuple[float, ...], value: float) -> int:
+    return int(np.argmin(np.abs(np.log(np.array(values) / value))))
+
+
+# ----------------------------------------------------------------------------------- claims
+
+
+def _share(holds: Any) -> float:
+    return float(np.mean(holds)) if holds.size else math.nan
+
+
+def _counted(holds: Any, cases: Any, sound: Any) -> dict[str, Any]:
+    return {
+        "cases": int(np.count_nonzero(cases)),
+        "share": _share(holds[cases]),
+        "sound_cases": int(np.count_nonzero(cases & sound)),
+        "sound_share": _share(holds[cases & sound]),
+    }
+
+
+def _faster(study: ControllerStudy) -> Claim:
+    grid, settling = study.settings, study.values["settling_s"]
+    sound = study.values["disk_margin"] >= grid.sound_disk_margin
+    small, large = settling[:-1], settling[1:]
+    decided = ~np.isnan(small) & ~np.isnan(large) & (np.isfinite(small) | np.isfinite(large))
+    _, phi, eta = study.centre
+    ideal = ideal_settling_time_s(np.array(grid.lambdas_per_s), grid.settled_share)
+    return Claim(
+        quote="the larger the value of λ, the faster the robot attempted to follow the desired "
+        "target value",
+        case="two neighbouring λ at equal Φ and η; holds when the larger one brings a step of "
+        f"{grid.step_deg:g}° within {100 * grid.settled_share:g} % sooner",
+        **_counted(large < small, decided, sound[1:] & sound[:-1]),
+        finding=f"λ = {_numbers(grid.lambdas_per_s)} 1/s at the default Φ and η: the step of "
+        f"{grid.step_deg:g}° settles in {_numbers(settling[:, phi, eta])} s; s = 0 alone would "
+        f"take {_numbers(ideal)} s. The step of {grid.large_step_deg:g}° takes "
+        f"{_numbers(study.values['large_settling_s'][:, phi, eta])} s: the speed limit bounds it.",
+    )
+
+
+def _chattering(study: ControllerStudy) -> Claim:
+    grid, change = study.settings, study.values["mean_command_change_rpm"]
+    calm = np.where(np.isfinite(change), change, np.inf)
+    best = np.argmin(calm, axis=1)  # (λ, η)
+    logs = np.log(grid.phis_m_s2)
+    distance = logs[None, :, None] - logs[best][:, None, :]
+    wrong = np.isfinite(change) & (np.abs(distance) >= math.log(grid.wrong_factor) - 1e-9)
+    chatters = change > grid.chattering_factor * np.min(calm, axis=1)[:, None, :]
+    small, large = wrong & (distance < 0.0), wrong & (distance > 0.0)
+    sound = study.values["disk_margin"] >= grid.sound_disk_margin
+    chosen = best[:, study.centre[2]]
+    rule = np.array(grid.lambdas_per_s) * study.slope_per_s[chosen, study.centre[2]]
+    return Claim(
+        quote="it was important to select a proper Φ value […] failure to do so resulted in "
+        "chattering",
+        case=f"a Φ at least {grid.wrong_factor:g} times larger or smaller than the calmest one at "
+        f"equal λ and η; holds when its command changes more than {grid.chattering_factor:g} "
+        f"times as much per sample",
+        **_counted(chatters, wrong, sound),
+        finding=f"Too small a Φ chatters in {_percent(_share(chatters[small]))} of "
+        f"{np.count_nonzero(small)} cases (the counts of the encoder, amplified up to the speed "
+        f"limit), too large a Φ in {_percent(_share(chatters[large]))} of "
+        f"{np.count_nonzero(large)} (an oscillation of a loop without damping, see the trap "
+        f"below). The calmest Φ at the default η is {_numbers(np.array(grid.phis_m_s2)[chosen])} "
+        f"m/s² at λ = {_numbers(grid.lambdas_per_s)} 1/s; λk/Φ there is "
+        f"{rule.min():.2g}…{rule.max():.2g} 1/s².",
+    )
+
+
+def _adherence(study: ControllerStudy) -> Claim:
+    grid, error = study.settings, study.values["max_error_deg"]
+    sound = study.values["disk_margin"] >= grid.sound_disk_margin
+    free = (study.values["stable"] == 1.0) & (study.values["saturated_share"] < _SATURATED)
+    known = np.isfinite(error[..., :-1]) & np.isfinite(error[..., 1:])
+    falls = error[..., 1:] < error[..., :-1]
+    beyond = known & ~free[..., 1:]
+    lambda_, phi, eta = study.centre
+    slope = float(study.slope_per_s[phi, eta])
+    same = [
+        _at_slope(study.slope_per_s[:, n], error[lambda_, :, n], slope)
+        for n in range(len(grid.etas_m_s3))
+    ]
+    return Claim(
+        quote="the k value was also increased as the η value became larger, making the system "
+        "more adherent to the target value",
+        case="two neighbouring η at equal λ and Φ, the larger one with a stable loop and less "
+        f"than {100 * _SATURATED:g} % of its samples saturated; holds when its largest error is "
+        f"smaller",
+        **_counted(falls, known & free[..., 1:], sound[..., 1:] & sound[..., :-1]),
+        finding=f"Where the larger η saturates or is unstable the error falls in "
+        f"{_percent(_share(falls[beyond]))} of {np.count_nonzero(beyond)} cases. η = "
+        f"{_numbers(grid.etas_m_s3)} m/s³ at the default λ and Φ: error "
+        f"{_numbers(error[lambda_, phi])}°. It is k/Φ that counts, which rises with η: with Φ "
+        f"raised too, so that k/Φ stays {slope:.2g} 1/s, the same η give {_numbers(same)}°.",
+    )
+
+
+def _at_slope(slopes: Array, error: Array, slope: float) -> float:
+    """Error at one k/Φ, by interpolation of both logarithms; nan out of their range."""
+    order = np.argsort(slopes)
+    x, y = np.log(slopes[order]), np.log(error[order])
+    rounding = 0.02  # of the grid's values
+    if not x[0] - rounding <= math.log(slope) <= x[-1] + rounding:
+        return math.nan
+    return float(np.exp(np.interp(math.log(slope), x, y)))
+
+
+# ----------------------------------------------------------------------------------- report
+
+
+def _number(value: Any) -> str:
+    return "–" if math.isnan(value) else "∞" if math.isinf(value) else f"{value:.3g}"
+
+
+def _numbers(values: Any) -> str:
+    return ", ".join(_number(value) for value in values)
+
+
+def _percent(share: float) -> str:
+    return "–" if math.isnan(share) else f"{100 * share:.0f} %"
+
+
+def _claims_report(study: ControllerStudy) -> list[str]:
+    claims, sound = study.claims(), study.settings.sound_disk_margin
+    return [
+        "# Sliding-mode controller: λ, Φ and η",
+        "",
+        f"{study.values['stable'].size} points; {len(study.failures)} of them have a run that "
+        f"failed.",
+        "",
+        f"| the paper says | a case | cases | holds | verdict | between loops of disk margin ≥ "
+        f"{sound:g}: cases | holds |",
+        "|---|---|---|---|---|---|---|",
+        *(
+            f"| “{claim.quote}” | {claim.case} | {claim.cases} | {_percent(claim.share)} "
+            f"| **{claim.verdict}** | {claim.sound_cases} | {_percent(claim.sound_share)} |"
+            for claim in claims
+        ),
+        "",
+        *(f"- {claim.finding}" for claim in claims),
+        "",
+    ]
+
+
+def _lines_report(study: ControllerStudy) -> list[str]:
+    """One table along each axis through the grid's centre."""
+    grid, centre = study.settings, study.centre
+    axes = {
+        "λ (1/s)": grid.lambdas_per_s,
+        "Φ (m/s²)": grid.phis_m_s2,
+        "η (m/s³)": grid.etas_m_s3,
+    }
+    columns = {
+        "max error (deg)": "max_error_deg",
+        "command change (rpm/sample)": "mean_command_change_rpm",
+        "saturated share": "saturated_share",
+        f"max error at {grid.fast_frequency_hz:g} Hz (deg)": "fast_max_error_deg",
+        f"settling, {grid.step_deg:g}° (s)": "settling_s",
+        f"settling, {grid.large_step_deg:g}° (s)": "large_settling_s",
+        "disk margin": "disk_margin",
+        "phase margin (deg)": "phase_margin_deg",
+    }
+    lines = []
+    for axis, (name, along) in enumerate(axes.items()):
+        fixed = ", ".join(
+            f"{other} = {values[centre[n]]:g}"
+            for n, (other, values) in enumerate(axes.items())
+            if n != axis
+        )
+        lines += [
+            f"## {name[0]}, at {fixed}",
+            "",
+            f"| {name} | k/Φ (1/s) | {' | '.join(columns)} |",
+            "|---" * (len(columns) + 2) + "|",
+        ]
+        for n, value in enumerate(along):
+            at = tuple(n if i == axis else centre[i] for i in range(3))
+            own = [_number(study.values[column][at]) for column in columns.values()]
+            lines.append(f"| {value:g} | {study.slope_per_s[at[1:]]:.2g} | {' | '.join(own)} |")
+        lines.append("")
+    return [*lines, "A loop without margins is linearly unstable.", ""]
+
+
+def _trap_report(study: ControllerStudy) -> list[str]:
+    grid = study.settings
+    limit = study.scenario.plant.pump.acceleration_limit_rad_s2
+    per_sample = RPM / study.scenario.controller.sample_time_s
+    error = study.map_values["max_error_deg"]
+    stable = np.where(study.map_values["stable"] == 1.0, error, -np.inf)
+    time, slope = np.unravel_index(np.argmax(np.nan_to_num(stable, nan=-np.inf)), error.shape)
+    demand = study.trap[0].mean_command_change_rpm * per_sample / limit
+    return [
+        f"## A trap: T_f = {1e3 * grid.trap_time_constant_s:g} ms, "
+        f"k/Φ = {grid.trap_slope_per_s:g} 1/s",
+        "",
+        "| λ (1/s) | variant | linear loop | disk margin | max error (deg) | command change "
+        "(rpm/sample) | the same (rad/s²) | oscillation at rest (deg, peak to peak) |",
+        "|---|---|---|---|---|---|---|---|",
+        *(
+            f"| {case.lambda_per_s:g} | {case.variant} "
+            f"| {'stable' if case.stable else 'unstable'} | {_number(case.disk_margin)} "
+            f"| {_number(case.max_error_deg)} | {_number(case.mean_command_change_rpm)} "
+            f"| {_number(case.mean_command_change_rpm * per_sample)} "
+            f"| {case.oscillation_at_rest_deg:.2f} |"
+            for case in study.trap
+        ),
+        "",
+        "û gives back the rod's own damping by the measured velocity, so that a small k/Φ leaves "
+        "next to no margin even where the eigenvalues say stable. The counts of the encoder keep "
+        "such a loop moving, and a fast observer passes them on: as built the command's mean "
+        f"change is {demand:.2g} times what the motor's acceleration limit can follow.",
+        "",
+        f"On the map of T_f and k/Φ a linearly stable loop errs by up to {error[time, slope]:.3g}° "
+        f"(T_f = {1e3 * grid.map_time_constants_s[time]:g} ms, "
+        f"k/Φ = {grid.map_slopes_per_s[slope]:.2g} 1/s).",
+        "",
+    ]

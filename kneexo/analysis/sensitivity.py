@@ -1,0 +1,287 @@
+"""Local sensitivities of tracking error and stability margins by AutoDiff, at one scenario.
+
+The plant changes and the controller keeps believing in what it is designed for. The quantizer of
+the encoder, whose derivative is zero, is bypassed. The largest error has no derivative where it
+jumps from one peak to another; the root mean square has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, SimulatorConfig
+from scipy.linalg import eig, expm_frechet
+
+from kneexo.analysis.assessment import MARGIN_FIGURES
+from kneexo.analysis.loop_rest import (
+    find_rest,
+    held_and_live,
+    set_loop_parameters,
+    start_state,
+)
+from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
+from kneexo.analysis.simulation import Array, period_s, rms
+from kneexo.diagrams import make_closed_loop
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import Scenario
+from kneexo.quantity import Parameters
+
+_DIFFERENTIABLE = (
+    "plant.pump.",
+    "plant.cylinder.",
+    "plant.load.",
+    "plant.full_order.",
+    "encoder.mounting_error_rad",
+)
+_BESIDE_REST = 3e-7
+"""Step of the states (their share) by which two gradients tell how the Jacobian changes."""
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Figures of merit and their gradients in the values at ``paths``, each (paths,)."""
+
+    paths: tuple[str, ...]
+    figures: dict[str, float]
+    gradients: dict[str, Array]
+
+    def of(self, figure: str) -> dict[str, float]:
+        """Derivative of a figure by path, in the unit of the figure over that of the value."""
+        return dict(zip(self.paths, self.gradients[figure].tolist(), strict=True))
+
+
+def differentiable(scenario: Scenario, path: str) -> bool:
+    """Whether AutoDiff reaches the value at ``path``: a number of the plant or its measurement.
+
+    Choices, samples of latency and the linkage, which enters through a fit, are out of reach.
+    """
+    return path.startswith(_DIFFERENTIABLE) and isinstance(value_at(scenario, path), float)
+
+
+def value_at(scenario: Scenario, path: str) -> Any:
+    """The value at a dotted path; None where there is none."""
+    value: Any = scenario
+    for name in path.split("."):
+        value = getattr(value, name, None)
+    return value
+
+
+def _fixed(scenario: Scenario) -> Scenario:
+    """The scenario without quantizer, whose controller keeps its beliefs."""
+    encoder = scenario.encoder.model_copy(update={"quantized": False})
+    return scenario.model_copy(update={"encoder": encoder, "nominal": scenario.believed_plant})
+
+
+def _seeded(scenario: Scenario, paths: Sequence[str], columns: int, first: int) -> Scenario:
+    """The scenario with AutoDiffXd at ``paths``: not validated, for its Context parameters only."""
+    if not paths:
+        raise ParameterError("paths: there are none; a sensitivity needs at least one value")
+    for path in paths:
+        if not differentiable(scenario, path):
+            raise ParameterError(
+                f"{path}: has no derivative by AutoDiff; known: numbers below "
+                f"{', '.join(_DIFFERENTIABLE)}"
+            )
+    seeded = scenario
+    for index, path in enumerate(paths):
+        gradient = np.zeros(columns)
+        gradient[first + index] = 1.0
+        seeded = _with(seeded, path.split("."), AutoDiffXd(value_at(scenario, path), gradient))
+    return seeded
+
+
+def _with(holder: Any, names: Sequence[str], value: Any) -> Any:
+    """A copy of nested parameters with another value, not validated."""
+    if not names:
+        return value
+    inner = _with(getattr(holder, names[0]), names[1:], value)
+    assert isinstance(holder, Parameters)
+    return holder.model_copy(update={names[0]: inner})
+
+
+def _gradients(values: Iterable[Any], columns: int) -> Array:
+    """Gradients of AutoDiffXd or float, (n, columns)."""
+    zero = AutoDiffXd(0.0, np.zeros(columns))
+    return np.asarray(ExtractGradient(np.array([[zero + value] for value in values])))
+
+
+def tracking_sensitivities(
+    scenario: Scenario,
+    paths: Sequence[str],
+    *,
+    duration_s: float | None = None,
+    step_s: float | None = None,
+    progress: Callable[[float], Any] | None = None,
+) -> Sensitivities:
+    """Gradient of ``rms_error_deg`` by simulating with AutoDiffXd.
+
+    The error is that after the first period of a sine, or of the whole run if it is shorter.
+    Exact for the discretized run: the third-order Runge-Kutta method with fixed steps of
+    ``step_s``, by default 0.5 ms, or 0.05 ms for the stiff valves of ``full_order`` (Newton's
+    method in the implicit integrators loses the derivative). ``duration_s``: by default that of
+    the scenario. One simulated second takes 1.5 s of computation, with ``full_order`` 25 s.
+    ``progress``: see `kneexo.analysis.simulate`.
+
+    Raises `ParameterError` for a path that has no derivative, `SimulationError` when the run
+    leaves the range of motion.
+    """
+    fixed = _fixed(scenario)
+    seeded = _seeded(fixed, paths, len(paths), 0)
+    diagram = make_closed_loop(fixed, signals=("knee_reference", "knee_angle")).ToAutoDiffXd()
+    simulator = Simulator_[AutoDiffXd](diagram)
+    context = simulator.get_mutable_context()
+    set_loop_parameters(diagram, context, seeded)
+    context.SetContinuousState(np.array([AutoDiffXd(0.0) + v for v in start_state(seeded)]))
+    if step_s is None:
+        step_s = 5e-4 if scenario.plant.full_order is None else 5e-5
+    ApplySimulatorConfig(
+        SimulatorConfig(
+            integration_scheme="runge_kutta3", max_step_size=step_s, use_error_control=False
+        ),
+        simulator,
+    )
+    end = scenario.simulation.duration_s if duration_s is None else duration_s
+    for time in np.append(np.arange(0.25, end, 0.25), end):
+        simulator.AdvanceTo(AutoDiffXd(time))
+        if progress is not None:
+            progress(float(time))
+    data = diagram.GetSubsystemByName("log").FindLog(context).data()
+    settled = round(period_s(scenario) / scenario.controller.sample_time_s)
+    reference, angle = data[0], data[4]
+    knee = np.degrees(ExtractValue(angle.reshape(-1, 1)).reshape(-1))
+    low, high = scenario.plant.knee.flexion_min_deg, scenario.plant.knee.flexion_max_deg
+    over = scenario.plant.knee.overshoot_deg
+    inside = (knee >= low - over) & (knee <= high + over)
+    if not inside.all():
+        raise SimulationError(
+            f"the run with AutoDiffXd leaves the range of motion {low:g} … {high:g} deg after "
+            f"sample {int(np.argmin(inside))}; reduce step_s = {step_s:g} s"
+        )
+    error = (reference - angle)[settled if settled + 1 < angle.size else 0 :]
+    value = np.degrees(ExtractValue(error.reshape(-1, 1)).reshape(-1))
+    gradient = np.degrees(_gradients(error, len(paths)))
+    size = rms(value)
+    return Sensitivities(
+        paths=tuple(paths),
+        figures={"rms_error_deg": size},
+        gradients={"rms_error_deg": value @ gradient / (value.size * size)},
+    )
+
+
+def loop_sensitivities(
+    scenario: Scenario, paths: Sequence[str], knee_angle_deg: float | None = None
+) -> Sensitivities:
+    """Gradients of the sampled loop's largest eigenvalue and, if it is stable, of its margins.
+
+    Figures: ``largest_eigenvalue`` (its magnitude), ``gain_margin``, ``phase_margin_deg``,
+    ``delay_margin_s``, ``disk_margin``; the gradient of a margin that does not exist is nan.
+    ``knee_angle_deg`` is by default the middle of the reference's range.
+
+    The rest moves with the values, by the implicit function theorem. AutoDiff gives the gradient
+    of dx/dt and of the controller's update in the values on both sides of the rest; the difference
+    is how the loop's Jacobian changes. From there on the chain rule is exact: through the
+    zero-order hold by the derivative of the matrix exponential, to each margin at its frequency.
+
+    Raises `ParameterError` for a path that has no derivative, and what `linearize_loop` raises.
+    """
+    fixed = _fixed(scenario)
+    if knee_angle_deg is None:
+        knee_angle_deg = 0.5 * sum(scenario.reference.range_deg)
+    rest = find_rest(fixed, knee_angle_deg)
+    n, size, count = rest.continuous_states, rest.point.size, len(paths)
+    reference = rest.reference
+
+    def rates(point: Array, columns: int, gradient: Array, seeded: Scenario) -> Array:
+        """Gradients of dx/dt and z⁺, at a point that has gradients itself."""
+        state = InitializeAutoDiff(point.reshape(-1, 1), gradient).reshape(-1)
+        context = rest.autodiff_context(state, reference)
+        set_loop_parameters(rest.diagram, context, seeded)
+        return _gradients(rest.rates(context), columns)
+
+    both = size + count
+    joint = rates(rest.point, both, np.eye(size, both), _seeded(fixed, paths, both, size))
+    stays = np.diag(np.repeat([0.0, 1.0], [n, size - n]))
+    solved = np.linalg.lstsq(joint[:, :size] - stays, joint[:, size:], rcond=1e-14)[0]
+    moves = np.asarray(-solved, dtype=float)
+    seeded = _seeded(fixed, paths, count, 0)
+    change = np.zeros((size, size, count))
+    for index, step in enumerate(_BESIDE_REST * (1.0 + np.abs(rest.point))):
+        aside = step * np.eye(size)[index]
+        # Extrapolated to no step: a kink at rest leaves a part linear in it, the rest a square.
+        for steps, weight in ((1.0, 8.0 / 3.0), (2.0, -2.0), (4.0, 1.0 / 3.0)):
+            ends = (rest.point + sign * steps * aside for sign in (1.0, -1.0))
+            above, below = (rates(end, count, moves, seeded) for end in ends)
+            change[:, index] += weight * (above - below) / (2.0 * steps * step)
+    loop = linearize_loop(fixed, knee_angle_deg)
+    held, live = held_and_live(joint[:, :size], n)
+    figures = {"largest_eigenvalue": float(abs(loop.eigenvalues[0]))}
+    if loop.stable:
+        margins = loop.margins()
+        figures |= {name: getattr(margins, name) for name in MARGIN_FIGURES}
+    found = [_figure_changes(loop, change[..., i], held, live) for i in range(count)]
+    return Sensitivities(
+        paths=tuple(paths),
+        figures=figures,
+        gradients={name: np.array([column[name] for column in found]) for name in figures},
+    )
+
+
+def _figure_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> dict[str, float]:
+    """Derivatives of the loop's figures from that of its Jacobian (of dx/dt and z⁺ in x, z)."""
+    n = loop.a.shape[0]
+    block, change_of_block = np.zeros((2, n + 1, n + 1))
+    block[:n, :n], block[:n, n:] = loop.a, loop.b
+    change_of_block[:n, :n], change_of_block[:n, n] = change[:n, :n], change[:n, n + held]
+    dt = loop.sample_time_s
+    step = expm_frechet(block * dt, change_of_block * dt, compute_expm=False)
+    update = change[n:][live]
+    feedback = np.hstack([update[:, :n], update[:, n:][:, live]])
+    a, b, c = (np.zeros_like(matrix) for matrix in loop.loop_matrices)
+    a[:n, :n], b[:n], a[n:] = step[:n, :n], step[:n, n:], feedback
+    c[:] = -loop.c_u @ feedback
+    opened, drive, row = loop.loop_matrices
+    values, left, right = eig(loop.monodromy, left=True)
+    largest = int(np.argmax(np.abs(values)))
+    value, w, v = values[largest], left[:, largest].conj(), right[:, largest]
+    # The closed loop is A − b c.
+    moved = w @ (a - b @ row - drive @ c) @ v / (w @ v)
+    found = {"largest_eigenvalue": float((np.conj(value) * moved).real / abs(value))}
+    if not loop.stable:
+        return found
+
+    def response(frequency: float) -> tuple[complex, complex, complex]:
+        """L, and its derivatives in the value and in the frequency."""
+        z = np.exp(2j * np.pi * frequency * dt)
+        inverse = np.linalg.inv(z * np.eye(opened.shape[0]) - opened)
+        forth, back = inverse @ drive, row @ inverse
+        in_value = (c @ forth + back @ a @ forth + back @ b)[0, 0]
+        return (row @ forth)[0, 0], in_value, loop.loop_slope(frequency)
+
+    m = loop.margins()
+    found |= dict.fromkeys(MARGIN_FIGURES, math.nan)
+    if math.isfinite(m.gain_margin):
+        at, in_value, in_frequency = response(m.gain_margin_frequency_hz)
+        if m.gain_margin_frequency_hz < 0.5 / dt:  # else L stays real by itself
+            in_value -= in_frequency * in_value.imag / in_frequency.imag
+        found["gain_margin"] = in_value.real / at.real**2
+    for name, frequency in (
+        ("phase_margin_deg", m.phase_margin_frequency_hz),
+        ("delay_margin_s", m.delay_margin_frequency_hz),
+    ):
+        if not math.isfinite(frequency):
+            continue
+        at, in_value, in_frequency = response(frequency)
+        # |L| stays 1: the crossing moves with the value.
+        shift = -(in_value / at).real / (in_frequency / at).real
+        turn = ((in_value + in_frequency * shift) / at).imag
+        if name == "delay_margin_s":
+            turn = (turn / (2.0 * np.pi) - m.delay_margin_s * shift) / frequency
+        found[name] = turn if name == "delay_margin_s" else math.degrees(turn)
+    at, in_value, _ = response(m.disk_margin_frequency_hz)  # its frequency is that of a minimum
+    found["disk_margin"] = m.disk_margin * (2.0 * in_value / (1.0 - at * at)).real
+    return {name: float(value) for name, value in found.items()}

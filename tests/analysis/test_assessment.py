@@ -1,0 +1,120 @@
+"""One scenario in numbers: what is measured, and how failures are told."""
+
+import math
+
+import pytest
+
+from kneexo.analysis import assessment
+from kneexo.analysis.assessment import MARGIN_FIGURES, TRACKING_FIGURES, assess
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.tracking import track
+from kneexo.errors import SimulationError
+from kneexo.parameters import Scenario
+from kneexo.scenario import changed
+
+# Through Drake: short runs need no compiled model.
+SHORT = changed(
+    Scenario(),
+    {
+        "reference": {"kind": "sine", "mean_deg": 50.0, "amplitude_deg": 2.0, "frequency_hz": 4.0},
+        "simulation": {"duration_s": 0.4, "integrator": "radau3", "step_s": 0.002},
+    },
+)
+
+
+def test_figures_are_those_of_their_analyses():
+    found = assess(SHORT)
+    metrics = track(SHORT).metrics
+    margins = linearize_loop(SHORT, 50.0).margins()
+    assert found == {
+        **{name: getattr(metrics, name) for name in TRACKING_FIGURES},
+        **{name: getattr(margins, name) for name in MARGIN_FIGURES},
+        "stable": True,
+        "tracking_failure": "",
+        "margins_failure": "",
+    }
+
+
+def test_only_what_is_asked_for():
+    assert set(assess(SHORT, margins=False)) == {*TRACKING_FIGURES, "tracking_failure"}
+    linear = assess(SHORT, tracking=False)
+    assert set(linear) == {*MARGIN_FIGURES, "stable", "margins_failure"}
+
+
+def test_the_bandwidth_is_that_of_the_references_own_sine(monkeypatch):
+    asked = []
+    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", lambda s: asked.append(s) or 3.5)
+    found = assess(SHORT, tracking=False, margins=False, bandwidth=True)
+    assert found == {"bandwidth_hz": 3.5, "bandwidth_failure": ""}
+    assert asked == [SHORT]
+
+
+@pytest.mark.slow
+def test_the_bandwidth_is_the_measured_one():
+    scenario = Scenario()
+    found = assess(scenario, tracking=False, margins=False, bandwidth=True)
+    assert found == {
+        "bandwidth_hz": large_signal_bandwidth_hz(scenario),
+        "bandwidth_failure": "",
+    }
+
+
+def test_a_gain_that_does_not_fall_is_told(monkeypatch):
+    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", lambda s: math.nan)
+    found = assess(SHORT, tracking=False, margins=False, bandwidth=True)
+    assert found["bandwidth_failure"] == "no bandwidth: the gain does not cross 1/√2"
+
+
+def test_failures_are_told_in_one_line():
+    pushed = changed(
+        SHORT,
+        {
+            "reference": {"kind": "step", "start_deg": 0.0, "end_deg": 0.0},
+            "plant.load": {"kind": "knee", "knee_torque_n_m": -450.0},
+            "plant.pump.internal_leakage_m3_per_s_pa": 1e-10,
+        },
+    )
+    found = assess(pushed, bandwidth=True)
+    assert all(math.isnan(found[n]) for n in (*TRACKING_FIGURES, *MARGIN_FIGURES, "bandwidth_hz"))
+    assert found["stable"] is None
+    assert "left the range of motion" in found["tracking_failure"]
+    assert "does not rest" in found["margins_failure"]
+    assert "a sine" in found["bandwidth_failure"]
+    assert not any("\n" in text for text in found.values() if isinstance(text, str))
+
+
+def test_an_unstable_loop_has_no_margins():
+    exact = changed(SHORT, {"estimator": {"kind": "exact"}, "controller.phi_m_s2": 24.0})
+    found = assess(exact, tracking=False)
+    assert found["stable"] is False
+    assert found["margins_failure"] == ""
+    assert all(math.isnan(found[name]) for name in MARGIN_FIGURES)
+
+
+def gives_up(integrators, message):
+    def measure(scenario):
+        integrators.append(scenario.simulation.integrator)
+        if scenario.simulation.integrator == "exact_hold":
+            raise SimulationError(message)
+        return 7.0
+
+    return measure
+
+
+def test_where_the_exact_hold_gives_up_small_fixed_steps_take_over(monkeypatch):
+    integrators = []
+    measure = gives_up(integrators, "t = 1 s: the integrator exact_hold cannot …; use rk4")
+    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", measure)
+    found = assess(Scenario(), tracking=False, margins=False, bandwidth=True)
+    assert found == {"bandwidth_hz": 7.0, "bandwidth_failure": ""}
+    assert integrators == ["exact_hold", "rk4"]
+
+
+def test_any_other_failure_stays_one(monkeypatch):
+    integrators = []
+    measure = gives_up(integrators, "t = 1 s: knee_angle = 99 deg left the range of motion")
+    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", measure)
+    found = assess(Scenario(), tracking=False, margins=False, bandwidth=True)
+    assert "left the range" in found["bandwidth_failure"]
+    assert integrators == ["exact_hold"]

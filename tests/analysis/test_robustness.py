@@ -1,0 +1,535 @@
+"""Robustness: what is visited against hand counts, what is said about it against scipy.
+
+Most tests put a formula in the place of `assess`, so that the worst corner is known beforehand.
+"""
+
+import itertools
+import json
+import math
+import re
+from functools import partial, reduce
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import spearmanr
+
+from kneexo.analysis import robustness as module
+from kneexo.analysis.assessment import assess
+from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.robustness import (
+    MERITS,
+    Visit,
+    draw,
+    failures,
+    quantile,
+    rank_correlation,
+    realize,
+    robustness,
+    short_names,
+    worst,
+)
+from kneexo.errors import ParameterError
+from kneexo.output import to_json
+from kneexo.parameters import (
+    LINKAGES,
+    UNCERTAIN_KNEE,
+    UNCERTAINTY,
+    FullCylinderParameters,
+    PlantParameters,
+    RobustnessParameters,
+    Scenario,
+    Uncertainty,
+    UncertaintySet,
+)
+from kneexo.scenario import changed
+
+FEW = RobustnessParameters(
+    samples=40, corners_max=200, bandwidth=False, sensitivity_duration_s=0.0, nyquist_loops=3
+)
+
+
+def uncertain(**values):
+    """An uncertainty set; names with __ for the dots."""
+    return UncertaintySet(
+        values={path.replace("__", "."): Uncertainty(**one) for path, one in values.items()}
+    )
+
+
+SMALL = uncertain(
+    plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
+    plant__pump__lag_s={"low": 0.005, "high": 0.02, "scale": "log"},
+    can_delay_samples={"options": (0, 1, 2)},
+)
+
+
+def figures(**found):
+    """What `assess` returns, all well unless said otherwise."""
+    return {
+        **{name: 1.0 for name in MERITS if name != "bandwidth_hz"},
+        "stable": True,
+        "tracking_failure": "",
+        "margins_failure": "",
+        **found,
+    }
+
+
+@pytest.fixture
+def formula(monkeypatch):
+    """Replace `assess` by a function of the scenario; returns the scenarios that it saw."""
+
+    def replace(function):
+        seen = []
+
+        def stand_in(scenario, *, bandwidth=False):
+            seen.append(scenario)
+            return function(scenario)
+
+        monkeypatch.setattr(module, "assess", stand_in)
+        return seen
+
+    return replace
+
+
+# -------------------------------------------------------------------------------- one plant
+
+
+def test_the_controller_keeps_its_beliefs_but_for_what_it_knows():
+    values = {
+        "plant.cylinder.mass_kg": 1.8,
+        "plant.linkage": "G3",
+        "plant.full_order": {"coulomb_friction_n": 40.0},
+        "can_delay_samples": 2,
+    }
+    found = realize(UNCERTAIN_KNEE, UNCERTAINTY, values)
+    assert found.plant.cylinder.mass_kg == 1.8
+    assert found.plant.linkage == LINKAGES["G3"]
+    assert found.plant.full_order == FullCylinderParameters(coulomb_friction_n=40.0)
+    assert found.can_delay_samples == 2
+    believed = UNCERTAIN_KNEE.plant.model_copy(update={"linkage": LINKAGES["G3"]})
+    assert found.believed_plant == believed
+
+
+def test_nothing_changed_is_the_scenario_itself():
+    found = realize(UNCERTAIN_KNEE, UNCERTAINTY, {})
+    assert found == UNCERTAIN_KNEE.model_copy(update={"nominal": UNCERTAIN_KNEE.plant})
+
+
+def test_a_controller_that_believes_something_else_goes_on_doing_so():
+    wrong = UNCERTAIN_KNEE.model_copy(update={"nominal": PlantParameters(ideal_motor=True)})
+    values = {"plant.cylinder.mass_kg": 1.7, "plant.linkage": "G2"}
+    found = realize(wrong, UNCERTAINTY, values)
+    assert found.nominal == PlantParameters(ideal_motor=True, linkage=LINKAGES["G2"])
+
+
+@given(st.integers(0, 30), st.integers(0, 30), st.integers(0, 2**32))
+def test_a_sample_does_not_depend_on_how_many_are_drawn(few, more, seed):
+    few, more = sorted((few, more))
+    assert draw(UNCERTAINTY, more, seed)[:few] == draw(UNCERTAINTY, few, seed)
+
+
+def test_samples_fill_their_ranges_evenly():
+    drawn = draw(UNCERTAINTY, 4000, 1)
+    assert drawn != draw(UNCERTAINTY, 4000, 2)
+    for path, one in UNCERTAINTY.values.items():
+        own = [values[path] for values in drawn]
+        if one.options:
+            counts = [own.count(option) / 4000 for option in one.options]
+            # Six standard deviations of a binomial share.
+            assert counts == pytest.approx([1 / 3] * 3, abs=6.0 * math.sqrt(2 / 9 / 4000))
+            continue
+        x, low, high = np.array(own), one.low, one.high
+        if one.scale == "log":
+            x, low, high = np.log(x), math.log(low), math.log(high)
+        share = (x - low) / (high - low)
+        assert share.min() >= 0.0
+        assert share.max() <= 1.0
+        assert share.mean() == pytest.approx(0.5, abs=6.0 / math.sqrt(12 * 4000))
+
+
+# --------------------------------------------------------------------------- what is visited
+
+
+def test_all_corners_are_visited_when_they_are_few(formula):
+    formula(lambda scenario: figures())
+    found = robustness(UNCERTAIN_KNEE, SMALL, FEW)
+    assert found.corners_possible == 12
+    assert found.corners_settled is None
+    visited = [tuple(corner.values.values()) for corner in found.corners]
+    assert sorted(visited) == sorted(itertools.product((1.4, 1.8), (0.005, 0.02), (0, 1, 2)))
+    assert "All 12 corners" in found.report()
+
+
+def test_one_at_a_time_changes_one_value(formula):
+    seen = formula(lambda scenario: figures(max_error_deg=scenario.plant.pump.lag_s))
+    found = robustness(UNCERTAIN_KNEE, SMALL, FEW)
+    assert [dict(visit.values) for visit in found.one_at_a_time] == [
+        {"plant.cylinder.mass_kg": 1.4},
+        {"plant.cylinder.mass_kg": 1.8},
+        {"plant.pump.lag_s": 0.005},
+        {"plant.pump.lag_s": 0.02},
+        {"can_delay_samples": 0},
+        {"can_delay_samples": 1},
+        {"can_delay_samples": 2},
+    ]
+    assert found.effects("max_error_deg")["plant.pump.lag_s"] == [0.005, 0.02]
+    assert found.effects("max_error_deg")["can_delay_samples"] == [0.01] * 3
+    assert found.spread("max_error_deg", "plant.pump.lag_s") == pytest.approx(0.015)
+    assert found.spread("max_error_deg", "plant.cylinder.mass_kg") == 0.0
+    assert found.nominal.figures["max_error_deg"] == 0.01
+    # An option that is nominal, and a corner met twice, cost nothing.
+    assert len(seen) == len(set(seen))
+
+
+def levels_of(one):
+    return one.options or (one.low, one.high)
+
+
+def share_of(path, one, scenario):
+    """0 … 1 along the levels of a value, as a plant of a corner has it."""
+    value = reduce(getattr, path.split("."), scenario)
+    if one.options:
+        known = [LINKAGES.get(o, o) if isinstance(o, str) else o for o in one.options]
+        known = [FullCylinderParameters(**o) if isinstance(o, dict) else o for o in known]
+        return known.index(value) / (len(known) - 1)
+    if one.scale == "log":
+        return math.log(value / one.low) / math.log(one.high / one.low)
+    return (value - one.low) / (one.high - one.low)
+
+
+@pytest.fixture
+def weighted(formula):
+    """A figure that is a sum over all values, half of which are bad at their low end."""
+
+    def replace(interaction=0.0):
+        weights = {path: (-1.0) ** n * (1.0 + 0.1 * n) for n, path in enumerate(UNCERTAINTY.values)}
+
+        def value(scenario):
+            shares = {p: share_of(p, one, scenario) for p, one in UNCERTAINTY.values.items()}
+            total = sum(weights[p] * share for p, share in shares.items())
+            mass, lag = shares["plant.cylinder.mass_kg"], shares["plant.pump.lag_s"]
+            total += interaction * mass * lag
+            return figures(max_error_deg=20.0 + total, disk_margin=20.0 + total)
+
+        formula(value)
+        signs = np.array(list(weights.values()))
+        highest = 20.0 + signs[signs > 0].sum()
+        lowest = 20.0 + signs[signs < 0].sum()
+        return highest, lowest
+
+    return replace
+
+
+def test_the_worst_of_many_corners_is_found_where_effects_add_up(weighted):
+    highest, lowest = weighted()
+    found = robustness(UNCERTAIN_KNEE, UNCERTAINTY, FEW)
+    assert found.corners_possible == 2**10 * 3**3
+    assert len(found.corners) == FEW.corners_max
+    assert len({json.dumps(to_json(dict(c.values))) for c in found.corners}) == FEW.corners_max
+    # More is worse for an error, less for a margin.
+    assert worst(found.corners, "max_error_deg").figures["max_error_deg"] == pytest.approx(highest)
+    assert worst(found.corners, "disk_margin").figures["disk_margin"] == pytest.approx(lowest)
+    assert f"{FEW.corners_max} of 27648 corners" in found.report()
+
+
+def test_the_search_finds_a_corner_that_no_single_effect_points_at(weighted):
+    # Mass and lag are each best low alone, but worst high together.
+    weighted(interaction=30.0)
+    budget = FEW.model_copy(update={"corners_max": 400})
+    found = robustness(UNCERTAIN_KNEE, UNCERTAINTY, budget)
+    assert found.corners_settled
+    at_worst = worst(found.corners, "max_error_deg")
+    assert at_worst.values["plant.cylinder.mass_kg"] == 1.8
+    assert at_worst.values["plant.pump.lag_s"] == 0.02
+    assert "no single change makes the worst one of any figure worse" in found.report()
+
+
+def test_a_small_budget_is_kept_and_told(weighted):
+    weighted(interaction=30.0)
+    found = robustness(UNCERTAIN_KNEE, UNCERTAINTY, FEW.model_copy(update={"corners_max": 60}))
+    assert len(found.corners) == 60
+    assert found.corners_settled is False
+    assert "ran out of its budget" in found.report()
+
+
+def test_results_do_not_depend_on_the_number_of_samples(formula):
+    formula(lambda scenario: figures(rms_error_deg=scenario.plant.cylinder.mass_kg))
+    few = robustness(UNCERTAIN_KNEE, SMALL, FEW)
+    more = robustness(UNCERTAIN_KNEE, SMALL, FEW.model_copy(update={"samples": 60}))
+    assert more.samples[:40] == few.samples
+
+
+# ------------------------------------------------------------------------- what is left out
+
+
+def test_values_that_do_not_apply_are_left_out_and_reported(formula):
+    formula(lambda scenario: figures())
+    found = robustness(Scenario(), UNCERTAINTY, FEW.model_copy(update={"corners_max": 40}))
+    assert found.left_out == ("plant.load.segment_mass_kg", "plant.load.knee_torque_n_m")
+    assert set(found.uncertainty.values) == set(UNCERTAINTY.values) - set(found.left_out)
+    assert "left out: plant.load.segment_mass_kg, plant.load.knee_torque_n_m." in found.report()
+    assert found.results()["left_out"] == list(found.left_out)
+
+
+def raises_one_line(match):
+    return pytest.raises(ParameterError, match=rf"\A{match}\Z")
+
+
+REFUSED = {
+    "plant.cylinder.mas_kg": ({"low": 1.0, "high": 2.0}, ": unknown name; .*'mass_kg'.*"),
+    "nonsense": ({"low": 1.0, "high": 2.0}, ": unknown name; .*"),
+    "plant.cylinder.mass_kg": ({"low": -1.0, "high": 2.0}, " = -1 kg is out of range: .*"),
+    "plant.linkage": ({"options": ("G1", "G9")}, ": 'G9' must be one of .*"),
+    "can_delay_samples": ({"options": (1,), "known": True}, ": known is for values of the plant"),
+    "plant.pump.lag_s": ({"low": 0.01, "high": 0.02}, ": lies within plant.pump, .*"),
+}
+
+
+@pytest.mark.parametrize("path", REFUSED)
+def test_wrong_values_are_refused_before_anything_runs(formula, path):
+    seen = formula(lambda scenario: figures())
+    one, message = REFUSED[path]
+    values = {"plant.pump": {"options": ({},)}} if path == "plant.pump.lag_s" else {}
+    with raises_one_line(re.escape(path) + message):
+        robustness(Scenario(), UncertaintySet(values={**values, path: one}), FEW)
+    assert seen == []
+
+
+def test_a_set_of_which_nothing_applies_is_refused():
+    load = UncertaintySet(values={"plant.load.segment_mass_kg": {"low": 1.0, "high": 2.0}})
+    with raises_one_line("none of the uncertain values is in this scenario: .*segment_mass_kg"):
+        robustness(Scenario(), load, FEW)
+
+
+# ----------------------------------------------------------------------------------- failures
+
+
+def unstable_above_1_6_kg(scenario):
+    if scenario.plant.pump.lag_s > 0.019:
+        return figures(
+            max_error_deg=math.nan,
+            rms_error_deg=math.nan,
+            tracking_failure=f"t = {scenario.plant.cylinder.mass_kg} s: out of range",
+        )
+    if scenario.plant.cylinder.mass_kg > 1.6:
+        margins = dict.fromkeys(("phase_margin_deg", "delay_margin_s", "disk_margin"), math.nan)
+        return figures(stable=False, **margins)
+    return figures(disk_margin=scenario.plant.cylinder.mass_kg)
+
+
+def test_failures_are_counted_and_worse_than_any_number(formula):
+    formula(unstable_above_1_6_kg)
+    found = robustness(UNCERTAIN_KNEE, SMALL, FEW)
+    heavy = sum(v.values["plant.cylinder.mass_kg"] > 1.6 for v in found.samples)
+    slow = sum(v.values["plant.pump.lag_s"] > 0.019 for v in found.samples)
+    both = sum(
+        v.values["plant.cylinder.mass_kg"] > 1.6 and v.values["plant.pump.lag_s"] <= 0.019
+        for v in found.samples
+    )
+    results = found.results()
+    assert results["figures"]["disk_margin"]["failed_samples"] == both
+    assert results["figures"]["max_error_deg"]["failed_samples"] == slow
+    assert math.isnan(results["figures"]["disk_margin"]["worst_sample"]["value"])
+    reasons = results["failures"]["samples"]
+    assert [entry["count"] for entry in reasons] == sorted([both, slow], reverse=True)
+    assert {entry["example"].split(" ")[-1] for entry in reasons} == {"unstable", "range"}
+    assert quantile(found.samples, "disk_margin", 0.0) == -math.inf
+    assert quantile(found.samples, "max_error_deg", 1.0) == math.inf
+    text = found.report()
+    assert f"{both + slow} of the 40 samples" in text
+    assert f"- {both} times: the sampled loop is unstable" in text
+    assert heavy >= both > 0 < slow
+    assert json.loads(to_json(results))["figures"]["disk_margin"]["worst_corner"]["value"] is None
+
+
+def test_values_that_do_not_go_together_are_failures(formula):
+    formula(lambda scenario: figures())
+    rods = uncertain(
+        plant__cylinder__bore_m={"low": 0.012, "high": 0.022},
+        plant__cylinder__rod_diameter_m={"low": 0.008, "high": 0.015},
+    )
+    found = robustness(UNCERTAIN_KNEE, rods, FEW)
+    (wrong,) = (c for c in found.corners if c.failures)
+    assert dict(wrong.values) == {
+        "plant.cylinder.bore_m": 0.012,
+        "plant.cylinder.rod_diameter_m": 0.015,
+    }
+    assert "must be below" in wrong.failures[0]
+    assert worst(found.corners, "disk_margin") is wrong
+    assert "- 1 times: plant.cylinder: rod_diameter_m" in found.report()
+
+
+def test_reasons_that_differ_in_numbers_are_one():
+    texts = ["t = 1.5 s: x = -2e-5 m left", "t = 0.25 s: x = 3 m left", "no rest at 4 deg"]
+    visits = [Visit({"n": n}, figures(tracking_failure=text)) for n, text in enumerate(texts)]
+    assert failures(visits) == [
+        {"count": 2, "example": texts[0], "values": {"n": 0}},
+        {"count": 1, "example": texts[2], "values": {"n": 2}},
+    ]
+
+
+# --------------------------------------------------------------------------------- statistics
+
+OPTIONS = uncertain(a={"low": 0.0, "high": 1.0}, b={"options": ("x", "y", "z")})
+
+
+def visits_of(a, b, value):
+    return [
+        Visit({"a": x, "b": o}, figures(disk_margin=v)) for x, o, v in zip(a, b, value, strict=True)
+    ]
+
+
+@given(st.integers(0, 2**32), st.integers(3, 40))
+@settings(max_examples=30, deadline=None)
+def test_rank_correlation_is_that_of_scipy(seed, count):
+    random = np.random.default_rng(seed)
+    a = np.round(random.random(count), 1)  # with ties
+    value = np.round(a + random.random(count), 1)
+    if np.ptp(a) == 0.0 or np.ptp(value) == 0.0:
+        return
+    b = ["x", "y", "z"] * count
+    found = rank_correlation(OPTIONS, visits_of(a, b[:count], value), "disk_margin")
+    assert found[0] == pytest.approx(spearmanr(a, value).statistic, abs=1e-12)
+    assert 0.0 <= found[1] <= 1.0
+
+
+def test_the_correlation_ratio_tells_options_apart():
+    a = np.linspace(0.0, 1.0, 9)
+    by_option = visits_of(a, "xxxyyyzzz", [1, 2, 3, 7, 8, 9, 4, 5, 6])
+    # Ranks 1…9: between groups 3·(2−5)² + 3·(8−5)² + 0 = 54 of 60.
+    assert rank_correlation(OPTIONS, by_option, "disk_margin")[1] == pytest.approx(
+        math.sqrt(54 / 60)
+    )
+    same = visits_of(a, "xyzxyzxyz", [1, 1, 1, 2, 2, 2, 3, 3, 3])
+    assert rank_correlation(OPTIONS, same, "disk_margin")[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_failure_has_the_worst_rank():
+    fails_high = visits_of([0.1, 0.2, 0.3, 0.9], "xyzx", [3.0, 2.0, 1.0, math.nan])
+    assert rank_correlation(OPTIONS, fails_high, "disk_margin")[0] == pytest.approx(-1.0)
+
+
+def test_a_figure_that_never_changes_has_no_correlation():
+    assert np.isnan(rank_correlation(OPTIONS, visits_of([0, 1], "xy", [1, 1]), "disk_margin")).all()
+
+
+def test_what_the_worst_sample_covers(formula):
+    formula(lambda scenario: figures())
+    found = robustness(UNCERTAIN_KNEE, SMALL, FEW)
+    # That all of n draws lie within a share p of all plants has the probability pⁿ = 5 %.
+    assert found.covered**40 == pytest.approx(0.05)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30), st.floats(0.0, 1.0))
+def test_a_quantile_is_one_of_the_values(values, share):
+    visits = [Visit({}, figures(disk_margin=v)) for v in values]
+    found = quantile(visits, "disk_margin", share)
+    assert found in values
+    assert sum(v <= found for v in values) >= share * len(values) - 1e-9
+
+
+def test_short_names_stay_apart():
+    assert short_names(["plant.a.x", "plant.b.x", "plant.c.y"]) == {
+        "plant.a.x": "plant.a.x",
+        "plant.b.x": "plant.b.x",
+        "plant.c.y": "y",
+    }
+
+
+# ------------------------------------------------------------------------------- with the loop
+
+REAL = changed(
+    UNCERTAIN_KNEE,
+    {
+        "reference": {"kind": "sine", "amplitude_deg": 2.0, "frequency_hz": 4.0},
+        "simulation": {"duration_s": 0.3, "integrator": "radau3", "step_s": 0.002},
+    },
+)
+
+
+@pytest.fixture(scope="module")
+def real():
+    budget = FEW.model_copy(update={"samples": 6, "corners_max": 4, "sensitivity_duration_s": 0.1})
+    wide = uncertain(
+        plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
+        plant__pump__lag_s={"low": 0.0099, "high": 0.0101, "scale": "log"},
+    )
+    return robustness(REAL, wide, budget)
+
+
+def test_every_visit_is_what_its_scenario_gives(real):
+    for visit in (real.nominal, real.samples[3], real.corners[1], real.one_at_a_time[2]):
+        scenario = realize(REAL, real.uncertainty, visit.values)
+        assert visit.figures == assess(scenario)
+
+
+def test_a_narrow_interval_moves_the_figures_as_the_local_sensitivity_says(real):
+    for merit in ("phase_margin_deg", "delay_margin_s", "disk_margin"):
+        low, high = real.effects(merit)["plant.pump.lag_s"]
+        # The third order of a change by 1 % is left.
+        linear = real.linear_effect(merit, "plant.pump.lag_s")
+        assert linear == pytest.approx(high - low, rel=1e-3)
+    assert set(real.local) >= {"rms_error_deg", "largest_eigenvalue", "gain_margin"}
+    assert math.isnan(real.linear_effect("max_error_deg", "plant.pump.lag_s"))
+
+
+def test_figures_and_report(real):
+    drawn = real.figures()
+    assert set(drawn) == {
+        "robustness_distribution",
+        "robustness_tornado",
+        "robustness_importance",
+        "robustness_nyquist",
+    }
+    for figure in drawn.values():
+        figure.canvas.draw()
+        plt.close(figure)
+    tornado = drawn["robustness_tornado"].axes[-1]
+    assert tornado.get_xlabel() == "disk margin"
+    # The value that matters more is on top.
+    assert [t.get_text() for t in tornado.get_yticklabels()] == ["mass_kg", "lag_s"]
+    text = real.report()
+    assert "None of the 6 samples fails or is unstable." in text
+    assert "| lag_s |" in text
+    json.loads(to_json(real.results()))
+
+
+def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    budget = FEW.model_copy(update={"samples": 4, "corners_max": 2})
+    run = partial(robustness, REAL, SMALL, budget)
+    calls = []
+
+    def stops(scenario, **options):
+        calls.append(scenario)
+        if len(calls) > 5:
+            raise KeyboardInterrupt
+        return figures(max_error_deg=scenario.plant.pump.lag_s)
+
+    def goes_on(scenario, **options):
+        calls.append(scenario)
+        return figures(max_error_deg=scenario.plant.pump.lag_s)
+
+    # A piece of work is known by the name of its function.
+    stops.__qualname__ = goes_on.__qualname__ = "assess"
+    monkeypatch.setattr(module, "assess", goes_on)
+    whole = run()
+    total = len(calls)
+    calls.clear()
+    path = tmp_path / "checkpoint.jsonl"
+    monkeypatch.setattr(module, "assess", stops)
+    with pytest.raises(KeyboardInterrupt):
+        run(checkpoint=Checkpoint(path))
+    calls.clear()
+    monkeypatch.setattr(module, "assess", goes_on)
+    resumed = run(checkpoint=Checkpoint(path, resume=True))
+    assert len(calls) == total - 5
+    assert to_json(resumed.results()) == to_json(whole.results())
+
+
+def test_a_reference_that_does_not_move_has_no_bandwidth(formula):
+    formula(lambda scenario: figures())
+    step = changed(UNCERTAIN_KNEE, {"reference": {"kind": "step"}})
+    found = robustness(step, SMALL, FEW.model_copy(update={"bandwidth": True}))
+    assert "bandwidth_hz" not in found.merits
