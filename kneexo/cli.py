@@ -161,7 +161,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--knee-angle", type=float, default=40.0, metavar="DEG", help="posture, knee angle in deg"
     )
-    add_out(sub, "linearization.json, loop.png and loop.pdf")
+    add_out(sub, "linearization.json; loop, nyquist and poles as PNG and PDF")
 
     sub = command(
         "bandwidth",
@@ -370,12 +370,14 @@ def _linearize(options: argparse.Namespace) -> None:
             }
         )
         (directory / "linearization.json").write_text(text, encoding="utf-8")
-        save_figure(directory, "loop", loop.plot()[0].figure)
+        axes = {"loop": loop.plot()[0], "nyquist": loop.plot_nyquist(), "poles": loop.plot_poles()}
+        for name, ax in axes.items():
+            save_figure(directory, name, ax.figure)
     if options.json:
         print(text, end="")
         return
     print(f"plant: {plant}\nloop: {loop}")
-    print(f"In {options.out}: linearization.json, loop.png, loop.pdf")
+    print(f"In {options.out}: linearization.json; loop, nyquist and poles as PNG and PDF")
 
 
 def _settings(options: argparse.Namespace, cls: type[Settings]) -> Settings:

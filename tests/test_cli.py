@@ -198,8 +198,7 @@ def test_linearize_writes_margins_and_refuses_a_posture_out_of_range(capsys, tmp
     assert printed["margins"]["stable"] is True
     assert {file.name for file in (tmp_path / "out").iterdir()} == {
         "linearization.json",
-        "loop.png",
-        "loop.pdf",
+        *(f"{name}.{kind}" for name in ("loop", "nyquist", "poles") for kind in ("png", "pdf")),
     }
     assert main(["linearize", "--knee-angle", "200", "--out", str(tmp_path / "no")]) == 2
     assert "knee angle = 200 deg" in capsys.readouterr().err
