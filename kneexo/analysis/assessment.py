@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import track
-from kneexo.errors import KneexoError, SimulationError
+from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
-from kneexo.scenario import changed
 
 TRACKING_FIGURES = (
     "max_error_deg",
@@ -24,12 +22,6 @@ TRACKING_FIGURES = (
 
 MARGIN_FIGURES = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
 """Figures of `kneexo.analysis.Margins` that an assessment quotes."""
-
-
-Result = TypeVar("Result")
-
-_VALVE_STEP_S = 5e-5
-"""Stable for the fastest pole of the full order by default, 4.5e4 1/s of a check valve."""
 
 
 def assess(
@@ -48,7 +40,7 @@ def assess(
         figures = dict.fromkeys(TRACKING_FIGURES, math.nan)
         found |= figures | {"tracking_failure": ""}
         try:
-            metrics = _surely(track, scenario).metrics
+            metrics = track(scenario).metrics
             found |= {name: getattr(metrics, name) for name in figures}
         except KneexoError as error:
             found["tracking_failure"] = str(error)
@@ -66,23 +58,9 @@ def assess(
     if bandwidth:
         found |= {"bandwidth_hz": math.nan, "bandwidth_failure": ""}
         try:
-            found["bandwidth_hz"] = _surely(large_signal_bandwidth_hz, scenario)
+            found["bandwidth_hz"] = large_signal_bandwidth_hz(scenario)
             if math.isnan(found["bandwidth_hz"]):
                 found["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
         except KneexoError as error:
             found["bandwidth_failure"] = str(error)
     return found
-
-
-def _surely(measure: Callable[[Scenario], Result], scenario: Scenario) -> Result:
-    """``measure(scenario)``, by small fixed steps where the exact hold gives up.
-
-    It does where a valve chatters between the chambers, which is no failure of the loop.
-    """
-    try:
-        return measure(scenario)
-    except SimulationError as error:
-        if scenario.simulation.integrator != "exact_hold" or "use rk4" not in str(error):
-            raise
-    steps = {"simulation.integrator": "rk4", "simulation.step_s": _VALVE_STEP_S}
-    return measure(changed(scenario, steps))

@@ -9,7 +9,6 @@ from kneexo.analysis.assessment import MARGIN_FIGURES, TRACKING_FIGURES, assess
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import track
-from kneexo.errors import SimulationError
 from kneexo.parameters import Scenario
 from kneexo.scenario import changed
 
@@ -90,31 +89,3 @@ def test_an_unstable_loop_has_no_margins():
     assert found["stable"] is False
     assert found["margins_failure"] == ""
     assert all(math.isnan(found[name]) for name in MARGIN_FIGURES)
-
-
-def gives_up(integrators, message):
-    def measure(scenario):
-        integrators.append(scenario.simulation.integrator)
-        if scenario.simulation.integrator == "exact_hold":
-            raise SimulationError(message)
-        return 7.0
-
-    return measure
-
-
-def test_where_the_exact_hold_gives_up_small_fixed_steps_take_over(monkeypatch):
-    integrators = []
-    measure = gives_up(integrators, "t = 1 s: the integrator exact_hold cannot …; use rk4")
-    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", measure)
-    found = assess(Scenario(), tracking=False, margins=False, bandwidth=True)
-    assert found == {"bandwidth_hz": 7.0, "bandwidth_failure": ""}
-    assert integrators == ["exact_hold", "rk4"]
-
-
-def test_any_other_failure_stays_one(monkeypatch):
-    integrators = []
-    measure = gives_up(integrators, "t = 1 s: knee_angle = 99 deg left the range of motion")
-    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", measure)
-    found = assess(Scenario(), tracking=False, margins=False, bandwidth=True)
-    assert "left the range" in found["bandwidth_failure"]
-    assert integrators == ["exact_hold"]

@@ -339,7 +339,7 @@ def test_failures_are_counted_and_worse_than_any_number(formula):
     assert quantile(found.samples, "max_error_deg", 1.0) == math.inf
     text = found.report()
     assert f"{both + slow} of the 40 samples" in text
-    assert f"- {both} times: the sampled loop is unstable" in text
+    assert f"- {both} times: the sampled loop, linearized in the middle of" in text
     assert heavy >= both > 0 < slow
     assert json.loads(to_json(results))["figures"]["disk_margin"]["worst_corner"]["value"] is None
 
