@@ -10,6 +10,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -176,7 +177,7 @@ def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
         # A wrong name in an existing mapping is found by the validation below.
         if not isinstance(holder, dict):
             raise ParameterError(f"{path}: this scenario has no {path.rpartition('.')[0]}")
-        holder[name] = value
+        holder[name] = deepcopy(value)  # a later path may reach into it
     return Scenario(**data)
 
 

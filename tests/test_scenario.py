@@ -562,6 +562,17 @@ def test_changed_gives_a_validated_copy() -> None:
     assert changed(base, {}) == base
 
 
+def test_changed_leaves_its_argument_alone() -> None:
+    values: dict[str, object] = {
+        "plant.full_order": {"coulomb_friction_n": 40.0},
+        "plant.full_order.coulomb_friction_n": 30.0,
+    }
+    copy = changed(Scenario(), values)
+    assert copy.plant.full_order is not None
+    assert copy.plant.full_order.coulomb_friction_n == 30.0
+    assert values["plant.full_order"] == {"coulomb_friction_n": 40.0}
+
+
 @pytest.mark.parametrize(
     ("path", "value", "told"),
     [

@@ -208,15 +208,16 @@ def test_tracking_error_against_differences():
 def test_tracking_error_against_differences_in_all_values(controller):
     law = {"controller": PID_TUNED.model_dump()} if controller == "pid" else {}
     scenario = changed(LEAKY, SHORT | law | {"simulation.duration_s": 1.0})
-    steps = {path: 0.1 * step for path, step in STEPS.items()}
-    assert_tracking(scenario, steps, 3)
+    # Within a larger step the motor enters or leaves its limits at other samples: a kink.
+    steps = {path: 1e-3 * step for path, step in STEPS.items()}
+    assert_tracking(scenario, steps, 2)
 
 
 @pytest.mark.slow
 def test_tracking_error_of_the_full_order_against_differences():
     short = SHORT | {"simulation.step_s": 5e-5, "simulation.duration_s": 0.2}
     scenario = changed(UNCERTAIN_KNEE, short | FULL_ORDER)
-    assert_tracking(scenario, {"plant.cylinder.bore_m": 2e-6, "plant.pump.lag_s": 2e-5}, 2)
+    assert_tracking(scenario, {"plant.cylinder.bore_m": 2e-7, "plant.pump.lag_s": 2e-6}, 2)
 
 
 def test_after_the_first_period_the_start_does_not_count():
