@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from kneexo import systems
 from kneexo.analysis.bandwidth import rod_of
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.simulation import Array, simulate, to_rpm
@@ -23,7 +24,6 @@ from kneexo.errors import KneexoError, ParameterError
 from kneexo.gait import gait_reference, gait_start_percent
 from kneexo.parameters import KneeLoadParameters, Scenario
 from kneexo.scenario import changed
-from kneexo.systems import KneeLoad
 
 WALKING_FIGURES = (
     "max_error_deg",
@@ -187,7 +187,7 @@ def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Ar
     """F_L in N along the motion, from the plant's own load system."""
     if not isinstance(scenario.plant.load, KneeLoadParameters):
         return np.zeros_like(time)
-    load = KneeLoad(scenario.plant.load)
+    load = systems.KneeLoad(scenario.plant.load)
     context = load.CreateDefaultContext()
     force = np.empty_like(time)
     for index in range(time.size):

@@ -14,18 +14,10 @@ from pydrake.systems.primitives import (
 )
 from pydrake.systems.sensors import RotaryEncoders
 
+from kneexo import systems
 from kneexo.diagrams.plant import FULL_ORDER_OUTPUTS, make_plant
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
-from kneexo.systems import (
-    BackwardDifference,
-    KneeCoordinates,
-    PidController,
-    RodReference,
-    SlidingModeController,
-    TrackingObserver,
-    make_knee_reference,
-)
 from kneexo.systems.knee_reference import reference_range_deg, start_angle_rad
 
 SIGNALS = {
@@ -137,7 +129,7 @@ def make_closed_loop(
             table_1=scenario.polynomial,
         ),
     )
-    rod_reference = add("rod_reference", RodReference(scenario.polynomial))
+    rod_reference = add("rod_reference", systems.RodReference(scenario.polynomial))
     encoder = add(
         "encoder",
         RotaryEncoders([scenario.encoder.counts_per_revolution])
@@ -146,7 +138,7 @@ def make_closed_loop(
     )
     coordinates = add(
         "coordinates",
-        KneeCoordinates(
+        systems.KneeCoordinates(
             scenario.believed_plant.linkage,
             scenario.polynomial,
             encoder_offset_rad(scenario),
@@ -156,7 +148,7 @@ def make_closed_loop(
         knee_reference = add("knee_reference", PassThrough(4))
         builder.ExportInput(knee_reference.get_input_port(), "knee_reference")
     else:
-        knee_reference = add("reference", make_knee_reference(scenario.reference))
+        knee_reference = add("reference", systems.make_knee_reference(scenario.reference))
     builder.Connect(knee_reference.get_output_port(), rod_reference.get_input_port())
     builder.Connect(plant.GetOutputPort("encoder_angle"), encoder.get_input_port())
     builder.Connect(encoder.get_output_port(), coordinates.get_input_port())
@@ -172,12 +164,12 @@ def make_closed_loop(
         update={"command_limit_rad_s": scenario.command_limit_rad_s}
     )
     if law.kind == "smc":
-        controller = add("controller", SlidingModeController(law, scenario.believed_plant))
+        controller = add("controller", systems.SlidingModeController(law, scenario.believed_plant))
         ports["estimated_state"] = _estimate(builder, scenario, plant, coordinates)
         ports["sliding_variable"] = controller.GetOutputPort("sliding_variable")
         inputs = {"estimated_state": "estimated_state"}
     else:
-        controller = add("controller", PidController(law, scenario.believed_plant))
+        controller = add("controller", systems.PidController(law, scenario.believed_plant))
         inputs = {"knee_angle": "measured_knee_angle", "knee_reference": "knee_reference"}
     for port, signal in (inputs | {"rod_reference": "rod_reference"}).items():
         builder.Connect(ports[signal], controller.GetInputPort(port))
@@ -222,9 +214,9 @@ def _estimate(builder: Any, scenario: Scenario, plant: Any, coordinates: Any) ->
         return plant.GetOutputPort("rod_state")
     sample_time = scenario.controller.sample_time_s
     if scenario.estimator.kind == "observer":
-        system = TrackingObserver(scenario.estimator, sample_time)
+        system = systems.TrackingObserver(scenario.estimator, sample_time)
     else:
-        system = BackwardDifference(sample_time)
+        system = systems.BackwardDifference(sample_time)
     estimator = builder.AddNamedSystem("estimator", system)
     builder.Connect(coordinates.GetOutputPort("rod_extension"), estimator.get_input_port())
     return estimator.get_output_port()

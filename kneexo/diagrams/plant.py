@@ -7,7 +7,7 @@ from typing import Any
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from kneexo import linkage
+from kneexo import linkage, systems
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     KneeLoadParameters,
@@ -15,7 +15,6 @@ from kneexo.parameters import (
     RodPolynomialParameters,
     SineReference,
 )
-from kneexo.systems import BldcPump, FourBarKnee, FullCylinder, KneeLoad, ReducedCylinder
 from kneexo.systems.four_bar_knee import knee_kinematics
 from kneexo.systems.full_cylinder import holding_pressures
 from kneexo.systems.knee_load import load_force
@@ -57,17 +56,20 @@ def make_plant(
     """
     extension, force = plant_start(parameters, initial_knee_angle_rad, initial_offset_m, table_1)
     builder = DiagramBuilder()
-    motor = builder.AddNamedSystem("motor", BldcPump(parameters.pump, parameters.ideal_motor))
+    motor = builder.AddNamedSystem(
+        "motor", systems.BldcPump(parameters.pump, parameters.ideal_motor)
+    )
     cylinder = builder.AddNamedSystem("cylinder", _cylinder(parameters, extension, force))
     knee = builder.AddNamedSystem(
-        "knee", FourBarKnee(parameters.linkage, parameters.knee, _rod_map(parameters, table_1))
+        "knee",
+        systems.FourBarKnee(parameters.linkage, parameters.knee, _rod_map(parameters, table_1)),
     )
     _connect(builder, motor, "load_flow", cylinder, "load_flow")
     _connect(builder, cylinder, "load_pressure", motor, "load_pressure")
     _connect(builder, cylinder, "rod_extension", knee, "rod_extension")
     builder.ExportInput(motor.GetInputPort("motor_speed_command"), "motor_speed_command")
     if isinstance(parameters.load, KneeLoadParameters):
-        knee_load = builder.AddNamedSystem("load", KneeLoad(parameters.load))
+        knee_load = builder.AddNamedSystem("load", systems.KneeLoad(parameters.load))
         _connect(builder, knee, "knee_angle", knee_load, "knee_angle")
         _connect(builder, knee, "moment_arm", knee_load, "moment_arm")
         _connect(builder, knee_load, "load_force", cylinder, "load_force")
@@ -141,8 +143,8 @@ def _cylinder(parameters: PlantParameters, extension: float, force: float) -> An
     cylinder, full_order = parameters.cylinder, parameters.full_order
     pressures = start_pressures_pa(parameters, force)
     if full_order is None:
-        return ReducedCylinder(cylinder, extension, *pressures)
-    return FullCylinder(
+        return systems.ReducedCylinder(cylinder, extension, *pressures)
+    return systems.FullCylinder(
         cylinder, full_order, extension, pressures, parameters.pump.external_leakage_m3_per_s_pa
     )
 

@@ -5,10 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.parameters import BldcPumpParameters
-from kneexo.systems._leaf import NamedLeaf, clip, require_finite, values_of
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    clip,
+    instances_of_float,
+    leaf_template,
+    require_finite,
+    values_of,
+)
 
 
 def motor_acceleration(
@@ -40,7 +46,7 @@ def context_values(parameters: BldcPumpParameters) -> dict[str, float]:
     )
 
 
-@TemplateSystem.define("BldcPump_")
+@leaf_template(__name__, "BldcPump_")
 def BldcPump_(T: Any) -> Any:
     """BLDC motor and pump for the scalar ``T``."""
 
@@ -147,4 +153,4 @@ def BldcPump_(T: Any) -> Any:
     return Impl
 
 
-BldcPump = BldcPump_[None]
+__getattr__ = instances_of_float(__name__)

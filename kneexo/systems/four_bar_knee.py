@@ -11,12 +11,11 @@ import pydrake.math as drake_math
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import SimulationError
 from kneexo.linkage import RodInverse, fit_rod_inverse, icr, polynomial
 from kneexo.parameters import KneeParameters, LinkageParameters, RodPolynomialParameters
-from kneexo.systems._leaf import NamedLeaf, values_of
+from kneexo.systems._leaf import NamedLeaf, instances_of_float, leaf_template, values_of
 
 
 def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[Any]:
@@ -46,7 +45,7 @@ def context_values(
     }
 
 
-@TemplateSystem.define("FourBarKnee_")
+@leaf_template(__name__, "FourBarKnee_")
 def FourBarKnee_(T: Any) -> Any:
     """Four-bar knee for the scalar ``T``."""
 
@@ -146,4 +145,4 @@ def FourBarKnee_(T: Any) -> Any:
     return Impl
 
 
-FourBarKnee = FourBarKnee_[None]
+__getattr__ = instances_of_float(__name__)

@@ -14,7 +14,6 @@ import pydrake.math as drake_math
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
@@ -23,7 +22,15 @@ from kneexo.parameters import (
     CylinderParameters,
     FullCylinderParameters,
 )
-from kneexo.systems._leaf import NamedLeaf, clip, require_finite, value_or_zero, values_of
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    clip,
+    instances_of_float,
+    leaf_template,
+    require_finite,
+    value_or_zero,
+    values_of,
+)
 from kneexo.systems.reduced_cylinder import (
     PA_PER_MPA,
     require_in_stroke,
@@ -118,7 +125,7 @@ def context_values(
     }
 
 
-@TemplateSystem.define("FullCylinder_")
+@leaf_template(__name__, "FullCylinder_")
 def FullCylinder_(T: Any) -> Any:
     """Full-order cylinder for the scalar ``T``."""
 
@@ -327,4 +334,4 @@ def FullCylinder_(T: Any) -> Any:
     return Impl
 
 
-FullCylinder = FullCylinder_[None]
+__getattr__ = instances_of_float(__name__)

@@ -6,11 +6,10 @@ from typing import Any
 
 import pydrake.math as drake_math
 from pydrake.systems.framework import LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.linkage import eq6_sign, knee_angle_from_encoder, polynomial, polynomial_derivative
 from kneexo.parameters import LinkageParameters, RodPolynomialParameters
-from kneexo.systems._leaf import NamedLeaf, values_of
+from kneexo.systems._leaf import NamedLeaf, instances_of_float, leaf_template, values_of
 
 
 def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
@@ -54,7 +53,7 @@ def context_values(
     }
 
 
-@TemplateSystem.define("KneeCoordinates_")
+@leaf_template(__name__, "KneeCoordinates_")
 def KneeCoordinates_(T: Any) -> Any:
     """Measured coordinates for the scalar ``T``."""
 
@@ -110,10 +109,7 @@ def KneeCoordinates_(T: Any) -> Any:
     return Impl
 
 
-KneeCoordinates = KneeCoordinates_[None]
-
-
-@TemplateSystem.define("RodReference_")
+@leaf_template(__name__, "RodReference_")
 def RodReference_(T: Any) -> Any:
     """Rod reference for the scalar ``T``."""
 
@@ -153,4 +149,4 @@ def RodReference_(T: Any) -> Any:
     return Impl
 
 
-RodReference = RodReference_[None]
+__getattr__ = instances_of_float(__name__)

@@ -7,10 +7,15 @@ from typing import Any
 
 import pydrake.math as drake_math
 from pydrake.systems.framework import LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.parameters import KneeLoadParameters
-from kneexo.systems._leaf import NamedLeaf, value_or_zero, values_of
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    instances_of_float,
+    leaf_template,
+    value_or_zero,
+    values_of,
+)
 
 
 def weight_torque(
@@ -61,7 +66,7 @@ def context_values(parameters: KneeLoadParameters) -> dict[str, float]:
     )
 
 
-@TemplateSystem.define("KneeLoad_")
+@leaf_template(__name__, "KneeLoad_")
 def KneeLoad_(T: Any) -> Any:
     """Load of the rod for the scalar ``T``."""
 
@@ -126,4 +131,4 @@ def KneeLoad_(T: Any) -> Any:
     return Impl
 
 
-KneeLoad = KneeLoad_[None]
+__getattr__ = instances_of_float(__name__)

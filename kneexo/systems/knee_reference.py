@@ -19,7 +19,6 @@ import numpy as np
 import pydrake.math as drake_math
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.primitives import TrajectorySource
-from pydrake.systems.scalar_conversion import TemplateSystem
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo.linkage import polynomial, polynomial_derivative
@@ -29,7 +28,7 @@ from kneexo.parameters import (
     SineReference,
     StepReference,
 )
-from kneexo.systems._leaf import NamedLeaf, clip, where_positive
+from kneexo.systems._leaf import NamedLeaf, clip, instances_of_float, leaf_template, where_positive
 
 
 class _KneeReference(NamedLeaf):
@@ -116,7 +115,7 @@ def context_values(parameters: SineReference | StepReference | RampReference) ->
     return values
 
 
-@TemplateSystem.define("SineKneeReference_")
+@leaf_template(__name__, "SineKneeReference_")
 def SineKneeReference_(T: Any) -> Any:
     """Sinusoidal reference for the scalar ``T``."""
 
@@ -139,10 +138,7 @@ def SineKneeReference_(T: Any) -> Any:
     return Impl
 
 
-SineKneeReference = SineKneeReference_[None]
-
-
-@TemplateSystem.define("StepKneeReference_")
+@leaf_template(__name__, "StepKneeReference_")
 def StepKneeReference_(T: Any) -> Any:
     """Step reference for the scalar ``T``."""
 
@@ -164,10 +160,7 @@ def StepKneeReference_(T: Any) -> Any:
     return Impl
 
 
-StepKneeReference = StepKneeReference_[None]
-
-
-@TemplateSystem.define("RampKneeReference_")
+@leaf_template(__name__, "RampKneeReference_")
 def RampKneeReference_(T: Any) -> Any:
     """Ramp reference for the scalar ``T``."""
 
@@ -189,9 +182,6 @@ def RampKneeReference_(T: Any) -> Any:
     return Impl
 
 
-RampKneeReference = RampKneeReference_[None]
-
-
 def make_knee_reference(
     parameters: SineReference | StepReference | RampReference | SampledReference,
 ) -> Any:
@@ -201,11 +191,11 @@ def make_knee_reference(
     hold outside. That one is a `TrajectorySource`, which has no symbolic form.
     """
     if isinstance(parameters, SineReference):
-        return SineKneeReference(parameters)
+        return SineKneeReference_[None](parameters)
     if isinstance(parameters, StepReference):
-        return StepKneeReference(parameters)
+        return StepKneeReference_[None](parameters)
     if isinstance(parameters, RampReference):
-        return RampKneeReference(parameters)
+        return RampKneeReference_[None](parameters)
     return TrajectorySource(
         sampled_spline(parameters), output_derivative_order=3, zero_derivatives_beyond_limits=True
     )
@@ -243,3 +233,6 @@ def reference_range_deg(
         times += [start + t.real for t in roots if t.imag == 0.0 and 0.0 < t.real < end - start]
     angles = np.degrees(spline.vector_values(times)[0])
     return float(angles.min()), float(angles.max())
+
+
+__getattr__ = instances_of_float(__name__)

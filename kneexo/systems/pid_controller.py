@@ -6,10 +6,16 @@ from typing import Any
 
 import pydrake.math as drake_math
 from pydrake.systems.framework import LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.parameters import PidParameters, PlantParameters
-from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, values_of
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    clip,
+    discrete_state,
+    instances_of_float,
+    leaf_template,
+    values_of,
+)
 
 
 def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[str, float]:
@@ -31,7 +37,7 @@ def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[st
     }
 
 
-@TemplateSystem.define("PidController_")
+@leaf_template(__name__, "PidController_")
 def PidController_(T: Any) -> Any:
     """PID controller for the scalar ``T``."""
 
@@ -113,4 +119,4 @@ def PidController_(T: Any) -> Any:
     return Impl
 
 
-PidController = PidController_[None]
+__getattr__ = instances_of_float(__name__)

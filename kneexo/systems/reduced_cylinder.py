@@ -9,11 +9,17 @@ import pydrake.math as drake_math
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import CylinderParameters
-from kneexo.systems._leaf import NamedLeaf, require_finite, value_or_zero, values_of
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    instances_of_float,
+    leaf_template,
+    require_finite,
+    value_or_zero,
+    values_of,
+)
 
 PA_PER_MPA = 1e6
 
@@ -81,7 +87,7 @@ def context_values(parameters: CylinderParameters) -> dict[str, float]:
     )
 
 
-@TemplateSystem.define("ReducedCylinder_")
+@leaf_template(__name__, "ReducedCylinder_")
 def ReducedCylinder_(T: Any) -> Any:
     """Reduced-order cylinder for the scalar ``T``."""
 
@@ -198,4 +204,4 @@ def ReducedCylinder_(T: Any) -> Any:
     return Impl
 
 
-ReducedCylinder = ReducedCylinder_[None]
+__getattr__ = instances_of_float(__name__)

@@ -6,10 +6,17 @@ from typing import Any
 
 import pydrake.math as drake_math
 from pydrake.systems.framework import LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.parameters import PlantParameters, SlidingModeParameters
-from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, values_of, where_positive
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    clip,
+    discrete_state,
+    instances_of_float,
+    leaf_template,
+    values_of,
+    where_positive,
+)
 
 
 def sliding_variable(state: Any, reference: Any, lambda_: Any) -> Any:
@@ -91,7 +98,7 @@ def context_values(parameters: SlidingModeParameters, plant: PlantParameters) ->
     }
 
 
-@TemplateSystem.define("SlidingModeController_")
+@leaf_template(__name__, "SlidingModeController_")
 def SlidingModeController_(T: Any) -> Any:
     """Sliding-mode controller for the scalar ``T``."""
 
@@ -159,4 +166,4 @@ def SlidingModeController_(T: Any) -> Any:
     return Impl
 
 
-SlidingModeController = SlidingModeController_[None]
+__getattr__ = instances_of_float(__name__)

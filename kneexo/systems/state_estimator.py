@@ -12,11 +12,16 @@ from typing import Any
 
 import pydrake.math as drake_math
 from pydrake.systems.framework import LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import ObserverParameters, SlidingModeParameters
-from kneexo.systems._leaf import NamedLeaf, discrete_state, values_of
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    discrete_state,
+    instances_of_float,
+    leaf_template,
+    values_of,
+)
 
 _SAMPLE_TIME_S = SlidingModeParameters().sample_time_s
 
@@ -40,7 +45,7 @@ def _checked(sample_time_s: float) -> float:
     return sample_time_s
 
 
-@TemplateSystem.define("TrackingObserver_")
+@leaf_template(__name__, "TrackingObserver_")
 def TrackingObserver_(T: Any) -> Any:
     """Tracking observer for the scalar ``T``."""
 
@@ -102,10 +107,7 @@ def TrackingObserver_(T: Any) -> Any:
     return Impl
 
 
-TrackingObserver = TrackingObserver_[None]
-
-
-@TemplateSystem.define("BackwardDifference_")
+@leaf_template(__name__, "BackwardDifference_")
 def BackwardDifference_(T: Any) -> Any:
     """Backward differences for the scalar ``T``."""
 
@@ -142,4 +144,4 @@ def BackwardDifference_(T: Any) -> Any:
     return Impl
 
 
-BackwardDifference = BackwardDifference_[None]
+__getattr__ = instances_of_float(__name__)

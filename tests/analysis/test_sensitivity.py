@@ -231,7 +231,8 @@ def test_after_the_first_period_the_start_does_not_count():
 
 
 def test_a_limit_that_is_not_reached_has_no_influence():
-    scenario = changed(UNCERTAIN_KNEE, SHORT | {"simulation.duration_s": 0.05})
+    small = {"reference.amplitude_deg": 0.05, "simulation.duration_s": 0.05}
+    scenario = changed(UNCERTAIN_KNEE, SHORT | small)
     path = "plant.pump.acceleration_limit_rad_s2"
     assert tracking_sensitivities(scenario, [path]).of("rms_error_deg") == {path: 0.0}
 
