@@ -10,12 +10,13 @@ import pytest
 from kneexo.cli import main
 from kneexo.scenario import load_scenario
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def block(language):
-    (text,) = re.findall(rf"^```{language}\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
-    return text
+def block(language, text=README):
+    (code,) = re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    return code
 
 
 def test_the_scenario_file_loads(tmp_path):
@@ -32,10 +33,9 @@ def test_every_command_of_the_table_has_help(command, capsys):
 
 
 def test_every_linked_file_exists():
-    root = Path(__file__).parents[1]
     targets = [t for t in re.findall(r"\]\(([^)]+)\)", README) if "://" not in t]
     assert targets
-    assert [t for t in targets if not (root / t).exists()] == []
+    assert [t for t in targets if not (ROOT / t).exists()] == []
 
 
 @pytest.mark.slow
@@ -43,3 +43,13 @@ def test_the_python_example_runs_in_an_empty_directory(tmp_path):
     code = "import matplotlib; matplotlib.use('Agg')\n" + block("python")
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True)
     assert (tmp_path / "tracking.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_the_example_of_the_engine_runs():
+    code = block("python", (ROOT / "docs/engine.md").read_text(encoding="utf-8"))
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    records, spread, log = done.stdout.splitlines()
+    assert (records, log) == ("(15001, 1)", "(1, 501)")
+    assert 0.0 < float(spread) < 1e-3

@@ -15,11 +15,10 @@ from kneexo.compilation.cache import cache_directory
 from kneexo.compilation.model import (
     CompiledModel,
     DiagramModel,
-    InputTable,
     Simulation,
-    State,
     compile_diagram,
 )
+from kneexo.compilation.runner import InputTable, State
 from kneexo.compilation.scenarios import compile_scenario, scenario_run, simulate_compiled
 from kneexo.parameters import Scenario
 

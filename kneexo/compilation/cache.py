@@ -1,21 +1,27 @@
 """Generated modules on disk: written once, imported by every later process.
 
-numba keeps its machine code beside a module (``__pycache__``). The directory is
+numba keeps its machine code beside a module (``__pycache__``); a seal tells whether it is still
+what was written, for numba would run anything. The directory is
 ``KNEEXO_CACHE_DIR``, else ``kneexo`` in ``XDG_CACHE_HOME``, else ``~/.cache/kneexo``; it may be
 deleted at any time.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import importlib.util
+import json
 import os
 import sys
 import tempfile
 import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 _PREFIX = "kneexo_model_"
 
@@ -93,23 +99,26 @@ def _write(path: Path, text: str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".kneexo-")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            os.replace(temporary, path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
     except OSError as error:
-        own = _own_directory() / path.name
-        warnings.warn(
-            f"{path.parent}: cannot be written ({error.strerror}); compiled models are not kept "
-            f"and every process compiles anew",
-            stacklevel=2,
-        )
-        own.write_text(text, encoding="utf-8")
-        return own
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        _warn_unwritable(path.parent, error)
+        path = _own_directory() / path.name
+        path.write_text(text, encoding="utf-8")
     return path
+
+
+def _warn_unwritable(directory: Path, error: OSError) -> None:
+    warnings.warn(
+        f"{directory}: cannot be written ({error.strerror}); compiled models are not kept and "
+        f"every process compiles anew",
+        stacklevel=3,
+    )
 
 
 def _import(name: str, path: Path) -> ModuleType:
@@ -125,3 +134,66 @@ def _import(name: str, path: Path) -> ModuleType:
         del sys.modules[name]
         raise
     return module
+
+
+# --------------------------------------------------------------------------- machine code
+
+
+def make_ready(function: Any, arguments: Sequence[Any]) -> None:
+    """Compile a jitted function of a generated module for such ``arguments``, or load it.
+
+    ``arguments`` must be quick to run. Processes that need the same module wait for each other.
+    Damaged machine code is removed, with a warning, and made anew.
+    """
+    if not hasattr(function, "signatures") or function.signatures:  # plain Python, or known
+        return
+    module = sys.modules[function.__module__]
+    path = Path(module.__file__ or "")
+    with _alone(path):
+        _remove_unsound_code(path)
+        for _ in vars(module):  # at most once for each function that cannot be kept
+            try:
+                function(*arguments)
+                break
+            except OSError as error:
+                _warn_unwritable(path.parent, error)
+        seal = json.dumps(_code_hashes(path))
+        with suppress(OSError):  # unsealed code is made anew by the next process
+            if not _seal_path(path).exists() or _seal_path(path).read_text() != seal:
+                _write(_seal_path(path), seal)
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """One process at a time, where the file system has locks."""
+    with ExitStack() as stack:
+        with suppress(OSError):
+            file = stack.enter_context(path.with_suffix(".lock").open("a"))
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _seal_path(path: Path) -> Path:
+    return path.with_suffix(".seal")
+
+
+def _code_hashes(path: Path) -> dict[str, str]:
+    """Hashes of numba's files of a module."""
+    files = sorted((path.parent / "__pycache__").glob(f"{path.stem}.*.nb[ci]"))
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+
+def _remove_unsound_code(path: Path) -> None:
+    """Delete machine code that is not as it was sealed, or was never."""
+    found = _code_hashes(path)
+    try:
+        sealed = json.loads(_seal_path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        sealed = {}
+    unsound = [name for name, code in found.items() if sealed.get(name) != code]
+    if not unsound:
+        return
+    if any(name in sealed for name in unsound):  # the others are of a process that was killed
+        warnings.warn(f"{path.parent}: machine code is damaged; it is made anew", stacklevel=3)
+    for name in found:
+        (path.parent / "__pycache__" / name).unlink(missing_ok=True)

@@ -5,12 +5,14 @@ Parameters stay arguments: what depends on them alone is computed once a run, by
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from kneexo.compilation.expressions import Equations
 from kneexo.compilation.graph import COMPARISONS, SOURCES, Graph
+from kneexo.compilation.unroll import unrolled
 
 Group = tuple[str, list[tuple[str, int]]]
 """Condition under which a group is computed (empty: always), and its targets with their nodes."""
@@ -53,7 +55,8 @@ _CALLS = {
     "ceil": "np.ceil",
 }
 _ARRAYS = {"parameter": "p", "state": "x", "held": "d", "input": "u"}
-_INNER = ("derivatives", "instant")  # called at every step
+_DECORATORS = {"derivatives": '@unrolled("x f")\n', "instant": "@inline\n"}  # called all the time
+_ONCE = ("constants", "initialize")  # called once a run: compiling them would take longer
 _LONGEST = 300  # characters of an expression before it gets a name
 
 
@@ -110,13 +113,14 @@ class _Writer:
             if condition and body:
                 lines.append(f"    if {condition}:")
             lines += body
-        signature = ", ".join(arguments)
-        decorator = "inline" if name in _INNER else "jit"
-        return (
-            f"@{decorator}\ndef {name}({signature}):\n"
-            + "\n".join(lines or ["    pass"])
-            + "\n\n\n"
+        if name == "derivatives":
+            lines.append("    return f")
+        text = (
+            f"def {name}({', '.join(arguments)}):\n" + "\n".join(lines or ["    pass"]) + "\n\n\n"
         )
+        if name in _ONCE:  # numpy's functions return nan where those of math raise
+            return re.sub(r"math\.a(sin|cos|tan)", r"np.arc\1", text).replace("math.", "np.")
+        return _DECORATORS.get(name, "@jit\n") + text
 
     def _reachable(self, roots: Sequence[int]) -> list[int]:
         found: set[int] = set()
@@ -219,7 +223,7 @@ def source_text(name: str, equations: Equations) -> str:
     common = ("t", "x", "d", "u", "c")
     functions = [
         writer.constants(),
-        writer.function("derivatives", (*common, "f"), [("", _assign("f", equations.derivatives))]),
+        writer.function("derivatives", common, [("", _assign("f", equations.derivatives))]),
         writer.function("jacobian", (*common, "j"), [("", entries)]),
         writer.function("initialize", (*common, "after"), [("", initial)]),
         writer.function("instant", (*common, "fires", "wanted", "after", "y", "m"), groups),
@@ -228,26 +232,26 @@ def source_text(name: str, equations: Equations) -> str:
         "PARAMETERS": tuple(equations.parameters),
         "STATES": tuple(equations.states),
         "HELD": tuple(equations.held),
-        "INPUTS": tuple(equations.inputs),
+        "INPUTS": equations.inputs,
         "OUTPUTS": layout,
         "PERIODS": tuple((update.period_s, update.offset_s) for update in equations.updates),
         "LIMITS": tuple(limit.system for limit in equations.limits),
         "CONSTANT_COUNT": len(writer.hoisted),
         "STATE_COUNT": len(equations.states),
         "HELD_COUNT": len(equations.held),
-        "INPUT_COUNT": len(equations.inputs),
+        "INPUT_COUNT": sum(equations.inputs.values()),
         "OUTPUT_COUNT": first,
         "LIMIT_COUNT": len(equations.limits),
     }
     text = _HEADER.format(name=name)
     text += "".join(f"{key} = {value!r}\n" for key, value in facts.items()) + "\n\n"
-    return text + "".join(functions) + _loops()
+    return text + unrolled("".join(functions) + _loops(), len(equations.states))
 
 
 def _loops() -> str:
     """The loops, with one copy of ``run`` for each integrator."""
     _, text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8").split(_MARK)
-    loops, run = text.split("@jit\ndef run(")
-    for name in INTEGRATORS:
-        loops += f"@jit\ndef run_{name}(" + run.replace(" advance(", f" advance_{name}(") + "\n\n"
-    return loops
+    steps, run = text.split("@jit\ndef run(")
+    run, rest = run.split("@jit\n", maxsplit=1)
+    runs = (f"run_{name}(" + run.replace(" advance(", f" advance_{name}(") for name in INTEGRATORS)
+    return steps + "".join(f"@jit\ndef {text}" for text in runs) + "@jit\n" + rest

@@ -69,8 +69,8 @@ class Equations:
     parameters: list[str] = field(default_factory=list)
     states: list[str] = field(default_factory=list)
     held: list[str] = field(default_factory=list)
-    inputs: list[str] = field(default_factory=list)
-    """Elements of the inputs that stay open."""
+    inputs: dict[str, int] = field(default_factory=dict)
+    """Sizes of the inputs that stay open."""
     derivatives: list[int] = field(default_factory=list)
     initial_held: list[int] = field(default_factory=list)
     """Discrete state after ``Simulator.Initialize()``."""
@@ -227,8 +227,8 @@ class _Reader:
         open_inputs: dict[int, int] = {}
         for name in inputs:
             port = root.system.GetInputPort(name)
-            open_inputs[int(port.get_index())] = len(self.equations.inputs)
-            self.equations.inputs += [f"{name}[{i}]" for i in range(port.size())]
+            open_inputs[int(port.get_index())] = sum(self.equations.inputs.values())
+            self.equations.inputs[name] = port.size()
         self.leaves = {
             leaf.path: _Leaf(leaf, self.equations, open_inputs)
             for leaf in root.leaves()

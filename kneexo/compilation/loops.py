@@ -26,8 +26,16 @@ inline = jit
 """The same for functions called in the inner loops: passing ten arrays costs more than they do."""
 
 
-def derivatives(t: Any, x: Any, d: Any, u: Any, c: Any, f: Any) -> None:
-    """Stand-in: f = dx/dt."""
+def unrolled(vectors: str) -> Any:
+    """Mark of functions that `unroll` writes out, with the names of their vectors of states."""
+    return jit
+
+
+x = f = a = f_a = b = f_b = g_a = g_b = weight = z = k1 = k2 = k3 = k4 = [0.0]  # such vectors
+
+
+def derivatives(t: Any, x: Any, d: Any, u: Any, c: Any) -> Any:
+    """Stand-in: elements of dx/dt; ``x`` too is passed element by element."""
 
 
 def jacobian(t: Any, x: Any, d: Any, u: Any, c: Any, j: Any) -> None:
@@ -76,62 +84,67 @@ def evaluate_inputs(t: Any, breaks: Any, coefficients: Any, u: Any) -> None:
         u[i] = value
 
 
-@inline
-def rate(t: Any, x: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, f: Any) -> None:
-    """Evaluate f = dx/dt with the inputs at ``t``."""
+@unrolled("x")
+def rate(t: Any, x: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any) -> Any:
+    """Elements of dx/dt, with the inputs at ``t``."""
     if INPUT_COUNT > 0:
         evaluate_inputs(t, breaks, coefficients, u)
-    derivatives(t, x, d, u, c, f)
+    return derivatives(t, x, d, u, c)
 
 
-@inline
+@unrolled("x z k1 k2 k3")
 def advance_runge_kutta3(
-    t: Any, end: Any, x: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
+    t: Any, end: Any, state: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
 ) -> int:
     """Advance with the fixed steps of Drake's RungeKutta3Integrator, which may stretch by 1 %."""
-    settings, w = hold[0], hold[1]
-    k1, k2, k3, z = w[0], w[1], w[2], w[3]
+    step = hold[0][1]
+    for i in range(STATE_COUNT):
+        x[i] = state[i]
     while t < end:
-        h = settings[1]
+        h = step
         last = t + 1.01 * h >= end
         if last:
             h = end - t
-        rate(t, x, d, u, c, breaks, coefficients, k1)
+        k1 = rate(t, x, d, u, c, breaks, coefficients)
         for i in range(STATE_COUNT):
             z[i] = x[i] + 0.5 * h * k1[i]
-        rate(t + 0.5 * h, z, d, u, c, breaks, coefficients, k2)
+        k2 = rate(t + 0.5 * h, z, d, u, c, breaks, coefficients)
         for i in range(STATE_COUNT):
             z[i] = x[i] - h * k1[i] + 2.0 * h * k2[i]
-        rate(t + h, z, d, u, c, breaks, coefficients, k3)
+        k3 = rate(t + h, z, d, u, c, breaks, coefficients)
         for i in range(STATE_COUNT):
             x[i] += h / 6.0 * (k1[i] + 4.0 * k2[i] + k3[i])
         t = end if last else t + h
+    for i in range(STATE_COUNT):
+        state[i] = x[i]
     return OK
 
 
-@inline
+@unrolled("x z k1 k2 k3 k4")
 def advance_rk4(
-    t: Any, end: Any, x: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
+    t: Any, end: Any, state: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
 ) -> int:
     """Advance with equal steps of the classical fourth-order Runge-Kutta method."""
-    settings, w = hold[0], hold[1]
-    k1, k2, k3, k4, z = w[0], w[1], w[2], w[3], w[4]
-    steps = max(1, int(np.ceil((end - t) / settings[1] - 1e-9)))
+    steps = max(1, int(np.ceil((end - t) / hold[0][1] - 1e-9)))
     h = (end - t) / steps
+    for i in range(STATE_COUNT):
+        x[i] = state[i]
     for step in range(steps):
         s = t + step * h
-        rate(s, x, d, u, c, breaks, coefficients, k1)
+        k1 = rate(s, x, d, u, c, breaks, coefficients)
         for i in range(STATE_COUNT):
             z[i] = x[i] + 0.5 * h * k1[i]
-        rate(s + 0.5 * h, z, d, u, c, breaks, coefficients, k2)
+        k2 = rate(s + 0.5 * h, z, d, u, c, breaks, coefficients)
         for i in range(STATE_COUNT):
             z[i] = x[i] + 0.5 * h * k2[i]
-        rate(s + 0.5 * h, z, d, u, c, breaks, coefficients, k3)
+        k3 = rate(s + 0.5 * h, z, d, u, c, breaks, coefficients)
         for i in range(STATE_COUNT):
             z[i] = x[i] + h * k3[i]
-        rate(s + h, z, d, u, c, breaks, coefficients, k4)
+        k4 = rate(s + h, z, d, u, c, breaks, coefficients)
         for i in range(STATE_COUNT):
             x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+    for i in range(STATE_COUNT):
+        state[i] = x[i]
     return OK
 
 
@@ -214,15 +227,14 @@ def fill_tables(a: Any, tick: float, tables: Any) -> float:
 
 
 @jit
-def linear_part(
-    t: Any, x: Any, d: Any, u: Any, c: Any, hold: Any, current: int, change: Any, remainder: Any
-) -> int:
+def linear_part(t: Any, x: Any, d: Any, u: Any, c: Any, hold: Any, current: int) -> int:
     """Slot of the Jacobian at ``x``; its tables are made when it is a new one.
 
-    It stays the ``current`` one when another would not take a tenth off the ``remainder`` that a
-    ``change`` of the state has left. A negative ``current`` is none.
+    It stays the ``current`` one when another would not take a tenth off the remainder ``w[1]`` that
+    a change ``w[0]`` of the state has left. A negative ``current`` is none.
     """
-    settings, _, memory, a, tables, norms = hold
+    settings, w, memory, jacobians, all_tables, norms = hold
+    a = jacobians.reshape((SLOTS + 1, STATE_COUNT, STATE_COUNT))
     j = a[SLOTS]
     jacobian(t, x, d, u, c, j)
     if current >= 0:
@@ -230,9 +242,9 @@ def linear_part(
         for i in range(STATE_COUNT):
             total = 0.0
             for k in range(STATE_COUNT):
-                total += (j[i, k] - a[current, i, k]) * change[k]
+                total += (j[i, k] - a[current, i, k]) * w[0, k]
             explained += abs(total) / (1.0 + abs(x[i]))
-            left += abs(remainder[i]) / (1.0 + abs(x[i]))
+            left += abs(w[1, i]) / (1.0 + abs(x[i]))
         if explained < 0.1 * left:
             return current
     for slot in range(memory[1]):
@@ -248,64 +260,67 @@ def linear_part(
     for i in range(STATE_COUNT):
         for k in range(STATE_COUNT):
             a[slot, i, k] = j[i, k]
+    tables = all_tables.reshape((SLOTS, FINEST + 2, 3, STATE_COUNT, STATE_COUNT))
     norms[slot] = fill_tables(a[slot], settings[0], tables[slot])
     return slot
 
 
-@inline
+@unrolled("x f a f_a b f_b g_a g_b weight")
 def advance_exact_hold(
-    t: Any, end: Any, x: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
+    t: Any, end: Any, state: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
 ) -> int:
     """Advance one tick with the exponential integrator; see the comment above.
 
     ``hold``: settings (tick, step, tolerance, excess so far), work vectors, memory (level, slots
     filled, slots made, slot), Jacobians, their tables and their norms.
     """
-    settings, w, memory, jacobians, all_tables, norms = hold
-    f, a, f_a, b, f_b, g_a, g_b, weight = w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7]
+    settings, w, memory, jacobians, tables, norms = hold
     tick, tolerance = settings[0], settings[2]
-    full = 1 << FINEST
-    level = memory[0]
-    slot = memory[3]
-    position = 0
+    full, size = 1 << FINEST, STATE_COUNT * STATE_COUNT
+    level, slot, position = memory[0], memory[3], 0
     if memory[1] == 0:
-        slot = linear_part(t, x, d, u, c, hold, -1, f, f)
+        slot = linear_part(t, state, d, u, c, hold, -1)
+    for i in range(STATE_COUNT):
+        x[i] = state[i]
     while position < full:
         now = t + tick * (position / full)
-        rate(now, x, d, u, c, breaks, coefficients, f)
+        f = rate(now, x, d, u, c, breaks, coefficients)
         for i in range(STATE_COUNT):
             weight[i] = 1.0 / (tolerance * (1.0 + abs(x[i])))
         local = False
         while True:
             span = full >> level
             h = tick * (span / full)
-            j = jacobians[slot]
-            half, whole = all_tables[slot, level + 1], all_tables[slot, level]
+            # Views of one dimension: the compiler then knows where each element is.
+            j = jacobians[slot * size : (slot + 1) * size]
+            at = 3 * (slot * (FINEST + 2) + level) * size
+            to_end, bend, skew = tables[at:], tables[at + size :], tables[at + 2 * size :]
+            to_middle = tables[at + 3 * size :]
             for i in range(STATE_COUNT):
-                to_middle = to_end = 0.0
+                middle = last = 0.0
                 for k in range(STATE_COUNT):
-                    to_middle += half[0, i, k] * f[k]
-                    to_end += whole[0, i, k] * f[k]
-                a[i], b[i] = x[i] + to_middle, x[i] + to_end
-            rate(now + 0.5 * h, a, d, u, c, breaks, coefficients, f_a)
+                    middle += to_middle[i * STATE_COUNT + k] * f[k]
+                    last += to_end[i * STATE_COUNT + k] * f[k]
+                a[i], b[i] = x[i] + middle, x[i] + last
+            f_a = rate(now + 0.5 * h, a, d, u, c, breaks, coefficients)
             left = 0.0
             for i in range(STATE_COUNT):
                 total = f_a[i] - f[i]
                 for k in range(STATE_COUNT):
-                    total -= j[i, k] * (a[k] - x[k])
+                    total -= j[i * STATE_COUNT + k] * (a[k] - x[k])
                 g_a[i] = total
                 left += abs(total) * weight[i]
             if not h * left < NEGLIGIBLE:
                 for i in range(STATE_COUNT):
                     total = 0.0
                     for k in range(STATE_COUNT):
-                        total += 2.0 * whole[1, i, k] * g_a[k]
-                    b[i] += total
-            rate(now + h, b, d, u, c, breaks, coefficients, f_b)
+                        total += bend[i * STATE_COUNT + k] * g_a[k]
+                    b[i] += 2.0 * total
+            f_b = rate(now + h, b, d, u, c, breaks, coefficients)
             for i in range(STATE_COUNT):
                 total = f_b[i] - f[i]
                 for k in range(STATE_COUNT):
-                    total -= j[i, k] * (b[k] - x[k])
+                    total -= j[i * STATE_COUNT + k] * (b[k] - x[k])
                 g_b[i] = total
                 left += abs(total) * weight[i]
             worst = 0.0
@@ -313,7 +328,7 @@ def advance_exact_hold(
                 for i in range(STATE_COUNT):
                     total = 0.0
                     for k in range(STATE_COUNT):
-                        total += whole[2, i, k] * (2.0 * g_a[k] - g_b[k])
+                        total += skew[i * STATE_COUNT + k] * (2.0 * g_a[k] - g_b[k])
                     b[i] += total
                     worst += abs(total) * weight[i]
             if worst <= 1.0:
@@ -322,8 +337,8 @@ def advance_exact_hold(
                 local = True
                 before = slot
                 for i in range(STATE_COUNT):
-                    a[i] -= x[i]
-                slot = linear_part(now, x, d, u, c, hold, slot, a, g_a)
+                    state[i], w[0, i], w[1, i] = x[i], a[i] - x[i], g_a[i]
+                slot = linear_part(now, state, d, u, c, hold, slot)
                 if slot != before:
                     continue
             if level == FINEST:
@@ -340,9 +355,21 @@ def advance_exact_hold(
         while level > 0 and worst <= 0.05 and position % (2 * (full >> level)) == 0:
             level -= 1
             worst *= 16.0  # the estimate is of third order, and one more in a step
+    for i in range(STATE_COUNT):
+        state[i] = x[i]
     memory[0] = level
     memory[3] = slot
     return OK
+
+
+@jit
+def copy_state(x: Any, d: Any, kept_x: Any, kept_d: Any, row: int) -> int:
+    """Write the state into a row of those to be kept; returns the next row."""
+    for i in range(STATE_COUNT):
+        kept_x[row, i] = x[i]
+    for i in range(HELD_COUNT):
+        kept_d[row, i] = d[i]
+    return row + 1
 
 
 @jit
@@ -353,37 +380,38 @@ def run(
     breaks: Any,
     coefficients: Any,
     tick: float,
-    ticks: int,
+    first: int,
+    last: int,
     periods: Any,
     offsets: Any,
     record_every: int,
     wanted: Any,
     columns: Any,
-    step: float,
-    tolerance: float,
+    hold: Any,
     record: Any,
+    kept: Any,
+    kept_x: Any,
+    kept_d: Any,
 ) -> tuple[int, int, int]:
-    """Run to ``ticks``·``tick`` and record ``columns`` of the wanted outputs.
+    """Run from tick ``first`` to tick ``last`` and record ``columns`` of the wanted outputs.
 
-    Changes ``x`` and ``d``. Events at t see the states before them, as in Drake. Returns the
-    status, the tick where the run ended, and which limit or state ended it.
+    Changes ``x`` and ``d``. Events at t see the states before them, as in Drake; those at ``last``
+    are left to the next run. The state after the events at each of the ``kept`` ticks is kept;
+    tick -1 is the start. Returns the status, the tick where the run ended, and which limit or state
+    ended it.
     """
     u = np.zeros(max(INPUT_COUNT, 1))
     after, y, m = np.empty(HELD_COUNT), np.zeros(OUTPUT_COUNT), np.empty(LIMIT_COUNT)
     fires = np.zeros(periods.size, dtype=np.bool_)
-    w = np.empty((8, STATE_COUNT))
-    memory = np.zeros(4, dtype=np.int64)
-    settings = np.array([tick, step, tolerance, 0.0])
-    a = np.empty((SLOTS + 1, STATE_COUNT, STATE_COUNT))
-    tables = np.empty((SLOTS, FINEST + 2, 3, STATE_COUNT, STATE_COUNT))
-    hold = (settings, w, memory, a, tables, np.empty(SLOTS))
-    row = 0
-    for k in range(ticks + 1):
+    row = keep = 0
+    if kept.size > 0 and kept[0] < first:
+        keep = copy_state(x, d, kept_x, kept_d, 0)
+    for k in range(first, last + 1):
         t = k * tick
-        recording = k % record_every == 0
+        recording = k % record_every == 0 and row < record.shape[0]
         firing = False
         for i in range(periods.size):
-            fires[i] = k < ticks and k >= offsets[i] and (k - offsets[i]) % periods[i] == 0
+            fires[i] = k < last and k >= offsets[i] and (k - offsets[i]) % periods[i] == 0
             firing = firing or fires[i]
         if recording or firing:
             if INPUT_COUNT > 0:
@@ -398,13 +426,57 @@ def run(
             for i in range(LIMIT_COUNT):
                 if not m[i] >= 0.0:
                     return OUTSIDE, k, i
-            for i in range(HELD_COUNT):
-                d[i] = after[i]
-        if k < ticks and STATE_COUNT > 0:
+            if firing:
+                for i in range(HELD_COUNT):
+                    d[i] = after[i]
+        if keep < kept.size and kept[keep] == k:
+            keep = copy_state(x, d, kept_x, kept_d, keep)
+        if k < last and STATE_COUNT > 0:
             status = advance(t, (k + 1) * tick, x, d, u, c, breaks, coefficients, hold)
             for i in range(STATE_COUNT):
                 if not np.isfinite(x[i]):
                     return NOT_FINITE, k + 1, i
             if status != OK:
                 return status, k, 0
-    return OK, ticks, 0
+    return OK, last, 0
+
+
+@jit
+def outputs_between(
+    c: Any,
+    breaks: Any,
+    coefficients: Any,
+    tick: float,
+    periods: Any,
+    wanted: Any,
+    columns: Any,
+    hold: Any,
+    kept: Any,
+    kept_x: Any,
+    kept_d: Any,
+    times: Any,
+    places: Any,
+    record: Any,
+) -> None:
+    """Record at ``times`` (ascending), each by RK4 from the kept state at its place."""
+    u = np.zeros(max(INPUT_COUNT, 1))
+    after, y, m = np.empty(HELD_COUNT), np.zeros(OUTPUT_COUNT), np.empty(LIMIT_COUNT)
+    fires = np.zeros(periods.size, dtype=np.bool_)
+    x, place, now = np.empty(STATE_COUNT), -1, 0.0
+    for row in range(times.size):
+        if places[row] != place:
+            place = places[row]
+            for i in range(STATE_COUNT):
+                x[i] = kept_x[place, i]
+            now = max(kept[place], 0) * tick
+        d, t = kept_d[place], times[row]
+        if t > now and STATE_COUNT > 0:
+            advance_rk4(now, t, x, d, u, c, breaks, coefficients, hold)
+            now = t
+        if INPUT_COUNT > 0:
+            evaluate_inputs(t, breaks, coefficients, u)
+        for i in range(HELD_COUNT):
+            after[i] = d[i]
+        instant(t, x, d, u, c, fires, wanted, after, y, m)
+        for i in range(columns.size):
+            record[row, i] = y[columns[i]]

@@ -2,49 +2,28 @@
 
 from __future__ import annotations
 
-import math
+import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from fractions import Fraction
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kneexo.compilation.cache import load_text
-from kneexo.compilation.codegen import INTEGRATORS, source_text
+from kneexo.compilation.codegen import source_text
 from kneexo.compilation.expressions import Node, read_equations
-from kneexo.errors import CompilationError, SimulationError, StiffnessError
-
-Array = NDArray[np.float64]
-
-STEP_S = 2e-4
-"""Default step of the Runge-Kutta integrators: 11 a period of the 447 Hz mode of the oil."""
-
-TOLERANCE = 1e-8
-"""Default of the exact hold: local error of each state, relative to one plus the state."""
-
-
-@dataclass(frozen=True)
-class State:
-    """Continuous states (n,) and discrete states (m,) of a compiled model."""
-
-    continuous: Array
-    held: Array
-
-
-@dataclass(frozen=True)
-class InputTable:
-    """Inputs as piecewise polynomials of time.
-
-    ``coefficients[segment, input, power]``, in powers of the time since the last of ``breaks``
-    (n,); there are n + 1 segments, one before the first break and one after the last. Without
-    arguments a single input that is zero.
-    """
-
-    breaks: Array = field(default_factory=lambda: np.empty(0))
-    coefficients: Array = field(default_factory=lambda: np.zeros((1, 1, 1)))
+from kneexo.compilation.runner import (
+    STEP_S,
+    TOLERANCE,
+    Array,
+    InputTable,
+    Runner,
+    State,
+    require_shape,
+)
+from kneexo.errors import ParameterError, SimulationError, StiffnessError
 
 
 @dataclass(frozen=True)
@@ -73,12 +52,13 @@ class CompiledModel:
         context_at: Callable[[Array], tuple[Node, Any]] | None = None,
     ) -> None:
         """``context_at``: diagram and Context for a parameter vector, to explain a failed run."""
-        self._module = module
+        self.module = module
         self._context_at = context_at
         self.parameter_names: tuple[str, ...] = module.PARAMETERS
         self.state_names: tuple[str, ...] = module.STATES
         self.held_names: tuple[str, ...] = module.HELD
-        self.input_names: tuple[str, ...] = module.INPUTS
+        self.inputs: dict[str, int] = module.INPUTS
+        """Size of each input port that stayed open."""
         self.outputs: dict[str, int] = {name: size for name, (_, size) in module.OUTPUTS.items()}
         """Size of each output port."""
         self.sample_times_s: tuple[float, ...] = tuple(period for period, _ in module.PERIODS)
@@ -87,38 +67,42 @@ class CompiledModel:
         self, parameters: Array, state: State, inputs: InputTable = InputTable()
     ) -> State:
         """The state after the initialization events of ``Simulator.Initialize()``, at t = 0."""
-        module = self._module
-        c, x, d = self._checked(parameters, state, inputs)
-        u, after = np.zeros(max(len(self.input_names), 1)), d.copy()
-        if self.input_names:
-            module.evaluate_inputs(0.0, inputs.breaks, inputs.coefficients, u)
-        if d.size:
+        module = self.module
+        c = self.constants(parameters)
+        x, d = self._checked_state(state, inputs)
+        u, after = np.zeros(max(sum(self.inputs.values()), 1)), d.copy()
+        if self.inputs:
+            evaluate = getattr(module.evaluate_inputs, "py_func", module.evaluate_inputs)
+            evaluate(0.0, inputs.breaks, inputs.coefficients, u)  # once: not worth compiling
+        with np.errstate(all="ignore"):
             module.initialize(0.0, x, d, u, c, after)
         return State(x, after)
 
-    def _checked(
-        self, parameters: Array, state: State, inputs: InputTable
-    ) -> tuple[Array, Array, Array]:
-        """Constants of the run and copies of the state; machine code does not check shapes."""
-        parameters, x, d = (
-            np.array(values, dtype=float) for values in (parameters, state.continuous, state.held)
-        )
+    def constants(self, parameters: Array) -> Array:
+        """What of the equations depends on parameters alone, computed once a run.
+
+        Raises `ParameterError` for a parameter that is not finite.
+        """
+        parameters = np.asarray(parameters, dtype=float)
+        require_shape("parameters", parameters, (len(self.parameter_names),))
+        finite = np.isfinite(parameters)
+        if not finite.all():
+            name, value = self.parameter_names[np.argmin(finite)], parameters[np.argmin(finite)]
+            raise ParameterError(f"{name} = {value}: must be finite")
+        constants = np.empty(self.module.CONSTANT_COUNT)
+        with np.errstate(all="ignore"):  # a branch not taken may divide by zero
+            self.module.constants(parameters, constants)
+        return constants
+
+    def _checked_state(self, state: State, inputs: InputTable) -> tuple[Array, Array]:
+        """Copies of the state; machine code does not check shapes."""
+        x, d = (np.array(values, dtype=float) for values in (state.continuous, state.held))
+        require_shape("state.continuous", x, (len(self.state_names),))
+        require_shape("state.held", d, (len(self.held_names),))
         table = inputs.coefficients
-        for name, shape, expected in (
-            ("parameters", parameters.shape, (len(self.parameter_names),)),
-            ("state.continuous", x.shape, (len(self.state_names),)),
-            ("state.held", d.shape, (len(self.held_names),)),
-            (
-                "inputs.coefficients",
-                table.shape,
-                (inputs.breaks.size + 1, max(len(self.input_names), 1), table.shape[2]),
-            ),
-        ):
-            if shape != expected:
-                raise ValueError(f"{name} has the shape {shape}: must be {expected}")
-        constants = np.empty(self._module.CONSTANT_COUNT)
-        self._module.constants(parameters, constants)
-        return constants, x, d
+        expected = (inputs.breaks.size + 1, max(sum(self.inputs.values()), 1), table.shape[2])
+        require_shape("inputs.coefficients", table, expected)
+        return x, d
 
     def simulate(
         self,
@@ -128,6 +112,7 @@ class CompiledModel:
         *,
         outputs: Sequence[str] | None = None,
         record_period_s: float | None = None,
+        record_times_s: Sequence[float] | Array | None = None,
         integrator: str = "exact_hold",
         step_s: float = STEP_S,
         tolerance: float = TOLERANCE,
@@ -148,6 +133,9 @@ class CompiledModel:
         record_period_s
             Distance of the records, by default the (shortest) sample time. Records at t see the
             state before the updates at t, as those of Drake's `VectorLogSink`.
+        record_times_s
+            Records at these ascending times instead. Between two events they come from RK4 with
+            steps of 20 µs, which leave the run as it is.
         integrator
             ``exact_hold``, exponential, with error control by ``tolerance``; ``rk4`` or
             ``runge_kutta3`` (as Drake's), with steps of at most ``step_s``.
@@ -159,60 +147,106 @@ class CompiledModel:
         SimulationError
             A state is not finite or a system left its limits; `StiffnessError` where the exact
             hold cannot follow.
+        ParameterError
+            A parameter is not finite.
         """
-        if integrator not in INTEGRATORS:
-            raise ValueError(
-                f"integrator = {integrator!r}: must be one of {', '.join(INTEGRATORS)}"
-            )
-        module = self._module
-        names = tuple(self.outputs) if outputs is None else tuple(outputs)
-        for name in names:
-            if name not in self.outputs:
-                raise ValueError(f"output {name!r} is unknown; known: {', '.join(self.outputs)}")
-        timing = _timing(module.PERIODS, record_period_s)
-        ticks = int(duration_s / timing.tick * (1.0 + 1e-12))
-        columns = np.array(
-            [module.OUTPUTS[n][0] + i for n in names for i in range(self.outputs[n])],
-            dtype=np.int64,
+        runner = Runner(
+            self,
+            parameters,
+            outputs=outputs,
+            record_period_s=record_period_s,
+            integrator=integrator,
+            step_s=step_s,
+            tolerance=tolerance,
         )
-        record = np.empty((ticks // timing.record_every + 1, columns.size))
-        c, x, d = self._checked(parameters, state, inputs)
-        status, tick, which = getattr(module, f"run_{integrator}")(
-            c,
-            x,
-            d,
-            inputs.breaks,
-            inputs.coefficients,
-            timing.tick,
-            ticks,
-            timing.periods,
-            timing.offsets,
-            timing.record_every,
-            np.array([name in names for name in self.outputs], dtype=np.bool_),
-            columns,
-            step_s,
-            tolerance,
-            record,
-        )
-        if status != module.OK:
-            raise self._fault(status, tick * timing.tick, which, parameters, State(x, d), inputs)
-        ticks_recorded = np.arange(0.0, ticks + 1.0, timing.record_every)
+        tick, every = runner.timing.tick, runner.timing.record_every
+        x, d = self._checked_state(state, inputs)
+        ticks = int(duration_s / tick * (1.0 + 1e-12))
+        if record_times_s is None:
+            times = tick * np.arange(0.0, ticks + 1.0, every)
+            record = np.empty((times.size, runner.columns.size))
+            runner.run(x, d, 0, ticks, inputs, record)
+        else:
+            times = np.asarray(record_times_s, dtype=float)
+            if not (np.diff(times, prepend=0.0, append=duration_s) >= 0.0).all():
+                raise ValueError(f"record_times_s: must ascend within 0 … {duration_s:g} s")
+            record = runner.run_with_records(x, d, ticks, inputs, times)
+        names = tuple(self.outputs) if outputs is None else outputs
         recorded, first = {}, 0
         for name in names:
             recorded[name] = record[:, first : first + self.outputs[name]]
             first += self.outputs[name]
-        return Simulation(timing.tick * ticks_recorded, recorded, State(x, d))
+        return Simulation(times, recorded, State(x, d))
 
-    def _fault(
+    def simulate_batch(
+        self,
+        parameters: Sequence[Array] | Array,
+        states: Sequence[State] | State,
+        duration_s: float,
+        *,
+        inputs: Sequence[InputTable] | InputTable = InputTable(),
+        reduce: Callable[[Simulation], Any] | None = None,
+        failures: str = "raise",
+        threads: int | None = None,
+        **options: Any,
+    ) -> list[Any]:
+        """`simulate` for each row of ``parameters`` (n, parameters), in threads.
+
+        ``states`` and ``inputs``: one for each run, or one for all. ``reduce`` turns each
+        `Simulation` into what is kept of it as soon as it is there, so that memory stays flat.
+        ``failures``: ``raise`` the first `SimulationError`, or ``return`` it in its run's place.
+        ``threads``: all cores of this process by default. ``options``: see `simulate`.
+        """
+        if failures not in ("raise", "return"):
+            raise ValueError(f"failures = {failures!r}: must be one of raise, return")
+        count = len(parameters)
+        of_states = [states] * count if isinstance(states, State) else states
+        of_inputs = [inputs] * count if isinstance(inputs, InputTable) else inputs
+        for name, given in (("states", of_states), ("inputs", of_inputs)):
+            if len(given) != count:
+                raise ValueError(f"{name}: has {len(given)} for {count} runs")
+
+        def one(index: int) -> Any:
+            try:
+                run = self.simulate(
+                    parameters[index],
+                    of_states[index],
+                    duration_s,
+                    inputs=of_inputs[index],
+                    **options,
+                )
+            except SimulationError as error:
+                if failures == "raise":
+                    raise
+                return error
+            return run if reduce is None else reduce(run)
+
+        if not count:
+            return []
+        first = one(0)  # alone: it may compile
+        with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+            try:
+                return [first, *pool.map(one, range(1, count))]
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+
+    def as_system(self, parameters: Array, state: State, **options: Any) -> Any:
+        """The model as a leaf system for Drake's Simulator: `CompiledSystem`."""
+        from kneexo.compilation.compiled_system import CompiledSystem
+
+        return CompiledSystem(self, parameters, state, **options)
+
+    def fault(
         self,
         status: int,
         time: float,
         which: int,
         parameters: Array,
         state: State,
-        inputs: InputTable,
     ) -> SimulationError:
-        module = self._module
+        """What a run that ended with ``status`` raises."""
+        module = self.module
         if status == module.NOT_FINITE:
             return SimulationError(
                 f"t = {time:.6g} s: {self.state_names[which]} is not finite; reduce the step or "
@@ -252,43 +286,6 @@ class CompiledModel:
                 vector = own.get_mutable_discrete_state(group)
                 vector.SetFromVector(held[: vector.size()])
                 del held[: vector.size()]
-
-
-@dataclass(frozen=True)
-class _Timing:
-    """Whole numbers of ticks between events, and between records."""
-
-    tick: float
-    periods: NDArray[np.int64]
-    offsets: NDArray[np.int64]
-    record_every: int
-
-
-def _timing(periods: Sequence[tuple[float, float]], record_period_s: float | None) -> _Timing:
-    """The longest tick of which all sample times, offsets and the record period are multiples."""
-    if record_period_s is None:
-        if not periods:
-            raise ValueError("record_period_s is needed: the model has no sample time")
-        record_period_s = min(period for period, _ in periods)
-    if not 0.0 < record_period_s < math.inf:
-        raise ValueError(f"record_period_s = {record_period_s} s: must be finite and > 0")
-    spans = [record_period_s, *(span for pair in periods for span in pair)]
-    base = min(span for span in spans if span > 0.0)
-    ratios = [Fraction(span / base).limit_denominator(1000) for span in spans]
-    if any(abs(span / base - ratio) > 1e-9 for span, ratio in zip(spans, ratios, strict=True)):
-        raise CompilationError(
-            f"sample times {', '.join(f'{span:g}' for span in spans)} s have no common divisor"
-        )
-    parts = math.lcm(*(ratio.denominator for ratio in ratios))
-    counts = [int(ratio * parts) for ratio in ratios]
-    shared = math.gcd(*counts)
-    counts = [count // shared for count in counts]
-    return _Timing(
-        base * shared / parts,
-        np.array(counts[1::2], dtype=np.int64),
-        np.array(counts[2::2], dtype=np.int64),
-        counts[0],
-    )
 
 
 def parameters_of(root: Node, context: Any) -> Array:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,15 +23,8 @@ from kneexo import linkage
 from kneexo.compilation.cache import load_key, load_text, note_key
 from kneexo.compilation.codegen import source_text
 from kneexo.compilation.expressions import Node, read_equations
-from kneexo.compilation.model import (
-    STEP_S,
-    TOLERANCE,
-    Array,
-    CompiledModel,
-    InputTable,
-    State,
-    set_parameters,
-)
+from kneexo.compilation.model import CompiledModel, set_parameters
+from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, State
 from kneexo.diagrams.closed_loop import (
     SIGNALS,
     chosen_signals,
@@ -88,7 +82,7 @@ def structure(parameters: Parameters) -> dict[str, Any]:
 
 def structure_key(scenario: Scenario) -> str:
     """Text that is equal for scenarios whose closed loops differ in parameters only."""
-    kept = structure(scenario)
+    kept = structure(scenario) | {"nominal": structure(scenario.believed_plant)}
     del kept["simulation"]  # says how to run, not what
     return json.dumps([kept, _fingerprint()], sort_keys=True)
 
@@ -117,19 +111,30 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
     return CompiledModel(_module(structure_key(scenario), scenario))
 
 
+_lock = RLock()  # threads may run scenarios of one structure
 _modules: dict[str, Any] = {}
+_diagrams: dict[str, Any] = {}
+
+
+def _diagram(key: str, scenario: Scenario) -> Any:
+    """The `scenario_diagram` of that structure: Python 3.11 frees none, so there is but one."""
+    with _lock:
+        if key not in _diagrams:
+            _diagrams[key] = scenario_diagram(scenario)
+        return _diagrams[key]
 
 
 def _module(key: str, scenario: Scenario) -> Any:
-    if key not in _modules:
-        module = load_key(key)
-        if module is None:
-            inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
-            equations = read_equations(scenario_diagram(scenario), inputs)
-            module = load_text(source_text("closed_loop", equations))
-            note_key(key, module)
-        _modules[key] = module
-    return _modules[key]
+    with _lock:
+        if key not in _modules:
+            module = load_key(key)
+            if module is None:
+                inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
+                equations = read_equations(_diagram(key, scenario), inputs)
+                module = load_text(source_text("closed_loop", equations))
+                note_key(key, module)
+            _modules[key] = module
+        return _modules[key]
 
 
 # --------------------------------------------------------------- parameters, state, inputs
@@ -175,6 +180,7 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
     }
     for group, fitted in enumerate((fit.knee_angle, fit.encoder_angle, fit.moment_arm), 1):
         values |= {f"plant/knee.{group}[{i}]": value for i, value in enumerate(fitted)}
+    values["encoder_phase.0[0]"] = -scenario.encoder.phase_rad
     values["encoder.0[0]"] = 0.0  # Drake's calibration offset
     return values
 
@@ -259,10 +265,11 @@ def simulate_compiled(
     from kneexo.analysis.simulation import Run
 
     names = chosen_signals(scenario, signals)
-    module = _module(structure_key(scenario), scenario)
+    key = structure_key(scenario)
+    module = _module(key, scenario)
 
     def context_at(parameters: Array) -> tuple[Node, Any]:
-        root = Node(scenario_diagram(scenario))
+        root = Node(_diagram(key, scenario))
         context = root.system.CreateDefaultContext()
         set_parameters(root, context, parameters)
         return root, context

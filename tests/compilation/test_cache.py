@@ -1,5 +1,6 @@
 """The cache of compiled modules, and what a run of a known structure does not do."""
 
+import errno
 import subprocess
 import sys
 
@@ -96,6 +97,92 @@ def test_a_cache_that_cannot_be_written_is_told_and_replaced(tmp_path, monkeypat
     assert module.VALUE == 4
     cache.note_key("structure", module)
     assert cache.load_key("structure") is None
+
+
+JITTED = """
+from numba import njit
+
+@njit(cache=True)
+def double(x):
+    return 2.0 * x
+"""
+
+
+def ready(text=JITTED):
+    module = cache.load_text(text)
+    cache.make_ready(module.double, (1.0,))
+    return module
+
+
+def loaded_from_disk(module):
+    return sum(module.double.stats.cache_hits.values()) == 1
+
+
+def test_machine_code_is_kept_and_taken_again(empty_cache):
+    module = ready()
+    assert module.double(2.0) == 4.0
+    assert not loaded_from_disk(module)
+    forget(module)
+    assert loaded_from_disk(ready())
+
+
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", [b"", b"not a pickle", "flip"])
+def test_damaged_machine_code_is_made_anew(empty_cache, kind, damage):
+    forget(ready())
+    (path,) = (empty_cache / "__pycache__").glob(f"*.{kind}")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 255
+    path.write_bytes(content if damage == "flip" else damage)
+    with pytest.warns(UserWarning, match="machine code is damaged; it is made anew"):
+        module = ready()
+    assert module.double(2.0) == 4.0
+    assert not loaded_from_disk(module)
+    forget(module)
+    assert loaded_from_disk(ready())
+
+
+def test_machine_code_of_a_process_that_was_killed_is_made_anew(empty_cache, recwarn):
+    forget(ready())
+    (seal,) = empty_cache.glob("*.seal")
+    for left in ("", None):
+        seal.unlink() if left is None else seal.write_text(left)
+        module = ready()
+        assert not loaded_from_disk(module)
+        forget(module)
+    assert not recwarn
+    for path in (empty_cache / "__pycache__").iterdir():
+        path.unlink()
+    assert not loaded_from_disk(ready())
+    assert not recwarn
+
+
+def test_a_full_disk_is_told_and_the_code_runs(empty_cache, monkeypatch):
+    def full(*_args, **_options):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    module = cache.load_text(JITTED)
+    monkeypatch.setattr(type(module.double._cache), "save_overload", full)
+    monkeypatch.setattr(cache.tempfile, "mkstemp", full)
+    with pytest.warns(UserWarning, match=r"cannot be written \(No space left on device\)"):
+        cache.make_ready(module.double, (1.0,))
+    assert module.double(2.0) == 4.0
+    with pytest.warns(UserWarning, match="cannot be written"):
+        assert cache.load_text("VALUE = 5\n").VALUE == 5
+
+
+def test_two_processes_compile_once(empty_cache):
+    code = (
+        "from kneexo.compilation import cache\n"
+        f"module = cache.load_text({JITTED!r})\n"
+        "cache.make_ready(module.double, (1.0,))\n"
+        "print(sum(module.double.stats.cache_hits.values()))\n"
+    )
+    both = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    assert sorted(process.communicate(timeout=120)[0].strip() for process in both) == ["0", "1"]
 
 
 def test_a_known_structure_needs_no_diagram_and_no_symbolic_work(monkeypatch):

@@ -10,10 +10,7 @@ from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem, LeafSystem_
 from pydrake.systems.primitives import (
     Gain,
-    LinearSystem,
-    LogVectorOutput,
     RandomSource,
-    Saturation,
     Sine,
     ZeroOrderHold,
 )
@@ -29,9 +26,9 @@ from kneexo.compilation import (
     scenario_run,
     simulate_compiled,
 )
-from kneexo.compilation.model import _timing
+from kneexo.compilation.runner import _timing
 from kneexo.diagrams import make_closed_loop
-from kneexo.errors import CompilationError, SimulationError
+from kneexo.errors import CompilationError, ParameterError, SimulationError
 from kneexo.parameters import (
     BldcPumpParameters,
     EncoderParameters,
@@ -119,7 +116,7 @@ def test_tolerance_of_the_exact_hold_rules_its_error():
 
 def test_tables_are_the_functions_of_the_matrix_exponential(interpreted):
     model, _ = interpreted(Scenario())
-    module = model._module
+    module = model.module
     size = module.STATE_COUNT
     rng = np.random.default_rng(3)
     a = rng.normal(size=(size, size)) * np.array([1.0, 30.0, 1e3, 3e4])
@@ -142,38 +139,8 @@ def test_tables_are_the_functions_of_the_matrix_exponential(interpreted):
 # ------------------------------------------------------------------- diagrams of the user
 
 
-def make_multirate():
-    """A sine, held every 4 ms, through a plant, sampled every 10 ms from 5 ms on; nested."""
-    inner = DiagramBuilder()
-    plant = inner.AddNamedSystem(
-        "plant",
-        LinearSystem(A=[[0.0, 1.0], [-400.0, -4.0]], B=[[0.0], [400.0]], C=[[1.0, 0.0]], D=[[0.0]]),
-    )
-    limit = inner.AddNamedSystem("limit", Saturation(min_value=[-0.7], max_value=[0.7]))
-    inner.Connect(limit.get_output_port(), plant.get_input_port())
-    inner.ExportInput(limit.get_input_port(), "u")
-    inner.ExportOutput(plant.get_output_port(), "y")
-    inner = inner.Build()
-    inner.set_name("inner")
-    builder = DiagramBuilder()
-    sine = builder.AddNamedSystem("sine", Sine(1.0, 10.0, 0.3, 1))
-    hold = builder.AddNamedSystem("hold", ZeroOrderHold(0.004, 1))
-    builder.AddNamedSystem("inner", inner)
-    sampler = builder.AddNamedSystem("sampler", ZeroOrderHold(0.010, 1, offset_sec=0.005))
-    gain = builder.AddNamedSystem("gain", Gain(2.0, 1))
-    builder.Connect(sine.get_output_port(0), hold.get_input_port())
-    builder.Connect(hold.get_output_port(), inner.get_input_port())
-    builder.Connect(inner.get_output_port(), sampler.get_input_port())
-    builder.Connect(sampler.get_output_port(), gain.get_input_port())
-    for name, system in (("y", inner), ("sampled", gain), ("held", hold)):
-        builder.ExportOutput(system.get_output_port(), name)
-        log = LogVectorOutput(system.get_output_port(), builder, publish_period=0.002)
-        log.set_name(f"log_{name}")
-    return builder.Build()
-
-
-def test_several_sample_periods_and_offsets_agree_with_drake(interpreted_diagram):
-    diagram = make_multirate()
+def test_several_sample_periods_and_offsets_agree_with_drake(interpreted_diagram, multirate):
+    diagram = multirate
     simulator = Simulator(diagram)
     ResetIntegratorFromFlags(simulator, "runge_kutta3", 1e-3)
     simulator.get_mutable_integrator().set_fixed_step_mode(True)
@@ -197,8 +164,8 @@ def test_several_sample_periods_and_offsets_agree_with_drake(interpreted_diagram
     np.testing.assert_allclose(run.final.continuous, final.continuous, atol=1e-3)
 
 
-def test_open_inputs_follow_their_table(interpreted_diagram):
-    inner = make_multirate().GetSubsystemByName("inner")
+def test_open_inputs_follow_their_table(interpreted_diagram, multirate):
+    inner = multirate.GetSubsystemByName("inner")
     model = interpreted_diagram(inner, ["u"])
     table = InputTable(np.array([0.1, 0.2]), np.array([[[0.0, 0.0]], [[0.0, 5.0]], [[0.5, 0.0]]]))
     run = model.simulate(model.parameters(), model.state(), 3.0, record_period_s=0.01, inputs=table)
@@ -209,6 +176,19 @@ def test_open_inputs_follow_their_table(interpreted_diagram):
         model.parameters(), model.state(), 10.0, record_period_s=1.0, inputs=constant
     )
     assert run["y"][-1, 0] == pytest.approx(0.7, abs=1e-6)  # limited
+
+
+def test_a_diagram_without_continuous_states():
+    builder = DiagramBuilder()
+    sine = builder.AddNamedSystem("sine", Sine(1.0, 10.0, 0.3, 1))
+    hold = builder.AddNamedSystem("hold", ZeroOrderHold(0.01, 1))
+    builder.Connect(sine.get_output_port(0), hold.get_input_port())
+    builder.ExportOutput(hold.get_output_port(), "held")
+    model = kneexo.compile(builder.Build())
+    for integrator in ("exact_hold", "rk4"):
+        run = model.simulate(model.parameters(), model.state(), 0.1, integrator=integrator)
+        expected = np.sin(10.0 * (run.time_s[1:] - 0.01) + 0.3)  # updates come after the records
+        np.testing.assert_allclose(run["held"][1:, 0], expected, rtol=0, atol=1e-12)
 
 
 def test_parameters_are_read_from_a_context_and_used():
@@ -251,6 +231,108 @@ def test_sample_times_without_common_divisor_are_refused():
         _timing(((0.002, 0.0), (0.002 * np.sqrt(2.0), 0.0)), None)
     with pytest.raises(ValueError, match="record_period_s is needed"):
         _timing((), None)
+
+
+# --------------------------------------------------------------------- records, batches
+
+
+@pytest.fixture(scope="module")
+def default():
+    scenario = Scenario(encoder=FREE)
+    model = compile_scenario(scenario)
+    return model, scenario_run(scenario, model)
+
+
+def test_records_at_chosen_times(default):
+    model, (parameters, state, _) = default
+    # At 0.01 ms RK4 resolves the mode of the oil to 1e-7; the records stand where it steps anyhow.
+    fine = model.simulate(
+        parameters, state, 0.2, record_period_s=5e-5, integrator="rk4", step_s=1e-5
+    )
+    places = np.array([0, 1, 39, 40, 41, 41, 1234, 4000])
+    times = 5e-5 * places
+    run = model.simulate(parameters, state, 0.2, record_times_s=times)
+    np.testing.assert_array_equal(run.time_s, times)
+    plain = model.simulate(parameters, state, 0.2)
+    np.testing.assert_array_equal(run.final.continuous, plain.final.continuous)
+    for name in model.outputs:
+        scale = 1e-12 + np.max(np.abs(fine[name]))
+        np.testing.assert_allclose(run[name], fine[name][places], rtol=0, atol=2e-6 * scale)
+        np.testing.assert_allclose(run[name][3], plain[name][1], rtol=0, atol=2e-6 * scale)
+    # A command changes right after its instant.
+    command = run["motor_speed_command"][:, 0]
+    assert command[3] == command[2] != command[4]
+    assert model.simulate(parameters, state, 0.2, record_times_s=[])["knee_angle"].shape == (0, 1)
+
+
+@pytest.mark.parametrize("times", [[0.1, 0.05], [-1e-3], [0.3], [np.nan]])
+def test_records_outside_the_run_or_out_of_order_are_refused(default, times):
+    model, (parameters, state, _) = default
+    with pytest.raises(ValueError, match=r"record_times_s: must ascend within 0 … 0\.2 s"):
+        model.simulate(parameters, state, 0.2, record_times_s=times)
+
+
+def varied(model, parameters, count):
+    rows = np.tile(parameters, (count, 1))
+    rows[:, model.parameter_names.index("plant/cylinder.mass_kg")] *= np.linspace(0.5, 2, count)
+    return rows
+
+
+def test_a_batch_is_its_runs_one_by_one(default):
+    model, (parameters, state, _) = default
+    rows = varied(model, parameters, 5)
+    alone = [model.simulate(row, state, 0.1)["rod_velocity"] for row in rows]
+    assert not np.array_equal(alone[0], alone[1])
+    for threads in (1, 3):
+        batch = model.simulate_batch(rows, state, 0.1, threads=threads)
+        for run, expected in zip(batch, alone, strict=True):
+            np.testing.assert_array_equal(run["rod_velocity"], expected)
+    kept = model.simulate_batch(
+        rows, [state] * 5, 0.1, reduce=lambda run: run.final.continuous[1], outputs=[]
+    )
+    assert kept == [run.final.continuous[1] for run in batch]
+    assert model.simulate_batch(rows[:0], state, 0.1) == []
+
+
+def test_a_batch_over_references(interpreted_diagram, multirate):
+    model = interpreted_diagram(multirate.GetSubsystemByName("inner"), ["u"])
+    tables = [InputTable(coefficients=np.array([[[u]]])) for u in (0.1, 0.2)]
+    ends = model.simulate_batch(
+        [model.parameters()] * 2,
+        model.state(),
+        5.0,
+        inputs=tables,
+        record_period_s=1.0,
+        reduce=lambda run: run["y"][-1, 0],
+    )
+    assert ends == pytest.approx([0.1, 0.2], abs=1e-4)  # settled: e^(−2·5)
+
+
+def test_failures_of_a_batch_are_raised_or_returned(default):
+    model, (parameters, state, _) = default
+    broken = state.continuous.copy()
+    broken[0] = np.nan
+    states = [state, State(broken, state.held), state]
+    rows = [parameters] * 3
+    with pytest.raises(SimulationError, match="is not finite"):
+        model.simulate_batch(rows, states, 0.1)
+    good, bad, _ = model.simulate_batch(rows, states, 0.1, failures="return")
+    assert isinstance(bad, SimulationError)
+    assert good["knee_angle"].size == 51
+    with pytest.raises(ValueError, match="failures = 'ignore': must be one of raise, return"):
+        model.simulate_batch(rows, states, 0.1, failures="ignore")
+    with pytest.raises(ValueError, match="states: has 3 for 2 runs"):
+        model.simulate_batch(rows[:2], states, 0.1)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_parameter_that_is_not_finite_is_refused(default, value):
+    model, (parameters, state, _) = default
+    bad = parameters.copy()
+    bad[model.parameter_names.index("plant/cylinder.mass_kg")] = value
+    for call in (model.simulate, lambda *a: model.initialized(*a[:2])):
+        with pytest.raises(ParameterError, match=rf"cylinder\.mass_kg = {value}: must be finite"):
+            call(bad, state, 0.1)
 
 
 # ------------------------------------------------------------------- what does not compile

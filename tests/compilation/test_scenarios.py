@@ -259,7 +259,7 @@ def test_table_of_a_sampled_reference_is_that_of_drake(interpreted):
     u = np.empty(4)
     for time in (0.0, 0.02, 0.03, 0.05, 0.0699, 0.07, 0.1, 0.11):
         context.SetTime(time)
-        model._module.evaluate_inputs(time, inputs.breaks, inputs.coefficients, u)
+        model.module.evaluate_inputs(time, inputs.breaks, inputs.coefficients, u)
         expected = source.get_output_port().Eval(context)
         np.testing.assert_allclose(u, expected, rtol=1e-12, atol=1e-12, err_msg=f"t = {time}")
 

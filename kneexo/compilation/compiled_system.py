@@ -1,0 +1,110 @@
+"""A compiled model as a leaf system, for Drake's Simulator, loggers and Meshcat."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
+
+from kneexo.compilation.model import CompiledModel
+from kneexo.compilation.runner import Array, InputTable, Runner, State
+
+_NO_INPUTS = InputTable()
+
+
+class CompiledSystem(LeafSystem):
+    """A compiled model that advances by one tick in each discrete update.
+
+    Ports: the open inputs of the model, held over a tick, and its outputs, under their own names.
+    Numeric parameters: ``model.parameter_names``. Discrete state: x and d of the model. The tick is
+    the model's sample time, or the longest that divides all of them.
+
+    As in every discrete system the state changes right after an update: at the ticks, outputs and
+    logs are those of the diagram that was compiled, and in between they are those of the next tick.
+    What the integrator remembers is a cache entry, so a run agrees with another one that started
+    from its state within the tolerance.
+    """
+
+    def __init__(
+        self, model: CompiledModel, parameters: Array, state: State, **options: Any
+    ) -> None:
+        """``parameters`` and ``state``: defaults, before the initialization events of the diagram,
+        which this system has too. ``options``: ``integrator``, ``step_s`` and ``tolerance`` as in
+        `CompiledModel.simulate`, whose errors each update raises.
+        """
+        super().__init__()
+        self.model = model
+        self._options = options
+        self._tick = Runner(model, parameters, **options).timing.tick
+        self.DeclareNumericParameter(BasicVector(np.asarray(parameters, dtype=float)))
+        self.DeclareDiscreteState(np.concatenate((state.continuous, state.held)))
+        for name, size in model.inputs.items():
+            self.DeclareVectorInputPort(name, size)
+        self._running = self.DeclareCacheEntry(
+            "runner",
+            ValueProducer(lambda: Value[object](), self._make_runner),
+            {self.all_parameters_ticket()},
+        )
+        self._records = self.DeclareCacheEntry(
+            "outputs",
+            ValueProducer(lambda: Value[object](), self._record),
+            {
+                self.time_ticket(),
+                self.all_state_ticket(),
+                self.all_parameters_ticket(),
+                self.all_input_ports_ticket(),
+            },
+        )
+        self._size, self._width = len(model.state_names), sum(model.outputs.values())
+        first = 0
+        for name, size in model.outputs.items():
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                partial(self._copy_output, slice(first, first + size)),
+                {self._records.ticket()},
+            )
+            first += size
+        self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
+        self.DeclarePeriodicDiscreteUpdateEvent(self._tick, 0.0, self._advance)
+
+    def _make_runner(self, context: Any, value: Any) -> None:
+        parameters = context.get_numeric_parameter(0).value()
+        value.set_value(Runner(self.model, parameters, **self._options))
+
+    def _state(self, context: Any) -> tuple[Array, Array, Array]:
+        """A copy of the discrete state, and its parts x and d."""
+        values = context.get_discrete_state(0).CopyToVector()
+        return values, values[: self._size], values[self._size :]
+
+    def _inputs(self, context: Any) -> InputTable:
+        if not self.model.inputs:
+            return _NO_INPUTS
+        ports = (self.get_input_port(i).Eval(context) for i in range(self.num_input_ports()))
+        return InputTable(np.empty(0), np.concatenate(list(ports))[None, :, None])
+
+    def _initialize(self, context: Any, discrete_state: Any) -> None:
+        _, x, d = self._state(context)
+        parameters = context.get_numeric_parameter(0).CopyToVector()
+        state = self.model.initialized(parameters, State(x, d), self._inputs(context))
+        discrete_state.set_value(0, np.concatenate((state.continuous, state.held)))
+
+    def _advance(self, context: Any, discrete_state: Any) -> None:
+        values, x, d = self._state(context)
+        tick = round(context.get_time() / self._tick)
+        self._running.Eval(context).run(x, d, tick, tick + 1, self._inputs(context))
+        discrete_state.set_value(0, values)
+
+    def _record(self, context: Any, value: Any) -> None:
+        _, x, d = self._state(context)
+        tick = math.ceil(context.get_time() / self._tick - 1e-9)
+        record = np.empty((1, self._width))
+        self._running.Eval(context).run(x, d, tick, tick, self._inputs(context), record)
+        value.set_value(record[0])
+
+    def _copy_output(self, part: slice, context: Any, output: Any) -> None:
+        output.set_value(self._records.Eval(context)[part])
