@@ -38,4 +38,4 @@ class CompilationError(KneexoError, TypeError):
 
 
 class WorkerError(KneexoError, RuntimeError):
-    """A worker process died."""
+    """A worker process died, or workers cannot be had."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import partial
 from pathlib import Path
@@ -82,10 +82,19 @@ class Checkpoint:
             self.path.unlink(missing_ok=True)
 
 
-def piece_key(function: Any, item: Any) -> str:
-    """Name of the piece ``function(item)``: the same in every process and session."""
-    text = json.dumps([__version__, _plain(function), _plain(item)], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
+    """Names of the pieces ``function(item)``: the same in every process and session."""
+
+    def text(value: Any) -> bytes:
+        return json.dumps(_plain(value), sort_keys=True).encode()
+
+    shared = hashlib.sha256(text([__version__, function]))
+    keys = []
+    for item in items:
+        own = shared.copy()
+        own.update(text(item))
+        keys.append(own.hexdigest()[:32])
+    return keys
 
 
 def _plain(value: Any) -> Any:

@@ -1,22 +1,42 @@
-"""Run independent pieces of work in processes, with a progress bar; Ctrl-C stops at once."""
+"""Run independent pieces of work in processes or on a cluster; Ctrl-C stops at once."""
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+)
 from contextlib import contextmanager
-from typing import TypeVar
+from queue import SimpleQueue
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from kneexo.analysis.checkpoint import Checkpoint, piece_key
+from kneexo import __version__
+from kneexo.analysis.checkpoint import Checkpoint, piece_keys
 from kneexo.errors import WorkerError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+UNIT_S = 0.5
+"""Small pieces go to a worker together, as many as it does in that time."""
+
+CONNECT_S = 10.0
+"""How long a Dask scheduler and its workers are waited for."""
+
+_UNITS_PER_WORKER = 4  # under way at a time, so that no worker waits for this process
+_WORKERS = 250  # of an executor that does not say how many it has
 
 
 @contextmanager
@@ -33,16 +53,81 @@ def process_pool(workers: int | None) -> Iterator[Executor | None]:
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
     try:
         yield pool
-    except BaseException as error:  # KeyboardInterrupt too: nothing may go on working
+    except BaseException:  # KeyboardInterrupt too: nothing may go on working
         for process in list((pool._processes or {}).values()):
             process.terminate()
-        if isinstance(error, BrokenExecutor):
-            raise WorkerError(
-                f"one of {count} worker processes died (out of memory?); use fewer workers"
-            ) from None
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def dask_cluster(address: str) -> Iterator[Executor]:
+    """An executor of the workers of a running Dask cluster, such as ``tcp://host:8786``.
+
+    What a lost worker had is done again by the others; where all are lost, Dask waits for new
+    ones. Raises `WorkerError` when the package ``distributed`` is missing, when within 10 s there
+    is no scheduler at ``address`` or no worker, when a worker has another version of kneexo, when
+    a piece of work kills one worker after another, and when the scheduler is lost.
+    """
+    try:
+        from distributed import Client, KilledWorker
+        from distributed.comm import get_address_host_port
+    except ModuleNotFoundError:
+        raise WorkerError(
+            "a Dask cluster needs the package distributed: pip install 'kneexo[cluster]'"
+        ) from None
+    for name in ("distributed.client", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what ends the work is raised
+    try:
+        get_address_host_port(address, strict=True)
+    except ValueError:
+        raise WorkerError(f"Dask scheduler {address!r}: must be tcp://HOST:PORT") from None
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except OSError:
+        raise WorkerError(
+            f"there is no Dask scheduler at {address} (tried for {CONNECT_S:g} s)"
+        ) from None
+    try:
+        _require_this_version(client, address)
+        executor = client.get_executor(pure=False)
+        executor._max_workers = sum(client.nthreads().values())
+        yield executor
+    except KilledWorker:
+        raise WorkerError(
+            f"a piece of work killed one worker after another of the Dask cluster {address} (out "
+            f"of memory?)"
+        ) from None
+    except Exception:
+        if client.status != "running":
+            raise WorkerError(f"the Dask scheduler {address} was lost") from None
+        raise
+    finally:
+        client.close()
+
+
+def _require_this_version(client: Any, address: str) -> None:
+    """Refuse workers that would compute something else, and a cluster without any."""
+
+    def version() -> str:  # travels as code, because a worker may have no kneexo
+        import kneexo
+
+        return kneexo.__version__
+
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_S)
+    except TimeoutError:
+        raise WorkerError(
+            f"the Dask cluster {address} has no workers (waited for {CONNECT_S:g} s)"
+        ) from None
+    for worker, found in client.run(version, on_error="return").items():
+        if found != __version__:
+            has = f"kneexo {found}" if isinstance(found, str) else f"no kneexo ({found})"
+            raise WorkerError(
+                f"the Dask worker {worker} has {has}: must have kneexo {__version__}, as this "
+                f"process has"
+            )
 
 
 @contextmanager
@@ -69,11 +154,14 @@ def parallel_map(
 
     ``workers``: see `process_pool`; with more than one a script needs
     ``if __name__ == "__main__":``, because processes are spawned. An ``executor`` of the caller's
-    goes before ``workers``. ``description`` shows a progress bar that advances by
-    ``weight(item)``. The first error ends the work and is raised; so does KeyboardInterrupt.
+    goes before ``workers``; any of `concurrent.futures`' kind will do, such as `dask_cluster`'s.
+    Small items go there together (`UNIT_S`). ``description`` shows a progress bar that advances
+    by ``weight(item)``. The first error ends the work and is raised; so does KeyboardInterrupt.
 
     With a ``checkpoint`` every result is kept there as soon as it is known, and what it has
     already is not computed again; ``function`` then returns plain JSON data.
+
+    Raises `WorkerError` when a worker process dies.
     """
     if executor is None and workers != 1:
         with process_pool(workers) as pool:
@@ -85,7 +173,7 @@ def parallel_map(
                 weight=weight,
                 checkpoint=checkpoint,
             )
-    keys = [] if checkpoint is None else [piece_key(function, item) for item in items]
+    keys = [] if checkpoint is None else piece_keys(function, items)
     results: dict[int, Result] = {}
 
     def done(index: int, result: Result) -> None:
@@ -108,13 +196,53 @@ def parallel_map(
             for index in order:
                 done(index, function(items[index]))
         else:
-            with _interrupt_later():
-                futures = {executor.submit(function, items[index]): index for index in order}
-            try:
-                for future in as_completed(futures):
-                    done(futures[future], future.result())
-            except BaseException:  # KeyboardInterrupt too; raised again
-                for future in futures:
-                    future.cancel()
-                raise
+            _in_units(function, items, order, executor, done)
     return [results[index] for index in range(len(items))]
+
+
+def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], bool]:
+    """Results of the first of ``items``, those begun within `UNIT_S`, and whether time is left."""
+    end = time.perf_counter() + UNIT_S
+    results = []
+    for item in items:
+        results.append(function(item))
+        if time.perf_counter() >= end:
+            return results, False
+    return results, True
+
+
+def _in_units(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    order: Sequence[int],
+    executor: Executor,
+    done: Callable[[int, Result], None],
+) -> None:
+    """Run the items of the indices ``order``; ``done`` gets index and result of each.
+
+    Units grow from single items on until one runs out of time; what it left waits again.
+    """
+    most = _UNITS_PER_WORKER * getattr(executor, "_max_workers", _WORKERS)
+    waiting, size = deque(order), 1
+    under_way: dict[Future[tuple[list[Result], bool]], list[int]] = {}
+    ended: SimpleQueue[Future[tuple[list[Result], bool]]] = SimpleQueue()
+    try:
+        while waiting or under_way:
+            with _interrupt_later():
+                while waiting and len(under_way) < most:
+                    unit = [waiting.popleft() for _ in range(min(size, len(waiting)))]
+                    future = executor.submit(_unit, function, [items[index] for index in unit])
+                    under_way[future] = unit
+                    future.add_done_callback(ended.put)
+            future = ended.get()
+            unit = under_way.pop(future)
+            results, in_time = future.result()
+            waiting.extendleft(reversed(unit[len(results) :]))
+            size = max(size, 2 * len(unit)) if in_time else len(results)
+            for index, result in zip(unit, results, strict=False):
+                done(index, result)
+    except (BrokenExecutor, CancelledError):
+        raise WorkerError("a worker process died (out of memory?); use fewer workers") from None
+    finally:
+        for future in under_way:  # none, unless there was an error or an interrupt
+            future.cancel()

@@ -105,6 +105,23 @@ def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> 
     return changed(believing, {**values, **known})
 
 
+def assess_plant(
+    scenario: Scenario,
+    uncertainty: UncertaintySet,
+    judge: Callable[[Scenario], dict[str, Any]],
+    values: Values,
+) -> dict[str, Any]:
+    """What ``judge`` says of the plant with those values: `realize`, where the run is.
+
+    Of values that do not go together it says why, as ``tracking_failure``.
+    """
+    try:
+        plant = realize(scenario, uncertainty, values)
+    except ParameterError as error:
+        return {"stable": None, "tracking_failure": str(error).removeprefix("Scenario: ")}
+    return judge(plant)
+
+
 def levels(one: Uncertainty) -> tuple[Any, ...]:
     """The ends of an interval, or the options."""
     return one.options or (one.low, one.high)
@@ -336,8 +353,9 @@ def robustness(
     kept, left_out = applicable(scenario, uncertainty)
     reference = scenario.reference
     moves = reference.kind == "sine" and reference.amplitude_deg > 0.0
-    judge = partial(assess, bandwidth=settings.bandwidth and moves)
-    known: dict[Scenario, dict[str, Any]] = {}
+    judge = partial(
+        assess_plant, scenario, kept, partial(assess, bandwidth=settings.bandwidth and moves)
+    )
 
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Any]:
         return parallel_map(
@@ -349,17 +367,13 @@ def robustness(
         )
 
     def visit(points: Sequence[Values], what: str) -> tuple[Visit, ...]:
-        plants = [_realized(scenario, kept, values) for values in points]
-        fresh = [p for p in dict.fromkeys(plants) if isinstance(p, Scenario) and p not in known]
-        known.update(zip(fresh, run(judge, fresh, what), strict=True))
-        return tuple(
-            Visit(values, known[p] if isinstance(p, Scenario) else _not_realized(p, nominal))
-            for values, p in zip(points, plants, strict=True)
-        )
+        found = run(judge, points, what)
+        return tuple(map(Visit, points, (missing | figures for figures in found)))
 
-    nominal: dict[str, Any] = {}
+    missing: dict[str, Any] = {}  # figures of a plant that cannot be
     at_nominal = visit([{}], "nominal")[0]
-    nominal.update(at_nominal.figures)
+    nominal = at_nominal.figures
+    missing |= {name: math.nan for name, value in nominal.items() if isinstance(value, float)}
     each = [{path: level} for path, one in kept.values.items() for level in levels(one)]
     singly = visit(each, "one at a time")
     samples = visit(draw(kept, settings.samples, settings.seed), "samples")
@@ -388,23 +402,6 @@ def robustness(
         local=local,
         local_failures=tuple(troubles),
     )
-
-
-def _realized(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> Scenario | str:
-    """The plant with those values, or why there is none."""
-    try:
-        return realize(scenario, uncertainty, values)
-    except ParameterError as error:
-        return str(error).removeprefix("Scenario: ")
-
-
-def _not_realized(reason: str, like: Values) -> dict[str, Any]:
-    """Figures of a plant that cannot be: nothing but the reason."""
-    return {
-        **{name: math.nan for name, value in like.items() if isinstance(value, float)},
-        "stable": None,
-        "tracking_failure": reason,
-    }
 
 
 def _local(

@@ -9,6 +9,8 @@ from kneexo.analysis.assessment import MARGIN_FIGURES, TRACKING_FIGURES, assess
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import track
+from kneexo.compilation import scenarios
+from kneexo.compilation.scenarios import scenario_diagram
 from kneexo.parameters import Scenario
 from kneexo.scenario import changed
 
@@ -65,22 +67,41 @@ def test_a_gain_that_does_not_fall_is_told(monkeypatch):
     assert found["bandwidth_failure"] == "no bandwidth: the gain does not cross 1/√2"
 
 
+PUSHED = changed(
+    SHORT,
+    {
+        "reference": {"kind": "step", "start_deg": 0.0, "end_deg": 0.0},
+        "plant.load": {"kind": "knee", "knee_torque_n_m": -450.0},
+        "plant.pump.internal_leakage_m3_per_s_pa": 1e-10,
+    },
+)
+
+
 def test_failures_are_told_in_one_line():
-    pushed = changed(
-        SHORT,
-        {
-            "reference": {"kind": "step", "start_deg": 0.0, "end_deg": 0.0},
-            "plant.load": {"kind": "knee", "knee_torque_n_m": -450.0},
-            "plant.pump.internal_leakage_m3_per_s_pa": 1e-10,
-        },
-    )
-    found = assess(pushed, bandwidth=True)
+    found = assess(PUSHED, bandwidth=True)
     assert all(math.isnan(found[n]) for n in (*TRACKING_FIGURES, *MARGIN_FIGURES, "bandwidth_hz"))
     assert found["stable"] is None
     assert "left the range of motion" in found["tracking_failure"]
     assert "does not rest" in found["margins_failure"]
     assert "a sine" in found["bandwidth_failure"]
     assert not any("\n" in text for text in found.values() if isinstance(text, str))
+
+
+def test_runs_that_fail_build_one_diagram_for_all(monkeypatch):
+    built = []
+
+    def counted(scenario):
+        built.append(scenario)
+        return scenario_diagram(scenario)
+
+    monkeypatch.setattr(scenarios, "scenario_diagram", counted)
+    monkeypatch.setattr(scenarios, "_diagrams", {})
+    narrow = {"plant.knee.flexion_max_deg": 70.0, "simulation.duration_s": 6.0}
+    for error in (-0.1, -0.11, -0.12):
+        blind = changed(Scenario(), narrow | {"encoder.mounting_error_rad": error})
+        text = assess(blind, margins=False)["tracking_failure"]
+        assert "left the range of motion" in text
+    assert len(built) == 1  # Python 3.11 frees none of them
 
 
 def test_an_unstable_loop_has_no_margins():

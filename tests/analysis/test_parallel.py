@@ -1,12 +1,42 @@
 import math
+import multiprocessing
 import os
+import pickle
 import signal
-from concurrent.futures import ThreadPoolExecutor
+import threading
+import time
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from kneexo.analysis import parallel_map
+from kneexo.analysis import parallel, parallel_map
+from kneexo.analysis.checkpoint import Checkpoint
 from kneexo.errors import WorkerError
+
+
+class AtOnce(Executor):
+    """Runs what is submitted at once, as another process would: nothing is shared."""
+
+    def __init__(self, most=math.inf):
+        self.units = []
+        self.most = most
+
+    def submit(self, function, *arguments):
+        if len(self.units) >= self.most:
+            raise BrokenExecutor("no worker left\nto speak of")
+        called, given, items = pickle.loads(pickle.dumps((function, *arguments)))
+        future = Future()
+        future.set_result(called(given, items))
+        self.units.append(len(items))
+        return future
 
 
 def test_results_keep_the_order_of_the_items():
@@ -18,14 +48,19 @@ def test_the_heaviest_item_goes_first():
     seen = []
     parallel_map(seen.append, [1, 3, 2], weight=float)
     assert seen == [3, 2, 1]
+    seen.clear()
+    with ThreadPoolExecutor(1) as executor:
+        parallel_map(seen.append, [1, 3, 2], weight=float, executor=executor)
+    assert seen == [3, 2, 1]
 
 
 def test_no_items_make_no_results():
     assert parallel_map(math.sqrt, []) == []
+    assert parallel_map(math.sqrt, [], executor=AtOnce()) == []
 
 
 def test_processes_give_the_same_as_this_process():
-    items = list(range(7))
+    items = list(range(300))
     assert parallel_map(math.factorial, items, workers=2) == [math.factorial(n) for n in items]
 
 
@@ -35,19 +70,160 @@ def test_the_callers_executor_is_used_and_left_running():
         assert executor.submit(math.sqrt, 9.0).result() == 3.0
 
 
+# ----------------------------------------------------------------------------------- units
+
+
+def test_small_pieces_go_together_and_all_are_done():
+    executor = AtOnce()
+    items = [float(n) for n in range(20_000)]
+    assert parallel_map(math.sqrt, items, executor=executor) == [math.sqrt(x) for x in items]
+    assert sum(executor.units) == len(items)
+    # 1000 single ones are under way at first; the rest goes in units that double.
+    assert executor.units[:1000] == [1] * 1000
+    assert len(executor.units) < 8000
+
+
+def test_pieces_that_take_long_go_one_by_one(monkeypatch):
+    monkeypatch.setattr(parallel, "UNIT_S", 0.0)
+    executor = AtOnce()
+    executor._max_workers = 1
+    seen = []
+    monkeypatch.setattr(threading, "kneexo_seen", seen, raising=False)
+    assert parallel_map(note, list(range(50)), executor=executor) == list(range(50))
+    assert seen == list(range(50))
+    assert executor.units == [1] * 50
+
+
+def note(item):
+    threading.kneexo_seen.append(item)
+    return item
+
+
+@given(
+    durations=st.lists(st.sampled_from([0.0, 0.0, 0.0, 1.0]), max_size=200),
+    workers=st.integers(1, 5),
+)
+def test_whatever_fits_into_a_unit_each_piece_is_done_once(durations, workers):
+    clock = [0.0]
+    executor = AtOnce()
+    executor._max_workers = workers
+    done = []
+
+    def take(item):
+        clock[0] += durations[item]
+        done.append(item)
+        return -item
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parallel.time, "perf_counter", lambda: clock[0])
+        patch.setattr(pickle, "dumps", lambda value: value)  # a local function
+        patch.setattr(pickle, "loads", lambda value: value)
+        found = parallel_map(take, list(range(len(durations))), executor=executor)
+    assert found == [-n for n in range(len(durations))]
+    assert sorted(done) == list(range(len(durations)))
+
+
+class Held(Executor):
+    """Keeps what is submitted until it is told to run."""
+
+    def __init__(self, workers):
+        self._max_workers = workers
+        self.waiting = []
+        self.most = 0
+
+    def submit(self, function, *arguments):
+        future = Future()
+        self.waiting.append((future, function, arguments))
+        self.most = max(self.most, len(self.waiting))
+        threading.Timer(1e-3, self.run).start()
+        return future
+
+    def run(self):
+        future, function, arguments = self.waiting.pop(0)
+        future.set_result(function(*arguments))
+
+
+def test_no_more_is_submitted_than_the_workers_need():
+    executor = Held(workers=3)
+    assert parallel_map(abs, list(range(-200, 0)), executor=executor) == list(range(200, 0, -1))
+    assert 3 <= executor.most <= 12
+
+
+# -------------------------------------------------------------------------- errors, deaths
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_error_in_the_work_is_raised(workers):
     with pytest.raises(ValueError, match=r"math domain|nonnegative"):
         parallel_map(math.sqrt, [1.0, -1.0], workers=workers)
 
 
+def test_an_error_ends_what_has_not_begun():
+    begun = []
+
+    def work(item):
+        begun.append(item)
+        time.sleep(0.02)
+        raise ValueError(f"no {item}")
+
+    with ThreadPoolExecutor(1) as executor, pytest.raises(ValueError, match="no 0"):
+        parallel_map(work, list(range(100)), executor=executor)
+    assert len(begun) <= 3
+
+
 def die(_):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def square_or_die(item):
+    if item == 30 and not os.environ.get("KNEEXO_TEST_IMMORTAL"):
+        time.sleep(0.2)  # the others' results are on their way
+        die(item)
+    return item * item
+
+
 def test_a_worker_that_dies_is_one_line():
-    with pytest.raises(WorkerError, match="one of 2 worker processes died") as caught:
+    with pytest.raises(WorkerError, match="a worker process died") as caught:
         parallel_map(die, [1, 2], workers=2)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_was_finished_before_a_worker_died_is_kept(tmp_path, monkeypatch):
+    path = tmp_path / "checkpoint.jsonl"
+    items = list(range(40))
+    pool_of = ProcessPoolExecutor(2, multiprocessing.get_context("spawn"))
+    with pool_of as pool, pytest.raises(WorkerError, match="worker process died"):
+        parallel_map(square_or_die, items, executor=pool, checkpoint=Checkpoint(path))
+    kept = Checkpoint(path, resume=True)
+    assert 1 <= len(kept) < len(items)
+    monkeypatch.setenv("KNEEXO_TEST_IMMORTAL", "1")
+    found = parallel_map(square_or_die, items, checkpoint=kept)
+    assert found == [n * n for n in items]
+
+
+@pytest.mark.parametrize("most", [0, 1, 7])
+def test_an_executor_that_breaks_is_one_line_and_resumes(tmp_path, most):
+    path = tmp_path / "checkpoint.jsonl"
+    items = list(range(30))
+    executor = AtOnce(most)
+    executor._max_workers = 1
+    with pytest.raises(WorkerError) as caught:
+        parallel_map(abs, items, executor=executor, checkpoint=Checkpoint(path))
+    assert "\n" not in str(caught.value)
+    kept = Checkpoint(path, resume=True)
+    assert len(kept) == max(most - 3, 0)  # the results of three units were not yet taken
+    assert parallel_map(abs, items, executor=AtOnce(), checkpoint=kept) == items
+
+
+def test_an_executor_that_cancels_the_work_is_one_line():
+    class Cancelling(Executor):
+        def submit(self, function, *arguments):
+            future = Future()
+            future.cancel()
+            return future
+
+    with pytest.raises(WorkerError) as caught:
+        parallel_map(abs, [1, 2], executor=Cancelling())
     assert "\n" not in str(caught.value)
 
 

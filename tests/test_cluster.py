@@ -1,0 +1,385 @@
+"""Sweeps on other executors than this process: threads, a Dask cluster, and what breaks there."""
+
+import json
+import os
+import pickle
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+
+import pytest
+
+from kneexo import __version__
+from kneexo.analysis import parallel, parallel_map, sinestream
+from kneexo.analysis.amplitude_response import amplitude_map
+from kneexo.analysis.assessment import assess
+from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.contest import contest
+from kneexo.analysis.controller_study import controller_study
+from kneexo.analysis.parallel import dask_cluster
+from kneexo.analysis.reduction import compare_orders
+from kneexo.analysis.robustness import assess_plant, draw, robustness
+from kneexo.analysis.sizing import sizing
+from kneexo.analysis.sliding_condition import sliding_study
+from kneexo.cli import main
+from kneexo.errors import OutputError, WorkerError
+from kneexo.output import to_json
+from kneexo.parameters import (
+    SLIDING_LAW,
+    UNCERTAIN_KNEE,
+    UNCERTAINTY,
+    AmplitudeMapParameters,
+    ContestParameters,
+    ControllerStudyParameters,
+    OrderComparisonParameters,
+    RobustnessParameters,
+    Scenario,
+    SinestreamParameters,
+    SizingParameters,
+    SlidingStudyParameters,
+    UncertaintySet,
+)
+from kneexo.reproduction import reproduce, results
+from kneexo.scenario import changed
+
+REDUCED = UncertaintySet(
+    values={path: one for path, one in UNCERTAINTY.values.items() if path != "plant.full_order"}
+)
+
+# ---------------------------------------------------------------------- every sweep, anywhere
+
+
+class Elsewhere(ThreadPoolExecutor):
+    """Two threads that get and give copies, as processes do; counts what is submitted."""
+
+    def __init__(self):
+        super().__init__(2)
+        self.submitted = 0
+
+    def submit(self, function, *arguments):
+        self.submitted += 1
+        return super().submit(_copied, pickle.dumps((function, arguments)))
+
+
+def _copied(text):
+    function, arguments = pickle.loads(text)
+    return pickle.loads(pickle.dumps(function(*arguments)))
+
+
+FEW_SINES = SinestreamParameters(
+    frequencies_hz=(8.0, 9.0, 10.0), trials=2, measured_cycles=1, transient_cycles=0
+)
+QUICK = {"simulation": {"duration_s": 0.5}, "reference": {"kind": "sine", "amplitude_deg": 1.0}}
+QUICK["reference"] |= {"frequency_hz": 4.0}
+SWEEPS = {
+    "reproduce": (reproduce, FEW_SINES),
+    "sinestream": (partial(sinestream, Scenario()), FEW_SINES),
+    "bandwidth": (
+        partial(amplitude_map, Scenario()),
+        AmplitudeMapParameters(
+            amplitudes_deg=(0.3, 3.0),
+            frequencies_hz=(2.5, 5.0, 12.5),
+        ),
+    ),
+    "robustness": (
+        partial(robustness, changed(UNCERTAIN_KNEE, QUICK), REDUCED),
+        RobustnessParameters(samples=6, corners_max=6, bandwidth=False, sensitivity_duration_s=0.0),
+    ),
+    "study controller": (
+        partial(controller_study, changed(Scenario(), QUICK)),
+        ControllerStudyParameters(
+            lambdas_per_s=(20.0, 40.0),
+            phis_m_s2=(3.2,),
+            etas_m_s3=(2.8e5,),
+            step_duration_s=0.1,
+            fast_duration_s=0.5,
+            hold_duration_s=0.1,
+            trap_lambdas_per_s=(20.0,),
+            map_time_constants_s=(0.02,),
+            map_slopes_per_s=(1e4, 1e5),
+        ),
+    ),
+    "study contest": (
+        partial(contest, changed(UNCERTAIN_KNEE, QUICK), REDUCED),
+        ContestParameters(
+            training_samples=1,
+            test_samples=2,
+            optimizer_seeds=(1,),
+            population=5,
+            generations=1,
+            duration_s=0.5,
+            other_duration_s=0.5,
+        ),
+    ),
+    "study sliding": (
+        partial(
+            sliding_study,
+            changed(
+                SLIDING_LAW,
+                {"simulation": {"duration_s": 0.004, "integrator": "radau3", "step_s": 1e-4}},
+            ),
+        ),
+        SlidingStudyParameters(
+            etas_m_s3=(2.8e5,), loads_n=(60.0,), start_duration_s=0.001, start_sample_time_s=5e-5
+        ),
+    ),
+    "study order": (
+        partial(compare_orders, UNCERTAIN_KNEE),
+        OrderComparisonParameters(
+            postures_deg=(40.0,), switching_forces_n=(16.0,), disturbances_n=(0.0, 60.0)
+        ),
+    ),
+    "size": (
+        sizing,
+        SizingParameters(
+            factors=(1.0, 2.0),
+            walking_factors=(1.0, 1.5),
+            stride_frequencies_hz=(1.0,),
+            lambda_per_s=(80.0,),
+            slope_per_s=(5e4,),
+            observer_s=(0.02,),
+            search_tolerance=0.1,
+            wearer_torques_n_m=(0.0,),
+        ),
+    ),
+}
+
+
+SLOW = ("study contest", "study sliding", "study order", "size")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in SWEEPS]
+)
+def test_every_sweep_runs_on_the_callers_executor_alone(name, monkeypatch):
+    sweep, settings = SWEEPS[name]
+
+    def numbers(found):
+        if name == "sinestream":
+            return found.response.tolist()
+        return to_json(results(found) if name == "reproduce" else found.results())
+
+    here = numbers(sweep(settings=settings))
+    monkeypatch.delattr(parallel, "ProcessPoolExecutor")  # no pool of its own
+    with Elsewhere() as executor:
+        assert numbers(sweep(settings=settings, executor=executor)) == here
+        assert executor.submitted > 1
+
+
+# ------------------------------------------------------------------------------ a Dask cluster
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """Address of a scheduler with two worker processes, and the workers."""
+    pytest.importorskip("distributed", reason="needs the extra cluster")
+    file = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    quiet = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    scheduler = [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    worker = [*dask, "worker", "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    worker += ["--scheduler-file", str(file), "--host", "127.0.0.1"]
+    processes = [subprocess.Popen([*scheduler, "--scheduler-file", str(file)], **quiet)]
+    try:
+        processes += [subprocess.Popen(worker, **quiet) for _ in range(2)]
+        yield _address(file), processes[1:]
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def _address(file):
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:
+        try:
+            return json.loads(file.read_text())["address"]
+        except (OSError, ValueError):
+            time.sleep(0.1)
+    raise TimeoutError(file)
+
+
+@pytest.mark.slow
+def test_a_dask_worker_killed_in_the_middle_changes_nothing(cluster, tmp_path):
+    address, workers = cluster
+    checkpoint = Checkpoint(tmp_path / "checkpoint.jsonl")
+    settings = RobustnessParameters(
+        samples=150, corners_max=60, bandwidth=False, sensitivity_duration_s=0.0
+    )
+    sweep = partial(robustness, UNCERTAIN_KNEE, REDUCED, settings)
+    killed_at = []
+
+    def kill():
+        while len(checkpoint) < 60:
+            time.sleep(0.01)
+        killed_at.append(len(checkpoint))
+        workers[0].send_signal(signal.SIGKILL)
+
+    from distributed import Client
+
+    with Client(address, timeout=30.0, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=30.0)
+    killer = threading.Thread(target=kill, daemon=True)
+    killer.start()
+    with dask_cluster(address) as executor:
+        there = sweep(executor=executor, checkpoint=checkpoint)
+    killer.join()
+    assert workers[0].wait(10.0) == -signal.SIGKILL
+    assert workers[1].poll() is None
+    assert killed_at[0] < len(checkpoint)
+    assert to_json(there.results()) == to_json(sweep().results())
+
+
+SMALL_MAP = ["bandwidth", "--set", "amplitudes_deg=[1.0, 2.0]"]
+SMALL_MAP += ["--set", "frequencies_hz=[4.0, 8.0, 16.0]"]
+
+
+@pytest.mark.slow
+def test_the_command_line_runs_on_a_dask_cluster(cluster, tmp_path):
+    where = {"dask": ["--dask", cluster[0]], "here": ["--workers", "1"]}
+    for name, option in where.items():
+        command = [sys.executable, "-m", "kneexo", *SMALL_MAP, *option]
+        done = subprocess.run(
+            [*command, "--out", str(tmp_path / name)], capture_output=True, text=True, timeout=300
+        )
+        assert done.returncode == 0, done.stderr
+    texts = [(tmp_path / name / "bandwidth.json").read_bytes() for name in where]
+    assert texts[0] == texts[1]
+
+
+@pytest.mark.slow
+def test_a_dask_scheduler_that_dies_is_one_line_and_resumes(cluster, tmp_path):
+    address, workers = cluster
+    path = tmp_path / "checkpoint.jsonl"
+    judge = partial(assess_plant, UNCERTAIN_KNEE, REDUCED, partial(assess, margins=False))
+    points = draw(REDUCED, 400, seed=1)
+    checkpoint = Checkpoint(path)
+
+    def kill():
+        while len(checkpoint) < 20:
+            time.sleep(0.01)
+        for worker in workers:
+            worker.kill()
+        os.kill(scheduler, signal.SIGKILL)
+
+    from distributed import Client
+
+    with Client(address, timeout=30.0, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=30.0)
+        scheduler = client.run_on_scheduler(os.getpid)
+    threading.Thread(target=kill, daemon=True).start()
+    with pytest.raises(WorkerError, match="was lost") as caught, dask_cluster(address) as executor:
+        parallel_map(judge, points, executor=executor, checkpoint=checkpoint)
+    assert "\n" not in str(caught.value)
+    kept = Checkpoint(path, resume=True)
+    assert 20 <= len(kept) < len(points)
+    resumed = parallel_map(judge, points, checkpoint=kept)
+    assert json.dumps(resumed) == json.dumps(parallel_map(judge, points))
+
+
+@pytest.mark.slow
+def test_dask_workers_need_this_version(cluster, monkeypatch):
+    monkeypatch.setattr(parallel, "__version__", "0.0.0")
+    with (
+        pytest.raises(WorkerError, match=rf"has kneexo {__version__}: must have kneexo 0.0.0") as e,
+        dask_cluster(cluster[0]),
+    ):
+        pass
+    assert "\n" not in str(e.value)
+
+
+@pytest.mark.slow
+def test_a_cluster_without_workers_is_one_line(cluster, monkeypatch):
+    for worker in cluster[1]:
+        worker.kill()
+        worker.wait()
+    monkeypatch.setattr(parallel, "CONNECT_S", 3.0)  # to see that the workers are gone as well
+    with pytest.raises(WorkerError, match="has no workers"), dask_cluster(cluster[0]):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("address", "told"),
+    [
+        ("tcp://127.0.0.1:1", "there is no Dask scheduler at tcp://127.0.0.1:1 (tried for 0.5 s)"),
+        ("localhost", "Dask scheduler 'localhost': must be tcp://HOST:PORT"),
+        ("tcp://localhost", "Dask scheduler 'tcp://localhost': must be tcp://HOST:PORT"),
+    ],
+)
+def test_no_scheduler_is_one_line_and_leaves_nothing(capsys, tmp_path, monkeypatch, address, told):
+    pytest.importorskip("distributed", reason="needs the extra cluster")
+    monkeypatch.setattr(parallel, "CONNECT_S", 0.5)
+    out = tmp_path / "out"
+    assert main([*SMALL_MAP, "--dask", address, "--out", str(out)]) == 2
+    assert capsys.readouterr().err == f"kneexo: {told}\n"
+    assert not out.exists()
+
+
+def test_what_an_interrupted_sweep_left_outlives_a_scheduler_that_is_not_there(
+    capsys, tmp_path, monkeypatch
+):
+    pytest.importorskip("distributed", reason="needs the extra cluster")
+    monkeypatch.setattr(parallel, "CONNECT_S", 0.1)
+    left = tmp_path / "bandwidth.checkpoint.jsonl"
+    left.write_text('["a", 1]\n')
+    assert main([*SMALL_MAP, "--dask", "tcp://127.0.0.1:1", "--out", str(tmp_path)]) == 2
+    assert left.read_text() == '["a", 1]\n'
+
+
+def test_without_distributed_the_line_says_what_to_install(capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    out = tmp_path / "out"
+    assert main([*SMALL_MAP, "--dask", "tcp://127.0.0.1:1", "--out", str(out)]) == 2
+    told = "a Dask cluster needs the package distributed: pip install 'kneexo[cluster]'"
+    assert capsys.readouterr().err == f"kneexo: {told}\n"
+    assert not out.exists()
+
+
+def test_workers_and_dask_exclude_one_another(capsys, tmp_path):
+    with pytest.raises(SystemExit) as caught:
+        main(["reproduce", "--out", str(tmp_path), "--workers", "2", "--dask", "tcp://a:1"])
+    assert caught.value.code == 2
+    assert "not allowed with" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------------------- a full disk
+
+
+@contextmanager
+def files_of_at_most(size):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))  # Python ignores SIGXFSZ
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_is_one_line_and_what_is_finished_stays(capsys, tmp_path):
+    command = [*SMALL_MAP, "--workers", "1", "--json", "--out"]
+    assert main([*command, str(tmp_path / "whole")]) == 0
+    whole = capsys.readouterr().out
+    out = tmp_path / "out"
+    path = out / "bandwidth.checkpoint.jsonl"
+    # Room for a few pieces; then for all, but not for the figures.
+    for size, told in ((800, "checkpoint "), (20_000, "--out ")):
+        with files_of_at_most(size):
+            assert main([*command, str(out), "--resume"]) == 2
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert last.startswith(f"kneexo: {told}")
+        assert "File too large" in last
+        assert [file.name for file in out.iterdir()] == [path.name]
+        assert path.stat().st_size <= size
+    fill = Checkpoint(tmp_path / "sweep.jsonl")
+    with files_of_at_most(800), pytest.raises(OutputError, match="what it holds stays readable"):
+        parallel_map(str, [n + 0.5 for n in range(100)], checkpoint=fill)
+    kept = Checkpoint(tmp_path / "sweep.jsonl", resume=True)
+    assert 10 < len(kept) == len(fill) < 100
+    assert main([*command, str(out), "--resume"]) == 0
+    assert capsys.readouterr().out == whole
