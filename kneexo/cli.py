@@ -8,17 +8,21 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from kneexo import __version__
-from kneexo.errors import KneexoError
+from kneexo.errors import KneexoError, WorkerError
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from pydantic import BaseModel
 
+    from kneexo.analysis import TrackingResult
     from kneexo.parameters import Scenario
     from kneexo.quantity import Parameters
 
@@ -52,19 +56,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KneexoError as error:
         scenario = getattr(options, "scenario", None)
         where = f"{scenario}: " if scenario and scenario not in str(error) else ""
-        print(f"kneexo: {where}{error}", file=sys.stderr)
+        kept = _kept(options) if isinstance(error, WorkerError) else ""
+        print(f"kneexo: {where}{error}{kept and f'; {kept}'}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, ImportError) as error:
         # An interrupt during the import of Drake arrives as an ImportError that it caused.
         cause = error.__cause__ or error.__context__
         if isinstance(error, ImportError) and not isinstance(cause, KeyboardInterrupt):
             raise
-        kept = getattr(options, "checkpoint", None)
-        what = "nothing was written"
-        if kept:
-            what = (
-                f"{len(kept)} finished pieces are kept in {kept.path}; --resume goes on from them"
-            )
+        what = _kept(options) or "nothing was written"
         print(f"kneexo: interrupted; {what}", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of our output went away, as with `| head`
@@ -111,11 +111,26 @@ def _parser() -> argparse.ArgumentParser:
             metavar="SCENARIO.yaml",
             help="scenario file; left out: the paper's setup (see `kneexo params`)",
         )
+        add_engine(sub)
+
+    def add_engine(sub: argparse.ArgumentParser) -> None:
         sub.add_argument(
             "--engine",
             choices=("compiled", "drake"),
             help="run on compiled equations, or through Drake's Simulator, 200 times slower; left "
             "out: as the scenario's integrator says",
+        )
+
+    def add_workers(sub: argparse.ArgumentParser) -> None:
+        where = sub.add_mutually_exclusive_group()
+        where.add_argument(
+            "--workers", type=int, metavar="N", help="processes; all cores by default"
+        )
+        where.add_argument(
+            "--dask",
+            metavar="tcp://HOST:PORT",
+            help="run on the workers of this Dask cluster instead; they need the same version of "
+            "kneexo (pip install 'kneexo[cluster]')",
         )
 
     def add_sweep(sub: argparse.ArgumentParser) -> None:
@@ -129,7 +144,7 @@ def _parser() -> argparse.ArgumentParser:
             dest="settings",
             help="a setting of the study, such as its seed; `kneexo params` lists them all",
         )
-        sub.add_argument("--workers", type=int, metavar="N", help="processes; all cores by default")
+        add_workers(sub)
         sub.add_argument(
             "--resume",
             action="store_true",
@@ -142,10 +157,11 @@ def _parser() -> argparse.ArgumentParser:
         "compute every figure and number of the paper",
         "Table 1 and Fig. 5 (linkage), Fig. 9 (ideal sliding mode), Fig. 12 (tracking with SMC and "
         "PID), Fig. 13 (frequency response), and Eq. 27 taken literally at 2 ms. "
-        "Takes some minutes on two cores.",
+        "Takes some seconds; the first time some more, to compile the equations.",
     )
+    add_engine(sub)
     add_out(sub, "figures (PNG, PDF), results.json and report.md")
-    sub.add_argument("--workers", type=int, metavar="N", help="processes; all cores by default")
+    add_workers(sub)
 
     sub = command("simulate", _simulate, "run one scenario")
     add_scenario(sub)
@@ -226,16 +242,13 @@ def _parser() -> argparse.ArgumentParser:
 
 def _scenario(options: argparse.Namespace, default: Scenario | None = None) -> Scenario:
     from kneexo.parameters import Scenario
-    from kneexo.scenario import changed, load_scenario
+    from kneexo.scenario import load_scenario
 
     if options.scenario is None:
         scenario = default or Scenario()
     else:
         scenario = load_scenario(options.scenario)
-    if options.engine and (options.engine == "compiled") != scenario.simulation.compiled:
-        integrator = "exact_hold" if options.engine == "compiled" else "radau3"
-        scenario = changed(scenario, {"simulation.integrator": integrator})
-    return scenario
+    return scenario.with_engine(options.engine)
 
 
 def _headless() -> None:
@@ -244,30 +257,45 @@ def _headless() -> None:
     matplotlib.use("Agg")
 
 
-def _check_workers(options: argparse.Namespace) -> None:
+def _executor(options: argparse.Namespace) -> AbstractContextManager[Executor | None]:
+    """The Dask cluster that was asked for; None leaves the choice to ``--workers``."""
     if options.workers is not None and options.workers < 1:
         from kneexo.errors import ParameterError
 
         raise ParameterError(f"--workers = {options.workers}: must be at least 1")
+    if options.dask is None:
+        return nullcontext()
+    from kneexo.analysis.parallel import dask_cluster
+
+    return dask_cluster(options.dask)
+
+
+def _kept(options: argparse.Namespace) -> str:
+    """What an unfinished sweep has left; empty where it kept nothing."""
+    kept = getattr(options, "checkpoint", None)
+    if not kept:
+        return ""
+    return f"{len(kept)} finished pieces are kept in {kept.path}; --resume goes on from them"
 
 
 def _sweep(options: argparse.Namespace, name: str, compute: Callable[..., Any]) -> None:
     """Run a study whose finished pieces are kept, and write results, report and figures.
 
-    ``compute`` takes ``workers``, ``checkpoint`` and ``progress``; what it returns has
-    ``results()``, ``report()`` and ``figures()``.
+    ``compute`` takes ``workers``, ``executor``, ``checkpoint`` and ``progress``; what it returns
+    has ``results()``, ``report()`` and ``figures()``.
     """
-    _check_workers(options)
     _headless()
     import matplotlib.pyplot as plt
 
     from kneexo.analysis.checkpoint import Checkpoint
     from kneexo.output import output_directory, save_figure, to_json
 
-    with output_directory(options.out) as directory:
+    with _executor(options) as executor, output_directory(options.out) as directory:
         checkpoint = Checkpoint(options.out / f"{name}.checkpoint.jsonl", resume=options.resume)
         options.checkpoint = checkpoint
-        done = compute(workers=options.workers, checkpoint=checkpoint, progress=True)
+        done = compute(
+            workers=options.workers, executor=executor, checkpoint=checkpoint, progress=True
+        )
         numbers, text = to_json(done.results()), done.report()
         (directory / f"{name}.json").write_text(numbers, encoding="utf-8")
         (directory / f"{name}.md").write_text(text, encoding="utf-8")
@@ -292,9 +320,10 @@ def _reproduce(options: argparse.Namespace) -> None:
     from kneexo.output import output_directory, save_figure, to_json
     from kneexo.reproduction import figures, report, reproduce, results
 
-    _check_workers(options)
-    with output_directory(options.out) as directory:
-        done = reproduce(workers=options.workers, progress=True)
+    with _executor(options) as executor, output_directory(options.out) as directory:
+        done = reproduce(
+            engine=options.engine, workers=options.workers, executor=executor, progress=True
+        )
         numbers = results(done)
         (directory / "results.json").write_text(to_json(numbers), encoding="utf-8")
         text = report(numbers)
@@ -314,24 +343,15 @@ def _simulate(options: argparse.Namespace) -> None:
     _headless()
     from dataclasses import asdict
 
-    from tqdm import tqdm
-
     from kneexo.analysis import track
-    from kneexo.diagrams import make_closed_loop
     from kneexo.output import output_directory, save_figure, to_json, write_csv
     from kneexo.scenario import dump_scenario
 
     with output_directory(options.out) as directory:
-        make_closed_loop(scenario)  # what is wrong with it shows before the progress bar
-        with tqdm(
-            total=scenario.simulation.duration_s,
-            desc="simulated time",
-            mininterval=0.5,
-            bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
-        ) as bar:
-            result = track(
-                scenario, all_signals=True, progress=lambda time: bar.update(time - bar.n)
-            )
+        if scenario.simulation.compiled:
+            result = track(scenario, all_signals=True)
+        else:
+            result = _track_with_bar(scenario)
         metrics = to_json(asdict(result.metrics))
         (directory / "metrics.json").write_text(metrics, encoding="utf-8")
         (directory / "scenario.yaml").write_text(dump_scenario(scenario), encoding="utf-8")
@@ -343,6 +363,22 @@ def _simulate(options: argparse.Namespace) -> None:
     for name, value in asdict(result.metrics).items():
         print(f"{name:28s} {value:.6g}")
     print(f"In {options.out}: signals.csv, metrics.json, scenario.yaml, tracking.png, tracking.pdf")
+
+
+def _track_with_bar(scenario: Scenario) -> TrackingResult:
+    from tqdm import tqdm
+
+    from kneexo.analysis import track
+    from kneexo.diagrams import make_closed_loop
+
+    make_closed_loop(scenario)  # what is wrong with it shows before the progress bar
+    with tqdm(
+        total=scenario.simulation.duration_s,
+        desc="simulated time",
+        mininterval=0.5,
+        bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
+    ) as bar:
+        return track(scenario, all_signals=True, progress=lambda time: bar.update(time - bar.n))
 
 
 def _linearize(options: argparse.Namespace) -> None:

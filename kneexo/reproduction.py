@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -26,6 +28,8 @@ from kneexo.analysis import (
 )
 from kneexo.analysis.simulation import Array, rms, to_rpm
 from kneexo.analysis.tracking import mean_change
+from kneexo.compilation.cache import load_key
+from kneexo.compilation.scenarios import structure_key
 from kneexo.parameters import (
     EQ_27_DIFFERENCES,
     EQ_27_EXACT_STATES,
@@ -38,6 +42,7 @@ from kneexo.parameters import (
     SineReference,
     SinestreamParameters,
 )
+from kneexo.scenario import changed
 from kneexo.systems.knee_coordinates import rod_derivatives
 
 PAPER_BANDWIDTH_HZ = 0.21
@@ -65,6 +70,14 @@ def _hydraulic(scenario: Scenario) -> Run:
     return simulate(scenario, signals=("load_pressure", "motor_speed_command"))
 
 
+_STUDIES: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...] = (
+    ("fig9", _ideal, {"": IDEAL_SMC}),
+    ("fig12", track, FIG_12),
+    ("exact", _hydraulic, EQ_27_EXACT_STATES),
+    ("differences", track, EQ_27_DIFFERENCES),
+)
+
+
 def _call(task: partial[Any]) -> Any:
     return task()
 
@@ -75,18 +88,52 @@ def _cost(task: partial[Any]) -> float:
     return simulation.duration_s / simulation.step_s
 
 
+def _first_sample(scenario: Scenario) -> None:
+    duration = {"simulation.duration_s": scenario.controller.sample_time_s}
+    simulate(changed(scenario, duration), signals=())
+
+
+def _compile_ahead(scenarios: Iterable[Scenario], *, workers: int | None, progress: bool) -> None:
+    """Compile side by side the structures that no earlier run has left in the cache."""
+    structures = {structure_key(s): s for s in scenarios if s.simulation.compiled}
+    new = [scenario for key, scenario in structures.items() if load_key(key) is None]
+    new.sort(key=lambda scenario: scenario.simulation.integrator == "rk4")  # the quickest last
+    if len(new) > 1 and workers != 1:
+        parallel_map(
+            _first_sample,
+            new,
+            workers=workers,
+            description="compiling" if progress else None,
+        )
+
+
 def reproduce(
     settings: SinestreamParameters = SinestreamParameters(),
     *,
+    engine: Literal["compiled", "drake"] | None = None,
     workers: int | None = 1,
+    executor: Executor | None = None,
     progress: bool = False,
 ) -> Reproduction:
-    """Run every study of the paper; ``workers`` as in `kneexo.analysis.parallel_map`."""
-    tasks: dict[tuple[str, str], partial[Any]] = {("fig9", ""): partial(_ideal, IDEAL_SMC)}
-    tasks |= {("fig12", name): partial(track, case) for name, case in FIG_12.items()}
-    tasks |= {("exact", name): partial(_hydraulic, c) for name, c in EQ_27_EXACT_STATES.items()}
-    tasks |= {("differences", name): partial(track, c) for name, c in EQ_27_DIFFERENCES.items()}
-    with process_pool(workers) as pool:
+    """Run every study of the paper.
+
+    ``engine``: see `Scenario.with_engine`. ``workers`` (see `kneexo.analysis.parallel_map`) share
+    the compiling, and all the work of Drake's Simulator; compiled equations then take a second.
+    An ``executor`` gets everything.
+    """
+    tasks = {
+        (key, name): partial(run, case.with_engine(engine))
+        for key, run, cases in _STUDIES
+        for name, case in cases.items()
+    }
+    base = Scenario().with_engine(engine)
+    if executor is not None:
+        pool_of: AbstractContextManager[Executor | None] = nullcontext(executor)
+    else:
+        scenarios = [task.args[0] for task in tasks.values()]
+        _compile_ahead(scenarios, workers=workers, progress=progress)
+        pool_of = process_pool(workers if engine == "drake" else 1)
+    with pool_of as pool:
         values = parallel_map(
             _call,
             list(tasks.values()),
@@ -94,13 +141,12 @@ def reproduce(
             description="Fig. 9, Fig. 12, Eq. 27 at 2 ms" if progress else None,
             weight=_cost,
         )
-        response = sinestream(Scenario(), settings, executor=pool, progress=progress)
-        scaling = {
-            name: sinestream(
-                case, own, trials=[nominal_trial(case)], executor=pool, progress=progress
-            )
-            for name, (case, own) in FIG_13_SCALING.items()
-        }
+        response = sinestream(base, settings, executor=pool, progress=progress)
+        scaling = {}
+        for name, (case, own) in FIG_13_SCALING.items():
+            scaled = case.with_engine(engine)
+            trials = [nominal_trial(scaled)]
+            scaling[name] = sinestream(scaled, own, trials=trials, executor=pool, progress=progress)
     done = dict(zip(tasks, values, strict=True))
 
     def group(key: str) -> dict[str, Any]:

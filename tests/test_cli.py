@@ -280,7 +280,8 @@ class FakeStudy:
 def test_each_study_is_wired(capsys, tmp_path, monkeypatch, command, module, function, settings):
     seen = {}
 
-    def compute(scenario, *, settings, workers, checkpoint, progress):
+    def compute(scenario, *, settings, workers, executor, checkpoint, progress):
+        assert executor is None
         seen["workers"] = workers
         return FakeStudy(settings)
 

@@ -5,7 +5,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from kneexo.analysis import Run, fit_polynomials, simulate, sinestream, track
+from kneexo import reproduction
+from kneexo.analysis import (
+    Run,
+    draw_trials,
+    fit_polynomials,
+    linearize_loop,
+    simulate,
+    sinestream,
+    track,
+)
+from kneexo.compilation.scenarios import structure_key
 from kneexo.output import to_json
 from kneexo.parameters import (
     EQ_27_DIFFERENCES,
@@ -145,22 +155,46 @@ def test_the_start_of_fig_9_is_89_mm_off(short):
     assert rod_error_mm(short.fig9)[0] == pytest.approx(-89.0, abs=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "grows"), [("10000", False), ("13000", True)])
-def test_exact_states_at_2_ms_are_unstable_above_a_slope_in_the_boundary_layer(name, grows):
-    run = simulate(
-        shortened(EQ_27_EXACT_STATES[name], 2.0), signals=("load_pressure", "motor_speed_command")
+@pytest.mark.parametrize("name", list(EQ_27_EXACT_STATES))
+def test_the_oscillation_at_2_ms_grows_as_the_eigenvalues_say(name):
+    case = EQ_27_EXACT_STATES[name]
+    eigenvalues = linearize_loop(case, 30.0).eigenvalues
+    # The mode of the oil, 447 Hz, appears at 500 − 447 = 53 Hz.
+    hertz = np.abs(np.angle(eigenvalues)) / (2.0 * np.pi * 0.002)
+    mode = eigenvalues[np.argmin(np.abs(hertz - 53.0))]
+    run = simulate(case, signals=("load_pressure", "motor_speed_command"))
+    # The fit's blocks of 0.15 s hold eight periods.
+    assert growth_rate(run) == pytest.approx(np.log(abs(mode)) / 0.002, abs=0.02)
+    assert (growth_rate(run) > 0.0) == (name == "13000")
+
+
+def test_each_structure_is_compiled_once(monkeypatch):
+    given = []
+    monkeypatch.setattr(reproduction, "load_key", lambda key: None)
+    monkeypatch.setattr(
+        reproduction, "parallel_map", lambda function, items, **_: given.extend(items)
     )
-    assert (growth_rate(run) > 0.0) == grows
+    cases = [case for _, _, own in reproduction._STUDIES for case in own.values()]
+    reproduction._compile_ahead(cases, workers=2, progress=False)
+    keys = {structure_key(case) for case in given}
+    assert len(keys) == len(given) == 5
+    base = Scenario()
+    trials = draw_trials(base, SinestreamParameters())
+    scaled = [case for case, _ in FIG_13_SCALING.values()]
+    for case in (*cases, *scaled, *(trial.applied(base) for trial in trials)):
+        assert structure_key(case) in keys
+    given.clear()
+    reproduction._compile_ahead(
+        [case.with_engine("drake") for case in cases], workers=2, progress=False
+    )
+    assert not given
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", list(EQ_27_DIFFERENCES))
 def test_differences_of_the_encoder_make_degrees_of_error(name):
     assert 5.0 < track(EQ_27_DIFFERENCES[name]).metrics.max_error_deg < 26.0
 
 
-@pytest.mark.slow
 def test_the_tuned_pids_stay_within_the_chattering_of_the_sliding_mode():
     smc = track(FIG_12["smc"]).metrics
     assert smc.max_error_deg <= 0.30

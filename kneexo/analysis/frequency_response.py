@@ -8,25 +8,22 @@ has settled and says how accurate the result is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from pydrake.systems.framework import Diagram
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.optimize import brentq
 
 from kneexo.analysis.parallel import parallel_map
-from kneexo.analysis.simulation import Array, Run, simulate, simulate_diagram
-from kneexo.diagrams import columns, make_closed_loop, set_encoder_phase
+from kneexo.analysis.simulation import Array, Run, simulate
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     Scenario,
-    SimulationParameters,
     SineEstimateParameters,
     SineReference,
     SinestreamParameters,
@@ -35,8 +32,6 @@ from kneexo.scenario import changed
 
 MINUS_3_DB = 1.0 / math.sqrt(2.0)
 """The bandwidth's threshold on the gain of the fundamental."""
-
-_SIGNALS = ("knee_reference", "knee_angle")
 
 
 @dataclass(frozen=True)
@@ -48,6 +43,20 @@ class Trial:
     bulk_modulus_pa: float
     mass_kg: float
     encoder_phase_rad: float
+
+    def applied(self, scenario: Scenario) -> Scenario:
+        """The scenario in this trial; its controller believes in the same plant as before."""
+        return changed(
+            scenario,
+            {
+                "nominal": scenario.believed_plant.model_dump(),
+                "plant.pump.internal_leakage_m3_per_s_pa": self.internal_leakage_m3_per_s_pa,
+                "plant.pump.acceleration_limit_rad_s2": self.acceleration_limit_rad_s2,
+                "plant.cylinder.bulk_modulus_pa": self.bulk_modulus_pa,
+                "plant.cylinder.mass_kg": self.mass_kg,
+                "encoder.phase_rad": self.encoder_phase_rad,
+            },
+        )
 
 
 def draw_trials(scenario: Scenario, settings: SinestreamParameters) -> tuple[Trial, ...]:
@@ -85,7 +94,7 @@ def nominal_trial(scenario: Scenario) -> Trial:
         acceleration_limit_rad_s2=scenario.plant.pump.acceleration_limit_rad_s2,
         bulk_modulus_pa=scenario.plant.cylinder.bulk_modulus_pa,
         mass_kg=scenario.plant.cylinder.mass_kg,
-        encoder_phase_rad=0.0,
+        encoder_phase_rad=scenario.encoder.phase_rad,
     )
 
 
@@ -197,48 +206,12 @@ def crossing(frequencies_hz: Array, gain: Array, threshold: float = MINUS_3_DB) 
     )
 
 
-@lru_cache(maxsize=4)
-def _diagram(scenario: Scenario) -> Diagram:
-    """One diagram a process: on Python 3.11 a LeafSystem is never freed."""
-    return make_closed_loop(scenario, signals=_SIGNALS)
-
-
-def _measure(
-    scenario: Scenario, settings: SinestreamParameters, work: tuple[float, Trial]
-) -> complex:
-    """Response of one trial at one frequency."""
-    frequency, trial = work
-    diagram = _diagram(scenario)
-    context = diagram.CreateDefaultContext()
-    plant = diagram.GetSubsystemByName("plant")
-
-    def change(system: Any, **values: float) -> None:
-        own = system.GetMyMutableContextFromRoot(context)
-        for name, value in values.items():
-            system.set_parameter(own, name, value)
-
-    pump = scenario.plant.pump
-    change(diagram.GetSubsystemByName("reference"), frequency_hz=frequency)
-    change(
-        plant.GetSubsystemByName("motor"),
-        acceleration_limit_rad_s2=trial.acceleration_limit_rad_s2,
-        leakage_m3_per_s_pa=trial.internal_leakage_m3_per_s_pa
-        + 0.5 * pump.external_leakage_m3_per_s_pa,
-    )
-    change(
-        plant.GetSubsystemByName("cylinder"),
-        bulk_modulus_pa=trial.bulk_modulus_pa,
-        mass_kg=trial.mass_kg,
-    )
-    if scenario.encoder.quantized:
-        set_encoder_phase(diagram, context, scenario, trial.encoder_phase_rad)
-    duration = (settings.transient_cycles + settings.measured_cycles) / frequency
-    run = simulate_diagram(
-        diagram,
-        context,
-        columns(_SIGNALS),
-        SimulationParameters(**{**dict(scenario.simulation), "duration_s": duration}),
-    )
+def _measure(settings: SinestreamParameters, work: tuple[float, Scenario]) -> complex:
+    """Response of a scenario at one frequency in Hz."""
+    frequency, scenario = work
+    cycles = settings.transient_cycles + settings.measured_cycles
+    at = {"reference.frequency_hz": frequency, "simulation.duration_s": cycles / frequency}
+    run = simulate(changed(scenario, at), signals=("knee_reference", "knee_angle"))
     measured = run.time_s >= settings.transient_cycles / frequency
     measured[-1] = False  # the end of the last period is its beginning
     time = run.time_s[measured]
@@ -297,11 +270,10 @@ def sinestream(
         raise ParameterError("trials: there are none; a sinestream needs at least one")
     frequencies = sorted(settings.frequencies_hz)
     require_sampled(frequencies[-1], scenario)
-    work = [(frequency, trial) for trial in drawn for frequency in frequencies]
-    measure: Callable[[tuple[float, Trial]], complex] = partial(_measure, scenario, settings)
+    cases = [trial.applied(scenario) for trial in drawn]
     values = parallel_map(
-        measure,
-        work,
+        partial(_measure, settings),
+        [(frequency, case) for case in cases for frequency in frequencies],
         workers=workers,
         executor=executor,
         description="frequency response" if progress else None,

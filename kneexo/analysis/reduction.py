@@ -143,14 +143,7 @@ def switching_row(
     slow = _ramp(scenario, "full", force, flexing, settings.switching_rate_deg_s)
     duration = 0.95 * (high - low) / settings.switching_rate_deg_s
     run = simulate(
-        changed(
-            slow,
-            {
-                "simulation.duration_s": duration,
-                "simulation.integrator": "rk4",
-                "simulation.step_s": settings.switching_step_s,
-            },
-        ),
+        changed(slow, {"simulation.duration_s": duration}).with_steps(settings.switching_step_s),
         signals=(
             *("rod_velocity", "rod_reference", "knee_angle", "knee_reference"),
             "chamber_pressures",

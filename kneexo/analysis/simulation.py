@@ -110,7 +110,11 @@ def simulate(
 
         try:
             run = simulate_compiled(
-                scenario, signals=signals, integrator=settings.integrator, step_s=settings.step_s
+                scenario,
+                signals=signals,
+                integrator=settings.integrator,
+                step_s=settings.step_s,
+                tolerance=settings.tolerance,
             )
         except StiffnessError:  # valves that open and close all the time: small steps, no error
             run = simulate_compiled(

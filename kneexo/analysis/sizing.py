@@ -363,7 +363,9 @@ def _sizing(scenario: Scenario, settings: SizingParameters, run: Any) -> Sizing:
         ),
         traces={
             "nominal": _trace(scenario, frequencies[0], settings.cycles),
-            "sized": _trace(_checked(first, settings, 1.0), frequencies[0], settings.cycles),
+            "sized": _trace(
+                first.with_steps(settings.check_step_s), frequencies[0], settings.cycles
+            ),
         },
     )
 
@@ -410,17 +412,6 @@ def _best(gains: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
     return min(candidates, key=lambda one: float(one["max_error_deg"]))
 
 
-def _checked(scenario: Scenario, settings: SizingParameters, share: float) -> Scenario:
-    """The scenario with RK4 at a share of the check step, which the oil's mode needs."""
-    return changed(
-        scenario,
-        {
-            "simulation.integrator": "rk4",
-            "simulation.step_s": settings.check_step_s * share,
-        },
-    )
-
-
 def _design(
     scenario: Scenario,
     settings: SizingParameters,
@@ -444,7 +435,8 @@ def _design(
     sized_flow = settings.margin * flow.value
     acceleration = smallest(lambda a: error_deg(sized_flow, a), low, high, **needed)
     design = sized(sized_flow, settings.margin * acceleration.value)
-    solvers = [design, *(_checked(design, settings, share) for share in (1.0, 0.5))]
+    check = settings.check_step_s  # which the oil's mode needs
+    solvers = [design, *(design.with_steps(step) for step in (check, 0.5 * check))]
     found = run(walking, [(other, frequency_hz) for other in solvers])
     return WalkingDesign(frequency_hz, flow, acceleration, design, *found)
 
@@ -459,7 +451,7 @@ def _variations(
         for name in ("makeup_conductance_m3_per_s_pa", "relief_conductance_m3_per_s_pa")
     }
     friction = {"coulomb_friction_n": settings.seal_friction_n}
-    # Valves and friction this stiff need an implicit integrator.
+    # Valves and friction this stiff need an implicit integrator, whatever the engine.
     implicit = {"simulation.integrator": "radau3", "simulation.step_s": _IMPLICIT_STEP_S}
     variations: dict[str, Any] = {
         "reduced order (Eq. 15)": {"plant.full_order": None},

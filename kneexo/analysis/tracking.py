@@ -95,10 +95,9 @@ def tracking_metrics(
             f"{time_s.size} samples are too few for metrics: the run must be longer than the "
             f"sample time"
         )
-    settled = time_s >= settled_s - 1e-9
-    long_enough = np.count_nonzero(settled) > 1
-    if not long_enough:
-        settled = np.ones_like(settled)
+    first = int(np.searchsorted(time_s, settled_s - 1e-9))
+    long_enough = time_s.size - first > 1
+    settled = slice(first if long_enough else 0, None)
     error = np.degrees(error_rad)
     power = np.asarray(shaft_power_w)
 

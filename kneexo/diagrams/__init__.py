@@ -5,7 +5,6 @@ from kneexo.diagrams.closed_loop import (
     available_signals,
     columns,
     make_closed_loop,
-    set_encoder_phase,
 )
 from kneexo.diagrams.plant import PLANT_OUTPUTS, make_plant
 
@@ -16,5 +15,4 @@ __all__ = [
     "columns",
     "make_closed_loop",
     "make_plant",
-    "set_encoder_phase",
 ]

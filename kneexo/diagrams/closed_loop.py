@@ -7,12 +7,13 @@ from typing import Any
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import (
+    Adder,
+    ConstantVectorSource,
     DiscreteTimeDelay,
     LogVectorOutput,
     Multiplexer,
     PassThrough,
 )
-from pydrake.systems.sensors import RotaryEncoders
 
 from kneexo import systems
 from kneexo.diagrams.plant import FULL_ORDER_OUTPUTS, make_plant
@@ -95,12 +96,13 @@ def make_closed_loop(
 ) -> Diagram:
     """Build the closed loop of a scenario; without arguments the paper's sliding-mode setup.
 
-    Subsystems: ``plant``, ``encoder`` (Drake's `RotaryEncoders`, or a `PassThrough` when it is not
-    quantized), ``coordinates``, ``reference``, ``rod_reference``, ``estimator`` (SMC only, unless
-    the states are exact), ``controller``, ``can_bus`` (only with latency), ``signals`` and ``log``
-    (a `VectorLogSink` at the control period with the columns ``columns(signals)``; all available
-    signals by default, none with ``signals=()``). Inputs: ``disturbance_force`` and, with a load,
-    ``knee_torque``; both may stay unconnected. Outputs: each of `available_signals`.
+    Subsystems: ``plant``, ``encoder`` (Drake's `RotaryEncoders`, behind ``encoder_phase`` and
+    ``encoder_mounting``, or a `PassThrough` when it is not quantized), ``coordinates``,
+    ``reference``, ``rod_reference``, ``estimator`` (SMC only, unless the states are exact),
+    ``controller``, ``can_bus`` (only with latency), ``signals`` and ``log`` (a `VectorLogSink` at
+    the control period with the columns ``columns(signals)``; all available signals by default,
+    none with ``signals=()``). Inputs: ``disturbance_force`` and, with a load, ``knee_torque``; both
+    may stay unconnected. Outputs: each of `available_signals`.
 
     With ``external_reference`` there is no ``reference`` subsystem but an input ``knee_reference``
     (θ_d and its derivatives to the third); the scenario's reference then only says where the
@@ -130,12 +132,7 @@ def make_closed_loop(
         ),
     )
     rod_reference = add("rod_reference", systems.RodReference(scenario.polynomial))
-    encoder = add(
-        "encoder",
-        RotaryEncoders([scenario.encoder.counts_per_revolution])
-        if scenario.encoder.quantized
-        else PassThrough(1),
-    )
+    encoder = _encoder(builder, scenario, plant.GetOutputPort("encoder_angle"))
     coordinates = add(
         "coordinates",
         systems.KneeCoordinates(
@@ -150,7 +147,6 @@ def make_closed_loop(
     else:
         knee_reference = add("reference", systems.make_knee_reference(scenario.reference))
     builder.Connect(knee_reference.get_output_port(), rod_reference.get_input_port())
-    builder.Connect(plant.GetOutputPort("encoder_angle"), encoder.get_input_port())
     builder.Connect(encoder.get_output_port(), coordinates.get_input_port())
 
     ports = {name: plant.GetOutputPort(name) for name in SIGNALS if plant.HasOutputPort(name)} | {
@@ -222,21 +218,30 @@ def _estimate(builder: Any, scenario: Scenario, plant: Any, coordinates: Any) ->
     return estimator.get_output_port()
 
 
-def encoder_offset_rad(scenario: Scenario) -> float:
-    """What the controller adds to a reading: half a count, less what calibration got wrong."""
-    return 0.5 * scenario.encoder.resolution_rad - scenario.encoder.mounting_error_rad
+def _encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
+    """Add the encoder that reads the port ``angle`` (θ_4), less its phase; returns the system."""
+    from pydrake.systems.sensors import RotaryEncoders  # with cameras and geometry: 0.05 s
 
-
-def set_encoder_phase(diagram: Diagram, context: Any, scenario: Scenario, phase_rad: float) -> None:
-    """Shift where the counts of the encoder fall, by a calibrated (known) mounting angle in rad.
-
-    ``diagram`` is the quantized closed loop of ``scenario``, ``context`` its Context.
-    """
-    encoder = diagram.GetSubsystemByName("encoder")
-    encoder.set_calibration_offsets(encoder.GetMyMutableContextFromRoot(context), [phase_rad])
-    coordinates = diagram.GetSubsystemByName("coordinates")
-    coordinates.set_parameter(
-        coordinates.GetMyMutableContextFromRoot(context),
-        "offset_rad",
-        phase_rad + encoder_offset_rad(scenario),
+    if not scenario.encoder.quantized:
+        encoder = builder.AddNamedSystem("encoder", PassThrough(1))
+        builder.Connect(angle, encoder.get_input_port())
+        return encoder
+    encoder = builder.AddNamedSystem(
+        "encoder", RotaryEncoders([scenario.encoder.counts_per_revolution])
     )
+    # The encoder's own calibration offset can only be set in a Context, not in the diagram.
+    phase = builder.AddNamedSystem(
+        "encoder_phase", ConstantVectorSource([-scenario.encoder.phase_rad])
+    )
+    mounting = builder.AddNamedSystem("encoder_mounting", Adder(2, 1))
+    builder.Connect(angle, mounting.get_input_port(0))
+    builder.Connect(phase.get_output_port(), mounting.get_input_port(1))
+    builder.Connect(mounting.get_output_port(), encoder.get_input_port())
+    return encoder
+
+
+def encoder_offset_rad(scenario: Scenario) -> float:
+    """What the controller adds to a reading: phase and half a count, less the mounting error."""
+    encoder = scenario.encoder
+    phase = encoder.phase_rad if encoder.quantized else 0.0
+    return phase + 0.5 * encoder.resolution_rad - encoder.mounting_error_rad

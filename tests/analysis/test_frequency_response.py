@@ -12,6 +12,7 @@ from kneexo.analysis import (
     frequency_response,
     fundamental,
     linearize_loop,
+    nominal_trial,
     sinestream,
 )
 from kneexo.analysis.frequency_response import (
@@ -91,6 +92,21 @@ def test_trials_are_seeded_and_within_their_ranges():
     assert all(0.0 <= trial.encoder_phase_rad <= count for trial in trials)
 
 
+def test_a_trial_changes_the_plant_and_not_what_the_controller_believes():
+    scenario = Scenario()
+    trial = draw_trials(scenario, SinestreamParameters())[0]
+    applied = trial.applied(scenario)
+    assert applied.plant.pump.internal_leakage_m3_per_s_pa == trial.internal_leakage_m3_per_s_pa
+    assert applied.plant.pump.acceleration_limit_rad_s2 == trial.acceleration_limit_rad_s2
+    assert applied.plant.cylinder.bulk_modulus_pa == trial.bulk_modulus_pa
+    assert applied.plant.cylinder.mass_kg == trial.mass_kg
+    assert applied.encoder.phase_rad == trial.encoder_phase_rad
+    assert applied.believed_plant == scenario.plant
+    wrong = changed(scenario, {"nominal": {"ideal_motor": True}})
+    assert trial.applied(wrong).believed_plant == wrong.nominal
+    assert nominal_trial(scenario).applied(scenario).plant == scenario.plant
+
+
 def test_the_default_frequencies_hold_those_of_the_paper():
     frequencies = SinestreamParameters().frequencies_hz
     assert len(frequencies) >= 14
@@ -139,7 +155,6 @@ def test_a_small_sine_within_the_speed_limit_is_followed():
     assert len(result.plot()) == 2
 
 
-@pytest.mark.slow
 def test_the_bandwidth_is_that_of_a_rate_limited_follower_and_scales_with_flow_over_amplitude():
     # Kinematic follower of a sine in the knee angle at 40.4 mm/s: 0.2247 Hz; twice the flow or
     # half the amplitude doubles it, but for the knee's own nonlinearity.

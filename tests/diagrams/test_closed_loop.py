@@ -13,7 +13,6 @@ from kneexo.diagrams import (
     available_signals,
     columns,
     make_closed_loop,
-    set_encoder_phase,
 )
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
@@ -96,7 +95,8 @@ def test_subsystems_and_exported_ports_are_named(case):
     diagram = make_closed_loop(scenario)
     always = {"plant", "encoder", "coordinates", "reference", "rod_reference", "controller"}
     names = {system.get_name() for system in diagram.GetSystems()}
-    assert names == always | {"signals", "log"} | systems
+    counting = {"encoder_phase", "encoder_mounting"} if scenario.encoder.quantized else set()
+    assert names == always | counting | {"signals", "log"} | systems
     ports = [diagram.get_input_port(i) for i in range(diagram.num_input_ports())]
     assert {port.get_name() for port in ports} == {"disturbance_force"} | inputs
     outputs = dict(OUTPUTS)
@@ -780,18 +780,20 @@ def test_a_mounting_error_shifts_the_measured_knee_angle(four_bar, quantized):
     assert measured == pytest.approx(expected, abs=0.51 * count if quantized else 1e-9)
 
 
+def with_phase(phase, **changes):
+    return Scenario(encoder=EncoderParameters(phase_rad=phase), **changes)
+
+
 def test_encoder_phase_moves_the_counts_and_leaves_no_mean_error(four_bar):
-    scenario = Scenario()
-    diagram = make_closed_loop(scenario)
-    context = diagram.CreateDefaultContext()
-    cylinder = diagram.GetSubsystemByName("plant").GetSubsystemByName("cylinder")
     phases = COUNT * np.arange(64) / 16.0  # four counts
+    loops = [make_closed_loop(with_phase(phase), signals=()) for phase in phases]
     for knee in np.radians([5.0, 37.0, 80.0]):
-        state = [four_bar.rod(knee), 0.0, 0.0]
-        cylinder.GetMyMutableContextFromRoot(context).SetContinuousState(state)
         readings, errors = [], []
-        for phase in phases:
-            set_encoder_phase(diagram, context, scenario, phase)
+        for diagram in loops:
+            context = diagram.CreateDefaultContext()
+            cylinder = diagram.GetSubsystemByName("plant").GetSubsystemByName("cylinder")
+            state = [four_bar.rod(knee), 0.0, 0.0]
+            cylinder.GetMyMutableContextFromRoot(context).SetContinuousState(state)
             readings.append(diagram.GetOutputPort("encoder_reading").Eval(context)[0])
             measured = diagram.GetOutputPort("measured_knee_angle").Eval(context)[0]
             errors.append(measured - knee)
@@ -809,12 +811,11 @@ def test_encoder_phase_moves_the_counts_and_leaves_no_mean_error(four_bar):
 
 
 def test_encoder_phase_changes_the_commands_but_hardly_the_knee(fixed_step):
-    scenario = Scenario(reference=REFERENCE)
-    diagram = make_closed_loop(scenario)
     runs = []
     for phase in (0.0, 0.4 * COUNT):
+        scenario = with_phase(phase, reference=REFERENCE)
+        diagram = make_closed_loop(scenario)
         simulator = fixed_step(diagram, "radau3", PERIOD)
-        set_encoder_phase(diagram, simulator.get_mutable_context(), scenario, phase)
         simulator.AdvanceTo(0.4)
         data, _ = logged(
             diagram,
@@ -828,6 +829,15 @@ def test_encoder_phase_changes_the_commands_but_hardly_the_knee(fixed_step):
     # One count is 0.11° of the knee here.
     assert difference[0] < math.radians(0.11)
     assert difference[1] > 1.0
+
+
+def test_encoder_phase_means_nothing_without_the_quantizer():
+    free = EncoderParameters(quantized=False, phase_rad=0.4 * COUNT)
+    diagram = make_closed_loop(Scenario(encoder=free), signals=())
+    context = diagram.CreateDefaultContext()
+    knee = diagram.GetOutputPort("knee_angle").Eval(context)[0]
+    measured = diagram.GetOutputPort("measured_knee_angle").Eval(context)[0]
+    assert measured == pytest.approx(knee, abs=1e-9)
 
 
 # ---------------------------------------------------------------------------------- errors
