@@ -41,13 +41,14 @@ def _own_directory() -> Path:
     return Path(tempfile.mkdtemp(prefix="kneexo-"))
 
 
-def _hash(text: str) -> str:
+def text_hash(text: str) -> str:
+    """Name of a text by its content."""
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def load_text(text: str) -> ModuleType:
     """The module with that text, from the cache where it is there."""
-    name = _PREFIX + _hash(text)
+    name = _PREFIX + text_hash(text)
     if name in sys.modules:
         return sys.modules[name]
     path = cache_directory() / f"{name}.py"
@@ -77,7 +78,7 @@ def note_key(key: str, module: ModuleType) -> None:
 
 
 def _key_path(key: str) -> Path:
-    return cache_directory() / f"{_hash(key)}.key"
+    return cache_directory() / f"{text_hash(key)}.key"
 
 
 def _is_sound(path: Path) -> bool:
@@ -88,7 +89,7 @@ def _is_sound(path: Path) -> bool:
         return False
     except UnicodeDecodeError:
         text = ""
-    if _PREFIX + _hash(text) == path.stem:
+    if _PREFIX + text_hash(text) == path.stem:
         return True
     warnings.warn(f"{path}: damaged; it is written anew", stacklevel=2)
     return False

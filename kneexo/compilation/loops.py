@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 STATE_COUNT = HELD_COUNT = INPUT_COUNT = OUTPUT_COUNT = LIMIT_COUNT = 0
+FINEST = SLOTS = 0
 
 
 def jit(function: Any) -> Any:
@@ -22,8 +23,9 @@ def jit(function: Any) -> Any:
     return function
 
 
-inline = jit
-"""The same for functions called in the inner loops: passing ten arrays costs more than they do."""
+inner = inline = jit
+"""The same for functions that Python does not call, and for those called in the inner loops:
+passing ten arrays costs more than they do."""
 
 
 def unrolled(vectors: str) -> Any:
@@ -39,7 +41,21 @@ def derivatives(t: Any, x: Any, d: Any, u: Any, c: Any) -> Any:
 
 
 def jacobian(t: Any, x: Any, d: Any, u: Any, c: Any, j: Any) -> None:
-    """Stand-in: j = df/dx."""
+    """Stand-in: j = df/dx, row by row."""
+
+
+def choose_slot(
+    x: Any,
+    settings: Any,
+    w: Any,
+    memory: Any,
+    jacobians: Any,
+    tables: Any,
+    norms: Any,
+    current: int,
+) -> int:
+    """Stand-in for that of `linear_parts`."""
+    return 0
 
 
 def instant(
@@ -49,7 +65,20 @@ def instant(
 
 
 def advance(
-    t: Any, end: Any, x: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
+    t: Any,
+    end: Any,
+    x: Any,
+    d: Any,
+    u: Any,
+    c: Any,
+    breaks: Any,
+    coefficients: Any,
+    settings: Any,
+    w: Any,
+    memory: Any,
+    jacobians: Any,
+    tables: Any,
+    norms: Any,
 ) -> int:
     """Stand-in for one of the integrators below: advance ``x`` from ``t`` to ``end``."""
     return 0
@@ -59,8 +88,7 @@ def advance(
 
 NEGLIGIBLE = 0.01  # share of the tolerance that is not worth a correction
 STIFF = 0.5  # norm of A h below which the choice of A does not matter
-FINEST = 12  # the exact hold halves its step at most so often
-SLOTS = 4  # linear parts that it remembers
+INDEX = (1 << 40) - 1  # bits of an index
 MOST_EXCESS = 1e-2  # sum of the errors of its finest steps that miss the tolerance
 
 OK, NOT_FINITE, OUTSIDE, TOO_ROUGH = range(4)
@@ -94,10 +122,23 @@ def rate(t: Any, x: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any)
 
 @unrolled("x z k1 k2 k3")
 def advance_runge_kutta3(
-    t: Any, end: Any, state: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
+    t: Any,
+    end: Any,
+    state: Any,
+    d: Any,
+    u: Any,
+    c: Any,
+    breaks: Any,
+    coefficients: Any,
+    settings: Any,
+    w: Any,
+    memory: Any,
+    jacobians: Any,
+    tables: Any,
+    norms: Any,
 ) -> int:
     """Advance with the fixed steps of Drake's RungeKutta3Integrator, which may stretch by 1 %."""
-    step = hold[0][1]
+    step = settings[1]
     for i in range(STATE_COUNT):
         x[i] = state[i]
     while t < end:
@@ -122,10 +163,23 @@ def advance_runge_kutta3(
 
 @unrolled("x z k1 k2 k3 k4")
 def advance_rk4(
-    t: Any, end: Any, state: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
+    t: Any,
+    end: Any,
+    state: Any,
+    d: Any,
+    u: Any,
+    c: Any,
+    breaks: Any,
+    coefficients: Any,
+    settings: Any,
+    w: Any,
+    memory: Any,
+    jacobians: Any,
+    tables: Any,
+    norms: Any,
 ) -> int:
     """Advance with equal steps of the classical fourth-order Runge-Kutta method."""
-    steps = max(1, int(np.ceil((end - t) / hold[0][1] - 1e-9)))
+    steps = max(1, int(np.ceil((end - t) / settings[1] - 1e-9)))
     h = (end - t) / steps
     for i in range(STATE_COUNT):
         x[i] = state[i]
@@ -154,132 +208,39 @@ def advance_rk4(
 # and takes g as a parabola through the start, the middle and the end: ETD3RK of Cox and Matthews
 # (2002, J. Comput. Phys. 176), of third order, and exact while g is constant. Its difference from
 # the same with a straight line is the error estimate. A step that fails tries the Jacobian at its
-# start, and then halves; corners (a clip, a valve) are passed by halving. The functions of all
-# halvings come from the smallest by doubling (Skaflestad and Wright 2009, Appl. Numer. Math. 59).
-
-
-@jit
-def multiply(left: Any, right: Any, product: Any) -> None:
-    """Product of two small square matrices."""
-    for i in range(STATE_COUNT):
-        for j in range(STATE_COUNT):
-            total = 0.0
-            for k in range(STATE_COUNT):
-                total += left[i, k] * right[k, j]
-            product[i, j] = total
-
-
-@jit
-def fill_tables(a: Any, tick: float, tables: Any) -> float:
-    """tables[level] = h phi_1, h phi_2, h (phi_2 - 4 phi_3) of A h, with h = tick/2^level.
-
-    Returns the norm of A.
-    """
-    norm = 0.0
-    for i in range(STATE_COUNT):
-        row = 0.0
-        for j in range(STATE_COUNT):
-            row += abs(a[i, j])
-        norm = max(norm, row)
-    level = FINEST + 1
-    while norm * tick > 0.1 * 2.0**level and level < 200:
-        level += 1
-    h = tick / 2.0**level
-    z = np.empty((STATE_COUNT, STATE_COUNT))
-    power = np.zeros((STATE_COUNT, STATE_COUNT))
-    square, mixed, next_1 = np.empty_like(z), np.empty_like(z), np.empty_like(z)
-    phi_1, phi_2, phi_3 = np.zeros_like(z), np.zeros_like(z), np.zeros_like(z)
-    for i in range(STATE_COUNT):
-        power[i, i] = 1.0
-        for j in range(STATE_COUNT):
-            z[i, j] = h * a[i, j]
-    factorial = 1.0
-    for k in range(1, 10):  # Taylor: the next term is below 0.1^9/10!
-        factorial *= k
-        for i in range(STATE_COUNT):
-            for j in range(STATE_COUNT):
-                term = power[i, j] / factorial
-                phi_1[i, j] += term
-                phi_2[i, j] += term / (k + 1)
-                phi_3[i, j] += term / ((k + 1) * (k + 2))
-        multiply(power, z, square)
-        power, square = square, power
-    while True:
-        if level < tables.shape[0]:
-            for i in range(STATE_COUNT):
-                for j in range(STATE_COUNT):
-                    tables[level, 0, i, j] = h * phi_1[i, j]
-                    tables[level, 1, i, j] = h * phi_2[i, j]
-                    tables[level, 2, i, j] = h * (phi_2[i, j] - 4.0 * phi_3[i, j])
-        if level == 0:
-            return norm
-        multiply(phi_1, phi_1, square)
-        multiply(phi_1, phi_2, mixed)
-        multiply(z, square, next_1)
-        for i in range(STATE_COUNT):
-            for j in range(STATE_COUNT):
-                phi_3[i, j] = 0.125 * (mixed[i, j] + phi_2[i, j] + 2.0 * phi_3[i, j])
-                phi_2[i, j] = 0.25 * (square[i, j] + 2.0 * phi_2[i, j])
-                phi_1[i, j] += 0.5 * next_1[i, j]
-                z[i, j] *= 2.0
-        h *= 2.0
-        level -= 1
-
-
-@jit
-def linear_part(t: Any, x: Any, d: Any, u: Any, c: Any, hold: Any, current: int) -> int:
-    """Slot of the Jacobian at ``x``; its tables are made when it is a new one.
-
-    It stays the ``current`` one when another would not take a tenth off the remainder ``w[1]`` that
-    a change ``w[0]`` of the state has left. A negative ``current`` is none.
-    """
-    settings, w, memory, jacobians, all_tables, norms = hold
-    a = jacobians.reshape((SLOTS + 1, STATE_COUNT, STATE_COUNT))
-    j = a[SLOTS]
-    jacobian(t, x, d, u, c, j)
-    if current >= 0:
-        explained = left = 0.0
-        for i in range(STATE_COUNT):
-            total = 0.0
-            for k in range(STATE_COUNT):
-                total += (j[i, k] - a[current, i, k]) * w[0, k]
-            explained += abs(total) / (1.0 + abs(x[i]))
-            left += abs(w[1, i]) / (1.0 + abs(x[i]))
-        if explained < 0.1 * left:
-            return current
-    for slot in range(memory[1]):
-        same = True
-        for i in range(STATE_COUNT):
-            for k in range(STATE_COUNT):
-                same = same and a[slot, i, k] == j[i, k]
-        if same:
-            return slot
-    slot = memory[2] % SLOTS
-    memory[2] += 1
-    memory[1] = min(memory[1] + 1, SLOTS)
-    for i in range(STATE_COUNT):
-        for k in range(STATE_COUNT):
-            a[slot, i, k] = j[i, k]
-    tables = all_tables.reshape((SLOTS, FINEST + 2, 3, STATE_COUNT, STATE_COUNT))
-    norms[slot] = fill_tables(a[slot], settings[0], tables[slot])
-    return slot
+# start, and then halves; corners (a clip, a valve) are passed by halving. `linear_parts` keeps A
+# and its functions.
 
 
 @unrolled("x f a f_a b f_b g_a g_b weight")
 def advance_exact_hold(
-    t: Any, end: Any, state: Any, d: Any, u: Any, c: Any, breaks: Any, coefficients: Any, hold: Any
+    t: Any,
+    end: Any,
+    state: Any,
+    d: Any,
+    u: Any,
+    c: Any,
+    breaks: Any,
+    coefficients: Any,
+    settings: Any,
+    w: Any,
+    memory: Any,
+    jacobians: Any,
+    tables: Any,
+    norms: Any,
 ) -> int:
     """Advance one tick with the exponential integrator; see the comment above.
 
-    ``hold``: settings (tick, step, tolerance, excess so far), work vectors, memory (level, slots
-    filled, slots made, slot), Jacobians, their tables and their norms.
+    ``settings``: tick, step, tolerance, excess so far; ``memory``: level, slots filled, slots made,
+    slot; work vectors, Jacobians, their tables and their norms. They are not a tuple because
+    numba counts references to what it unpacks, at every tick.
     """
-    settings, w, memory, jacobians, tables, norms = hold
     tick, tolerance = settings[0], settings[2]
     full, size = 1 << FINEST, STATE_COUNT * STATE_COUNT
     level, slot, position = memory[0], memory[3], 0
     if memory[1] == 0:
-        slot = linear_part(t, state, d, u, c, hold, -1)
+        jacobian(t, state, d, u, c, jacobians[SLOTS * size :])
+        slot = choose_slot(state, settings, w, memory, jacobians, tables, norms, slot)
     for i in range(STATE_COUNT):
         x[i] = state[i]
     while position < full:
@@ -291,36 +252,34 @@ def advance_exact_hold(
         while True:
             span = full >> level
             h = tick * (span / full)
-            # Views of one dimension: the compiler then knows where each element is.
-            j = jacobians[slot * size : (slot + 1) * size]
-            at = 3 * (slot * (FINEST + 2) + level) * size
-            to_end, bend, skew = tables[at:], tables[at + size :], tables[at + 2 * size :]
-            to_middle = tables[at + 3 * size :]
+            # No views, which count references; the mask says that no index is negative.
+            of = (slot * size) & INDEX
+            at = (3 * (slot * (FINEST + 2) + level) * size) & INDEX
             for i in range(STATE_COUNT):
                 middle = last = 0.0
                 for k in range(STATE_COUNT):
-                    middle += to_middle[i * STATE_COUNT + k] * f[k]
-                    last += to_end[i * STATE_COUNT + k] * f[k]
+                    middle += tables[at + ((3 * STATE_COUNT + i) * STATE_COUNT + k)] * f[k]
+                    last += tables[at + (i * STATE_COUNT + k)] * f[k]
                 a[i], b[i] = x[i] + middle, x[i] + last
             f_a = rate(now + 0.5 * h, a, d, u, c, breaks, coefficients)
             left = 0.0
             for i in range(STATE_COUNT):
                 total = f_a[i] - f[i]
                 for k in range(STATE_COUNT):
-                    total -= j[i * STATE_COUNT + k] * (a[k] - x[k])
+                    total -= jacobians[of + (i * STATE_COUNT + k)] * (a[k] - x[k])
                 g_a[i] = total
                 left += abs(total) * weight[i]
             if not h * left < NEGLIGIBLE:
                 for i in range(STATE_COUNT):
                     total = 0.0
                     for k in range(STATE_COUNT):
-                        total += bend[i * STATE_COUNT + k] * g_a[k]
+                        total += tables[at + ((STATE_COUNT + i) * STATE_COUNT + k)] * g_a[k]
                     b[i] += 2.0 * total
             f_b = rate(now + h, b, d, u, c, breaks, coefficients)
             for i in range(STATE_COUNT):
                 total = f_b[i] - f[i]
                 for k in range(STATE_COUNT):
-                    total -= j[i * STATE_COUNT + k] * (b[k] - x[k])
+                    total -= jacobians[of + (i * STATE_COUNT + k)] * (b[k] - x[k])
                 g_b[i] = total
                 left += abs(total) * weight[i]
             worst = 0.0
@@ -328,7 +287,9 @@ def advance_exact_hold(
                 for i in range(STATE_COUNT):
                     total = 0.0
                     for k in range(STATE_COUNT):
-                        total += skew[i * STATE_COUNT + k] * (2.0 * g_a[k] - g_b[k])
+                        total += tables[
+                            at + (2 * STATE_COUNT * STATE_COUNT + i * STATE_COUNT + k)
+                        ] * (2.0 * g_a[k] - g_b[k])
                     b[i] += total
                     worst += abs(total) * weight[i]
             if worst <= 1.0:
@@ -338,7 +299,8 @@ def advance_exact_hold(
                 before = slot
                 for i in range(STATE_COUNT):
                     state[i], w[0, i], w[1, i] = x[i], a[i] - x[i], g_a[i]
-                slot = linear_part(now, state, d, u, c, hold, slot)
+                jacobian(now, state, d, u, c, jacobians[SLOTS * size :])
+                slot = choose_slot(state, settings, w, memory, jacobians, tables, norms, slot)
                 if slot != before:
                     continue
             if level == FINEST:
@@ -362,7 +324,7 @@ def advance_exact_hold(
     return OK
 
 
-@jit
+@inner
 def copy_state(x: Any, d: Any, kept_x: Any, kept_d: Any, row: int) -> int:
     """Write the state into a row of those to be kept; returns the next row."""
     for i in range(STATE_COUNT):
@@ -387,7 +349,12 @@ def run(
     record_every: int,
     wanted: Any,
     columns: Any,
-    hold: Any,
+    settings: Any,
+    w: Any,
+    memory: Any,
+    jacobians: Any,
+    tables: Any,
+    norms: Any,
     record: Any,
     kept: Any,
     kept_x: Any,
@@ -405,7 +372,7 @@ def run(
     fires = np.zeros(periods.size, dtype=np.bool_)
     row = keep = 0
     if kept.size > 0 and kept[0] < first:
-        keep = copy_state(x, d, kept_x, kept_d, 0)
+        keep = copy_state(x, d, kept_x, kept_d, keep)
     for k in range(first, last + 1):
         t = k * tick
         recording = k % record_every == 0 and row < record.shape[0]
@@ -432,7 +399,22 @@ def run(
         if keep < kept.size and kept[keep] == k:
             keep = copy_state(x, d, kept_x, kept_d, keep)
         if k < last and STATE_COUNT > 0:
-            status = advance(t, (k + 1) * tick, x, d, u, c, breaks, coefficients, hold)
+            status = advance(
+                t,
+                (k + 1) * tick,
+                x,
+                d,
+                u,
+                c,
+                breaks,
+                coefficients,
+                settings,
+                w,
+                memory,
+                jacobians,
+                tables,
+                norms,
+            )
             for i in range(STATE_COUNT):
                 if not np.isfinite(x[i]):
                     return NOT_FINITE, k + 1, i
@@ -450,7 +432,12 @@ def outputs_between(
     periods: Any,
     wanted: Any,
     columns: Any,
-    hold: Any,
+    settings: Any,
+    w: Any,
+    memory: Any,
+    jacobians: Any,
+    tables: Any,
+    norms: Any,
     kept: Any,
     kept_x: Any,
     kept_d: Any,
@@ -471,7 +458,22 @@ def outputs_between(
             now = max(kept[place], 0) * tick
         d, t = kept_d[place], times[row]
         if t > now and STATE_COUNT > 0:
-            advance_rk4(now, t, x, d, u, c, breaks, coefficients, hold)
+            advance_rk4(
+                now,
+                t,
+                x,
+                d,
+                u,
+                c,
+                breaks,
+                coefficients,
+                settings,
+                w,
+                memory,
+                jacobians,
+                tables,
+                norms,
+            )
             now = t
         if INPUT_COUNT > 0:
             evaluate_inputs(t, breaks, coefficients, u)

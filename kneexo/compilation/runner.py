@@ -102,13 +102,13 @@ class Runner:
         self._hold = self._work(step_s)
 
     def _work(self, step_s: float) -> tuple[Any, ...]:
-        """Settings, work vectors and memory of an integrator: ``hold`` in `loops`."""
+        """Settings, work vectors and memory of an integrator: see `loops`."""
         module, n = self.model.module, len(self.model.state_names)
         return (
             np.array([self.timing.tick, step_s, self._tolerance, 0.0]),
             np.empty((2, n)),
             np.zeros(4, dtype=np.int64),
-            np.empty((module.SLOTS + 1) * n * n),
+            np.zeros((module.SLOTS + 1) * n * n),
             np.empty(module.SLOTS * (module.FINEST + 2) * 3 * n * n),
             np.empty(module.SLOTS),
         )
@@ -142,13 +142,15 @@ class Runner:
             self.timing.record_every if first < last else 1,
             self.wanted,
             self.columns,
-            self._hold,
+            *self._hold,
             record,
             *kept,
         )
         if not self._ready:
+            slot = (x.copy(), *self._work(STEP_S), 0)
+            make_ready(self.model.module.choose_slot, slot)
             without_a_step = (*arguments[:1], x.copy(), d.copy(), *arguments[3:6], 0, 0)
-            make_ready(self._run, (*without_a_step, *arguments[8:14], _NO_RECORD, *_NOTHING_KEPT))
+            make_ready(self._run, (*without_a_step, *arguments[8:19], _NO_RECORD, *_NOTHING_KEPT))
             self._ready = True
         status, tick, which = self._run(*arguments)
         if status != self.model.module.OK:
@@ -176,7 +178,7 @@ class Runner:
             self.timing.periods,
             self.wanted,
             self.columns,
-            self._work(ROUGH_STEP_S),
+            *self._work(ROUGH_STEP_S),
             *kept,
             times,
             places,
