@@ -13,9 +13,10 @@ from numba import njit
 FINEST = 12  # the exact hold halves its step at most so often
 SLOTS = 4  # linear parts that it remembers
 
-_options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+_options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+_options["fastmath"] = {"contract"}
 jit = njit(**_options)  # called from Python
-inner = njit(**_options, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inner = njit(**_options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True})
 
 
 @inner

@@ -16,7 +16,7 @@ def evaluate(graph, roots, x, p=()):
     targets = [(f"y[{i}]", root) for i, root in enumerate(roots)]
     text = writer.function("f", ("t", "x", "d", "u", "p", "y"), [("", targets)])
     y = [0.0] * len(roots)
-    names = {"math": math, "np": np, "jit": lambda f: f}
+    names = {"math": math, "np": np, "inner": lambda f: f}
     exec(text, names)
     names["f"](0.0, x, (), (), p, y)
     return y
