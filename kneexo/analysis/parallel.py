@@ -178,10 +178,14 @@ def parallel_map(
 
     def done(index: int, result: Result) -> None:
         results[index] = result if checkpoint is None else checkpoint.keep(keys[index], result)
-        bar.update(weight(items[index]))
+        advance(index)
 
+    def advance(index: int) -> None:
+        bar.update(min(weight(items[index]), whole - bar.n))  # rounding must not pass the end
+
+    whole = round(sum(weight(item) for item in items), 6)
     with tqdm(
-        total=round(sum(weight(item) for item in items), 6),
+        total=whole,
         desc=description,
         disable=description is None,
         mininterval=0.5,
@@ -190,7 +194,7 @@ def parallel_map(
         if checkpoint is not None:
             for index in (n for n, key in enumerate(keys) if key in checkpoint):
                 results[index] = checkpoint[keys[index]]
-                bar.update(weight(items[index]))
+                advance(index)
         order = sorted(set(range(len(items))) - set(results), key=lambda n: (-weight(items[n]), n))
         if executor is None:
             for index in order:

@@ -27,7 +27,7 @@ from kneexo.analysis.plant_linearization import linearize_plant
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.simulation import rms, simulate
 from kneexo.analysis.tracking import saturated_share, track
-from kneexo.errors import KneexoError, LinearizationError
+from kneexo.errors import KneexoError, LinearizationError, ParameterError
 from kneexo.parameters import (
     FullCylinderParameters,
     KneeLoadParameters,
@@ -142,6 +142,11 @@ def switching_row(
     low, high = scenario.reference.range_deg
     slow = _ramp(scenario, "full", force, flexing, settings.switching_rate_deg_s)
     duration = 0.95 * (high - low) / settings.switching_rate_deg_s
+    if duration <= _START_S:
+        raise ParameterError(
+            f"switching_rate_deg_s = {settings.switching_rate_deg_s:g} deg/s: the "
+            f"{high - low:g} deg of the reference take {duration:g} s, must take > {_START_S:g} s"
+        )
     run = simulate(
         changed(slow, {"simulation.duration_s": duration}).with_steps(settings.switching_step_s),
         signals=(

@@ -18,9 +18,6 @@ from kneexo.parameters import Scenario, SimulationParameters
 
 Array = NDArray[np.float64]
 
-_ROUGH_STEP_S = 2e-5
-"""Step of RK4 where the exact hold gives up: a third of the make-up valve's time constant."""
-
 
 @dataclass(frozen=True)
 class Run:
@@ -106,6 +103,7 @@ def simulate(
     """
     settings = scenario.simulation
     if settings.compiled:
+        from kneexo.compilation.runner import ROUGH_STEP_S
         from kneexo.compilation.scenarios import simulate_compiled
 
         try:
@@ -118,7 +116,7 @@ def simulate(
             )
         except StiffnessError:  # valves that open and close all the time: small steps, no error
             run = simulate_compiled(
-                scenario, signals=signals, integrator="rk4", step_s=_ROUGH_STEP_S
+                scenario, signals=signals, integrator="rk4", step_s=ROUGH_STEP_S
             )
         if progress is not None:
             progress(settings.duration_s)

@@ -84,6 +84,9 @@ class Runner:
             raise ValueError(
                 f"integrator = {integrator!r}: must be one of {', '.join(INTEGRATORS)}"
             )
+        for name, value in (("step_s", step_s), ("tolerance", tolerance)):
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} = {value}: must be finite and > 0")
         for name in outputs or ():
             if name not in model.outputs:
                 raise ValueError(f"output {name!r} is unknown; known: {', '.join(model.outputs)}")

@@ -15,6 +15,7 @@ from kneexo.analysis.reduction import (
     frequency_row,
     in_order,
     speed_row,
+    switching_row,
     tracking_row,
 )
 from kneexo.errors import ParameterError
@@ -200,6 +201,12 @@ def test_comparison_resumes_reports_and_draws(comparison):
 
 
 # ------------------------------------------------------------------------------ bad input
+
+
+def test_a_ramp_too_short_to_measure_is_refused():
+    narrow = changed(UNCERTAIN_KNEE, {"reference.amplitude_deg": 0.1})
+    with pytest.raises(ParameterError, match=r"\Aswitching_rate_deg_s = .* must take > 0\.5 s\Z"):
+        switching_row(narrow, SETTINGS, (15.0, True))
 
 
 def test_reference_must_be_a_sine():

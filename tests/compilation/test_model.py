@@ -414,6 +414,10 @@ def test_wrong_arguments_are_named():
     parameters, state, _ = scenario_run(Scenario(encoder=FREE), model)
     with pytest.raises(ValueError, match="integrator = 'euler'"):
         model.simulate(parameters, state, 0.01, integrator="euler")
+    for name in ("step_s", "tolerance"):
+        for value in (0.0, -1e-4, np.nan, np.inf):
+            with pytest.raises(ValueError, match=rf"{name} = {value}: must be finite and > 0"):
+                model.simulate(parameters, state, 0.01, **{name: value})
     with pytest.raises(ValueError, match="output 'angle' is unknown"):
         model.simulate(parameters, state, 0.01, outputs=["angle"])
     with pytest.raises(ValueError, match="parameters has the shape"):
