@@ -9,6 +9,7 @@ a diagram twice.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from os import PathLike
 from typing import Any
 
 from kneexo.compilation.cache import cache_directory
@@ -21,6 +22,7 @@ from kneexo.compilation.model import (
 from kneexo.compilation.runner import InputTable, State
 from kneexo.compilation.scenarios import compile_scenario, scenario_run, simulate_compiled
 from kneexo.parameters import Scenario
+from kneexo.scenario import load_scenario
 
 __all__ = [
     "CompiledModel",
@@ -38,7 +40,12 @@ __all__ = [
 
 
 def compile_model(system: Any = Scenario(), *, inputs: Iterable[str] = ()) -> CompiledModel:
-    """Compile a scenario's closed loop (`compile_scenario`) or a diagram (`compile_diagram`)."""
+    """Compile the closed loop of a scenario or of a scenario file, or a diagram.
+
+    See `compile_scenario` and `compile_diagram`. Raises `ScenarioError` for a faulty file.
+    """
+    if isinstance(system, str | PathLike):
+        system = load_scenario(system)
     if isinstance(system, Scenario):
         return compile_scenario(system)
     return compile_diagram(system, inputs=inputs)

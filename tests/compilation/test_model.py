@@ -30,7 +30,7 @@ from kneexo.compilation import (
 )
 from kneexo.compilation.runner import _timing
 from kneexo.diagrams import make_closed_loop
-from kneexo.errors import CompilationError, ParameterError, SimulationError
+from kneexo.errors import CompilationError, ParameterError, ScenarioError, SimulationError
 from kneexo.parameters import (
     BldcPumpParameters,
     EncoderParameters,
@@ -407,6 +407,16 @@ def test_what_does_not_compile_is_named_in_one_line(diagram, words):
     assert "\n" not in str(error.value)
     for word in words:
         assert word in str(error.value)
+
+
+def test_a_scenario_file_compiles(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text("encoder: {quantized: false}\n", encoding="utf-8")
+    for name in (path, str(path)):
+        assert kneexo.compile(name).state_names == compile_scenario(Scenario()).state_names
+    path.write_text("encoder: {quantised: false}\n", encoding="utf-8")
+    with pytest.raises(ScenarioError, match="quantised"):
+        kneexo.compile(path)
 
 
 def test_wrong_arguments_are_named():
