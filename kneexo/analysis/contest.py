@@ -24,6 +24,7 @@ from tqdm import tqdm
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.markdown import markdown_table, number
 from kneexo.analysis.parallel import parallel_map, process_pool
 from kneexo.analysis.robustness import Values, draw, realize
 from kneexo.analysis.simulation import Array
@@ -378,17 +379,12 @@ COLUMNS = {
 }
 
 
-def _number(value: float) -> str:
-    return "–" if math.isnan(value) else "∞" if math.isinf(value) else f"{value:.3g}"
-
-
 # ----------------------------------------------------------------------------------- report
 
 
 def _outcome_report(done: Contest) -> list[str]:
     found, tuned = done.summary(), list(done.settings.contestants)
     other = done.settings.other_reference
-    columns = list(found)
     lacking = f"The scenario lacks {', '.join(done.left_out)}." if done.left_out else ""
     lines = [
         "# SMC against PID on uncertain plants",
@@ -398,14 +394,17 @@ def _outcome_report(done: Contest) -> list[str]:
         f"{other.frequency_hz:g} Hz, which nobody was tuned for. A run that failed counts as ∞, an "
         f"unstable loop as no margin. {lacking}",
         "",
-        f"| | {' | '.join(columns)} |",
-        "|---" * (len(columns) + 1) + "|",
+        *markdown_table(
+            ["", *found],
+            [
+                [label, *(number(own[figure]) for own in found.values())]
+                for figure, label in COLUMNS.items()
+            ],
+        ),
+        "",
+        "Best of the tuned ones:",
+        "",
     ]
-    lines += [
-        f"| {label} | {' | '.join(_number(found[name][figure]) for name in columns)} |"
-        for figure, label in COLUMNS.items()
-    ]
-    lines += ["", "Best of the tuned ones:", ""]
     lines += [
         f"- {COLUMNS[figure]}: {', '.join(names)}"
         for figure, names in done.winners().items()
@@ -428,7 +427,19 @@ def _at_bound(gain: Uncertainty, value: float) -> str:
 
 def _tuning_report(done: Contest) -> list[str]:
     settings = done.settings
-    lines = [
+    rows = []
+    for tuning in done.tunings:
+        bounds = settings.contestants[tuning.contestant].gains
+        gains = [
+            f"{path.split('.')[-1]} = {value:.4g}{_at_bound(bounds[path], value)}"
+            for path, value in tuning.gains.items()
+        ]
+        objective = f"{tuning.objective_deg:.4g}" if tuning.feasible else "no feasible gains found"
+        converged = "yes" if tuning.converged else "**no**"
+        row = [tuning.contestant, f"{tuning.seed}", objective, f"{tuning.evaluations}", converged]
+        rows.append([*row, f"{tuning.spread:.2g}", ", ".join(gains)])
+    head = ("contestant", "seed", "objective (deg)", "evaluations", "converged", "spread", "gains")
+    return [
         "## How they were tuned",
         "",
         f"Differential evolution on the logarithm of the gains, at most "
@@ -437,18 +448,6 @@ def _tuning_report(done: Contest) -> list[str]:
         f"{done.budget_rpm:.1f} rpm per sample on average (the default SMC's) and a disk margin "
         f"of {settings.least_disk_margin:g} or more on each.",
         "",
-        "| contestant | seed | objective (deg) | evaluations | converged | spread | gains |",
-        "|---|---|---|---|---|---|---|",
+        *markdown_table(head, rows),
+        "",
     ]
-    for tuning in done.tunings:
-        bounds = settings.contestants[tuning.contestant].gains
-        gains = ", ".join(
-            f"{path.split('.')[-1]} = {value:.4g}{_at_bound(bounds[path], value)}"
-            for path, value in tuning.gains.items()
-        )
-        objective = f"{tuning.objective_deg:.4g}" if tuning.feasible else "no feasible gains found"
-        lines.append(
-            f"| {tuning.contestant} | {tuning.seed} | {objective} | {tuning.evaluations} "
-            f"| {'yes' if tuning.converged else '**no**'} | {tuning.spread:.2g} | {gains} |"
-        )
-    return [*lines, ""]

@@ -21,6 +21,8 @@ from scipy.optimize import brentq
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.hardware import tuned
+from kneexo.analysis.markdown import markdown_table, number
 from kneexo.analysis.parallel import parallel_map, process_pool
 from kneexo.analysis.simulation import Array, simulate
 from kneexo.analysis.tracking import track
@@ -216,8 +218,8 @@ def controller_study(
         )
 
     def with_slope(slope: float, time_constant: float, lambda_: float) -> Scenario:
-        at = _with_law(scenario, lambda_, law.gain_ratio * law.eta_m_s3 / slope, law.eta_m_s3)
-        return changed(at, {"estimator.time_constant_s": time_constant})
+        gains = {"lambda_per_s": lambda_, "slope_per_s": slope, "observer_s": time_constant}
+        return tuned(scenario, gains)
 
     axes = (settings.lambdas_per_s, settings.phis_m_s2, settings.etas_m_s3)
     points = list(product(*axes))
@@ -506,12 +508,8 @@ def _at_slope(slopes: Array, error: Array, slope: float) -> float:
 # ----------------------------------------------------------------------------------- report
 
 
-def _number(value: Any) -> str:
-    return "–" if math.isnan(value) else "∞" if math.isinf(value) else f"{value:.3g}"
-
-
 def _numbers(values: Any) -> str:
-    return ", ".join(_number(value) for value in values)
+    return ", ".join(map(number, values))
 
 
 def _percent(share: float) -> str:
@@ -520,19 +518,22 @@ def _percent(share: float) -> str:
 
 def _claims_report(study: ControllerStudy) -> list[str]:
     claims, sound = study.claims(), study.settings.sound_disk_margin
+    between = f"between loops of disk margin ≥ {sound:g}: cases"
     return [
         "# Sliding-mode controller: λ, Φ and η",
         "",
         f"{study.values['stable'].size} points; {len(study.failures)} of them have a run that "
         f"failed.",
         "",
-        f"| the paper says | a case | cases | holds | verdict | between loops of disk margin ≥ "
-        f"{sound:g}: cases | holds |",
-        "|---|---|---|---|---|---|---|",
-        *(
-            f"| “{claim.quote}” | {claim.case} | {claim.cases} | {_percent(claim.share)} "
-            f"| **{claim.verdict}** | {claim.sound_cases} | {_percent(claim.sound_share)} |"
-            for claim in claims
+        *markdown_table(
+            ("the paper says", "a case", "cases", "holds", "verdict", between, "holds"),
+            [
+                (
+                    *(f"“{claim.quote}”", claim.case, f"{claim.cases}", _percent(claim.share)),
+                    *(f"**{claim.verdict}**", f"{claim.sound_cases}", _percent(claim.sound_share)),
+                )
+                for claim in claims
+            ],
         ),
         "",
         *(f"- {claim.finding}" for claim in claims),
@@ -565,17 +566,13 @@ def _lines_report(study: ControllerStudy) -> list[str]:
             for n, (other, values) in enumerate(axes.items())
             if n != axis
         )
-        lines += [
-            f"## {name[0]}, at {fixed}",
-            "",
-            f"| {name} | k/Φ (1/s) | {' | '.join(columns)} |",
-            "|---" * (len(columns) + 2) + "|",
-        ]
+        rows = []
         for n, value in enumerate(along):
             at = tuple(n if i == axis else centre[i] for i in range(3))
-            own = [_number(study.values[column][at]) for column in columns.values()]
-            lines.append(f"| {value:g} | {study.slope_per_s[at[1:]]:.2g} | {' | '.join(own)} |")
-        lines.append("")
+            own = [number(study.values[column][at]) for column in columns.values()]
+            rows.append([f"{value:g}", f"{study.slope_per_s[at[1:]]:.2g}", *own])
+        table = markdown_table((name, "k/Φ (1/s)", *columns), rows)
+        lines += [f"## {name[0]}, at {fixed}", "", *table, ""]
     return [*lines, "A loop without margins is linearly unstable.", ""]
 
 
@@ -587,21 +584,26 @@ def _trap_report(study: ControllerStudy) -> list[str]:
     stable = np.where(study.map_values["stable"] == 1.0, error, -np.inf)
     time, slope = np.unravel_index(np.argmax(np.nan_to_num(stable, nan=-np.inf)), error.shape)
     demand = study.trap[0].mean_command_change_rpm * per_sample / limit
+    head = (
+        *("λ (1/s)", "variant", "linear loop", "disk margin", "max error (deg)"),
+        *("command change (rpm/sample)", "the same (rad/s²)"),
+        "oscillation at rest (deg, peak to peak)",
+    )
+    rows = [
+        (
+            *(f"{case.lambda_per_s:g}", case.variant, "stable" if case.stable else "unstable"),
+            *(number(case.disk_margin), number(case.max_error_deg)),
+            number(case.mean_command_change_rpm),
+            number(case.mean_command_change_rpm * per_sample),
+            f"{case.oscillation_at_rest_deg:.2f}",
+        )
+        for case in study.trap
+    ]
     return [
         f"## A trap: T_f = {1e3 * grid.trap_time_constant_s:g} ms, "
         f"k/Φ = {grid.trap_slope_per_s:g} 1/s",
         "",
-        "| λ (1/s) | variant | linear loop | disk margin | max error (deg) | command change "
-        "(rpm/sample) | the same (rad/s²) | oscillation at rest (deg, peak to peak) |",
-        "|---|---|---|---|---|---|---|---|",
-        *(
-            f"| {case.lambda_per_s:g} | {case.variant} "
-            f"| {'stable' if case.stable else 'unstable'} | {_number(case.disk_margin)} "
-            f"| {_number(case.max_error_deg)} | {_number(case.mean_command_change_rpm)} "
-            f"| {_number(case.mean_command_change_rpm * per_sample)} "
-            f"| {case.oscillation_at_rest_deg:.2f} |"
-            for case in study.trap
-        ),
+        *markdown_table(head, rows),
         "",
         "û gives back the rod's own damping by the measured velocity, so that a small k/Φ leaves "
         "next to no margin even where the eigenvalues say stable. The counts of the encoder keep "

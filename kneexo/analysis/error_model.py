@@ -31,6 +31,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
+from kneexo.analysis.hardware import sliding_mode
 from kneexo.analysis.plant_linearization import Complex
 from kneexo.analysis.simulation import Array, rms, simulate
 from kneexo.errors import ParameterError
@@ -105,9 +106,7 @@ def error_model(
 
     Raises `ParameterError` for another controller, and for the full order without its chamber.
     """
-    law, believed, plant = scenario.controller, scenario.believed_plant, scenario.plant
-    if law.kind != "smc":
-        raise ParameterError(f"controller.kind = {law.kind}: the error model is that of smc")
+    law, believed, plant = sliding_mode(scenario), scenario.believed_plant, scenario.plant
     oil = believed.cylinder
     stiffness = 4.0 * oil.bulk_modulus_pa * oil.mean_area_m2**2
     stiffness /= law.mass_estimate_kg * oil.total_volume_m3

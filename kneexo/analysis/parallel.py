@@ -17,6 +17,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
 )
 from contextlib import contextmanager
+from importlib import import_module
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
@@ -71,8 +72,7 @@ def dask_cluster(address: str) -> Iterator[Executor]:
     a piece of work kills one worker after another, and when the scheduler is lost.
     """
     try:
-        from distributed import Client, KilledWorker
-        from distributed.comm import get_address_host_port
+        distributed: Any = import_module("distributed")
     except ModuleNotFoundError:
         raise WorkerError(
             "a Dask cluster needs the package distributed: pip install 'kneexo[cluster]'"
@@ -80,11 +80,11 @@ def dask_cluster(address: str) -> Iterator[Executor]:
     for name in ("distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what ends the work is raised
     try:
-        get_address_host_port(address, strict=True)
+        distributed.comm.get_address_host_port(address, strict=True)
     except ValueError:
         raise WorkerError(f"Dask scheduler {address!r}: must be tcp://HOST:PORT") from None
     try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     except OSError:
         raise WorkerError(
             f"there is no Dask scheduler at {address} (tried for {CONNECT_S:g} s)"
@@ -94,7 +94,7 @@ def dask_cluster(address: str) -> Iterator[Executor]:
         executor = client.get_executor(pure=False)
         executor._max_workers = sum(client.nthreads().values())
         yield executor
-    except KilledWorker:
+    except distributed.KilledWorker:
         raise WorkerError(
             f"a piece of work killed one worker after another of the Dask cluster {address} (out "
             f"of memory?)"

@@ -33,6 +33,7 @@ from kneexo.analysis.bandwidth import rod_of
 from kneexo.analysis.checkpoint import Checkpoint
 from kneexo.analysis.error_model import error_model
 from kneexo.analysis.frequency_response import require_sine
+from kneexo.analysis.hardware import sliding_mode
 from kneexo.analysis.markdown import markdown_table, number
 from kneexo.analysis.parallel import parallel_map
 from kneexo.analysis.simulation import Array, Run, simulate
@@ -101,7 +102,7 @@ def sliding_rates(
 
     The run needs the signals of `sliding_signals`. Raises `ParameterError` for another controller.
     """
-    lambda_ = _law(scenario).lambda_per_s
+    lambda_ = sliding_mode(scenario).lambda_per_s
     plant: Any = make_plant(scenario.plant, table_1=scenario.polynomial)
     automatic = plant.ToAutoDiffXd()
     context, seeded = plant.CreateDefaultContext(), automatic.CreateDefaultContext()
@@ -131,14 +132,6 @@ def sliding_rates(
         s[index] = sliding_variable([x.value() for x in motion], here, lambda_)
         s_rate[index] = sliding_variable([x.derivatives()[0] for x in motion], there, lambda_)
     return s, s_rate
-
-
-def _law(scenario: Scenario) -> SlidingModeParameters:
-    if scenario.controller.kind != "smc":
-        raise ParameterError(
-            f"controller.kind = {scenario.controller.kind}: the sliding condition is that of smc"
-        )
-    return scenario.controller
 
 
 # ---------------------------------------------------------------------- bounds on the error
@@ -187,7 +180,7 @@ def check_sliding(
     fails, as ``failure`` says, is repeated over half the time until it does not (``duration_s``).
     What does not exist is nan. ``trace`` holds signals for figures.
     """
-    law = _law(scenario)
+    law = sliding_mode(scenario)
     found: dict[str, Any] = dict.fromkeys(
         (
             *("outside_share", "holding_share", "attracting_share", "worst_rate_m_s3"),
@@ -302,7 +295,7 @@ def effective_masses_kg(scenario: Scenario) -> tuple[float, float]:
 
     The law's own bounds times (Ā/A_i)(4V_i/V_t), the stiffness that the reduced order has too much.
     """
-    law, oil, full = _law(scenario), scenario.plant.cylinder, scenario.plant.full_order
+    law, oil, full = sliding_mode(scenario), scenario.plant.cylinder, scenario.plant.full_order
     if full is None:
         return law.mass_min_kg, law.mass_max_kg
     rod = rod_of(scenario, np.radians(scenario.reference.range_deg))
@@ -367,7 +360,7 @@ def _cases(
     scenario: Scenario, settings: SlidingStudyParameters
 ) -> list[tuple[tuple[str, str, str, float, float], Scenario]]:
     """Labels (part, plant, law, load, η) and scenarios of the study."""
-    law = _law(scenario)
+    law = sliding_mode(scenario)
     full = _full_order(scenario)
     reduced = changed(scenario, {"plant.full_order": None})
     plants = [
@@ -427,7 +420,7 @@ def _cases(
                     }
                     | changes,
                 )
-                eta = _law(sampled).eta_m_s3
+                eta = sliding_mode(sampled).eta_m_s3
                 cases.append((("sampled", f"{plant}, {loop}", "paper", load, eta), sampled))
     return cases
 
@@ -444,7 +437,7 @@ class NeededEta:
 
 def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
     """What the closed forms ask of η, for a sinusoidal reference."""
-    law, oil = _law(scenario), scenario.plant.cylinder
+    law, oil = sliding_mode(scenario), scenario.plant.cylinder
     reference = require_sine(scenario)
     phase = np.linspace(0.0, 2.0 * np.pi, 2001)
     amplitude = math.radians(reference.amplitude_deg)
@@ -472,7 +465,7 @@ class SlidingStudy:
     @property
     def law(self) -> SlidingModeParameters:
         """The controller of the scenario."""
-        return _law(self.scenario)
+        return sliding_mode(self.scenario)
 
     def of(self, part: str, **labels: Any) -> list[SlidingCase]:
         """The cases of a part with these labels, in order."""
@@ -645,7 +638,7 @@ class SlidingStudy:
 
 
 def _numbers(*values: float) -> list[str]:
-    return [number(value) for value in values]
+    return list(map(number, values))
 
 
 def _percents(case: SlidingCase, *names: str) -> list[str]:
@@ -667,7 +660,7 @@ def sliding_study(
     taken in both orders, with the loads of ``settings``. ``workers``, ``executor``,
     ``checkpoint``: see `parallel_map`. Raises `ParameterError` for a scenario of another kind.
     """
-    law = _law(scenario)
+    law = sliding_mode(scenario)
     if not law.continuous or scenario.plant.load.kind != "knee":
         raise ParameterError(
             "the study needs controller.continuous = true and plant.load.kind = knee"
