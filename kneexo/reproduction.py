@@ -26,6 +26,7 @@ from kneexo.analysis import (
     sinestream,
     track,
 )
+from kneexo.analysis.bandwidth import speed_limit_reached_hz
 from kneexo.analysis.simulation import Array, rms, to_rpm
 from kneexo.analysis.tracking import mean_change
 from kneexo.compilation.cache import load_key
@@ -36,14 +37,12 @@ from kneexo.parameters import (
     FIG_12,
     FIG_13_SCALING,
     IDEAL_SMC,
-    PlantParameters,
     RodPolynomialParameters,
     Scenario,
     SineReference,
     SinestreamParameters,
 )
 from kneexo.scenario import changed
-from kneexo.systems.knee_coordinates import rod_derivatives
 
 PAPER_BANDWIDTH_HZ = 0.21
 """The paper's measured −3 dB bandwidth (Section 5, Fig. 13)."""
@@ -171,19 +170,14 @@ def rod_error_mm(run: Run) -> Array:
     return np.asarray(1e3 * (run["rod_extension_m"] - run["rod_reference_m"]))
 
 
-def speed_demand(reference: SineReference = SineReference()) -> tuple[float, float]:
-    """Peak motor speed in rpm that a sinusoidal knee reference asks for, and the frequency in Hz
-    at which that peak is the speed limit; from Eq. 10 and the pump's displacement alone.
+def speed_demand() -> tuple[float, float]:
+    """Peak motor speed in rpm that the paper's reference asks for, by Eq. 10, and the frequency in
+    Hz at which that peak is the speed limit.
     """
-    plant = PlantParameters()
-    phase = np.linspace(0.0, 2.0 * np.pi, 20_001)
-    amplitude = np.radians(reference.amplitude_deg)
-    angle = np.radians(reference.mean_deg) - amplitude * np.cos(phase)
-    rate = 2.0 * np.pi * reference.frequency_hz * amplitude * np.sin(phase)
-    rod = rod_derivatives(RodPolynomialParameters().p_si, (angle, rate, 0.0 * rate, 0.0 * rate))
-    gain = plant.pump.gear_ratio * plant.cylinder.mean_area_m2 / plant.pump.displacement_m3_per_rad
-    peak = gain * float(np.max(np.abs(rod[1])))
-    return to_rpm(peak), reference.frequency_hz * plant.pump.speed_limit_rad_s / peak
+    scenario = changed(Scenario(), {"plant.rod_map": "polynomial"})
+    reached_hz = speed_limit_reached_hz(scenario)
+    share = SineReference().frequency_hz / reached_hz
+    return share * to_rpm(scenario.plant.pump.speed_limit_rad_s), reached_hz
 
 
 def growth_rate(run: Run) -> float:

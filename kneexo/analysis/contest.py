@@ -346,7 +346,7 @@ def _level(values: Array, share: float) -> float:
 def _summary(tested: Sequence[Values], elsewhere: Sequence[Values]) -> dict[str, Any]:
     errors, other = errors_of(tested), errors_of(elsewhere)
     changes = errors_of(tested, "mean_command_change_rpm")
-    margins = np.array([0.0 if math.isnan(v["disk_margin"]) else v["disk_margin"] for v in tested])
+    margins = np.nan_to_num([values["disk_margin"] for values in tested])
     return {
         "median_error_deg": _level(errors, 0.5),
         "error_of_95_percent_deg": _level(errors, 0.95),
@@ -427,19 +427,7 @@ def _at_bound(gain: Uncertainty, value: float) -> str:
 
 def _tuning_report(done: Contest) -> list[str]:
     settings = done.settings
-    rows = []
-    for tuning in done.tunings:
-        bounds = settings.contestants[tuning.contestant].gains
-        gains = [
-            f"{path.split('.')[-1]} = {value:.4g}{_at_bound(bounds[path], value)}"
-            for path, value in tuning.gains.items()
-        ]
-        objective = f"{tuning.objective_deg:.4g}" if tuning.feasible else "no feasible gains found"
-        converged = "yes" if tuning.converged else "**no**"
-        row = [tuning.contestant, f"{tuning.seed}", objective, f"{tuning.evaluations}", converged]
-        rows.append([*row, f"{tuning.spread:.2g}", ", ".join(gains)])
-    head = ("contestant", "seed", "objective (deg)", "evaluations", "converged", "spread", "gains")
-    return [
+    lines = [
         "## How they were tuned",
         "",
         f"Differential evolution on the logarithm of the gains, at most "
@@ -448,6 +436,18 @@ def _tuning_report(done: Contest) -> list[str]:
         f"{done.budget_rpm:.1f} rpm per sample on average (the default SMC's) and a disk margin "
         f"of {settings.least_disk_margin:g} or more on each.",
         "",
-        *markdown_table(head, rows),
-        "",
+        "| contestant | seed | objective (deg) | evaluations | converged | spread | gains |",
+        "|---|---|---|---|---|---|---|",
     ]
+    for tuning in done.tunings:
+        bounds = settings.contestants[tuning.contestant].gains
+        gains = ", ".join(
+            f"{path.split('.')[-1]} = {value:.4g}{_at_bound(bounds[path], value)}"
+            for path, value in tuning.gains.items()
+        )
+        objective = f"{tuning.objective_deg:.4g}" if tuning.feasible else "no feasible gains found"
+        lines.append(
+            f"| {tuning.contestant} | {tuning.seed} | {objective} | {tuning.evaluations} "
+            f"| {'yes' if tuning.converged else '**no**'} | {tuning.spread:.2g} | {gains} |"
+        )
+    return [*lines, ""]

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from kneexo.analysis.contest import INFEASIBLE_DEG, Contest, errors_of
+from kneexo.analysis.simulation import Array
 
 
 def outcome(done: Contest) -> Figure:
@@ -19,9 +20,9 @@ def outcome(done: Contest) -> Figure:
         tuned = name in done.settings.contestants
         style: dict[str, Any] = {"color": f"C{index}", "lw": 2.0 if tuned else 1.0}
         style["ls"] = "-" if tuned else "--"
-        errors = errors_of(done.tested[name])
+        errors, elsewhere = (_drawn(errors_of(of[name])) for of in (done.tested, done.elsewhere))
         axes[0].step(np.sort(errors), share, where="post", label=name, **style)
-        axes[1].step(np.sort(errors_of(done.elsewhere[name])), share, where="post", **style)
+        axes[1].step(np.sort(elsewhere), share, where="post", **style)
         margins = [values["disk_margin"] for values in done.tested[name]]
         axes[2].plot(
             errors, margins, "o" if tuned else "x", ms=3.5, color=f"C{index}", alpha=0.6, mew=0.8
@@ -39,6 +40,11 @@ def outcome(done: Contest) -> Figure:
         ax.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=4, fontsize=8)
     return figure
+
+
+def _drawn(errors: Array) -> Array:
+    """Errors on an axis that has no place for those of failed runs, which are infinite."""
+    return np.where(np.isfinite(errors), errors, np.nan)
 
 
 def search(done: Contest) -> Figure:

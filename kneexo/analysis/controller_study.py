@@ -24,7 +24,7 @@ from kneexo.analysis.checkpoint import Checkpoint
 from kneexo.analysis.hardware import tuned
 from kneexo.analysis.markdown import markdown_table, number
 from kneexo.analysis.parallel import parallel_map, process_pool
-from kneexo.analysis.simulation import Array, simulate
+from kneexo.analysis.simulation import Array
 from kneexo.analysis.tracking import track
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import (
@@ -313,8 +313,9 @@ def _measure(settings: ControllerStudyParameters, scenario: Scenario) -> dict[st
     reasons = [own["tracking_failure"], own["margins_failure"], fast["tracking_failure"]]
     for name, key in (("step", "settling_s"), ("large_step", "large_settling_s")):
         try:
-            time, error = _error_deg(cases[name])
-            found[key] = settling_time_s(time, error, settings.settled_share * settings.step_deg)
+            step = track(cases[name])
+            band = settings.settled_share * settings.step_deg
+            found[key] = settling_time_s(step.run.time_s, step.error_deg, band)
         except KneexoError as failure:
             found[key] = math.nan
             reasons.append(str(failure))
@@ -336,14 +337,14 @@ def _trap(settings: ControllerStudyParameters, scenario: Scenario) -> dict[str, 
         "failure": "",
     }
     try:
-        tracked = track(scenario)
-        time, error = _error_deg(experiments(scenario, settings)["hold"])
+        tracked, hold = track(scenario), track(experiments(scenario, settings)["hold"])
     except KneexoError as failure:
         return found | {"failure": str(failure)}
+    late = hold.run.time_s >= 0.5 * hold.run.time_s[-1]
     return found | {
         "max_error_deg": tracked.metrics.max_error_deg,
         "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
-        "oscillation_at_rest_deg": float(np.ptp(error[time >= 0.5 * time[-1]])),
+        "oscillation_at_rest_deg": float(np.ptp(hold.error_deg[late])),
         "time_s": tracked.run.time_s.tolist(),
         "error_deg": tracked.error_deg.tolist(),
     }
@@ -362,11 +363,6 @@ def _variant(name: str, settings: ControllerStudyParameters) -> dict[str, Any]:
         "unlimited acceleration": {"plant.pump.acceleration_limit_rad_s2": unlimited},
     }
     return changes[name]
-
-
-def _error_deg(scenario: Scenario) -> tuple[Array, Array]:
-    run = simulate(scenario, signals=("knee_reference", "knee_angle"))
-    return run.time_s, np.degrees(run["knee_reference_rad"] - run["knee_angle_rad"])
 
 
 def observed_smc(scenario: Scenario) -> tuple[SlidingModeParameters, ObserverParameters]:
@@ -518,22 +514,19 @@ def _percent(share: float) -> str:
 
 def _claims_report(study: ControllerStudy) -> list[str]:
     claims, sound = study.claims(), study.settings.sound_disk_margin
-    between = f"between loops of disk margin ≥ {sound:g}: cases"
     return [
         "# Sliding-mode controller: λ, Φ and η",
         "",
         f"{study.values['stable'].size} points; {len(study.failures)} of them have a run that "
         f"failed.",
         "",
-        *markdown_table(
-            ("the paper says", "a case", "cases", "holds", "verdict", between, "holds"),
-            [
-                (
-                    *(f"“{claim.quote}”", claim.case, f"{claim.cases}", _percent(claim.share)),
-                    *(f"**{claim.verdict}**", f"{claim.sound_cases}", _percent(claim.sound_share)),
-                )
-                for claim in claims
-            ],
+        f"| the paper says | a case | cases | holds | verdict | between loops of disk margin ≥ "
+        f"{sound:g}: cases | holds |",
+        "|---|---|---|---|---|---|---|",
+        *(
+            f"| “{claim.quote}” | {claim.case} | {claim.cases} | {_percent(claim.share)} "
+            f"| **{claim.verdict}** | {claim.sound_cases} | {_percent(claim.sound_share)} |"
+            for claim in claims
         ),
         "",
         *(f"- {claim.finding}" for claim in claims),
@@ -584,26 +577,21 @@ def _trap_report(study: ControllerStudy) -> list[str]:
     stable = np.where(study.map_values["stable"] == 1.0, error, -np.inf)
     time, slope = np.unravel_index(np.argmax(np.nan_to_num(stable, nan=-np.inf)), error.shape)
     demand = study.trap[0].mean_command_change_rpm * per_sample / limit
-    head = (
-        *("λ (1/s)", "variant", "linear loop", "disk margin", "max error (deg)"),
-        *("command change (rpm/sample)", "the same (rad/s²)"),
-        "oscillation at rest (deg, peak to peak)",
-    )
-    rows = [
-        (
-            *(f"{case.lambda_per_s:g}", case.variant, "stable" if case.stable else "unstable"),
-            *(number(case.disk_margin), number(case.max_error_deg)),
-            number(case.mean_command_change_rpm),
-            number(case.mean_command_change_rpm * per_sample),
-            f"{case.oscillation_at_rest_deg:.2f}",
-        )
-        for case in study.trap
-    ]
     return [
         f"## A trap: T_f = {1e3 * grid.trap_time_constant_s:g} ms, "
         f"k/Φ = {grid.trap_slope_per_s:g} 1/s",
         "",
-        *markdown_table(head, rows),
+        "| λ (1/s) | variant | linear loop | disk margin | max error (deg) | command change "
+        "(rpm/sample) | the same (rad/s²) | oscillation at rest (deg, peak to peak) |",
+        "|---|---|---|---|---|---|---|---|",
+        *(
+            f"| {case.lambda_per_s:g} | {case.variant} "
+            f"| {'stable' if case.stable else 'unstable'} | {number(case.disk_margin)} "
+            f"| {number(case.max_error_deg)} | {number(case.mean_command_change_rpm)} "
+            f"| {number(case.mean_command_change_rpm * per_sample)} "
+            f"| {case.oscillation_at_rest_deg:.2f} |"
+            for case in study.trap
+        ),
         "",
         "û gives back the rod's own damping by the measured velocity, so that a small k/Φ leaves "
         "next to no margin even where the eigenvalues say stable. The counts of the encoder keep "

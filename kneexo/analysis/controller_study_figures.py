@@ -26,16 +26,22 @@ _SHARE_NORM = Normalize(0.0, 1.0)
 _STAR: dict[str, Any] = {"marker": "*", "color": "C3", "ms": 13, "mec": "w", "ls": "none"}
 
 
-def _crosses(ax: Axes, x: Any, y: Any, stable: Array) -> None:
-    """Mark the unstable loops of ``stable`` (x, y)."""
+def _map(
+    ax: Axes, x: Any, y: Any, values: Array, stable: Array, default: tuple[Any, Any], **style: Any
+) -> None:
+    """Heat map of ``values`` (x, y), the unstable loops crossed; a star at the ``default``."""
+    heat_map(ax, x, y, values, **style)
     column, row = np.nonzero(stable == 0.0)
     ax.plot(np.asarray(x)[column], np.asarray(y)[row], "x", color="w", ms=4, mew=1.2)
+    ax.plot(*default, zorder=3, **_STAR)
+    plain_ticks(ax.xaxis, x[::2])
 
 
 def lambda_and_slope(study: ControllerStudy) -> Figure:
     """Heat maps over λ and k/Φ at the η of the grid's centre."""
     lambda_, phi, eta = study.centre
     lambdas, slope = study.settings.lambdas_per_s, study.slope_per_s[::-1, eta]
+    default = (lambdas[lambda_], study.slope_per_s[phi, eta])
 
     def at(name: str) -> Array:
         return study.values[name][:, ::-1, eta]
@@ -52,14 +58,9 @@ def lambda_and_slope(study: ControllerStudy) -> Figure:
         (at("disk_margin"), _SHARE_NORM, "disk margin"),
     )
     for ax, (values, norm, label) in zip(axes.flat, panels, strict=True):
-        heat_map(ax, lambdas, slope, values, norm=norm, label=label)
-        _crosses(ax, lambdas, slope, at("stable"))
-        ax.plot(lambdas[lambda_], study.slope_per_s[phi, eta], **_STAR)
-        plain_ticks(ax.xaxis, lambdas[::2])
-    for ax in axes[1]:
-        ax.set_xlabel("λ (1/s)")
-    for ax in axes[:, 0]:
-        ax.set_ylabel("k/Φ (1/s)")
+        _map(ax, lambdas, slope, values, at("stable"), default, norm=norm, label=label)
+    plt.setp(axes[1], xlabel="λ (1/s)")
+    plt.setp(axes[:, 0], ylabel="k/Φ (1/s)")
     figure.suptitle(
         f"η = {study.settings.etas_m_s3[eta]:g} m/s³; star: default, cross: linearly unstable, "
         f"grey: failed, not settled or no margin",
@@ -83,8 +84,8 @@ def phi_and_eta(study: ControllerStudy) -> Figure:
         ("disk_margin", _SHARE_NORM, "disk margin"),
     )
     for ax, (name, norm, label) in zip(axes.flat, panels, strict=True):
-        heat_map(ax, phis, etas, study.values[name][lambda_], norm=norm, label=label)
-        _crosses(ax, phis, etas, study.values["stable"][lambda_])
+        values, stable = study.values[name][lambda_], study.values["stable"][lambda_]
+        _map(ax, phis, etas, values, stable, (phis[phi], etas[eta]), norm=norm, label=label)
         limits = {"xlim": ax.get_xlim(), "ylim": ax.get_ylim()}
         for power in (4, 5, 6):
             ratio = 10.0**power / beta
@@ -92,12 +93,8 @@ def phi_and_eta(study: ControllerStudy) -> Figure:
             x = max(limits["xlim"][0] * 1.1, limits["ylim"][0] * 1.7 / ratio)
             ax.text(x, ratio * x, f"10$^{power}$", color="w", fontsize=9, ha="left", va="top")
         ax.set(**limits)
-        ax.plot(phis[phi], etas[eta], **_STAR)
-        plain_ticks(ax.xaxis, phis[::2])
-    for ax in axes[1]:
-        ax.set_xlabel("Φ (m/s²)")
-    for ax in axes[:, 0]:
-        ax.set_ylabel("η (m/s³)")
+    plt.setp(axes[1], xlabel="Φ (m/s²)")
+    plt.setp(axes[:, 0], ylabel="η (m/s³)")
     figure.suptitle(
         f"λ = {study.settings.lambdas_per_s[lambda_]:g} 1/s; dashed: k/Φ (1/s), star: default, "
         f"cross: linearly unstable, grey: failed or no margin",
@@ -170,15 +167,14 @@ def trap(study: ControllerStudy) -> Figure:
     )
     axes[0].legend(fontsize=8, loc="upper right")
     times, slopes = 1e3 * np.array(grid.map_time_constants_s), grid.map_slopes_per_s
-    slope = law.gain_ratio * law.eta_m_s3 / law.phi_m_s2
+    default = (1e3 * observer.time_constant_s, law.gain_ratio * law.eta_m_s3 / law.phi_m_s2)
+    stable = study.map_values["stable"]
     for ax, name, norm, label, title in (
         (axes[1], "max_error_deg", _ERROR_NORM, _ERROR, "(b) star: default"),
         (axes[2], "disk_margin", _SHARE_NORM, "disk margin", "(c) cross: linearly unstable"),
     ):
-        heat_map(ax, times, slopes, study.map_values[name], norm=norm, label=label)
-        _crosses(ax, times, slopes, study.map_values["stable"])
+        values = study.map_values[name]
+        _map(ax, times, slopes, values, stable, default, norm=norm, label=label)
         ax.plot(1e3 * grid.trap_time_constant_s, grid.trap_slope_per_s, "C1o", mec="w", ms=9)
-        ax.plot(1e3 * observer.time_constant_s, slope, **_STAR)
         ax.set(xlabel="T_f (ms)", ylabel="k/Φ (1/s)", title=title)
-        plain_ticks(ax.xaxis, times[::2])
     return figure

@@ -232,7 +232,7 @@ def _hardware_text(sizing: Sizing, found: Mapping[str, Any]) -> list[str]:
             [[name, *(number(one[key]) for key in _AT_REFERENCE)] for name, one in measured],
         ),
         "",
-        "— is a figure that does not exist (a gain that does not fall by 3 dB) or a run that failed"
+        "– is a figure that does not exist (a gain that does not fall by 3 dB) or a run that failed"
         + (":" if failures else "."),
         *(["", *failures] if failures else []),
     ]
@@ -310,7 +310,7 @@ _WALKING = {
 
 def _walked(found: Mapping[str, Any], names: Sequence[str]) -> list[str]:
     if found["failure"]:
-        return [f"fails: {found['failure'].split(';')[0]}", *["—"] * (len(names) - 1)]
+        return [f"fails: {found['failure'].split(';')[0]}", *["–"] * (len(names) - 1)]
     return [number(found[name], _WALKING[name][1]) for name in names]
 
 

@@ -638,7 +638,7 @@ class SlidingStudy:
 
 
 def _numbers(*values: float) -> list[str]:
-    return list(map(number, values))
+    return [number(value) for value in values]
 
 
 def _percents(case: SlidingCase, *names: str) -> list[str]:

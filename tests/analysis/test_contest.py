@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import math
 from itertools import pairwise
@@ -214,6 +215,7 @@ def test_the_report_says_what_did_not_converge_or_fit():
     assert "| PID | 1 | no feasible gains found |" in report
     assert "SMC errs less than PID on 75 % of the plants" in report
     assert "- unstable:" not in report  # nobody was better there
+    assert "| worst error (deg) | 0.4 | ∞ |" in report
     assert "∞" in report
     # 0.11 lies within 2 % of the way (a factor of 1.22 of 0.1…2000) of a PID's lowest gains.
     assert "integral_per_s2 = 0.11 (at its bound), derivative = 0.11, filter_s" in report
@@ -229,6 +231,14 @@ def test_figures_have_labels_and_name_everybody():
         plt.close(figure)
     legend = [text.get_text() for text in figures["contest"].legends[0].get_texts()]
     assert legend == ["SMC", "PID", "SMC, default"]
+
+
+def test_a_contest_whose_every_run_failed_is_drawn():
+    done = made_up()
+    failed = {name: [figures_of(math.nan)] * 4 for name in done.tested}
+    figure = dataclasses.replace(done, tested=failed, elsewhere=failed).figures()["contest"]
+    figure.canvas.draw()
+    plt.close(figure)
 
 
 # -------------------------------------------------------------------------------- the runs

@@ -19,6 +19,7 @@ from kneexo.analysis.controller_study import (
     ideal_settling_time_s,
     settling_time_s,
 )
+from kneexo.analysis.simulation import simulate
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.output import to_json
 from kneexo.parameters import (
@@ -225,6 +226,22 @@ def test_the_trap_has_its_variants(small):
     assert exact.time_s.shape == exact.error_deg.shape == (251,)
 
 
+def test_the_oscillation_at_rest_is_that_of_the_later_half_of_the_hold(small):
+    law = SlidingModeParameters()
+    own = changed(
+        BASE,
+        {
+            "controller.lambda_per_s": 20.0,
+            "controller.phi_m_s2": law.gain_ratio * law.eta_m_s3 / SMALL.trap_slope_per_s,
+            "estimator.time_constant_s": SMALL.trap_time_constant_s,
+        },
+    )
+    run = simulate(experiments(own, SMALL)["hold"], signals=("knee_angle",))
+    angle = run["knee_angle_rad"][run.time_s >= 0.05 - 1e-9]  # the reference is constant
+    built = next(case for case in small[0].trap if case.variant == "as built")
+    assert built.oscillation_at_rest_deg == pytest.approx(np.degrees(np.ptp(angle)), rel=1e-9)
+
+
 def test_a_finished_study_is_taken_from_its_checkpoint(small, monkeypatch):
     study, checkpoint = small
 
@@ -232,7 +249,6 @@ def test_a_finished_study_is_taken_from_its_checkpoint(small, monkeypatch):
         raise AssertionError("computed again")
 
     monkeypatch.setattr(module, "track", refuse)
-    monkeypatch.setattr(module, "simulate", refuse)
     again = controller_study(
         BASE, SMALL, checkpoint=Checkpoint(checkpoint.path, resume=True), progress=True
     )
@@ -265,7 +281,7 @@ def test_a_run_that_fails_leaves_nan_and_its_reason(monkeypatch):
     def fail(scenario, **keywords):
         raise SimulationError("t = 1 s: knee_angle left the range of motion")
 
-    monkeypatch.setattr(module, "simulate", fail)
+    monkeypatch.setattr(module, "track", fail)
     one = SMALL.model_dump() | {"lambdas_per_s": (20.0,), "phis_m_s2": (3.2,)}
     study = controller_study(BASE, ControllerStudyParameters(**one))
     assert study.failures == {

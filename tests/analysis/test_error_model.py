@@ -277,7 +277,7 @@ def test_full_order_must_say_which_chamber_and_reduced_order_must_not():
 
 
 def test_another_controller_is_refused():
-    with pytest.raises(ParameterError, match=r"^controller\.kind = pid: the error model is"):
+    with pytest.raises(ParameterError, match=r"^controller\.kind = pid: must be smc$"):
         error_model(Scenario(controller=PidParameters()))
 
 

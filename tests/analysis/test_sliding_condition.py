@@ -317,5 +317,5 @@ def test_study_needs_the_continuous_law_under_a_load():
 
 
 def test_another_controller_is_refused():
-    with pytest.raises(ParameterError, match=r"^controller\.kind = pid: the sliding condition is"):
+    with pytest.raises(ParameterError, match=r"^controller\.kind = pid: must be smc$"):
         check_sliding(SETTINGS, Scenario(controller=PidParameters()))
