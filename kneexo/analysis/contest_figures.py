@@ -36,6 +36,8 @@ def outcome(done: Contest) -> Figure:
     axes[2].axhline(done.settings.least_disk_margin, color="0.4", ls=":", lw=1)
     axes[2].set(ylabel="disk margin", title="(c) margin; dotted: least of the tuning")
     for ax in axes:
+        if not np.isfinite(ax.dataLim.minposx):  # every run failed
+            ax.set_xlim(0.1, 10.0)
         ax.set(xscale="log", xlabel="largest error (deg)")
         ax.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=4, fontsize=8)
