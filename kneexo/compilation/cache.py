@@ -8,11 +8,13 @@ deleted at any time.
 
 from __future__ import annotations
 
+import atexit
 import fcntl
 import hashlib
 import importlib.util
 import json
 import os
+import shutil
 import sys
 import tempfile
 import warnings
@@ -20,16 +22,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from threading import RLock
 from types import ModuleType
 from typing import Any
 
 _PREFIX = "kneexo_model_"
+_lock = RLock()  # a module is there before it is complete
 
 
 def cache_directory() -> Path:
     """Where generated modules are kept."""
     if chosen := os.environ.get("KNEEXO_CACHE_DIR"):
-        return Path(chosen)
+        return Path(chosen).expanduser().absolute()
     if base := os.environ.get("XDG_CACHE_HOME"):
         return Path(base) / "kneexo"
     return Path.home() / ".cache" / "kneexo"
@@ -38,7 +42,9 @@ def cache_directory() -> Path:
 @cache
 def _own_directory() -> Path:
     """A directory of this process alone, where the user's cannot be written."""
-    return Path(tempfile.mkdtemp(prefix="kneexo-"))
+    directory = Path(tempfile.mkdtemp(prefix="kneexo-"))
+    atexit.register(shutil.rmtree, directory, ignore_errors=True)
+    return directory
 
 
 def text_hash(text: str) -> str:
@@ -49,12 +55,13 @@ def text_hash(text: str) -> str:
 def load_text(text: str) -> ModuleType:
     """The module with that text, from the cache where it is there."""
     name = _PREFIX + text_hash(text)
-    if name in sys.modules:
-        return sys.modules[name]
-    path = cache_directory() / f"{name}.py"
-    if not _is_sound(path):
-        path = _write(path, text)
-    return _import(name, path)
+    with _lock:
+        if name in sys.modules:
+            return sys.modules[name]
+        path = cache_directory() / f"{name}.py"
+        if not _is_sound(path):
+            path = _write(path, text)
+        return _import(name, path)
 
 
 def load_key(key: str) -> ModuleType | None:
@@ -65,10 +72,11 @@ def load_key(key: str) -> ModuleType | None:
         return None
     if not name.startswith(_PREFIX) or not name.removeprefix(_PREFIX).isalnum():
         return None
-    if name in sys.modules:
-        return sys.modules[name]
-    path = cache_directory() / f"{name}.py"
-    return _import(name, path) if _is_sound(path) else None
+    with _lock:
+        if name in sys.modules:
+            return sys.modules[name]
+        path = cache_directory() / f"{name}.py"
+        return _import(name, path) if _is_sound(path) else None
 
 
 def note_key(key: str, module: ModuleType) -> None:
@@ -150,15 +158,16 @@ def make_ready(function: Any, arguments: Sequence[Any]) -> None:
         return
     module = sys.modules[function.__module__]
     path = Path(module.__file__ or "")
+    code = Path(function._cache.cache_path)  # elsewhere with NUMBA_CACHE_DIR, or in a read-only one
     with _alone(path):
-        _remove_unsound_code(path)
+        _remove_unsound_code(path, code)
         for _ in vars(module):  # at most once for each function that cannot be kept
             try:
                 function(*arguments)
                 break
             except OSError as error:
                 _warn_unwritable(path.parent, error)
-        seal = json.dumps(_code_hashes(path))
+        seal = json.dumps(_code_hashes(path, code))
         with suppress(OSError):  # unsealed code is made anew by the next process
             if not _seal_path(path).exists() or _seal_path(path).read_text() != seal:
                 _write(_seal_path(path), seal)
@@ -178,23 +187,23 @@ def _seal_path(path: Path) -> Path:
     return path.with_suffix(".seal")
 
 
-def _code_hashes(path: Path) -> dict[str, str]:
-    """Hashes of numba's files of a module."""
-    files = sorted((path.parent / "__pycache__").glob(f"{path.stem}.*.nb[ci]"))
+def _code_hashes(path: Path, code: Path) -> dict[str, str]:
+    """Hashes of numba's files of a module, in the directory ``code``."""
+    files = sorted(code.glob(f"{path.stem}.*.nb[ci]"))
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
-def _remove_unsound_code(path: Path) -> None:
+def _remove_unsound_code(path: Path, code: Path) -> None:
     """Delete machine code that is not as it was sealed, or was never."""
-    found = _code_hashes(path)
+    found = _code_hashes(path, code)
     try:
         sealed = json.loads(_seal_path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         sealed = {}
-    unsound = [name for name, code in found.items() if sealed.get(name) != code]
+    unsound = [name for name, content in found.items() if sealed.get(name) != content]
     if not unsound:
         return
     if any(name in sealed for name in unsound):  # the others are of a process that was killed
-        warnings.warn(f"{path.parent}: machine code is damaged; it is made anew", stacklevel=3)
+        warnings.warn(f"{code}: machine code is damaged; it is made anew", stacklevel=3)
     for name in found:
-        (path.parent / "__pycache__" / name).unlink(missing_ok=True)
+        (code / name).unlink(missing_ok=True)

@@ -23,7 +23,7 @@ _MARK = "# ----- copied into each generated module from here on -----\n"
 INTEGRATORS = ("exact_hold", "rk4", "runge_kutta3")
 """Time integrators of every compiled model, by the name of their loop."""
 
-_HEADER = '''"""Equations of {name}, written by kneexo.compilation; do not edit."""
+_HEADER = '''"""Equations, written by kneexo.compilation; do not edit."""
 
 from typing import Any
 
@@ -40,6 +40,8 @@ jit = njit(**_options)  # called from Python
 _options |= {{"no_cpython_wrapper": True, "no_cfunc_wrapper": True}}
 inner = njit(**_options)
 inline = njit(**_options, forceinline=True)
+_options["fastmath"] = False  # discrete updates and outputs round as Drake's do
+exact = njit(**_options, forceinline=True)
 
 '''
 
@@ -62,7 +64,7 @@ _CALLS = {
     "ceil": "np.ceil",
 }
 _ARRAYS = {"parameter": "p", "state": "x", "held": "d", "input": "u"}
-_DECORATORS = {"derivatives": '@unrolled("x f")\n', "instant": "@inline\n"}  # called all the time
+_DECORATORS = {"derivatives": '@unrolled("x f")\n', "instant": "@exact\n"}  # called all the time
 _ONCE = ("constants", "initialize")  # called once a run: compiling them would take longer
 _LONGEST = 300  # characters of an expression before it gets a name
 
@@ -212,15 +214,14 @@ def _assign(target: str, nodes: Iterable[int]) -> list[tuple[str, int]]:
     return [(f"{target}[{i}]", node) for i, node in enumerate(nodes)]
 
 
-def source_text(name: str, equations: Equations) -> str:
+def source_text(equations: Equations) -> str:
     """The text of a module that runs ``equations``; equal equations give equal text."""
     graph = equations.graph
-    gradients = graph.gradients(equations.derivatives)
-    entries = [
-        (f"j[{row * len(equations.states) + column}]", gradient.get(column, graph.zero))
-        for row, gradient in enumerate(gradients)
-        for column in range(len(equations.states))
-    ]
+    derivatives = graph.with_reciprocals(equations.derivatives)
+    gradients = graph.gradients(derivatives)
+    size = len(equations.states)
+    elements = [row.get(column, graph.zero) for row in gradients for column in range(size)]
+    jacobian = _assign("j", graph.with_reciprocals(elements))
     groups: list[Group] = [("", _assign("m", (limit.margin for limit in equations.limits)))]
     for number, update in enumerate(equations.updates):
         groups.append((f"fires[{number}]", [(f"after[{i}]", node) for i, node in update.values]))
@@ -236,14 +237,14 @@ def source_text(name: str, equations: Equations) -> str:
     initial = _assign("after", equations.initial_held)
 
     writer = _Writer(graph)
-    roots = equations.derivatives + equations.initial_held + [node for _, node in entries]
+    roots = derivatives + equations.initial_held + [node for _, node in jacobian]
     roots += [node for _, targets in groups for _, node in targets]
     writer.hoist(roots)
     common = ("t", "x", "d", "u", "c")
     functions = [
         writer.constants(),
-        writer.function("derivatives", common, [("", _assign("f", equations.derivatives))]),
-        writer.function("jacobian", (*common, "j"), [("", entries)]),
+        writer.function("derivatives", common, [("", _assign("f", derivatives))]),
+        writer.function("jacobian", (*common, "j"), [("", jacobian)]),
         writer.function("initialize", (*common, "after"), [("", initial)]),
         writer.function("instant", (*common, "fires", "wanted", "after", "y", "m"), groups),
     ]
@@ -253,6 +254,11 @@ def source_text(name: str, equations: Equations) -> str:
         "HELD": tuple(equations.held),
         "INPUTS": equations.inputs,
         "OUTPUTS": layout,
+        "FEEDTHROUGH": tuple(
+            port
+            for port, nodes in equations.outputs.items()
+            if any("input" in graph.depends[node] for node in nodes)
+        ),
         "PERIODS": tuple((update.period_s, update.offset_s) for update in equations.updates),
         "LIMITS": tuple(limit.system for limit in equations.limits),
         "CONSTANT_COUNT": len(writer.hoisted),
@@ -262,7 +268,7 @@ def source_text(name: str, equations: Equations) -> str:
         "OUTPUT_COUNT": first,
         "LIMIT_COUNT": len(equations.limits),
     }
-    text = _HEADER.format(name=name, parts=text_hash(_linear_parts()))
+    text = _HEADER.format(parts=text_hash(_linear_parts()))
     text += "".join(f"{key} = {value!r}\n" for key, value in facts.items()) + "\n\n"
     return text + unrolled("".join(functions) + _loops(), len(equations.states))
 

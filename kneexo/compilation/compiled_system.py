@@ -11,9 +11,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
 
 from kneexo.compilation.model import CompiledModel
-from kneexo.compilation.runner import Array, InputTable, Runner, State
-
-_NO_INPUTS = InputTable()
+from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, Runner, State
 
 
 class CompiledSystem(LeafSystem):
@@ -25,21 +23,37 @@ class CompiledSystem(LeafSystem):
 
     As in every discrete system the state changes right after an update: at the ticks, outputs and
     logs are those of the diagram that was compiled, and in between they are those of the next tick.
+    An input that a discrete system drives arrives one tick later, for an update sees what was
+    before it: compile that system too.
     What the integrator remembers is a cache entry, so a run agrees with another one that started
     from its state within the tolerance.
     """
 
     def __init__(
-        self, model: CompiledModel, parameters: Array, state: State, **options: Any
+        self,
+        model: CompiledModel,
+        parameters: Array,
+        state: State,
+        *,
+        integrator: str = "exact_hold",
+        step_s: float = STEP_S,
+        tolerance: float = TOLERANCE,
+        tick_s: float | None = None,
     ) -> None:
         """``parameters`` and ``state``: defaults, before the initialization events of the diagram,
-        which this system has too. ``options``: ``integrator``, ``step_s`` and ``tolerance`` as in
-        `CompiledModel.simulate`, whose errors each update raises.
+        which this system has too. ``integrator``, ``step_s`` and ``tolerance`` as in
+        `CompiledModel.simulate`, whose errors each update raises. ``tick_s``: a shorter tick;
+        needed for a model without sample time.
         """
         super().__init__()
         self.model = model
-        self._options = options
-        self._tick = Runner(model, parameters, **options).timing.tick
+        self._options: dict[str, Any] = {
+            "integrator": integrator,
+            "step_s": step_s,
+            "tolerance": tolerance,
+            "record_period_s": tick_s,
+        }
+        self._tick = Runner(model, parameters, **self._options).timing.tick
         self.DeclareNumericParameter(BasicVector(np.asarray(parameters, dtype=float)))
         self.DeclareDiscreteState(np.concatenate((state.continuous, state.held)))
         for name, size in model.inputs.items():
@@ -49,24 +63,22 @@ class CompiledSystem(LeafSystem):
             ValueProducer(lambda: Value[object](), self._make_runner),
             {self.all_parameters_ticket()},
         )
-        self._records = self.DeclareCacheEntry(
-            "outputs",
-            ValueProducer(lambda: Value[object](), self._record),
-            {
-                self.time_ticket(),
-                self.all_state_ticket(),
-                self.all_parameters_ticket(),
-                self.all_input_ports_ticket(),
-            },
-        )
+        of_state = {self.time_ticket(), self.all_state_ticket(), self.all_parameters_ticket()}
+        entries = [
+            self.DeclareCacheEntry(
+                "outputs", ValueProducer(lambda: Value[object](), partial(self._record, used)), by
+            )
+            for used, by in ((False, of_state), (True, of_state | {self.all_input_ports_ticket()}))
+        ]
         self._size, self._width = len(model.state_names), sum(model.outputs.values())
         first = 0
         for name, size in model.outputs.items():
+            entry = entries[name in model.feedthrough]
             self.DeclareVectorOutputPort(
                 name,
                 size,
-                partial(self._copy_output, slice(first, first + size)),
-                {self._records.ticket()},
+                partial(self._copy_output, entry, slice(first, first + size)),
+                {entry.ticket()},
             )
             first += size
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
@@ -83,7 +95,7 @@ class CompiledSystem(LeafSystem):
 
     def _inputs(self, context: Any) -> InputTable:
         if not self.model.inputs:
-            return _NO_INPUTS
+            return self.model.no_inputs
         ports = (self.get_input_port(i).Eval(context) for i in range(self.num_input_ports()))
         return InputTable(np.empty(0), np.concatenate(list(ports))[None, :, None])
 
@@ -99,12 +111,14 @@ class CompiledSystem(LeafSystem):
         self._running.Eval(context).run(x, d, tick, tick + 1, self._inputs(context))
         discrete_state.set_value(0, values)
 
-    def _record(self, context: Any, value: Any) -> None:
+    def _record(self, with_inputs: bool, context: Any, value: Any) -> None:
         _, x, d = self._state(context)
         tick = math.ceil(context.get_time() / self._tick - 1e-9)
         record = np.empty((1, self._width))
-        self._running.Eval(context).run(x, d, tick, tick, self._inputs(context), record)
+        inputs = self._inputs(context) if with_inputs else self.model.no_inputs
+        self._running.Eval(context).run(x, d, tick, tick, inputs, record)
         value.set_value(record[0])
 
-    def _copy_output(self, part: slice, context: Any, output: Any) -> None:
-        output.set_value(self._records.Eval(context)[part])
+    @staticmethod
+    def _copy_output(entry: Any, part: slice, context: Any, output: Any) -> None:
+        output.set_value(entry.Eval(context)[part])

@@ -7,6 +7,7 @@ diagram would unfold to 10⁸ nodes.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -85,17 +86,18 @@ class Equations:
 class Node:
     """A system within a diagram; paths are names joined by ``/``, empty for the root."""
 
-    def __init__(self, system: Any, parent: Node | None = None) -> None:
+    def __init__(self, system: Any, parent: Node | None = None, number: int = 0) -> None:
         self.system = system
         self.parent = parent
         prefix = f"{parent.path}/" if parent is not None and parent.path else ""
-        self.path: str = "" if parent is None else prefix + system.get_name()
+        self.path: str = "" if parent is None else prefix + _label(system, number)
         self.children: dict[str, Node] = {}
         self._drivers: dict[tuple[str, int], tuple[str, int]] = {}
         self._exported: dict[tuple[str, int], int] = {}
         if not hasattr(system, "connection_map"):
             return
-        self.children = {s.get_name(): Node(s, self) for s in system.GetSystems()}
+        systems = enumerate(system.GetSystems())
+        self.children = {s.get_name(): Node(s, self, number) for number, s in systems}
         for (target, port), (source, output) in system.connection_map().items():
             self._drivers[target.get_name(), int(port)] = (source.get_name(), int(output))
         for index in range(system.num_input_ports()):
@@ -225,15 +227,16 @@ class _Reader:
     def __init__(self, root: Node, inputs: Sequence[str]) -> None:
         self.equations = Equations()
         open_inputs: dict[int, int] = {}
-        for name in inputs:
+        for name in dict.fromkeys(inputs):
             port = root.system.GetInputPort(name)
             open_inputs[int(port.get_index())] = sum(self.equations.inputs.values())
             self.equations.inputs[name] = port.size()
-        self.leaves = {
-            leaf.path: _Leaf(leaf, self.equations, open_inputs)
-            for leaf in root.leaves()
-            if leaf.has_equations
-        }
+        self.leaves: dict[str, _Leaf] = {}
+        for leaf in root.leaves():
+            if leaf.path in self.leaves:
+                raise CompilationError(f"{leaf.path}: two systems have this path; rename one")
+            if leaf.has_equations:
+                self.leaves[leaf.path] = _Leaf(leaf, self.equations, open_inputs)
 
     def output(self, node: Node, index: int) -> list[int]:
         """The nodes of an output port of a leaf."""
@@ -273,17 +276,21 @@ class _Reader:
             )
             nodes = self._convert(where, leaf, values)
             self._update(timing, list(enumerate(nodes, leaf.first_held)))
-        if margin := getattr(system, "margin", None):
+        if callable(margin := getattr(system, "margin", None)):
             where = f"{name}: margin"
             (node,) = self._convert(where, leaf, [_symbolic(where, lambda: margin(context))])
             equations.limits.append(Limit(leaf.node.path, node))
 
     def read_initial(self, leaf: _Leaf) -> None:
         """Add the discrete state after initialization; this changes the leaf's context."""
-        if not leaf.context.num_discrete_state_groups():
+        if not leaf.context.num_discrete_state_groups() + leaf.context.num_continuous_states():
             return
         where = f"{leaf.node.name}: initialization"
+        before = leaf.context.get_continuous_state_vector().CopyToVector()
         _symbolic(where, lambda: leaf.system.ExecuteInitializationEvents(leaf.context))
+        now = leaf.context.get_continuous_state_vector().CopyToVector()
+        if not all(a.EqualTo(b) for a, b in zip(before, now, strict=True)):
+            raise CompilationError(f"{where}: changes the continuous state; only discrete ones may")
         after = _discrete(leaf.context.get_discrete_state())
         self.equations.initial_held += self._convert(where, leaf, after)
 
@@ -369,6 +376,11 @@ class _Reader:
         return result
 
 
+def _label(system: Any, number: int) -> str:
+    """A system's name; the address in that of a nameless one becomes its number in the diagram."""
+    return re.sub("@[0-9a-f]{16}$", f"_{number}", str(system.get_name()))
+
+
 def _has_state(system: Any) -> bool:
     context = system.CreateDefaultContext()
     return bool(context.num_total_states())
@@ -420,7 +432,23 @@ def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
     CompilationError
         Names the subsystem and the port that cannot be converted.
     """
-    root = Node(to_symbolic(diagram))
+    if isinstance(inputs, str):
+        raise CompilationError(f"inputs = {inputs!r}: must be a list of names of input ports")
+    for leaf in Node(diagram).leaves():
+        if leaf.system.GetWitnessFunctions(leaf.system.CreateDefaultContext()):
+            raise CompilationError(
+                f"{leaf.name}: has a witness function; only sampled events compile"
+            )
+    try:
+        return _read(Node(to_symbolic(diagram)), inputs)
+    except RecursionError:
+        raise CompilationError(
+            f"{diagram.get_name()}: too many blocks in a chain, or too deep an expression, without "
+            f"a state between"
+        ) from None
+
+
+def _read(root: Node, inputs: Sequence[str]) -> Equations:
     reader = _Reader(root, inputs)
     for leaf in reader.leaves.values():
         reader.read(leaf)

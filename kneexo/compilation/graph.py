@@ -158,9 +158,6 @@ class Graph:
         """The quotient."""
         if self.value(denominator) == 1.0 or self.value(numerator) == 0.0:
             return numerator
-        if self.is_fixed(denominator) and not self.is_fixed(numerator):
-            # The reciprocal is computed once a run, and a product is faster.
-            return self.multiply(numerator, self._node("divide", self.one, denominator))
         return self._node("divide", numerator, denominator)
 
     def power(self, base: int, exponent: int) -> int:
@@ -208,6 +205,22 @@ class Graph:
                 found.add(node)
                 pending.extend(self.arguments(node))
         return sorted(found)
+
+    def with_reciprocals(self, roots: Iterable[int]) -> list[int]:
+        """The same with products in place of quotients by what is fixed: faster, rounded twice."""
+        roots = list(roots)
+        new: dict[int, int] = {}
+        for node in self.reachable(roots):
+            kind, *_ = self.nodes[node]
+            arguments = [new[argument] for argument in self.arguments(node)]
+            if kind in SOURCES:
+                new[node] = node
+            elif kind == "divide" and self.is_fixed(arguments[1]) and not self.is_fixed(node):
+                reciprocal = self._node("divide", self.one, arguments[1])
+                new[node] = self.multiply(arguments[0], reciprocal)
+            else:
+                new[node] = self._node(kind, *arguments)
+        return [new[root] for root in roots]
 
     def gradients(self, roots: Iterable[int], kind: str = "state") -> list[dict[int, int]]:
         """Of each root, its partial derivatives by the sources of ``kind`` that it depends on.

@@ -108,6 +108,10 @@ def choose_slot(
     n, filled = x.size, memory[1]
     a = jacobians.reshape((SLOTS + 1, n, n))
     j = a[SLOTS]
+    for i in range(n):
+        for k in range(n):
+            if not np.isfinite(j[i, k]):  # a root at zero; any matrix will do, if slowly
+                j[i, k] = 0.0
     if filled > 0:
         explained = left = 0.0
         for i in range(n):

@@ -23,7 +23,7 @@ def jit(function: Any) -> Any:
     return function
 
 
-inner = inline = jit
+inner = inline = exact = jit
 """The same for functions that Python does not call, and for those called in the inner loops:
 passing ten arrays costs more than they do."""
 
@@ -99,7 +99,8 @@ def evaluate_inputs(t: Any, breaks: Any, coefficients: Any, u: Any) -> None:
     """Evaluate the inputs at ``t``: polynomials in the time since the last of ``breaks``.
 
     ``coefficients[segment, input, power]``; the first segment ends and the last one starts at a
-    break, where a value belongs to the segment on its right, at the last break to that on its left.
+    break, where a value belongs to the segment on its right; at the last of several breaks, the end
+    of a spline, to that on its left.
     """
     segment = np.searchsorted(breaks, t, side="right")
     if segment > 1 and segment == breaks.size and t == breaks[segment - 1]:
@@ -306,6 +307,8 @@ def advance_exact_hold(
             if level == FINEST:
                 settings[3] += worst * tolerance
                 if not np.isfinite(worst):
+                    for i in range(STATE_COUNT):
+                        state[i] = b[i]
                     return NOT_FINITE
                 if settings[3] > MOST_EXCESS:
                     return TOO_ROUGH

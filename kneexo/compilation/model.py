@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +16,7 @@ from kneexo.compilation.cache import load_text
 from kneexo.compilation.codegen import source_text
 from kneexo.compilation.expressions import Node, read_equations
 from kneexo.compilation.runner import (
+    LONGEST_TICK_S,
     STEP_S,
     TOLERANCE,
     Array,
@@ -23,7 +25,7 @@ from kneexo.compilation.runner import (
     State,
     require_shape,
 )
-from kneexo.errors import ParameterError, SimulationError, StiffnessError
+from kneexo.errors import KneexoError, ParameterError, SimulationError, StiffnessError
 
 
 @dataclass(frozen=True)
@@ -59,15 +61,23 @@ class CompiledModel:
         self.held_names: tuple[str, ...] = module.HELD
         self.inputs: dict[str, int] = module.INPUTS
         """Size of each input port that stayed open."""
+        self.no_inputs = InputTable(
+            coefficients=np.zeros((1, max(sum(module.INPUTS.values()), 1), 1))
+        )
+        self.feedthrough: frozenset[str] = frozenset(module.FEEDTHROUGH)
+        """Output ports whose value depends on an open input at once."""
         self.outputs: dict[str, int] = {name: size for name, (_, size) in module.OUTPUTS.items()}
         """Size of each output port."""
-        self.sample_times_s: tuple[float, ...] = tuple(period for period, _ in module.PERIODS)
+        self.sample_times_s: tuple[float, ...] = tuple(
+            dict.fromkeys(period for period, _ in module.PERIODS)
+        )
 
     def initialized(
-        self, parameters: Array, state: State, inputs: InputTable = InputTable()
+        self, parameters: Array, state: State, inputs: InputTable | None = None
     ) -> State:
         """The state after the initialization events of ``Simulator.Initialize()``, at t = 0."""
         module = self.module
+        inputs = inputs or self.no_inputs
         c = self.constants(parameters)
         x, d = self._checked_state(state, inputs)
         u, after = np.zeros(max(sum(self.inputs.values()), 1)), d.copy()
@@ -116,7 +126,7 @@ class CompiledModel:
         integrator: str = "exact_hold",
         step_s: float = STEP_S,
         tolerance: float = TOLERANCE,
-        inputs: InputTable = InputTable(),
+        inputs: InputTable | None = None,
     ) -> Simulation:
         """Run from t = 0 with all events exactly at their times.
 
@@ -127,7 +137,7 @@ class CompiledModel:
         state
             At t = 0, after initialization: see `initialized`.
         duration_s
-            The run ends with the last event or record within.
+            The run ends with the last whole tick within, or as far as ``record_times_s`` need.
         outputs
             Output ports to record; all by default.
         record_period_s
@@ -150,6 +160,8 @@ class CompiledModel:
         ParameterError
             A parameter is not finite.
         """
+        if record_times_s is not None and not self.sample_times_s:
+            record_period_s = record_period_s or LONGEST_TICK_S
         runner = Runner(
             self,
             parameters,
@@ -159,7 +171,10 @@ class CompiledModel:
             step_s=step_s,
             tolerance=tolerance,
         )
+        if not 0.0 <= duration_s < math.inf:
+            raise ValueError(f"duration_s = {duration_s} s: must be finite and >= 0")
         tick, every = runner.timing.tick, runner.timing.record_every
+        inputs = inputs or self.no_inputs
         x, d = self._checked_state(state, inputs)
         ticks = int(duration_s / tick * (1.0 + 1e-12))
         if record_times_s is None:
@@ -167,13 +182,13 @@ class CompiledModel:
             record = np.empty((times.size, runner.columns.size))
             runner.run(x, d, 0, ticks, inputs, record)
         else:
-            times = np.asarray(record_times_s, dtype=float)
-            if not (np.diff(times, prepend=0.0, append=duration_s) >= 0.0).all():
+            times = np.array(record_times_s, dtype=float)
+            end = duration_s * (1.0 + 1e-12)
+            if times.ndim != 1 or not (np.diff(times, prepend=0.0, append=end) >= 0.0).all():
                 raise ValueError(f"record_times_s: must ascend within 0 … {duration_s:g} s")
             record = runner.run_with_records(x, d, ticks, inputs, times)
-        names = tuple(self.outputs) if outputs is None else outputs
         recorded, first = {}, 0
-        for name in names:
+        for name in runner.names:
             recorded[name] = record[:, first : first + self.outputs[name]]
             first += self.outputs[name]
         return Simulation(times, recorded, State(x, d))
@@ -184,7 +199,7 @@ class CompiledModel:
         states: Sequence[State] | State,
         duration_s: float,
         *,
-        inputs: Sequence[InputTable] | InputTable = InputTable(),
+        inputs: Sequence[InputTable] | InputTable | None = None,
         reduce: Callable[[Simulation], Any] | None = None,
         failures: str = "raise",
         threads: int | None = None,
@@ -194,14 +209,19 @@ class CompiledModel:
 
         ``states`` and ``inputs``: one for each run, or one for all. ``reduce`` turns each
         `Simulation` into what is kept of it as soon as it is there, so that memory stays flat.
-        ``failures``: ``raise`` the first `SimulationError`, or ``return`` it in its run's place.
+        ``failures``: ``raise`` the first error of a run, or ``return`` it in its run's place.
         ``threads``: all cores of this process by default. ``options``: see `simulate`.
         """
         if failures not in ("raise", "return"):
             raise ValueError(f"failures = {failures!r}: must be one of raise, return")
+        parameters = list(parameters)
         count = len(parameters)
-        of_states = [states] * count if isinstance(states, State) else states
-        of_inputs = [inputs] * count if isinstance(inputs, InputTable) else inputs
+        of_states = [states] * count if isinstance(states, State) else list(states)
+        of_inputs: list[InputTable | None]
+        if inputs is None or isinstance(inputs, InputTable):
+            of_inputs = [inputs] * count
+        else:
+            of_inputs = list(inputs)
         for name, given in (("states", of_states), ("inputs", of_inputs)):
             if len(given) != count:
                 raise ValueError(f"{name}: has {len(given)} for {count} runs")
@@ -215,7 +235,7 @@ class CompiledModel:
                     inputs=of_inputs[index],
                     **options,
                 )
-            except SimulationError as error:
+            except KneexoError as error:
                 if failures == "raise":
                     raise
                 return error
@@ -368,4 +388,4 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
         Names the subsystem and port that cannot be converted.
     """
     equations = read_equations(diagram, tuple(inputs))
-    return DiagramModel(diagram, load_text(source_text(diagram.get_name(), equations)))
+    return DiagramModel(diagram, load_text(source_text(equations)))

@@ -28,6 +28,10 @@ ROUGH_STEP_S = 2e-5
 """Step of RK4 for records between two events, also where the exact hold gives up: a third of the
 make-up valve's time constant."""
 
+LONGEST_TICK_S = 2e-3
+"""Longest tick, that of the paper's controller; a forcing that repeats within half of it can look
+constant to the exact hold."""
+
 TOLERANCE = 1e-8
 """Default of the exact hold: local error of each state, relative to one plus the state."""
 
@@ -55,6 +59,16 @@ class InputTable:
 
     breaks: Array = field(default_factory=lambda: np.empty(0))
     coefficients: Array = field(default_factory=lambda: np.zeros((1, 1, 1)))
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for breaks that do not ascend, and for numbers that are not finite."""
+        for name in ("breaks", "coefficients"):  # as machine code wants them
+            values = np.array(getattr(self, name), dtype=float)
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name}: must be finite")
+            object.__setattr__(self, name, values)
+        if not (np.diff(self.breaks) > 0.0).all():
+            raise ValueError("breaks: must ascend")
 
 
 def require_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
@@ -90,12 +104,20 @@ class Runner:
         for name in outputs or ():
             if name not in model.outputs:
                 raise ValueError(f"output {name!r} is unknown; known: {', '.join(model.outputs)}")
-        names = tuple(model.outputs) if outputs is None else outputs
-        module = model.module
+        self.names = tuple(model.outputs) if outputs is None else tuple(outputs)
+        module, names = model.module, self.names
+        self._options: dict[str, Any] = {
+            "outputs": outputs,
+            "record_period_s": record_period_s,
+            "integrator": integrator,
+            "step_s": step_s,
+            "tolerance": tolerance,
+        }
         self.model = model
-        self.parameters = parameters
+        self.parameters = np.asarray(parameters, dtype=float)
         self.constants = model.constants(parameters)
-        self.timing = _timing(module.PERIODS, record_period_s)
+        longest = LONGEST_TICK_S if integrator == "exact_hold" else math.inf
+        self.timing = _timing(module.PERIODS, record_period_s, longest)
         self.wanted = np.array([name in names for name in model.outputs], dtype=np.bool_)
         columns = [module.OUTPUTS[n][0] + i for n in names for i in range(model.outputs[n])]
         self.columns = np.array(columns, dtype=np.int64)
@@ -103,6 +125,10 @@ class Runner:
         self._ready = False
         self._tolerance = tolerance
         self._hold = self._work(step_s)
+
+    def __deepcopy__(self, memo: Any) -> Runner:
+        """A new one, with the memory empty: Drake copies cache entries with a Context."""
+        return Runner(self.model, self.parameters, **self._options)
 
     def _work(self, step_s: float) -> tuple[Any, ...]:
         """Settings, work vectors and memory of an integrator: see `loops`."""
@@ -203,8 +229,12 @@ class _Timing:
 
 
 @lru_cache
-def _timing(periods: tuple[tuple[float, float], ...], record_period_s: float | None) -> _Timing:
-    """The longest tick of which all sample times, offsets and the record period are multiples."""
+def _timing(
+    periods: tuple[tuple[float, float], ...],
+    record_period_s: float | None,
+    longest_s: float = math.inf,
+) -> _Timing:
+    """The longest tick up to ``longest_s`` that divides all periods, offsets and the records'."""
     if record_period_s is None:
         if not periods:
             raise ValueError("record_period_s is needed: the model has no sample time")
@@ -221,9 +251,11 @@ def _timing(periods: tuple[tuple[float, float], ...], record_period_s: float | N
     parts = math.lcm(*(ratio.denominator for ratio in ratios))
     counts = [int(ratio * parts) for ratio in ratios]
     shared = math.gcd(*counts)
-    counts = [count // shared for count in counts]
+    # The exact hold looks at three points of a tick, so a long one could miss what happens between.
+    split = max(1, math.ceil(base * shared / parts / longest_s * (1.0 - 1e-9)))
+    counts = [count // shared * split for count in counts]
     return _Timing(
-        base * shared / parts,
+        base * shared / parts / split,
         np.array(counts[1::2], dtype=np.int64),
         np.array(counts[2::2], dtype=np.int64),
         counts[0],

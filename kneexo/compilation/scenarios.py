@@ -108,7 +108,15 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
 
     Its parameters, state and inputs come from `scenario_run`.
     """
-    return CompiledModel(_module(structure_key(scenario), scenario))
+    key = structure_key(scenario)
+
+    def context_at(parameters: Array) -> tuple[Node, Any]:
+        root = Node(_diagram(key, scenario))
+        context = root.system.CreateDefaultContext()
+        set_parameters(root, context, parameters)
+        return root, context
+
+    return CompiledModel(_module(key, scenario), context_at)
 
 
 _lock = RLock()  # threads may run scenarios of one structure
@@ -131,7 +139,7 @@ def _module(key: str, scenario: Scenario) -> Any:
             if module is None:
                 inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
                 equations = read_equations(_diagram(key, scenario), inputs)
-                module = load_text(source_text("closed_loop", equations))
+                module = load_text(source_text(equations))
                 note_key(key, module)
             _modules[key] = module
         return _modules[key]
@@ -265,16 +273,7 @@ def simulate_compiled(
     from kneexo.analysis.simulation import Run
 
     names = chosen_signals(scenario, signals)
-    key = structure_key(scenario)
-    module = _module(key, scenario)
-
-    def context_at(parameters: Array) -> tuple[Node, Any]:
-        root = Node(_diagram(key, scenario))
-        context = root.system.CreateDefaultContext()
-        set_parameters(root, context, parameters)
-        return root, context
-
-    model = CompiledModel(module, context_at)
+    model = compile_scenario(scenario)
     parameters, state, inputs = scenario_run(scenario, model)
     result = model.simulate(
         parameters,

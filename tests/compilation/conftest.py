@@ -32,7 +32,7 @@ def interpreted_diagram():
     """``interpreted_diagram(diagram, inputs)``: its model without numba."""
 
     def make(diagram, inputs=()):
-        text = source_text("diagram", read_equations(diagram, inputs))
+        text = source_text(read_equations(diagram, inputs))
         return DiagramModel(diagram, interpreted_module(text))
 
     return make
@@ -45,7 +45,7 @@ def interpreted():
     def make(scenario):
         inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
         equations = read_equations(scenario_diagram(scenario), inputs)
-        model = CompiledModel(interpreted_module(source_text("closed_loop", equations)))
+        model = CompiledModel(interpreted_module(source_text(equations)))
         return model, scenario_run(scenario, model)
 
     return make

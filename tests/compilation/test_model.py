@@ -1,6 +1,7 @@
 """Compiled models at full speed: integrators, several sample times, faults."""
 
 import sys
+from itertools import pairwise
 
 import numpy as np
 import pydrake.math as drake_math
@@ -9,9 +10,16 @@ import scipy.linalg
 from pydrake.common import RandomDistribution
 from pydrake.common.value import Value
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem, LeafSystem_
+from pydrake.systems.framework import (
+    DiagramBuilder,
+    LeafSystem,
+    LeafSystem_,
+    WitnessFunctionDirection,
+)
 from pydrake.systems.primitives import (
+    FirstOrderLowPassFilter,
     Gain,
+    Integrator,
     RandomSource,
     Sine,
     ZeroOrderHold,
@@ -28,6 +36,8 @@ from kneexo.compilation import (
     scenario_run,
     simulate_compiled,
 )
+from kneexo.compilation.codegen import source_text
+from kneexo.compilation.expressions import read_equations
 from kneexo.compilation.runner import _timing
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import CompilationError, ParameterError, ScenarioError, SimulationError
@@ -337,6 +347,139 @@ def test_a_parameter_that_is_not_finite_is_refused(default, value):
             call(bad, state, 0.1)
 
 
+# ------------------------------------------------------------------ other people's diagrams
+
+
+def diagram_of(*systems, connect=(), out=None):
+    """A diagram of (name, system) in a chain of ports (from, to), with one output."""
+    builder = DiagramBuilder()
+    added = {name: builder.AddNamedSystem(name, system) for name, system in systems}
+    for source, target in connect:
+        builder.Connect(added[source].get_output_port(0), added[target].get_input_port(0))
+    builder.ExportOutput(added[out or systems[-1][0]].get_output_port(0), "out")
+    return builder.Build()
+
+
+def simple_leaf(name, construct):
+    """A leaf of all scalars whose ports and events ``construct(self, T)`` declares."""
+
+    def template(T):
+        class Impl(LeafSystem_[T]):
+            def _construct(self, *, converter=None):
+                LeafSystem_[T].__init__(self, converter)
+                construct(self, T)
+
+            def _construct_copy(self, other, converter=None):
+                Impl._construct(self, converter=converter)
+
+        return Impl
+
+    return TemplateSystem.define(name, scope=sys.modules[__name__])(template)[float]()
+
+
+def test_a_forcing_faster_than_the_records_is_seen_by_the_exact_hold(interpreted_diagram):
+    # 20 Hz repeats five times in half of the sample time of 0.1 s.
+    diagram = diagram_of(
+        ("sine", Sine(1.0, 2.0 * np.pi * 20.0, 0.5 * np.pi, 1)),
+        ("filter", FirstOrderLowPassFilter(0.5)),
+        ("hold", ZeroOrderHold(0.1, 1)),
+        connect=[("sine", "filter"), ("filter", "hold")],
+    )
+    model = interpreted_diagram(diagram)
+    hold, rk4 = (
+        model.simulate(model.parameters(), model.state(), 1.0, integrator=integrator, step_s=1e-4)
+        for integrator in ("exact_hold", "rk4")
+    )
+    assert np.max(np.abs(rk4["out"])) < 0.1
+    np.testing.assert_allclose(hold["out"], rk4["out"], rtol=0, atol=1e-6)
+
+
+def test_discrete_updates_round_as_drakes_do(interpreted_diagram):
+    def construct(self, T):
+        def update(context, state):
+            state.get_mutable_vector(0).SetAtIndex(0, context.get_discrete_state(0)[0] + 1.0)
+
+        def output(context, out):
+            out.SetAtIndex(0, drake_math.floor(context.get_discrete_state(0)[0] / 49.0))
+
+        self.DeclareDiscreteState(1)
+        self.DeclarePeriodicDiscreteUpdateEvent(0.1, 0.0, update)
+        self.DeclareVectorOutputPort("out", 1, output)
+
+    model = interpreted_diagram(diagram_of(("counter", simple_leaf("Counter_", construct))))
+    run = model.simulate(model.parameters(), model.state(), 10.0)
+    np.testing.assert_array_equal(run["out"][:, 0], np.arange(101) // 49)
+
+
+def test_a_root_at_zero_has_no_slope_and_yet_a_solution():
+    # The slope of the root is infinite where it starts.
+    def output(context, out):
+        out.SetAtIndex(0, context.get_continuous_state_vector()[0])
+
+    def template(T):
+        class Impl(LeafSystem_[T]):
+            def _construct(self, *, converter=None):
+                LeafSystem_[T].__init__(self, converter)
+                self.DeclareContinuousState(1)
+                self.DeclareVectorOutputPort("out", 1, output)
+
+            def _construct_copy(self, other, converter=None):
+                Impl._construct(self, converter=converter)
+
+            def DoCalcTimeDerivatives(self, context, derivatives):
+                x = context.get_continuous_state_vector()[0]
+                flow = drake_math.sqrt(drake_math.abs(drake_math.sin(context.get_time()) - x))
+                derivatives.get_mutable_vector().SetAtIndex(0, flow)
+
+        return Impl
+
+    system = TemplateSystem.define("Orifice_", scope=sys.modules[__name__])(template)[float]()
+    model = kneexo.compile(diagram_of(("orifice", system)))
+    hold, rk4 = (
+        model.simulate(
+            model.parameters(),
+            model.state(),
+            1.0,
+            record_period_s=0.01,
+            integrator=integrator,
+            step_s=1e-4,
+        )["out"]
+        for integrator in ("exact_hold", "rk4")
+    )
+    assert rk4[-1, 0] > 0.3
+    np.testing.assert_allclose(hold, rk4, rtol=0, atol=1e-4)
+
+
+def test_equal_diagrams_of_nameless_systems_give_equal_text():
+    def text():
+        builder = DiagramBuilder()
+        first, second = builder.AddSystem(Integrator(1)), builder.AddSystem(Integrator(1))
+        builder.Connect(first.get_output_port(), second.get_input_port())
+        builder.ExportInput(first.get_input_port(), "in")
+        builder.ExportOutput(second.get_output_port(), "out")
+        diagram = builder.Build()
+        return source_text(read_equations(diagram, ("in", "in")))
+
+    first = text()
+    assert text() == first
+
+
+@pytest.mark.parametrize(("period", "offset"), [(0.05, 0.07), (0.05, 0.02)])
+def test_offsets_beyond_a_period(interpreted_diagram, period, offset):
+    diagram = diagram_of(
+        ("sine", Sine(1.0, 10.0, 0.3, 1)),
+        ("hold", ZeroOrderHold(period, 1, offset_sec=offset)),
+        connect=[("sine", "hold")],
+    )
+    model = interpreted_diagram(diagram)
+    run = model.simulate(model.parameters(), model.state(), 0.4)
+    simulator = Simulator(diagram)
+    context = simulator.get_context()
+    for time, value in zip(run.time_s, run["out"][:, 0], strict=True):
+        simulator.AdvanceTo(time)  # stops before the updates at this time
+        assert value == pytest.approx(diagram.GetOutputPort("out").Eval(context)[0], abs=1e-12)
+
+
 # ------------------------------------------------------------------- what does not compile
 
 
@@ -348,6 +491,33 @@ class Opaque(LeafSystem):
         self.set_name("opaque")
         if abstract:
             self.DeclareAbstractOutputPort("out", lambda: Value(1), lambda c, v: None)
+
+
+class Ball(LeafSystem):
+    """A leaf with a witness function."""
+
+    def __init__(self):
+        LeafSystem.__init__(self)
+        self.DeclareContinuousState(1)
+        self.DeclareVectorOutputPort("out", 1, lambda context, out: None)
+        self._witness = self.MakeWitnessFunction(
+            "ground", WitnessFunctionDirection.kCrossesZero, lambda context: 1.0
+        )
+
+    def DoGetWitnessFunctions(self, context):
+        return [self._witness]
+
+
+def nested_b():
+    return diagram_of(("b", Sine(2.0, 1.0, 0.0, 1)))
+
+
+def chain_of_gains():
+    count = 300
+    gains = [("sine", Sine(1.0, 1.0, 0.0, 1))]
+    gains += [(f"gain_{n}", Gain(1.0, 1)) for n in range(count)]
+    names = [name for name, _ in gains]
+    return diagram_of(*gains, connect=list(pairwise(names)))
 
 
 def named_diagram(system, name):
@@ -395,11 +565,17 @@ def Tall_(T):
         (lambda: named_diagram(Opaque(abstract=True), "opaque"), ("opaque", "Opaque")),
         (lambda: named_diagram(Gain(1.0, 1), "gain"), ("gain", "output port y0")),
         (
+            lambda: diagram_of(("a/b", Sine(1.0, 1.0, 0.0, 1)), ("a", nested_b()), out="a"),
+            ("a/b", "two systems have this path"),
+        ),
+        (lambda: diagram_of(("ball", Ball())), ("ball", "witness function")),
+        (chain_of_gains, ("too many blocks in a chain",)),
+        (
             lambda: named_diagram(Tall_[float](), "tall"),
             ("tall", "output port out", "more than 20000 nodes"),
         ),
     ],
-    ids=["sampled", "random", "opaque", "unconnected", "tall"],
+    ids=["sampled", "random", "opaque", "unconnected", "paths", "witness", "chain", "tall"],
 )
 def test_what_does_not_compile_is_named_in_one_line(diagram, words):
     with pytest.raises(CompilationError) as error:
@@ -430,6 +606,9 @@ def test_wrong_arguments_are_named():
                 model.simulate(parameters, state, 0.01, **{name: value})
     with pytest.raises(ValueError, match="output 'angle' is unknown"):
         model.simulate(parameters, state, 0.01, outputs=["angle"])
+    for duration in (-1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"duration_s = .* s: must be finite and >= 0"):
+            model.simulate(parameters, state, duration)
     with pytest.raises(ValueError, match="parameters has the shape"):
         model.simulate(parameters[1:], state, 0.01)
 
