@@ -40,8 +40,6 @@ jit = njit(**_options)  # called from Python
 _options |= {{"no_cpython_wrapper": True, "no_cfunc_wrapper": True}}
 inner = njit(**_options)
 inline = njit(**_options, forceinline=True)
-_options["fastmath"] = False  # discrete updates and outputs round as Drake's do
-exact = njit(**_options, forceinline=True)
 
 '''
 
@@ -64,7 +62,7 @@ _CALLS = {
     "ceil": "np.ceil",
 }
 _ARRAYS = {"parameter": "p", "state": "x", "held": "d", "input": "u"}
-_DECORATORS = {"derivatives": '@unrolled("x f")\n', "instant": "@exact\n"}  # called all the time
+_DECORATORS = {"derivatives": '@unrolled("x f")\n', "instant": "@inline\n"}  # called all the time
 _ONCE = ("constants", "initialize")  # called once a run: compiling them would take longer
 _LONGEST = 300  # characters of an expression before it gets a name
 

@@ -23,7 +23,7 @@ def jit(function: Any) -> Any:
     return function
 
 
-inner = inline = exact = jit
+inner = inline = jit
 """The same for functions that Python does not call, and for those called in the inner loops:
 passing ten arrays costs more than they do."""
 

@@ -394,7 +394,7 @@ def test_a_forcing_faster_than_the_records_is_seen_by_the_exact_hold(interpreted
     np.testing.assert_allclose(hold["out"], rk4["out"], rtol=0, atol=1e-6)
 
 
-def test_discrete_updates_round_as_drakes_do(interpreted_diagram):
+def test_quotients_of_whole_numbers_are_those_of_drake(interpreted_diagram):
     def construct(self, T):
         def update(context, state):
             state.get_mutable_vector(0).SetAtIndex(0, context.get_discrete_state(0)[0] + 1.0)
