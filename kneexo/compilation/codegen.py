@@ -232,6 +232,8 @@ def source_text(equations: Equations) -> str:
         first += len(nodes)
     if len(equations.updates) == 1:  # then nearly every instant updates: share freely
         groups[1] = ("", groups[1][1])
+    faster = iter(graph.with_reciprocals(node for _, targets in groups for _, node in targets))
+    groups = [(when, [(target, next(faster)) for target, _ in targets]) for when, targets in groups]
     initial = _assign("after", equations.initial_held)
 
     writer = _Writer(graph)

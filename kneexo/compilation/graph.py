@@ -207,15 +207,31 @@ class Graph:
         return sorted(found)
 
     def with_reciprocals(self, roots: Iterable[int]) -> list[int]:
-        """The same with products in place of quotients by what is fixed: faster, rounded twice."""
+        """The same with products in place of quotients by what is fixed: faster, rounded twice.
+
+        What is compared or rounded to a whole number stays as it is.
+        """
         roots = list(roots)
         new: dict[int, int] = {}
+        decides = (*COMPARISONS, "floor", "ceil")
+        kept: set[int] = set()
+        for node in reversed(self.reachable(roots)):
+            kind, *_ = self.nodes[node]
+            if kind in decides or (
+                node in kept and kind in ("add", "multiply", "min", "max", "abs")
+            ):
+                kept.update(self.arguments(node))
         for node in self.reachable(roots):
             kind, *_ = self.nodes[node]
             arguments = [new[argument] for argument in self.arguments(node)]
             if kind in SOURCES:
                 new[node] = node
-            elif kind == "divide" and self.is_fixed(arguments[1]) and not self.is_fixed(node):
+            elif (
+                kind == "divide"
+                and node not in kept
+                and self.is_fixed(arguments[1])
+                and not self.is_fixed(node)
+            ):
                 reciprocal = self._node("divide", self.one, arguments[1])
                 new[node] = self.multiply(arguments[0], reciprocal)
             else:
