@@ -1,5 +1,6 @@
 """Shared oracle: the four-bar linkage by compass and ruler, driven by link 4."""
 
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -45,3 +46,10 @@ def _walk(link, theta_4):
 def compass():
     """The function ``compass(link, theta_4)``: joints, knee angle and rod along a path."""
     return _walk
+
+
+@pytest.fixture(autouse=True)
+def _no_figure_stays_open():
+    yield
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
