@@ -1,9 +1,10 @@
 """Diagrams as machine code: 30 s of closed loop in milliseconds, from the symbolic diagram.
 
-The equations are written once, in the leaf systems; `expressions` reads them off the symbolic
-form, `codegen` prints them as a module for numba, `loops` holds the integrators, `cache` keeps
-the module on disk, `model` runs it. `scenarios` does all that for a scenario without building
-a diagram twice.
+The equations are written once, in the leaf systems. `expressions` reads them off the symbolic form
+into a `graph`; `codegen` prints that as a module for numba, behind it the integrators of `loops`,
+written out by `unroll`; `linear_parts` is what all models share; `cache` keeps the modules on disk.
+`model` is what a user sees, `runner` one run of it, `compiled_system` the way back into Drake.
+`scenarios` does all that for a scenario without building a diagram.
 """
 
 from __future__ import annotations
