@@ -45,7 +45,7 @@ def process_pool(workers: int | None) -> Iterator[Executor | None]:
     """An executor of spawned processes, which die at once when the body fails or is interrupted.
 
     ``workers``: their number, None for all cores of this process; with 1 there is none, and
-    `parallel_map` works in this process. Raises `WorkerError` when a process dies.
+    `parallel_map` works in this process.
     """
     count = len(os.sched_getaffinity(0)) if workers is None else workers
     if count == 1:
@@ -99,7 +99,7 @@ def dask_cluster(address: str) -> Iterator[Executor]:
             f"a piece of work killed one worker after another of the Dask cluster {address} (out "
             f"of memory?)"
         ) from None
-    except Exception:
+    except Exception:  # a lost scheduler shows in whatever was under way
         if client.status != "running":
             raise WorkerError(f"the Dask scheduler {address} was lost") from None
         raise

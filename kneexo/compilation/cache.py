@@ -112,7 +112,7 @@ def _write(path: Path, text: str) -> Path:
             with os.fdopen(handle, "w", encoding="utf-8") as file:
                 file.write(text)
             os.replace(temporary, path)
-        except BaseException:
+        except BaseException:  # KeyboardInterrupt too: no half file stays
             Path(temporary).unlink(missing_ok=True)
             raise
     except OSError as error:
@@ -139,7 +139,7 @@ def _import(name: str, path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except BaseException:
+    except BaseException:  # KeyboardInterrupt too: no half module stays
         del sys.modules[name]
         raise
     return module

@@ -244,10 +244,11 @@ class CompiledModel:
         if not count:
             return []
         first = one(0)  # alone: it may compile
-        with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+        cores = len(os.sched_getaffinity(0))
+        with ThreadPoolExecutor(cores if threads is None else threads) as pool:
             try:
                 return [first, *pool.map(one, range(1, count))]
-            except BaseException:
+            except BaseException:  # KeyboardInterrupt too: what waits is not begun
                 pool.shutdown(cancel_futures=True)
                 raise
 

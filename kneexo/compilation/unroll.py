@@ -1,7 +1,7 @@
 """Loops over the states written out, and vectors of states as scalars.
 
 Arrays may overlap, so a compiler reads and writes each of their elements in turn; scalars stay in
-registers: RK4 of four states takes two thirds of the time.
+registers.
 """
 
 from __future__ import annotations

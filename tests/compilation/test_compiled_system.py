@@ -150,6 +150,9 @@ def test_between_the_ticks_stands_the_next_one_and_a_context_can_be_copied(compi
     simulator.AdvanceTo(0.021)
     port = system.GetOutputPort("rod_velocity")
     assert port.Eval(simulator.get_context())[0] == direct[11, 0]
+    reference = system.GetOutputPort("knee_reference").Eval(simulator.get_context())
+    expected = model.simulate(parameters, state, 0.1, outputs=["knee_reference"])
+    np.testing.assert_array_equal(reference, expected["knee_reference"][11])  # of time alone
     copy = simulator.get_context().Clone()
     other = Simulator(system, copy)
     for one in (simulator, other):
