@@ -40,10 +40,10 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from kneexo.analysis.simulation import simulate_diagram
-from kneexo.compilation import compile_scenario, scenario_run
 from kneexo.diagrams import columns, make_closed_loop
 from kneexo.parameters import PID_TUNED, Scenario
 from kneexo.scenario import changed
+from kneexo.simulation import compile_scenario, scenario_run
 
 Array = NDArray[np.float64]
 Runner = Callable[[], Array]

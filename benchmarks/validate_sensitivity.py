@@ -23,9 +23,9 @@ from kneexo.analysis.sensitivity import (
     tracking_sensitivities,
     value_at,
 )
-from kneexo.compilation.scenarios import simulate_compiled
 from kneexo.parameters import PID_TUNED, UNCERTAIN_KNEE, UNCERTAINTY, Scenario
 from kneexo.scenario import changed
+from kneexo.simulation.compiled import simulate_compiled
 
 REQUIRED = 1e-5
 KNOWN = 1e-6

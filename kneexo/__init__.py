@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 
 def compile(system: Any, **options: Any) -> Any:  # noqa: A001
-    """Compile a scenario, a scenario file or a diagram: see `kneexo.compilation.compile_model`."""
-    from kneexo.compilation import compile_model  # numba and Drake only when asked for
+    """Compile a scenario, a scenario file or a diagram: see `kneexo.simulation.compile_model`."""
+    from kneexo.simulation import compile_model  # numba and Drake only when asked for
 
     return compile_model(system, **options)

@@ -30,7 +30,6 @@ from kneexo.analysis.bandwidth import speed_limit_reached_hz
 from kneexo.analysis.simulation import Array, rms, to_rpm
 from kneexo.analysis.tracking import mean_change
 from kneexo.compilation.cache import load_key
-from kneexo.compilation.scenarios import structure_key
 from kneexo.parameters import (
     EQ_27_DIFFERENCES,
     EQ_27_EXACT_STATES,
@@ -43,6 +42,7 @@ from kneexo.parameters import (
     SinestreamParameters,
 )
 from kneexo.scenario import changed
+from kneexo.simulation.compiled import structure_key
 
 PAPER_BANDWIDTH_HZ = 0.21
 """The paper's measured −3 dB bandwidth (Section 5, Fig. 13)."""

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kneexo.compilation import simulate_compiled
 from kneexo.parameters import PID_TUNED, Scenario
 from kneexo.scenario import changed
+from kneexo.simulation import simulate_compiled
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 STEPS, SAMPLES = 10, 100  # of RK4 in a sample; samples of 2 ms

@@ -22,7 +22,6 @@ from kneexo.analysis.robustness import robustness
 from kneexo.analysis.sizing import sizing
 from kneexo.analysis.sliding_condition import sliding_study
 from kneexo.cli import main
-from kneexo.compilation import scenarios, simulate_compiled
 from kneexo.compilation.model import CompiledModel
 from kneexo.errors import KneexoError
 from kneexo.output import to_json
@@ -49,6 +48,7 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.scenario import changed
+from kneexo.simulation import compiled, simulate_compiled
 
 TOLERANCES = {
     # name in the results: (relative, absolute), and where it comes from
@@ -360,12 +360,12 @@ def test_runge_kutta3_is_drakes_over_30_s():
 
 @pytest.mark.slow
 def test_runge_kutta3_with_the_quantizer_has_drakes_metrics(monkeypatch):
-    compiled = scenarios.simulate_compiled
+    original = compiled.simulate_compiled
 
     def with_runge_kutta3(scenario, **options):
-        return compiled(scenario, **options | {"integrator": "runge_kutta3"})
+        return original(scenario, **options | {"integrator": "runge_kutta3"})
 
-    monkeypatch.setattr(scenarios, "simulate_compiled", with_runge_kutta3)
+    monkeypatch.setattr(compiled, "simulate_compiled", with_runge_kutta3)
     scenario = changed(Scenario(), {"simulation.duration_s": 15.0})
     drake = asdict(track(scenario.with_engine("drake").with_steps(4e-4)).metrics)
     ours, half = (asdict(track(scenario.with_steps(step)).metrics) for step in (4e-4, 2e-4))

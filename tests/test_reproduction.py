@@ -15,7 +15,6 @@ from kneexo.analysis import (
     sinestream,
     track,
 )
-from kneexo.compilation.scenarios import structure_key
 from kneexo.output import to_json
 from kneexo.parameters import (
     EQ_27_DIFFERENCES,
@@ -37,6 +36,7 @@ from kneexo.reproduction import (
     rod_error_mm,
     speed_demand,
 )
+from kneexo.simulation.compiled import structure_key
 
 
 def shortened(scenario, seconds):

@@ -17,10 +17,10 @@ from pydrake.systems.analysis import Simulator
 
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG, NEWTON_STEPS
 from kneexo.analysis.simulation import Array
-from kneexo.compilation.scenarios import scenario_start, scenario_values, structure_key
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario, StepReference
+from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 
 
 @dataclass(frozen=True)

@@ -104,7 +104,7 @@ def simulate(
     settings = scenario.simulation
     if settings.compiled:
         from kneexo.compilation.runner import ROUGH_STEP_S
-        from kneexo.compilation.scenarios import simulate_compiled
+        from kneexo.simulation.compiled import simulate_compiled
 
         try:
             run = simulate_compiled(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from kneexo.compilation.cache import load_text, text_hash
-from kneexo.compilation.expressions import Equations
+from kneexo.compilation.equations import Equations
 from kneexo.compilation.graph import COMPARISONS, SOURCES, Graph
 from kneexo.compilation.unroll import unrolled
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from kneexo.compilation.cache import load_text
 from kneexo.compilation.codegen import source_text
-from kneexo.compilation.expressions import Node, read_equations
+from kneexo.compilation.equations import Node, read_equations
 from kneexo.compilation.runner import (
     LONGEST_TICK_S,
     STEP_S,

@@ -9,10 +9,10 @@ from kneexo.analysis.assessment import MARGIN_FIGURES, TRACKING_FIGURES, assess
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import track
-from kneexo.compilation import scenarios
-from kneexo.compilation.scenarios import scenario_diagram
 from kneexo.parameters import Scenario
 from kneexo.scenario import changed
+from kneexo.simulation import compiled
+from kneexo.simulation.compiled import scenario_diagram
 
 # Through Drake: short runs need no compiled model.
 SHORT = changed(
@@ -94,8 +94,8 @@ def test_runs_that_fail_build_one_diagram_for_all(monkeypatch):
         built.append(scenario)
         return scenario_diagram(scenario)
 
-    monkeypatch.setattr(scenarios, "scenario_diagram", counted)
-    monkeypatch.setattr(scenarios, "_diagrams", {})
+    monkeypatch.setattr(compiled, "scenario_diagram", counted)
+    monkeypatch.setattr(compiled, "_diagrams", {})
     narrow = {"plant.knee.flexion_max_deg": 70.0, "simulation.duration_s": 6.0}
     for error in (-0.1, -0.11, -0.12):
         blind = changed(Scenario(), narrow | {"encoder.mounting_error_rad": error})

@@ -2,23 +2,23 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import simulate
-from kneexo.compilation import scenarios
 from kneexo.errors import SimulationError, StiffnessError
 from kneexo.parameters import Scenario, SimulationParameters
+from kneexo.simulation import compiled
 
 SHORT = Scenario(simulation=SimulationParameters(duration_s=0.2))
 
 
 def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
     expected = simulate(SHORT, signals=("rod_extension",))
-    compiled = scenarios.simulate_compiled
+    original = compiled.simulate_compiled
 
     def refusing(scenario, **options):
         if options["integrator"] == "exact_hold":
             raise StiffnessError("the derivatives jump too often")
-        return compiled(scenario, **options)
+        return original(scenario, **options)
 
-    monkeypatch.setattr(scenarios, "simulate_compiled", refusing)
+    monkeypatch.setattr(compiled, "simulate_compiled", refusing)
     run = simulate(SHORT, signals=("rod_extension",))
     assert (run.settings.integrator, run.settings.step_s) == ("rk4", 2e-5)
     assert expected.settings.integrator == "exact_hold"
@@ -33,7 +33,7 @@ def test_another_failure_is_not_repeated(monkeypatch):
         calls.append(options)
         raise SimulationError("left the stroke")
 
-    monkeypatch.setattr(scenarios, "simulate_compiled", failing)
+    monkeypatch.setattr(compiled, "simulate_compiled", failing)
     with pytest.raises(SimulationError, match="left the stroke"):
         simulate(SHORT)
     assert len(calls) == 1

@@ -14,9 +14,9 @@ from pydrake.systems.primitives import (
 )
 
 from kneexo.compilation.codegen import source_text
-from kneexo.compilation.expressions import read_equations
+from kneexo.compilation.equations import read_equations
 from kneexo.compilation.model import CompiledModel, DiagramModel
-from kneexo.compilation.scenarios import scenario_diagram, scenario_run
+from kneexo.simulation.compiled import scenario_diagram, scenario_run
 
 
 def interpreted_module(text):

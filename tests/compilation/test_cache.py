@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from kneexo.compilation import cache, scenarios, simulate_compiled
+from kneexo.compilation import cache
 from kneexo.parameters import (
     CylinderParameters,
     EncoderParameters,
@@ -15,6 +15,7 @@ from kneexo.parameters import (
     Scenario,
     SimulationParameters,
 )
+from kneexo.simulation import compiled, simulate_compiled
 
 SHORT = Scenario(
     encoder=EncoderParameters(quantized=False), simulation=SimulationParameters(duration_s=0.05)
@@ -191,9 +192,9 @@ def test_a_known_structure_needs_no_diagram_and_no_symbolic_work(monkeypatch):
     def refuse(*_args, **_options):
         raise AssertionError("not needed")
 
-    monkeypatch.setattr(scenarios, "read_equations", refuse)
-    monkeypatch.setattr(scenarios, "make_closed_loop", refuse)
-    monkeypatch.setattr(scenarios, "_modules", {})
+    monkeypatch.setattr(compiled, "read_equations", refuse)
+    monkeypatch.setattr(compiled, "make_closed_loop", refuse)
+    monkeypatch.setattr(compiled, "_modules", {})
     heavier = SHORT.model_copy(
         update={"plant": PlantParameters(cylinder=CylinderParameters(mass_kg=3.0))}
     )

@@ -11,9 +11,10 @@ from pydrake.systems.primitives import (
     LogVectorOutput,
 )
 
-from kneexo.compilation import State, compile_scenario, scenario_run
+from kneexo.compilation import State
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import BldcPumpParameters, PlantParameters, Scenario, SineReference
+from kneexo.simulation import compile_scenario, scenario_run
 
 SIGNALS = ("knee_angle", "motor_speed_command", "load_pressure")
 

@@ -32,12 +32,9 @@ from kneexo.compilation import (
     InputTable,
     State,
     compile_diagram,
-    compile_scenario,
-    scenario_run,
-    simulate_compiled,
 )
 from kneexo.compilation.codegen import source_text
-from kneexo.compilation.expressions import read_equations
+from kneexo.compilation.equations import read_equations
 from kneexo.compilation.runner import _timing
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import CompilationError, ParameterError, ScenarioError, SimulationError
@@ -50,6 +47,7 @@ from kneexo.parameters import (
     SimulationParameters,
     SineReference,
 )
+from kneexo.simulation import compile_scenario, scenario_run, simulate_compiled
 
 FREE = EncoderParameters(quantized=False)
 TARGET_M = 1e-6 * 0.15  # a millionth of the stroke

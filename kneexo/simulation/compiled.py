@@ -22,7 +22,7 @@ import numpy as np
 from kneexo import linkage
 from kneexo.compilation.cache import load_key, load_text, note_key
 from kneexo.compilation.codegen import source_text
-from kneexo.compilation.expressions import Node, read_equations
+from kneexo.compilation.equations import Node, read_equations
 from kneexo.compilation.model import CompiledModel, set_parameters
 from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, State
 from kneexo.diagrams.closed_loop import (
@@ -58,7 +58,11 @@ if TYPE_CHECKING:
     from kneexo.analysis.simulation import Run
 
 _PACKAGE = Path(__file__).parents[1]
-_SOURCES = ("systems/*.py", "diagrams/*.py", "compilation/*.py", "linkage.py", "parameters.py")
+_SOURCES = (
+    *(f"{folder}/*.py" for folder in ("systems", "diagrams", "compilation", "simulation")),
+    "linkage.py",
+    "parameters.py",
+)
 _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into constants
 
 

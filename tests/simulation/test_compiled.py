@@ -5,17 +5,9 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from kneexo.analysis.simulation import simulate
-from kneexo.compilation import scenarios
 from kneexo.compilation.codegen import source_text
-from kneexo.compilation.expressions import Node, read_equations
+from kneexo.compilation.equations import Node, read_equations
 from kneexo.compilation.model import parameters_of, state_of
-from kneexo.compilation.scenarios import (
-    reference_table,
-    scenario_diagram,
-    scenario_run,
-    scenario_values,
-    structure_key,
-)
 from kneexo.diagrams import SIGNALS, make_closed_loop
 from kneexo.errors import LinkageError, ParameterError
 from kneexo.parameters import (
@@ -41,6 +33,14 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.quantity import Parameters
+from kneexo.simulation import compiled
+from kneexo.simulation.compiled import (
+    reference_table,
+    scenario_diagram,
+    scenario_run,
+    scenario_values,
+    structure_key,
+)
 from kneexo.systems.knee_reference import make_knee_reference
 
 FREE = EncoderParameters(quantized=False)
@@ -188,7 +188,7 @@ def nudged(value):
 
 def numbers(scenario):
     """All that a compiled run gets from a scenario besides its structure."""
-    start = tuple(scenarios.scenario_start(scenario).items())
+    start = tuple(compiled.scenario_start(scenario).items())
     table = ()
     if isinstance(scenario.reference, SampledReference):
         inputs = reference_table(scenario.reference)
