@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kneexo import linkage
-from kneexo.compilation.cache import load_key, load_text, note_key
-from kneexo.compilation.codegen import source_text
-from kneexo.compilation.equations import Node, read_equations
+from kneexo.compilation.equations import Equations, Node, read_equations
+from kneexo.compilation.machine_code import MachineCode
 from kneexo.compilation.model import CompiledModel, set_parameters
 from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, State
 from kneexo.diagrams.closed_loop import (
@@ -120,11 +119,10 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
         set_parameters(root, context, parameters)
         return root, context
 
-    return CompiledModel(_module(key, scenario), context_at)
+    return CompiledModel(MachineCode(key, partial(_equations, key, scenario)), context_at)
 
 
 _lock = RLock()  # threads may run scenarios of one structure
-_modules: dict[str, Any] = {}
 _diagrams: dict[str, Any] = {}
 
 
@@ -136,17 +134,9 @@ def _diagram(key: str, scenario: Scenario) -> Any:
         return _diagrams[key]
 
 
-def _module(key: str, scenario: Scenario) -> Any:
-    with _lock:
-        if key not in _modules:
-            module = load_key(key)
-            if module is None:
-                inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
-                equations = read_equations(_diagram(key, scenario), inputs)
-                module = load_text(source_text(equations))
-                note_key(key, module)
-            _modules[key] = module
-        return _modules[key]
+def _equations(key: str, scenario: Scenario) -> Equations:
+    inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
+    return read_equations(_diagram(key, scenario), inputs)
 
 
 # --------------------------------------------------------------- parameters, state, inputs
