@@ -115,6 +115,15 @@ def test_no_damage_yields_wrong_content():
     assert code_cache.load("left") == contents["left"]
 
 
+def test_damage_of_any_byte_is_noticed():
+    path = entry_path("key")
+    sound = path.read_bytes()
+    for index, value in enumerate(sound):
+        path.write_bytes(sound[:index] + bytes([value ^ 1]) + sound[index + 1 :])
+        with pytest.warns(UserWarning, match="damaged"):
+            assert code_cache.load("key") is None, index
+
+
 @pytest.mark.parametrize("length", [0, 1, 14, 45, 46])
 def test_a_file_without_content_is_damaged(length):
     path = entry_path("key")
@@ -146,10 +155,15 @@ def test_a_link_is_not_followed_and_then_replaced(tmp_path):
 
 def test_a_pipe_is_refused_without_waiting():
     path = entry_path("key")
+    sound = path.read_bytes()
     path.unlink()
-    os.mkfifo(path)
+    os.mkfifo(path, 0o600)
     with pytest.warns(UserWarning, match="damaged"):
         assert code_cache.load("key") is None
+    with path.open("r+b", buffering=0) as pipe:
+        pipe.write(sound)
+        with pytest.warns(UserWarning, match="damaged"):
+            assert code_cache.load("key") is None
     code_cache.store("key", b"new")
     assert code_cache.load("key") == b"new"
 
@@ -226,11 +240,14 @@ def test_an_interrupt_leaves_the_old_entry_and_no_temporary_file(
 def test_the_next_store_removes_stale_temporary_files_of_the_cache_alone(directory):
     name = f".{entry_path('key').name}."
     stale, live = directory / (name + "0" * 16), directory / (name + "1" * 16)
-    foreign = [directory / ".kneexo", directory / (name + "0"), directory / "notes.kneexo"]
+    names = (".kneexo", "notes.kneexo", f"{name}0", f"{stale.name}0", f"{name[1:]}bak")
+    foreign = [directory / name for name in names]
     for path in (stale, live, *foreign):
         path.write_bytes(b"")
         set_last_use(path, HOUR_S + 60.0)
     set_last_use(live, HOUR_S - 60.0)
+    foreign.append(directory / ("0" * 32 + ".kneexo"))
+    foreign[-1].mkdir()
     code_cache.store("other", b"code")
     assert not stale.exists()
     assert live.exists()
@@ -301,12 +318,33 @@ def test_the_entries_used_longest_ago_go_first(monkeypatch):
 
 @pytest.mark.usefixtures("silent")
 def test_the_entry_just_stored_stays(monkeypatch):
-    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "0")
     future = entry_path("future")
+    code_cache.store("future", bytes(700_000))
     set_last_use(future, -HOUR_S)
-    code_cache.store("key", b"code")
-    assert code_cache.load("key") == b"code"
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "1")
+    code_cache.store("key", bytes(700_000))
+    assert code_cache.load("key") == bytes(700_000)
     assert not future.exists()
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "0")
+    code_cache.store("other", b"code")
+    assert code_cache.load("other") == b"code"
+    assert len(code_cache.entries()) == 1
+
+
+@pytest.mark.usefixtures("silent")
+def test_an_entry_that_another_process_deletes_meanwhile_is_skipped(monkeypatch):
+    paths = {entry_path(key) for key in "abc"}
+
+    class Deleting:
+        def fullmatch(self, name):
+            if len(paths) == 3:
+                (directory,) = {path.parent for path in paths}
+                paths.remove(directory / name)
+                (directory / name).unlink()
+            return True
+
+    monkeypatch.setattr(code_cache, "_ENTRY", Deleting())
+    assert {entry.path for entry in code_cache.entries()} == paths
 
 
 @pytest.mark.parametrize("text", ["-1", "many", "1.5", "nan", " "])
@@ -345,9 +383,13 @@ def test_directory_of_the_cache(variables, expected, monkeypatch):
 
 
 def test_a_relative_directory_is_of_the_working_directory(monkeypatch, tmp_path):
-    monkeypatch.setenv("KNEEXO_CACHE_DIR", "here")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", "here")
     assert code_cache.cache_directory() == tmp_path / "here"
+    for name in ("KNEEXO_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", "home")
+    assert code_cache.cache_directory() == tmp_path / "home/.cache/kneexo"
 
 
 def store_with_one_warning(match):
