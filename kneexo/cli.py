@@ -617,17 +617,17 @@ def _cache(options: argparse.Namespace) -> None:
     import json
     import time
 
-    from kneexo.compilation import code_cache
+    from kneexo.compilation import cache
 
-    directory = code_cache.cache_directory()
+    directory = cache.cache_directory()
     if options.clear:
-        count = code_cache.clear()
+        count = cache.clear()
         if options.json:
             print(json.dumps({"directory": str(directory), "deleted": count}))
         else:
             print(f"{directory}: {count} {'entry' if count == 1 else 'entries'} deleted")
         return
-    entries, limit_bytes = code_cache.entries(), code_cache.size_limit()
+    entries, limit_bytes = cache.entries(), cache.size_limit()
     size_bytes = sum(entry.size_bytes for entry in entries)
     if options.json:
         summary = {

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from kneexo.cli import main
-from kneexo.compilation import code_cache
+from kneexo.compilation import cache
 from kneexo.parameters import Scenario
 from kneexo.scenario import load_scenario
 
@@ -213,10 +213,10 @@ def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
     assert "entries    0\n" in capsys.readouterr().out
     assert not (tmp_path / "cache").exists()
     for age_s in range(6):
-        code_cache.store(str(age_s), bytes(2**20))
-        used_last = code_cache.entries()[0].path
+        cache.store(str(age_s), bytes(2**20))
+        used_last = cache.entries()[0].path
         os.utime(used_last, (1e9 - age_s, 1e9 - age_s))
-    newest, *_, oldest = code_cache.entries()
+    newest, *_, oldest = cache.entries()
     assert main(["cache", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["directory"] == str(tmp_path / "cache")
@@ -235,7 +235,7 @@ def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
     assert main(["cache", "--clear"]) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'cache'}: 6 entries deleted\n"
     assert list((tmp_path / "cache").iterdir()) == []
-    code_cache.store("key", b"code")
+    cache.store("key", b"code")
     assert main(["cache", "--clear", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == {"directory": str(tmp_path / "cache"), "deleted": 1}

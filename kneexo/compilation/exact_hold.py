@@ -86,18 +86,18 @@ class Memory:
 def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
     """``out`` = matrix · vector; the matrix column by column."""
     if size <= UNROLLED:
-        for i in range(size):
-            total = matrix[i] * vector[0]
-            for k in range(1, size):
-                total = f.fma(matrix[k * size + i], vector[k], total)
-            out[i] = total
+        for row in range(size):
+            total = matrix[row] * vector[0]
+            for column in range(1, size):
+                total = f.fma(matrix[column * size + row], vector[column], total)
+            out[row] = total
         return
     for i in f.each(size):
         out[i] = 0.0
     for k in f.each(size):
-        factor, column = vector[k], matrix.shifted(k * size)
+        factor, elements = vector[k], matrix.shifted(k * size)
         for i in f.each(size):
-            out[i] = f.fma(column[i], factor, out[i])
+            out[i] = f.fma(elements[i], factor, out[i])
 
 
 def define_product(module: Module, size: int) -> Function:

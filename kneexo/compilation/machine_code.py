@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
 
-from kneexo.compilation import code_cache as entries
+from kneexo.compilation import cache as entries
 from kneexo.compilation.equations import Equations
 from kneexo.compilation.native import Library, compile_text, processor
 from kneexo.compilation.passes import Layout, Program

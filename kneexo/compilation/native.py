@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -24,19 +25,10 @@ class Processor:
     features: str
 
     @property
-    def fuses(self) -> bool:
-        """Whether products and sums are fused by an instruction; else by a slow function."""
-        return not _is_x86() or "+fma" in self._all_features()
-
-    @property
     def key(self) -> str:
         """Text that differs where the machine code may."""
         versions = f"llvmlite {llvmlite.__version__}, LLVM {llvm.llvm_version_info}"
         return f"{versions}, {llvm.get_process_triple()}, {self.name}, {self.features}"
-
-
-def _is_x86() -> bool:
-    return llvm.get_process_triple().startswith(("x86_64", "i686"))
 
 
 @cache
@@ -56,7 +48,11 @@ def processor() -> Processor:
 
 
 def compile_text(text: str, target: Processor | None = None) -> bytes:
-    """Object code of an IR text, for this machine by default."""
+    """Object code of an IR text, for the `processor` by default.
+
+    Warns of a processor without an instruction for fused multiply-add: the function of the C
+    library in its place gives the same bits, but takes many times as long.
+    """
     machine = _machine(target or processor())
     module = llvm.parse_assembly(text)
     module.triple = machine.triple
@@ -65,7 +61,13 @@ def compile_text(text: str, target: Processor | None = None) -> bytes:
     options.slp_vectorization = False
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
-    return bytes(machine.emit_object(module))
+    code = bytes(machine.emit_object(module))
+    if b"\0fma\0" in code:  # a symbol of the C library
+        warnings.warn(
+            "this processor has no fused multiply-add (FMA); compiled models run slowly",
+            stacklevel=2,
+        )
+    return code
 
 
 @cache

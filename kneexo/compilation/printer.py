@@ -162,7 +162,7 @@ class Printer:
             total = self._product(factors)
             return total if sign > 0 else -total
         arguments = self.graph.arguments(node)
-        a = [values[argument] for argument in arguments]
+        a: list[Operand] = [values[argument] for argument in arguments]
         if kind == "where":
             return f.select(_condition(f, a[0]), *a[1:])
         if not any(isinstance(operand, Value) for operand in a):
@@ -185,11 +185,11 @@ class Printer:
         if kind in ("sin", "cos"):
             pair = ("sin and cos", arguments[0])
             if pair not in self._made:
-                self._made[pair] = elementary.sincos(f, a[0])
+                self._made[pair] = elementary.sincos(f, *f.alike(a[0]))
             return self._made[pair][kind == "cos"]
         if kind in _OWN:
             return self._call(partial(getattr(elementary, kind), f), a)
-        return f.library(_LIBRARY.get(kind, kind), *a)
+        return f.library(_LIBRARY.get(str(kind), str(kind)), *a)
 
     @staticmethod
     def _call(function: Callable[..., Operand], arguments: Sequence[Operand]) -> Operand:

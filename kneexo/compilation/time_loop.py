@@ -356,10 +356,10 @@ class _Run:
         periods, offsets = a.array("periods"), a.array("offsets")
         fires = []
         firing = f.constant(0, BOOL)
-        for i in range(len(program.equations.updates)):
-            since = now.number - offsets[i]
-            fires.append(going & (since >= 0) & (since % periods[i]).equals(0))
-            firing = firing | fires[i]
+        for number in range(len(program.equations.updates)):
+            since = now.number - offsets[number]
+            fires.append(going & (since >= 0) & (since % periods[number]).equals(0))
+            firing = firing | fires[number]
         wanted, columns = a.array("wanted", BYTE), a.array("columns")
         margins: dict[int, Value] = {}
 
@@ -383,8 +383,8 @@ class _Run:
                 record = a.array("record", DOUBLE)
                 model.record(columns, a["column_count"], record, a["rows"], row.get())
                 row.set(row.get() + 1)
-            for index, margin in margins.items():
-                self._fail(now.present & ~(margin >= 0.0), OUTSIDE, now.number, index)
+            for which, margin in margins.items():
+                self._fail(now.present & ~(margin >= 0.0), OUTSIDE, now.number, which)
             with f.when(firing):
                 running = now.running & self.alive.get()
                 for i in f.each(model.held):
@@ -407,8 +407,9 @@ class _Run:
         with f.when(f.any_lane(lanes)):
             for lane in range(self.lanes):
                 with f.when(f.lane(lanes, lane)):
-                    for i, value in enumerate((code, tick, which)):
-                        self.status[3 * lane + i] = value
+                    self.status[3 * lane] = code
+                    self.status[3 * lane + 1] = tick
+                    self.status[3 * lane + 2] = which
             self.alive.set(self.alive.get() & ~lanes)
 
     def _advance(self, now: _Now) -> None:
