@@ -167,7 +167,7 @@ class Graph:
     def power(self, base: int, exponent: int) -> int:
         """The power; small whole exponents become products."""
         value = self.value(exponent)
-        if value is not None and value == int(value) and 0 <= value <= _LARGEST_POWER:
+        if value is not None and value.is_integer() and 0 <= value <= _LARGEST_POWER:
             return self.multiply(*[base] * int(value))
         return self._node("power", base, exponent)
 
