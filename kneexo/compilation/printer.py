@@ -204,7 +204,8 @@ class Printer:
         for term in terms:
             if term not in fused:
                 continue
-            sign, (*most, last) = self._factors(term, values)
+            sign, factors = self._factors(term, values)
+            *most, last = factors or [1.0]
             if most:
                 first = self._product(most)
                 first = first if sign > 0 else -first
