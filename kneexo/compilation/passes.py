@@ -160,11 +160,14 @@ class Program:
         roots = [*self.derivatives, *self.initial_held, *self.instant]
         roots += [node for _, node in self.jacobian]
         used = set(roots)
-        for node in graph.reachable(roots):
-            if not graph.is_fixed(node):
+        fixed = []  # numbers: a condition is computed where it is used
+        for node in reversed(graph.reachable(roots)):
+            condition = graph.nodes[node][0] in _CONDITIONS
+            if not graph.is_fixed(node) or (node in used and condition):
                 used.update(graph.arguments(node))
-        fixed = sorted(n for n in used if graph.is_fixed(n) and graph.value(n) is None)
-        return {node: number for number, node in enumerate(fixed)}
+            elif node in used and graph.value(node) is None:
+                fixed.append(node)
+        return {node: number for number, node in enumerate(reversed(fixed))}
 
     def _memos(self) -> tuple[Memo, ...]:
         """Nodes of an instant that one rounded value decides, and that cost more than a look-up.
