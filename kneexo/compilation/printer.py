@@ -246,20 +246,20 @@ class Printer:
         assert isinstance(count, Value)
         lanes, width = count.type.lanes, len(memo.nodes)
         tags, kept = self.memory[2 * number], self.memory[2 * number + 1]
-        whole = count + 0.0  # one zero
-        small = f.absolute(whole) < 2.0**31
-        index = f.to_int(f.select(small, whole, 0.0)) & (MEMO_LINES - 1)
+        small = f.absolute(count) < 2.0**31
+        index = f.to_int(f.select(small, count, 0.0)) & (MEMO_LINES - 1)
         place = index * lanes + f.lane_numbers(lanes)
         places = [f.lane(place, lane) for lane in range(lanes)]
         tag = f.gathered(lanes, lambda lane: tags[places[lane]])
         first = [place * width for place in places]
-        with f.when(f.any_lane(~tag.equals(whole))):
-            inner = Printer(f, self.program, self.load, given={memo.count: whole})
+        known = tag.equals(count) & f.bits(tag).equals(f.bits(count))  # 0 is not -0
+        with f.when(f.any_lane(~known)):
+            inner = Printer(f, self.program, self.load, given={memo.count: count})
             for lane in range(lanes):
-                tags[places[lane]] = f.lane(whole, lane)
+                tags[places[lane]] = f.lane(count, lane)
 
             def keep(at: Place, value: Operand) -> None:
-                value = f.coerce(value, whole.type)
+                value = f.coerce(value, count.type)
                 for lane in range(lanes):
                     kept[first[lane] + at[1]] = f.lane(value, lane)
 
