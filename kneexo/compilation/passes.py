@@ -109,6 +109,8 @@ class Program:
         self.hoisted = self._hoisted()
         """Nodes that depend on parameters alone, with their number among the constants."""
         self.memos = self._memos()
+        self.deciding = _deciding(graph, graph.reachable(self._roots()))
+        """Nodes that are compared or rounded to a whole number, with the sums behind them."""
 
     @property
     def layout(self) -> Layout:
@@ -155,10 +157,12 @@ class Program:
             for group in groups
         ]
 
+    def _roots(self) -> list[int]:
+        elements = [node for _, node in self.jacobian]
+        return [*self.derivatives, *self.initial_held, *self.instant, *elements]
+
     def _hoisted(self) -> dict[int, int]:
-        graph = self.graph
-        roots = [*self.derivatives, *self.initial_held, *self.instant]
-        roots += [node for _, node in self.jacobian]
+        graph, roots = self.graph, self._roots()
         used = set(roots)
         fixed = []  # numbers: a condition is computed where it is used
         for node in reversed(graph.reachable(roots)):

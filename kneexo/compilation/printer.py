@@ -102,7 +102,7 @@ class Printer:
             node
             for node, kinds in users.items()
             if kinds == ["add"] and self._operation(node) == "multiply"
-        }
+        } - self.program.deciding
         values: dict[int, Operand] = {}
         shared = sorted(n for n, numbers in needed.items() if len(numbers) > 1 or -1 in numbers)
         self._compute(shared, values, fused)

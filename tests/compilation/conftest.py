@@ -218,12 +218,7 @@ class _Code:
     """Groups of a program as machine code, for each of several numbers of lanes."""
 
     def __init__(self, program, groups, *, lanes=(1,), memory=False, target=None):
-        self.program, self.groups, self.memory = program, groups, memory
-        module = Module()
-        for count in lanes:
-            self._define(module, count)
-        self.text = module.text()
-        self.library = Library(compile_text(self.text, target))
+        self.program, self.groups = program, groups
         widths = [len(memo.nodes) for memo in program.memos] if memory else []
         self.memory = {
             count: [
@@ -237,16 +232,22 @@ class _Code:
             for count in lanes
         }
         """For each memo its tags, (lines, lanes), and its values, (lines, lanes, nodes)."""
+        module = Module()
+        for count in lanes:
+            self._define(module, count)
+        self.text = module.text()
+        self.library = Library(compile_text(self.text, target))
 
     def _define(self, module, lanes):
-        type_, kinds = DOUBLE.of(lanes), ("time", *(k for k in SOURCES if k not in ("time",)))
-        memory = [f"{name}{i}" for i in range(len(self.program.memos)) for name in ("tag", "value")]
-        names = (*kinds, "fires", "out", *(memory if self.memory else ()))
+        type_ = DOUBLE.of(lanes)
+        memory = [f"memory{i}" for i in range(len(self.memory[lanes]))]
+        names = (*SOURCES, "fires", "out", *memory)
         f = module.function(f"f{lanes}", dict.fromkeys(names, POINTER), internal=False)
         arrays = {name: Array(f.arguments[name], type_) for name in names}
         fires = Array(f.arguments["fires"], BYTE)
-        load = sources(arrays["time"][0], **{kind: arrays[kind] for kind in kinds})
-        tables = [Array(f.arguments[name], DOUBLE) for name in memory] if self.memory else None
+        kinds = {kind: arrays[kind] for kind in SOURCES if kind != "time"}
+        load = sources(arrays["time"][0], **kinds)
+        tables = [Array(f.arguments[name], DOUBLE) for name in memory] or None
 
         def store(place, value):
             arrays["out"][place[1]] = value
@@ -261,12 +262,11 @@ class _Code:
         out = np.full((samples // lanes, count, lanes), 77.0)
         function = self.library.function(f"f{lanes}", len(SOURCES) + 2 + len(self.memory[lanes]))
         flags = np.array(fires, dtype=np.uint8)
-        kinds = ("time", *(kind for kind in SOURCES if kind != "time"))
         for block in range(samples // lanes):
             some = slice(block * lanes, (block + 1) * lanes)
             arrays = [
                 np.ascontiguousarray(values_of[kind][:, some]) if kind in values_of else out
-                for kind in kinds
+                for kind in SOURCES
             ]
             arrays += [flags, out[block], *self.memory[lanes]]
             function(*(array.ctypes.data for array in arrays))
