@@ -92,4 +92,6 @@ class Library:
         """A function without result whose arguments are addresses; it releases the GIL."""
         address = self._engine.get_function_address(name)
         assert address, name
-        return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
+        function = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
+        function.library = self  # type: ignore[attr-defined]  # its code goes with it
+        return function
