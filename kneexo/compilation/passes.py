@@ -110,7 +110,7 @@ class Program:
         """Nodes that depend on parameters alone, with their number among the constants."""
         self.memos = self._memos()
         self.deciding = _deciding(graph, graph.reachable(self._roots()))
-        """Nodes that are compared or rounded to a whole number, with the sums behind them."""
+        """Nodes that are compared or rounded to a whole number, and what is behind them."""
 
     @property
     def layout(self) -> Layout:
@@ -313,11 +313,11 @@ class _Regrouping:
 
 
 def _deciding(graph: Graph, nodes: Iterable[int]) -> set[int]:
-    """Nodes that are compared or rounded to a whole number, with the sums behind them."""
+    """Nodes that are compared or rounded to a whole number, and the exact operations behind."""
     kept: set[int] = set()
     for node in sorted(nodes, reverse=True):
         kind = graph.nodes[node][0]
-        simple = kind in ("add", "multiply", "min", "max", "abs")
-        if kind in COMPARISONS or kind in _ROUNDINGS or (node in kept and simple):
+        exact = kind in ("add", "multiply", "divide", "sqrt", "min", "max", "abs", "where")
+        if kind in COMPARISONS or kind in _ROUNDINGS or (node in kept and exact):
             kept.update(graph.arguments(node))
     return kept
