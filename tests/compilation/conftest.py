@@ -53,15 +53,19 @@ _OPERATIONS = {
 }
 
 
-def _interpreted(graph, roots, *, operations=(), **values_of):
-    """Values of nodes, computed node by node; ``values_of``: elements of each kind of source."""
+def _interpreted(graph, roots, *, operations=(), number=np.float64, **values_of):
+    """Values of nodes, computed node by node.
+
+    ``values_of``: elements of each kind of source. ``operations`` and ``number``, of a constant,
+    may be those of another arithmetic.
+    """
     functions = _OPERATIONS | dict(operations)
     values = {}
     with np.errstate(all="ignore"):
         for node in graph.reachable(roots):
             kind, *arguments = graph.nodes[node]
             if kind == "constant":
-                values[node] = np.float64(arguments[0])
+                values[node] = number(arguments[0])
             elif kind in SOURCES:
                 values[node] = values_of[kind][arguments[0]]
             else:
