@@ -216,6 +216,13 @@ class Module:
         self._functions.append(new)
         return new
 
+    def shared(self, name: str, make: Callable[[], Function]) -> Function:
+        """The function of that name, made where it is first asked for."""
+        for function in self._functions:
+            if function.name == name:
+                return function
+        return make()
+
     def declare(self, name: str, returns: Type, arguments: list[Type]) -> None:
         """Declare a function of the C library or of LLVM."""
         of = ", ".join(str(type_) for type_ in arguments)
@@ -342,7 +349,7 @@ class Function:
         return self.instruction(f"call {type_} @{full}({of})", type_)
 
     def fma(self, factor: Operand, other: Operand, term: Operand) -> Value:
-        """factor · other + term, rounded once."""
+        """The sum factor · other + term, rounded once."""
         return self._intrinsic("fma", factor, other, term)
 
     def sqrt(self, value: Operand) -> Value:
@@ -388,6 +395,16 @@ class Function:
         """Doubles without their fraction as integers; they must fit."""
         type_ = INT.of(value.type.lanes)
         return self.instruction(f"fptosi {value.type} {value.name} to {type_}", type_)
+
+    def bits(self, value: Value) -> Value:
+        """The 64 bits of doubles as integers."""
+        type_ = INT.of(value.type.lanes)
+        return self.instruction(f"bitcast {value.type} {value.name} to {type_}", type_)
+
+    def from_bits(self, value: Value) -> Value:
+        """Doubles from the integers of `bits`."""
+        type_ = DOUBLE.of(value.type.lanes)
+        return self.instruction(f"bitcast {value.type} {value.name} to {type_}", type_)
 
     def flags(self, condition: Value) -> Value:
         """A condition as integers 0 and 1."""
