@@ -76,11 +76,14 @@ def polynomial(fit: Fit) -> tuple[list[float], float]:
     exact = mp.lu_solve(powers, mp.matrix([fit.remainder(x) for x in nodes]))
     coefficients = [float(c) for c in exact]
 
+    def value(x: mpf) -> mpf:
+        return mp.fsum(c * x**k for k, c in enumerate(coefficients))
+
     points = [between((k + mpf("0.5")) / POINTS) for k in range(POINTS)]
     weights = [fit.factor(x) / fit.function(x) for x in points]
     errors = np.array(
         [
-            float((mp.polyval(coefficients[::-1], x) - fit.remainder(x)) * weight)
+            float((value(x) - fit.remainder(x)) * weight)
             for x, weight in zip(points, weights, strict=True)
         ]
     )
