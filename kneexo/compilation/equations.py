@@ -571,7 +571,7 @@ def _unfit_update(method: str, arguments: Sequence[Any]) -> str | None:
 
 
 def to_symbolic(leaf: Node) -> Any:
-    """The symbolic form of a leaf; `CompilationError` when it has none, or events that are unfit."""
+    """The symbolic form of a leaf; `CompilationError` when it has none, or unfit events."""
     with _recorded_declarations() as declarations:
         symbolic = _symbolic(leaf.name, leaf.system.ToSymbolicMaybe)
     if symbolic is None:
