@@ -20,7 +20,6 @@ import numpy as np
 from pydrake.symbolic import Expression, ExpressionKind, FormulaKind, Variable
 from pydrake.systems.framework import (
     BasicVector,
-    DiscreteUpdateEvent_,
     InputPortIndex,
     LeafSystem_,
     OutputPortIndex,
@@ -126,8 +125,8 @@ class Node:
 
     @property
     def type_name(self) -> str:
-        """The class of the system."""
-        return type(self.system).__name__
+        """The class of the system, without the scalar of a template."""
+        return type(self.system).__name__.partition("_𝓣")[0]
 
     @property
     def has_equations(self) -> bool:
@@ -558,16 +557,15 @@ def _recorded_declarations() -> Iterator[list[tuple[Any, str, Sequence[Any]]]]:
 
 
 def _unfit_update(method: str, arguments: Sequence[Any]) -> str | None:
-    """What a declaration adds if neither a publish event nor a periodic discrete update."""
+    """What a declaration adds if neither a publish event nor a periodic discrete update.
+
+    In Python a DiscreteUpdateEvent has no constructor, so only methods declare discrete updates.
+    """
     trigger = "per-step" if "PerStep" in method else "periodic"
-    for kind, event_type in (
-        ("unrestricted", UnrestrictedUpdateEvent_[Expression]),
-        ("discrete", DiscreteUpdateEvent_[Expression]),
-    ):
-        declared = kind.capitalize() in method or any(isinstance(a, event_type) for a in arguments)
-        if declared and (trigger, kind) != ("periodic", "discrete"):
-            return f"a {trigger} {kind} update"
-    return None
+    event_type = UnrestrictedUpdateEvent_[Expression]
+    if "Unrestricted" in method or any(isinstance(a, event_type) for a in arguments):
+        return f"a {trigger} unrestricted update"
+    return "a per-step discrete update" if "PerStepDiscrete" in method else None
 
 
 def to_symbolic(leaf: Node) -> Any:
