@@ -67,6 +67,7 @@ from pydrake.systems.primitives import (
 )
 from pydrake.trajectories import PiecewisePolynomial
 
+from kneexo.compilation import compile_diagram
 from kneexo.compilation.equations import read_equations
 from kneexo.compilation.input_table import input_table
 from kneexo.errors import CompilationError
@@ -79,11 +80,11 @@ TOLERANCE = 1e-9
 
 
 @pytest.fixture
-def run(interpreted_diagram):
+def run():
     """``run(diagram, context, inputs, table)``: records of the compiled diagram."""
 
     def simulate(diagram, context, inputs=(), table=None):
-        model = interpreted_diagram(diagram, inputs)
+        model = compile_diagram(diagram, inputs=inputs)
         parameters = model.parameters(context)
         return model.simulate(
             parameters,

@@ -7,7 +7,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import PassThrough, TrajectorySource
 from pydrake.trajectories import BezierCurve, PiecewisePolynomial
 
-from kneexo.compilation import InputTable
+from kneexo.compilation import InputTable, compile_diagram
 from kneexo.compilation.input_table import input_table, stack_tables
 
 TIMES_S = np.arange(33.0) / 16.0  # exact in binary, as the breaks are
@@ -43,14 +43,14 @@ CASES = {
 }
 
 
-def values(table, interpreted_diagram):
+def values(table):
     """What a compiled model gets from a table at `TIMES_S`."""
     size = table.coefficients.shape[1]
     builder = DiagramBuilder()
     block = builder.AddSystem(PassThrough(size))
     builder.ExportInput(block.get_input_port(), "in")
     builder.ExportOutput(block.get_output_port(), "out")
-    model = interpreted_diagram(builder.Build(), ["in"])
+    model = compile_diagram(builder.Build(), inputs=["in"])
     run = model.simulate(
         model.parameters(), model.state(), 2.0, record_period_s=1 / 16, inputs=table
     )
@@ -69,21 +69,21 @@ def drake_values(trajectory, derivatives, zero):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_table_is_the_trajectory_source_of_drake(case, interpreted_diagram):
+def test_table_is_the_trajectory_source_of_drake(case):
     make, derivatives, zero = CASES[case]
     table = input_table(make(), derivatives, zero_derivatives_beyond_limits=zero)
     expected = drake_values(make(), derivatives, zero)
-    np.testing.assert_allclose(values(table, interpreted_diagram), expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(values(table), expected, rtol=0, atol=1e-13)
 
 
-def test_stacked_tables_keep_their_values(interpreted_diagram):
+def test_stacked_tables_keep_their_values():
     # The second ends, with a slope that is not zero, within the first.
     cases = [(cubic, 1, True), (mixed_degrees, 1, True), CASES["constant"]]
     stacked = stack_tables(
         *(input_table(make(), n, zero_derivatives_beyond_limits=zero) for make, n, zero in cases)
     )
     expected = np.hstack([drake_values(make(), n, zero) for make, n, zero in cases])
-    np.testing.assert_allclose(values(stacked, interpreted_diagram), expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(values(stacked), expected, rtol=0, atol=1e-13)
 
 
 def test_constants_stack_without_breaks():
