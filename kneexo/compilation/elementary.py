@@ -135,9 +135,9 @@ def estrin(f: Function, coefficients: Sequence[float], x: Value) -> Value:
 def sincos(f: Function, x: Value) -> tuple[Value, Value]:
     """Sine and cosine.
 
-    Three parts of π/2 leave a remainder with full relative precision next to its multiples: the
-    first product and difference are exact, and no double up to `LARGE` comes closer to a multiple
-    than the third part resolves.
+    The remainder by π/2 keeps its relative precision next to a multiple: the first step is exact,
+    the second is rounded once, and what three parts leave out (1e-40) is far smaller than the
+    distance of the closest double up to `LARGE` (6e-19).
     """
     sine, cosine = _of_large(f, ("sin", "cos"), x, _sincos(f, x))
     return sine, cosine

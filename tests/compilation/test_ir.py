@@ -65,7 +65,7 @@ def scalar(native):
 
 @pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize(
-    "of", [operator.add, operator.sub, operator.mul, operator.truediv, lambda a, b: 3.0 - b / a]
+    "of", [operator.add, operator.sub, operator.mul, operator.truediv, lambda a, b: 3.0 / a - b]
 )
 def test_arithmetic_of_doubles(evaluate, of, lanes):
     with np.errstate(all="ignore"):
