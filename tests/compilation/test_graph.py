@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-
 from kneexo.compilation.codegen import _Writer
+
 from kneexo.compilation.graph import UNARY, Graph
 
 POINTS = {"asin": 0.3, "acos": 0.3, "log": 1.7, "sqrt": 1.7}
