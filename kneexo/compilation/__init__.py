@@ -1,9 +1,14 @@
 """Drake diagrams as machine code: any diagram of vectors, read off its symbolic form.
 
-The equations are written once, in the leaf systems. `equations` reads them off the symbolic form
-into a `graph`; `codegen` prints that as a module for numba, behind it the integrators of `loops`,
-written out by `unroll`; `linear_parts` is what all models share; `cache` keeps the modules on disk.
-`model` is what a user sees, `runner` one run of it, `compiled_system` the way back into Drake.
+The equations are written once, in the leaf systems. A diagram passes through these layers:
+
+- `equations` reads them off the symbolic form into a `graph` of shared operations;
+- `passes` rewrites the graph for speed and says what belongs to which function;
+- `printer` writes nodes as LLVM IR by means of `ir` and `elementary`, for one lane of a vector or
+  several; `integrators`, `exact_hold` and `time_loop` put the run around them;
+- `native` makes machine code of the text, `cache` keeps it on disk, `machine_code` joins both;
+- `runner` is one run, `model` what a user sees, `compiled_system` the way back into Drake, and
+  `trajectories` makes what open inputs follow.
 """
 
 from importlib import import_module
@@ -18,6 +23,7 @@ if TYPE_CHECKING:
         compile_diagram,
     )
     from kneexo.compilation.runner import InputTable, State
+    from kneexo.compilation.trajectories import input_table, stack_tables
 
 __all__ = [
     "CompiledModel",
@@ -27,6 +33,8 @@ __all__ = [
     "State",
     "cache_directory",
     "compile_diagram",
+    "input_table",
+    "stack_tables",
 ]
 
 _MODULE_OF = {
@@ -37,6 +45,8 @@ _MODULE_OF = {
     "State": "runner",
     "cache_directory": "cache",
     "compile_diagram": "model",
+    "input_table": "trajectories",
+    "stack_tables": "trajectories",
 }
 
 if not TYPE_CHECKING:  # mypy accepts every name of a module with a visible __getattr__

@@ -353,13 +353,18 @@ class ExactHold:
             step = _step(tick, time, h, slope, weight, tables, jacobian)
             good = f.variable(step.worst <= 1.0)
             bad = active & ~good.get()
-            with f.when(f.any_lane(bad)):
+            with f.when(f.any_lane(bad), rare=True):
                 self._refine(tick, step, time, h, bad, level, tried, good, rough)
             taken = active & good.get()
             moved.set(f.any_lane(taken))
+            before = position.get()
+            position.set(before + span)
+            with f.when(f.any_lane(~taken), rare=True):
+                for i in f.each(size):
+                    step.end[i] = f.select(taken, step.end[i], tick.x[i])
+                position.set(f.select(taken, before + span, before))
             for i in f.each(size):
-                tick.x[i] = f.select(taken, step.end[i], tick.x[i])
-            position.set(f.select(taken, position.get() + span, position.get()))
+                tick.x[i] = step.end[i]
             tried.set(f.select(taken, 0, tried.get()))
             easy = taken & (level.get() > 0) & (step.worst <= 0.05)
             with f.when(f.any_lane(easy)):

@@ -231,7 +231,7 @@ class Module:
     def text(self) -> str:
         """The whole text."""
         parts = [*self._declarations.values(), *(f.text() for f in self._functions)]
-        return "\n".join([*parts, ""])
+        return "\n".join([*parts, '!0 = !{!"branch_weights", i32 1, i32 1048575}', ""])
 
 
 class Function:
@@ -495,10 +495,15 @@ class Function:
         self._lines.append(f"{name}:")
 
     @contextmanager
-    def when(self, condition: Value) -> Iterator[None]:
-        """The body runs where a scalar condition holds."""
+    def when(self, condition: Value, *, rare: bool = False) -> Iterator[None]:
+        """The body runs where a scalar condition holds.
+
+        A ``rare`` one stays a branch: a select in its place would make what follows wait for the
+        condition.
+        """
         body, after = self.new_labels("then", "after")
-        self.line(f"br i1 {condition.name}, label %{body}, label %{after}")
+        weights = ", !prof !0" if rare else ""
+        self.line(f"br i1 {condition.name}, label %{body}, label %{after}{weights}")
         self.label(body)
         yield
         self.line(f"br label %{after}")

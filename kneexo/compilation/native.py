@@ -7,7 +7,7 @@ import os
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import llvmlite
@@ -24,7 +24,7 @@ class Processor:
     name: str
     features: str
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Text that differs where the machine code may."""
         versions = f"llvmlite {llvmlite.__version__}, LLVM {llvm.llvm_version_info}"
@@ -87,11 +87,14 @@ class Library:
         self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         self._engine.finalize_object()
+        self._functions: dict[str, Callable[..., None]] = {}
 
     def function(self, name: str, arguments: int) -> Callable[..., None]:
         """A function without result whose arguments are addresses; it releases the GIL."""
-        address = self._engine.get_function_address(name)
-        assert address, name
-        function = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
-        function.library = self  # type: ignore[attr-defined]  # its code goes with it
-        return function
+        if name not in self._functions:
+            address = self._engine.get_function_address(name)
+            assert address, name
+            made = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
+            made.library = self  # type: ignore[attr-defined]  # its code goes with it
+            self._functions[name] = made
+        return self._functions[name]

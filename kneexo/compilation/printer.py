@@ -31,7 +31,7 @@ Load = Callable[[str, int], Operand]
 _LIBRARY = {"power": "pow"}  # of the C library, where its name is another one
 _EXACT = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "abs": "absolute"}
 _CHOICES = {"min": "minimum", "max": "maximum"}
-_OWN = ("acos", "atan2")
+_OWN = ("acos", "asin", "atan", "atan2", "exp", "log")
 
 
 class Printer:

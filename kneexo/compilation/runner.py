@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -84,7 +84,7 @@ class InputTable:
             value = value * s + factors
         return value
 
-    @property
+    @cached_property
     def address(self) -> tuple[int, ...]:
         """What machine code gets: `time_loop.INPUT`."""
         breaks, coefficients = self.breaks, self.coefficients
@@ -201,7 +201,8 @@ class Runner:
         each lane, (lanes, 3): outcome, tick, and which limit.
         """
         longest = int(last.max())
-        self._inputs[:] = [table.address for table in inputs]
+        if self.model.inputs:
+            self._inputs[:] = [table.address for table in inputs]
         self._status.fill(0)
         ticks, kept_x, kept_d = kept or (np.empty(0, dtype=np.int64), x, d)
         self._arguments.set(

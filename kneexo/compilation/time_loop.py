@@ -387,10 +387,13 @@ class _Run:
             looking = now.running | (now.present & recording)
             for which, margin in margins.items():
                 self._fail(looking & ~(margin >= 0.0), OUTSIDE, now.number, which)
-            with f.when(firing):
-                running = now.running & self.alive.get()
+            running = now.running & self.alive.get()
+            with f.when(firing & f.any_lane(running)):
                 for i in f.each(model.held):
-                    model.d[i] = f.select(running, self.after[i], model.d[i])
+                    before = model.d[i]
+                    model.d[i] = self.after[i]
+                    if self.lanes > 1:
+                        model.d[i] = f.select(running, self.after[i], before)
 
     def _memory(self) -> list[Array]:
         """Tags and values of each memo, one after the other."""
@@ -406,7 +409,7 @@ class _Run:
     def _fail(self, lanes: Value, code: int, tick: Value, which: int = 0) -> None:
         """End the runs of lanes."""
         f = self.f
-        with f.when(f.any_lane(lanes)):
+        with f.when(f.any_lane(lanes), rare=True):
             for lane in range(self.lanes):
                 with f.when(f.lane(lanes, lane)):
                     self.status[3 * lane] = code

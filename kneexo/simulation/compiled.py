@@ -24,6 +24,7 @@ from kneexo.compilation.equations import Equations, Node, read_equations
 from kneexo.compilation.machine_code import MachineCode
 from kneexo.compilation.model import CompiledModel, set_parameters
 from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, State
+from kneexo.compilation.trajectories import input_table
 from kneexo.diagrams.closed_loop import (
     SIGNALS,
     chosen_signals,
@@ -206,16 +207,7 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
 
 def reference_table(reference: SampledReference) -> InputTable:
     """The spline of a sampled reference and its derivatives; constant before and after."""
-    spline = knee_reference.sampled_spline(reference)
-    breaks = np.array(reference.times_s)
-    table = np.zeros((breaks.size + 1, 4, 4))
-    table[0, 0, 0], table[-1, 0, 0] = (spline.value(t)[0, 0] for t in breaks[[0, -1]])
-    for segment in range(breaks.size - 1):
-        powers = spline.getPolynomialMatrix(segment)[0, 0].GetCoefficients()
-        for order in range(4):
-            table[segment + 1, order, : powers.size] = powers
-            powers = powers[1:] * np.arange(1, powers.size)
-    return InputTable(breaks, table)
+    return input_table(knee_reference.sampled_spline(reference), derivatives=3)
 
 
 def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:

@@ -1,11 +1,13 @@
-"""Shared by the tests of compilation."""
+"""Shared by the tests of compilation: IR text as functions, an interpreter, and a diagram."""
 
+import ctypes
 import math
 from collections import Counter
 from fractions import Fraction
 from functools import reduce
 from types import SimpleNamespace
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from hypothesis import strategies as st
@@ -291,6 +293,51 @@ def printed():
 
 
 # -------------------------------------------------------------------------------- diagrams
+
+
+def object_code(text, cpu=None, features="", triple=None):
+    """Machine code of IR text, for this processor or another one."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    if cpu is None:
+        cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    target = llvm.Target.from_triple(triple or llvm.get_process_triple())
+    machine = target.create_target_machine(cpu, features, opt=3, reloc="pic", codemodel="small")
+    module = llvm.parse_assembly(text)
+    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+    module.verify()
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.slp_vectorization = False
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    return machine.emit_object(module)
+
+
+@pytest.fixture(scope="session")
+def native():
+    """``native(text)(name, result, *arguments)``: a function of IR text, with ctypes' types."""
+
+    def load(text, cpu=None):
+        code = object_code(text, cpu)
+        machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        engine.finalize_object()
+        engines.append(engine)
+
+        def function(name, result, *arguments):
+            return ctypes.CFUNCTYPE(result, *arguments)(engine.get_function_address(name))
+
+        return function
+
+    engines = []  # the code lives as long as they do
+    return load
+
+
+@pytest.fixture(scope="session")
+def assembled():
+    """``assembled(text, cpu, features, triple)``: machine code, not loaded."""
+    return object_code
 
 
 @pytest.fixture
