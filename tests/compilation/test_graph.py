@@ -61,6 +61,37 @@ def test_equal_operations_are_one_node():
     assert graph.multiply(a, graph.zero) == graph.zero
 
 
+def test_simplifications():
+    graph = Graph()
+    a = graph.source("state", 0)
+    assert graph.multiply(a, graph.one) == a
+    assert graph.divide(a, graph.one) == a
+    assert graph.divide(graph.zero, a) == graph.zero
+    assert graph.power(a, graph.zero) == graph.one
+    assert graph.power(a, graph.one) == a
+    assert graph.where(graph.compare("lt", a, graph.one), a, a) == a
+    assert graph.negate(graph.constant(2.0)) == graph.constant(-2.0)
+    minus = graph.constant(-1.0)
+    assert graph.nodes[graph.divide(a, minus)][0] == "divide"
+
+
+@pytest.mark.parametrize("exponent", [-1.0, 0.5, 17.0, math.inf, -math.inf, math.nan])
+def test_other_powers_are_left_to_the_library(exponent):
+    graph = Graph()
+    node = graph.power(graph.source("state", 0), graph.constant(exponent))
+    assert graph.nodes[node][0] == "power"
+
+
+def test_zeros_of_both_signs_are_two_nodes():
+    for zeros in ((0.0, -0.0), (-0.0, 0.0)):
+        graph = Graph()
+        values = [graph.value(graph.constant(zero)) for zero in (*zeros, *zeros)]
+        assert [math.copysign(1.0, value) for value in values] == [
+            math.copysign(1.0, zero) for zero in (*zeros, *zeros)
+        ]
+        assert len(graph.nodes) == 2
+
+
 def test_horner_is_regrouped_to_the_same_polynomial(interpreted):
     rng = np.random.default_rng(1)
     coefficients = rng.normal(size=26)
