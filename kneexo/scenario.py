@@ -166,12 +166,15 @@ def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     A value may be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
     scenario does not have, and for a value out of range.
     """
-    data = scenario.model_dump()
+    data: dict[str, Any] = dict(scenario)
     for path, value in values.items():
         *parents, name = path.split(".")
         holder: Any = data
         for parent in parents:
-            holder = holder.get(parent)
+            part = holder.get(parent)
+            if isinstance(part, Parameters):  # only the parts that change are validated again
+                part = holder[parent] = dict(part)
+            holder = part
             if not isinstance(holder, dict):
                 break
         # A wrong name in an existing mapping is found by the validation below.

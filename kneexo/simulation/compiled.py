@@ -11,13 +11,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_origin
+from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kneexo import linkage
 from kneexo.compilation.cache import load_key, load_text, note_key
@@ -69,26 +71,44 @@ _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into consta
 # ------------------------------------------------------------------------------ structure
 
 
-def structure(parameters: Parameters) -> dict[str, Any]:
+def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
     """What parameters say about the form of the equations: all but plain numbers.
 
     Whole numbers (counts, delays, branches) belong to it, and so do sample times.
     """
-    kept: dict[str, Any] = {}
-    for name in type(parameters).model_fields:
-        value = getattr(parameters, name)
-        if isinstance(value, Parameters):
-            kept[name] = structure(value)
-        elif name in _BAKED_IN or not isinstance(value, float | tuple):
-            kept[name] = value
-    return kept
+    values = [(name, getattr(parameters, name)) for name in _structural_fields(type(parameters))]
+    return tuple(
+        (name, structure(value) if isinstance(value, Parameters) else value)
+        for name, value in values
+        if name in _BAKED_IN or not isinstance(value, float)
+    )
+
+
+@cache
+def _structural_fields(kind: type[Parameters]) -> tuple[str, ...]:
+    """The fields of a parameter class that may hold more than plain numbers."""
+
+    def structural(annotation: Any) -> bool:
+        if isinstance(annotation, type) and issubclass(annotation, Parameters):
+            return bool(_structural_fields(annotation))
+        return annotation is not float and get_origin(annotation) is not tuple
+
+    fields = kind.model_fields.items()
+    return tuple(n for n, field in fields if n in _BAKED_IN or structural(field.annotation))
 
 
 def structure_key(scenario: Scenario) -> str:
     """Text that is equal for scenarios whose closed loops differ in parameters only."""
-    kept = structure(scenario) | {"nominal": structure(scenario.believed_plant)}
-    del kept["simulation"]  # says how to run, not what
-    return json.dumps([kept, _fingerprint()], sort_keys=True)
+    kept = dict(structure(scenario))
+    if scenario.nominal is None:
+        kept["nominal"] = kept["plant"]
+    kept.pop("simulation", None)  # says how to run, not what
+    return _key(tuple(kept.items()))
+
+
+@lru_cache
+def _key(kept: tuple[Any, ...]) -> str:
+    return json.dumps([kept, _fingerprint()])
 
 
 @cache
@@ -112,19 +132,27 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
 
     Its parameters, state and inputs come from `scenario_run`.
     """
-    key = structure_key(scenario)
+    return _model(structure_key(scenario), scenario)
 
-    def context_at(parameters: Array) -> tuple[Node, Any]:
-        root = Node(_diagram(key, scenario))
-        context = root.system.CreateDefaultContext()
-        set_parameters(root, context, parameters)
-        return root, context
 
-    return CompiledModel(_module(key, scenario), context_at)
+def _model(key: str, scenario: Scenario) -> CompiledModel:
+    with _lock:
+        module = _module(key, scenario)
+        if key not in _models or _models[key].module is not module:
+
+            def context_at(parameters: Array) -> tuple[Node, Any]:
+                root = Node(_diagram(key, scenario))
+                context = root.system.CreateDefaultContext()
+                set_parameters(root, context, parameters)
+                return root, context
+
+            _models[key] = CompiledModel(module, context_at)
+        return _models[key]
 
 
 _lock = RLock()  # threads may run scenarios of one structure
 _modules: dict[str, Any] = {}
+_models: dict[str, CompiledModel] = {}
 _diagrams: dict[str, Any] = {}
 
 
@@ -154,6 +182,26 @@ def _module(key: str, scenario: Scenario) -> Any:
 
 def scenario_values(scenario: Scenario) -> dict[str, float]:
     """Every Context parameter of the closed loop, by its name in the compiled model."""
+    return {
+        f"{path}{name}": value for path, named in _values(scenario) for name, value in named.items()
+    }
+
+
+def _parameters(scenario: Scenario, model: CompiledModel) -> Array:
+    """`scenario_values` in the order of the model's parameters."""
+    groups = [named.values() for _, named in _values(scenario)]
+    values = np.array([value for group in groups for value in group], dtype=float)
+    if model not in _orders:  # a model has one structure, and so one order of the values
+        place = {name: n for n, name in enumerate(scenario_values(scenario))}
+        _orders[model] = np.array([place[name] for name in model.parameter_names], dtype=np.intp)
+    return np.asarray(values[_orders[model]])
+
+
+_orders: WeakKeyDictionary[CompiledModel, NDArray[np.intp]] = WeakKeyDictionary()
+
+
+def _values(scenario: Scenario) -> list[tuple[str, dict[str, float]]]:
+    """Values by name, for each prefix of names."""
     plant, believed = scenario.plant, scenario.believed_plant
     table_1 = scenario.polynomial if plant.rod_map == "polynomial" else None
     fit = linkage.fit_rod_inverse(plant.linkage, table_1)
@@ -187,14 +235,18 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
     if not isinstance(scenario.reference, SampledReference):
         systems["reference"] = knee_reference.context_values(scenario.reference)
 
-    values = {
-        f"{path}.{name}": value for path, named in systems.items() for name, value in named.items()
-    }
-    for group, fitted in enumerate((fit.knee_angle, fit.encoder_angle, fit.moment_arm), 1):
-        values |= {f"plant/knee.{group}[{i}]": value for i, value in enumerate(fitted)}
-    values["encoder_phase.0[0]"] = -scenario.encoder.phase_rad
-    values["encoder.0[0]"] = 0.0  # Drake's calibration offset
-    return values
+    fitted = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
+    return [
+        *((f"{path}.", named) for path, named in systems.items()),
+        *(("plant/knee.", _numbered(group, values)) for group, values in enumerate(fitted, 1)),
+        # The second is Drake's calibration offset.
+        ("", {"encoder_phase.0[0]": -scenario.encoder.phase_rad, "encoder.0[0]": 0.0}),
+    ]
+
+
+@lru_cache(maxsize=64)
+def _numbered(group: int, values: tuple[float, ...]) -> dict[str, float]:
+    return {f"{group}[{i}]": value for i, value in enumerate(values)}
 
 
 def scenario_start(scenario: Scenario) -> dict[str, float]:
@@ -214,6 +266,10 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
     }
 
 
+_NO_INPUTS = InputTable()
+
+
+@lru_cache(maxsize=64)
 def reference_table(reference: SampledReference) -> InputTable:
     """The spline of a sampled reference and its derivatives; constant before and after."""
     spline = knee_reference.sampled_spline(reference)
@@ -235,13 +291,12 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     """
     reference = scenario.reference
     scenario.plant.knee.require_in_range(*knee_reference.reference_range_deg(reference))
-    values, start = scenario_values(scenario), scenario_start(scenario)
-    parameters = np.array([values[name] for name in model.parameter_names])
+    parameters, start = _parameters(scenario, model), scenario_start(scenario)
     state = State(
         np.array([start.get(name, 0.0) for name in model.state_names]),
         np.zeros(len(model.held_names)),
     )
-    inputs = reference_table(reference) if isinstance(reference, SampledReference) else InputTable()
+    inputs = reference_table(reference) if isinstance(reference, SampledReference) else _NO_INPUTS
     return parameters, model.initialized(parameters, state, inputs), inputs
 
 
