@@ -166,14 +166,14 @@ def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     A value may be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
     scenario does not have, and for a value out of range.
     """
-    data: dict[str, Any] = dict(scenario)
+    data = dict(vars(scenario))
     for path, value in values.items():
         *parents, name = path.split(".")
         holder: Any = data
         for parent in parents:
             part = holder.get(parent)
             if isinstance(part, Parameters):  # only the parts that change are validated again
-                part = holder[parent] = dict(part)
+                part = holder[parent] = dict(vars(part))
             holder = part
             if not isinstance(holder, dict):
                 break

@@ -197,7 +197,7 @@ class CompiledModel:
         self,
         parameters: Sequence[Array] | Array,
         states: Sequence[State] | State,
-        duration_s: float,
+        duration_s: float | Sequence[float] | Array,
         *,
         inputs: Sequence[InputTable] | InputTable | None = None,
         reduce: Callable[[Simulation], Any] | None = None,
@@ -207,8 +207,9 @@ class CompiledModel:
     ) -> list[Any]:
         """`simulate` for each row of ``parameters`` (n, parameters), in threads.
 
-        ``states`` and ``inputs``: one for each run, or one for all. ``reduce`` turns each
-        `Simulation` into what is kept of it as soon as it is there, so that memory stays flat.
+        ``states``, ``duration_s`` and ``inputs``: one for each run, or one for all. ``reduce``
+        turns each `Simulation` into what is kept of it as soon as it is there, so that memory
+        stays flat.
         ``failures``: ``raise`` the first error of a run, or ``return`` it in its run's place.
         ``threads``: all cores of this process by default. ``options``: see `simulate`.
         """
@@ -222,7 +223,12 @@ class CompiledModel:
             of_inputs = [inputs] * count
         else:
             of_inputs = list(inputs)
-        for name, given in (("states", of_states), ("inputs", of_inputs)):
+        if isinstance(duration_s, int | float):
+            durations = [float(duration_s)] * count
+        else:
+            durations = list(duration_s)
+        each = {"states": of_states, "duration_s": durations, "inputs": of_inputs}
+        for name, given in each.items():
             if len(given) != count:
                 raise ValueError(f"{name}: has {len(given)} for {count} runs")
 
@@ -231,7 +237,7 @@ class CompiledModel:
                 run = self.simulate(
                     parameters[index],
                     of_states[index],
-                    duration_s,
+                    durations[index],
                     inputs=of_inputs[index],
                     **options,
                 )
