@@ -6,7 +6,9 @@ import math
 from typing import Any
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.simulation import needs_runs
 from kneexo.analysis.tracking import track
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
@@ -24,9 +26,10 @@ MARGIN_FIGURES = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_mar
 """Figures of `kneexo.analysis.Margins` that an assessment quotes."""
 
 
+@needs_runs
 def assess(
     scenario: Scenario, *, tracking: bool = True, margins: bool = True, bandwidth: bool = False
-) -> dict[str, Any]:
+) -> Steps[dict[str, Any]]:
     """Plain numbers by name: `TRACKING_FIGURES`, ``stable``, `MARGIN_FIGURES`, ``bandwidth_hz``.
 
     The margins are those at the middle of the reference's range, the bandwidth is that of the
@@ -40,7 +43,7 @@ def assess(
         figures = dict.fromkeys(TRACKING_FIGURES, math.nan)
         found |= figures | {"tracking_failure": ""}
         try:
-            metrics = track(scenario).metrics
+            metrics = (yield from steps(track, scenario)).metrics
             found |= {name: getattr(metrics, name) for name in figures}
         except KneexoError as error:
             found["tracking_failure"] = str(error)
@@ -58,7 +61,7 @@ def assess(
     if bandwidth:
         found |= {"bandwidth_hz": math.nan, "bandwidth_failure": ""}
         try:
-            found["bandwidth_hz"] = large_signal_bandwidth_hz(scenario)
+            found["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, scenario)
             if math.isnan(found["bandwidth_hz"]):
                 found["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
         except KneexoError as error:

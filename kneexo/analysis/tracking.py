@@ -11,7 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from kneexo.analysis.simulation import Array, Run, period_s, rms, simulate, to_rpm
+from kneexo.analysis.coroutines import Steps, steps
+from kneexo.analysis.simulation import Array, Run, needs_runs, period_s, rms, simulate, to_rpm
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 
@@ -178,18 +179,20 @@ class TrackingResult:
         return ax
 
 
+@needs_runs
 def track(
     scenario: Scenario = Scenario(),
     *,
     all_signals: bool = False,
     progress: Callable[[float], Any] | None = None,
-) -> TrackingResult:
+) -> Steps[TrackingResult]:
     """Simulate a scenario and measure how it tracks.
 
     ``all_signals`` logs every signal, not only those of the metrics. Raises what
     `kneexo.analysis.simulate` raises.
     """
-    run = simulate(scenario, signals=None if all_signals else TRACKING_SIGNALS, progress=progress)
+    signals = None if all_signals else TRACKING_SIGNALS
+    run = yield from steps(simulate, scenario, signals=signals, progress=progress)
     metrics = tracking_metrics(
         run.time_s,
         run["knee_reference_rad"] - run["knee_angle_rad"],

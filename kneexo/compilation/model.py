@@ -227,10 +227,13 @@ class CompiledModel:
             durations = [float(duration_s)] * count
         else:
             durations = list(duration_s)
-        each = {"states": of_states, "duration_s": durations, "inputs": of_inputs}
-        for name, given in each.items():
-            if len(given) != count:
-                raise ValueError(f"{name}: has {len(given)} for {count} runs")
+        for name, given in (
+            ("states", len(of_states)),
+            ("duration_s", len(durations)),
+            ("inputs", len(of_inputs)),
+        ):
+            if given != count:
+                raise ValueError(f"{name}: has {given} for {count} runs")
 
         def one(index: int) -> Any:
             try:

@@ -35,6 +35,7 @@ from kneexo.diagrams.closed_loop import (
     make_closed_loop,
 )
 from kneexo.diagrams.plant import plant_start, start_pressures_pa
+from kneexo.errors import KneexoError
 from kneexo.parameters import (
     KneeLoadParameters,
     ObserverParameters,
@@ -329,24 +330,54 @@ def simulate_compiled(
     ParameterError, LinkageError
         As `kneexo.diagrams.make_closed_loop`.
     """
+    (result,) = simulate_together([scenario], signals, integrator, step_s, tolerance)
+    if isinstance(result, KneexoError):
+        raise result
+    return result
+
+
+def simulate_together(
+    scenarios: Sequence[Scenario],
+    signals: Sequence[str] | None = None,
+    integrator: str = "exact_hold",
+    step_s: float = STEP_S,
+    tolerance: float = TOLERANCE,
+) -> list[Run | KneexoError]:
+    """`simulate_compiled` for scenarios of one structure: each one's run, or why it failed."""
     from kneexo.analysis.simulation import Run
 
-    names = chosen_signals(scenario, signals)
-    model = compile_scenario(scenario)
-    parameters, state, inputs = scenario_run(scenario, model)
-    result = model.simulate(
+    results: list[Any] = []
+    ready = {}
+    model = None
+    for index, scenario in enumerate(scenarios):
+        try:
+            names = chosen_signals(scenario, signals)
+            model = model or compile_scenario(scenario)
+            ready[index] = scenario_run(scenario, model)
+            results.append(None)
+        except KneexoError as error:
+            results.append(error)
+    if model is None or not ready:
+        return results
+    parameters, states, inputs = zip(*ready.values(), strict=True)
+    found = model.simulate_batch(
         parameters,
-        state,
-        scenario.simulation.duration_s,
+        states,
+        [scenarios[index].simulation.duration_s for index in ready],
+        inputs=inputs,
         outputs=names,
-        record_period_s=scenario.controller.sample_time_s,
+        record_period_s=scenarios[0].controller.sample_time_s,
         integrator=integrator,
         step_s=step_s,
         tolerance=tolerance,
-        inputs=inputs,
+        failures="return",
+        threads=1,
     )
-    data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
-    settings = scenario.simulation.model_copy(
-        update={"integrator": integrator, "step_s": step_s, "error_controlled": False}
-    )
-    return Run(result.time_s, dict(zip(columns(names), data, strict=True)), settings)
+    how = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
+    for index, result in zip(ready, found, strict=True):
+        if not isinstance(result, KneexoError):
+            data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
+            settings = scenarios[index].simulation.model_copy(update=how)
+            result = Run(result.time_s, dict(zip(columns(names), data, strict=True)), settings)
+        results[index] = result
+    return results

@@ -11,14 +11,14 @@ SHORT = Scenario(simulation=SimulationParameters(duration_s=0.2))
 
 def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
     expected = simulate(SHORT, signals=("rod_extension",))
-    original = compiled.simulate_compiled
+    original = compiled.simulate_together
 
-    def refusing(scenario, **options):
-        if options["integrator"] == "exact_hold":
-            raise StiffnessError("the derivatives jump too often")
-        return original(scenario, **options)
+    def refusing(scenarios, signals, integrator, *options):
+        if integrator == "exact_hold":
+            return [StiffnessError("the derivatives jump too often")]
+        return original(scenarios, signals, integrator, *options)
 
-    monkeypatch.setattr(compiled, "simulate_compiled", refusing)
+    monkeypatch.setattr(compiled, "simulate_together", refusing)
     run = simulate(SHORT, signals=("rod_extension",))
     assert (run.settings.integrator, run.settings.step_s) == ("rk4", 2e-5)
     assert expected.settings.integrator == "exact_hold"
@@ -29,11 +29,11 @@ def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
 def test_another_failure_is_not_repeated(monkeypatch):
     calls = []
 
-    def failing(scenario, **options):
+    def failing(scenarios, *options):
         calls.append(options)
-        raise SimulationError("left the stroke")
+        return [SimulationError("left the stroke")]
 
-    monkeypatch.setattr(compiled, "simulate_compiled", failing)
+    monkeypatch.setattr(compiled, "simulate_together", failing)
     with pytest.raises(SimulationError, match="left the stroke"):
         simulate(SHORT)
     assert len(calls) == 1
