@@ -180,7 +180,8 @@ def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
         # A wrong name in an existing mapping is found by the validation below.
         if not isinstance(holder, dict):
             raise ParameterError(f"{path}: this scenario has no {path.rpartition('.')[0]}")
-        holder[name] = deepcopy(value)  # a later path may reach into it
+        # A later path may reach into a mapping.
+        holder[name] = deepcopy(value) if isinstance(value, dict) else value
     return Scenario(**data)
 
 

@@ -50,7 +50,7 @@ class Trial:
         return changed(
             scenario,
             {
-                "nominal": scenario.believed_plant.model_dump(),
+                "nominal": scenario.believed_plant,
                 "plant.pump.internal_leakage_m3_per_s_pa": self.internal_leakage_m3_per_s_pa,
                 "plant.pump.acceleration_limit_rad_s2": self.acceleration_limit_rad_s2,
                 "plant.cylinder.bulk_modulus_pa": self.bulk_modulus_pa,

@@ -102,8 +102,7 @@ def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> 
         for path, value in values.items()
         if uncertainty.values[path].known
     }
-    believing = scenario.model_copy(update={"nominal": scenario.believed_plant})
-    return changed(believing, {**values, **known})
+    return changed(scenario, {"nominal": scenario.believed_plant, **values, **known})
 
 
 @needs_runs

@@ -43,7 +43,7 @@ from kneexo.parameters import (
     Scenario,
     SlidingModeParameters,
 )
-from kneexo.quantity import Parameters
+from kneexo.quantity import Parameters, models_of
 from kneexo.systems import (
     bldc_pump,
     four_bar_knee,
@@ -77,25 +77,31 @@ def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
 
     Whole numbers (counts, delays, branches) belong to it, and so do sample times.
     """
-    values = [(name, getattr(parameters, name)) for name in _structural_fields(type(parameters))]
-    return tuple(
-        (name, structure(value) if isinstance(value, Parameters) else value)
-        for name, value in values
-        if name in _BAKED_IN or not isinstance(value, float)
-    )
+    kept: list[tuple[str, Any]] = []
+    values = vars(parameters)
+    for name, nested in _structural_fields(type(parameters)):
+        value = values[name]
+        if nested and value is not None:
+            kept.append((name, structure(value)))
+        elif name in _BAKED_IN or not isinstance(value, float):
+            kept.append((name, value))
+    return tuple(kept)
 
 
 @cache
-def _structural_fields(kind: type[Parameters]) -> tuple[str, ...]:
-    """The fields of a parameter class that may hold more than plain numbers."""
+def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
+    """The fields of a class that may hold more than numbers, and whether they hold parameters."""
 
     def structural(annotation: Any) -> bool:
         if isinstance(annotation, type) and issubclass(annotation, Parameters):
             return bool(_structural_fields(annotation))
         return annotation is not float and get_origin(annotation) is not tuple
 
-    fields = kind.model_fields.items()
-    return tuple(n for n, field in fields if n in _BAKED_IN or structural(field.annotation))
+    return tuple(
+        (name, bool(models_of(field)))
+        for name, field in kind.model_fields.items()
+        if name in _BAKED_IN or structural(field.annotation)
+    )
 
 
 def structure_key(scenario: Scenario) -> str:
@@ -224,9 +230,9 @@ def _values(scenario: Scenario) -> list[tuple[str, dict[str, float]]]:
         )
     if isinstance(plant.load, KneeLoadParameters):
         systems["plant/load"] = knee_load.context_values(plant.load)
-    law = scenario.controller.model_copy(
-        update={"command_limit_rad_s": scenario.command_limit_rad_s}
-    )
+    law, limit = scenario.controller, scenario.command_limit_rad_s
+    if limit != law.command_limit_rad_s:
+        law = law.model_copy(update={"command_limit_rad_s": limit})
     if isinstance(law, SlidingModeParameters):
         systems["controller"] = sliding_mode_controller.context_values(law, believed)
     else:
@@ -351,8 +357,9 @@ def simulate_together(
     model = None
     for index, scenario in enumerate(scenarios):
         try:
-            names = chosen_signals(scenario, signals)
-            model = model or compile_scenario(scenario)
+            if model is None:
+                names = chosen_signals(scenario, signals)
+                model = compile_scenario(scenario)
             ready[index] = scenario_run(scenario, model)
             results.append(None)
         except KneexoError as error:
@@ -374,10 +381,13 @@ def simulate_together(
         threads=1,
     )
     how = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
+    labels = columns(names)
     for index, result in zip(ready, found, strict=True):
         if not isinstance(result, KneexoError):
             data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
-            settings = scenarios[index].simulation.model_copy(update=how)
-            result = Run(result.time_s, dict(zip(columns(names), data, strict=True)), settings)
+            settings = scenarios[index].simulation
+            if any(getattr(settings, name) != value for name, value in how.items()):
+                settings = settings.model_copy(update=how)
+            result = Run(result.time_s, dict(zip(labels, data, strict=True)), settings)
         results[index] = result
     return results
