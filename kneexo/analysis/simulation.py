@@ -13,7 +13,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import Context, Diagram
 
 from kneexo.analysis.coroutines import Steps, coroutine
-from kneexo.diagrams import available_signals, columns, make_closed_loop
+from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.errors import KneexoError, SimulationError, StiffnessError
 from kneexo.parameters import Scenario, SimulationParameters
 
@@ -172,7 +172,8 @@ def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterat
         return scenario.simulation.duration_s / scenario.controller.sample_time_s
 
     scenario, signals = requests[group[0]].scenario, requests[group[0]].signals
-    width = len(columns(available_signals(scenario) if signals is None else signals))
+    names = available_signals(scenario) if signals is None else signals
+    width = sum(len(SIGNALS.get(name, ())) for name in names)
     waiting = sorted(group, key=records, reverse=True)
     while waiting:
         most = max(1, int(_LARGEST_RECORD / (width * records(waiting[0]) + 1.0)))
