@@ -7,11 +7,12 @@ takes many such calls and answers all that they ask for at a time together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from functools import partial, wraps
 from typing import Any, ParamSpec, TypeVar
 
 Arguments = ParamSpec("Arguments")
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 Steps = Generator[Any, Any, Result]
@@ -64,7 +65,7 @@ def coroutine(
             ((_, result),) = drive([function(*arguments, **named)], answers)
             return result
 
-        vars(alone)["steps"] = function
+        vars(alone).update(steps=function, answers=answers)
         return alone
 
     return decorate
@@ -81,8 +82,16 @@ def steps(
 
 
 def is_coroutine(function: Callable[..., Any]) -> bool:
-    """Whether calls of ``function`` can be driven together."""
+    """Whether calls of ``function`` gain from going on together."""
     return hasattr(partial(function).func, "steps")
+
+
+def together(
+    function: Callable[[Item], Result], items: Iterable[Item]
+) -> Iterator[tuple[int, Result]]:
+    """`drive` for ``function`` of each item."""
+    answers = getattr(partial(function).func, "answers", None) or (lambda requests: iter(()))
+    return drive([steps(function, item) for item in items], answers)
 
 
 class _UnknownValueError(Exception):

@@ -26,8 +26,7 @@ from tqdm import tqdm
 
 from kneexo import __version__
 from kneexo.analysis.checkpoint import Checkpoint, piece_keys
-from kneexo.analysis.coroutines import drive, is_coroutine, steps
-from kneexo.analysis.simulation import answers
+from kneexo.analysis.coroutines import is_coroutine, together
 from kneexo.errors import WorkerError
 
 Item = TypeVar("Item")
@@ -210,7 +209,7 @@ def parallel_map(
             units = _Units(order, _first_unit(function, len(order), 1))
             while unit := units.take(LARGEST_LOT):
                 end = time.perf_counter() + UNIT_S
-                for position, result in drive([steps(function, items[n]) for n in unit], answers):
+                for position, result in together(function, [items[index] for index in unit]):
                     done(unit[position], result)
                 units.give_back([], len(unit), time.perf_counter() < end)
         else:
@@ -253,8 +252,8 @@ def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[li
     lot = LARGEST_LOT if is_coroutine(function) else 1
     results: dict[int, Result] = {}
     for first in range(0, len(items), lot):
-        calls = [steps(function, item) for item in items[first : first + lot]]
-        results |= {first + n: result for n, result in drive(calls, answers)}
+        ended = together(function, items[first : first + lot])
+        results |= {first + n: result for n, result in ended}
         if time.perf_counter() >= end:
             return [results[n] for n in range(len(results))], False
     return [results[n] for n in range(len(results))], True

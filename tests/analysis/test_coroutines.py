@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 from scipy.optimize import brentq
 
-from kneexo.analysis.coroutines import coroutine, drive, evaluated, is_coroutine, steps
+from kneexo.analysis.coroutines import coroutine, drive, evaluated, is_coroutine, steps, together
 
 ASKED = []
 
@@ -93,6 +93,8 @@ def test_an_interrupt_is_raised_at_once():
 def test_plain_functions_and_partials_take_part():
     calls = [steps(math.sqrt, 4.0), steps(partial(power, 3, offset=1), 1)]
     assert dict(drive(calls, doubled)) == {0: 2.0, 1: 7}
+    assert dict(together(math.sqrt, [4.0, 9.0])) == {0: 2.0, 1: 3.0}
+    assert dict(together(partial(power, 3), [1, 0])) == {0: 6, 1: 3}
     assert is_coroutine(partial(partial(power, 3), offset=1))
     assert not is_coroutine(partial(math.sqrt, 4.0))
     assert pickle.loads(pickle.dumps(double)) is double
