@@ -179,6 +179,7 @@ FULL_ORDER = (
 
 PEERS = {  # name, module, seconds that it runs
     "CasADi": ("casadi", 30.0),
+    "heyoka": ("heyoka", 30.0),
     "jaxonomy": ("jaxonomy", 30.0),
     "pathsim": ("pathsim", 3.0),
     "python-control": ("control", 1.0),

@@ -237,6 +237,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_scenario(sub)
     add_out(sub, "closed_loop.dot, .svg and .png")
+
+    sub = command(
+        "cache",
+        _cache,
+        "show or delete the compiled models that are kept on disk",
+        "They stand in KNEEXO_CACHE_DIR, else in kneexo below XDG_CACHE_HOME, else in "
+        "~/.cache/kneexo. KNEEXO_CACHE_SIZE_MB limits their total size in MiB; left out: 512.",
+    )
+    sub.add_argument("--clear", action="store_true", help="delete all of them")
     return parser
 
 
@@ -602,3 +611,45 @@ def _diagram(options: argparse.Namespace) -> None:
             "this again.",
             file=sys.stderr,
         )
+
+
+def _cache(options: argparse.Namespace) -> None:
+    import json
+    import time
+
+    from kneexo.compilation import cache
+
+    directory = cache.cache_directory()
+    if options.clear:
+        count = cache.clear()
+        if options.json:
+            print(json.dumps({"directory": str(directory), "deleted": count}))
+        else:
+            print(f"{directory}: {count} {'entry' if count == 1 else 'entries'} deleted")
+        return
+    entries, limit_bytes = cache.entries(), cache.size_limit()
+    size_bytes = sum(entry.size_bytes for entry in entries)
+    if options.json:
+        summary = {
+            "directory": str(directory),
+            "size_bytes": size_bytes,
+            "limit_bytes": limit_bytes,
+            "entries": [
+                {
+                    "name": entry.path.name,
+                    "size_bytes": entry.size_bytes,
+                    "last_use_s": entry.last_use_s,
+                }
+                for entry in entries
+            ],
+        }
+        print(json.dumps(summary, indent=2))
+        return
+    print(f"directory  {directory}")
+    print(f"entries    {len(entries)}")
+    print(f"size       {size_bytes / 2**20:.1f} of at most {limit_bytes / 2**20:.0f} MiB")
+    if entries:
+        print("used last")
+    for entry in entries[:5]:
+        last_use = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.last_use_s))
+        print(f"  {last_use}  {entry.size_bytes / 2**10:8.1f} KiB  {entry.path.name}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
@@ -30,7 +30,6 @@ from kneexo.analysis.bandwidth import speed_limit_reached_hz
 from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.simulation import Array, needs_runs, rms, to_rpm
 from kneexo.analysis.tracking import mean_change
-from kneexo.compilation.cache import load_key
 from kneexo.parameters import (
     EQ_27_DIFFERENCES,
     EQ_27_EXACT_STATES,
@@ -43,7 +42,6 @@ from kneexo.parameters import (
     SinestreamParameters,
 )
 from kneexo.scenario import changed
-from kneexo.simulation.compiled import structure_key
 
 PAPER_BANDWIDTH_HZ = 0.21
 """The paper's measured −3 dB bandwidth (Section 5, Fig. 13)."""
@@ -91,25 +89,6 @@ def _cost(task: partial[Any]) -> float:
     return simulation.duration_s / simulation.step_s
 
 
-def _first_sample(scenario: Scenario) -> None:
-    duration = {"simulation.duration_s": scenario.controller.sample_time_s}
-    simulate(changed(scenario, duration), signals=())
-
-
-def _compile_ahead(scenarios: Iterable[Scenario], *, workers: int | None, progress: bool) -> None:
-    """Compile side by side the structures that no earlier run has left in the cache."""
-    structures = {structure_key(s): s for s in scenarios if s.simulation.compiled}
-    new = [scenario for key, scenario in structures.items() if load_key(key) is None]
-    new.sort(key=lambda scenario: scenario.simulation.integrator == "rk4")  # the quickest last
-    if len(new) > 1 and workers != 1:
-        parallel_map(
-            _first_sample,
-            new,
-            workers=workers,
-            description="compiling" if progress else None,
-        )
-
-
 def reproduce(
     settings: SinestreamParameters = SinestreamParameters(),
     *,
@@ -121,8 +100,8 @@ def reproduce(
     """Run every study of the paper.
 
     ``engine``: see `Scenario.with_engine`. ``workers`` (see `kneexo.analysis.parallel_map`) share
-    the compiling, and all the work of Drake's Simulator; compiled equations then take a second.
-    An ``executor`` gets everything.
+    the work of Drake's Simulator; compiled equations take a second without them. An ``executor``
+    gets everything.
     """
     tasks = {
         (key, name): partial(run, case.with_engine(engine))
@@ -133,8 +112,6 @@ def reproduce(
     if executor is not None:
         pool_of: AbstractContextManager[Executor | None] = nullcontext(executor)
     else:
-        scenarios = [task.args[0] for task in tasks.values()]
-        _compile_ahead(scenarios, workers=workers, progress=progress)
         pool_of = process_pool(workers if engine == "drake" else 1)
     with pool_of as pool:
         values = parallel_map(

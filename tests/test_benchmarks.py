@@ -48,11 +48,11 @@ def load(monkeypatch):
     return importlib.import_module
 
 
-def in_kneexo(scenario):
+def in_kneexo(scenario, integrator="rk4"):
     run = simulate_compiled(
         changed(scenario, {"simulation.duration_s": SAMPLES * 2e-3}),
         signals=("rod_extension", "load_pressure"),
-        integrator="rk4",
+        integrator=integrator,
         step_s=2e-3 / STEPS,
     )
     return np.column_stack([run["rod_extension_m"], run["load_pressure_pa"]])
@@ -173,6 +173,15 @@ def test_numba_agrees_with_the_compiled_model(load):
         p = hand_written.parameters_of(scenario)
         record = in_numba.run_numba(p, **options(scenario))
         assert relative_difference(record, in_kneexo(scenario)) < 1e-9
+
+
+@pytest.mark.slow
+def test_heyoka_agrees_with_the_exact_hold(load):
+    pytest.importorskip("heyoka")
+    scenario = changed(Scenario(), PID | FREE)
+    p = load("hand_written").parameters_of(scenario)
+    record = load("peers.with_heyoka").prepare(p, STEPS, SAMPLES * p.sample_time_s)()
+    assert relative_difference(record, in_kneexo(scenario, "exact_hold")) < 1e-9
 
 
 @pytest.mark.slow

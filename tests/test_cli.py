@@ -9,6 +9,7 @@ import time
 import pytest
 
 from kneexo.cli import main
+from kneexo.compilation import cache
 from kneexo.parameters import Scenario
 from kneexo.scenario import load_scenario
 
@@ -36,7 +37,7 @@ def test_help_names_every_command_and_needs_no_drake():
         "assert not {'pydrake', 'matplotlib', 'numpy'} & set(sys.modules)\n"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    for command in ("reproduce", "simulate", "params", "diagram"):
+    for command in ("reproduce", "simulate", "params", "diagram", "cache"):
         assert command in out.stdout
 
 
@@ -203,6 +204,50 @@ def test_linearize_writes_margins_and_refuses_a_posture_out_of_range(capsys, tmp
     assert main(["linearize", "--knee-angle", "200", "--out", str(tmp_path / "no")]) == 2
     assert "knee angle = 200 deg" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
+
+
+def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "7")
+    assert main(["cache"]) == 0
+    assert "entries    0\n" in capsys.readouterr().out
+    assert not (tmp_path / "cache").exists()
+    for age_s in range(6):
+        cache.store(str(age_s), bytes(2**20))
+        used_last = cache.entries()[0].path
+        os.utime(used_last, (1e9 - age_s, 1e9 - age_s))
+    newest, *_, oldest = cache.entries()
+    assert main(["cache", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["directory"] == str(tmp_path / "cache")
+    assert printed["limit_bytes"] == 7 * 2**20
+    assert printed["size_bytes"] == sum(entry["size_bytes"] for entry in printed["entries"])
+    assert [entry["last_use_s"] for entry in printed["entries"]] == [1e9 - age for age in range(6)]
+    assert printed["entries"][0]["name"] == newest.path.name
+    assert main(["cache"]) == 0
+    text = capsys.readouterr().out
+    assert f"directory  {tmp_path / 'cache'}\nentries    6\n" in text
+    assert "size       6.0 of at most 7 MiB" in text
+    assert "2001-09-0" in text
+    assert "1024.0 KiB" in text
+    assert newest.path.name in text
+    assert oldest.path.name not in text
+    assert main(["cache", "--clear"]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'cache'}: 6 entries deleted\n"
+    assert list((tmp_path / "cache").iterdir()) == []
+    cache.store("key", b"code")
+    assert main(["cache", "--clear", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == {"directory": str(tmp_path / "cache"), "deleted": 1}
+
+
+def test_cache_needs_neither_numpy_nor_drake():
+    code = (
+        "import sys, kneexo.cli\n"
+        "assert kneexo.cli.main(['cache']) == 0\n"
+        "assert not {'pydrake', 'numpy', 'numba', 'llvmlite', 'pydantic'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
 
 
 # -------------------------------------------------------------------------------- studies

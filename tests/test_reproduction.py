@@ -5,10 +5,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from kneexo import reproduction
 from kneexo.analysis import (
     Run,
-    draw_trials,
     fit_polynomials,
     linearize_loop,
     simulate,
@@ -36,7 +34,6 @@ from kneexo.reproduction import (
     rod_error_mm,
     speed_demand,
 )
-from kneexo.simulation.compiled import structure_key
 
 
 def shortened(scenario, seconds):
@@ -166,28 +163,6 @@ def test_the_oscillation_at_2_ms_grows_as_the_eigenvalues_say(name):
     # The fit's blocks of 0.15 s hold eight periods.
     assert growth_rate(run) == pytest.approx(np.log(abs(mode)) / 0.002, abs=0.02)
     assert (growth_rate(run) > 0.0) == (name == "13000")
-
-
-def test_each_structure_is_compiled_once(monkeypatch):
-    given = []
-    monkeypatch.setattr(reproduction, "load_key", lambda key: None)
-    monkeypatch.setattr(
-        reproduction, "parallel_map", lambda function, items, **_: given.extend(items)
-    )
-    cases = [case for _, _, own in reproduction._STUDIES for case in own.values()]
-    reproduction._compile_ahead(cases, workers=2, progress=False)
-    keys = {structure_key(case) for case in given}
-    assert len(keys) == len(given) == 5
-    base = Scenario()
-    trials = draw_trials(base, SinestreamParameters())
-    scaled = [case for case, _ in FIG_13_SCALING.values()]
-    for case in (*cases, *scaled, *(trial.applied(base) for trial in trials)):
-        assert structure_key(case) in keys
-    given.clear()
-    reproduction._compile_ahead(
-        [case.with_engine("drake") for case in cases], workers=2, progress=False
-    )
-    assert not given
 
 
 @pytest.mark.parametrize("name", list(EQ_27_DIFFERENCES))

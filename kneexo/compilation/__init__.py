@@ -1,19 +1,29 @@
 """Drake diagrams as machine code: any diagram of vectors, read off its symbolic form.
 
-The equations are written once, in the leaf systems. `equations` reads them off the symbolic form
-into a `graph`; `codegen` prints that as a module for numba, behind it the integrators of `loops`,
-written out by `unroll`; `linear_parts` is what all models share; `cache` keeps the modules on disk.
-`model` is what a user sees, `runner` one run of it, `compiled_system` the way back into Drake.
+The equations are written once, in the leaf systems. A diagram passes through these layers:
+
+- `equations` reads them off the symbolic form into a `graph` of shared operations;
+- `passes` rewrites the graph for speed and says what belongs to which function;
+- `printer` writes nodes as LLVM IR by means of `ir` and `elementary`, for one lane of a vector or
+  several; `integrators`, `exact_hold` and `time_loop` put the run around them;
+- `native` makes machine code of the text, `cache` keeps it on disk, `machine_code` joins both;
+- `runner` is one run, `model` what a user sees, `compiled_system` the way back into Drake, and
+  `input_table` what open inputs follow.
 """
 
-from kneexo.compilation.cache import cache_directory
-from kneexo.compilation.model import (
-    CompiledModel,
-    DiagramModel,
-    Simulation,
-    compile_diagram,
-)
-from kneexo.compilation.runner import InputTable, State
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from kneexo.compilation.cache import cache_directory
+    from kneexo.compilation.input_table import input_table, stack_tables
+    from kneexo.compilation.model import (
+        CompiledModel,
+        DiagramModel,
+        Simulation,
+        compile_diagram,
+    )
+    from kneexo.compilation.runner import InputTable, State
 
 __all__ = [
     "CompiledModel",
@@ -23,4 +33,30 @@ __all__ = [
     "State",
     "cache_directory",
     "compile_diagram",
+    "input_table",
+    "stack_tables",
 ]
+
+_MODULE_OF = {
+    "CompiledModel": "model",
+    "DiagramModel": "model",
+    "InputTable": "runner",
+    "Simulation": "model",
+    "State": "runner",
+    "cache_directory": "cache",
+    "compile_diagram": "model",
+    "input_table": "input_table",
+    "stack_tables": "input_table",
+}
+
+if not TYPE_CHECKING:  # mypy accepts every name of a module with a visible __getattr__
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name at its first use: the cache alone needs no NumPy and no Drake."""
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,209 +1,301 @@
-"""Generated modules on disk: written once, imported by every later process.
+"""Machine code on disk: compiled once, loaded by every later process.
 
-numba keeps its machine code beside a module (``__pycache__``); a seal tells whether it is still
-what was written, for numba would run anything. The directory is
-``KNEEXO_CACHE_DIR``, else ``kneexo`` in ``XDG_CACHE_HOME``, else ``~/.cache/kneexo``; it may be
-deleted at any time.
+Each entry is one file that holds a format version, a SHA-256 seal over key and content, and the
+content. The files stand in ``KNEEXO_CACHE_DIR``, else in ``kneexo`` below ``XDG_CACHE_HOME``, else
+in ``~/.cache/kneexo``. That directory may be deleted at any time. Its size is limited to 512 MiB,
+or to ``KNEEXO_CACHE_SIZE_MB`` MiB; the entries with the oldest last use are deleted first.
+
+The seal detects damage, but anybody can compute it. Trust rests on file ownership: a directory or
+file that another user could have written is never used.
 """
 
 from __future__ import annotations
 
 import atexit
-import fcntl
+import errno
 import hashlib
-import importlib.util
-import json
 import os
+import re
 import shutil
-import sys
+import stat
 import tempfile
+import time
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from threading import RLock
-from types import ModuleType
-from typing import Any
+from typing import NamedTuple
 
-_PREFIX = "kneexo_model_"
-_lock = RLock()  # a module is there before it is complete
+from kneexo.errors import OutputError
 
+_FORMAT = b"kneexo code 1\n"  # raise the number when the layout of the files changes
+_HEADER_BYTES = len(_FORMAT) + hashlib.sha256().digest_size
+_LARGEST_ENTRY_BYTES = 256 * 2**20
+_DEFAULT_LIMIT_MB = 512
+_STALE_S = 3600.0
+_ENTRY = re.compile(r"[0-9a-f]{32}\.kneexo")
+_TEMPORARY = re.compile(r"\.[0-9a-f]{32}\.kneexo\.[0-9a-f]{16}")
 
-def cache_directory() -> Path:
-    """Where generated modules are kept."""
-    if chosen := os.environ.get("KNEEXO_CACHE_DIR"):
-        return Path(chosen).expanduser().absolute()
-    if base := os.environ.get("XDG_CACHE_HOME"):
-        return Path(base) / "kneexo"
-    return Path.home() / ".cache" / "kneexo"
-
-
-@cache
-def _own_directory() -> Path:
-    """A directory of this process alone, where the user's cannot be written."""
-    directory = Path(tempfile.mkdtemp(prefix="kneexo-"))
-    atexit.register(shutil.rmtree, directory, ignore_errors=True)
-    return directory
+_unwritable: set[Path] = set()
+_warnings_given: set[str] = set()
 
 
-def text_hash(text: str) -> str:
-    """Name of a text by its content."""
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+class Entry(NamedTuple):
+    """One file of the cache."""
+
+    path: Path
+    size_bytes: int
+    last_use_s: float
+    """Unix time in seconds."""
 
 
-def load_text(text: str) -> ModuleType:
-    """The module with that text, from the cache where it is there."""
-    name = _PREFIX + text_hash(text)
-    with _lock:
-        if name in sys.modules:
-            return sys.modules[name]
-        path = cache_directory() / f"{name}.py"
-        if not _is_sound(path):
-            path = _write(path, text)
-        return _import(name, path)
+# ----------------------------------------------------------------------------- entries
 
 
-def load_key(key: str) -> ModuleType | None:
-    """The module that was noted under ``key``; None when there is none, or a damaged one."""
-    try:
-        name = _key_path(key).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return None
-    if not name.startswith(_PREFIX) or not name.removeprefix(_PREFIX).isalnum():
-        return None
-    with _lock:
-        if name in sys.modules:
-            return sys.modules[name]
-        path = cache_directory() / f"{name}.py"
-        return _import(name, path) if _is_sound(path) else None
+def load(key: str) -> bytes | None:
+    """Content of the entry of that key, or None when there is none.
 
-
-def note_key(key: str, module: ModuleType) -> None:
-    """Note that ``key`` means ``module``; nothing happens where the cache cannot be written."""
-    if Path(module.__file__ or "").parent == cache_directory():
-        _write(_key_path(key), module.__name__)
-
-
-def _key_path(key: str) -> Path:
-    return cache_directory() / f"{text_hash(key)}.key"
-
-
-def _is_sound(path: Path) -> bool:
-    """Whether the file is there and has the text that its name promises."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError:
-        return False
-    except UnicodeDecodeError:
-        text = ""
-    if _PREFIX + text_hash(text) == path.stem:
-        return True
-    warnings.warn(f"{path}: damaged; it is written anew", stacklevel=2)
-    return False
-
-
-def _write(path: Path, text: str) -> Path:
-    """Write all or nothing; where ``path`` cannot be written, into `_own_directory`."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".kneexo-")
+    A damaged entry gives a warning and None. The call records the time of use.
+    """
+    for directory in reversed(_directories()):
+        path = directory / _name(key)
         try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            os.replace(temporary, path)
-        except BaseException:  # KeyboardInterrupt too: no half file stays
-            Path(temporary).unlink(missing_ok=True)
-            raise
+            with open(path, "rb", opener=_open_for_reading) as file:
+                if _is_trusted(os.fstat(file.fileno())):
+                    header, content = file.read(_HEADER_BYTES), file.read()
+                    if header == _header(key, content):
+                        with suppress(OSError):  # a read-only file system
+                            os.utime(file.fileno())
+                        return content
+        except OSError as error:
+            if error.errno != errno.ELOOP:  # ELOOP: a symbolic link, which is not followed
+                continue
+        warnings.warn(f"{path}: damaged; it is made anew", stacklevel=2)
+    return None
+
+
+def store(key: str, content: bytes) -> None:
+    """Write the entry of that key, all or nothing, and delete old entries beyond the limit.
+
+    Never raises `OSError`: where the directory cannot be written, one warning says so and a
+    private directory of this process takes its place. Content above 256 MiB is not kept.
+    """
+    if _HEADER_BYTES + len(content) > _LARGEST_ENTRY_BYTES:
+        _warn_once(f"compiled model of {len(content) / 2**20:.0f} MiB: too large for the cache")
+        return
+    directory = cache_directory()
+    path = directory / _name(key)
+    try:
+        _make_directory(directory)
+        _write(path, _header(key, content) + content)
     except OSError as error:
-        _warn_unwritable(path.parent, error)
-        path = _own_directory() / path.name
-        path.write_text(text, encoding="utf-8")
-    return path
+        reason = f"cannot be written ({error.strerror or error})"
+        if directory == _private_directory():
+            _warn_once(f"{directory}: {reason}; compiled models are not kept")
+            return
+        _unwritable.add(directory)
+        _warn_replaced(f"{directory}: {reason}")
+        store(key, content)
+    else:
+        _delete_stale(directory)
+        _shrink(path)
 
 
-def _warn_unwritable(directory: Path, error: OSError) -> None:
-    warnings.warn(
-        f"{directory}: cannot be written ({error.strerror}); compiled models are not kept and "
-        f"every process compiles anew",
-        stacklevel=3,
+def entries() -> list[Entry]:
+    """All entries, the one used last first."""
+    files = [entry for directory in _directories() for entry in _files(directory, _ENTRY)]
+    return sorted(files, key=lambda entry: entry.last_use_s, reverse=True)
+
+
+def clear() -> int:
+    """Delete all entries, and temporary files of killed processes; returns the number of entries.
+
+    Raises `OutputError` when an entry cannot be deleted.
+    """
+    count = 0
+    for directory in _directories():
+        _delete_stale(directory)
+        for entry in _files(directory, _ENTRY):
+            try:
+                entry.path.unlink()
+                count += 1
+            except FileNotFoundError:  # another process deleted it
+                pass
+            except OSError as error:
+                reason = error.strerror or error
+                raise OutputError(f"{entry.path}: cannot be deleted ({reason})") from None
+    return count
+
+
+def size_limit() -> int:
+    """Largest total size of the entries in bytes."""
+    text = os.environ.get("KNEEXO_CACHE_SIZE_MB") or str(_DEFAULT_LIMIT_MB)
+    try:
+        limit_mb = int(text)
+    except ValueError:
+        limit_mb = -1
+    if limit_mb < 0:
+        _warn_once(
+            f"KNEEXO_CACHE_SIZE_MB = {text!r}: must be a whole number, at least 0; "
+            f"the limit is {_DEFAULT_LIMIT_MB} MiB"
+        )
+        limit_mb = _DEFAULT_LIMIT_MB
+    return limit_mb * 2**20
+
+
+# ----------------------------------------------------------------------------- files
+
+
+def _name(key: str) -> str:
+    return hashlib.sha256(key.encode()).hexdigest()[:32] + ".kneexo"
+
+
+def _header(key: str, content: bytes) -> bytes:
+    seal = hashlib.sha256(hashlib.sha256(key.encode()).digest())
+    seal.update(content)
+    return _FORMAT + seal.digest()
+
+
+def _open_for_reading(path: str, flags: int) -> int:
+    # Opening a pipe would block without O_NONBLOCK.
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
+
+
+def _open_for_writing(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)
+
+
+def _is_trusted(status: os.stat_result) -> bool:
+    """Whether an open file is regular, of this user alone, and of reasonable size."""
+    return (
+        stat.S_ISREG(status.st_mode)
+        and status.st_uid == os.geteuid()
+        and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        and status.st_size <= _LARGEST_ENTRY_BYTES
     )
 
 
-def _import(name: str, path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path}: cannot be imported")
-    module = importlib.util.module_from_spec(spec)
-    # numba finds a function's module by its name, also while the module is executed.
-    sys.modules[name] = module
+def _write(path: Path, data: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
     try:
-        spec.loader.exec_module(module)
-    except BaseException:  # KeyboardInterrupt too: no half module stays
-        del sys.modules[name]
-        raise
-    return module
-
-
-# --------------------------------------------------------------------------- machine code
-
-
-def make_ready(function: Any, arguments: Sequence[Any]) -> None:
-    """Compile a jitted function of a generated module for such ``arguments``, or load it.
-
-    ``arguments`` must be quick to run. Processes that need the same module wait for each other.
-    Damaged machine code is removed, with a warning, and made anew.
-    """
-    if not hasattr(function, "signatures") or function.signatures:  # plain Python, or known
-        return
-    module = sys.modules[function.__module__]
-    path = Path(module.__file__ or "")
-    code = Path(function._cache.cache_path)  # elsewhere with NUMBA_CACHE_DIR, or in a read-only one
-    with _alone(path):
-        _remove_unsound_code(path, code)
-        for _ in vars(module):  # at most once for each function that cannot be kept
-            try:
-                function(*arguments)
-                break
-            except OSError as error:
-                _warn_unwritable(path.parent, error)
-        seal = json.dumps(_code_hashes(path, code))
-        with suppress(OSError):  # unsealed code is made anew by the next process
-            if not _seal_path(path).exists() or _seal_path(path).read_text() != seal:
-                _write(_seal_path(path), seal)
-
-
-@contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """One process at a time, where the file system has locks."""
-    with ExitStack() as stack:
+        with open(temporary, "xb", opener=_open_for_writing) as file:
+            file.write(data)
+        os.replace(temporary, path)
+    except BaseException:  # KeyboardInterrupt too
         with suppress(OSError):
-            file = stack.enter_context(path.with_suffix(".lock").open("a"))
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+            temporary.unlink()
+        raise
 
 
-def _seal_path(path: Path) -> Path:
-    return path.with_suffix(".seal")
+def _files(directory: Path, names: re.Pattern[str]) -> list[Entry]:
+    """Files of a directory whose whole name matches; empty where it cannot be read."""
+    files = []
+    with suppress(OSError), os.scandir(directory) as items:
+        for item in items:
+            if names.fullmatch(item.name) and not item.is_dir(follow_symlinks=False):
+                with suppress(FileNotFoundError):  # another process deleted it
+                    status = item.stat(follow_symlinks=False)
+                    files.append(Entry(Path(item.path), status.st_size, status.st_mtime))
+    return files
 
 
-def _code_hashes(path: Path, code: Path) -> dict[str, str]:
-    """Hashes of numba's files of a module, in the directory ``code``."""
-    files = sorted(code.glob(f"{path.stem}.*.nb[ci]"))
-    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+def _delete_stale(directory: Path) -> None:
+    """Delete temporary files that killed processes left."""
+    for file in _files(directory, _TEMPORARY):
+        if file.last_use_s < time.time() - _STALE_S:
+            with suppress(OSError):
+                file.path.unlink()
 
 
-def _remove_unsound_code(path: Path, code: Path) -> None:
-    """Delete machine code that is not as it was sealed, or was never."""
-    found = _code_hashes(path, code)
+def _shrink(stored: Path) -> None:
+    """Keep the entry just stored and, of the others, those used last that fit the limit."""
+    limit, total = size_limit(), 0
+    files = _files(stored.parent, _ENTRY)
+    for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
+        total += entry.size_bytes
+        if total > limit and entry.path != stored:
+            with suppress(OSError):
+                entry.path.unlink()
+
+
+# ----------------------------------------------------------------------------- directories
+
+
+def cache_directory() -> Path:
+    """Directory that new entries are written to; it may not exist yet.
+
+    The chosen directory is replaced by a private one of this process, with a warning, when its
+    path cannot be determined, when it is unsafe (of another user, or writable by group or others),
+    and after it could not be written.
+    """
+    return _directories()[-1]
+
+
+def _directories() -> list[Path]:
+    """Directories that may hold entries; new ones are written to the last."""
     try:
-        sealed = json.loads(_seal_path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        sealed = {}
-    unsound = [name for name, content in found.items() if sealed.get(name) != content]
-    if not unsound:
-        return
-    if any(name in sealed for name in unsound):  # the others are of a process that was killed
-        warnings.warn(f"{code}: machine code is damaged; it is made anew", stacklevel=3)
-    for name in found:
-        (code / name).unlink(missing_ok=True)
+        chosen = _chosen_directory()
+    except (RuntimeError, OSError) as error:  # no home directory, or no working directory
+        _warn_replaced(f"cache directory: cannot be determined ({str(error).rstrip('.')})")
+        return [_private_directory()]
+    if reason := _refusal(chosen):
+        _warn_replaced(f"{chosen}: {reason}")
+        return [_private_directory()]
+    return [chosen, _private_directory()] if chosen in _unwritable else [chosen]
+
+
+def _chosen_directory() -> Path:
+    if directory := os.environ.get("KNEEXO_CACHE_DIR"):
+        return Path(directory).expanduser().absolute()
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    if os.path.isabs(base):  # the XDG base directory specification ignores relative paths
+        return Path(base, "kneexo")
+    return Path.home().absolute() / ".cache" / "kneexo"
+
+
+def _refusal(directory: Path) -> str:
+    """Why machine code must not be loaded from a directory; empty when it may be."""
+    try:
+        status = directory.stat()
+    except OSError:  # absent; `store` says why when it cannot be made
+        return ""
+    if not stat.S_ISDIR(status.st_mode):
+        return "is not a directory"
+    if status.st_uid != os.geteuid():
+        return f"belongs to another user (uid {status.st_uid})"
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return f"others may write to it (mode {stat.S_IMODE(status.st_mode):o}; use chmod go-w)"
+    return ""
+
+
+@cache
+def _private_directory() -> Path:
+    """A directory of this process alone, deleted at its end."""
+    try:
+        directory = Path(tempfile.mkdtemp(prefix="kneexo-"))
+    except OSError:  # no temporary directory either: a path that no file can have
+        return Path(os.devnull, "kneexo")
+    atexit.register(_delete_directory, directory, os.getpid())
+    return directory
+
+
+def _delete_directory(directory: Path, process: int) -> None:
+    if os.getpid() == process:  # not in a fork
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+def _make_directory(directory: Path) -> None:
+    """Make a directory and its parents, closed to other users."""
+    if not directory.is_dir():
+        _make_directory(directory.parent)
+        directory.mkdir(mode=0o700, exist_ok=True)
+
+
+def _warn_replaced(reason: str) -> None:
+    _warn_once(f"{reason}; this process keeps compiled models in {_private_directory()}")
+
+
+def _warn_once(message: str) -> None:
+    if message not in _warnings_given:
+        _warnings_given.add(message)
+        warnings.warn(message, stacklevel=3)

@@ -12,6 +12,7 @@ from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
 
 from kneexo.compilation.model import CompiledModel
 from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, Runner, State
+from kneexo.compilation.time_loop import OK
 
 
 class CompiledSystem(LeafSystem):
@@ -53,7 +54,7 @@ class CompiledSystem(LeafSystem):
             "tolerance": tolerance,
             "record_period_s": tick_s,
         }
-        self._tick = Runner(model, parameters, **self._options).timing.tick
+        self._tick = Runner(model, **self._options).timing.tick
         self.DeclareNumericParameter(BasicVector(np.asarray(parameters, dtype=float)))
         self.DeclareDiscreteState(np.concatenate((state.continuous, state.held)))
         for name, size in model.inputs.items():
@@ -85,8 +86,8 @@ class CompiledSystem(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(self._tick, 0.0, self._advance)
 
     def _make_runner(self, context: Any, value: Any) -> None:
-        parameters = context.get_numeric_parameter(0).value()
-        value.set_value(Runner(self.model, parameters, **self._options))
+        parameters = self.model.checked_parameters(context.get_numeric_parameter(0).value()[None])
+        value.set_value(_Running(self, parameters))
 
     def _state(self, context: Any) -> tuple[Array, Array, Array]:
         """A copy of the discrete state, and its parts x and d."""
@@ -114,11 +115,39 @@ class CompiledSystem(LeafSystem):
     def _record(self, with_inputs: bool, context: Any, value: Any) -> None:
         _, x, d = self._state(context)
         tick = math.ceil(context.get_time() / self._tick - 1e-9)
-        record = np.empty((1, self._width))
+        record = np.empty((1, self._width, 1))
         inputs = self._inputs(context) if with_inputs else self.model.no_inputs
         self._running.Eval(context).run(x, d, tick, tick, inputs, record)
-        value.set_value(record[0])
+        value.set_value(record[0, :, 0])
 
     @staticmethod
     def _copy_output(entry: Any, part: slice, context: Any, output: Any) -> None:
         output.set_value(entry.Eval(context)[part])
+
+
+class _Running:
+    """A runner with the parameters of a Context."""
+
+    def __init__(self, system: CompiledSystem, parameters: Array) -> None:
+        self._system, self._parameters = system, parameters
+        self._runner = Runner(system.model, **system._options).restart(parameters)
+
+    def __deepcopy__(self, memo: Any) -> _Running:
+        """A new one, with the memory empty: Drake copies cache entries with a Context."""
+        return _Running(self._system, self._parameters)
+
+    def run(
+        self,
+        x: Array,
+        d: Array,
+        first: int,
+        last: int,
+        inputs: InputTable,
+        record: Array | None = None,
+    ) -> None:
+        """Advance ``x`` and ``d``; raises what `CompiledModel.simulate` raises."""
+        ends = np.array([last])
+        (outcome,) = self._runner.run(x, d, first, ends, [inputs], record).tolist()
+        if outcome[0] != OK:
+            model, tick_s = self._system.model, self._runner.timing.tick
+            raise model.fault(outcome, tick_s, self._parameters[0], State(x, d))

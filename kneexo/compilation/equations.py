@@ -7,17 +7,31 @@ diagram would unfold to 10⁸ nodes.
 
 from __future__ import annotations
 
+import ctypes
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
+from threading import RLock
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from pydrake.symbolic import Expression, ExpressionKind, FormulaKind, Variable
-from pydrake.systems.framework import InputPortIndex, OutputPortIndex, PortDataType
+from pydrake.systems.framework import (
+    BasicVector,
+    InputPortIndex,
+    LeafSystem_,
+    OutputPortIndex,
+    PortDataType,
+    UnrestrictedUpdateEvent_,
+)
+from pydrake.systems.primitives import TrajectorySource
 
 from kneexo.compilation.graph import Graph
 from kneexo.errors import CompilationError
+
+T = TypeVar("T")
 
 LARGEST_TREE = 20_000
 """Nodes of one expression beyond which a leaf is refused; shared values belong in ports."""
@@ -110,9 +124,31 @@ class Node:
         return self.path or str(self.system.get_name())
 
     @property
+    def type_name(self) -> str:
+        """The class of the system, without the scalar of a template."""
+        return type(self.system).__name__.partition("_𝓣")[0]
+
+    @property
     def has_equations(self) -> bool:
-        """Whether a leaf has outputs or a state; log sinks have none."""
-        return bool(self.system.num_output_ports()) or _has_state(self.system)
+        """Whether a leaf counts: log sinks and what feeds only viewers do not."""
+        root = self
+        while root.parent is not None:
+            root = root.parent
+        return self in root._needed
+
+    @cached_property
+    def _needed(self) -> set[Node]:
+        """The leaves with a state or a margin, and those that they or the outputs depend on."""
+        pending = [leaf for leaf in self.leaves() if _has_state_or_margin(leaf.system)]
+        pending += [self.output(index)[0] for index in range(self.system.num_output_ports())]
+        needed: set[Node] = set()
+        while pending:
+            leaf = pending.pop()
+            if leaf not in needed:
+                needed.add(leaf)
+                drivers = map(leaf.driver, range(leaf.system.num_input_ports()))
+                pending += [driver[0] for driver in drivers if isinstance(driver, tuple)]
+        return needed
 
     def leaves(self) -> Iterator[Node]:
         """The leaf systems, in the order of the diagram."""
@@ -146,38 +182,76 @@ class Node:
 
 
 def parameter_groups(leaf: Node, context: Any) -> list[list[str]]:
-    """Names of the elements of each numeric parameter group of a leaf."""
+    """Names of the elements of each numeric parameter group of a leaf of floats."""
     named = getattr(getattr(leaf.system, "_values", None), "_fields", ())
     groups = []
     for group in range(context.num_numeric_parameter_groups()):
-        size = context.get_numeric_parameter(group).size()
-        if group == 0 and len(named) == size:
+        vector = context.get_numeric_parameter(group)
+        if group == 0 and len(named) == vector.size():
             groups.append([f"{leaf.path}.{name}" for name in named])
         else:
-            groups.append([f"{leaf.path}.{group}[{i}]" for i in range(size)])
+            groups.append(_element_names(leaf.path, group, vector))
     return groups
+
+
+def _element_names(path: str, group: int | str, vector: Any) -> list[str]:
+    """Names of the elements of a vector: their numbers, or what Drake calls them.
+
+    Only the first group of parameters and the continuous state take Drake's names, which are those
+    of accessors: ``PendulumParams`` has ``mass()`` and ``set_mass()``.
+    """
+    size = vector.size()
+    names = [f"{path}.{group}[{i}]" for i in range(size)]
+    if group in (0, "x"):
+        numbered = vector.Clone()
+        numbered.SetFromVector(range(size))
+        for name in dir(vector):
+            if hasattr(vector, f"set_{name}") and not hasattr(BasicVector, name):
+                names[int(getattr(numbered, name)())] = f"{path}.{name}"
+    return names
 
 
 # ----------------------------------------------------------------------------- extraction
 
+Steps: TypeAlias = Generator[Any, Any, T]
+"""A computation that yields the computations it waits for; `_completed` runs it."""
+
+
+def _completed(steps: Steps[T]) -> T:
+    """The result of ``steps``, without recursion: chains of blocks and expressions may be deep."""
+    pending: list[Steps[Any]] = [steps]
+    value: Any = None
+    while pending:
+        try:
+            pending.append(pending[-1].send(value))
+            value = None
+        except StopIteration as finished:
+            pending.pop()
+            value = finished.value
+    result: T = value
+    return result
+
 
 class _Leaf:
-    """A leaf, its context on variables, and what each variable stands for."""
+    """The symbolic form of a leaf, its context on variables, and what each variable stands for."""
 
     def __init__(self, node: Node, equations: Equations, open_inputs: dict[int, int]) -> None:
         self.node = node
-        self.system = node.system
-        self.context = context = node.system.CreateDefaultContext()
+        of_floats = node.system.CreateDefaultContext()
+        _refuse_witness_functions(node, of_floats)
+        self.system = to_symbolic(node)
+        self.context = context = self.system.CreateDefaultContext()
         self.meaning: dict[int, int | tuple[Node, int, int]] = {}
         self.outputs: dict[int, list[int] | None] = {}
         graph = equations.graph
 
         if context.num_abstract_states() or context.num_abstract_parameters():
             raise CompilationError(
-                f"{node.name}: has an abstract state or parameter; only vectors compile"
+                f"{node.name}: {node.type_name} has an abstract state or parameter; only vectors "
+                f"compile"
             )
         context.SetTime(self._variables("time", [graph.source("time")])[0])
-        for group, names in enumerate(parameter_groups(node, context)):
+        for group, names in enumerate(parameter_groups(node, of_floats)):
             first = len(equations.parameters)
             sources = [graph.source("parameter", first + i) for i in range(len(names))]
             variables = self._variables("parameter", sources)
@@ -189,7 +263,8 @@ class _Leaf:
             sources = [graph.source("state", self.first_state + i) for i in range(size)]
             variables = self._variables("state", sources)
             context.get_mutable_continuous_state_vector().SetFromVector(variables)
-            equations.states += [f"{node.path}.x[{i}]" for i in range(size)]
+            vector = of_floats.get_continuous_state_vector()
+            equations.states += _element_names(node.path, "x", vector)
         self.first_held = len(equations.held)
         for group in range(context.num_discrete_state_groups()):
             vector = context.get_mutable_discrete_state(group)
@@ -232,14 +307,19 @@ class _Reader:
             open_inputs[int(port.get_index())] = sum(self.equations.inputs.values())
             self.equations.inputs[name] = port.size()
         self.leaves: dict[str, _Leaf] = {}
+        paths = set()
         for leaf in root.leaves():
-            if leaf.path in self.leaves:
+            if leaf.path in paths:
                 raise CompilationError(f"{leaf.path}: two systems have this path; rename one")
+            paths.add(leaf.path)
             if leaf.has_equations:
                 self.leaves[leaf.path] = _Leaf(leaf, self.equations, open_inputs)
 
     def output(self, node: Node, index: int) -> list[int]:
         """The nodes of an output port of a leaf."""
+        return _completed(self._output(node, index))
+
+    def _output(self, node: Node, index: int) -> Steps[list[int]]:
         leaf = self.leaves[node.path]
         port = leaf.system.get_output_port(index)
         where = f"{node.name}: output port {port.get_name()}"
@@ -247,8 +327,14 @@ class _Reader:
             leaf.outputs[index] = None  # being read
             if port.get_data_type() != PortDataType.kVectorValued:
                 raise CompilationError(f"{where}: is not a vector; only vectors compile")
+            if isinstance(node.system, TrajectorySource):
+                raise CompilationError(
+                    f"{where}: has no symbolic form, and pydrake hides its trajectory; export "
+                    f"the input port that it feeds, keep that open by inputs=[...], and pass "
+                    f"input_table(trajectory)"
+                )
             values = _symbolic(where, lambda: port.Eval(leaf.context))
-            leaf.outputs[index] = self._convert(where, leaf, values)
+            leaf.outputs[index] = yield self._nodes(where, leaf, values)
         result = leaf.outputs[index]
         if result is None:
             raise CompilationError(f"{where}: depends on itself (algebraic loop)")
@@ -305,13 +391,16 @@ class _Reader:
     # ------------------------------------------------------------------- trees to nodes
 
     def _convert(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> list[int]:
+        return _completed(self._nodes(where, leaf, values))
+
+    def _nodes(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> Steps[list[int]]:
         nodes = []
         for value in values:
             self._size = 0
-            nodes.append(self._node(where, leaf, value))
+            nodes.append((yield self._node(where, leaf, value)))
         return nodes
 
-    def _node(self, where: str, leaf: _Leaf, tree: Any) -> int:
+    def _node(self, where: str, leaf: _Leaf, tree: Any) -> Steps[int]:
         graph = self.equations.graph
         if isinstance(tree, float | int):
             return graph.constant(tree)
@@ -324,16 +413,18 @@ class _Reader:
         kind = tree.get_kind()
         if kind == ExpressionKind.Var:
             (variable,) = tree.GetVariables()
-            return self._meaning(where, leaf, variable)
+            return (yield self._meaning(where, leaf, variable))
         if kind == ExpressionKind.Constant:
             return graph.constant(tree.Evaluate())
         _, arguments = tree.Unapply()
         if kind == ExpressionKind.IfThenElse:
-            condition = self._condition(where, leaf, arguments[0])
-            return graph.where(
-                condition, *(self._node(where, leaf, branch) for branch in arguments[1:])
-            )
-        nodes = [self._node(where, leaf, argument) for argument in arguments]
+            condition = yield self._condition(where, leaf, arguments[0])
+            positive = yield self._node(where, leaf, arguments[1])
+            otherwise = yield self._node(where, leaf, arguments[2])
+            return graph.where(condition, positive, otherwise)
+        nodes = []
+        for argument in arguments:
+            nodes.append((yield self._node(where, leaf, argument)))
         if kind == ExpressionKind.Add:
             return graph.add(*nodes)
         if kind == ExpressionKind.Mul:
@@ -348,22 +439,24 @@ class _Reader:
             return graph.binary(_BINARY[kind], *nodes)
         raise CompilationError(f"{where}: {kind} does not compile")
 
-    def _condition(self, where: str, leaf: _Leaf, formula: Any) -> int:
+    def _condition(self, where: str, leaf: _Leaf, formula: Any) -> Steps[int]:
         graph = self.equations.graph
         kind = formula.get_kind()
         if kind in (FormulaKind.True_, FormulaKind.False_):
             holds = 1.0 if kind == FormulaKind.True_ else 0.0
             return graph.compare("gt", graph.constant(holds), graph.zero)
+        if kind not in _COMPARISONS and kind not in _LOGIC:
+            raise CompilationError(f"{where}: the condition {kind} does not compile")
         _, arguments = formula.Unapply()
+        read = self._node if kind in _COMPARISONS else self._condition
+        nodes = []
+        for argument in arguments:
+            nodes.append((yield read(where, leaf, argument)))
         if kind in _COMPARISONS:
-            nodes = [self._node(where, leaf, argument) for argument in arguments]
             return graph.compare(_COMPARISONS[kind], *nodes)
-        if kind in _LOGIC:
-            conditions = [self._condition(where, leaf, argument) for argument in arguments]
-            return graph.logic(_LOGIC[kind], *conditions)
-        raise CompilationError(f"{where}: the condition {kind} does not compile")
+        return graph.logic(_LOGIC[kind], *nodes)
 
-    def _meaning(self, where: str, leaf: _Leaf, variable: Any) -> int:
+    def _meaning(self, where: str, leaf: _Leaf, variable: Any) -> Steps[int]:
         meaning = leaf.meaning.get(variable.get_id())
         if meaning is None:
             raise CompilationError(f"{where}: contains a variable of its own, {variable}")
@@ -371,9 +464,9 @@ class _Reader:
             return meaning
         node, port, element = meaning
         size = self._size
-        result = self.output(node, port)[element]
+        values = yield self._output(node, port)
         self._size = size
-        return result
+        return values[element]
 
 
 def _label(system: Any, number: int) -> str:
@@ -381,9 +474,13 @@ def _label(system: Any, number: int) -> str:
     return re.sub("@[0-9a-f]{16}$", f"_{number}", str(system.get_name()))
 
 
-def _has_state(system: Any) -> bool:
-    context = system.CreateDefaultContext()
-    return bool(context.num_total_states())
+def _has_state_or_margin(system: Any) -> bool:
+    return bool(
+        system.num_continuous_states()
+        or system.num_discrete_state_groups()
+        or system.num_abstract_states()
+        or callable(getattr(system, "margin", None))
+    )
 
 
 def _discrete(values: Any) -> list[Any]:
@@ -403,22 +500,96 @@ def _symbolic(where: str, evaluate: Callable[[], Any]) -> Any:
         raise CompilationError(f"{where}: has no symbolic form ({reason})") from error
 
 
-def to_symbolic(diagram: Any) -> Any:
-    """The symbolic form of a diagram; `CompilationError` names the subsystem that has none."""
-    symbolic = diagram.ToSymbolicMaybe()
-    if symbolic is not None:
-        return symbolic
-    for leaf in Node(diagram).leaves():
-        if leaf.system.ToSymbolicMaybe() is None:
+# ------------------------------------------------------------------------------- events
+
+
+def _refuse_witness_functions(leaf: Node, context: Any) -> None:
+    """Raise `CompilationError` for a leaf that has witness functions in its default context."""
+    witnesses = leaf.system.GetWitnessFunctions(context)
+    if not witnesses:
+        return
+    # The leaf holds its witness functions, yet pydrake deletes them with their Python objects. An
+    # extra reference to these, and to the leaf, keeps both until the process ends.
+    for immortal in (leaf.system, *witnesses):
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(immortal))
+    raise CompilationError(
+        f"{leaf.name}: {leaf.type_name} has a witness function; only sampled events compile"
+    )
+
+
+_DECLARATIONS = (
+    "DeclarePerStepEvent",
+    "DeclarePerStepDiscreteUpdateEvent",
+    "DeclarePerStepUnrestrictedUpdateEvent",
+    "DeclarePeriodicEvent",
+    "DeclarePeriodicUnrestrictedUpdateEvent",
+)
+_declarations_lock = RLock()
+
+
+@contextmanager
+def _recorded_declarations() -> Iterator[list[tuple[Any, str, Sequence[Any]]]]:
+    """Symbolic leaf, method and arguments of each event that Python code declares meanwhile.
+
+    Drake lists the events of a leaf in C++ only. So the events of a leaf written in Python are
+    recorded as its symbolic form declares them. The events of a leaf written in C++ stay unknown,
+    but for witness functions and periodic discrete updates.
+    """
+    declarations: list[tuple[Any, str, Sequence[Any]]] = []
+    leaf_type = LeafSystem_[Expression]
+
+    def recorded(method: str, declare: Any) -> Any:
+        def record(leaf: Any, *args: Any, **kwargs: Any) -> Any:
+            declarations.append((leaf, method, (*args, *kwargs.values())))
+            return declare(leaf, *args, **kwargs)
+
+        return record
+
+    with _declarations_lock:
+        originals = {method: getattr(leaf_type, method) for method in _DECLARATIONS}
+        try:
+            for method, declare in originals.items():
+                setattr(leaf_type, method, recorded(method, declare))
+            yield declarations
+        finally:
+            for method, declare in originals.items():
+                setattr(leaf_type, method, declare)
+
+
+def _unfit_update(method: str, arguments: Sequence[Any]) -> str | None:
+    """What a declaration adds if neither a publish event nor a periodic discrete update.
+
+    In Python a DiscreteUpdateEvent has no constructor, so only methods declare discrete updates.
+    """
+    trigger = "per-step" if "PerStep" in method else "periodic"
+    event_type = UnrestrictedUpdateEvent_[Expression]
+    if "Unrestricted" in method or any(isinstance(a, event_type) for a in arguments):
+        return f"a {trigger} unrestricted update"
+    return "a per-step discrete update" if "PerStepDiscrete" in method else None
+
+
+def to_symbolic(leaf: Node) -> Any:
+    """The symbolic form of a leaf; `CompilationError` when it has none, or unfit events."""
+    with _recorded_declarations() as declarations:
+        symbolic = _symbolic(leaf.name, leaf.system.ToSymbolicMaybe)
+    if symbolic is None:
+        raise CompilationError(
+            f"{leaf.name}: {leaf.type_name} does not convert to symbolic Expression (see Drake's "
+            f"TemplateSystem)"
+        )
+    for system, method, arguments in declarations:
+        if system is symbolic and (update := _unfit_update(method, arguments)):
             raise CompilationError(
-                f"{leaf.name}: {type(leaf.system).__name__} does not convert to symbolic "
-                f"Expression (see Drake's TemplateSystem)"
+                f"{leaf.name}: {leaf.type_name} has {update}; of updates only periodic discrete "
+                f"ones compile"
             )
-    raise CompilationError(f"{diagram.get_name()}: does not convert to symbolic Expression")
+    return symbolic
 
 
 def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
-    """All equations of a diagram of floats, by its symbolic form.
+    """All equations of a diagram of floats, by the symbolic form of its leaf systems.
+
+    Leaves that neither a state nor an output of the diagram depends on are left out.
 
     Parameters
     ----------
@@ -434,21 +605,7 @@ def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
     """
     if isinstance(inputs, str):
         raise CompilationError(f"inputs = {inputs!r}: must be a list of names of input ports")
-    for leaf in Node(diagram).leaves():
-        if leaf.system.GetWitnessFunctions(leaf.system.CreateDefaultContext()):
-            raise CompilationError(
-                f"{leaf.name}: has a witness function; only sampled events compile"
-            )
-    try:
-        return _read(Node(to_symbolic(diagram)), inputs)
-    except RecursionError:
-        raise CompilationError(
-            f"{diagram.get_name()}: too many blocks in a chain, or too deep an expression, without "
-            f"a state between"
-        ) from None
-
-
-def _read(root: Node, inputs: Sequence[str]) -> Equations:
+    root = Node(diagram)
     reader = _Reader(root, inputs)
     for leaf in reader.leaves.values():
         reader.read(leaf)

@@ -56,6 +56,10 @@ class Graph:
     _known: dict[Operation, int] = field(default_factory=dict)
     _polynomials: dict[int, tuple[tuple[int, ...], int]] = field(default_factory=dict)
 
+    def operation(self, name: str, *arguments: Any) -> int:
+        """An operation as it is, without the simplifications of the methods below."""
+        return self._node(name, *arguments)
+
     def _node(self, *operation: Any) -> int:
         number = self._known.setdefault(operation, len(self.nodes))
         if number == len(self.nodes):
@@ -205,38 +209,6 @@ class Graph:
                 found.add(node)
                 pending.extend(self.arguments(node))
         return sorted(found)
-
-    def with_reciprocals(self, roots: Iterable[int]) -> list[int]:
-        """The same with products in place of quotients by what is fixed: faster, rounded twice.
-
-        What is compared or rounded to a whole number stays as it is.
-        """
-        roots = list(roots)
-        new: dict[int, int] = {}
-        decides = (*COMPARISONS, "floor", "ceil")
-        kept: set[int] = set()
-        for node in reversed(self.reachable(roots)):
-            kind, *_ = self.nodes[node]
-            if kind in decides or (
-                node in kept and kind in ("add", "multiply", "min", "max", "abs")
-            ):
-                kept.update(self.arguments(node))
-        for node in self.reachable(roots):
-            kind, *_ = self.nodes[node]
-            arguments = [new[argument] for argument in self.arguments(node)]
-            if kind in SOURCES:
-                new[node] = node
-            elif (
-                kind == "divide"
-                and node not in kept
-                and self.is_fixed(arguments[1])
-                and not self.is_fixed(node)
-            ):
-                reciprocal = self._node("divide", self.one, arguments[1])
-                new[node] = self.multiply(arguments[0], reciprocal)
-            else:
-                new[node] = self._node(kind, *arguments)
-        return [new[root] for root in roots]
 
     def gradients(self, roots: Iterable[int], kind: str = "state") -> list[dict[int, int]]:
         """Of each root, its partial derivatives by the sources of ``kind`` that it depends on.

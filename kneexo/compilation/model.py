@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from types import ModuleType
+from threading import local
 from typing import Any
 
 import numpy as np
 
-from kneexo.compilation.cache import load_text
-from kneexo.compilation.codegen import source_text
-from kneexo.compilation.equations import Node, read_equations
+from kneexo.compilation.equations import Equations, Node, read_equations
+from kneexo.compilation.machine_code import MachineCode, equations_key
+from kneexo.compilation.native import LANES
 from kneexo.compilation.runner import (
     LONGEST_TICK_S,
-    STEP_S,
-    TOLERANCE,
     Array,
     InputTable,
+    Integers,
     Runner,
     State,
+    address,
     require_shape,
 )
+from kneexo.compilation.time_loop import NOT_FINITE, OK, TOO_ROUGH
 from kneexo.errors import KneexoError, ParameterError, SimulationError, StiffnessError
 
 
@@ -41,6 +42,16 @@ class Simulation:
         return self.outputs[output]
 
 
+@dataclass(frozen=True)
+class _Batch:
+    """Arguments of runs of one model: a row, a state, a duration and inputs for each."""
+
+    parameters: Array
+    states: Sequence[State]
+    ticks: Integers
+    inputs: Sequence[InputTable]
+
+
 class CompiledModel:
     """A diagram as machine code; made by `compile_diagram`.
 
@@ -50,42 +61,39 @@ class CompiledModel:
 
     def __init__(
         self,
-        module: ModuleType,
+        code: MachineCode,
         context_at: Callable[[Array], tuple[Node, Any]] | None = None,
     ) -> None:
         """``context_at``: diagram and Context for a parameter vector, to explain a failed run."""
-        self.module = module
+        self.code = code
+        self.layout = layout = code.layout
         self._context_at = context_at
-        self.parameter_names: tuple[str, ...] = module.PARAMETERS
-        self.state_names: tuple[str, ...] = module.STATES
-        self.held_names: tuple[str, ...] = module.HELD
-        self.inputs: dict[str, int] = module.INPUTS
+        self.parameter_names: tuple[str, ...] = layout.parameters
+        self.state_names: tuple[str, ...] = layout.states
+        self.held_names: tuple[str, ...] = layout.held
+        self.inputs: dict[str, int] = dict(layout.inputs)
         """Size of each input port that stayed open."""
-        self.no_inputs = InputTable(
-            coefficients=np.zeros((1, max(sum(module.INPUTS.values()), 1), 1))
-        )
-        self.feedthrough: frozenset[str] = frozenset(module.FEEDTHROUGH)
+        self.no_inputs = InputTable(coefficients=np.zeros((1, max(layout.input_count, 1), 1)))
+        self.feedthrough: frozenset[str] = frozenset(layout.feedthrough)
         """Output ports whose value depends on an open input at once."""
-        self.outputs: dict[str, int] = {name: size for name, (_, size) in module.OUTPUTS.items()}
+        self.outputs: dict[str, int] = dict(layout.outputs)
         """Size of each output port."""
         self.sample_times_s: tuple[float, ...] = tuple(
-            dict.fromkeys(period for period, _ in module.PERIODS)
+            dict.fromkeys(period for period, _ in layout.periods)
         )
+
+    def __reduce__(self) -> tuple[type[CompiledModel], tuple[MachineCode]]:
+        return CompiledModel, (self.code,)
 
     def initialized(
         self, parameters: Array, state: State, inputs: InputTable | None = None
     ) -> State:
         """The state after the initialization events of ``Simulator.Initialize()``, at t = 0."""
-        module = self.module
-        inputs = inputs or self.no_inputs
         c = self.constants(parameters)
-        x, d = self._checked_state(state, inputs)
-        u, after = np.zeros(max(sum(self.inputs.values()), 1)), d.copy()
-        if self.inputs:
-            evaluate = getattr(module.evaluate_inputs, "py_func", module.evaluate_inputs)
-            evaluate(0.0, inputs.breaks, inputs.coefficients, u)  # once: not worth compiling
-        with np.errstate(all="ignore"):
-            module.initialize(0.0, x, d, u, c, after)
+        table = inputs or self.no_inputs
+        x, d = self._checked_state(state, table)
+        u, after = table.value(0.0), d.copy()
+        self.code.start("initialize")(*map(address, (x, d, u, c, after)))
         return State(x, after)
 
     def constants(self, parameters: Array) -> Array:
@@ -93,16 +101,21 @@ class CompiledModel:
 
         Raises `ParameterError` for a parameter that is not finite.
         """
-        parameters = np.asarray(parameters, dtype=float)
-        require_shape("parameters", parameters, (len(self.parameter_names),))
-        finite = np.isfinite(parameters)
-        if not finite.all():
-            name, value = self.parameter_names[np.argmin(finite)], parameters[np.argmin(finite)]
-            raise ParameterError(f"{name} = {value}: must be finite")
-        constants = np.empty(self.module.CONSTANT_COUNT)
-        with np.errstate(all="ignore"):  # a branch not taken may divide by zero
-            self.module.constants(parameters, constants)
+        row = self.checked_parameters(np.asarray(parameters, dtype=float)[None])[0]
+        constants = np.empty(self.layout.constants)
+        self.code.start("constants")(address(row), address(constants))
         return constants
+
+    def checked_parameters(self, parameters: Array) -> Array:
+        """Parameters (runs, parameters) as machine code wants them."""
+        rows = np.ascontiguousarray(parameters, dtype=float)
+        require_shape("parameters", rows[0], (len(self.parameter_names),))
+        finite = np.isfinite(rows)
+        if not finite.all():
+            run, column = (int(indices[0]) for indices in np.nonzero(~finite))
+            name, value = self.parameter_names[column], rows[run, column]
+            raise ParameterError(f"{name} = {value}: must be finite")
+        return rows
 
     def _checked_state(self, state: State, inputs: InputTable) -> tuple[Array, Array]:
         """Copies of the state; machine code does not check shapes."""
@@ -110,7 +123,7 @@ class CompiledModel:
         require_shape("state.continuous", x, (len(self.state_names),))
         require_shape("state.held", d, (len(self.held_names),))
         table = inputs.coefficients
-        expected = (inputs.breaks.size + 1, max(sum(self.inputs.values()), 1), table.shape[2])
+        expected = (inputs.breaks.size + 1, max(self.layout.input_count, 1), table.shape[2])
         require_shape("inputs.coefficients", table, expected)
         return x, d
 
@@ -123,10 +136,8 @@ class CompiledModel:
         outputs: Sequence[str] | None = None,
         record_period_s: float | None = None,
         record_times_s: Sequence[float] | Array | None = None,
-        integrator: str = "exact_hold",
-        step_s: float = STEP_S,
-        tolerance: float = TOLERANCE,
         inputs: InputTable | None = None,
+        **options: Any,
     ) -> Simulation:
         """Run from t = 0 with all events exactly at their times.
 
@@ -162,36 +173,21 @@ class CompiledModel:
         """
         if record_times_s is not None and not self.sample_times_s:
             record_period_s = record_period_s or LONGEST_TICK_S
-        runner = Runner(
-            self,
-            parameters,
-            outputs=outputs,
-            record_period_s=record_period_s,
-            integrator=integrator,
-            step_s=step_s,
-            tolerance=tolerance,
+        runner = Runner(self, outputs=outputs, record_period_s=record_period_s, **options)
+        batch = self._batch(
+            runner, np.asarray(parameters, dtype=float)[None], [state], [duration_s], [inputs]
         )
-        if not 0.0 <= duration_s < math.inf:
-            raise ValueError(f"duration_s = {duration_s} s: must be finite and >= 0")
-        tick, every = runner.timing.tick, runner.timing.record_every
-        inputs = inputs or self.no_inputs
-        x, d = self._checked_state(state, inputs)
-        ticks = int(duration_s / tick * (1.0 + 1e-12))
         if record_times_s is None:
-            times = tick * np.arange(0.0, ticks + 1.0, every)
-            record = np.empty((times.size, runner.columns.size))
-            runner.run(x, d, 0, ticks, inputs, record)
+            (run,) = self._run_lanes(runner, batch, [0])
         else:
             times = np.array(record_times_s, dtype=float)
             end = duration_s * (1.0 + 1e-12)
             if times.ndim != 1 or not (np.diff(times, prepend=0.0, append=end) >= 0.0).all():
                 raise ValueError(f"record_times_s: must ascend within 0 … {duration_s:g} s")
-            record = runner.run_with_records(x, d, ticks, inputs, times)
-        recorded, first = {}, 0
-        for name in runner.names:
-            recorded[name] = record[:, first : first + self.outputs[name]]
-            first += self.outputs[name]
-        return Simulation(times, recorded, State(x, d))
+            run = self._run_with_records(runner, batch, times)
+        if isinstance(run, KneexoError):
+            raise run
+        return run
 
     def simulate_batch(
         self,
@@ -203,63 +199,138 @@ class CompiledModel:
         reduce: Callable[[Simulation], Any] | None = None,
         failures: str = "raise",
         threads: int | None = None,
+        outputs: Sequence[str] | None = None,
+        record_period_s: float | None = None,
         **options: Any,
     ) -> list[Any]:
-        """`simulate` for each row of ``parameters`` (n, parameters), in threads.
+        """`simulate` for each row of ``parameters`` (n, parameters): in lanes, and in threads.
+
+        The runs of several lanes go in lock-step, each with its own steps: a run has the same bits
+        as alone.
 
         ``states``, ``duration_s`` and ``inputs``: one for each run, or one for all. ``reduce``
-        turns each `Simulation` into what is kept of it as soon as it is there, so that memory
-        stays flat.
-        ``failures``: ``raise`` the first error of a run, or ``return`` it in its run's place.
-        ``threads``: all cores of this process by default. ``options``: see `simulate`.
+        turns each `Simulation` into what is kept of it as soon as it is there, so that memory stays
+        flat. ``failures``: ``raise`` the first error of a run, or ``return`` it in its run's place.
+        ``threads``: all cores of this process by default. The other options: see `simulate`.
         """
         if failures not in ("raise", "return"):
             raise ValueError(f"failures = {failures!r}: must be one of raise, return")
-        parameters = list(parameters)
         count = len(parameters)
         of_states = [states] * count if isinstance(states, State) else list(states)
-        of_inputs: list[InputTable | None]
-        if inputs is None or isinstance(inputs, InputTable):
-            of_inputs = [inputs] * count
-        else:
-            of_inputs = list(inputs)
-        if isinstance(duration_s, int | float):
-            durations = [float(duration_s)] * count
-        else:
-            durations = list(duration_s)
-        for name, given in (
-            ("states", len(of_states)),
-            ("duration_s", len(durations)),
-            ("inputs", len(of_inputs)),
-        ):
-            if given != count:
-                raise ValueError(f"{name}: has {given} for {count} runs")
-
-        def one(index: int) -> Any:
-            try:
-                run = self.simulate(
-                    parameters[index],
-                    of_states[index],
-                    durations[index],
-                    inputs=of_inputs[index],
-                    **options,
-                )
-            except KneexoError as error:
-                if failures == "raise":
-                    raise
-                return error
-            return run if reduce is None else reduce(run)
-
+        tables = [inputs] * count if not isinstance(inputs, Sequence) else list(inputs)
+        alone = np.ndim(duration_s) == 0
+        durations = np.full(count, duration_s) if alone else np.asarray(duration_s, dtype=float)
+        for name, given in (("states", of_states), ("inputs", tables), ("duration_s", durations)):
+            if len(given) != count:
+                raise ValueError(f"{name}: has {len(given)} for {count} runs")
         if not count:
             return []
-        first = one(0)  # alone: it may compile
-        cores = len(os.sched_getaffinity(0))
-        with ThreadPoolExecutor(cores if threads is None else threads) as pool:
-            try:
-                return [first, *pool.map(one, range(1, count))]
-            except BaseException:  # KeyboardInterrupt too: what waits is not begun
-                pool.shutdown(cancel_futures=True)
-                raise
+        lanes = LANES if count >= LANES else 1
+        settings = {"outputs": outputs, "record_period_s": record_period_s} | options
+        runners = local()
+        runners.own = Runner(self, lanes=lanes, **settings)  # makes the code before threads want it
+        batch = self._batch(
+            runners.own, np.asarray(parameters, dtype=float), of_states, durations, tables
+        )
+        order = np.argsort(-batch.ticks, kind="stable").tolist()  # runs of one length together
+        sets = [order[first : first + lanes] for first in range(0, count, lanes)]
+
+        def run_set(indices: list[int]) -> list[Any]:
+            if not hasattr(runners, "own"):
+                runners.own = Runner(self, lanes=lanes, **settings)
+            runs = self._run_lanes(runners.own, batch, indices)
+            return [
+                run if isinstance(run, KneexoError) or reduce is None else reduce(run)
+                for run in runs
+            ]
+
+        results: list[Any] = [None] * count
+        for indices, values in zip(sets, _in_threads(run_set, sets, threads), strict=True):
+            for index, value in zip(indices, values, strict=True):
+                results[index] = value
+        if failures == "raise":
+            for result in results:
+                if isinstance(result, KneexoError):
+                    raise result
+        return results
+
+    def _batch(
+        self,
+        runner: Runner,
+        parameters: Array,
+        states: Sequence[State],
+        durations: Sequence[float] | Array,
+        inputs: Sequence[InputTable | None],
+    ) -> _Batch:
+        """Checked arguments; raises `ValueError` and `ParameterError`."""
+        rows = self.checked_parameters(parameters)
+        tables = [table or self.no_inputs for table in inputs]
+        seen: set[tuple[int, int]] = set()
+        for state, table in zip(states, tables, strict=True):
+            if (id(state), id(table)) not in seen:
+                self._checked_state(state, table)
+                seen.add((id(state), id(table)))
+        for duration in durations:
+            if not 0.0 <= duration < math.inf:
+                raise ValueError(f"duration_s = {duration} s: must be finite and >= 0")
+        tick = runner.timing.tick
+        ticks = [int(duration / tick * (1.0 + 1e-12)) for duration in durations]
+        return _Batch(rows, states, np.array(ticks, dtype=np.int64), tables)
+
+    def _run_lanes(
+        self, runner: Runner, batch: _Batch, indices: list[int]
+    ) -> list[Simulation | SimulationError]:
+        """Runs of a batch, one in each lane; lanes without a run of their own repeat the last."""
+        lanes = [*indices, *indices[-1:] * (runner.lanes - len(indices))]
+        x = _columns([batch.states[i].continuous for i in lanes])
+        d = _columns([batch.states[i].held for i in lanes])
+        last = batch.ticks[lanes]
+        tick, every = runner.timing.tick, runner.timing.record_every
+        record = np.empty((len(lanes), runner.columns.size, int(last.max()) // every + 1))
+        runner.restart(batch.parameters[lanes])
+        status = runner.run(x, d, 0, last, [batch.inputs[i] for i in lanes], record)
+        times = tick * np.arange(0.0, last.max() + 1.0, every)
+        runs: list[Simulation | SimulationError] = []
+        for lane, index in enumerate(indices):
+            final = State(x[:, lane].copy(), d[:, lane].copy())
+            outcome = status[lane].tolist()
+            if outcome[0] != OK:
+                runs.append(self.fault(outcome, tick, batch.parameters[index], final))
+                continue
+            rows = int(last[lane]) // every + 1
+            runs.append(self._simulation(runner, times[:rows], record[lane, :, :rows], final))
+        return runs
+
+    def _simulation(self, runner: Runner, times: Array, record: Array, final: State) -> Simulation:
+        """The run whose record is (columns, rows)."""
+        outputs, first = {}, 0
+        for name in runner.names:
+            size = self.outputs[name]
+            outputs[name] = record[first : first + size].T
+            first += size
+        return Simulation(times, outputs, final)
+
+    def _run_with_records(
+        self, runner: Runner, batch: _Batch, times: Array
+    ) -> Simulation | SimulationError:
+        """The only run of a batch, recorded at ``times``."""
+        x, d = (_columns([v]) for v in (batch.states[0].continuous, batch.states[0].held))
+        tick = runner.timing.tick
+        # Each comes from the last tick before it, so that it sees the state before the updates.
+        ticks, places = np.unique(
+            np.ceil(times / tick - 1e-9).astype(np.int64) - 1, return_inverse=True
+        )
+        kept = (ticks, np.empty((ticks.size, len(x))), np.empty((ticks.size, len(d))))
+        last = batch.ticks.copy()
+        if ticks.size:
+            last = np.maximum(last, ticks[-1] + 1)
+        runner.restart(batch.parameters)
+        (outcome,) = runner.run(x, d, 0, last, batch.inputs, kept=kept).tolist()
+        final = State(x[:, 0].copy(), d[:, 0].copy())
+        if outcome[0] != OK:
+            return self.fault(outcome, tick, batch.parameters[0], final)
+        record = runner.records_between(kept, batch.inputs[0], times, places.astype(np.int64))
+        return self._simulation(runner, times, record[0], final)
 
     def as_system(self, parameters: Array, state: State, **options: Any) -> Any:
         """The model as a leaf system for Drake's Simulator: `CompiledSystem`."""
@@ -268,26 +339,22 @@ class CompiledModel:
         return CompiledSystem(self, parameters, state, **options)
 
     def fault(
-        self,
-        status: int,
-        time: float,
-        which: int,
-        parameters: Array,
-        state: State,
+        self, outcome: Sequence[int], tick_s: float, parameters: Array, state: State
     ) -> SimulationError:
-        """What a run that ended with ``status`` raises."""
-        module = self.module
-        if status == module.NOT_FINITE:
+        """What a run raises that ended with ``outcome``: status, tick, and which limit."""
+        status, tick, which = outcome
+        time = tick * tick_s
+        if status == NOT_FINITE:
+            name = self.state_names[int(np.argmin(np.isfinite(state.continuous)))]
             return SimulationError(
-                f"t = {time:.6g} s: {self.state_names[which]} is not finite; reduce the step or "
-                f"check the parameters"
+                f"t = {time:.6g} s: {name} is not finite; reduce the step or check the parameters"
             )
-        if status == module.TOO_ROUGH:
+        if status == TOO_ROUGH:
             return StiffnessError(
                 f"t = {time:.6g} s: the integrator exact_hold cannot hold its tolerance (the "
                 f"derivatives jump too often); use rk4"
             )
-        path = module.LIMITS[which]
+        path = self.layout.limits[which]
         if self._context_at is not None:
             root, context = self._context_at(parameters)
             self._set_state(root, context, time, state)
@@ -355,13 +422,35 @@ def state_of(root: Node, context: Any) -> State:
     return State(np.array(continuous), np.array(held))
 
 
+def _columns(vectors: Sequence[Array]) -> Array:
+    """Vectors, one a lane, as the columns of an array (elements, lanes)."""
+    return np.ascontiguousarray(np.array(vectors, dtype=float).reshape(len(vectors), -1).T)
+
+
+def _in_threads(
+    function: Callable[[list[int]], Any], items: Sequence[list[int]], threads: int | None
+) -> Iterator[Any]:
+    """Results in the order of ``items``."""
+    count = len(os.sched_getaffinity(0)) if threads is None else threads
+    if count == 1 or len(items) == 1:
+        yield from map(function, items)
+        return
+    with ThreadPoolExecutor(count) as pool:
+        try:
+            yield from pool.map(function, items)
+        except BaseException:  # KeyboardInterrupt too: what waits is not begun
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
 class DiagramModel(CompiledModel):
     """A compiled model together with its diagram of floats."""
 
-    def __init__(self, diagram: Any, module: ModuleType) -> None:
+    def __init__(self, diagram: Any, equations: Equations) -> None:
         self.diagram = diagram
         self._root = Node(diagram)
-        super().__init__(module, self._default_context)
+        code = MachineCode(equations_key(equations), equations)
+        super().__init__(code, self._default_context)
 
     def _default_context(self, parameters: Array) -> tuple[Node, Any]:
         context = self.diagram.CreateDefaultContext()
@@ -382,7 +471,7 @@ class DiagramModel(CompiledModel):
 def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel:
     """Compile a diagram of floats that converts to symbolic Expression.
 
-    The first call takes some seconds; machine code is kept on disk (`kneexo.compilation.cache`).
+    Machine code is made when it is first used and kept on disk (`kneexo.compilation.cache`).
 
     Parameters
     ----------
@@ -397,5 +486,4 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
     CompilationError
         Names the subsystem and port that cannot be converted.
     """
-    equations = read_equations(diagram, tuple(inputs))
-    return DiagramModel(diagram, load_text(source_text(equations)))
+    return DiagramModel(diagram, read_equations(diagram, tuple(inputs)))

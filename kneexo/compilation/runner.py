@@ -1,4 +1,4 @@
-"""One integrator of a compiled model at work, from tick to tick."""
+"""One integrator of a compiled model at work, from tick to tick, in one lane or several."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kneexo.compilation.cache import make_ready
-from kneexo.compilation.codegen import INTEGRATORS
+from kneexo.compilation import exact_hold
+from kneexo.compilation.printer import MEMO_LINES
+from kneexo.compilation.time_loop import BETWEEN, DOUBLES, INPUT, INTEGRATORS, RUN
 from kneexo.errors import CompilationError
 
 if TYPE_CHECKING:
     from kneexo.compilation.model import CompiledModel
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 STEP_S = 2e-4
 """Default step of the Runge-Kutta integrators: 11 a period of the 447 Hz mode of the oil."""
@@ -34,10 +36,6 @@ constant to the exact hold."""
 
 TOLERANCE = 1e-8
 """Default of the exact hold: local error of each state, relative to one plus the state."""
-
-
-_NO_RECORD = np.empty((0, 0))
-_NOTHING_KEPT = (np.empty(0, dtype=np.int64), np.empty((0, 0)), np.empty((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -63,12 +61,36 @@ class InputTable:
     def __post_init__(self) -> None:
         """Raise `ValueError` for breaks that do not ascend, and for numbers that are not finite."""
         for name in ("breaks", "coefficients"):  # as machine code wants them
-            values = np.array(getattr(self, name), dtype=float)
+            values = np.array(getattr(self, name), dtype=float, order="C")
             if not np.isfinite(values).all():
                 raise ValueError(f"{name}: must be finite")
             object.__setattr__(self, name, values)
         if not (np.diff(self.breaks) > 0.0).all():
             raise ValueError("breaks: must ascend")
+
+    def value(self, time_s: float) -> Array:
+        """The inputs at a time, (inputs,).
+
+        The first segment ends and the last one starts at a break, where a value belongs to the
+        segment on its right; at the last of several breaks, the end of a spline, to that on its
+        left.
+        """
+        segment = int(np.searchsorted(self.breaks, time_s, side="right"))
+        if 1 < segment == self.breaks.size and time_s == self.breaks[-1]:
+            segment -= 1
+        s = time_s - (self.breaks[segment - 1] if segment else 0.0)
+        value = np.zeros(self.coefficients.shape[1])
+        for factors in self.coefficients[segment].T[::-1]:
+            value = value * s + factors
+        return value
+
+    @cached_property
+    def address(self) -> tuple[int, ...]:
+        """What machine code gets: `time_loop.INPUT`."""
+        breaks, coefficients = self.breaks, self.coefficients
+        addresses = {"breaks": address(breaks), "coefficients": address(coefficients)}
+        sizes = {"break_count": breaks.size, "powers": coefficients.shape[2]}
+        return tuple((addresses | sizes)[name] for name in INPUT)
 
 
 def require_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
@@ -77,8 +99,13 @@ def require_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
         raise ValueError(f"{name} has the shape {values.shape}: must be {expected}")
 
 
+def address(array: NDArray[Any]) -> int:
+    """Address of the first element of an array without gaps."""
+    return int(array.__array_interface__["data"][0])
+
+
 class Runner:
-    """One integrator of a model with one parameter vector; it remembers step and linear part.
+    """One integrator of a model; it remembers step and linear part of each lane.
 
     Raises what `CompiledModel.simulate` says of its arguments.
     """
@@ -86,8 +113,8 @@ class Runner:
     def __init__(
         self,
         model: CompiledModel,
-        parameters: Array,
         *,
+        lanes: int = 1,
         outputs: Sequence[str] | None = None,
         record_period_s: float | None = None,
         integrator: str = "exact_hold",
@@ -105,136 +132,168 @@ class Runner:
             if name not in model.outputs:
                 raise ValueError(f"output {name!r} is unknown; known: {', '.join(model.outputs)}")
         self.names = tuple(model.outputs) if outputs is None else tuple(outputs)
-        module, names = model.module, self.names
-        self._options: dict[str, Any] = {
-            "outputs": outputs,
-            "record_period_s": record_period_s,
-            "integrator": integrator,
-            "step_s": step_s,
-            "tolerance": tolerance,
-        }
-        self.model = model
-        self.parameters = np.asarray(parameters, dtype=float)
-        self.constants = model.constants(parameters)
+        self.model, self.lanes = model, lanes
+        layout = model.layout
         longest = LONGEST_TICK_S if integrator == "exact_hold" else math.inf
-        self.timing = _timing(module.PERIODS, record_period_s, longest)
-        self.wanted = np.array([name in names for name in model.outputs], dtype=np.bool_)
-        columns = [module.OUTPUTS[n][0] + i for n in names for i in range(model.outputs[n])]
-        self.columns = np.array(columns, dtype=np.int64)
-        self._run = getattr(module, f"run_{integrator}")
-        self._ready = False
-        self._tolerance = tolerance
-        self._hold = self._work(step_s)
-
-    def __deepcopy__(self, memo: Any) -> Runner:
-        """A new one, with the memory empty: Drake copies cache entries with a Context."""
-        return Runner(self.model, self.parameters, **self._options)
-
-    def _work(self, step_s: float) -> tuple[Any, ...]:
-        """Settings, work vectors and memory of an integrator: see `loops`."""
-        module, n = self.model.module, len(self.model.state_names)
-        return (
-            np.array([self.timing.tick, step_s, self._tolerance, 0.0]),
-            np.empty((2, n)),
-            np.zeros(4, dtype=np.int64),
-            np.zeros((module.SLOTS + 1) * n * n),
-            np.empty(module.SLOTS * (module.FINEST + 2) * 3 * n * n),
-            np.empty(module.SLOTS),
+        self.timing = timing(layout.periods, record_period_s, longest)
+        first, columns = 0, {}
+        for name, size in layout.outputs:
+            columns[name] = range(first, first + size)
+            first += size
+        self.columns = np.array([c for n in self.names for c in columns[n]], dtype=np.int64)
+        self._wanted = np.array([name in self.names for name, _ in layout.outputs], dtype=np.uint8)
+        self._run = model.code.run(integrator, lanes)
+        self._constants = model.code.start("constants")
+        self._own_c = np.empty((lanes, layout.constants))
+        self._c = np.empty((layout.constants, lanes))
+        memory = exact_hold.Memory(len(layout.states))
+        self._head = memory.head
+        self._memory = np.empty((lanes, memory.size))
+        self._shared = np.empty(memory.shared(lanes))
+        self._tags = np.empty(len(layout.memos) * MEMO_LINES * lanes)
+        self._values = np.empty(sum(layout.memos) * MEMO_LINES * lanes)
+        self._status = np.zeros((lanes, 3), dtype=np.int64)
+        self._inputs = np.zeros((lanes, len(INPUT)), dtype=np.int64)
+        self._numbers = {"step": step_s, "tolerance": tolerance}
+        self._arguments = _Arguments(RUN)
+        self._arguments.set(
+            c=self._c,
+            own_c=self._own_c,
+            inputs=self._inputs,
+            tick=self.timing.tick,
+            periods=self.timing.periods,
+            offsets=self.timing.offsets,
+            wanted=self._wanted,
+            columns=self.columns,
+            column_count=self.columns.size,
+            memory=self._memory,
+            shared=self._shared,
+            tags=self._tags,
+            values=self._values,
+            status=self._status,
+            **self._numbers,
         )
+
+    def restart(self, parameters: Array) -> Runner:
+        """Take parameters (lanes, parameters) and forget all that was before."""
+        for lane, row in enumerate(np.ascontiguousarray(parameters, dtype=float)):
+            self._constants(address(row), address(self._own_c[lane]))
+        self._c[:] = self._own_c.T
+        self._memory[:, : self._head] = 0.0
+        self._shared[: self.lanes] = 0.0
+        self._tags.fill(np.nan)
+        return self
 
     def run(
         self,
         x: Array,
         d: Array,
         first: int,
-        last: int,
-        inputs: InputTable,
-        record: Array = _NO_RECORD,
-        kept: tuple[NDArray[np.int64], Array, Array] = _NOTHING_KEPT,
-    ) -> None:
-        """Advance ``x`` and ``d`` from tick ``first`` to ``last``, filling ``record``.
+        last: Integers,
+        inputs: Sequence[InputTable],
+        record: Array | None = None,
+        kept: tuple[Integers, Array, Array] | None = None,
+    ) -> Integers:
+        """Advance ``x`` (states, lanes) and ``d`` (held, lanes) from tick ``first`` to ``last``.
 
-        A run without a step records at its only tick.
-        ``kept``: ticks, and the states after their events, to be filled in.
+        ``record`` (lanes, columns, rows) is filled; a run without a step records at its only tick.
+        ``kept``: ticks, and the states after their events, to be filled in. Returns the status of
+        each lane, (lanes, 3): outcome, tick, and which limit.
         """
-        arguments = (
-            self.constants,
-            x,
-            d,
-            inputs.breaks,
-            inputs.coefficients,
-            self.timing.tick,
-            first,
-            last,
-            self.timing.periods,
-            self.timing.offsets,
-            self.timing.record_every if first < last else 1,
-            self.wanted,
-            self.columns,
-            *self._hold,
-            record,
-            *kept,
+        longest = int(last.max())
+        if self.model.inputs:
+            self._inputs[:] = [table.address for table in inputs]
+        self._status.fill(0)
+        ticks, kept_x, kept_d = kept or (np.empty(0, dtype=np.int64), x, d)
+        self._arguments.set(
+            x=x,
+            d=d,
+            first=first,
+            last=last,
+            longest=longest,
+            record_every=self.timing.record_every if first < longest else 1,
+            rows=0 if record is None else record.shape[2],
+            record=self._memory if record is None else record,
+            kept=ticks,
+            kept_count=ticks.size,
+            kept_x=kept_x,
+            kept_d=kept_d,
         )
-        if not self._ready:
-            slot = (x.copy(), *self._work(STEP_S), 0)
-            make_ready(self.model.module.choose_slot, slot)
-            without_a_step = (*arguments[:1], x.copy(), d.copy(), *arguments[3:6], 0, 0)
-            make_ready(self._run, (*without_a_step, *arguments[8:19], _NO_RECORD, *_NOTHING_KEPT))
-            self._ready = True
-        status, tick, which = self._run(*arguments)
-        if status != self.model.module.OK:
-            raise self.model.fault(
-                status, tick * self.timing.tick, which, self.parameters, State(x, d)
-            )
+        self._run(self._arguments.address)
+        return self._status.copy()
 
-    def run_with_records(
-        self, x: Array, d: Array, last: int, inputs: InputTable, times: Array
+    def records_between(
+        self,
+        kept: tuple[Integers, Array, Array],
+        inputs: InputTable,
+        times: Array,
+        places: Integers,
     ) -> Array:
-        """Advance from 0 to ``last``, or as far as ``times`` need; returns the records there."""
-        tick = self.timing.tick
-        # Each comes from the last tick before it, so that it sees the state before the updates.
-        ticks, places = np.unique(
-            np.ceil(times / tick - 1e-9).astype(np.int64) - 1, return_inverse=True
+        """Records at ``times`` (rows,), each by RK4 from the kept state at its place; one lane."""
+        record = np.empty((1, self.columns.size, times.size))
+        table = np.array([inputs.address], dtype=np.int64)
+        arguments = _Arguments(BETWEEN)
+        arguments.set(
+            c=self._c,
+            inputs=table,
+            tick=self.timing.tick,
+            wanted=self._wanted,
+            columns=self.columns,
+            column_count=self.columns.size,
+            record=record,
+            rows=times.size,
+            step=ROUGH_STEP_S,
+            kept=kept[0],
+            kept_x=kept[1],
+            kept_d=kept[2],
+            times=times,
+            places=places,
         )
-        kept = (ticks, np.empty((ticks.size, x.size)), np.empty((ticks.size, d.size)))
-        self.run(x, d, 0, max(last, *(ticks[-1:] + 1)) if ticks.size else last, inputs, kept=kept)
-        record = np.empty((times.size, self.columns.size))
-        arguments = (
-            self.constants,
-            inputs.breaks,
-            inputs.coefficients,
-            tick,
-            self.timing.periods,
-            self.wanted,
-            self.columns,
-            *self._work(ROUGH_STEP_S),
-            *kept,
-            times,
-            places,
-            record,
-        )
-        make_ready(self.model.module.outputs_between, arguments)
-        self.model.module.outputs_between(*arguments)
+        self.model.code.between()(arguments.address)
         return record
 
 
+class _Arguments:
+    """Arguments of a function of `time_loop`, eight bytes each."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._place = {name: i for i, name in enumerate(names)}
+        self._integers = np.zeros(len(names), dtype=np.int64)
+        self._doubles = self._integers.view(float)
+        self.address = address(self._integers)
+
+    def set(self, **values: Any) -> None:
+        """Numbers, or arrays, whose addresses are taken: the caller keeps them alive."""
+        for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                assert value.flags.c_contiguous, name
+                self._integers[self._place[name]] = address(value)
+            elif name in DOUBLES:
+                self._doubles[self._place[name]] = value
+            else:
+                self._integers[self._place[name]] = value
+
+
 @dataclass(frozen=True)
-class _Timing:
+class Timing:
     """Whole numbers of ticks between events, and between records."""
 
     tick: float
-    periods: NDArray[np.int64]
-    offsets: NDArray[np.int64]
+    periods: Integers
+    offsets: Integers
     record_every: int
 
 
 @lru_cache
-def _timing(
+def timing(
     periods: tuple[tuple[float, float], ...],
     record_period_s: float | None,
     longest_s: float = math.inf,
-) -> _Timing:
-    """The longest tick up to ``longest_s`` that divides all periods, offsets and the records'."""
+) -> Timing:
+    """The longest tick up to ``longest_s`` that divides all periods, offsets and the records'.
+
+    Raises `CompilationError` when there is none, `ValueError` for a wrong ``record_period_s``.
+    """
     if record_period_s is None:
         if not periods:
             raise ValueError("record_period_s is needed: the model has no sample time")
@@ -254,7 +313,7 @@ def _timing(
     # The exact hold looks at three points of a tick, so a long one could miss what happens between.
     split = max(1, math.ceil(base * shared / parts / longest_s * (1.0 - 1e-9)))
     counts = [count // shared * split for count in counts]
-    return _Timing(
+    return Timing(
         base * shared / parts / split,
         np.array(counts[1::2], dtype=np.int64),
         np.array(counts[2::2], dtype=np.int64),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kneexo import linkage
-from kneexo.compilation.cache import load_key, load_text, note_key
-from kneexo.compilation.codegen import source_text
-from kneexo.compilation.equations import Node, read_equations
+from kneexo.compilation.equations import Equations, Node, read_equations
+from kneexo.compilation.input_table import input_table
+from kneexo.compilation.machine_code import MachineCode
 from kneexo.compilation.model import CompiledModel, set_parameters
 from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, State
 from kneexo.diagrams.closed_loop import (
@@ -144,8 +144,11 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
 
 def _model(key: str, scenario: Scenario) -> CompiledModel:
     with _lock:
-        module = _module(key, scenario)
-        if key not in _models or _models[key].module is not module:
+        if key not in _models:
+            # A diagram that cannot be built says so now, not where its equations are needed.
+            _require_reference_in_range(scenario)
+            scenario_values(scenario)
+            scenario_start(scenario)
 
             def context_at(parameters: Array) -> tuple[Node, Any]:
                 root = Node(_diagram(key, scenario))
@@ -153,12 +156,12 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
                 set_parameters(root, context, parameters)
                 return root, context
 
-            _models[key] = CompiledModel(module, context_at)
+            code = MachineCode(key, partial(_equations, key, scenario))
+            _models[key] = CompiledModel(code, context_at)
         return _models[key]
 
 
 _lock = RLock()  # threads may run scenarios of one structure
-_modules: dict[str, Any] = {}
 _models: dict[str, CompiledModel] = {}
 _diagrams: dict[str, Any] = {}
 
@@ -171,17 +174,9 @@ def _diagram(key: str, scenario: Scenario) -> Any:
         return _diagrams[key]
 
 
-def _module(key: str, scenario: Scenario) -> Any:
-    with _lock:
-        if key not in _modules:
-            module = load_key(key)
-            if module is None:
-                inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
-                equations = read_equations(_diagram(key, scenario), inputs)
-                module = load_text(source_text(equations))
-                note_key(key, module)
-            _modules[key] = module
-        return _modules[key]
+def _equations(key: str, scenario: Scenario) -> Equations:
+    inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
+    return read_equations(_diagram(key, scenario), inputs)
 
 
 # --------------------------------------------------------------- parameters, state, inputs
@@ -279,16 +274,12 @@ _NO_INPUTS = InputTable()
 @lru_cache(maxsize=64)
 def reference_table(reference: SampledReference) -> InputTable:
     """The spline of a sampled reference and its derivatives; constant before and after."""
-    spline = knee_reference.sampled_spline(reference)
-    breaks = np.array(reference.times_s)
-    table = np.zeros((breaks.size + 1, 4, 4))
-    table[0, 0, 0], table[-1, 0, 0] = (spline.value(t)[0, 0] for t in breaks[[0, -1]])
-    for segment in range(breaks.size - 1):
-        powers = spline.getPolynomialMatrix(segment)[0, 0].GetCoefficients()
-        for order in range(4):
-            table[segment + 1, order, : powers.size] = powers
-            powers = powers[1:] * np.arange(1, powers.size)
-    return InputTable(breaks, table)
+    return input_table(knee_reference.sampled_spline(reference), derivatives=3)
+
+
+def _require_reference_in_range(scenario: Scenario) -> None:
+    reached = knee_reference.reference_range_deg(scenario.reference)
+    scenario.plant.knee.require_in_range(*reached)
 
 
 def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:
@@ -297,7 +288,7 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     Raises `ParameterError` and `LinkageError` as `make_closed_loop` does.
     """
     reference = scenario.reference
-    scenario.plant.knee.require_in_range(*knee_reference.reference_range_deg(reference))
+    _require_reference_in_range(scenario)
     parameters, start = _parameters(scenario, model), scenario_start(scenario)
     state = State(
         np.array([start.get(name, 0.0) for name in model.state_names]),

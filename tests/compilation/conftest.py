@@ -1,7 +1,8 @@
-"""Shared by the tests of compilation: models without numba."""
+"""Shared by the tests of compilation: IR text as functions, and a diagram."""
 
-from types import ModuleType
+import ctypes
 
+import llvmlite.binding as llvm
 import pytest
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
@@ -13,42 +14,50 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from kneexo.compilation.codegen import source_text
-from kneexo.compilation.equations import read_equations
-from kneexo.compilation.model import CompiledModel, DiagramModel
-from kneexo.simulation.compiled import scenario_diagram, scenario_run
 
-
-def interpreted_module(text):
-    """A generated module as plain Python: what numba would compile, without waiting for it."""
-    module = ModuleType("interpreted")
-    text = text.replace("from numba import njit\n", "def njit(**_): return lambda f: f\n")
-    exec(compile(text, "<generated>", "exec"), module.__dict__)
-    return module
-
-
-@pytest.fixture(scope="session")
-def interpreted_diagram():
-    """``interpreted_diagram(diagram, inputs)``: its model without numba."""
-
-    def make(diagram, inputs=()):
-        text = source_text(read_equations(diagram, inputs))
-        return DiagramModel(diagram, interpreted_module(text))
-
-    return make
+def object_code(text, cpu=None, features="", triple=None):
+    """Machine code of IR text, for this processor or another one."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    if cpu is None:
+        cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    target = llvm.Target.from_triple(triple or llvm.get_process_triple())
+    machine = target.create_target_machine(cpu, features, opt=3, reloc="pic", codemodel="small")
+    module = llvm.parse_assembly(text)
+    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+    module.verify()
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.slp_vectorization = False
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    return machine.emit_object(module)
 
 
 @pytest.fixture(scope="session")
-def interpreted():
-    """``interpreted(scenario)``: its model without numba, with parameters, state and inputs."""
+def native():
+    """``native(text)(name, result, *arguments)``: a function of IR text, with ctypes' types."""
 
-    def make(scenario):
-        inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
-        equations = read_equations(scenario_diagram(scenario), inputs)
-        model = CompiledModel(interpreted_module(source_text(equations)))
-        return model, scenario_run(scenario, model)
+    def load(text, cpu=None):
+        code = object_code(text, cpu)
+        machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        engine.finalize_object()
+        engines.append(engine)
 
-    return make
+        def function(name, result, *arguments):
+            return ctypes.CFUNCTYPE(result, *arguments)(engine.get_function_address(name))
+
+        return function
+
+    engines = []  # the code lives as long as they do
+    return load
+
+
+@pytest.fixture(scope="session")
+def assembled():
+    """``assembled(text, cpu, features, triple)``: machine code, not loaded."""
+    return object_code
 
 
 @pytest.fixture

@@ -1,46 +1,376 @@
-"""The cache of compiled modules, and what a run of a known structure does not do."""
+"""The cache of machine code: sealed files, safe directories, bounded size."""
 
 import errno
+import os
+import random
 import subprocess
 import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
 
-import numpy as np
 import pytest
 
 from kneexo.compilation import cache
-from kneexo.parameters import (
-    CylinderParameters,
-    EncoderParameters,
-    PlantParameters,
-    Scenario,
-    SimulationParameters,
-)
-from kneexo.simulation import compiled, simulate_compiled
+from kneexo.errors import OutputError
 
-SHORT = Scenario(
-    encoder=EncoderParameters(quantized=False), simulation=SimulationParameters(duration_s=0.05)
-)
+HOUR_S = 3600.0
+
+
+@pytest.fixture(autouse=True)
+def directory(tmp_path, monkeypatch):
+    """An empty cache, and a process that has warned of nothing yet."""
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.delenv("KNEEXO_CACHE_SIZE_MB", raising=False)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(cache, "_unwritable", set())
+    monkeypatch.setattr(cache, "_warnings_given", set())
+    cache._private_directory.cache_clear()
+    yield tmp_path / "cache"
+    cache._private_directory.cache_clear()
 
 
 @pytest.fixture
-def empty_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path))
-    yield tmp_path
-    for name in [name for name in sys.modules if name.startswith("kneexo_model_")]:
-        file = sys.modules[name].__file__
-        if file and file.startswith(str(tmp_path)):
-            del sys.modules[name]
+def silent(recwarn):
+    """The test must not warn."""
+    yield
+    assert [str(warning.message) for warning in recwarn] == []
 
 
-def forget(module):
-    del sys.modules[module.__name__]
+def entry_path(key):
+    """Path of a new entry of that key, with the content b"code"."""
+    before = {entry.path for entry in cache.entries()}
+    cache.store(key, b"code")
+    (path,) = {entry.path for entry in cache.entries()} - before
+    return path
 
 
+def set_last_use(path, age_s):
+    then = time.time() - age_s
+    os.utime(path, (then, then))
+
+
+# ----------------------------------------------------------------------------- entries
+
+
+@pytest.mark.usefixtures("silent")
+def test_content_comes_back_under_its_key_alone(directory):
+    assert cache.load("key") is None
+    assert cache.entries() == []
+    assert not directory.exists()
+    for key, content in {"key": b"first", "other": b"", "": bytes(range(256)) * 999}.items():
+        cache.store(key, content)
+        assert cache.load(key) == content
+    cache.store("key", b"second")
+    assert cache.load("key") == b"second"
+    assert cache.load("other") == b""
+    assert cache.load("no key") is None
+
+
+@pytest.mark.usefixtures("silent")
+def test_keys_that_differ_only_in_their_end_are_different():
+    start = "x" * 100_000
+    for end in "ab":
+        cache.store(start + end, end.encode())
+    assert cache.load(start + "a") == b"a"
+    assert cache.load(start + "b") == b"b"
+    assert cache.load(start) is None
+
+
+def test_an_entry_of_another_key_is_refused(monkeypatch):
+    cache.store("another", b"code")
+    name = cache._name("another")
+    monkeypatch.setattr(cache, "_name", lambda key: name)
+    assert cache.load("another") == b"code"
+    with pytest.warns(UserWarning, match="damaged; it is made anew"):
+        assert cache.load("key") is None
+
+
+def test_no_damage_yields_wrong_content():
+    source = random.Random(1)
+    contents = {key: source.randbytes(500) for key in ("left", "right")}
+    paths = {}
+    for key, content in contents.items():
+        cache.store(key, content)
+        (paths[key],) = {entry.path for entry in cache.entries()} - set(paths.values())
+    sound = {key: path.read_bytes() for key, path in paths.items()}
+
+    def flip(data):
+        bit = source.randrange(8 * len(data))
+        return data[: bit // 8] + bytes([data[bit // 8] ^ 1 << bit % 8]) + data[bit // 8 + 1 :]
+
+    damages = {
+        "flip": flip,
+        "truncate": lambda data: data[: source.randrange(len(data))],
+        "append": lambda data: data + source.randbytes(source.randrange(1, 50)),
+        "swap": lambda data: sound["right"],
+    }
+    for kind in source.choices(list(damages), weights=(60, 20, 15, 5), k=100):
+        paths["left"].write_bytes(damages[kind](sound["left"]))
+        with pytest.warns(UserWarning, match=rf"^{paths['left']}: damaged; it is made anew$"):
+            assert cache.load("left") is None, kind
+        assert cache.load("right") == contents["right"]
+    cache.store("left", contents["left"])
+    assert cache.load("left") == contents["left"]
+
+
+def test_damage_of_any_byte_is_noticed():
+    path = entry_path("key")
+    sound = path.read_bytes()
+    for index, value in enumerate(sound):
+        path.write_bytes(sound[:index] + bytes([value ^ 1]) + sound[index + 1 :])
+        with pytest.warns(UserWarning, match="damaged"):
+            assert cache.load("key") is None, index
+
+
+@pytest.mark.parametrize("length", [0, 1, 14, 45, 46])
+def test_a_file_without_content_is_damaged(length):
+    path = entry_path("key")
+    path.write_bytes(path.read_bytes()[:length])
+    with pytest.warns(UserWarning, match="damaged"):
+        assert cache.load("key") is None
+
+
+def test_another_format_version_is_refused(monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(cache, "_FORMAT", b"kneexo code 0\n")
+        cache.store("key", b"code")
+        assert cache.load("key") == b"code"
+    with pytest.warns(UserWarning, match="damaged"):
+        assert cache.load("key") is None
+
+
+def test_a_link_is_not_followed_and_then_replaced(tmp_path):
+    path = entry_path("key")
+    elsewhere = path.rename(tmp_path / "elsewhere")
+    path.symlink_to(elsewhere)
+    with pytest.warns(UserWarning, match="damaged"):
+        assert cache.load("key") is None
+    cache.store("key", b"new")
+    assert cache.load("key") == b"new"
+    assert not path.is_symlink()
+    assert elsewhere.read_bytes().endswith(b"code")
+
+
+def test_a_pipe_is_refused_without_waiting():
+    path = entry_path("key")
+    sound = path.read_bytes()
+    path.unlink()
+    os.mkfifo(path, 0o600)
+    with pytest.warns(UserWarning, match="damaged"):
+        assert cache.load("key") is None
+    with path.open("r+b", buffering=0) as pipe:
+        pipe.write(sound)
+        with pytest.warns(UserWarning, match="damaged"):
+            assert cache.load("key") is None
+    cache.store("key", b"new")
+    assert cache.load("key") == b"new"
+
+
+@pytest.mark.parametrize("mode", [0o620, 0o602])
+def test_a_file_that_others_may_write_is_refused(mode):
+    path = entry_path("key")
+    path.chmod(mode)
+    with pytest.warns(UserWarning, match="damaged"):
+        assert cache.load("key") is None
+
+
+def test_a_file_of_another_user_is_refused(monkeypatch):
+    entry_path("key")
+    monkeypatch.setattr(cache, "_refusal", lambda directory: "")
+    monkeypatch.setattr(os, "geteuid", lambda uid=os.geteuid(): uid + 1)
+    with pytest.warns(UserWarning, match="damaged"):
+        assert cache.load("key") is None
+
+
+def test_a_file_that_is_too_large_is_not_read(monkeypatch):
+    path = entry_path("key")
+    os.truncate(path, 2**40)  # a sparse file
+    with pytest.warns(UserWarning, match="damaged"):
+        assert cache.load("key") is None
+    monkeypatch.setattr(cache, "_LARGEST_ENTRY_BYTES", 2**20)
+    with pytest.warns(UserWarning, match="too large for the cache"):
+        cache.store("large", bytes(2**20))
+    cache.store("fits", bytes(2**20 - 46))
+    assert cache.load("fits") == bytes(2**20 - 46)
+
+
+def test_files_and_directories_are_closed_to_other_users(directory, monkeypatch):
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(directory / "below"))
+    mask = os.umask(0)
+    try:
+        path = entry_path("key")
+    finally:
+        os.umask(mask)
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert path.parent.stat().st_mode & 0o777 == 0o700
+    assert directory.stat().st_mode & 0o777 == 0o700
+
+
+# ----------------------------------------------------------------------------- all or nothing
+
+
+@pytest.mark.usefixtures("silent")
+@pytest.mark.parametrize("interrupted", ["write", "replace"])
+def test_an_interrupt_leaves_the_old_entry_and_no_temporary_file(
+    directory, monkeypatch, interrupted
+):
+    path = entry_path("key")
+
+    def interrupt(*_args):
+        raise KeyboardInterrupt
+
+    if interrupted == "replace":
+        monkeypatch.setattr(os, "replace", interrupt)
+    else:
+        opened = cache._open_for_writing
+
+        def open_and_interrupt(*args):
+            os.close(opened(*args))
+            interrupt()
+
+        monkeypatch.setattr(cache, "_open_for_writing", open_and_interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        cache.store("key", b"new")
+    assert list(directory.iterdir()) == [path]
+    assert cache.load("key") == b"code"
+
+
+def test_the_next_store_removes_stale_temporary_files_of_the_cache_alone(directory):
+    name = f".{entry_path('key').name}."
+    stale, live = directory / (name + "0" * 16), directory / (name + "1" * 16)
+    names = (".kneexo", "notes.kneexo", f"{name}0", f"{stale.name}0", f"{name[1:]}bak")
+    foreign = [directory / name for name in names]
+    for path in (stale, live, *foreign):
+        path.write_bytes(b"")
+        set_last_use(path, HOUR_S + 60.0)
+    set_last_use(live, HOUR_S - 60.0)
+    foreign.append(directory / ("0" * 32 + ".kneexo"))
+    foreign[-1].mkdir()
+    cache.store("other", b"code")
+    assert not stale.exists()
+    assert live.exists()
+    set_last_use(live, HOUR_S + 60.0)
+    assert cache.clear() == 2
+    assert sorted(directory.iterdir()) == sorted(foreign)
+
+
+WORKER = """
+import random, sys, time
+from kneexo.compilation import cache
+
+assert not {"numpy", "pydrake", "llvmlite", "numba"} & set(sys.modules)
+source = random.Random(int(sys.argv[1]))
+hits = 0
+for _ in range(150):
+    key = str(source.randrange(8))
+    if source.random() < 0.5:
+        cache.store(key, key.encode() * 200_000)
+    else:
+        content = cache.load(key)
+        assert content in (None, key.encode() * 200_000)
+        hits += content is not None
+    if source.random() < 0.02:
+        cache.clear()
+print(hits)
+"""
+
+
+def test_processes_store_load_shrink_and_clear_at_the_same_time(directory, monkeypatch):
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "1")
+    workers = [
+        subprocess.Popen(
+            [sys.executable, "-W", "error", "-c", WORKER, str(seed)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for seed in range(4)
+    ]
+    for worker in workers:
+        hits, error = worker.communicate(timeout=60)
+        assert error == ""
+        assert int(hits) > 0
+    assert all(path.suffix == ".kneexo" for path in directory.iterdir())
+    cache.store("last", b"")
+    assert sum(entry.size_bytes for entry in cache.entries()) <= 2**20
+
+
+# ----------------------------------------------------------------------------- size
+
+
+@pytest.mark.usefixtures("silent")
+def test_the_entries_used_longest_ago_go_first(monkeypatch):
+    paths = {}
+    for age_s, key in enumerate("abcd"):
+        paths[key] = entry_path(key)
+        cache.store(key, bytes(300_000))
+        set_last_use(paths[key], 1000.0 + age_s)
+    cache.load("d")
+    assert cache.entries()[0].path == paths["d"]
+    assert cache.entries()[-1].path == paths["c"]
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "1")
+    cache.store("e", bytes(300_000))
+    kept = [key for key in "abcde" if cache.load(key) is not None]
+    assert kept == ["a", "d", "e"]
+
+
+@pytest.mark.usefixtures("silent")
+def test_the_entry_just_stored_stays(monkeypatch):
+    future = entry_path("future")
+    cache.store("future", bytes(700_000))
+    set_last_use(future, -HOUR_S)
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "1")
+    cache.store("key", bytes(700_000))
+    assert cache.load("key") == bytes(700_000)
+    assert not future.exists()
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "0")
+    cache.store("other", b"code")
+    assert cache.load("other") == b"code"
+    assert len(cache.entries()) == 1
+
+
+@pytest.mark.usefixtures("silent")
+def test_an_entry_that_another_process_deletes_meanwhile_is_skipped(monkeypatch):
+    paths = {entry_path(key) for key in "abc"}
+
+    class Deleting:
+        def fullmatch(self, name):
+            if len(paths) == 3:
+                (directory,) = {path.parent for path in paths}
+                paths.remove(directory / name)
+                (directory / name).unlink()
+            return True
+
+    monkeypatch.setattr(cache, "_ENTRY", Deleting())
+    assert {entry.path for entry in cache.entries()} == paths
+
+
+@pytest.mark.parametrize("text", ["-1", "many", "1.5", "nan", " "])
+def test_a_bad_size_limit_is_ignored_with_a_warning(monkeypatch, text):
+    assert cache.size_limit() == 512 * 2**20
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", text)
+    with pytest.warns(UserWarning, match="^KNEEXO_CACHE_SIZE_MB = .*: must be a whole number"):
+        assert cache.size_limit() == 512 * 2**20
+    with warnings.catch_warnings(action="error"):
+        assert cache.size_limit() == 512 * 2**20
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "3")
+    assert cache.size_limit() == 3 * 2**20
+
+
+# ----------------------------------------------------------------------------- directories
+
+
+@pytest.mark.usefixtures("silent")
 @pytest.mark.parametrize(
     ("variables", "expected"),
     [
-        ({"KNEEXO_CACHE_DIR": "/a"}, "/a"),
-        ({"XDG_CACHE_HOME": "/b", "HOME": "/c"}, "/b/kneexo"),
+        ({"KNEEXO_CACHE_DIR": "/a", "XDG_CACHE_HOME": "/b", "HOME": "/c"}, "/a"),
+        ({"KNEEXO_CACHE_DIR": "~/a", "HOME": "/c"}, "/c/a"),
+        ({"KNEEXO_CACHE_DIR": "", "XDG_CACHE_HOME": "/b", "HOME": "/c"}, "/b/kneexo"),
+        ({"XDG_CACHE_HOME": "b", "HOME": "/c"}, "/c/.cache/kneexo"),
+        ({"XDG_CACHE_HOME": "", "HOME": "/c"}, "/c/.cache/kneexo"),
         ({"HOME": "/c"}, "/c/.cache/kneexo"),
     ],
 )
@@ -52,159 +382,154 @@ def test_directory_of_the_cache(variables, expected, monkeypatch):
     assert str(cache.cache_directory()) == expected
 
 
-def test_equal_text_is_one_module_and_one_file(empty_cache):
-    first = cache.load_text("VALUE = 1\n")
-    assert cache.load_text("VALUE = 1\n") is first
-    assert cache.load_text("VALUE = 2\n").VALUE == 2
-    assert len(list(empty_cache.glob("*.py"))) == 2
-    cache.note_key("structure", first)
-    forget(first)
-    again = cache.load_key("structure")
-    assert again.VALUE == 1
-    assert again is not first
-    assert cache.load_key("another") is None
+def test_a_relative_directory_is_of_the_working_directory(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", "here")
+    assert cache.cache_directory() == tmp_path / "here"
+    for name in ("KNEEXO_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", "home")
+    assert cache.cache_directory() == tmp_path / "home/.cache/kneexo"
 
 
-def test_a_damaged_module_is_written_anew(empty_cache):
-    module = cache.load_text("VALUE = 1\n")
-    cache.note_key("structure", module)
-    (path,) = empty_cache.glob("*.py")
-    for damage in (b"VALUE = 3\n", b"", b"\xff\xfe"):
-        forget(module)
-        path.write_bytes(damage)
-        with pytest.warns(UserWarning, match="damaged"):
-            assert cache.load_key("structure") is None
-        with pytest.warns(UserWarning, match="damaged"):
-            module = cache.load_text("VALUE = 1\n")
-        assert module.VALUE == 1
-        assert path.read_text() == "VALUE = 1\n"
+def store_with_one_warning(match):
+    """Store and load an entry from the private directory, with one warning in all."""
+    with pytest.warns(UserWarning, match=match) as warned:
+        cache.store("key", b"new")
+    with warnings.catch_warnings(action="error"):
+        cache.store("other", b"")
+        assert cache.load("key") == b"new"
+        private = cache.cache_directory()
+    (message,) = [str(warning.message) for warning in warned]
+    assert message.endswith(f"; this process keeps compiled models in {private}")
+    assert "\n" not in message
+    assert private.stat().st_mode & 0o777 == 0o700
+    assert {entry.path.parent for entry in cache.entries()} >= {private}
+    return private
 
 
-def test_a_damaged_key_counts_as_missing(empty_cache):
-    module = cache.load_text("VALUE = 1\n")
-    cache.note_key("structure", module)
-    (path,) = empty_cache.glob("*.key")
-    for damage in (b"../../etc/passwd", b"\xff", b"kneexo_model_0", b""):
-        path.write_bytes(damage)
-        assert cache.load_key("structure") is None
+def no_home(monkeypatch):
+    for name in ("KNEEXO_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def no_entry(uid):
+        raise KeyError(uid)
+
+    monkeypatch.setattr("pwd.getpwuid", no_entry)
 
 
-def test_a_cache_that_cannot_be_written_is_told_and_replaced(tmp_path, monkeypatch):
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(blocked / "below"))
-    with pytest.warns(UserWarning, match="cannot be written"):
-        module = cache.load_text("VALUE = 4\n")
-    assert module.VALUE == 4
-    cache.note_key("structure", module)
-    assert cache.load_key("structure") is None
+def no_working_directory(monkeypatch):
+    def deleted():
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory")
+
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", "here")
+    monkeypatch.setattr(os, "getcwd", deleted)
 
 
-JITTED = """
-from numba import njit
-
-@njit(cache=True)
-def double(x):
-    return 2.0 * x
-"""
+@pytest.mark.parametrize("cause", [no_home, no_working_directory])
+def test_a_directory_that_cannot_be_determined_is_replaced(monkeypatch, cause):
+    cause(monkeypatch)
+    store_with_one_warning("^cache directory: cannot be determined")
 
 
-def ready(text=JITTED):
-    module = cache.load_text(text)
-    cache.make_ready(module.double, (1.0,))
-    return module
+@pytest.mark.parametrize("mode", [0o720, 0o702, 0o1777])
+def test_a_directory_that_others_may_write_is_refused(directory, mode):
+    path = entry_path("key")
+    directory.chmod(mode)
+    store_with_one_warning(rf"^{directory}: others may write to it \(mode {mode:o}; use chmod go-w")
+    assert path.read_bytes().endswith(b"code")
+    assert path not in [entry.path for entry in cache.entries()]
+    directory.chmod(0o755)
+    assert cache.load("key") == b"code"
 
 
-def loaded_from_disk(module):
-    return sum(module.double.stats.cache_hits.values()) == 1
+def test_a_directory_of_another_user_is_refused(directory, monkeypatch):
+    directory.mkdir()
+    uid = os.geteuid()
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "geteuid", lambda: uid + 1)
+        with pytest.warns(UserWarning, match=rf"belongs to another user \(uid {uid}\)"):
+            cache.store("key", b"code")
+    assert list(directory.iterdir()) == []
 
 
-def test_machine_code_is_kept_and_taken_again(empty_cache):
-    module = ready()
-    assert module.double(2.0) == 4.0
-    assert not loaded_from_disk(module)
-    forget(module)
-    assert loaded_from_disk(ready())
+def test_a_file_in_the_way_is_replaced_by_a_private_directory(directory, monkeypatch):
+    directory.write_text("")
+    store_with_one_warning(f"^{directory}: is not a directory")
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(directory / "below"))
+    store_with_one_warning(rf"^{directory}/below: cannot be written \(.*\)")
 
 
-@pytest.mark.parametrize("kind", ["nbi", "nbc"])
-@pytest.mark.parametrize("damage", [b"", b"not a pickle", "flip"])
-def test_damaged_machine_code_is_made_anew(empty_cache, kind, damage):
-    forget(ready())
-    (path,) = (empty_cache / "__pycache__").glob(f"*.{kind}")
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 255
-    path.write_bytes(content if damage == "flip" else damage)
-    with pytest.warns(UserWarning, match="machine code is damaged; it is made anew"):
-        module = ready()
-    assert module.double(2.0) == 4.0
-    assert not loaded_from_disk(module)
-    forget(module)
-    assert loaded_from_disk(ready())
+@pytest.mark.parametrize("reason", [errno.EACCES, errno.ENOSPC, errno.EROFS])
+def test_a_directory_that_cannot_be_written_serves_what_it_has(directory, monkeypatch, reason):
+    cache.store("key", b"old")
+    cache.store("kept", b"kept")
+    replace = os.replace
+
+    def fail(source, target=directory / "file"):
+        if Path(target).parent == directory:
+            raise OSError(reason, os.strerror(reason))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", fail)
+    monkeypatch.setattr(os, "utime", fail)
+    store_with_one_warning(rf"^{directory}: cannot be written \({os.strerror(reason)}\)")
+    assert cache.load("kept") == b"kept"
+    assert len(list(directory.iterdir())) == 2
+    assert len(cache.entries()) == 4
 
 
-def test_machine_code_of_a_process_that_was_killed_is_made_anew(empty_cache, recwarn):
-    forget(ready())
-    (seal,) = empty_cache.glob("*.seal")
-    for left in ("", None):
-        seal.unlink() if left is None else seal.write_text(left)
-        module = ready()
-        assert not loaded_from_disk(module)
-        forget(module)
-    assert not recwarn
-    for path in (empty_cache / "__pycache__").iterdir():
-        path.unlink()
-    assert not loaded_from_disk(ready())
-    assert not recwarn
+def test_a_read_only_directory_is_told(directory):
+    directory.mkdir(mode=0o500)
+    if os.access(directory, os.W_OK):
+        pytest.skip("root may write everywhere")
+    store_with_one_warning(rf"^{directory}: cannot be written \(Permission denied\)")
 
 
-def test_a_full_disk_is_told_and_the_code_runs(empty_cache, monkeypatch):
-    def full(*_args, **_options):
-        raise OSError(errno.ENOSPC, "No space left on device")
+def test_where_nothing_can_be_written_nothing_is_kept(directory, monkeypatch):
+    def fail(*_args, **_options):
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory")
 
-    module = cache.load_text(JITTED)
-    monkeypatch.setattr(type(module.double._cache), "save_overload", full)
-    monkeypatch.setattr(cache.tempfile, "mkstemp", full)
-    with pytest.warns(UserWarning, match=r"cannot be written \(No space left on device\)"):
-        cache.make_ready(module.double, (1.0,))
-    assert module.double(2.0) == 4.0
-    with pytest.warns(UserWarning, match="cannot be written"):
-        assert cache.load_text("VALUE = 5\n").VALUE == 5
+    directory.write_text("")
+    monkeypatch.setattr(cache.tempfile, "mkdtemp", fail)
+    with warnings.catch_warnings(record=True, action="always") as warned:
+        cache.store("key", b"code")
+    refused, unwritable = [str(warning.message) for warning in warned]
+    assert "is not a directory" in refused
+    assert unwritable.endswith("compiled models are not kept")
+    with warnings.catch_warnings(action="error"):
+        cache.store("key", b"code")
+    assert cache.load("key") is None
+    assert cache.entries() == []
+    assert cache.clear() == 0
 
 
-def test_two_processes_compile_once(empty_cache):
+def test_the_private_directory_ends_with_its_process_and_not_with_a_fork(directory):
+    directory.write_text("")
     code = (
+        "import os, sys\n"
         "from kneexo.compilation import cache\n"
-        f"module = cache.load_text({JITTED!r})\n"
-        "cache.make_ready(module.double, (1.0,))\n"
-        "print(sum(module.double.stats.cache_hits.values()))\n"
+        "directory = cache.cache_directory()\n"
+        "if not (process := os.fork()):\n"
+        "    sys.exit()\n"
+        "os.waitpid(process, 0)\n"
+        "print(directory)\n"
+        "assert directory.is_dir()\n"
     )
-    both = [
-        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    assert sorted(process.communicate(timeout=120)[0].strip() for process in both) == ["0", "1"]
+    command = [sys.executable, "-W", "ignore", "-c", code]
+    out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "kneexo-" in out
+    assert not Path(out.strip()).exists()
 
 
-def test_a_known_structure_needs_no_diagram_and_no_symbolic_work(monkeypatch):
-    first = simulate_compiled(SHORT, signals=["rod_velocity"])
+def test_clear_says_what_it_cannot_delete(monkeypatch):
+    path = entry_path("key")
 
-    def refuse(*_args, **_options):
-        raise AssertionError("not needed")
+    def fail(*_args):
+        raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr(compiled, "read_equations", refuse)
-    monkeypatch.setattr(compiled, "make_closed_loop", refuse)
-    monkeypatch.setattr(compiled, "_modules", {})
-    heavier = SHORT.model_copy(
-        update={"plant": PlantParameters(cylinder=CylinderParameters(mass_kg=3.0))}
-    )
-    second = simulate_compiled(heavier, signals=["rod_velocity"])
-    assert np.max(np.abs(first["rod_velocity_m_s"] - second["rod_velocity_m_s"])) > 1e-6
-
-
-def test_importing_kneexo_imports_neither_numba_nor_drake():
-    code = (
-        "import sys, kneexo; assert not {'numba', 'pydrake'} & set(sys.modules);"
-        "import kneexo.compilation; assert 'numba' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", fail)
+        with pytest.raises(OutputError, match=rf"^{path}: cannot be deleted \(Permission denied\)"):
+            cache.clear()
+    assert cache.clear() == 1

@@ -11,7 +11,7 @@ from pydrake.systems.primitives import (
     LogVectorOutput,
 )
 
-from kneexo.compilation import State
+from kneexo.compilation import State, compile_diagram
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import BldcPumpParameters, PlantParameters, Scenario, SineReference
 from kneexo.simulation import compile_scenario, scenario_run
@@ -84,10 +84,8 @@ def test_a_parameter_of_the_context_takes_effect(compiled):
         simulator.AdvanceTo(0.3)
 
 
-def test_several_sample_periods_and_an_input_are_those_of_the_diagram(
-    interpreted_diagram, multirate
-):
-    model = interpreted_diagram(multirate)
+def test_several_sample_periods_and_an_input_are_those_of_the_diagram(multirate):
+    model = compile_diagram(multirate)
     options = {"integrator": "runge_kutta3", "step_s": 1e-3}
     names = ("y", "sampled", "held")
     system = model.as_system(model.parameters(), model.state(), **options)
@@ -102,9 +100,9 @@ def test_several_sample_periods_and_an_input_are_those_of_the_diagram(
         np.testing.assert_allclose(log.data(), drake.data()[:, at], rtol=0, atol=1e-12)
 
 
-def test_an_open_input_is_a_port(interpreted_diagram, multirate):
+def test_an_open_input_is_a_port(multirate):
     inner = multirate.GetSubsystemByName("inner")
-    model = interpreted_diagram(inner, ["u"])
+    model = compile_diagram(inner, inputs=["u"])
     system = model.as_system(model.parameters(), model.state(), tick_s=0.01)
     assert system.GetInputPort("u").size() == 1
     logs, _ = run_logged(system, ["y"], 4.0, 0.01, value=0.5)
@@ -126,8 +124,8 @@ def test_a_failed_run_raises_what_a_direct_one_raises():
     assert str(wrapped.value) == str(direct.value)
 
 
-def test_feedback_around_a_plant_is_no_algebraic_loop(interpreted_diagram):
-    model = interpreted_diagram(Integrator(1), ["u0"])
+def test_feedback_around_a_plant_is_no_algebraic_loop():
+    model = compile_diagram(Integrator(1), inputs=["u0"])
     assert model.feedthrough == frozenset()
     builder = DiagramBuilder()
     plant = builder.AddSystem(model.as_system(model.parameters(), State([1.0], []), tick_s=0.002))

@@ -1,0 +1,99 @@
+"""IR text to machine code, and machine code into this process: everything that touches LLVM."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any
+
+import llvmlite
+import llvmlite.binding as llvm
+
+LANES = 8
+"""Runs in lock-step: a vector of AVX-512, or two of AVX2, whose operations then overlap."""
+
+
+@dataclass(frozen=True)
+class Processor:
+    """What machine code is made for."""
+
+    name: str
+    features: str
+
+    @cached_property
+    def key(self) -> str:
+        """Text that differs where the machine code may."""
+        versions = f"llvmlite {llvmlite.__version__}, LLVM {llvm.llvm_version_info}"
+        return f"{versions}, {llvm.get_process_triple()}, {self.name}, {self.features}"
+
+
+@cache
+def _start() -> None:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+
+
+@cache
+def processor() -> Processor:
+    """The processor of this machine, or the one that ``KNEEXO_CPU`` names (x86-64-v3 …)."""
+    _start()
+    chosen = os.environ.get("KNEEXO_CPU")
+    if chosen:
+        return Processor(chosen, "")
+    return Processor(llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())
+
+
+def compile_text(text: str, target: Processor | None = None) -> bytes:
+    """Object code of an IR text, for the `processor` by default.
+
+    Warns of a processor without an instruction for fused multiply-add: the function of the C
+    library in its place gives the same bits, but takes many times as long.
+    """
+    machine = _machine(target or processor())
+    module = llvm.parse_assembly(text)
+    module.triple = machine.triple
+    module.data_layout = str(machine.target_data)
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.slp_vectorization = False
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    code = bytes(machine.emit_object(module))
+    if b"\0fma\0" in code:  # a symbol of the C library
+        warnings.warn(
+            "this processor has no fused multiply-add (FMA); compiled models run slowly",
+            stacklevel=2,
+        )
+    return code
+
+
+@cache
+def _machine(target: Processor) -> Any:
+    _start()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=target.name, features=target.features, opt=3, reloc="pic", codemodel="small"
+    )
+
+
+class Library:
+    """Object code in this process; it stays as long as its functions are used."""
+
+    def __init__(self, code: bytes) -> None:
+        _start()
+        machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+        self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        self._engine.finalize_object()
+        self._functions: dict[str, Callable[..., None]] = {}
+
+    def function(self, name: str, arguments: int) -> Callable[..., None]:
+        """A function without result whose arguments are addresses; it releases the GIL."""
+        if name not in self._functions:
+            address = self._engine.get_function_address(name)
+            assert address, name
+            made = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
+            self._functions[name] = made
+        return self._functions[name]
