@@ -38,7 +38,7 @@ UNIT_S = 0.5
 CONNECT_S = 10.0
 """How long a Dask scheduler and its workers are waited for."""
 
-LARGEST_LOT = 256
+LARGEST_LOT = 512
 """Most calls of a `coroutine` that go on together."""
 
 _UNITS_PER_WORKER = 4  # under way at a time, so that no worker waits for this process

@@ -99,10 +99,10 @@ class RunRequest:
     progress: Callable[[float], Any] | None = None
 
 
-LARGEST_BATCH = 64
+LARGEST_BATCH = 32
 """Most runs that the compiled engine gets together."""
 
-_LARGEST_RECORD = 8_000_000  # numbers that these may log: 64 MB
+_LARGEST_RECORD = 4_000_000  # numbers that these may log: 32 MB
 
 
 def answers(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
