@@ -6,10 +6,8 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
-from errno import ENOSPC
 from functools import partial
 from io import FileIO
-from os import strerror
 from pathlib import Path
 from typing import Any
 from weakref import finalize
@@ -78,8 +76,8 @@ class Checkpoint:
                     self._file = self.path.open("ab", buffering=0)
                     finalize(self, self._file.close)
                 data = line.encode() + b"\n"
-                if self._file.write(data) < len(data):
-                    raise OSError(ENOSPC, strerror(ENOSPC))
+                while data:  # a disk that is full takes a part, then it says why
+                    data = data[self._file.write(data) :]
             except OSError as error:
                 raise _fault(self.path, error) from None
         self._results[key] = json.loads(line)[1]
