@@ -7,6 +7,7 @@ one line.
 from __future__ import annotations
 
 from difflib import get_close_matches
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -161,6 +162,16 @@ def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldI
     return field
 
 
+@cache
+def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
+    """The fields whose kind may be left out, and their defaults' kinds."""
+    return tuple(
+        (name, field.default.kind)
+        for name, field in model.model_fields.items()
+        if field.discriminator and not field.is_required()
+    )
+
+
 class Parameters(BaseModel):
     """Base of all parameter classes: frozen, no unknown names, no silent type changes."""
 
@@ -173,11 +184,11 @@ class Parameters(BaseModel):
         if not isinstance(data, dict):
             return data
         kinds = {
-            name: {"kind": field.default.kind} | data[name]
-            for name, field in cls.model_fields.items()
-            if field.discriminator and isinstance(data.get(name), dict)
+            name: {"kind": kind} | data[name]
+            for name, kind in _default_kinds(cls)
+            if isinstance(data.get(name), dict)
         }
-        return data | kinds
+        return data | kinds if kinds else data
 
     if not TYPE_CHECKING:  # the type checker keeps the signature that pydantic makes
 

@@ -27,7 +27,8 @@ from kneexo.analysis import (
     track,
 )
 from kneexo.analysis.bandwidth import speed_limit_reached_hz
-from kneexo.analysis.simulation import Array, rms, to_rpm
+from kneexo.analysis.coroutines import Steps, steps
+from kneexo.analysis.simulation import Array, needs_runs, rms, to_rpm
 from kneexo.analysis.tracking import mean_change
 from kneexo.parameters import (
     EQ_27_DIFFERENCES,
@@ -59,12 +60,14 @@ class Reproduction:
     eq27_differences: Mapping[str, TrackingResult]
 
 
-def _ideal(scenario: Scenario) -> Run:
-    return simulate(scenario, signals=("rod_reference", "rod_extension"))
+@needs_runs
+def _ideal(scenario: Scenario) -> Steps[Run]:
+    return (yield from steps(simulate, scenario, signals=("rod_reference", "rod_extension")))
 
 
-def _hydraulic(scenario: Scenario) -> Run:
-    return simulate(scenario, signals=("load_pressure", "motor_speed_command"))
+@needs_runs
+def _hydraulic(scenario: Scenario) -> Steps[Run]:
+    return (yield from steps(simulate, scenario, signals=("load_pressure", "motor_speed_command")))
 
 
 _STUDIES: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...] = (
@@ -75,8 +78,9 @@ _STUDIES: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], .
 )
 
 
-def _call(task: partial[Any]) -> Any:
-    return task()
+@needs_runs
+def _call(task: partial[Any]) -> Steps[Any]:
+    return (yield from steps(task))
 
 
 def _cost(task: partial[Any]) -> float:

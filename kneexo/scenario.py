@@ -166,18 +166,22 @@ def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     A value may be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
     scenario does not have, and for a value out of range.
     """
-    data = scenario.model_dump()
+    data = dict(vars(scenario))
     for path, value in values.items():
         *parents, name = path.split(".")
         holder: Any = data
         for parent in parents:
-            holder = holder.get(parent)
+            part = holder.get(parent)
+            if isinstance(part, Parameters):  # only the parts that change are validated again
+                part = holder[parent] = dict(vars(part))
+            holder = part
             if not isinstance(holder, dict):
                 break
         # A wrong name in an existing mapping is found by the validation below.
         if not isinstance(holder, dict):
             raise ParameterError(f"{path}: this scenario has no {path.rpartition('.')[0]}")
-        holder[name] = deepcopy(value)  # a later path may reach into it
+        # A later path may reach into a mapping.
+        holder[name] = deepcopy(value) if isinstance(value, dict) else value
     return Scenario(**data)
 
 

@@ -360,12 +360,12 @@ def test_runge_kutta3_is_drakes_over_30_s():
 
 @pytest.mark.slow
 def test_runge_kutta3_with_the_quantizer_has_drakes_metrics(monkeypatch):
-    original = compiled.simulate_compiled
+    original = compiled.simulate_together
 
-    def with_runge_kutta3(scenario, **options):
-        return original(scenario, **options | {"integrator": "runge_kutta3"})
+    def with_runge_kutta3(scenarios, signals, integrator, *options):
+        return original(scenarios, signals, "runge_kutta3", *options)
 
-    monkeypatch.setattr(compiled, "simulate_compiled", with_runge_kutta3)
+    monkeypatch.setattr(compiled, "simulate_together", with_runge_kutta3)
     scenario = changed(Scenario(), {"simulation.duration_s": 15.0})
     drake = asdict(track(scenario.with_engine("drake").with_steps(4e-4)).metrics)
     ours, half = (asdict(track(scenario.with_steps(step)).metrics) for step in (4e-4, 2e-4))

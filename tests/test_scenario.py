@@ -562,6 +562,25 @@ def test_changed_gives_a_validated_copy() -> None:
     assert changed(base, {}) == base
 
 
+def test_changed_validates_only_what_it_changes() -> None:
+    base = Scenario()
+    copy = changed(base, {"plant.cylinder.mass_kg": 1.9})
+    assert copy.plant.pump is base.plant.pump
+    assert copy.controller is base.controller
+    assert copy.plant.cylinder == CylinderParameters(mass_kg=1.9)
+    # Conditions between values hold for all of them.
+    with pytest.raises(ParameterError, match="leaves the range of motion"):
+        changed(base, {"plant.knee.flexion_max_deg": 60.0})
+
+
+def test_changed_reaches_into_a_part_that_it_was_given() -> None:
+    base = Scenario()
+    copy = changed(base, {"nominal": base.plant, "nominal.cylinder.mass_kg": 1.9})
+    assert copy.nominal is not None
+    assert (copy.nominal.cylinder.mass_kg, copy.plant.cylinder.mass_kg) == (1.9, 1.6)
+    assert base.plant.cylinder.mass_kg == 1.6
+
+
 def test_changed_leaves_its_argument_alone() -> None:
     values: dict[str, object] = {
         "plant.full_order": {"coulomb_friction_n": 40.0},

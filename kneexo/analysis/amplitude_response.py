@@ -24,6 +24,7 @@ from kneexo.analysis.bandwidth import (
     speed_limit_reached_hz,
 )
 from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.frequency_response import (
     MINUS_3_DB,
     estimate_sine,
@@ -40,7 +41,7 @@ from kneexo.analysis.rate_limit import (
     rate_limited_gain,
 )
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.simulation import Array
+from kneexo.analysis.simulation import Array, needs_runs
 from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import AmplitudeMapParameters, Scenario, SineEstimateParameters
 from kneexo.scenario import changed
@@ -389,7 +390,10 @@ _Item = tuple[float, float | None, bool]
 """Amplitude (deg), frequency (Hz; None: where is −3 dB?), with the encoder's counts."""
 
 
-def _measure(scenario: Scenario, settings: SineEstimateParameters, item: _Item) -> dict[str, Any]:
+@needs_runs
+def _measure(
+    scenario: Scenario, settings: SineEstimateParameters, item: _Item
+) -> Steps[dict[str, Any]]:
     """One piece of the map as plain data."""
     amplitude, frequency, quantized = item
     values = {"reference.amplitude_deg": amplitude, "encoder.quantized": quantized}
@@ -398,8 +402,9 @@ def _measure(scenario: Scenario, settings: SineEstimateParameters, item: _Item) 
     at = changed(scenario, values)
     try:
         if frequency is None:
-            return {"measured_hz": large_signal_bandwidth_hz(at), "failure": ""}
-        found = estimate_sine(at, settings)
+            bandwidth = yield from steps(large_signal_bandwidth_hz, at)
+            return {"measured_hz": bandwidth, "failure": ""}
+        found = yield from steps(estimate_sine, at, settings)
     except SimulationError as error:
         failed = {"measured_hz": math.nan, "response": [math.nan, math.nan]}
         return CELL | failed | {"failure": str(error)}

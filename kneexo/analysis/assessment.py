@@ -6,27 +6,21 @@ import math
 from typing import Any
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.tracking import track
+from kneexo.analysis.simulation import needs_runs
+from kneexo.analysis.tracking import TRACKING_FIGURES, track_figures
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
-
-TRACKING_FIGURES = (
-    "max_error_deg",
-    "rms_error_deg",
-    "mean_command_change_rpm",
-    "saturated_share",
-    "peak_pressure_mpa",
-)
-"""Figures of `kneexo.analysis.TrackingMetrics` that an assessment quotes."""
 
 MARGIN_FIGURES = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
 """Figures of `kneexo.analysis.Margins` that an assessment quotes."""
 
 
+@needs_runs
 def assess(
     scenario: Scenario, *, tracking: bool = True, margins: bool = True, bandwidth: bool = False
-) -> dict[str, Any]:
+) -> Steps[dict[str, Any]]:
     """Plain numbers by name: `TRACKING_FIGURES`, ``stable``, `MARGIN_FIGURES`, ``bandwidth_hz``.
 
     The margins are those at the middle of the reference's range, the bandwidth is that of the
@@ -37,11 +31,9 @@ def assess(
     """
     found: dict[str, Any] = {}
     if tracking:
-        figures = dict.fromkeys(TRACKING_FIGURES, math.nan)
-        found |= figures | {"tracking_failure": ""}
+        found |= dict.fromkeys(TRACKING_FIGURES, math.nan) | {"tracking_failure": ""}
         try:
-            metrics = track(scenario).metrics
-            found |= {name: getattr(metrics, name) for name in figures}
+            found |= yield from steps(track_figures, scenario)
         except KneexoError as error:
             found["tracking_failure"] = str(error)
     if margins:
@@ -58,7 +50,7 @@ def assess(
     if bandwidth:
         found |= {"bandwidth_hz": math.nan, "bandwidth_failure": ""}
         try:
-            found["bandwidth_hz"] = large_signal_bandwidth_hz(scenario)
+            found["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, scenario)
             if math.isnan(found["bandwidth_hz"]):
                 found["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
         except KneexoError as error:

@@ -13,12 +13,13 @@ the fundamentals of the fastest triangle and of the fastest parabolas. Below the
 from __future__ import annotations
 
 import math
-from functools import cache
+from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import brentq
 
 from kneexo import linkage
+from kneexo.analysis.coroutines import Steps, evaluated, steps
 from kneexo.analysis.frequency_response import (
     MINUS_3_DB,
     estimate_sine,
@@ -29,7 +30,7 @@ from kneexo.analysis.frequency_response import (
 )
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_follower
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.simulation import Array
+from kneexo.analysis.simulation import Array, needs_runs
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario, SineEstimateParameters
 from kneexo.scenario import changed
@@ -118,10 +119,11 @@ def follower_bandwidth_hz(scenario: Scenario) -> float:
 # ------------------------------------------------------------------- large-signal bandwidth
 
 
+@needs_runs
 def large_signal_bandwidth_hz(
     scenario: Scenario = Scenario(),
     settings: SineEstimateParameters = SineEstimateParameters(averaged_cycles=2, largest_cycles=6),
-) -> float:
+) -> Steps[float]:
     """Frequency in Hz where the gain of the scenario's own sine first falls below 1/√2.
 
     Measured by `estimate_sine` at a few frequencies: from 0.8 times the lowest of the rate-limit
@@ -136,15 +138,23 @@ def large_signal_bandwidth_hz(
     require_sine(scenario)
     highest = highest_frequency_hz(scenario)
 
-    @cache
-    def excess(log_frequency: float) -> float:
+    def excess(log_frequency: float) -> Steps[float]:
         frequency = min(math.exp(log_frequency), highest)
         at = changed(scenario, {"reference.frequency_hz": frequency})
-        found = math.log(max(estimate_sine(at, settings).gain, _NO_GAIN) / MINUS_3_DB)
+        estimate = yield from steps(estimate_sine, at, settings)
+        found = math.log(max(estimate.gain, _NO_GAIN) / MINUS_3_DB)
         return found if abs(found) > _GAIN_TOLERANCE else 0.0
 
-    bottom, top, step = math.log(LOWEST_HZ), math.log(highest), math.log(_SEARCH_STEP)
-    low = min(max(bottom, math.log(0.8 * _expected_hz(scenario))), top)
+    bottom, top = math.log(LOWEST_HZ), math.log(highest)
+    start = min(max(bottom, math.log(0.8 * _expected_hz(scenario))), top)
+    return (yield from evaluated(lambda known: _first_fall_hz(known, bottom, start, top), excess))
+
+
+def _first_fall_hz(
+    excess: Callable[[float], float], bottom: float, start: float, top: float
+) -> float:
+    """Where ``excess`` of log f, searched from ``start``, first falls below zero; nan: nowhere."""
+    low, step = start, math.log(_SEARCH_STEP)
     while excess(low) < 0.0:
         if low == bottom:
             return math.nan

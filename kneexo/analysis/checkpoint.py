@@ -7,8 +7,10 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import partial
+from io import FileIO
 from pathlib import Path
 from typing import Any
+from weakref import finalize
 
 from pydantic import BaseModel
 
@@ -30,6 +32,7 @@ class Checkpoint:
     def __init__(self, path: Path | None = None, *, resume: bool = False) -> None:
         self.path = path
         self._results: dict[str, Any] = {}
+        self._file: FileIO | None = None
         if path is None:
             return
         try:
@@ -69,8 +72,12 @@ class Checkpoint:
         line = json.dumps([key, result])
         if self.path is not None:
             try:
-                with self.path.open("a", encoding="utf-8") as file:
-                    file.write(line + "\n")
+                if self._file is None:
+                    self._file = self.path.open("ab", buffering=0)
+                    finalize(self, self._file.close)
+                data = line.encode() + b"\n"
+                while data:  # a disk that is full takes a part, then it says why
+                    data = data[self._file.write(data) :]
             except OSError as error:
                 raise _fault(self.path, error) from None
         self._results[key] = json.loads(line)[1]
@@ -78,44 +85,44 @@ class Checkpoint:
 
     def remove(self) -> None:
         """Delete the file: the sweep is complete and its results are elsewhere."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
         if self.path is not None:
             self.path.unlink(missing_ok=True)
 
 
 def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
     """Names of the pieces ``function(item)``: the same in every process and session."""
-
-    def text(value: Any) -> bytes:
-        return json.dumps(_plain(value), sort_keys=True).encode()
-
-    shared = hashlib.sha256(text([__version__, function]))
+    shared = hashlib.sha256(_text([__version__, function]))
     keys = []
     for item in items:
-        own = shared.copy()
-        own.update(text(item))
-        keys.append(own.hexdigest()[:32])
+        piece = shared.copy()
+        piece.update(_text(item))
+        keys.append(piece.hexdigest()[:32])
     return keys
 
 
+def _text(value: Any) -> bytes:
+    return _ENCODER.encode(value).encode()
+
+
 def _plain(value: Any) -> Any:
+    """What JSON does not know, by what it knows."""
     if isinstance(value, BaseModel):
-        return [type(value).__name__, value.model_dump(mode="json")]
+        return [type(value).__name__, value.model_dump_json()]
     if isinstance(value, partial):
-        return [_plain(value.func), _plain(value.args), _plain(value.keywords)]
+        return [value.func, value.args, value.keywords]
     if is_dataclass(value) and not isinstance(value, type):
-        return [
-            type(value).__name__,
-            {f.name: _plain(getattr(value, f.name)) for f in fields(value)},
-        ]
+        return [type(value).__name__, {f.name: getattr(value, f.name) for f in fields(value)}]
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return dict(value)
     if callable(value):
         return f"{value.__module__}.{value.__qualname__}"
-    if isinstance(value, str | int | float | bool) or value is None:
-        return value
     raise TypeError(f"{type(value).__name__} cannot be part of a checkpointed piece of work")
+
+
+_ENCODER = json.JSONEncoder(sort_keys=True, default=_plain)
 
 
 def _fault(path: Path, error: OSError) -> OutputError:

@@ -24,10 +24,11 @@ from tqdm import tqdm
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.markdown import markdown_table, number
 from kneexo.analysis.parallel import parallel_map, process_pool
 from kneexo.analysis.robustness import Values, draw, realize
-from kneexo.analysis.simulation import Array
+from kneexo.analysis.simulation import Array, needs_runs
 from kneexo.errors import SimulationError
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
@@ -296,14 +297,17 @@ def search(
     return found, history
 
 
-def _judge(budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]) -> float:
+@needs_runs
+def _judge(budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]) -> Steps[float]:
     """Objective of one candidate on its training plants, in deg.
 
     The mean of the largest errors. A run that fails or too much chattering makes it more than
     2·`INFEASIBLE_DEG`, too little margin on any plant more than `INFEASIBLE_DEG`; both grow with
     the violation. An unstable loop has no margin.
     """
-    tracked = [assess(plant, margins=False) for plant in plants]
+    tracked = []
+    for plant in plants:
+        tracked.append((yield from steps(assess, plant, margins=False)))
     failed = np.mean([bool(values["tracking_failure"]) for values in tracked])
     if failed > 0.0:
         return float(INFEASIBLE_DEG * (3.0 + failed))

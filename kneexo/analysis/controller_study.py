@@ -21,10 +21,11 @@ from scipy.optimize import brentq
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.hardware import tuned
 from kneexo.analysis.markdown import markdown_table, number
 from kneexo.analysis.parallel import parallel_map, process_pool
-from kneexo.analysis.simulation import Array
+from kneexo.analysis.simulation import Array, needs_runs
 from kneexo.analysis.tracking import track
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import (
@@ -304,16 +305,18 @@ def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
     return float(brentq(lambda y: (1.0 + y) * math.exp(-y) - share, 0.0, 100.0)) / lambda_per_s
 
 
-def _measure(settings: ControllerStudyParameters, scenario: Scenario) -> dict[str, Any]:
+@needs_runs
+def _measure(settings: ControllerStudyParameters, scenario: Scenario) -> Steps[dict[str, Any]]:
     """`FIGURES` of one point of the grid, and the first reason of a failure."""
     cases = experiments(scenario, settings)
-    own, fast = assess(scenario), assess(cases["fast"], margins=False)
+    own = yield from steps(assess, scenario)
+    fast = yield from steps(assess, cases["fast"], margins=False)
     found: dict[str, Any] = {name: own[name] for name in FIGURES if name in own}
     found["fast_max_error_deg"] = fast["max_error_deg"]
     reasons = [own["tracking_failure"], own["margins_failure"], fast["tracking_failure"]]
     for name, key in (("step", "settling_s"), ("large_step", "large_settling_s")):
         try:
-            step = track(cases[name])
+            step = yield from steps(track, cases[name])
             band = settings.settled_share * settings.step_deg
             found[key] = settling_time_s(step.run.time_s, step.error_deg, band)
         except KneexoError as failure:
@@ -323,7 +326,8 @@ def _measure(settings: ControllerStudyParameters, scenario: Scenario) -> dict[st
     return found
 
 
-def _trap(settings: ControllerStudyParameters, scenario: Scenario) -> dict[str, Any]:
+@needs_runs
+def _trap(settings: ControllerStudyParameters, scenario: Scenario) -> Steps[dict[str, Any]]:
     """Fields of a `TrapCase` but for λ and the variant."""
     linear = assess(scenario, tracking=False)
     found = {
@@ -337,7 +341,8 @@ def _trap(settings: ControllerStudyParameters, scenario: Scenario) -> dict[str, 
         "failure": "",
     }
     try:
-        tracked, hold = track(scenario), track(experiments(scenario, settings)["hold"])
+        tracked = yield from steps(track, scenario)
+        hold = yield from steps(track, experiments(scenario, settings)["hold"])
     except KneexoError as failure:
         return found | {"failure": str(failure)}
     late = hold.run.time_s >= 0.5 * hold.run.time_s[-1]

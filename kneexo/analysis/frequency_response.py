@@ -19,8 +19,9 @@ import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.optimize import brentq
 
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.parallel import parallel_map
-from kneexo.analysis.simulation import Array, Run, simulate
+from kneexo.analysis.simulation import Array, Run, needs_runs, simulate
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     Scenario,
@@ -49,7 +50,7 @@ class Trial:
         return changed(
             scenario,
             {
-                "nominal": scenario.believed_plant.model_dump(),
+                "nominal": scenario.believed_plant,
                 "plant.pump.internal_leakage_m3_per_s_pa": self.internal_leakage_m3_per_s_pa,
                 "plant.pump.acceleration_limit_rad_s2": self.acceleration_limit_rad_s2,
                 "plant.cylinder.bulk_modulus_pa": self.bulk_modulus_pa,
@@ -206,12 +207,14 @@ def crossing(frequencies_hz: Array, gain: Array, threshold: float = MINUS_3_DB) 
     )
 
 
-def _measure(settings: SinestreamParameters, work: tuple[float, Scenario]) -> complex:
+@needs_runs
+def _measure(settings: SinestreamParameters, work: tuple[float, Scenario]) -> Steps[complex]:
     """Response of a scenario at one frequency in Hz."""
     frequency, scenario = work
     cycles = settings.transient_cycles + settings.measured_cycles
     at = {"reference.frequency_hz": frequency, "simulation.duration_s": cycles / frequency}
-    run = simulate(changed(scenario, at), signals=("knee_reference", "knee_angle"))
+    signals = ("knee_reference", "knee_angle")
+    run = yield from steps(simulate, changed(scenario, at), signals=signals)
     measured = run.time_s >= settings.transient_cycles / frequency
     measured[-1] = False  # the end of the last period is its beginning
     time = run.time_s[measured]
@@ -388,10 +391,11 @@ def response_uncertainty(responses: Any) -> float:
     return scatter / math.sqrt(n) + float(drift)
 
 
+@needs_runs
 def estimate_sine(
     scenario: Scenario = Scenario(),
     settings: SineEstimateParameters = SineEstimateParameters(),
-) -> SineEstimate:
+) -> Steps[SineEstimate]:
     """Measure the closed loop's response to the scenario's own sine.
 
     The amplitude grows smoothly (the scenario's own ramp and duration are replaced), then the run
@@ -407,7 +411,8 @@ def estimate_sine(
     ramp = max(settings.ramp_cycles / frequency, settings.ramp_min_s)
     cycles = min(settings.averaged_cycles + 1, settings.largest_cycles)
     while True:
-        run = simulate(
+        run = yield from steps(
+            simulate,
             changed(
                 scenario,
                 {"reference.ramp_s": ramp, "simulation.duration_s": ramp + cycles / frequency},
@@ -420,6 +425,7 @@ def estimate_sine(
         if settled or cycles == settings.largest_cycles:
             break
         cycles = min(2 * cycles, settings.largest_cycles)
+        del run  # other calls wait with their runs too
     if not settled:
         count = max(settings.averaged_cycles, cycles // 2)
     averaged = responses[-count:]

@@ -6,9 +6,10 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
     BrokenExecutor,
     CancelledError,
@@ -25,6 +26,7 @@ from tqdm import tqdm
 
 from kneexo import __version__
 from kneexo.analysis.checkpoint import Checkpoint, piece_keys
+from kneexo.analysis.coroutines import is_coroutine, together
 from kneexo.errors import WorkerError
 
 Item = TypeVar("Item")
@@ -36,7 +38,11 @@ UNIT_S = 0.5
 CONNECT_S = 10.0
 """How long a Dask scheduler and its workers are waited for."""
 
+LARGEST_LOT = 512
+"""Most calls of a `coroutine` that go on together."""
+
 _UNITS_PER_WORKER = 4  # under way at a time, so that no worker waits for this process
+_FIRST_UNIT = 8  # calls of a coroutine; as many as their runs have lanes
 _WORKERS = 250  # of an executor that does not say how many it has
 
 
@@ -155,7 +161,8 @@ def parallel_map(
     ``workers``: see `process_pool`; with more than one a script needs
     ``if __name__ == "__main__":``, because processes are spawned. An ``executor`` of the caller's
     goes before ``workers``; any of `concurrent.futures`' kind will do, such as `dask_cluster`'s.
-    Small items go there together (`UNIT_S`). ``description`` shows a progress bar that advances
+    Small items go there together (`UNIT_S`). Calls of a `coroutine` go on together, too, with
+    the same results as alone. ``description`` shows a progress bar that advances
     by ``weight(item)``. The first error ends the work and is raised; so does KeyboardInterrupt.
 
     With a ``checkpoint`` every result is kept there as soon as it is known, and what it has
@@ -196,53 +203,87 @@ def parallel_map(
                 results[index] = checkpoint[keys[index]]
                 advance(index)
         order = sorted(set(range(len(items))) - set(results), key=lambda n: (-weight(items[n]), n))
-        if executor is None:
+        if executor is not None:
+            _by_executor(function, items, order, executor, done)
+        elif is_coroutine(function):
+            units = _Units(order, _first_unit(function, len(order), 1))
+            while unit := units.take(LARGEST_LOT):
+                end = time.perf_counter() + UNIT_S
+                for position, result in together(function, [items[index] for index in unit]):
+                    done(unit[position], result)
+                units.give_back([], len(unit), time.perf_counter() < end)
+        else:
             for index in order:
                 done(index, function(items[index]))
-        else:
-            _in_units(function, items, order, executor, done)
     return [results[index] for index in range(len(items))]
+
+
+class _Units:
+    """Indices in units that grow until one runs out of time; what it leaves waits again."""
+
+    def __init__(self, order: Iterable[int], size: int) -> None:
+        self._waiting = deque(order)
+        self._size = size
+
+    def __bool__(self) -> bool:
+        return bool(self._waiting)
+
+    def take(self, most: int = sys.maxsize) -> list[int]:
+        """The next unit, of at most ``most``; empty when nothing waits."""
+        size = min(self._size, most, len(self._waiting))
+        return [self._waiting.popleft() for _ in range(size)]
+
+    def give_back(self, left: Sequence[int], ended: int, in_time: bool) -> None:
+        """What a unit has left, how many of it ended, and whether there was time for more."""
+        self._waiting.extendleft(reversed(left))
+        self._size = max(self._size, 2 * ended) if in_time else ended
+
+
+def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
+    """Items of the first units: some calls of a coroutine if that leaves work for all workers."""
+    if not is_coroutine(function):
+        return 1
+    return max(1, min(_FIRST_UNIT, count // (_UNITS_PER_WORKER * workers)))
 
 
 def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], bool]:
     """Results of the first of ``items``, those begun within `UNIT_S`, and whether time is left."""
     end = time.perf_counter() + UNIT_S
-    results = []
-    for item in items:
-        results.append(function(item))
+    lot = LARGEST_LOT if is_coroutine(function) else 1
+    results: dict[int, Result] = {}
+    for first in range(0, len(items), lot):
+        ended = together(function, items[first : first + lot])
+        results |= {first + n: result for n, result in ended}
         if time.perf_counter() >= end:
-            return results, False
-    return results, True
+            return [results[n] for n in range(len(results))], False
+    return [results[n] for n in range(len(results))], True
 
 
-def _in_units(
+def _by_executor(
     function: Callable[[Item], Result],
     items: Sequence[Item],
     order: Sequence[int],
     executor: Executor,
     done: Callable[[int, Result], None],
 ) -> None:
-    """Run the items of the indices ``order``; ``done`` gets index and result of each.
-
-    Units grow from single items on until one runs out of time; what it left waits again.
-    """
-    most = _UNITS_PER_WORKER * getattr(executor, "_max_workers", _WORKERS)
-    waiting, size = deque(order), 1
+    """Run the items of the indices ``order``; ``done`` gets index and result of each."""
+    workers = getattr(executor, "_max_workers", _WORKERS)
+    most = _UNITS_PER_WORKER * workers
+    units = _Units(order, _first_unit(function, len(order), workers))
     under_way: dict[Future[tuple[list[Result], bool]], list[int]] = {}
     ended: SimpleQueue[Future[tuple[list[Result], bool]]] = SimpleQueue()
     try:
-        while waiting or under_way:
+        while units or under_way:
             with _interrupt_later():
-                while waiting and len(under_way) < most:
-                    unit = [waiting.popleft() for _ in range(min(size, len(waiting)))]
+                while units and len(under_way) < most:
+                    unit = units.take()
                     future = executor.submit(_unit, function, [items[index] for index in unit])
                     under_way[future] = unit
                     future.add_done_callback(ended.put)
             future = ended.get()
             unit = under_way.pop(future)
             results, in_time = future.result()
-            waiting.extendleft(reversed(unit[len(results) :]))
-            size = max(size, 2 * len(unit)) if in_time else len(results)
+            units.give_back(unit[len(results) :], len(results), in_time)
             for index, result in zip(unit, results, strict=False):
                 done(index, result)
     except (BrokenExecutor, CancelledError):

@@ -20,12 +20,13 @@ from matplotlib.figure import Figure
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.markdown import markdown_table, number
 from kneexo.analysis.parallel import parallel_map, process_pool
 from kneexo.analysis.plant_linearization import linearize_plant
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.simulation import rms, simulate
+from kneexo.analysis.simulation import needs_runs, rms, simulate
 from kneexo.analysis.tracking import saturated_share, track
 from kneexo.errors import KneexoError, LinearizationError, ParameterError
 from kneexo.parameters import (
@@ -68,10 +69,11 @@ def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
 # -------------------------------------------------------------------- pieces of the work
 
 
-def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
+@needs_runs
+def tracking_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str, Any]]:
     """Tracking run of one order under one load."""
     order, force = case
-    tracked = track(in_order(scenario, order, force), all_signals=True)
+    tracked = yield from steps(track, in_order(scenario, order, force), all_signals=True)
     run, metrics = tracked.run, tracked.metrics
     pressures = {"load_pressure": run["load_pressure_pa"]}
     if order == "full":
@@ -115,14 +117,15 @@ def _ramp(
     return changed(_without_weight(scenario, order, force), {"reference": dict(ramp)})
 
 
+@needs_runs
 def speed_row(
     scenario: Scenario, settings: OrderComparisonParameters, case: tuple[str, float, bool]
-) -> dict[str, Any]:
+) -> Steps[dict[str, Any]]:
     """Speed of the rod while the command is at its limit."""
     order, force, flexing = case
     fast = _ramp(scenario, order, force, flexing, settings.speed_rate_deg_s)
     fast = changed(fast, {"simulation.duration_s": 1.0})
-    run = simulate(fast, signals=("rod_velocity", "motor_speed_command"))
+    run = yield from steps(simulate, fast, signals=("rod_velocity", "motor_speed_command"))
     late = run.time_s >= _START_S
     command = run["motor_speed_command_rad_s"][late]
     return {
@@ -134,9 +137,10 @@ def speed_row(
     }
 
 
+@needs_runs
 def switching_row(
     scenario: Scenario, settings: OrderComparisonParameters, case: tuple[float, bool]
-) -> dict[str, Any]:
+) -> Steps[dict[str, Any]]:
     """What the rod does around its reference near the switching force, in full order."""
     force, flexing = case
     low, high = scenario.reference.range_deg
@@ -147,7 +151,8 @@ def switching_row(
             f"switching_rate_deg_s = {settings.switching_rate_deg_s:g} deg/s: the "
             f"{high - low:g} deg of the reference take {duration:g} s, must take > {_START_S:g} s"
         )
-    run = simulate(
+    run = yield from steps(
+        simulate,
         changed(slow, {"simulation.duration_s": duration}).with_steps(settings.switching_step_s),
         signals=(
             *("rod_velocity", "rod_reference", "knee_angle", "knee_reference"),
@@ -203,12 +208,14 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
     return found
 
 
-def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
+@needs_runs
+def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str, Any]]:
     """Large-signal bandwidth of one order under one load."""
     order, force = case
     found = {"order": order, "disturbance_n": force, "bandwidth_hz": math.nan, "failure": ""}
+    at = in_order(scenario, order, force)
     try:
-        found["bandwidth_hz"] = large_signal_bandwidth_hz(in_order(scenario, order, force))
+        found["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, at)
     except KneexoError as error:
         found["failure"] = str(error)
     return found

@@ -22,6 +22,7 @@ from scipy.stats import chi2, rankdata
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.parallel import parallel_map, process_pool
 from kneexo.analysis.sensitivity import (
     differentiable,
@@ -29,7 +30,7 @@ from kneexo.analysis.sensitivity import (
     tracking_sensitivities,
     value_at,
 )
-from kneexo.analysis.simulation import Array
+from kneexo.analysis.simulation import Array, needs_runs
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
@@ -101,16 +102,16 @@ def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> 
         for path, value in values.items()
         if uncertainty.values[path].known
     }
-    believing = scenario.model_copy(update={"nominal": scenario.believed_plant})
-    return changed(believing, {**values, **known})
+    return changed(scenario, {"nominal": scenario.believed_plant, **values, **known})
 
 
+@needs_runs
 def assess_plant(
     scenario: Scenario,
     uncertainty: UncertaintySet,
     judge: Callable[[Scenario], dict[str, Any]],
     values: Values,
-) -> dict[str, Any]:
+) -> Steps[dict[str, Any]]:
     """What ``judge`` says of the plant with those values: `realize`, where the run is.
 
     Of values that do not go together it says why, as ``tracking_failure``.
@@ -119,7 +120,7 @@ def assess_plant(
         plant = realize(scenario, uncertainty, values)
     except ParameterError as error:
         return {"stable": None, "tracking_failure": str(error).removeprefix("Scenario: ")}
-    return judge(plant)
+    return (yield from steps(judge, plant))
 
 
 def levels(one: Uncertainty) -> tuple[Any, ...]:

@@ -1,9 +1,9 @@
-"""One run of a closed loop through Drake's Simulator, as arrays."""
+"""Runs of closed loops as arrays: by either engine, one alone or many together."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
-from kneexo.diagrams import available_signals, columns, make_closed_loop
-from kneexo.errors import SimulationError, StiffnessError
+from kneexo.analysis.coroutines import Steps, coroutine
+from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
+from kneexo.errors import KneexoError, SimulationError, StiffnessError
 from kneexo.parameters import Scenario, SimulationParameters
 
 Array = NDArray[np.float64]
@@ -89,43 +90,116 @@ def simulate_diagram(
     return Run(log.sample_times().copy(), dict(zip(names, values, strict=True)), settings)
 
 
+@dataclass(frozen=True)
+class RunRequest:
+    """What a `coroutine` yields for a `Run` of a scenario; see `simulate` for the rest."""
+
+    scenario: Scenario
+    signals: Sequence[str] | None = None
+    progress: Callable[[float], Any] | None = None
+
+
+LARGEST_BATCH = 32
+"""Most runs that the compiled engine gets together."""
+
+_LARGEST_RECORD = 4_000_000  # numbers that these may log: 32 MB
+
+
+def answers(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
+    """The run of each request, or why it failed, as soon as it is there.
+
+    The compiled engine gets the runs of each structure together; those in which the exact hold
+    gives up follow, by RK4 with steps of 20 µs. No run depends on which others there are.
+    """
+    from kneexo.compilation.runner import ROUGH_STEP_S
+
+    ways: dict[Any, list[int]] = {}
+    for index, request in requests.items():
+        settings = request.scenario.simulation
+        if settings.compiled:
+            signals = None if request.signals is None else tuple(request.signals)
+            way = (settings.integrator, settings.step_s, settings.tolerance)
+            ways.setdefault((signals, way), []).append(index)
+        else:
+            yield index, _drake_run(request)
+    rough: dict[Any, list[int]] = {}
+    for (signals, way), indices in ways.items():
+        for index, run in _compiled_runs(requests, indices, signals, way):
+            if isinstance(run, StiffnessError):  # valves that open and close all the time
+                rough.setdefault(signals, []).append(index)
+            else:
+                yield index, run
+    for signals, indices in rough.items():
+        yield from _compiled_runs(requests, indices, signals, ("rk4", ROUGH_STEP_S))
+
+
+def _drake_run(request: RunRequest) -> Run | KneexoError:
+    scenario = request.scenario
+    names = available_signals(scenario) if request.signals is None else tuple(request.signals)
+    try:
+        diagram = make_closed_loop(scenario, signals=names)
+        context = diagram.CreateDefaultContext()
+        return simulate_diagram(
+            diagram, context, columns(names), scenario.simulation, request.progress
+        )
+    except KneexoError as error:
+        return error
+
+
+def _compiled_runs(
+    requests: Mapping[int, RunRequest], indices: Sequence[int], signals: Any, way: Any
+) -> Iterator[tuple[int, Run | KneexoError]]:
+    from kneexo.simulation import compiled
+
+    groups: dict[str, list[int]] = {}
+    for index in indices:
+        groups.setdefault(compiled.structure_key(requests[index].scenario), []).append(index)
+    for group in groups.values():
+        for batch in _batches(group, requests):
+            scenarios = [requests[index].scenario for index in batch]
+            runs = compiled.simulate_together(scenarios, signals, *way)
+            for index, run in zip(batch, runs, strict=True):
+                if (progress := requests[index].progress) is not None and isinstance(run, Run):
+                    progress(requests[index].scenario.simulation.duration_s)
+                yield index, run
+
+
+def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterator[list[int]]:
+    """Runs of a group that go together: of similar duration, and not too much to keep."""
+
+    def records(index: int) -> float:
+        scenario = requests[index].scenario
+        return scenario.simulation.duration_s / scenario.controller.sample_time_s
+
+    scenario, signals = requests[group[0]].scenario, requests[group[0]].signals
+    names = available_signals(scenario) if signals is None else signals
+    width = sum(len(SIGNALS.get(name, ())) for name in names)
+    waiting = sorted(group, key=records, reverse=True)
+    while waiting:
+        most = max(1, int(_LARGEST_RECORD / (width * records(waiting[0]) + 1.0)))
+        size = min(LARGEST_BATCH, most)
+        yield waiting[:size]
+        del waiting[:size]
+
+
+needs_runs = coroutine(answers)
+"""Decorator of generator functions that yield a `RunRequest` for each `Run` that they need."""
+
+
+@needs_runs
 def simulate(
     scenario: Scenario = Scenario(),
     *,
     signals: Sequence[str] | None = None,
     progress: Callable[[float], Any] | None = None,
-) -> Run:
+) -> Steps[Run]:
     """Run the closed loop of ``scenario``; all available signals by default.
 
     ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator.
     Where the exact hold cannot follow, RK4 with steps of 20 µs goes on in its place (the run's
     ``settings`` say so). Raises what `make_closed_loop` and `simulate_diagram` raise.
     """
-    settings = scenario.simulation
-    if settings.compiled:
-        from kneexo.compilation.runner import ROUGH_STEP_S
-        from kneexo.simulation.compiled import simulate_compiled
-
-        try:
-            run = simulate_compiled(
-                scenario,
-                signals=signals,
-                integrator=settings.integrator,
-                step_s=settings.step_s,
-                tolerance=settings.tolerance,
-            )
-        except StiffnessError:  # valves that open and close all the time: small steps, no error
-            run = simulate_compiled(
-                scenario, signals=signals, integrator="rk4", step_s=ROUGH_STEP_S
-            )
-        if progress is not None:
-            progress(settings.duration_s)
-        return run
-    names = available_signals(scenario) if signals is None else tuple(signals)
-    diagram = make_closed_loop(scenario, signals=names)
-    return simulate_diagram(
-        diagram, diagram.CreateDefaultContext(), columns(names), scenario.simulation, progress
-    )
+    return (yield RunRequest(scenario, signals, progress))
 
 
 def period_s(scenario: Scenario) -> float:

@@ -23,6 +23,7 @@ from kneexo.analysis.bandwidth import (
     large_signal_bandwidth_hz,
 )
 from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.hardware import (
     ACCELERATION_LIMIT,
@@ -35,7 +36,7 @@ from kneexo.analysis.hardware import (
 )
 from kneexo.analysis.parallel import parallel_map, process_pool
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.simulation import Array, to_rpm
+from kneexo.analysis.simulation import Array, needs_runs, to_rpm
 from kneexo.analysis.tracking import track
 from kneexo.analysis.walking import (
     WalkingDemand,
@@ -61,46 +62,54 @@ _IMPLICIT_STEP_S = 1e-3
 # ------------------------------------------------------- pieces of work: plain data in, out
 
 
-def _at_reference(scenario: Scenario) -> dict[str, Any]:
+@needs_runs
+def _at_reference(scenario: Scenario) -> Steps[dict[str, Any]]:
     """Bandwidth and tracking at the scenario's own sine; nan and ``failure`` where one fails."""
     failures = []
 
-    def measured(*names: str, part: Callable[[], Sequence[float]]) -> dict[str, float]:
+    def measured(*names: str, part: Steps[Sequence[float]]) -> Steps[dict[str, float]]:
         try:
-            values = part()
+            values = yield from part
         except KneexoError as error:
             failures.append(str(error))
             values = [math.nan] * len(names)
         return dict(zip(names, values, strict=True))
 
+    def large_signal() -> Steps[Sequence[float]]:
+        return [(yield from steps(large_signal_bandwidth_hz, scenario))]
+
     def small_signal() -> Sequence[float]:
         loop = linearize_loop(scenario, require_sine(scenario).mean_deg)
         return [loop.bandwidth_hz() if loop.stable else math.nan]
 
-    def tracking() -> Sequence[float]:
-        metrics = track(scenario).metrics
+    def tracking() -> Steps[Sequence[float]]:
+        metrics = (yield from steps(track, scenario)).metrics
         return [metrics.max_error_deg, metrics.rms_error_deg, metrics.mean_command_change_rpm]
 
     found = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
-    found |= measured("bandwidth_hz", part=lambda: [large_signal_bandwidth_hz(scenario)])
-    found |= measured("small_signal_bandwidth_hz", part=small_signal)
+    found |= yield from measured("bandwidth_hz", part=large_signal())
+    found |= yield from measured("small_signal_bandwidth_hz", part=steps(small_signal))
     names = ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
-    return found | measured(*names, part=tracking) | {"failure": "; ".join(failures)}
+    found |= yield from measured(*names, part=tracking())
+    return found | {"failure": "; ".join(failures)}
 
 
-def _bandwidth_or_nan(scenario: Scenario) -> float:
+@needs_runs
+def _bandwidth_or_nan(scenario: Scenario) -> Steps[float]:
     try:
-        return large_signal_bandwidth_hz(scenario)
+        return (yield from steps(large_signal_bandwidth_hz, scenario))
     except KneexoError:
         return math.nan
 
 
-def _walking(cycles: int, item: tuple[Scenario, float]) -> dict[str, Any]:
-    return walking_metrics(*item, cycles)
+@needs_runs
+def _walking(cycles: int, item: tuple[Scenario, float]) -> Steps[dict[str, Any]]:
+    return (yield from steps(walking_metrics, *item, cycles))
 
 
-def _walking_and_margins(cycles: int, item: tuple[Scenario, float]) -> dict[str, Any]:
-    return _walking(cycles, item) | assess(item[0], tracking=False)
+@needs_runs
+def _walking_and_margins(cycles: int, item: tuple[Scenario, float]) -> Steps[dict[str, Any]]:
+    return (yield from steps(_walking, cycles, item)) | assess(item[0], tracking=False)
 
 
 # ---------------------------------------------------------------------------------- search

@@ -31,12 +31,13 @@ from pydrake.autodiffutils import AutoDiffXd
 
 from kneexo.analysis.bandwidth import rod_of
 from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.error_model import error_model
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.hardware import sliding_mode
 from kneexo.analysis.markdown import markdown_table, number
 from kneexo.analysis.parallel import parallel_map
-from kneexo.analysis.simulation import Array, Run, simulate
+from kneexo.analysis.simulation import Array, Run, needs_runs, simulate
 from kneexo.diagrams import make_plant
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
@@ -161,9 +162,10 @@ def error_bounds(
 # ----------------------------------------------------------------------------- one run
 
 
+@needs_runs
 def check_sliding(
     settings: SlidingStudyParameters, scenario: Scenario = SLIDING_LAW
-) -> dict[str, Any]:
+) -> Steps[dict[str, Any]]:
     """Run a scenario and measure, in plain numbers by name, what Eq. 27 promises.
 
     ``outside_share``: share of the run with |s| > Φ; of these samples, ``holding_share`` has
@@ -190,7 +192,7 @@ def check_sliding(
         ),
         math.nan,
     )
-    run, found["failure"] = _longest_run(scenario)
+    run, found["failure"] = yield from _longest_run(scenario)
     found["duration_s"] = float(run.time_s[-1])
     command = run["motor_speed_command_rad_s"]
     if not law.continuous:
@@ -258,13 +260,14 @@ def check_sliding(
     return found
 
 
-def _longest_run(scenario: Scenario) -> tuple[Run, str]:
+def _longest_run(scenario: Scenario) -> Steps[tuple[Run, str]]:
     """The run of a scenario, over half the time as long as it fails; and why it failed first."""
     failure, duration = "", scenario.simulation.duration_s
     while True:
         shortened = changed(scenario, {"simulation.duration_s": duration})
         try:
-            return simulate(shortened, signals=sliding_signals(scenario)), failure
+            run = yield from steps(simulate, shortened, signals=sliding_signals(scenario))
+            return run, failure
         except SimulationError as error:
             failure = failure or str(error)
             duration *= 0.5

@@ -11,7 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from kneexo.analysis.simulation import Array, Run, period_s, rms, simulate, to_rpm
+from kneexo.analysis.coroutines import Steps, steps
+from kneexo.analysis.simulation import Array, Run, needs_runs, period_s, rms, simulate, to_rpm
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 
@@ -24,6 +25,15 @@ TRACKING_SIGNALS = (
     "hydraulic_power",
 )
 """The signals that the metrics need; a run that logs no more is faster."""
+
+TRACKING_FIGURES = (
+    "max_error_deg",
+    "rms_error_deg",
+    "mean_command_change_rpm",
+    "saturated_share",
+    "peak_pressure_mpa",
+)
+"""Figures of `TrackingMetrics` that the first four of these signals give."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +73,52 @@ class TrackingMetrics:
     """Work of the pump on the cylinder over the run."""
 
 
+def peak(values: Array) -> float:
+    """Largest absolute value of ``values`` (n,)."""
+    return abs(float(max(np.max(values), -np.min(values))))
+
+
 def mean_change(values: Array) -> float:
     """Mean absolute difference of neighbouring samples, in the unit of ``values`` (n,)."""
-    return float(np.mean(np.abs(np.diff(values))))
+    change = values[1:] - values[:-1]
+    return float(np.mean(np.abs(change, out=change)))
 
 
 def saturated_share(command: Array, limit: float) -> float:
     """Share of ``command`` (n,) within a millionth of ±``limit``."""
-    return float(np.mean(np.abs(command) >= limit * (1.0 - 1e-6)))
+    return int(np.count_nonzero(np.abs(command) >= limit * (1.0 - 1e-6))) / command.size
+
+
+def share_above(values: Array, bound: float) -> float:
+    """Share of ``values`` (n,) whose absolute value exceeds ``bound``."""
+    return int(np.count_nonzero(np.abs(values) > bound)) / values.size
+
+
+def tracking_figures(
+    time_s: Array,
+    error_rad: Array,
+    command_rad_s: Array,
+    pressure_pa: Array,
+    *,
+    settled_s: float,
+    command_limit_rad_s: float,
+) -> dict[str, float]:
+    """The `TRACKING_FIGURES` of `tracking_metrics` alone; raises what it raises."""
+    if time_s.size < 2:
+        raise ParameterError(
+            f"{time_s.size} samples are too few for metrics: the run must be longer than the "
+            f"sample time"
+        )
+    figures = dict.fromkeys(TRACKING_FIGURES, math.nan)
+    figures["peak_pressure_mpa"] = 1e-6 * peak(pressure_pa)
+    first = int(np.searchsorted(time_s, settled_s - 1e-9))
+    if time_s.size - first > 1:
+        error, command = error_rad[first:], command_rad_s[first:]
+        figures["max_error_deg"] = math.degrees(peak(error))
+        figures["rms_error_deg"] = math.degrees(rms(error))
+        figures["mean_command_change_rpm"] = to_rpm(mean_change(command))
+        figures["saturated_share"] = saturated_share(command, command_limit_rad_s)
+    return figures
 
 
 def tracking_metrics(
@@ -90,35 +138,40 @@ def tracking_metrics(
 
     Raises `ParameterError` for fewer than two samples.
     """
-    if time_s.size < 2:
-        raise ParameterError(
-            f"{time_s.size} samples are too few for metrics: the run must be longer than the "
-            f"sample time"
-        )
-    first = int(np.searchsorted(time_s, settled_s - 1e-9))
-    long_enough = time_s.size - first > 1
-    settled = slice(first if long_enough else 0, None)
-    error = np.degrees(error_rad)
+    figures = tracking_figures(
+        time_s,
+        error_rad,
+        command_rad_s,
+        pressure_pa,
+        settled_s=settled_s,
+        command_limit_rad_s=command_limit_rad_s,
+    )
     power = np.asarray(shaft_power_w)
-
-    def after(value: float) -> float:
-        return value if long_enough else math.nan
-
     return TrackingMetrics(
-        max_error_deg=after(float(np.max(np.abs(error[settled])))),
-        rms_error_deg=after(rms(error[settled])),
-        max_error_overall_deg=float(np.max(np.abs(error))),
-        rms_error_overall_deg=rms(error),
-        mean_command_change_rpm=after(to_rpm(mean_change(command_rad_s[settled]))),
-        saturated_share=after(saturated_share(command_rad_s[settled], command_limit_rad_s)),
-        peak_command_rpm=to_rpm(float(np.max(np.abs(command_rad_s)))),
-        peak_pressure_mpa=1e-6 * float(np.max(np.abs(pressure_pa))),
-        pressure_over_rating_share=float(np.mean(np.abs(pressure_pa) > pressure_rating_pa)),
-        peak_shaft_power_w=float(np.max(np.abs(power))),
-        power_over_rating_share=float(np.mean(np.abs(power) > power_rating_w)),
+        **figures,
+        max_error_overall_deg=math.degrees(peak(error_rad)),
+        rms_error_overall_deg=math.degrees(rms(error_rad)),
+        peak_command_rpm=to_rpm(peak(command_rad_s)),
+        pressure_over_rating_share=share_above(pressure_pa, pressure_rating_pa),
+        peak_shaft_power_w=peak(power),
+        power_over_rating_share=share_above(power, power_rating_w),
         shaft_energy_j=float(np.trapezoid(power, time_s)),
         shaft_energy_delivered_j=float(np.trapezoid(np.maximum(power, 0.0), time_s)),
         hydraulic_energy_j=float(np.trapezoid(hydraulic_power_w, time_s)),
+    )
+
+
+@needs_runs
+def track_figures(scenario: Scenario) -> Steps[dict[str, float]]:
+    """The `TRACKING_FIGURES` of `track`, from a run that logs no more than they need."""
+    run = yield from steps(simulate, scenario, signals=TRACKING_SIGNALS[:4])
+    return tracking_figures(
+        run.time_s,
+        run["knee_reference_rad"] - run["knee_angle_rad"],
+        run["motor_speed_command_rad_s"],
+        run["load_pressure_pa"],
+        settled_s=period_s(scenario),
+        command_limit_rad_s=scenario.command_limit_rad_s,
     )
 
 
@@ -178,18 +231,20 @@ class TrackingResult:
         return ax
 
 
+@needs_runs
 def track(
     scenario: Scenario = Scenario(),
     *,
     all_signals: bool = False,
     progress: Callable[[float], Any] | None = None,
-) -> TrackingResult:
+) -> Steps[TrackingResult]:
     """Simulate a scenario and measure how it tracks.
 
     ``all_signals`` logs every signal, not only those of the metrics. Raises what
     `kneexo.analysis.simulate` raises.
     """
-    run = simulate(scenario, signals=None if all_signals else TRACKING_SIGNALS, progress=progress)
+    signals = None if all_signals else TRACKING_SIGNALS
+    run = yield from steps(simulate, scenario, signals=signals, progress=progress)
     metrics = tracking_metrics(
         run.time_s,
         run["knee_reference_rad"] - run["knee_angle_rad"],

@@ -17,8 +17,9 @@ from scipy.interpolate import CubicSpline
 
 from kneexo import systems
 from kneexo.analysis.bandwidth import rod_of
+from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.simulation import Array, simulate, to_rpm
+from kneexo.analysis.simulation import Array, needs_runs, simulate, to_rpm
 from kneexo.analysis.tracking import TRACKING_SIGNALS, tracking_metrics
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.gait import gait_reference, gait_start_percent
@@ -201,7 +202,8 @@ def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Ar
 # ------------------------------------------------------------------------------ closed loop
 
 
-def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> dict[str, Array]:
+@needs_runs
+def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> Steps[dict[str, Array]]:
     """Closed loop that follows the measured gait: ``time_s`` and signals after the first stride.
 
     Raises `ParameterError` for fewer than two ``cycles``, and what the simulation raises.
@@ -210,21 +212,22 @@ def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> dict
         raise ParameterError(f"cycles = {cycles}: must be >= 2, the first of which is discarded")
     walking = scenario.model_copy(update={"reference": gait_reference(frequency_hz, cycles)})
     walking = changed(walking, {"simulation.duration_s": cycles / frequency_hz})
-    run = simulate(walking, signals=(*TRACKING_SIGNALS, "motor_speed"))
+    run = yield from steps(simulate, walking, signals=(*TRACKING_SIGNALS, "motor_speed"))
     kept = run.time_s >= 1.0 / frequency_hz - 1e-9
     return {"time_s": run.time_s[kept]} | {n: values[kept] for n, values in run.data.items()}
 
 
+@needs_runs
 def walking_metrics(
     scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3
-) -> dict[str, Any]:
+) -> Steps[dict[str, Any]]:
     """How a closed loop walks, after the first stride, as plain numbers by name.
 
     `WALKING_FIGURES`, and ``failure``: a run that fails has nan for each, and one line says why.
     """
     limits, pump = scenario.plant.cylinder, scenario.plant.pump
     try:
-        found = walk(scenario, frequency_hz, cycles)
+        found = yield from steps(walk, scenario, frequency_hz, cycles)
     except KneexoError as error:
         return dict.fromkeys(WALKING_FIGURES, math.nan) | {"failure": str(error)}
     time, power, speed = found["time_s"], found["shaft_power_w"], found["motor_speed_rad_s"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
@@ -11,6 +12,7 @@ from kneexo import linkage, systems
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     KneeLoadParameters,
+    LinkageParameters,
     PlantParameters,
     RodPolynomialParameters,
     SineReference,
@@ -93,6 +95,11 @@ def _rod_map(
     return table_1 if parameters.rod_map == "polynomial" else None
 
 
+@lru_cache(maxsize=64)
+def _rod_extension(link: LinkageParameters, knee_angle_rad: float) -> float:
+    return float(linkage.rod_extension(link, knee_angle_rad))
+
+
 def plant_start(
     parameters: PlantParameters,
     initial_knee_angle_rad: float,
@@ -110,7 +117,7 @@ def plant_start(
     if parameters.rod_map == "polynomial":
         extension = linkage.polynomial(table_1.p_si, initial_knee_angle_rad)
     else:
-        extension = float(linkage.rod_extension(parameters.linkage, initial_knee_angle_rad))
+        extension = _rod_extension(parameters.linkage, initial_knee_angle_rad)
     extension += initial_offset_m
     if not 0.0 <= extension <= parameters.cylinder.stroke_m:
         raise ParameterError(

@@ -11,13 +11,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_origin
+from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kneexo import linkage
 from kneexo.compilation.equations import Equations, Node, read_equations
@@ -33,6 +35,7 @@ from kneexo.diagrams.closed_loop import (
     make_closed_loop,
 )
 from kneexo.diagrams.plant import plant_start, start_pressures_pa
+from kneexo.errors import KneexoError
 from kneexo.parameters import (
     KneeLoadParameters,
     ObserverParameters,
@@ -40,7 +43,7 @@ from kneexo.parameters import (
     Scenario,
     SlidingModeParameters,
 )
-from kneexo.quantity import Parameters
+from kneexo.quantity import Parameters, models_of
 from kneexo.systems import (
     bldc_pump,
     four_bar_knee,
@@ -69,26 +72,50 @@ _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into consta
 # ------------------------------------------------------------------------------ structure
 
 
-def structure(parameters: Parameters) -> dict[str, Any]:
+def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
     """What parameters say about the form of the equations: all but plain numbers.
 
     Whole numbers (counts, delays, branches) belong to it, and so do sample times.
     """
-    kept: dict[str, Any] = {}
-    for name in type(parameters).model_fields:
-        value = getattr(parameters, name)
-        if isinstance(value, Parameters):
-            kept[name] = structure(value)
-        elif name in _BAKED_IN or not isinstance(value, float | tuple):
-            kept[name] = value
-    return kept
+    kept: list[tuple[str, Any]] = []
+    values = vars(parameters)
+    for name, nested in _structural_fields(type(parameters)):
+        value = values[name]
+        if nested and value is not None:
+            kept.append((name, structure(value)))
+        elif name in _BAKED_IN or not isinstance(value, float):
+            kept.append((name, value))
+    return tuple(kept)
+
+
+@cache
+def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
+    """The fields of a class that may hold more than numbers, and whether they hold parameters."""
+
+    def structural(annotation: Any) -> bool:
+        if isinstance(annotation, type) and issubclass(annotation, Parameters):
+            return bool(_structural_fields(annotation))
+        return annotation is not float and get_origin(annotation) is not tuple
+
+    return tuple(
+        (name, bool(models_of(field)))
+        for name, field in kind.model_fields.items()
+        if name in _BAKED_IN or structural(field.annotation)
+    )
 
 
 def structure_key(scenario: Scenario) -> str:
     """Text that is equal for scenarios whose closed loops differ in parameters only."""
-    kept = structure(scenario) | {"nominal": structure(scenario.believed_plant)}
-    del kept["simulation"]  # says how to run, not what
-    return json.dumps([kept, _fingerprint()], sort_keys=True)
+    kept = dict(structure(scenario))
+    if scenario.nominal is None:
+        kept["nominal"] = kept["plant"]
+    kept.pop("simulation", None)  # says how to run, not what
+    return _key(tuple(kept.items()))
+
+
+@lru_cache
+def _key(kept: tuple[Any, ...]) -> str:
+    return json.dumps([kept, _fingerprint()])
 
 
 @cache
@@ -112,18 +139,30 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
 
     Its parameters, state and inputs come from `scenario_run`.
     """
-    key = structure_key(scenario)
+    return _model(structure_key(scenario), scenario)
 
-    def context_at(parameters: Array) -> tuple[Node, Any]:
-        root = Node(_diagram(key, scenario))
-        context = root.system.CreateDefaultContext()
-        set_parameters(root, context, parameters)
-        return root, context
 
-    return CompiledModel(MachineCode(key, partial(_equations, key, scenario)), context_at)
+def _model(key: str, scenario: Scenario) -> CompiledModel:
+    with _lock:
+        if key not in _models:
+            # A diagram that cannot be built says so now, not where its equations are needed.
+            _require_reference_in_range(scenario)
+            scenario_values(scenario)
+            scenario_start(scenario)
+
+            def context_at(parameters: Array) -> tuple[Node, Any]:
+                root = Node(_diagram(key, scenario))
+                context = root.system.CreateDefaultContext()
+                set_parameters(root, context, parameters)
+                return root, context
+
+            code = MachineCode(key, partial(_equations, key, scenario))
+            _models[key] = CompiledModel(code, context_at)
+        return _models[key]
 
 
 _lock = RLock()  # threads may run scenarios of one structure
+_models: dict[str, CompiledModel] = {}
 _diagrams: dict[str, Any] = {}
 
 
@@ -145,6 +184,26 @@ def _equations(key: str, scenario: Scenario) -> Equations:
 
 def scenario_values(scenario: Scenario) -> dict[str, float]:
     """Every Context parameter of the closed loop, by its name in the compiled model."""
+    return {
+        f"{path}{name}": value for path, named in _values(scenario) for name, value in named.items()
+    }
+
+
+def _parameters(scenario: Scenario, model: CompiledModel) -> Array:
+    """`scenario_values` in the order of the model's parameters."""
+    groups = [named.values() for _, named in _values(scenario)]
+    values = np.array([value for group in groups for value in group], dtype=float)
+    if model not in _orders:  # a model has one structure, and so one order of the values
+        place = {name: n for n, name in enumerate(scenario_values(scenario))}
+        _orders[model] = np.array([place[name] for name in model.parameter_names], dtype=np.intp)
+    return np.asarray(values[_orders[model]])
+
+
+_orders: WeakKeyDictionary[CompiledModel, NDArray[np.intp]] = WeakKeyDictionary()
+
+
+def _values(scenario: Scenario) -> list[tuple[str, dict[str, float]]]:
+    """Values by name, for each prefix of names."""
     plant, believed = scenario.plant, scenario.believed_plant
     table_1 = scenario.polynomial if plant.rod_map == "polynomial" else None
     fit = linkage.fit_rod_inverse(plant.linkage, table_1)
@@ -166,9 +225,9 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
         )
     if isinstance(plant.load, KneeLoadParameters):
         systems["plant/load"] = knee_load.context_values(plant.load)
-    law = scenario.controller.model_copy(
-        update={"command_limit_rad_s": scenario.command_limit_rad_s}
-    )
+    law, limit = scenario.controller, scenario.command_limit_rad_s
+    if limit != law.command_limit_rad_s:
+        law = law.model_copy(update={"command_limit_rad_s": limit})
     if isinstance(law, SlidingModeParameters):
         systems["controller"] = sliding_mode_controller.context_values(law, believed)
     else:
@@ -178,14 +237,18 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
     if not isinstance(scenario.reference, SampledReference):
         systems["reference"] = knee_reference.context_values(scenario.reference)
 
-    values = {
-        f"{path}.{name}": value for path, named in systems.items() for name, value in named.items()
-    }
-    for group, fitted in enumerate((fit.knee_angle, fit.encoder_angle, fit.moment_arm), 1):
-        values |= {f"plant/knee.{group}[{i}]": value for i, value in enumerate(fitted)}
-    values["encoder_phase.0[0]"] = -scenario.encoder.phase_rad
-    values["encoder.0[0]"] = 0.0  # Drake's calibration offset
-    return values
+    fitted = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
+    return [
+        *((f"{path}.", named) for path, named in systems.items()),
+        *(("plant/knee.", _numbered(group, values)) for group, values in enumerate(fitted, 1)),
+        # The second is Drake's calibration offset.
+        ("", {"encoder_phase.0[0]": -scenario.encoder.phase_rad, "encoder.0[0]": 0.0}),
+    ]
+
+
+@lru_cache(maxsize=64)
+def _numbered(group: int, values: tuple[float, ...]) -> dict[str, float]:
+    return {f"{group}[{i}]": value for i, value in enumerate(values)}
 
 
 def scenario_start(scenario: Scenario) -> dict[str, float]:
@@ -205,9 +268,18 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
     }
 
 
+_NO_INPUTS = InputTable()
+
+
+@lru_cache(maxsize=64)
 def reference_table(reference: SampledReference) -> InputTable:
     """The spline of a sampled reference and its derivatives; constant before and after."""
     return input_table(knee_reference.sampled_spline(reference), derivatives=3)
+
+
+def _require_reference_in_range(scenario: Scenario) -> None:
+    reached = knee_reference.reference_range_deg(scenario.reference)
+    scenario.plant.knee.require_in_range(*reached)
 
 
 def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:
@@ -216,14 +288,13 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     Raises `ParameterError` and `LinkageError` as `make_closed_loop` does.
     """
     reference = scenario.reference
-    scenario.plant.knee.require_in_range(*knee_reference.reference_range_deg(reference))
-    values, start = scenario_values(scenario), scenario_start(scenario)
-    parameters = np.array([values[name] for name in model.parameter_names])
+    _require_reference_in_range(scenario)
+    parameters, start = _parameters(scenario, model), scenario_start(scenario)
     state = State(
         np.array([start.get(name, 0.0) for name in model.state_names]),
         np.zeros(len(model.held_names)),
     )
-    inputs = reference_table(reference) if isinstance(reference, SampledReference) else InputTable()
+    inputs = reference_table(reference) if isinstance(reference, SampledReference) else _NO_INPUTS
     return parameters, model.initialized(parameters, state, inputs), inputs
 
 
@@ -256,24 +327,58 @@ def simulate_compiled(
     ParameterError, LinkageError
         As `kneexo.diagrams.make_closed_loop`.
     """
+    (result,) = simulate_together([scenario], signals, integrator, step_s, tolerance)
+    if isinstance(result, KneexoError):
+        raise result
+    return result
+
+
+def simulate_together(
+    scenarios: Sequence[Scenario],
+    signals: Sequence[str] | None = None,
+    integrator: str = "exact_hold",
+    step_s: float = STEP_S,
+    tolerance: float = TOLERANCE,
+) -> list[Run | KneexoError]:
+    """`simulate_compiled` for scenarios of one structure: each one's run, or why it failed."""
     from kneexo.analysis.simulation import Run
 
-    names = chosen_signals(scenario, signals)
-    model = compile_scenario(scenario)
-    parameters, state, inputs = scenario_run(scenario, model)
-    result = model.simulate(
+    results: list[Any] = []
+    ready = {}
+    model = None
+    for index, scenario in enumerate(scenarios):
+        try:
+            if model is None:
+                names = chosen_signals(scenario, signals)
+                model = compile_scenario(scenario)
+            ready[index] = scenario_run(scenario, model)
+            results.append(None)
+        except KneexoError as error:
+            results.append(error)
+    if model is None or not ready:
+        return results
+    parameters, states, inputs = zip(*ready.values(), strict=True)
+    found = model.simulate_batch(
         parameters,
-        state,
-        scenario.simulation.duration_s,
+        states,
+        [scenarios[index].simulation.duration_s for index in ready],
+        inputs=inputs,
         outputs=names,
-        record_period_s=scenario.controller.sample_time_s,
+        record_period_s=scenarios[0].controller.sample_time_s,
         integrator=integrator,
         step_s=step_s,
         tolerance=tolerance,
-        inputs=inputs,
+        failures="return",
+        threads=1,
     )
-    data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
-    settings = scenario.simulation.model_copy(
-        update={"integrator": integrator, "step_s": step_s, "error_controlled": False}
-    )
-    return Run(result.time_s, dict(zip(columns(names), data, strict=True)), settings)
+    how = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
+    labels = columns(names)
+    for index, result in zip(ready, found, strict=True):
+        if not isinstance(result, KneexoError):
+            data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
+            settings = scenarios[index].simulation
+            if any(getattr(settings, name) != value for name, value in how.items()):
+                settings = settings.model_copy(update=how)
+            result = Run(result.time_s, dict(zip(labels, data, strict=True)), settings)
+        results[index] = result
+    return results

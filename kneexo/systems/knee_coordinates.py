@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import pydrake.math as drake_math
@@ -33,6 +34,7 @@ def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
 _COEFFICIENTS = ("p_1", "p_2", "p_3", "p_4", "p_5", "p_6")
 
 
+@lru_cache(maxsize=64)
 def rod_polynomial_values(table_1: RodPolynomialParameters) -> dict[str, float]:
     """Context parameters of `RodReference`: Eq. 10 in SI."""
     return dict(zip(_COEFFICIENTS, table_1.p_si, strict=True))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -201,6 +202,7 @@ def make_knee_reference(
     )
 
 
+@lru_cache(maxsize=64)
 def sampled_spline(parameters: SampledReference) -> Any:
     """Drake's cubic spline through the samples, in rad."""
     return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
@@ -208,6 +210,7 @@ def sampled_spline(parameters: SampledReference) -> Any:
     )
 
 
+@lru_cache(maxsize=64)
 def start_angle_rad(
     parameters: SineReference | StepReference | RampReference | SampledReference,
 ) -> float:
@@ -218,6 +221,7 @@ def start_angle_rad(
     return float(evaluate(0.0, SimpleNamespace(**context_values(parameters)))[0])
 
 
+@lru_cache(maxsize=64)
 def reference_range_deg(
     parameters: SineReference | StepReference | RampReference | SampledReference,
 ) -> tuple[float, float]:

@@ -2,6 +2,7 @@ import json
 import math
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 
 import pytest
 from hypothesis import given
@@ -107,3 +108,41 @@ def test_a_file_that_cannot_be_written_is_one_line(tmp_path):
         Checkpoint(tmp_path / "no" / "sweep.jsonl").keep("a", 1)
     with pytest.raises(OutputError, match="checkpoint"):
         Checkpoint(tmp_path)
+
+
+def test_a_full_disk_is_one_line(tmp_path):
+    path = tmp_path / "sweep.jsonl"
+    checkpoint = Checkpoint(path)
+    path.symlink_to("/dev/full")
+    for _ in range(2):
+        with pytest.raises(OutputError, match="No space left on device") as caught:
+            checkpoint.keep("a", 1)
+        assert "\n" not in str(caught.value)
+
+
+def test_many_pieces_are_kept_while_the_file_is_open(tmp_path):
+    path = tmp_path / "sweep.jsonl"
+    checkpoint = Checkpoint(path)
+    for n in range(3):
+        checkpoint.keep(f"{n}", n)
+        assert len(Checkpoint(path, resume=True)) == n + 1
+    checkpoint.remove()
+    checkpoint.keep("again", 1)
+    assert len(Checkpoint(path, resume=True)) == 1
+
+
+def test_keys_tell_apart_what_json_does_not_know():
+    tried = [
+        {"a": 1.0},
+        {"a": 1.5},
+        MappingProxyType({"a": 2.0}),
+        [Scenario(), {"a": 1.0}],
+        [Scenario(can_delay_samples=1), {"a": 1.0}],
+        partial(square, 1.0),
+        partial(square, 2.0),
+        square,
+        math.nextafter(1.5, 2.0),
+        None,
+    ]
+    assert len(set(piece_keys(square, tried))) == len(tried)
+    assert piece_keys(square, [{"a": 1.0, "b": 2.0}]) == piece_keys(square, [{"b": 2.0, "a": 1.0}])

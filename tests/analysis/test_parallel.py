@@ -12,13 +12,15 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
+from functools import partial
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kneexo.analysis import parallel, parallel_map
-from kneexo.analysis.checkpoint import Checkpoint
+from kneexo.analysis.checkpoint import Checkpoint, piece_keys
+from kneexo.analysis.coroutines import coroutine, steps
 from kneexo.errors import WorkerError
 
 
@@ -147,6 +149,94 @@ def test_no_more_is_submitted_than_the_workers_need():
     executor = Held(workers=3)
     assert parallel_map(abs, list(range(-200, 0)), executor=executor) == list(range(200, 0, -1))
     assert 3 <= executor.most <= 12
+
+
+# ------------------------------------------------------------------------------ coroutines
+
+
+def nothing(requests):
+    """An answer to each request: itself."""
+    BATCHES.append(len(requests))
+    yield from requests.items()
+
+
+BATCHES: list[int] = []
+
+
+@pytest.fixture
+def batches():
+    """How many calls went on together, each time."""
+    BATCHES.clear()
+    return BATCHES
+
+
+@coroutine(nothing)
+def square(item):
+    """Asks as often as the last digit says."""
+    total = 0
+    for _ in range(item % 10):
+        total += yield item
+    return item * item + 0 * total
+
+
+@coroutine(nothing)
+def square_below(limit, item):
+    if item >= limit:
+        raise ValueError(f"{item} is too much")
+    return (yield from steps(square, item))
+
+
+@pytest.mark.parametrize("workers", [1, 2, None])
+def test_calls_go_on_together_with_the_results_of_each_alone(batches, workers):
+    items = list(range(700))
+    expected = [n * n for n in items]
+    if workers is None:
+        assert parallel_map(square, items, executor=AtOnce()) == expected
+    else:
+        assert parallel_map(square, items, workers=workers) == expected
+    if workers == 1:
+        assert 64 < max(batches) <= 256
+
+
+@pytest.mark.parametrize("unit_s", [0.0, 0.5])
+def test_units_of_calls_grow_as_others_do(batches, monkeypatch, unit_s):
+    monkeypatch.setattr(parallel, "UNIT_S", unit_s)
+    executor = AtOnce()
+    executor._max_workers = 2
+    items = list(range(1, 1800, 10))
+    assert parallel_map(square, items, executor=executor) == [n * n for n in items]
+    # Eight units of eight are under way at first.
+    assert executor.units[:8] == [8] * 8
+    assert (executor.units[8] == 8) == (unit_s == 0.0)
+
+
+def test_few_calls_are_shared_by_all_workers(batches):
+    executor = AtOnce()
+    executor._max_workers = 8
+    parallel_map(square, list(range(27)), executor=executor)
+    assert executor.units == [1] * 27
+
+
+def test_what_ended_before_an_error_is_kept(tmp_path, batches):
+    path = tmp_path / "checkpoint.jsonl"
+    items = list(range(40))
+    with pytest.raises(ValueError, match="33 is too much"):
+        parallel_map(partial(square_below, 33), items, checkpoint=Checkpoint(path))
+    keys = piece_keys(partial(square_below, 33), items)
+    kept = Checkpoint(path, resume=True)
+    assert [key in kept for key in keys] == [True] * 33 + [False] * 7
+    with pytest.raises(ValueError, match="33 is too much"):
+        parallel_map(partial(square_below, 33), items, executor=AtOnce(), checkpoint=kept)
+
+
+def test_what_is_kept_is_not_asked_for_again(tmp_path, batches):
+    path = tmp_path / "checkpoint.jsonl"
+    items = list(range(40))
+    parallel_map(square, items[10:20], checkpoint=Checkpoint(path))
+    batches.clear()
+    found = parallel_map(square, items, checkpoint=Checkpoint(path, resume=True))
+    assert found == [n * n for n in items]
+    assert sum(batches) == 3 * 45  # 0 + 1 + … + 9 for each ten but one
 
 
 # -------------------------------------------------------------------------- errors, deaths

@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import re
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial, reduce
 
 import matplotlib.pyplot as plt
@@ -16,12 +17,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import spearmanr
 
+from kneexo.analysis import parallel, parallel_map, simulation
 from kneexo.analysis import robustness as module
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.checkpoint import Checkpoint
 from kneexo.analysis.robustness import (
     MERITS,
     Visit,
+    assess_plant,
     draw,
     failures,
     quantile,
@@ -526,6 +529,57 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     resumed = run(checkpoint=Checkpoint(path, resume=True))
     assert len(calls) == total - 5
     assert to_json(resumed.results()) == to_json(whole.results())
+
+
+# ------------------------------------------------------------- the same, however it is run
+
+BLIND = changed(Scenario(), {"plant.knee.flexion_max_deg": 70.0, "simulation.duration_s": 6.0})
+MISMOUNTED = uncertain(
+    plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
+    encoder__mounting_error_rad={"low": -0.02, "high": 0.02},
+    can_delay_samples={"options": (0, 1)},
+    plant__cylinder__rod_diameter_m={"low": 0.010, "high": 0.0205},
+)
+
+
+@pytest.fixture(scope="module")
+def one_by_one():
+    """Some plants, how to judge them, and the figures of each alone; some fail."""
+    judge = partial(assess_plant, BLIND, MISMOUNTED, partial(assess, margins=False))
+    points = draw(MISMOUNTED, 40, 3)
+    found = [judge(point) for point in points]
+    reasons = [figures["tracking_failure"] for figures in found]
+    assert sum("left the range of motion" in reason for reason in reasons) >= 3
+    assert sum("must be below bore_m" in reason for reason in reasons) >= 1
+    assert sum(not reason for reason in reasons) >= 10
+    return judge, points, repr(found)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_plants_figures_do_not_depend_on_the_workers(one_by_one, workers):
+    judge, points, expected = one_by_one
+    assert repr(parallel_map(judge, points, workers=workers)) == expected
+
+
+@pytest.mark.parametrize(("first", "lot", "batch"), [(1, 1, 1), (8, 256, 3), (40, 7, 64)])
+def test_a_plants_figures_do_not_depend_on_its_company(one_by_one, monkeypatch, first, lot, batch):
+    judge, points, expected = one_by_one
+    monkeypatch.setattr(parallel, "_first_unit", lambda *_: first)
+    monkeypatch.setattr(parallel, "LARGEST_LOT", lot)
+    monkeypatch.setattr(simulation, "LARGEST_BATCH", batch)
+    assert repr(parallel_map(judge, points)) == expected
+    with ThreadPoolExecutor(2) as executor:
+        assert repr(parallel_map(judge, points, executor=executor)) == expected
+    assert repr(parallel_map(judge, points[::-1])[::-1]) == expected
+
+
+def test_a_plants_figures_do_not_depend_on_where_the_study_went_on(one_by_one, tmp_path):
+    judge, points, expected = one_by_one
+    path = tmp_path / "checkpoint.jsonl"
+    parallel_map(judge, points[5:18], checkpoint=Checkpoint(path))
+    resumed = Checkpoint(path, resume=True)
+    assert len(resumed) == 13
+    assert repr(parallel_map(judge, points, checkpoint=resumed)) == expected
 
 
 def test_a_reference_that_does_not_move_has_no_bandwidth(formula):

@@ -280,6 +280,12 @@ def test_a_batch_is_its_runs_one_by_one(default):
     )
     assert kept == [run.final.continuous[1] for run in batch]
     assert model.simulate_batch(rows[:0], state, 0.1) == []
+    durations = [0.02, 0.1, 0.0, 0.05, 0.1]
+    for run, expected, duration in zip(
+        model.simulate_batch(rows, state, durations), alone, durations, strict=True
+    ):
+        assert run.time_s[-1] == pytest.approx(duration)
+        np.testing.assert_array_equal(run["rod_velocity"], expected[: run.time_s.size])
 
 
 def test_a_batch_over_references(multirate):
@@ -311,6 +317,8 @@ def test_failures_of_a_batch_are_raised_or_returned(default):
         model.simulate_batch(rows, states, 0.1, failures="ignore")
     with pytest.raises(ValueError, match="states: has 3 for 2 runs"):
         model.simulate_batch(rows[:2], states, 0.1)
+    with pytest.raises(ValueError, match="duration_s: has 2 for 3 runs"):
+        model.simulate_batch(rows, states, [0.1, 0.1])
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -16,6 +16,7 @@ from kneexo.diagrams import SIGNALS, make_closed_loop
 from kneexo.errors import LinkageError, ParameterError
 from kneexo.parameters import (
     G1,
+    G3,
     IDEAL_SMC,
     PID_FEEDFORWARD,
     PID_TUNED,
@@ -229,6 +230,25 @@ def test_no_quantity_is_baked_into_the_equations(case):
         for scenario in (base, other)
     ]
     assert keys[0] == keys[1]
+
+
+@pytest.mark.parametrize("case", EVERYTHING)
+def test_the_parameter_vector_is_in_the_models_order(case):
+    class Model:
+        parameter_names = tuple(sorted(scenario_values(EVERYTHING[case])))
+
+    base, model = EVERYTHING[case], Model()
+    heavy = changed(base, ("plant", "cylinder", "mass_kg"), 1.9)
+    for scenario in (base, heavy, changed(heavy, ("plant", "linkage"), G3), base):
+        expected = [scenario_values(scenario)[name] for name in Model.parameter_names]
+        assert compiled._parameters(scenario, model).tolist() == expected
+
+
+def test_the_believed_plant_is_part_of_the_structure():
+    base = Scenario()
+    assert structure_key(base) == structure_key(Scenario(nominal=base.plant))
+    other = Scenario(nominal=PlantParameters(linkage=G3))
+    assert structure_key(other) != structure_key(base)
 
 
 def test_choices_change_the_structure():
