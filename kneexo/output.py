@@ -84,5 +84,5 @@ def write_csv(path: Path, run: Run) -> None:
 def save_figure(directory: Path, name: str, figure: Figure) -> None:
     """Write a figure as PNG and PDF, without dates, so that equal figures are equal files."""
     figure.savefig(directory / f"{name}.png", dpi=150)
-    figure.set_layout_engine("none")  # done: each drawing would do it again
+    figure.set_layout_engine(None)  # done: with an engine each file is drawn twice
     figure.savefig(directory / f"{name}.pdf", metadata={"CreationDate": None})

@@ -45,6 +45,17 @@ def test_the_python_example_runs_in_an_empty_directory(tmp_path):
     assert (tmp_path / "tracking.png").stat().st_size > 10_000
 
 
+def test_the_example_of_a_users_diagram_runs():
+    code = block("python", (ROOT / "docs/compile_your_diagram.md").read_text(encoding="utf-8"))
+    command = [sys.executable, "-c", code.replace("10_000", "100")]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    names, shapes, largest = done.stdout.splitlines()
+    assert "pendulum.mass" in names
+    assert shapes == "(501,) (501, 2)"
+    low, high = (float(value) for value in largest.removesuffix(" rad").split(" … "))
+    assert 1.0 < low < high < 3.0
+
+
 @pytest.mark.slow
 def test_the_example_of_the_engine_runs():
     code = block("python", (ROOT / "docs/engine.md").read_text(encoding="utf-8"))

@@ -8,7 +8,7 @@ The equations are written once, in the leaf systems. A diagram passes through th
   several; `integrators`, `exact_hold` and `time_loop` put the run around them;
 - `native` makes machine code of the text, `cache` keeps it on disk, `machine_code` joins both;
 - `runner` is one run, `model` what a user sees, `compiled_system` the way back into Drake, and
-  `input_table` what open inputs follow.
+  `trajectories` makes what open inputs follow.
 """
 
 from importlib import import_module
@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from kneexo.compilation.cache import cache_directory
-    from kneexo.compilation.input_table import input_table, stack_tables
     from kneexo.compilation.model import (
         CompiledModel,
         DiagramModel,
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
         compile_diagram,
     )
     from kneexo.compilation.runner import InputTable, State
+    from kneexo.compilation.trajectories import input_table, stack_tables
 
 __all__ = [
     "CompiledModel",
@@ -45,8 +45,8 @@ _MODULE_OF = {
     "State": "runner",
     "cache_directory": "cache",
     "compile_diagram": "model",
-    "input_table": "input_table",
-    "stack_tables": "input_table",
+    "input_table": "trajectories",
+    "stack_tables": "trajectories",
 }
 
 if not TYPE_CHECKING:  # mypy accepts every name of a module with a visible __getattr__

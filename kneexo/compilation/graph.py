@@ -61,7 +61,8 @@ class Graph:
         return self._node(name, *arguments)
 
     def _node(self, *operation: Any) -> int:
-        number = self._known.setdefault(operation, len(self.nodes))
+        key = ("constant", str(operation[1])) if operation == ("constant", 0.0) else operation
+        number = self._known.setdefault(key, len(self.nodes))  # 0.0 equals -0.0
         if number == len(self.nodes):
             self.nodes.append(operation)
             of = (self.depends[argument] for argument in self.arguments(number))
@@ -167,7 +168,7 @@ class Graph:
     def power(self, base: int, exponent: int) -> int:
         """The power; small whole exponents become products."""
         value = self.value(exponent)
-        if value is not None and value == int(value) and 0 <= value <= _LARGEST_POWER:
+        if value is not None and value.is_integer() and 0 <= value <= _LARGEST_POWER:
             return self.multiply(*[base] * int(value))
         return self._node("power", base, exponent)
 

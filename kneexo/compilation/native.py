@@ -95,5 +95,6 @@ class Library:
             address = self._engine.get_function_address(name)
             assert address, name
             made = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
+            made.library = self  # type: ignore[attr-defined]  # its code goes with it
             self._functions[name] = made
         return self._functions[name]

@@ -109,6 +109,8 @@ class Program:
         self.hoisted = self._hoisted()
         """Nodes that depend on parameters alone, with their number among the constants."""
         self.memos = self._memos()
+        self.deciding = _deciding(graph, graph.reachable(self._roots()))
+        """Nodes that are compared or rounded to a whole number, and what is behind them."""
 
     @property
     def layout(self) -> Layout:
@@ -155,16 +157,21 @@ class Program:
             for group in groups
         ]
 
+    def _roots(self) -> list[int]:
+        elements = [node for _, node in self.jacobian]
+        return [*self.derivatives, *self.initial_held, *self.instant, *elements]
+
     def _hoisted(self) -> dict[int, int]:
-        graph = self.graph
-        roots = [*self.derivatives, *self.initial_held, *self.instant]
-        roots += [node for _, node in self.jacobian]
+        graph, roots = self.graph, self._roots()
         used = set(roots)
-        for node in graph.reachable(roots):
-            if not graph.is_fixed(node):
+        fixed = []  # numbers: a condition is computed where it is used
+        for node in reversed(graph.reachable(roots)):
+            condition = graph.nodes[node][0] in _CONDITIONS
+            if not graph.is_fixed(node) or (node in used and condition):
                 used.update(graph.arguments(node))
-        fixed = sorted(n for n in used if graph.is_fixed(n) and graph.value(n) is None)
-        return {node: number for number, node in enumerate(fixed)}
+            elif node in used and graph.value(node) is None:
+                fixed.append(node)
+        return {node: number for number, node in enumerate(reversed(fixed))}
 
     def _memos(self) -> tuple[Memo, ...]:
         """Nodes of an instant that one rounded value decides, and that cost more than a look-up.
@@ -306,11 +313,11 @@ class _Regrouping:
 
 
 def _deciding(graph: Graph, nodes: Iterable[int]) -> set[int]:
-    """Nodes that are compared or rounded to a whole number, with the sums behind them."""
+    """Nodes that are compared or rounded to a whole number, and the exact operations behind."""
     kept: set[int] = set()
     for node in sorted(nodes, reverse=True):
         kind = graph.nodes[node][0]
-        simple = kind in ("add", "multiply", "min", "max", "abs")
-        if kind in COMPARISONS or kind in _ROUNDINGS or (node in kept and simple):
+        exact = kind in ("add", "multiply", "divide", "sqrt", "min", "max", "abs", "where")
+        if kind in COMPARISONS or kind in _ROUNDINGS or (node in kept and exact):
             kept.update(graph.arguments(node))
     return kept

@@ -31,7 +31,7 @@ Load = Callable[[str, int], Operand]
 _LIBRARY = {"power": "pow"}  # of the C library, where its name is another one
 _EXACT = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "abs": "absolute"}
 _CHOICES = {"min": "minimum", "max": "maximum"}
-_OWN = ("acos", "atan2")
+_OWN = ("acos", "asin", "atan", "atan2", "exp", "log")
 
 
 class Printer:
@@ -102,7 +102,7 @@ class Printer:
             node
             for node, kinds in users.items()
             if kinds == ["add"] and self._operation(node) == "multiply"
-        }
+        } - self.program.deciding
         values: dict[int, Operand] = {}
         shared = sorted(n for n, numbers in needed.items() if len(numbers) > 1 or -1 in numbers)
         self._compute(shared, values, fused)
@@ -204,7 +204,8 @@ class Printer:
         for term in terms:
             if term not in fused:
                 continue
-            sign, (*most, last) = self._factors(term, values)
+            sign, factors = self._factors(term, values)
+            *most, last = factors or [1.0]
             if most:
                 first = self._product(most)
                 first = first if sign > 0 else -first
@@ -245,20 +246,20 @@ class Printer:
         assert isinstance(count, Value)
         lanes, width = count.type.lanes, len(memo.nodes)
         tags, kept = self.memory[2 * number], self.memory[2 * number + 1]
-        whole = count + 0.0  # one zero
-        small = f.absolute(whole) < 2.0**31
-        index = f.to_int(f.select(small, whole, 0.0)) & (MEMO_LINES - 1)
+        small = f.absolute(count) < 2.0**31
+        index = f.to_int(f.select(small, count, 0.0)) & (MEMO_LINES - 1)
         place = index * lanes + f.lane_numbers(lanes)
         places = [f.lane(place, lane) for lane in range(lanes)]
         tag = f.gathered(lanes, lambda lane: tags[places[lane]])
         first = [place * width for place in places]
-        with f.when(f.any_lane(~tag.equals(whole))):
-            inner = Printer(f, self.program, self.load, given={memo.count: whole})
+        known = tag.equals(count) & f.bits(tag).equals(f.bits(count))  # 0 is not -0
+        with f.when(f.any_lane(~known)):
+            inner = Printer(f, self.program, self.load, given={memo.count: count})
             for lane in range(lanes):
-                tags[places[lane]] = f.lane(whole, lane)
+                tags[places[lane]] = f.lane(count, lane)
 
             def keep(at: Place, value: Operand) -> None:
-                value = f.coerce(value, whole.type)
+                value = f.coerce(value, count.type)
                 for lane in range(lanes):
                     kept[first[lane] + at[1]] = f.lane(value, lane)
 

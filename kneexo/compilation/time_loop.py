@@ -383,8 +383,10 @@ class _Run:
                 record = a.array("record", DOUBLE)
                 model.record(columns, a["column_count"], record, a["rows"], row.get())
                 row.set(row.get() + 1)
+            # Alone, a run looks at its last instant only to record.
+            looking = now.running | (now.present & recording)
             for which, margin in margins.items():
-                self._fail(now.present & ~(margin >= 0.0), OUTSIDE, now.number, which)
+                self._fail(looking & ~(margin >= 0.0), OUTSIDE, now.number, which)
             running = now.running & self.alive.get()
             with f.when(firing & f.any_lane(running)):
                 for i in f.each(model.held):

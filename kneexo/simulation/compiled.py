@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from kneexo import linkage
 from kneexo.compilation.equations import Equations, Node, read_equations
-from kneexo.compilation.input_table import input_table
 from kneexo.compilation.machine_code import MachineCode
 from kneexo.compilation.model import CompiledModel, set_parameters
 from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, State
+from kneexo.compilation.trajectories import input_table
 from kneexo.diagrams.closed_loop import (
     SIGNALS,
     chosen_signals,

@@ -1,9 +1,16 @@
-"""Shared by the tests of compilation: IR text as functions, and a diagram."""
+"""Shared by the tests of compilation: IR text as functions, an interpreter, and a diagram."""
 
 import ctypes
+import math
+from collections import Counter
+from fractions import Fraction
+from functools import reduce
+from types import SimpleNamespace
 
 import llvmlite.binding as llvm
+import numpy as np
 import pytest
+from hypothesis import strategies as st
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     Gain,
@@ -13,6 +20,279 @@ from pydrake.systems.primitives import (
     Sine,
     ZeroOrderHold,
 )
+
+from kneexo.compilation.graph import COMPARISONS, SOURCES, UNARY, Graph
+from kneexo.compilation.ir import BYTE, DOUBLE, POINTER, Array, Module
+from kneexo.compilation.native import Library, compile_text
+from kneexo.compilation.passes import ALWAYS, Group
+from kneexo.compilation.printer import MEMO_LINES, Printer, sources
+
+# ------------------------------------------------------------------------- the interpreter
+
+_OPERATIONS = {
+    "add": lambda *a: reduce(np.add, a),
+    "multiply": lambda *a: reduce(np.multiply, a),
+    "divide": np.divide,
+    "power": np.power,
+    "atan2": np.arctan2,
+    "min": lambda a, b: np.where(b < a, b, a),
+    "max": lambda a, b: np.where(a < b, b, a),
+    "where": np.where,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+    "lt": np.less,
+    "le": np.less_equal,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "and": lambda *a: reduce(np.logical_and, a),
+    "or": lambda *a: reduce(np.logical_or, a),
+    "not": np.logical_not,
+} | {
+    name: getattr(
+        np, name.replace("asin", "arcsin").replace("acos", "arccos").replace("atan", "arctan")
+    )
+    for name in UNARY
+}
+
+
+def _interpreted(graph, roots, *, operations=(), number=np.float64, **values_of):
+    """Values of nodes, computed node by node.
+
+    ``values_of``: elements of each kind of source. ``operations`` and ``number``, of a constant,
+    may be those of another arithmetic.
+    """
+    functions = _OPERATIONS | dict(operations)
+    values = {}
+    with np.errstate(all="ignore"):
+        for node in graph.reachable(roots):
+            kind, *arguments = graph.nodes[node]
+            if kind == "constant":
+                values[node] = number(arguments[0])
+            elif kind in SOURCES:
+                values[node] = values_of[kind][arguments[0]]
+            else:
+                values[node] = functions[kind](*(values[argument] for argument in arguments))
+    return [values[root] for root in roots]
+
+
+def _fma(a, b, c):
+    if not all(map(math.isfinite, (a, b, c))):
+        return c if math.isinf(c) and math.isfinite(a) and math.isfinite(b) else a * b + c
+    total = Fraction(a) * Fraction(b) + Fraction(c)
+    if not total:
+        return a * b + c
+    try:
+        return float(total)
+    except OverflowError:
+        return math.copysign(math.inf, total)
+
+
+def _fused(graph, roots):
+    """A graph and its roots where sums absorb their products, by the operation ``fma``.
+
+    A product that a single sum uses alone is added last, its last factor fused; a factor of -1 is
+    the sign of the others.
+    """
+    nodes = graph.reachable(roots)
+    uses = Counter(argument for node in nodes for argument in graph.arguments(node))
+    uses.update(roots)
+    result, new = Graph(), {}
+
+    def fusible(node):
+        return graph.nodes[node][0] == "multiply" and uses[node] == 1
+
+    def signed_factors(node):
+        factors = graph.arguments(node)
+        negative = sum(graph.value(factor) == -1.0 for factor in factors) % 2
+        kept = [new[factor] for factor in factors if graph.value(factor) != -1.0]
+        *most, last = kept or [result.one]
+        if negative:
+            most = [result.constant(-1.0), *most]
+        return result.operation("multiply", *(most or [result.one])), last
+
+    for node in nodes:
+        kind, *arguments = graph.nodes[node]
+        if kind == "add":
+            terms = [new[term] for term in arguments if not fusible(term)]
+            products = [signed_factors(term) for term in arguments if fusible(term)]
+            if not terms:
+                terms, products = [result.operation("multiply", *products[0])], products[1:]
+            total = result.operation("add", *terms)
+            for product in products:
+                total = result.operation("fma", *product, total)
+            new[node] = total
+        elif kind in SOURCES:
+            new[node] = result.operation(kind, *arguments)
+        else:
+            new[node] = result.operation(kind, *(new[argument] for argument in arguments))
+    return result, [new[root] for root in roots]
+
+
+@pytest.fixture(scope="session")
+def interpreted():
+    """The function ``interpreted(graph, roots, state=…, …)``: values of nodes, by NumPy."""
+    return _interpreted
+
+
+@pytest.fixture(scope="session")
+def interpreted_fused():
+    """The same, with sums that are fused as the printer fuses them."""
+    fma = {"fma": np.vectorize(_fma, otypes=[float])}
+
+    def interpret(graph, roots, *, operations=(), **values_of):
+        return _interpreted(*_fused(graph, roots), operations=fma | dict(operations), **values_of)
+
+    return interpret
+
+
+# ---------------------------------------------------------------------------- random graphs
+
+EDGES = (
+    *(0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, 3.0, 0.1, math.inf, -math.inf, math.nan),
+    *(5e-324, -5e-324, 1e-310, 2.2250738585072014e-308, -1.7976931348623157e308, 1e200, 1e-200),
+    *(math.pi, -math.pi / 2, 1e5, -1e9, 1.0000001e9, 1e22, 1e300, -7e18, 2.0**52 + 1.0, 2.0**31),
+)
+SIZES = {"time": 1, "parameter": 3, "state": 3, "held": 2, "input": 2}
+"""Elements of each kind of source in a random graph."""
+
+EXACT = ("add", "multiply", "divide", "sqrt", "abs", "floor", "ceil", "min", "max", "where")
+"""Operations whose result IEEE 754 fixes."""
+
+
+@st.composite
+def _graphs(draw, kinds=EXACT, *, nodes=25, roots=6, constants=EDGES, sizes=None):
+    """A graph of operations of ``kinds`` and of conditions, and the numbers of its last roots."""
+    graph = Graph()
+
+    def pick(among):
+        return among[-1 - draw(st.integers(0, len(among) - 1))]
+
+    numbers = [
+        graph.source(kind, i) for kind, size in (sizes or SIZES).items() for i in range(size)
+    ]
+    plain = list(numbers)
+    numbers += [graph.constant(draw(st.sampled_from(constants))) for _ in range(3)]
+    conditions = [graph.compare("lt", *numbers[:2])]
+    all_kinds = (*kinds, "add", "multiply", "condition", "logic")
+    for _ in range(nodes):
+        kind = draw(st.sampled_from(all_kinds))
+        if kind == "condition":
+            name = draw(st.sampled_from(tuple(COMPARISONS)))
+            conditions.append(graph.compare(name, pick(numbers), pick(numbers)))
+        elif kind == "logic":
+            name = draw(st.sampled_from(("and", "or", "not")))
+            count = 1 if name == "not" else draw(st.integers(2, 3))
+            conditions.append(graph.logic(name, *(pick(conditions) for _ in range(count))))
+        elif kind == "where":
+            arguments = pick(conditions), pick(numbers), pick(numbers)
+            numbers.append(graph.operation("where", *arguments))
+        elif kind in UNARY:
+            numbers.append(graph.operation(kind, pick(numbers)))
+        elif kind == "power":  # LLVM knows better than the C library what constant exponents do
+            numbers.append(graph.operation(kind, pick(plain), pick(plain)))
+        elif kind in ("add", "multiply"):
+            count = draw(st.integers(2, 4))
+            numbers.append(graph.operation(kind, *(pick(numbers) for _ in range(count))))
+        else:
+            numbers.append(graph.operation(kind, pick(numbers), pick(numbers)))
+    return graph, numbers[-roots:]
+
+
+def _samples(seed, count, edges=EDGES, sizes=None):
+    """Values of all sources, (elements, count) each: edges and normal numbers."""
+    rng = np.random.default_rng(seed)
+    return {
+        kind: np.where(
+            rng.random((size, count)) < 0.3,
+            rng.choice(edges, (size, count)),
+            rng.normal(size=(size, count)) * 10.0 ** rng.integers(-3, 4, (size, count)),
+        )
+        for kind, size in (sizes or SIZES).items()
+    }
+
+
+@pytest.fixture(scope="session")
+def random_graphs():
+    """Strategies and samples of random graphs, and the edge values among them."""
+    return SimpleNamespace(graphs=_graphs, samples=_samples, edges=EDGES, exact=EXACT, sizes=SIZES)
+
+
+# ---------------------------------------------------------------------------- printed code
+
+
+class _Code:
+    """Groups of a program as machine code, for each of several numbers of lanes."""
+
+    def __init__(self, program, groups, *, lanes=(1,), memory=False, target=None):
+        self.program, self.groups = program, groups
+        widths = [len(memo.nodes) for memo in program.memos] if memory else []
+        self.memory = {
+            count: [
+                values
+                for width in widths
+                for values in (
+                    np.full((MEMO_LINES, count), np.nan),
+                    np.full((MEMO_LINES, count, width), 1e99),
+                )
+            ]
+            for count in lanes
+        }
+        """For each memo its tags, (lines, lanes), and its values, (lines, lanes, nodes)."""
+        module = Module()
+        for count in lanes:
+            self._define(module, count)
+        self.text = module.text()
+        self.library = Library(compile_text(self.text, target))
+
+    def _define(self, module, lanes):
+        type_ = DOUBLE.of(lanes)
+        memory = [f"memory{i}" for i in range(len(self.memory[lanes]))]
+        names = (*SOURCES, "fires", "out", *memory)
+        f = module.function(f"f{lanes}", dict.fromkeys(names, POINTER), internal=False)
+        arrays = {name: Array(f.arguments[name], type_) for name in names}
+        fires = Array(f.arguments["fires"], BYTE)
+        kinds = {kind: arrays[kind] for kind in SOURCES if kind != "time"}
+        load = sources(arrays["time"][0], **kinds)
+        tables = [Array(f.arguments[name], DOUBLE) for name in memory] or None
+
+        def store(place, value):
+            arrays["out"][place[1]] = value
+
+        printer = Printer(f, self.program, load, memory=tables)
+        printer.groups(self.groups, lambda of: fires[of[1]].differs(0), store)
+
+    def __call__(self, lanes=1, fires=(1,) * 8, **values_of):
+        """Targets (targets, samples) from sources (elements, samples); 77.0 if not stored."""
+        samples = values_of["time"].shape[1]
+        count = 1 + max(place[1] for group in self.groups for place, _ in group.targets)
+        out = np.full((samples // lanes, count, lanes), 77.0)
+        function = self.library.function(f"f{lanes}", len(SOURCES) + 2 + len(self.memory[lanes]))
+        flags = np.array(fires, dtype=np.uint8)
+        for block in range(samples // lanes):
+            some = slice(block * lanes, (block + 1) * lanes)
+            arrays = [
+                np.ascontiguousarray(values_of[kind][:, some]) if kind in values_of else out
+                for kind in SOURCES
+            ]
+            arrays += [flags, out[block], *self.memory[lanes]]
+            function(*(array.ctypes.data for array in arrays))
+        return out.swapaxes(0, 1).reshape(count, -1)
+
+
+def _plain_code(graph, roots, *, deciding=(), **options):
+    """Roots of a graph, printed as they are: nothing is hoisted or kept in tables."""
+    program = SimpleNamespace(graph=graph, hoisted={}, memos=(), deciding=set(deciding))
+    targets = tuple((("output", i), root) for i, root in enumerate(roots))
+    return _Code(program, [Group(ALWAYS, targets)], **options)
+
+
+@pytest.fixture(scope="session")
+def printed():
+    """The class of printed ``groups`` of a program, and the function for a ``plain`` graph."""
+    return SimpleNamespace(groups=_Code, plain=_plain_code)
+
+
+# -------------------------------------------------------------------------------- diagrams
 
 
 def object_code(text, cpu=None, features="", triple=None):

@@ -69,7 +69,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo.compilation import compile_diagram
 from kneexo.compilation.equations import read_equations
-from kneexo.compilation.input_table import input_table
+from kneexo.compilation.trajectories import input_table
 from kneexo.errors import CompilationError
 
 DURATION_S = 1.5

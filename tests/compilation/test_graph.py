@@ -5,44 +5,33 @@ import math
 import numpy as np
 import pytest
 
-from kneexo.compilation.codegen import _Writer
 from kneexo.compilation.graph import UNARY, Graph
 
 POINTS = {"asin": 0.3, "acos": 0.3, "log": 1.7, "sqrt": 1.7}
 
 
-def evaluate(graph, roots, x, p=()):
-    writer = _Writer(graph)
-    targets = [(f"y[{i}]", root) for i, root in enumerate(roots)]
-    text = writer.function("f", ("t", "x", "d", "u", "p", "y"), [("", targets)])
-    y = [0.0] * len(roots)
-    names = {"math": math, "np": np, "inner": lambda f: f}
-    exec(text, names)
-    names["f"](0.0, x, (), (), p, y)
-    return y
-
-
-def check_gradient(make, x):
+def check_gradient(interpreted, make, x):
     graph = Graph()
     root = make(graph, *(graph.source("state", i) for i in range(len(x))))
     (gradient,) = graph.gradients([root])
-    exact = evaluate(graph, [gradient.get(i, graph.zero) for i in range(len(x))], x)
+    exact = interpreted(graph, [gradient.get(i, graph.zero) for i in range(len(x))], state=x)
     for i in range(len(x)):
         up, down = list(x), list(x)
         up[i] += 1e-6
         down[i] -= 1e-6
-        slope = (evaluate(graph, [root], up)[0] - evaluate(graph, [root], down)[0]) / 2e-6
+        values = [interpreted(graph, [root], state=near)[0] for near in (up, down)]
+        slope = (values[0] - values[1]) / 2e-6
         assert exact[i] == pytest.approx(slope, rel=1e-8, abs=1e-8)
 
 
 @pytest.mark.parametrize("name", UNARY)
-def test_derivative_of_each_function_of_one_argument(name):
-    check_gradient(lambda g, a: g.unary(name, a), [POINTS.get(name, -0.6)])
+def test_derivative_of_each_function_of_one_argument(interpreted, name):
+    check_gradient(interpreted, lambda g, a: g.unary(name, a), [POINTS.get(name, -0.6)])
 
 
 @pytest.mark.parametrize("x", [(1.3, 0.4), (0.4, 1.3)])
 @pytest.mark.parametrize("name", ["min", "max", "atan2", "power", "divide", "where"])
-def test_derivative_of_each_function_of_two_arguments(name, x):
+def test_derivative_of_each_function_of_two_arguments(interpreted, name, x):
     makers = {
         "power": lambda g, a, b: g.power(a, b),
         "divide": lambda g, a, b: g.divide(a, b),
@@ -50,11 +39,12 @@ def test_derivative_of_each_function_of_two_arguments(name, x):
             g.compare("lt", a, b), g.multiply(a, a), g.unary("sin", b)
         ),
     }
-    check_gradient(makers.get(name, lambda g, a, b: g.binary(name, a, b)), x)
+    check_gradient(interpreted, makers.get(name, lambda g, a, b: g.binary(name, a, b)), x)
 
 
-def test_derivative_of_a_product_with_a_repeated_factor_and_a_quotient():
+def test_derivative_of_a_product_with_a_repeated_factor_and_a_quotient(interpreted):
     check_gradient(
+        interpreted,
         lambda g, a, b: g.add(
             g.multiply(a, a, b, g.constant(3.0)), g.divide(a, b), g.power(a, g.constant(-1.5))
         ),
@@ -71,7 +61,38 @@ def test_equal_operations_are_one_node():
     assert graph.multiply(a, graph.zero) == graph.zero
 
 
-def test_horner_is_regrouped_to_the_same_polynomial():
+def test_simplifications():
+    graph = Graph()
+    a = graph.source("state", 0)
+    assert graph.multiply(a, graph.one) == a
+    assert graph.divide(a, graph.one) == a
+    assert graph.divide(graph.zero, a) == graph.zero
+    assert graph.power(a, graph.zero) == graph.one
+    assert graph.power(a, graph.one) == a
+    assert graph.where(graph.compare("lt", a, graph.one), a, a) == a
+    assert graph.negate(graph.constant(2.0)) == graph.constant(-2.0)
+    minus = graph.constant(-1.0)
+    assert graph.nodes[graph.divide(a, minus)][0] == "divide"
+
+
+@pytest.mark.parametrize("exponent", [-1.0, 0.5, 17.0, math.inf, -math.inf, math.nan])
+def test_other_powers_are_left_to_the_library(exponent):
+    graph = Graph()
+    node = graph.power(graph.source("state", 0), graph.constant(exponent))
+    assert graph.nodes[node][0] == "power"
+
+
+def test_zeros_of_both_signs_are_two_nodes():
+    for zeros in ((0.0, -0.0), (-0.0, 0.0)):
+        graph = Graph()
+        values = [graph.value(graph.constant(zero)) for zero in (*zeros, *zeros)]
+        assert [math.copysign(1.0, value) for value in values] == [
+            math.copysign(1.0, zero) for zero in (*zeros, *zeros)
+        ]
+        assert len(graph.nodes) == 2
+
+
+def test_horner_is_regrouped_to_the_same_polynomial(interpreted):
     rng = np.random.default_rng(1)
     coefficients = rng.normal(size=26)
     graph = Graph()
@@ -80,7 +101,7 @@ def test_horner_is_regrouped_to_the_same_polynomial():
     for i in range(1, 26):
         node = graph.add(graph.source("parameter", i), graph.multiply(node, t))
     for x in (-1.0, -0.3, 0.0, 0.9):
-        value = evaluate(graph, [node], [x], coefficients)[0]
+        (value,) = interpreted(graph, [node], state=[x], parameter=coefficients)
         assert value == pytest.approx(np.polyval(coefficients, x), rel=1e-14, abs=1e-14)
 
 
@@ -98,10 +119,11 @@ def test_regrouped_polynomial_is_shallow():
 
 
 @pytest.mark.parametrize("angle", [-7.0, -math.pi + 1e-9, -1.0, 0.0, 3.0, math.pi, 3.3, 100.0])
-def test_wrap_by_atan2_becomes_whole_turns(angle):
+def test_wrap_by_atan2_becomes_whole_turns(interpreted, angle):
     graph = Graph()
     a = graph.source("state", 0)
     node = graph.binary("atan2", graph.unary("sin", a), graph.unary("cos", a))
     assert "sin" not in {graph.nodes[n][0] for n in graph.reachable([node])}
     expected = math.atan2(math.sin(angle), math.cos(angle))
-    assert evaluate(graph, [node], [angle])[0] == pytest.approx(expected, abs=1e-13)
+    (value,) = interpreted(graph, [node], state=[angle])
+    assert value == pytest.approx(expected, abs=1e-13)

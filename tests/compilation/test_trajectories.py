@@ -8,7 +8,7 @@ from pydrake.systems.primitives import PassThrough, TrajectorySource
 from pydrake.trajectories import BezierCurve, PiecewisePolynomial
 
 from kneexo.compilation import InputTable, compile_diagram
-from kneexo.compilation.input_table import input_table, stack_tables
+from kneexo.compilation.trajectories import input_table, stack_tables
 
 TIMES_S = np.arange(33.0) / 16.0  # exact in binary, as the breaks are
 
