@@ -49,6 +49,8 @@ Exit codes: 0 done, 2 wrong input or a run that failed (one line says why), 130 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
+    # Before numpy is there: on matrices as small as ours, threads only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     parser = _parser()
     options = parser.parse_args(arguments)
     try:

@@ -2,6 +2,7 @@ import json
 import math
 from dataclasses import dataclass
 from functools import partial
+from io import FileIO
 from types import MappingProxyType
 
 import pytest
@@ -118,6 +119,21 @@ def test_a_full_disk_is_one_line(tmp_path):
         with pytest.raises(OutputError, match="No space left on device") as caught:
             checkpoint.keep("a", 1)
         assert "\n" not in str(caught.value)
+
+
+def test_a_piece_that_the_disk_takes_in_parts_is_whole(tmp_path):
+    class Slow(FileIO):
+        def write(self, data):
+            return super().write(data[:7])
+
+    path = tmp_path / "sweep.jsonl"
+    checkpoint = Checkpoint(path)
+    checkpoint._file = Slow(path, "ab")
+    for n in range(3):
+        checkpoint.keep(f"piece {n}", {"value": n + 0.5})
+    kept = Checkpoint(path, resume=True)
+    assert [kept[f"piece {n}"]["value"] for n in range(3)] == [0.5, 1.5, 2.5]
+    checkpoint.remove()
 
 
 def test_many_pieces_are_kept_while_the_file_is_open(tmp_path):

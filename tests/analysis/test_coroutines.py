@@ -79,6 +79,33 @@ def test_the_first_call_that_fails_raises_when_those_before_it_have_ended():
     assert max(map(max, ASKED)) < 5  # what stands behind an error is not begun
 
 
+def in_order(requests):
+    ASKED.append(sorted(requests.values()))
+    yield from ((index, 2 * value) for index, value in requests.items())
+
+
+@pytest.mark.parametrize("answers", [doubled, in_order])
+def test_of_several_errors_the_first_calls_is_raised(answers):
+    calls = [steps(power, 1, 2), fail_after(1, 2), fail_after(1, 3), fail_after(0, 4)]
+    with pytest.raises(RuntimeError, match="2 failed"):
+        list(drive(calls, answers))
+
+
+def test_what_stands_behind_an_error_goes_no_further():
+    with pytest.raises(RuntimeError, match="2 failed"):
+        list(drive([steps(power, 1, 3), fail_after(1, 2), steps(power, 3, 9)], doubled))
+    assert ASKED == [[1, 2, 3], [2], [4]]
+    begun = []
+
+    def noted(value):
+        begun.append(value)
+        yield value
+
+    with pytest.raises(RuntimeError, match="2 failed"):
+        list(drive([noted(1), fail_after(0, 2), noted(3)], doubled))
+    assert begun == [1]
+
+
 def test_an_interrupt_is_raised_at_once():
     def interrupted():
         yield 1

@@ -66,6 +66,19 @@ def test_processes_give_the_same_as_this_process():
     assert parallel_map(math.factorial, items, workers=2) == [math.factorial(n) for n in items]
 
 
+def blas_threads(_):
+    return os.environ.get("OPENBLAS_NUM_THREADS")
+
+
+def test_processes_do_not_share_their_cores_with_threads_of_blas(monkeypatch):
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    assert parallel_map(blas_threads, [1, 2], workers=2) == ["1", "1"]
+    assert blas_threads(None) is None
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
+    assert parallel_map(blas_threads, [1, 2], workers=2) == ["3", "3"]
+    assert blas_threads(None) == "3"
+
+
 def test_the_callers_executor_is_used_and_left_running():
     with ThreadPoolExecutor(1) as executor:
         assert parallel_map(math.sqrt, [4.0], executor=executor) == [2.0]

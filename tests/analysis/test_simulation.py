@@ -102,6 +102,8 @@ def test_runs_do_not_depend_on_their_company(monkeypatch, largest):
     scenarios[5] = scenarios[5].with_engine("drake")
     expected = [alone(scenario, signals=("knee_angle", "load_pressure")) for scenario in scenarios]
     assert isinstance(expected[4], ParameterError)
+    integrators = [run.settings.integrator for run in (expected[1], expected[2], expected[5])]
+    assert integrators == ["exact_hold", "rk4", "radau3"]
     for order in (1, -1):
         found = together(scenarios[::order], signals=("knee_angle", "load_pressure"))
         for run, run_alone in zip(found[::order], expected, strict=True):
