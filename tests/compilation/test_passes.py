@@ -309,6 +309,15 @@ def test_hoisted_is_what_depends_on_parameters_alone(random_graphs, data):
         assert (node in hoisted) == (number and used), graph.nodes[node]
 
 
+def test_a_condition_within_a_hoisted_choice_is_not_hoisted():
+    graph = Graph()
+    p, q = sources(graph, "parameter", 2)
+    choice = graph.where(graph.compare("gt", graph.multiply(p, q), q), p, q)
+    root = graph.multiply(graph.source("state"), choice)
+    sizes = {"parameter": 2, "state": 1, "held": 0, "input": 0}
+    assert set(Program(equations_of(graph, [root], sizes)).hoisted) == {choice}
+
+
 def test_a_condition_on_parameters_is_computed_where_it_is_used(printed):
     graph = Graph()
     x = graph.source("state")
