@@ -84,7 +84,7 @@ def _fma(a, b, c):
     try:
         return float(total)
     except OverflowError:
-        return math.copysign(math.inf, total)
+        return math.inf if total > 0 else -math.inf
 
 
 def _fused(graph, roots):
@@ -173,7 +173,7 @@ def _graphs(draw, kinds=EXACT, *, nodes=25, roots=6, constants=EDGES, sizes=None
     plain = list(numbers)
     numbers += [graph.constant(draw(st.sampled_from(constants))) for _ in range(3)]
     conditions = [graph.compare("lt", *numbers[:2])]
-    all_kinds = (*kinds, "add", "multiply", "condition", "logic")
+    all_kinds = (*kinds, "add", "multiply", "negative", "condition", "logic")
     for _ in range(nodes):
         kind = draw(st.sampled_from(all_kinds))
         if kind == "condition":
@@ -190,6 +190,10 @@ def _graphs(draw, kinds=EXACT, *, nodes=25, roots=6, constants=EDGES, sizes=None
             numbers.append(graph.operation(kind, pick(numbers)))
         elif kind == "power":  # LLVM knows better than the C library what constant exponents do
             numbers.append(graph.operation(kind, pick(plain), pick(plain)))
+        elif kind == "negative":
+            factors = [pick(numbers) for _ in range(draw(st.integers(0, 3)))]
+            factors += [graph.constant(-1.0)] * draw(st.integers(1, 2))
+            numbers.append(graph.operation("multiply", *draw(st.permutations(factors))))
         elif kind in ("add", "multiply"):
             count = draw(st.integers(2, 4))
             numbers.append(graph.operation(kind, *(pick(numbers) for _ in range(count))))

@@ -234,18 +234,32 @@ def test_decisions_stay_to_the_bit(printed, interpreted, random_graphs, data, se
         np.testing.assert_array_equal(code(lanes, constant=constants, **values), expected)
 
 
-def test_a_difference_of_equal_times_is_zero(printed):
+BEHIND = {
+    "sum": lambda g, n, p, zero: zero,
+    "multiply": lambda g, n, p, zero: g.multiply(zero, p, n),
+    "divide": lambda g, n, p, zero: g.divide(zero, p),
+    "sqrt": lambda g, n, p, zero: g.unary("sqrt", zero),
+    "abs": lambda g, n, p, zero: g.unary("abs", zero),
+    "min": lambda g, n, p, zero: g.binary("min", zero, g.one),
+    "max": lambda g, n, p, zero: g.binary("max", g.constant(-1.0), zero),
+    "where": lambda g, n, p, zero: g.where(g.compare("ge", n, p), zero, g.zero),
+}
+
+
+@pytest.mark.parametrize("operation", BEHIND)
+def test_a_difference_of_equal_times_is_zero(printed, operation):
     # The rounded product of number and period is the time; fused, the difference is its error.
     graph = Graph()
     t, n, period = graph.source("time"), graph.source("held"), graph.source("parameter")
-    late = graph.compare("ge", graph.subtract(t, graph.multiply(n, period)), graph.zero)
-    root = graph.where(late, graph.one, graph.zero)
+    zero = graph.subtract(t, graph.multiply(n, period))
+    equal = graph.compare("eq", BEHIND[operation](graph, n, period, zero), graph.zero)
+    root = graph.where(equal, graph.one, graph.zero)
     sizes = {"parameter": 1, "state": 0, "held": 1, "input": 0}
     program = Program(equations_of(graph, [root], sizes))
     n = np.arange(100.0)[None]
-    values = {"time": n * 0.1, "held": n, "constant": np.full((1, 100), 0.1)}
+    constants = np.repeat(constants_of(program, np.array([[0.1]])), 100, axis=1)
     code = printed.groups(program, program.groups)
-    assert (code(**values) == 1.0).all()
+    assert (code(time=n * 0.1, held=n, constant=constants) == 1.0).all()
 
 
 def test_quotients_behind_a_decision_stay(printed):
@@ -293,6 +307,15 @@ def test_hoisted_is_what_depends_on_parameters_alone(random_graphs, data):
         number = fixed and kind not in (*CONDITIONS, "constant")
         used = node in program.instant or any(map(needed, users[node]))
         assert (node in hoisted) == (number and used), graph.nodes[node]
+
+
+def test_a_condition_within_a_hoisted_choice_is_not_hoisted():
+    graph = Graph()
+    p, q = sources(graph, "parameter", 2)
+    choice = graph.where(graph.compare("gt", graph.multiply(p, q), q), p, q)
+    root = graph.multiply(graph.source("state"), choice)
+    sizes = {"parameter": 2, "state": 1, "held": 0, "input": 0}
+    assert set(Program(equations_of(graph, [root], sizes)).hoisted) == {choice}
 
 
 def test_a_condition_on_parameters_is_computed_where_it_is_used(printed):
