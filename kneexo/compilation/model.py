@@ -17,6 +17,7 @@ from kneexo.compilation.machine_code import MachineCode, equations_key
 from kneexo.compilation.native import LANES
 from kneexo.compilation.runner import (
     LONGEST_TICK_S,
+    RECORDS,
     Array,
     InputTable,
     Integers,
@@ -286,7 +287,7 @@ class CompiledModel:
         d = _columns([batch.states[i].held for i in lanes])
         last = batch.ticks[lanes]
         tick, every = runner.timing.tick, runner.timing.record_every
-        record = np.empty((len(lanes), runner.columns.size, int(last.max()) // every + 1))
+        record = RECORDS.array((len(lanes), runner.columns.size, int(last.max()) // every + 1))
         runner.restart(batch.parameters[lanes])
         status = runner.run(x, d, 0, last, [batch.inputs[i] for i in lanes], record)
         times = tick * np.arange(0.0, last.max() + 1.0, every)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import weakref
+from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -102,6 +105,46 @@ def require_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
 def address(array: NDArray[Any]) -> int:
     """Address of the first element of an array without gaps."""
     return int(array.__array_interface__["data"][0])
+
+
+class BufferPool:
+    """Memory for records, used again once no array refers to it.
+
+    Fresh memory of the size of a record costs as much time as the run that fills it.
+    """
+
+    def __init__(self, most: int) -> None:
+        """``most``: unused elements that are kept."""
+        self._most = most
+        self._unused: deque[Array] = deque()
+
+    def array(self, shape: tuple[int, ...]) -> Array:
+        """An array, not initialized."""
+        size = math.prod(shape)
+        memory = self._taken(size)
+        # All views of it have this array as their base, which is not an array itself.
+        root = np.frombuffer(memory.data, dtype=float, count=size)
+        weakref.finalize(root, self._give_back, memory).atexit = False
+        return root.reshape(shape)
+
+    def _taken(self, size: int) -> Array:
+        for _ in range(len(self._unused)):
+            with suppress(IndexError):  # another thread was faster
+                memory = self._unused.popleft()
+                if size <= memory.size <= 2 * size + 1024:
+                    return memory
+                self._unused.append(memory)
+        return np.empty(max(size, 1))
+
+    def _give_back(self, memory: Array) -> None:
+        self._unused.append(memory)
+        with suppress(IndexError):
+            while sum(kept.size for kept in list(self._unused)) > self._most:
+                self._unused.popleft()
+
+
+RECORDS = BufferPool(8_000_000)
+"""Memory of the records of all models: at most 64 MB that nobody uses."""
 
 
 class Runner:

@@ -34,6 +34,7 @@ from kneexo.compilation import (
 from kneexo.compilation.equations import read_equations
 from kneexo.compilation.machine_code import equations_key
 from kneexo.compilation.passes import Program
+from kneexo.compilation.runner import BufferPool
 from kneexo.compilation.runner import timing as timing_of
 from kneexo.compilation.time_loop import run_text
 from kneexo.diagrams import make_closed_loop
@@ -624,3 +625,32 @@ def test_a_state_that_is_not_finite_ends_the_run(integrator):
 def test_a_step_that_is_too_large_ends_the_run():
     with pytest.raises(SimulationError, match="reduce the"):
         simulate_compiled(scenario_of(1.0), integrator="rk4", step_s=2e-3)
+
+
+# ------------------------------------------------------------------------------- memory
+
+
+def address_of(array):
+    return array.__array_interface__["data"][0]
+
+
+def test_memory_is_used_again_when_no_view_of_it_is_left():
+    pool = BufferPool(10_000)
+    array = pool.array((8, 3, 101))
+    first, view = address_of(array), array[2, 1, :50].T[3:]
+    del array
+    assert address_of(pool.array((8, 3, 101))) != first
+    del view
+    again = pool.array((8, 3, 100))
+    assert address_of(again) == first
+    again[:] = 1.0
+
+
+def test_little_unused_memory_is_kept():
+    pool = BufferPool(2_500)
+    arrays = [pool.array((1_000,)) for _ in range(4)]
+    addresses = [address_of(array) for array in arrays]
+    arrays.clear()
+    kept = [address_of(array) for array in [pool.array((1_000,)) for _ in range(2)]]
+    assert kept == addresses[2:]
+    assert address_of(pool.array((5_000,))) not in addresses
