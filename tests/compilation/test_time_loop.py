@@ -36,8 +36,10 @@ def mixed():
     g = Graph()
     s = sources(g, state=2, held=3, parameter=3, input=2)
     (x, v), (d, e, n), (p, q, r) = s.state, s.held, s.parameter
-    count = g.unary("floor", g.multiply(x, g.constant(40.0)))
-    costly = g.unary("tanh", g.unary("sin", g.unary("cos", g.unary("exp", g.multiply(r, count)))))
+    counts = [g.unary("floor", g.multiply(value, g.constant(40.0))) for value in (x, v)]
+    inner = [g.unary("cos", g.unary("exp", g.multiply(r, count))) for count in counts]
+    costly, *tables = (g.unary("tanh", g.unary("sin", value)) for value in inner)
+    tables.append(g.unary("tanh", g.unary("tan", inner[0])))
     force = g.add(g.multiply(q, v, v, v), g.multiply(g.constant(-1.0), p, x), d, s.input[0])
     forward = g.where(g.compare("gt", v, g.zero), g.multiply(v, r), g.zero)
     return Equations(
@@ -52,7 +54,7 @@ def mixed():
             Update(*RATES[0], ((0, g.subtract(s.input[1], costly)), (2, g.add(n, g.one, costly)))),
             Update(*RATES[1], ((1, g.add(e, g.multiply(x, g.source("time")))),)),
         ],
-        outputs={"x": [x, v], "held": [d, e, n], "costly": [costly, g.source("time")]},
+        outputs={"x": [x, v], "held": [d, e, n], "costly": [costly, g.source("time"), *tables]},
         limits=[
             Limit("plant", g.subtract(g.constant(2.0), g.unary("abs", x))),
             Limit("counter", g.subtract(g.constant(8.0), e)),
@@ -121,7 +123,9 @@ def random_runs(model, seed, count):
     durations = rng.choice([0.0, 0.002, 0.012, 0.05, 0.09, 0.1, 0.2], count)
     tables = []
     for _ in range(count):
-        breaks = np.sort(rng.uniform(0.0, 0.1, rng.integers(4)))
+        breaks = np.sort(rng.choice(1000, rng.integers(4), replace=False)) * 1e-4
+        if rng.random() < 0.5:  # at instants
+            breaks = np.unique(np.round(breaks * 1e3)) * 1e-3
         shape = (breaks.size + 1, sum(model.inputs.values()), rng.integers(1, 4))
         tables.append(InputTable(breaks, rng.normal(size=shape)))
     return parameters, states, durations, tables
@@ -338,6 +342,20 @@ def test_runs_are_those_of_a_plain_loop(models, interpreted, name):
         np.testing.assert_allclose(outputs, records, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(ours.time_s, 0.01 * np.arange(len(records)), atol=1e-12)
     assert len(ends) == 2
+
+
+def test_tables_of_two_counts_lie_apart(models, interpreted):
+    # The lines of counts -1 and -2 would overlap if each count had one function.
+    model = models["mixed"]
+    assert model.layout.memos == (2, 1)
+    state = State(np.array([-0.02, -0.03]), np.zeros(3))
+    run = np.array([0.0, 0.0, 1.0]), state, InputTable(coefficients=np.zeros((1, 2, 1)))
+    ours = model.simulate(
+        *run[:2], 0.02, inputs=run[2], record_period_s=0.002, integrator="rk4", step_s=1e-3
+    )
+    records, _ = plain_run(interpreted, mixed(), run, 0.02, 0.001, 1e-3, 2)
+    outputs = np.hstack(list(ours.outputs.values()))
+    np.testing.assert_allclose(outputs, records, rtol=1e-9, atol=1e-9)
 
 
 def test_initialization_sees_states_and_inputs(models):
