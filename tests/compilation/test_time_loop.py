@@ -347,7 +347,7 @@ def test_runs_are_those_of_a_plain_loop(models, interpreted, name):
 def test_tables_of_two_counts_lie_apart(models, interpreted):
     # The lines of counts -1 and -2 would overlap if each count had one function.
     model = models["mixed"]
-    assert model.layout.memos == (2, 1)
+    assert model.layout.memos == (3, 1)
     state = State(np.array([-0.02, -0.03]), np.zeros(3))
     run = np.array([0.0, 0.0, 1.0]), state, InputTable(coefficients=np.zeros((1, 2, 1)))
     ours = model.simulate(
