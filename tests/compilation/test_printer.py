@@ -333,17 +333,17 @@ COUNTS = (
 
 
 def memo_graph(count_of=1):
-    """For each count three values, of which one is 1/count; conditional groups and one always."""
+    """For each count three functions, of which one tells -0 from 0, and a product with another."""
     graph = Graph()
     memos, roots = [], []
     for i in range(count_of):
         count = graph.unary("floor", graph.source("state", i))
         nodes = (
-            graph.operation("divide", graph.one, count),
-            graph.unary("sin", count),
-            graph.add(graph.unary("cos", count), graph.multiply(count, graph.source("parameter"))),
+            graph.operation("divide", graph.constant(1.0 + i), count),
+            graph.unary("cos" if i else "sin", count),
+            graph.add(graph.unary("tan", count), graph.multiply(count, graph.source("parameter"))),
         )
-        memos.append(Memo(count, nodes))
+        memos.append(Memo(count, nodes[i:]))
         roots += [*nodes, graph.multiply(nodes[1], graph.source("held", 0))]
     return graph, memos, roots
 
@@ -381,6 +381,7 @@ def test_lines_of_a_memo(printed):
     graph, memos, roots = memo_graph()
     code = printed.groups(hoisting(graph, memos), always(roots), lanes=(2,), memory=True)
     tags, kept = code.memory[2]
+    assert code.text.count("call <2 x double> @llvm.floor") == 1
 
     def run(*counts):
         return code(2, **memo_values(counts))[1]
@@ -400,6 +401,9 @@ def test_lines_of_a_memo(printed):
     np.testing.assert_allclose(run(5.0, -4.0), np.sin([5.0, -4.0]), rtol=4e-16)
     run(2.0**31, -(2.0**31))  # too large for an index
     assert tags[0].tolist() == [2.0**31, -(2.0**31)]
+    run(2.0**31 + 5.0, 2.0**31 - 5.0)
+    assert tags[0].tolist() == [2.0**31 + 5.0, -(2.0**31)]
+    assert tags[-5, 1] == 2.0**31 - 5.0
     assert np.isnan(run(math.nan, math.nan)).all()
     assert np.isnan(kept[0]).all()
     run(2.0**31 - 1.0, 0.0)
