@@ -6,13 +6,9 @@ import math
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 
 from kneexo.analysis.bandwidth import (
     acceleration_bound_hz,
@@ -45,6 +41,10 @@ from kneexo.analysis.simulation import Array, needs_runs
 from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import AmplitudeMapParameters, Scenario, SineEstimateParameters
 from kneexo.scenario import changed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _MINUS_3_DB = 20.0 * math.log10(MINUS_3_DB)
 _RATIO_AT_MINUS_3_DB = 1.0 / (math.tau * rate_limit_bandwidth_hz(1.0, 1.0))  # ρ = 0.55539
@@ -244,6 +244,9 @@ class AmplitudeMap:
 
     def plot_map(self) -> Figure:
         """Gain, phase and the motor's limits over frequency and amplitude."""
+        import matplotlib.pyplot as plt
+        from matplotlib.colors import Normalize
+
         figure, axes = plt.subplots(
             2, 2, figsize=(11, 7.5), sharex=True, sharey=True, layout="constrained"
         )
@@ -307,6 +310,8 @@ class AmplitudeMap:
 
     def plot_bode(self) -> Figure:
         """Bode plots by amplitude, over the linear loop and the rate-limited follower."""
+        import matplotlib.pyplot as plt
+
         figure, axes = plt.subplots(2, 1, sharex=True, figsize=(7.5, 7.5), layout="constrained")
         colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, self.amplitudes_deg.size))
         relative = self.relative_uncertainty
@@ -341,6 +346,8 @@ class AmplitudeMap:
 
     def plot_rate_limit(self) -> Figure:
         """Rate-limited sines in time; gains of all amplitudes over aω/R, with the closed form."""
+        import matplotlib.pyplot as plt
+
         figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
         time = np.linspace(0.0, 4.0, 4001)
         target, shown = np.sin(math.tau * time), slice(2500, None)

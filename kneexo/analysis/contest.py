@@ -14,10 +14,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.optimize import OptimizeResult, differential_evolution
 from scipy.stats import qmc
 from tqdm import tqdm
@@ -42,6 +41,9 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.scenario import applicable, changed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 INFEASIBLE_DEG = 90.0
 """Objective from which on a candidate breaks a constraint: no run inside the range of motion errs

@@ -13,10 +13,9 @@ from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.optimize import brentq
 
 from kneexo.analysis.assessment import assess
@@ -38,6 +37,9 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.scenario import changed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FIGURES = (
     "max_error_deg",

@@ -24,11 +24,9 @@ much at λ = 20 1/s.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
 from kneexo.analysis.hardware import sliding_mode
@@ -37,6 +35,9 @@ from kneexo.analysis.simulation import Array, rms, simulate
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, Scenario
 from kneexo.scenario import changed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Chamber = Literal["cap", "rod_side"]
 
@@ -164,6 +165,8 @@ class ErrorComparison:
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Plot both errors over time."""
+        import matplotlib.pyplot as plt
+
         ax = plt.subplots(layout="constrained")[1] if ax is None else ax
         ax.plot(self.time_s, 1e3 * self.simulated_m, "C0", lw=2.5, alpha=0.6, label="simulated")
         ax.plot(self.time_s, 1e3 * self.predicted_m, "k--", lw=1, label="closed form")

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.optimize import brentq
@@ -128,6 +127,8 @@ class FrequencyResponse:
 
     def plot(self, ax: Any = None) -> Any:
         """Plot magnitude and phase as Fig. 13 does: trials, means and PCHIP; ``ax``: two axes."""
+        import matplotlib.pyplot as plt
+
         if ax is None:
             ax = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")[1]
         f = self.frequencies_hz

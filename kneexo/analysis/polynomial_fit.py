@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.polynomial import Polynomial
 
 from kneexo import linkage
 from kneexo.analysis.simulation import Array
 from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SAMPLES = 901
 """Every 0.1° from 0 to 90°."""
@@ -40,6 +41,8 @@ class PolynomialFit:
 
     def plot(self, ax: Any = None) -> Any:
         """Plot both maps as Fig. 5 does: linkage, fit and Table 1; ``ax``: two axes."""
+        import matplotlib.pyplot as plt
+
         if ax is None:
             ax = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")[1]
         table = self.table

@@ -13,10 +13,9 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.checkpoint import Checkpoint
@@ -37,6 +36,9 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.scenario import changed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ORDERS = ("reduced", "full")
 

@@ -14,11 +14,9 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice, product
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
-from scipy.stats import chi2, rankdata
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.checkpoint import Checkpoint
@@ -41,6 +39,9 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.scenario import applicable, changed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Values = Mapping[str, Any]
 Corner = tuple[int, ...]
@@ -162,6 +163,8 @@ def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit
     the root of the share of their variance that lies between the options (no sign). What failed
     has the worst rank. nan for a figure that is the same everywhere.
     """
+    from scipy.stats import rankdata  # takes half a second, which workers need not wait
+
     ranks = rankdata(signed(visits, merit)) - 0.5 * (len(visits) + 1)
     size = math.sqrt(ranks @ ranks)
     if size == 0.0:
@@ -181,6 +184,8 @@ def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit
 
 def chance(one: Uncertainty, count: int) -> float:
     """What `rank_correlation` over ``count`` visits stays below by chance, with 95 % confidence."""
+    from scipy.stats import chi2
+
     freedom = max(len(one.options), 2) - 1
     return math.sqrt(chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
 

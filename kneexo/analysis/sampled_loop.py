@@ -14,11 +14,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -29,6 +27,9 @@ from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
 from kneexo.analysis.simulation import Array
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _BESIDE_REST = 1e-12
 _BESIDE_REST_RAD_S3 = 1e-3
@@ -307,6 +308,8 @@ class SampledLoop:
 
         The phase is unwrapped and starts in −270…90°. Green: phase margin; orange: gain margin.
         """
+        import matplotlib.pyplot as plt
+
         if ax is None:
             ax = plt.subplots(2, 1, sharex=True, figsize=(7, 6), layout="constrained")[1]
         nyquist = 0.5 / self.sample_time_s
@@ -350,6 +353,8 @@ class SampledLoop:
         The disk is the balanced one of ``disk_margin``, by default the loop's own: 1 + fL does not
         vanish for any complex factor f from 1/γ to γ, which belong to −γ … −1/γ on the real axis.
         """
+        import matplotlib.pyplot as plt
+
         if ax is None:
             ax = plt.subplots(figsize=(5.5, 5.5), layout="constrained")[1]
         loop = self._loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
@@ -375,6 +380,8 @@ class SampledLoop:
 
     def plot_poles(self, ax: Axes | None = None) -> Axes:
         """Closed-loop eigenvalues in the z-plane, with the unit circle and lines of damping."""
+        import matplotlib.pyplot as plt
+
         if ax is None:
             ax = plt.subplots(figsize=(5.5, 5.5), layout="constrained")[1]
         for damping in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9):

@@ -12,10 +12,9 @@ from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from kneexo.analysis import sizing_figures, sizing_report
 from kneexo.analysis.assessment import assess
@@ -55,6 +54,9 @@ from kneexo.parameters import (
     SizingParameters,
 )
 from kneexo.scenario import changed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _IMPLICIT_STEP_S = 1e-3
 

@@ -23,10 +23,9 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from pydrake.autodiffutils import AutoDiffXd
 
 from kneexo.analysis.bandwidth import rod_of
@@ -54,6 +53,9 @@ from kneexo.scenario import changed
 from kneexo.systems.knee_coordinates import rod_derivatives
 from kneexo.systems.reduced_cylinder import PA_PER_MPA
 from kneexo.systems.sliding_mode_controller import sliding_variable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _ROUNDING = 1e-6
 """Share of η by which the condition may seem violated where it holds with equality."""

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 
 from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.simulation import Array, Run, needs_runs, period_s, rms, simulate, to_rpm
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 TRACKING_SIGNALS = (
     "knee_reference",
@@ -190,6 +191,8 @@ class TrackingResult:
 
     def plot_angle(self, ax: Axes | None = None) -> Axes:
         """Plot reference and knee angle over time."""
+        import matplotlib.pyplot as plt
+
         ax = plt.subplots()[1] if ax is None else ax
         time = self.run.time_s
         angle, reference = (
@@ -205,6 +208,8 @@ class TrackingResult:
 
     def plot_error(self, ax: Axes | None = None) -> Axes:
         """Plot the tracking error over time."""
+        import matplotlib.pyplot as plt
+
         ax = plt.subplots()[1] if ax is None else ax
         ax.plot(self.run.time_s, self.error_deg, "C3", lw=1)
         ax.axhline(0.0, color="0.7", lw=0.8, zorder=0)
@@ -216,6 +221,8 @@ class TrackingResult:
 
         ``ax``: three axes; made when left out. Returns them.
         """
+        import matplotlib.pyplot as plt
+
         if ax is None:
             ax = plt.subplots(3, 1, sharex=True, figsize=(7, 7), layout="constrained")[1]
         self.plot_angle(ax[0])
