@@ -89,10 +89,10 @@ class CompiledSystem(LeafSystem):
         parameters = self.model.checked_parameters(context.get_numeric_parameter(0).value()[None])
         value.set_value(_Running(self, parameters))
 
-    def _state(self, context: Any) -> tuple[Array, Array, Array]:
-        """A copy of the discrete state, and its parts x and d."""
-        values = context.get_discrete_state(0).CopyToVector()
-        return values, values[: self._size], values[self._size :]
+    def _state(self, context: Any) -> Array:
+        """A copy of the discrete state: x and d of the model."""
+        values: Array = context.get_discrete_state(0).CopyToVector()
+        return values
 
     def _inputs(self, context: Any) -> InputTable:
         if not self.model.inputs:
@@ -101,24 +101,22 @@ class CompiledSystem(LeafSystem):
         return InputTable(np.empty(0), np.concatenate(list(ports))[None, :, None])
 
     def _initialize(self, context: Any, discrete_state: Any) -> None:
-        _, x, d = self._state(context)
+        values = self._state(context)
+        before = State(values[: self._size], values[self._size :])
         parameters = context.get_numeric_parameter(0).CopyToVector()
-        state = self.model.initialized(parameters, State(x, d), self._inputs(context))
+        state = self.model.initialized(parameters, before, self._inputs(context))
         discrete_state.set_value(0, np.concatenate((state.continuous, state.held)))
 
     def _advance(self, context: Any, discrete_state: Any) -> None:
-        values, x, d = self._state(context)
         tick = round(context.get_time() / self._tick)
-        self._running.Eval(context).run(x, d, tick, tick + 1, self._inputs(context))
+        running = self._running.Eval(context)
+        values = running.advanced(self._state(context), tick, self._inputs(context))
         discrete_state.set_value(0, values)
 
     def _record(self, with_inputs: bool, context: Any, value: Any) -> None:
-        _, x, d = self._state(context)
         tick = math.ceil(context.get_time() / self._tick - 1e-9)
-        record = np.empty((1, self._width, 1))
         inputs = self._inputs(context) if with_inputs else self.model.no_inputs
-        self._running.Eval(context).run(x, d, tick, tick, inputs, record)
-        value.set_value(record[0, :, 0])
+        value.set_value(self._running.Eval(context).outputs(self._state(context), tick, inputs))
 
     @staticmethod
     def _copy_output(entry: Any, part: slice, context: Any, output: Any) -> None:
@@ -126,28 +124,38 @@ class CompiledSystem(LeafSystem):
 
 
 class _Running:
-    """A runner with the parameters of a Context."""
+    """A runner with the parameters of a Context, and memory for its state and outputs."""
 
     def __init__(self, system: CompiledSystem, parameters: Array) -> None:
         self._system, self._parameters = system, parameters
         self._runner = Runner(system.model, **system._options).restart(parameters)
+        self._x, self._d = np.empty((system._size, 1)), np.empty((len(system.model.held_names), 1))
+        self._last = np.zeros(1, dtype=np.int64)
+        self._outputs = np.empty((1, system._width, 1))
 
     def __deepcopy__(self, memo: Any) -> _Running:
         """A new one, with the memory empty: Drake copies cache entries with a Context."""
         return _Running(self._system, self._parameters)
 
-    def run(
-        self,
-        x: Array,
-        d: Array,
-        first: int,
-        last: int,
-        inputs: InputTable,
-        record: Array | None = None,
+    def advanced(self, state: Array, tick: int, inputs: InputTable) -> Array:
+        """The state a tick later; raises what `CompiledModel.simulate` raises."""
+        self._run(state, tick, tick + 1, inputs, None)
+        return np.concatenate((self._x[:, 0], self._d[:, 0]))
+
+    def outputs(self, state: Array, tick: int, inputs: InputTable) -> Array:
+        """All outputs, one after the other."""
+        self._run(state, tick, tick, inputs, self._outputs)
+        return self._outputs[0, :, 0].copy()
+
+    def _run(
+        self, state: Array, first: int, last: int, inputs: InputTable, record: Array | None
     ) -> None:
-        """Advance ``x`` and ``d``; raises what `CompiledModel.simulate` raises."""
-        ends = np.array([last])
-        (outcome,) = self._runner.run(x, d, first, ends, [inputs], record).tolist()
+        size = self._system._size
+        self._x[:, 0], self._d[:, 0], self._last[0] = state[:size], state[size:], last
+        (outcome,) = self._runner.run(
+            self._x, self._d, first, self._last, [inputs], record
+        ).tolist()
         if outcome[0] != OK:
             model, tick_s = self._system.model, self._runner.timing.tick
-            raise model.fault(outcome, tick_s, self._parameters[0], State(x, d))
+            after = State(self._x[:, 0].copy(), self._d[:, 0].copy())
+            raise model.fault(outcome, tick_s, self._parameters[0], after)

@@ -100,15 +100,62 @@ def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array)
             out[i] = f.fma(elements[i], factor, out[i])
 
 
-def define_product(module: Module, size: int) -> Function:
-    """``product(left, right, out)`` of square matrices, column by column."""
-    names = ("left", "right", "out")
-    f = module.function("product", dict.fromkeys(names, POINTER), attributes="noinline")
-    left, right, out = (Array(f.arguments[name], DOUBLE) for name in names)
-    for j in f.loop(size):
-        column = f.coerce(j, INT) * size
-        multiplied(f, size, left, right.shifted(column), out.shifted(column))
-    return f
+class _Columns:
+    """Square matrices whose columns are vectors, so that an operation takes a column at once.
+
+    Rows beyond the size are zero.
+    """
+
+    def __init__(self, f: Function, size: int) -> None:
+        self.f, self.size = f, size
+        self.width = 4 if size <= 4 else 8
+        self.blocks = -(-size // self.width)
+        """Vectors of a column."""
+        self.rows = self.blocks * self.width
+        self.type = DOUBLE.of(self.width)
+
+    def zero(self) -> Array:
+        """A matrix of zeros."""
+        matrix = self.f.array(self.size * self.blocks, self.type)
+        for i in self.each():
+            matrix[i] = 0.0
+        return matrix
+
+    def each(self) -> Iterator[Operand]:
+        """Numbers of the vectors of a matrix."""
+        return self.f.each(self.size * self.blocks)
+
+    def element(self, row: Operand, column: Operand) -> Value:
+        """Place of an element among the doubles of a matrix."""
+        return self.f.coerce(column, INT) * self.rows + row
+
+    def multiply(self, left: Array, right: Array, out: Array) -> None:
+        """``out`` = left · right."""
+        f, blocks = self.f, range(self.blocks)
+        for j in f.each(self.size):
+            totals = [f.variable(f.constant(0.0, self.type)) for _ in blocks]
+            for k in f.each(self.size):
+                factor = right.cast(DOUBLE)[self.element(k, j)]
+                column = left.shifted(f.coerce(k, INT) * self.blocks)
+                for block, total in zip(blocks, totals, strict=True):
+                    total.set(f.fma(column[block], f.coerce(factor, self.type), total.get()))
+            for block, total in zip(blocks, totals, strict=True):
+                out[f.coerce(j, INT) * self.blocks + block] = total.get()
+
+    def store(self, matrix: Callable[[Operand], Value], out: Array) -> None:
+        """Write a matrix, given its vectors, column by column without the rows of zeros."""
+        f, last = self.f, (self.size - 1) * self.blocks
+        for j in f.each(self.size - 1):  # the next column overwrites the zeros
+            for block in range(self.blocks):
+                place = f.coerce(j, INT) * self.size + block * self.width
+                out.shifted(place).cast(self.type)[0] = matrix(
+                    f.coerce(j, INT) * self.blocks + block
+                )
+        for block in range(self.blocks):
+            values = matrix(last + block)
+            first = (self.size - 1) * self.size + block * self.width
+            for lane in range(min(self.width, self.size - block * self.width)):
+                out[first + lane] = f.lane(values, lane)
 
 
 def define_fill_tables(module: Module, size: int) -> Function:
@@ -117,13 +164,12 @@ def define_fill_tables(module: Module, size: int) -> Function:
     Step ``level`` is h = tick/2^level. The functions of all halvings come from the smallest by
     doubling (Skaflestad and Wright 2009, Appl. Numer. Math. 59). Returns the norm of A.
     """
-    product = define_product(module, size)
     square = size * size
     arguments = {"a": POINTER, "tick": DOUBLE, "tables": POINTER}
     f = module.function("fill_tables", arguments, DOUBLE, attributes="noinline")
     a, tables = (Array(f.arguments[name], DOUBLE) for name in ("a", "tables"))
-    tick = f.arguments["tick"]
-    z, power, spare, mixed, phi_1, phi_2, phi_3 = (f.array(square) for _ in range(7))
+    tick, columns = f.arguments["tick"], _Columns(f, size)
+    z, power, spare, mixed, phi_1, phi_2, phi_3 = (columns.zero() for _ in range(7))
     norm = f.variable(f.constant(0.0))
     for i in f.loop(size):
         row = f.variable(f.constant(0.0))
@@ -138,40 +184,37 @@ def define_fill_tables(module: Module, size: int) -> Function:
         level.set(level.get() + 1)
         limit.set(limit.get() * 2.0)
         h.set(h.get() * 0.5)
-    for e in f.loop(square):
-        for matrix in (power, phi_1, phi_2, phi_3):
-            matrix[e] = 0.0
-        z[e] = h.get() * a[e]
-    for i in f.loop(size):
-        power[f.coerce(i, INT) * (size + 1)] = 1.0
+    for j in f.loop(size):
+        for i in f.loop(size):
+            z.cast(DOUBLE)[columns.element(i, j)] = h.get() * a[f.coerce(j, INT) * size + i]
+        power.cast(DOUBLE)[columns.element(j, j)] = 1.0
     factorial = 1.0
-    for k in range(1, 10):  # Taylor: the next term is below 0.1^9/10!
-        factorial *= k
-        for e in f.loop(square):
+    for order in range(1, 10):  # Taylor: the next term is below 0.1^9/10!
+        factorial *= order
+        for e in columns.each():
             term = power[e]
             phi_1[e] = f.fma(term, 1.0 / factorial, phi_1[e])
-            phi_2[e] = f.fma(term, 1.0 / factorial / (k + 1), phi_2[e])
-            phi_3[e] = f.fma(term, 1.0 / factorial / ((k + 1) * (k + 2)), phi_3[e])
-        f.call(product, power.pointer, z.pointer, spare.pointer)
+            phi_2[e] = f.fma(term, 1.0 / factorial / (order + 1), phi_2[e])
+            phi_3[e] = f.fma(term, 1.0 / factorial / ((order + 1) * (order + 2)), phi_3[e])
+        columns.multiply(power, z, spare)
         power, spare = spare, power
     with f.forever() as loop:
+        step = h.get()
         with f.when(level.get() <= FINEST + 1):
             to = tables.shifted(level.get() * (3 * square))
-            for e in f.loop(square):
-                place = f.coerce(e, INT)
-                to[place] = h.get() * phi_1[e]
-                to[place + square] = h.get() * phi_2[e]
-                to[place + 2 * square] = h.get() * f.fma(phi_3[e], -4.0, phi_2[e])
+            columns.store(lambda e: step * phi_1[e], to)
+            columns.store(lambda e: step * phi_2[e], to.shifted(square))
+            columns.store(lambda e: step * f.fma(phi_3[e], -4.0, phi_2[e]), to.shifted(2 * square))
         loop.stop_if(level.get().equals(0))
-        f.call(product, phi_1.pointer, phi_1.pointer, spare.pointer)
-        f.call(product, phi_1.pointer, phi_2.pointer, mixed.pointer)
-        f.call(product, z.pointer, spare.pointer, power.pointer)
-        for e in f.loop(square):
+        columns.multiply(phi_1, phi_1, spare)
+        columns.multiply(phi_1, phi_2, mixed)
+        columns.multiply(z, spare, power)
+        for e in columns.each():
             phi_3[e] = 0.125 * (mixed[e] + f.fma(phi_3[e], 2.0, phi_2[e]))
             phi_2[e] = 0.25 * f.fma(phi_2[e], 2.0, spare[e])
             phi_1[e] = f.fma(power[e], 0.5, phi_1[e])
             z[e] = z[e] * 2.0
-        h.set(h.get() * 2.0)
+        h.set(step * 2.0)
         level.set(level.get() - 1)
     f.give(norm.get())
     return f

@@ -143,6 +143,8 @@ class BufferPool:
                 self._unused.popleft()
 
 
+_NO_TICKS = np.empty(0, dtype=np.int64)
+
 RECORDS = BufferPool(8_000_000)
 """Memory of the records of all models: at most 64 MB that nobody uses."""
 
@@ -243,25 +245,21 @@ class Runner:
         ``kept``: ticks, and the states after their events, to be filled in. Returns the status of
         each lane, (lanes, 3): outcome, tick, and which limit.
         """
-        longest = int(last.max())
+        longest = int(last[0]) if self.lanes == 1 else int(last.max())
         if self.model.inputs:
             self._inputs[:] = [table.address for table in inputs]
         self._status.fill(0)
-        ticks, kept_x, kept_d = kept or (np.empty(0, dtype=np.int64), x, d)
+        ticks, kept_x, kept_d = kept or (_NO_TICKS, x, d)
+        self._arguments.keep(x=x, d=d, last=last, kept=ticks, kept_x=kept_x, kept_d=kept_d)
         self._arguments.set(
-            x=x,
-            d=d,
             first=first,
-            last=last,
             longest=longest,
             record_every=self.timing.record_every if first < longest else 1,
-            rows=0 if record is None else record.shape[2],
-            record=self._memory if record is None else record,
-            kept=ticks,
+            rows=0,
             kept_count=ticks.size,
-            kept_x=kept_x,
-            kept_d=kept_d,
         )
+        if record is not None:
+            self._arguments.set(record=record, rows=record.shape[2])
         self._run(self._arguments.address)
         return self._status.copy()
 
@@ -302,8 +300,16 @@ class _Arguments:
     def __init__(self, names: Sequence[str]) -> None:
         self._place = {name: i for i, name in enumerate(names)}
         self._integers = np.zeros(len(names), dtype=np.int64)
+        self._kept: dict[str, NDArray[Any]] = {}
         self._doubles = self._integers.view(float)
         self.address = address(self._integers)
+
+    def keep(self, **arrays: NDArray[Any]) -> None:
+        """Arrays that are kept alive; one that is there already costs nothing."""
+        for name, array in arrays.items():
+            if self._kept.get(name) is not array:
+                self.set(**{name: array})
+                self._kept[name] = array
 
     def set(self, **values: Any) -> None:
         """Numbers, or arrays, whose addresses are taken: the caller keeps them alive."""

@@ -24,7 +24,7 @@ def fill_tables(a, tick):
     return tables.swapaxes(2, 3), numbers[0]
 
 
-@pytest.mark.parametrize("size", [1, 4, 9])
+@pytest.mark.parametrize("size", [1, 2, 4, 5, 8, 9, 17])
 def test_tables_are_the_functions_of_the_matrix_exponential(size):
     rng = np.random.default_rng(3)
     a = rng.normal(size=(size, size)) * np.geomspace(1.0, 3e4, size)
