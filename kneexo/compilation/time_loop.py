@@ -287,12 +287,14 @@ class _Run:
 
         def choose(tick: Tick, lane: Value, own: Array, time: Value) -> None:
             sizes = (program.size, self.model.held)
-            for values, one, count in zip((self.model.x, self.model.d), (x, d), sizes, strict=True):
+            for values, single, count in zip(
+                (self.model.x, self.model.d), (x, d), sizes, strict=True
+            ):
                 spilled = f.array(count, self.model.type)
                 for i in f.each(count):
                     spilled[i] = values[i]
                 for i in f.loop(count):
-                    one[i] = spilled.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane]
+                    single[i] = spilled.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane]
             self.model.inputs_of(lane, time, u)
             c = own_c.address(lane * len(program.hoisted))
             pointers = (x.pointer, d.pointer, u.pointer, c, own.address(at.candidate))
