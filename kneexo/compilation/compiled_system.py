@@ -132,6 +132,7 @@ class _Running:
         self._x, self._d = np.empty((system._size, 1)), np.empty((len(system.model.held_names), 1))
         self._last = np.zeros(1, dtype=np.int64)
         self._outputs = np.empty((1, system._width, 1))
+        self._runner.bind(self._x, self._d, self._last, self._outputs)
 
     def __deepcopy__(self, memo: Any) -> _Running:
         """A new one, with the memory empty: Drake copies cache entries with a Context."""
@@ -139,23 +140,19 @@ class _Running:
 
     def advanced(self, state: Array, tick: int, inputs: InputTable) -> Array:
         """The state a tick later; raises what `CompiledModel.simulate` raises."""
-        self._run(state, tick, tick + 1, inputs, None)
+        self._run(state, tick, tick + 1, 0, inputs)
         return np.concatenate((self._x[:, 0], self._d[:, 0]))
 
     def outputs(self, state: Array, tick: int, inputs: InputTable) -> Array:
         """All outputs, one after the other."""
-        self._run(state, tick, tick, inputs, self._outputs)
+        self._run(state, tick, tick, 1, inputs)
         return self._outputs[0, :, 0].copy()
 
-    def _run(
-        self, state: Array, first: int, last: int, inputs: InputTable, record: Array | None
-    ) -> None:
+    def _run(self, state: Array, first: int, last: int, rows: int, inputs: InputTable) -> None:
         size = self._system._size
         self._x[:, 0], self._d[:, 0], self._last[0] = state[:size], state[size:], last
-        (outcome,) = self._runner.run(
-            self._x, self._d, first, self._last, [inputs], record
-        ).tolist()
-        if outcome[0] != OK:
+        status = self._runner.go(first, last, rows, [inputs])
+        if status[0, 0] != OK:
             model, tick_s = self._system.model, self._runner.timing.tick
             after = State(self._x[:, 0].copy(), self._d[:, 0].copy())
-            raise model.fault(outcome, tick_s, self._parameters[0], after)
+            raise model.fault(status[0].tolist(), tick_s, self._parameters[0], after)

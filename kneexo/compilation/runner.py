@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import weakref
 from collections import deque
@@ -9,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -199,9 +200,8 @@ class Runner:
         self._values = np.empty(sum(layout.memos) * MEMO_LINES * lanes)
         self._status = np.zeros((lanes, 3), dtype=np.int64)
         self._inputs = np.zeros((lanes, len(INPUT)), dtype=np.int64)
-        self._numbers = {"step": step_s, "tolerance": tolerance}
-        self._arguments = _Arguments(RUN)
-        self._arguments.set(
+        self._arguments = _arguments(
+            RUN,
             c=self._c,
             own_c=self._own_c,
             inputs=self._inputs,
@@ -216,8 +216,10 @@ class Runner:
             tags=self._tags,
             values=self._values,
             status=self._status,
-            **self._numbers,
+            step=step_s,
+            tolerance=tolerance,
         )
+        self._address = ctypes.addressof(self._arguments)
 
     def restart(self, parameters: Array) -> Runner:
         """Take parameters (lanes, parameters) and forget all that was before."""
@@ -245,23 +247,36 @@ class Runner:
         ``kept``: ticks, and the states after their events, to be filled in. Returns the status of
         each lane, (lanes, 3): outcome, tick, and which limit.
         """
-        longest = int(last[0]) if self.lanes == 1 else int(last.max())
+        self.bind(x, d, last, record, kept)
+        rows = 0 if record is None else record.shape[2]
+        return self.go(first, int(last.max()), rows, inputs).copy()
+
+    def bind(
+        self,
+        x: Array,
+        d: Array,
+        last: Integers,
+        record: Array | None,
+        kept: tuple[Integers, Array, Array] | None = None,
+    ) -> None:
+        """Take the arrays of `run`, for one call of `go` or more."""
+        ticks, kept_x, kept_d = kept or (_NO_TICKS, x, d)
+        _set(self._arguments, x=x, d=d, last=last, kept=ticks, kept_x=kept_x, kept_d=kept_d)
+        self._arguments.kept_count = ticks.size
+        self._bound = (x, d, last, ticks, kept_x, kept_d)  # alive as long as their addresses
+        if record is not None:
+            _set(self._arguments, record=record)
+
+    def go(self, first: int, longest: int, rows: int, inputs: Sequence[InputTable]) -> Integers:
+        """Run with the bound arrays, recording ``rows``; returns the status, until the next run."""
         if self.model.inputs:
             self._inputs[:] = [table.address for table in inputs]
         self._status.fill(0)
-        ticks, kept_x, kept_d = kept or (_NO_TICKS, x, d)
-        self._arguments.keep(x=x, d=d, last=last, kept=ticks, kept_x=kept_x, kept_d=kept_d)
-        self._arguments.set(
-            first=first,
-            longest=longest,
-            record_every=self.timing.record_every if first < longest else 1,
-            rows=0,
-            kept_count=ticks.size,
-        )
-        if record is not None:
-            self._arguments.set(record=record, rows=record.shape[2])
-        self._run(self._arguments.address)
-        return self._status.copy()
+        arguments = self._arguments
+        arguments.first, arguments.longest, arguments.rows = first, longest, rows
+        arguments.record_every = self.timing.record_every if first < longest else 1
+        self._run(self._address)
+        return self._status
 
     def records_between(
         self,
@@ -273,8 +288,8 @@ class Runner:
         """Records at ``times`` (rows,), each by RK4 from the kept state at its place; one lane."""
         record = np.empty((1, self.columns.size, times.size))
         table = np.array([inputs.address], dtype=np.int64)
-        arguments = _Arguments(BETWEEN)
-        arguments.set(
+        arguments = _arguments(
+            BETWEEN,
             c=self._c,
             inputs=table,
             tick=self.timing.tick,
@@ -290,37 +305,30 @@ class Runner:
             times=times,
             places=places,
         )
-        self.model.code.between()(arguments.address)
+        self.model.code.between()(ctypes.addressof(arguments))
         return record
 
 
-class _Arguments:
+@cache
+def _structure(names: tuple[str, ...]) -> type[ctypes.Structure]:
     """Arguments of a function of `time_loop`, eight bytes each."""
+    fields = [(n, ctypes.c_double if n in DOUBLES else ctypes.c_int64) for n in names]
+    return type("Arguments", (ctypes.Structure,), {"_fields_": fields})
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self._place = {name: i for i, name in enumerate(names)}
-        self._integers = np.zeros(len(names), dtype=np.int64)
-        self._kept: dict[str, NDArray[Any]] = {}
-        self._doubles = self._integers.view(float)
-        self.address = address(self._integers)
 
-    def keep(self, **arrays: NDArray[Any]) -> None:
-        """Arrays that are kept alive; one that is there already costs nothing."""
-        for name, array in arrays.items():
-            if self._kept.get(name) is not array:
-                self.set(**{name: array})
-                self._kept[name] = array
+def _arguments(names: tuple[str, ...], **values: Any) -> Any:
+    arguments = _structure(names)()
+    _set(arguments, **values)
+    return arguments
 
-    def set(self, **values: Any) -> None:
-        """Numbers, or arrays, whose addresses are taken: the caller keeps them alive."""
-        for name, value in values.items():
-            if isinstance(value, np.ndarray):
-                assert value.flags.c_contiguous, name
-                self._integers[self._place[name]] = address(value)
-            elif name in DOUBLES:
-                self._doubles[self._place[name]] = value
-            else:
-                self._integers[self._place[name]] = value
+
+def _set(arguments: Any, **values: Any) -> None:
+    """Numbers, or arrays, whose addresses are taken: the caller keeps them alive."""
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            assert value.flags.c_contiguous, name
+            value = address(value)
+        setattr(arguments, name, value)
 
 
 @dataclass(frozen=True)
