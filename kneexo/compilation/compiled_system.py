@@ -153,6 +153,6 @@ class _Running:
         self._x[:, 0], self._d[:, 0], self._last[0] = state[:size], state[size:], last
         status = self._runner.go(first, last, rows, [inputs])
         if status[0, 0] != OK:
-            model, tick_s = self._system.model, self._runner.timing.tick
+            model, timing = self._system.model, self._runner.timing
             after = State(self._x[:, 0].copy(), self._d[:, 0].copy())
-            raise model.fault(status[0].tolist(), tick_s, self._parameters[0], after)
+            raise model.fault(status[0].tolist(), timing, self._parameters[0], after)

@@ -23,6 +23,7 @@ from kneexo.compilation.runner import (
     Integers,
     Runner,
     State,
+    Timing,
     address,
     require_shape,
 )
@@ -286,17 +287,17 @@ class CompiledModel:
         x = _columns([batch.states[i].continuous for i in lanes])
         d = _columns([batch.states[i].held for i in lanes])
         last = batch.ticks[lanes]
-        tick, every = runner.timing.tick, runner.timing.record_every
+        every = runner.timing.record_every
         record = RECORDS.array((len(lanes), runner.columns.size, int(last.max()) // every + 1))
         runner.restart(batch.parameters[lanes])
         status = runner.run(x, d, 0, last, [batch.inputs[i] for i in lanes], record)
-        times = tick * np.arange(0.0, last.max() + 1.0, every)
+        times = runner.timing.times(np.arange(0, last.max() + 1, every))
         runs: list[Simulation | SimulationError] = []
         for lane, index in enumerate(indices):
             final = State(x[:, lane].copy(), d[:, lane].copy())
             outcome = status[lane].tolist()
             if outcome[0] != OK:
-                runs.append(self.fault(outcome, tick, batch.parameters[index], final))
+                runs.append(self.fault(outcome, runner.timing, batch.parameters[index], final))
                 continue
             rows = int(last[lane]) // every + 1
             runs.append(self._simulation(runner, times[:rows], record[lane, :, :rows], final))
@@ -329,7 +330,7 @@ class CompiledModel:
         (outcome,) = runner.run(x, d, 0, last, batch.inputs, kept=kept).tolist()
         final = State(x[:, 0].copy(), d[:, 0].copy())
         if outcome[0] != OK:
-            return self.fault(outcome, tick, batch.parameters[0], final)
+            return self.fault(outcome, runner.timing, batch.parameters[0], final)
         record = runner.records_between(kept, batch.inputs[0], times, places.astype(np.int64))
         return self._simulation(runner, times, record[0], final)
 
@@ -340,11 +341,11 @@ class CompiledModel:
         return CompiledSystem(self, parameters, state, **options)
 
     def fault(
-        self, outcome: Sequence[int], tick_s: float, parameters: Array, state: State
+        self, outcome: Sequence[int], timing: Timing, parameters: Array, state: State
     ) -> SimulationError:
         """What a run raises that ended with ``outcome``: status, tick, and which limit."""
         status, tick, which = outcome
-        time = tick * tick_s
+        time = timing.times(tick)
         if status == NOT_FINITE:
             name = self.state_names[int(np.argmin(np.isfinite(state.continuous)))]
             return SimulationError(

@@ -206,6 +206,8 @@ class Runner:
             own_c=self._own_c,
             inputs=self._inputs,
             tick=self.timing.tick,
+            unit=self.timing.unit,
+            split=self.timing.split,
             periods=self.timing.periods,
             offsets=self.timing.offsets,
             wanted=self._wanted,
@@ -293,6 +295,8 @@ class Runner:
             c=self._c,
             inputs=table,
             tick=self.timing.tick,
+            unit=self.timing.unit,
+            split=self.timing.split,
             wanted=self._wanted,
             columns=self.columns,
             column_count=self.columns.size,
@@ -339,6 +343,14 @@ class Timing:
     periods: Integers
     offsets: Integers
     record_every: int
+    unit: float
+    """Longest time in s that divides periods, offsets and the records', without an upper limit."""
+    split: int
+    """Ticks in a unit."""
+
+    def times(self, ticks: Any) -> Any:
+        """Times in s of ticks: multiples of the unit are not rounded twice."""
+        return (ticks // self.split) * self.unit + (ticks % self.split) * self.tick
 
 
 @lru_cache
@@ -370,9 +382,12 @@ def timing(
     # The exact hold looks at three points of a tick, so a long one could miss what happens between.
     split = max(1, math.ceil(base * shared / parts / longest_s * (1.0 - 1e-9)))
     counts = [count // shared * split for count in counts]
+    unit = base * shared / parts
     return Timing(
-        base * shared / parts / split,
+        unit / split,
         np.array(counts[1::2], dtype=np.int64),
         np.array(counts[2::2], dtype=np.int64),
         counts[0],
+        unit,
+        split,
     )

@@ -48,15 +48,17 @@ OK, NOT_FINITE, OUTSIDE, TOO_ROUGH = range(4)
 hold cannot hold its tolerance."""
 
 RUN = (
-    *("c", "own_c", "x", "d", "inputs", "tick", "first", "last", "longest", "periods", "offsets"),
-    *("record_every", "rows", "wanted", "columns", "column_count", "record", "step", "tolerance"),
-    *("memory", "shared", "tags", "values", "status", "kept", "kept_count", "kept_x", "kept_d"),
+    *("c", "own_c", "x", "d", "inputs", "tick", "unit", "split", "first", "last", "longest"),
+    *("periods", "offsets", "record_every", "rows", "wanted", "columns", "column_count", "record"),
+    *("step", "tolerance", "memory", "shared", "tags", "values", "status"),
+    *("kept", "kept_count", "kept_x", "kept_d"),
 )
 """Arguments of ``run``, each in eight bytes: numbers, or addresses of arrays.
 
 ``c`` (constants, lanes), ``own_c`` (lanes, constants), ``x`` (states, lanes), ``d`` (held, lanes),
-``inputs`` (lanes, `INPUT`), ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and
-``offsets`` (periods,) in ticks, ``wanted`` (outputs ports,) bytes, ``columns`` (column_count,) of
+``inputs`` (lanes, `INPUT`), the ``tick`` in s and the ``unit``, which has ``split`` ticks: see
+`_Arguments.time_of`; ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and
+``offsets`` (periods,) in ticks, ``wanted`` (output ports,) bytes, ``columns`` (column_count,) of
 the elements of all outputs, ``record`` (lanes, column_count, rows), ``memory`` and ``shared`` of
 the exact hold, ``tags`` and ``values`` of the tables of whole-number functions, ``status``
 (lanes, 3): outcome, tick, and which limit; ``kept`` (kept_count,) ticks whose states after the
@@ -64,13 +66,13 @@ events go into ``kept_x`` (kept_count, states) and ``kept_d``, with a single lan
 """
 
 BETWEEN = (
-    *("c", "inputs", "tick", "wanted", "columns", "column_count", "record", "rows", "step"),
-    *("kept", "kept_x", "kept_d", "times", "places"),
+    *("c", "inputs", "tick", "unit", "split", "wanted", "columns", "column_count", "record"),
+    *("rows", "step", "kept", "kept_x", "kept_d", "times", "places"),
 )
 """Arguments of ``between``: the same, and ``times`` (rows,) with the ``places`` (rows,) of the kept
 states that they start from."""
 
-DOUBLES = ("tick", "step", "tolerance")
+DOUBLES = ("tick", "unit", "step", "tolerance")
 """Those of both that are doubles; the others are integers or addresses."""
 
 INPUT = ("break_count", "breaks", "powers", "coefficients")
@@ -117,6 +119,13 @@ class _Arguments:
 
     def __getitem__(self, name: str) -> Value:
         return self.values[name]
+
+    def time_of(self, tick: Value) -> Value:
+        """Time of a tick in s; whole units are not rounded twice, as in `Timing.times`."""
+        f, split = self.f, self["split"]
+        whole = f.instruction(f"sdiv i64 {tick.name}, {split.name}", INT)
+        part = f.to_double(tick - whole * split) * self["tick"]
+        return f.fma(f.to_double(whole), self["unit"], part)
 
     def array(self, name: str, type_: Type = INT) -> Array:
         """The array behind an address."""
@@ -321,7 +330,7 @@ class _Run:
         with f.forever() as loop:
             k = number.get()
             loop.stop_if(k > a["longest"])
-            time = f.to_double(k) * a["tick"]
+            time = a.time_of(k)
             ticks = f.coerce(k, INT.of(self.lanes))
             alive = self.alive.get()
             now = _Now(k, time, alive & (ticks <= ends), alive & (ticks < ends))
@@ -421,7 +430,7 @@ class _Run:
 
     def _advance(self, now: _Now) -> None:
         f, a, model = self.f, self.a, self.model
-        end = f.to_double(now.number + 1) * a["tick"]
+        end = a.time_of(now.number + 1)
         tick = model.tick(now.time, end, a["step"], now.running)
         rough = None
         if self.integrator == "exact_hold":
@@ -467,7 +476,7 @@ def _trace_between(module: Module, program: Program) -> None:
                 for i in f.each(count):
                     values[i] = memory[i]
             start = f.select(kept[of] > 0, kept[of], 0)
-            time.set(f.to_double(start) * a["tick"])
+            time.set(a.time_of(start))
         if program.size:
             with f.when(now > time.get()):
                 advance_rk4(model.tick(time.get(), now, a["step"], f.constant(1, BOOL)))

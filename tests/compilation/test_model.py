@@ -232,6 +232,27 @@ def default():
     return model, scenario_run(scenario, model)
 
 
+@pytest.mark.parametrize("period_s", [0.005, 0.002, 0.1 / 3.0])
+@pytest.mark.parametrize("integrator", ["exact_hold", "rk4"])
+def test_times_of_samples_are_whole_multiples(period_s, integrator):
+    def construct(self, T):
+        def time(context, out):
+            out.SetAtIndex(0, context.get_time())
+
+        self.DeclareVectorOutputPort("t", 1, time, {self.time_ticket()})
+
+    diagram = diagram_of(
+        ("clock", simple_leaf("Clock_", construct)),
+        ("hold", ZeroOrderHold(period_s, 1)),
+        connect=[("clock", "hold")],
+    )
+    model = compile_diagram(diagram)
+    run = model.simulate(model.parameters(), model.state(), 300 * period_s, integrator=integrator)
+    expected = period_s * np.arange(301)
+    np.testing.assert_array_equal(run.time_s, expected)
+    np.testing.assert_array_equal(run["out"][1:, 0], expected[:-1])  # the clock, a sample ago
+
+
 def test_records_at_chosen_times(default):
     model, (parameters, state, _) = default
     # At 0.01 ms RK4 resolves the mode of the oil to 1e-7; the records stand where it steps anyhow.
