@@ -28,15 +28,13 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 STEP_S = 2e-4
-"""Default step of the Runge-Kutta integrators: 11 a period of the 447 Hz mode of the oil."""
+"""Default step of the Runge-Kutta integrators."""
 
 ROUGH_STEP_S = 2e-5
-"""Step of RK4 for records between two events, also where the exact hold gives up: a third of the
-make-up valve's time constant."""
+"""Step of RK4 for records between two events, and where the exact hold gives up."""
 
 LONGEST_TICK_S = 2e-3
-"""Longest tick, that of the paper's controller; a forcing that repeats within half of it can look
-constant to the exact hold."""
+"""Longest tick of the exact hold; a forcing that repeats within half of it can look constant."""
 
 TOLERANCE = 1e-8
 """Default of the exact hold: local error of each state, relative to one plus the state."""
@@ -350,7 +348,10 @@ class Timing:
 
     def times(self, ticks: Any) -> Any:
         """Times in s of ticks: multiples of the unit are not rounded twice."""
-        return (ticks // self.split) * self.unit + (ticks % self.split) * self.tick
+        if self.split == 1:
+            return ticks * self.unit
+        whole, part = np.divmod(ticks, self.split)
+        return whole * self.unit + part * self.tick
 
 
 @lru_cache

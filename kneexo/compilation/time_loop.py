@@ -57,7 +57,7 @@ RUN = (
 
 ``c`` (constants, lanes), ``own_c`` (lanes, constants), ``x`` (states, lanes), ``d`` (held, lanes),
 ``inputs`` (lanes, `INPUT`), the ``tick`` in s and the ``unit``, which has ``split`` ticks: see
-`_Arguments.time_of`; ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and
+`_Clock`; ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and
 ``offsets`` (periods,) in ticks, ``wanted`` (output ports,) bytes, ``columns`` (column_count,) of
 the elements of all outputs, ``record`` (lanes, column_count, rows), ``memory`` and ``shared`` of
 the exact hold, ``tags`` and ``values`` of the tables of whole-number functions, ``status``
@@ -106,6 +106,28 @@ def between_text(program: Program) -> str:
 # ------------------------------------------------------------------------------ model parts
 
 
+class _Clock:
+    """Time of one tick after the other; whole units are not rounded twice, as in `Timing.times`."""
+
+    def __init__(self, f: Function, arguments: _Arguments, tick: Value) -> None:
+        self.f, self.a = f, arguments
+        split = arguments["split"]
+        whole = f.instruction(f"sdiv i64 {tick.name}, {split.name}", INT)
+        self.whole, self.part = f.variable(whole), f.variable(tick - whole * split)
+
+    def time(self) -> Value:
+        """Time of the tick in s."""
+        part = self.f.to_double(self.part.get()) * self.a["tick"]
+        return self.f.fma(self.f.to_double(self.whole.get()), self.a["unit"], part)
+
+    def advance(self) -> None:
+        """Go to the next tick."""
+        f, part = self.f, self.part.get() + 1
+        is_whole = part.equals(self.a["split"])
+        self.whole.set(self.whole.get() + f.flags(is_whole))
+        self.part.set(f.select(is_whole, 0, part))
+
+
 class _Arguments:
     """The arguments of a function, behind one pointer."""
 
@@ -119,13 +141,6 @@ class _Arguments:
 
     def __getitem__(self, name: str) -> Value:
         return self.values[name]
-
-    def time_of(self, tick: Value) -> Value:
-        """Time of a tick in s; whole units are not rounded twice, as in `Timing.times`."""
-        f, split = self.f, self["split"]
-        whole = f.instruction(f"sdiv i64 {tick.name}, {split.name}", INT)
-        part = f.to_double(tick - whole * split) * self["tick"]
-        return f.fma(f.to_double(whole), self["unit"], part)
 
     def array(self, name: str, type_: Type = INT) -> Array:
         """The array behind an address."""
@@ -323,14 +338,14 @@ class _Run:
         for i in f.each(model.held):
             model.d[i] = outer_d[i]
         ends = a.array("last", INT.of(self.lanes))[0]
-        number = f.variable(a["first"])
+        number, clock = f.variable(a["first"]), _Clock(f, a, a["first"])
         row, keep = f.variable(f.constant(0, INT)), f.variable(f.constant(0, INT))
         if self.lanes == 1:
             self._keep(keep, a["first"] - 1)
         with f.forever() as loop:
             k = number.get()
             loop.stop_if(k > a["longest"])
-            time = a.time_of(k)
+            time = clock.time()
             ticks = f.coerce(k, INT.of(self.lanes))
             alive = self.alive.get()
             now = _Now(k, time, alive & (ticks <= ends), alive & (ticks < ends))
@@ -339,8 +354,9 @@ class _Run:
                 self._keep(keep, k)
             running = self.alive.get() & (ticks < ends)
             loop.stop_if(~f.any_lane(running))
+            clock.advance()
             if self.program.size:
-                self._advance(_Now(k, time, now.present, running))
+                self._advance(_Now(k, time, now.present, running), clock.time())
             loop.stop_if(~f.any_lane(self.alive.get()))
             number.set(k + 1)
         for i in f.each(self.program.size):
@@ -428,9 +444,8 @@ class _Run:
                     self.status[3 * lane + 2] = which
             self.alive.set(self.alive.get() & ~lanes)
 
-    def _advance(self, now: _Now) -> None:
+    def _advance(self, now: _Now, end: Value) -> None:
         f, a, model = self.f, self.a, self.model
-        end = a.time_of(now.number + 1)
         tick = model.tick(now.time, end, a["step"], now.running)
         rough = None
         if self.integrator == "exact_hold":
@@ -476,7 +491,7 @@ def _trace_between(module: Module, program: Program) -> None:
                 for i in f.each(count):
                     values[i] = memory[i]
             start = f.select(kept[of] > 0, kept[of], 0)
-            time.set(a.time_of(start))
+            time.set(_Clock(f, a, start).time())
         if program.size:
             with f.when(now > time.get()):
                 advance_rk4(model.tick(time.get(), now, a["step"], f.constant(1, BOOL)))
