@@ -1,4 +1,4 @@
-"""Shared oracle: the four-bar linkage by compass and ruler, driven by link 4."""
+"""Shared: the four-bar linkage by compass and ruler; tables and lines as they are printed."""
 
 import sys
 from types import SimpleNamespace
@@ -46,6 +46,61 @@ def _walk(link, theta_4):
 def compass():
     """The function ``compass(link, theta_4)``: joints, knee angle and rod along a path."""
     return _walk
+
+
+def _tables(text):
+    """Each Markdown table of a text as rows of cells, the head first."""
+    found, inside = [], False
+    for line in text.splitlines():
+        if not line.startswith("|"):
+            inside = False
+            continue
+        cells = [cell.strip() for cell in line[1:-1].replace(r"\|", "¦").split("|")]
+        if not inside:
+            found.append([])
+        if not all(set(cell) <= {"-"} and cell for cell in cells):
+            found[-1].append(cells)
+        inside = True
+    for table in found:
+        assert {len(row) for row in table} == {len(table[0])}, table[0]
+    return found
+
+
+@pytest.fixture(scope="session")
+def tables():
+    """The function ``tables(text)``: the cells of each Markdown table, its head as first row."""
+    return _tables
+
+
+@pytest.fixture(scope="session")
+def curves():
+    """The function ``curves(ax)``: the data (x, y) of each line that the legend names."""
+
+    def read(ax):
+        named = [line for line in ax.lines if not line.get_label().startswith("_")]
+        assert len({line.get_label() for line in named}) == len(named)
+        return {
+            line.get_label(): tuple(np.asarray(v, dtype=float) for v in line.get_data())
+            for line in named
+        }
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def check_heat_map():
+    """The function ``check_heat_map(ax, x, y, values)``: ``values`` (x, y) lie at their place."""
+
+    def check(ax, x, y, values):
+        (mesh,) = ax.collections[:1]
+        drawn = np.ma.filled(np.ma.asarray(mesh.get_array(), dtype=float), np.nan)
+        np.testing.assert_array_equal(drawn.reshape(len(y), len(x)), np.asarray(values).T)
+        corners = mesh.get_coordinates()
+        for along, centres in ((corners[0, :, 0], x), (corners[:, 0, 1], y)):
+            inside = (along[:-1] < centres) & (centres < along[1:])
+            assert inside.all(), (along, centres)
+
+    return check
 
 
 @pytest.fixture(autouse=True)
