@@ -1,5 +1,7 @@
 """Shared: the four-bar linkage by compass and ruler; tables and lines as they are printed."""
 
+import math
+import re
 import sys
 from types import SimpleNamespace
 
@@ -70,6 +72,50 @@ def _tables(text):
 def tables():
     """The function ``tables(text)``: the cells of each Markdown table, its head as first row."""
     return _tables
+
+
+def _flat(value, path=""):
+    """Every leaf of nested data by its path; arrays and numbers as plain ones."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, dict):
+        items = value.items()
+    elif isinstance(value, list | tuple):
+        items = enumerate(value)
+    else:
+        return {path: value}
+    return {k: v for key, item in items for k, v in _flat(item, f"{path}/{key}").items()}
+
+
+@pytest.fixture(scope="session")
+def flat():
+    """The function ``flat(data)``: leaves of nested data by path, which pytest.approx compares."""
+    return _flat
+
+
+@pytest.fixture(scope="session")
+def check_rules():
+    """The function ``check_rules(results)``: what holds for the numbers of every study."""
+
+    def check(results):
+        for path, value in _flat(results).items():
+            if isinstance(value, float) and math.isfinite(value):
+                name = next(part for part in reversed(path.split("/")) if not part.isdigit())
+                if re.search(r"(^|_)share(s|$|_)", name):
+                    assert 0.0 <= value <= 1.0, path
+                if re.match(r"(rms|max|peak|worst)_.*error|.*_swing_|rod_speed", name):
+                    assert value >= 0.0, path
+        if isinstance(results, dict):
+            for key, value in results.items():
+                seconds = results.get(f"{key[:-3]}_s") if key.endswith("_ms") else None
+                if isinstance(seconds, float) and math.isfinite(seconds):
+                    assert value == pytest.approx(1e3 * seconds), key
+                check(value)
+        elif isinstance(results, list | tuple):
+            for value in results:
+                check(value)
+
+    return check
 
 
 @pytest.fixture(scope="session")
