@@ -3,6 +3,7 @@
 import math
 import re
 import sys
+from decimal import Decimal, InvalidOperation
 from types import SimpleNamespace
 
 import numpy as np
@@ -72,6 +73,31 @@ def _tables(text):
 def tables():
     """The function ``tables(text)``: the cells of each Markdown table, its head as first row."""
     return _tables
+
+
+def _says(cell, value):
+    """Whether a cell shows a number, to the digits that it has."""
+    if not math.isfinite(value):
+        return cell == ("–" if math.isnan(value) else "∞" if value > 0.0 else "−∞")
+    try:
+        shown = Decimal(cell)
+    except InvalidOperation:
+        return False
+    return abs(float(shown) - value) <= 0.5001 * 10.0 ** shown.as_tuple().exponent
+
+
+@pytest.fixture(scope="session")
+def check_cells():
+    """The function ``check_cells(table, rows)``: rows of text and numbers, without the head."""
+
+    def check(table, rows):
+        assert len(table) - 1 == len(rows)
+        for cells, expected in zip(table[1:], rows, strict=True):
+            for title, cell, value in zip(table[0], cells, expected, strict=True):
+                good = cell == value if isinstance(value, str) else _says(cell, value)
+                assert good, f"{cells[0]}, {title}: {cell!r} is not {value!r}"
+
+    return check
 
 
 def _flat(value, path=""):
