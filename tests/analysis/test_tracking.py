@@ -3,7 +3,14 @@ import math
 import numpy as np
 import pytest
 
-from kneexo.analysis.tracking import mean_change, saturated_share, track, tracking_metrics
+from kneexo.analysis.tracking import (
+    TRACKING_FIGURES,
+    mean_change,
+    saturated_share,
+    track,
+    track_figures,
+    tracking_metrics,
+)
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     BldcPumpParameters,
@@ -142,6 +149,16 @@ def test_tracking_a_fast_small_sine_gives_settings_signals_and_a_plot():
         "tracking error (deg)",
         "motor speed command (rpm)",
     ]
+
+
+def test_the_figures_alone_are_those_of_the_whole_result():
+    scenario = Scenario(
+        reference=SineReference(mean_deg=40.0, amplitude_deg=5.0, frequency_hz=2.0),
+        simulation=SimulationParameters(duration_s=0.8),
+    )
+    figures, metrics = track_figures(scenario), track(scenario).metrics
+    assert figures == {name: getattr(metrics, name) for name in TRACKING_FIGURES}
+    assert figures["saturated_share"] > 0.1
 
 
 def test_a_step_saturates_and_settles():
