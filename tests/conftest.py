@@ -1,6 +1,9 @@
-"""Shared oracle: the four-bar linkage by compass and ruler, driven by link 4."""
+"""Shared: the four-bar linkage by compass and ruler; tables and lines as they are printed."""
 
+import math
+import re
 import sys
+from decimal import Decimal, InvalidOperation
 from types import SimpleNamespace
 
 import numpy as np
@@ -46,6 +49,130 @@ def _walk(link, theta_4):
 def compass():
     """The function ``compass(link, theta_4)``: joints, knee angle and rod along a path."""
     return _walk
+
+
+def _tables(text):
+    """Each Markdown table of a text as rows of cells, the head first."""
+    found, inside = [], False
+    for line in text.splitlines():
+        if not line.startswith("|"):
+            inside = False
+            continue
+        cells = [cell.strip() for cell in line[1:-1].replace(r"\|", "¦").split("|")]
+        if not inside:
+            found.append([])
+        if not all(set(cell) <= {"-"} and cell for cell in cells):
+            found[-1].append(cells)
+        inside = True
+    for table in found:
+        assert {len(row) for row in table} == {len(table[0])}, table[0]
+    return found
+
+
+@pytest.fixture(scope="session")
+def tables():
+    """The function ``tables(text)``: the cells of each Markdown table, its head as first row."""
+    return _tables
+
+
+def _says(cell, value):
+    """Whether a cell shows a number, to the digits that it has."""
+    if not math.isfinite(value):
+        return cell == ("–" if math.isnan(value) else "∞" if value > 0.0 else "−∞")
+    try:
+        shown = Decimal(cell)
+    except InvalidOperation:
+        return False
+    return abs(float(shown) - value) <= 0.5001 * 10.0 ** shown.as_tuple().exponent
+
+
+@pytest.fixture(scope="session")
+def check_cells():
+    """The function ``check_cells(table, rows)``: rows of text and numbers, without the head."""
+
+    def check(table, rows):
+        assert len(table) - 1 == len(rows)
+        for cells, expected in zip(table[1:], rows, strict=True):
+            for title, cell, value in zip(table[0], cells, expected, strict=True):
+                good = cell == value if isinstance(value, str) else _says(cell, value)
+                assert good, f"{cells[0]}, {title}: {cell!r} is not {value!r}"
+
+    return check
+
+
+def _flat(value, path=""):
+    """Every leaf of nested data by its path; arrays and numbers as plain ones."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, dict):
+        items = value.items()
+    elif isinstance(value, list | tuple):
+        items = enumerate(value)
+    else:
+        return {path: value}
+    return {k: v for key, item in items for k, v in _flat(item, f"{path}/{key}").items()}
+
+
+@pytest.fixture(scope="session")
+def flat():
+    """The function ``flat(data)``: leaves of nested data by path, which pytest.approx compares."""
+    return _flat
+
+
+@pytest.fixture(scope="session")
+def check_rules():
+    """The function ``check_rules(results)``: what holds for the numbers of every study."""
+
+    def check(results):
+        for path, value in _flat(results).items():
+            if isinstance(value, float) and math.isfinite(value):
+                name = next(part for part in reversed(path.split("/")) if not part.isdigit())
+                if re.search(r"(^|_)share(s|$|_)", name):
+                    assert 0.0 <= value <= 1.0, path
+                if re.match(r"(rms|max|peak|worst)_.*error|.*_swing_|rod_speed", name):
+                    assert value >= 0.0, path
+        if isinstance(results, dict):
+            for key, value in results.items():
+                seconds = results.get(f"{key[:-3]}_s") if key.endswith("_ms") else None
+                if isinstance(seconds, float) and math.isfinite(seconds):
+                    assert value == pytest.approx(1e3 * seconds), key
+                check(value)
+        elif isinstance(results, list | tuple):
+            for value in results:
+                check(value)
+
+    return check
+
+
+@pytest.fixture(scope="session")
+def curves():
+    """The function ``curves(ax)``: the data (x, y) of each line that the legend names."""
+
+    def read(ax):
+        named = [line for line in ax.lines if not line.get_label().startswith("_")]
+        assert len({line.get_label() for line in named}) == len(named)
+        return {
+            line.get_label(): tuple(np.asarray(v, dtype=float) for v in line.get_data())
+            for line in named
+        }
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def check_heat_map():
+    """The function ``check_heat_map(ax, x, y, values)``: ``values`` (x, y) lie at their place."""
+
+    def check(ax, x, y, values):
+        (mesh,) = ax.collections[:1]
+        drawn = np.ma.filled(np.ma.asarray(mesh.get_array(), dtype=float), np.nan)
+        np.testing.assert_array_equal(drawn.reshape(len(y), len(x)), np.asarray(values).T)
+        corners = mesh.get_coordinates()
+        for along, centres in ((corners[0, :, 0], x), (corners[:, 0, 1], y)):
+            inside = (along[:-1] < centres) & (centres < along[1:])
+            assert inside.all(), (along, centres)
+
+    return check
 
 
 @pytest.fixture(autouse=True)

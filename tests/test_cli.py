@@ -1,16 +1,18 @@
 import csv
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from kneexo.cli import main
 from kneexo.compilation import cache
-from kneexo.parameters import Scenario
+from kneexo.parameters import PlantParameters, Scenario
 from kneexo.scenario import load_scenario
 
 SHORT = """
@@ -193,14 +195,55 @@ def test_python_m_kneexo_is_the_same_command():
     assert out.stdout.startswith("kneexo ")
 
 
-def test_linearize_writes_margins_and_refuses_a_posture_out_of_range(capsys, tmp_path):
-    assert main(["linearize", "--out", str(tmp_path / "out"), "--json"]) == 0
+def test_linearize_writes_what_it_finds_and_refuses_a_posture_out_of_range(capsys, tmp_path):
+    from kneexo.analysis import linearize_loop
+
+    posture = ["--knee-angle", "30"]
+    assert main(["linearize", *posture, "--out", str(tmp_path / "out"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert printed["margins"]["stable"] is True
+    assert json.loads((tmp_path / "out" / "linearization.json").read_text()) == printed
     assert {file.name for file in (tmp_path / "out").iterdir()} == {
         "linearization.json",
         *(f"{name}.{kind}" for name in ("loop", "nyquist", "poles") for kind in ("png", "pdf")),
     }
+    # The plant of Eq. 13, 15 and 16: (s + 1/τ_m) s (s² + 2ζω s + ω²).
+    oil, pump = PlantParameters().cylinder, PlantParameters().pump
+    leak = pump.leakage_m3_per_s_pa + oil.leakage_m3_per_s_pa
+    softness = 4.0 * oil.bulk_modulus_pa / oil.total_volume_m3
+    omega = math.sqrt(softness * (oil.mean_area_m2**2 + oil.damping_n_s_per_m * leak) / oil.mass_kg)
+    zeta = (oil.damping_n_s_per_m / oil.mass_kg + softness * leak) / (2.0 * omega)
+    pair = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
+    poles = [0.0, -1.0 / pump.lag_s, pair, pair.conjugate()]
+    found = [complex(*pole) for pole in printed["plant_poles_per_s"]]
+    by_imaginary_part = {"key": lambda pole: (pole.imag, pole.real)}
+    assert sorted(found, **by_imaginary_part) == pytest.approx(
+        sorted(map(complex, poles), **by_imaginary_part), rel=1e-9, abs=1e-6
+    )
+    assert printed["plant_frequencies_rad_s"] == pytest.approx(
+        [0.0, 1.0 / pump.lag_s, omega, omega], rel=1e-9, abs=1e-6
+    )
+    assert printed["plant_damping_ratios"][1:] == pytest.approx([1.0, zeta, zeta], rel=1e-6)
+    # dθ/dt per motor speed: flow over area, over the moment arm dx/dθ (Eq. 10 at 30°, in mm/deg).
+    arm = np.polyval(np.polyder([1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0]), 30.0)
+    arm *= 1e-3 * 180.0 / math.pi
+    flow = pump.displacement_m3_per_rad / pump.gear_ratio
+    gain = flow / (oil.mean_area_m2 + oil.damping_n_s_per_m * leak / oil.mean_area_m2) / arm
+    assert printed["plant_velocity_gain"] == pytest.approx(gain, rel=5e-3)  # G1 is not Table 1
+    point = printed["operating_point"]
+    assert point["knee_angle_rad"] == pytest.approx(math.radians(30.0), abs=1e-9)
+    for name in ("motor_speed_rad_s", "load_pressure_pa", "rod_force_n"):
+        assert point[name] == pytest.approx(0.0, abs=1e-6)
+    loop = linearize_loop(Scenario(), 30.0)
+    assert printed["loop_eigenvalues"] == [[z.real, z.imag] for z in loop.eigenvalues]
+    assert abs(complex(*printed["loop_eigenvalues"][0])) == max(
+        abs(complex(*z)) for z in printed["loop_eigenvalues"]
+    )
+    margins = loop.margins()
+    assert printed["margins"] == {
+        name: None if value != value or math.isinf(value) else value
+        for name, value in vars(margins).items()
+    }
+    assert printed["bandwidth_hz"] == loop.bandwidth_hz()
     assert main(["linearize", "--knee-angle", "200", "--out", str(tmp_path / "no")]) == 2
     assert "knee angle = 200 deg" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()

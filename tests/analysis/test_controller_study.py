@@ -1,4 +1,3 @@
-import json
 import math
 from itertools import product
 
@@ -13,7 +12,9 @@ from kneexo.analysis.checkpoint import Checkpoint
 from kneexo.analysis.controller_study import (
     FIGURES,
     MAP_FIGURES,
+    TRAP_VARIANTS,
     ControllerStudy,
+    TrapCase,
     controller_study,
     experiments,
     ideal_settling_time_s,
@@ -256,25 +257,224 @@ def test_a_finished_study_is_taken_from_its_checkpoint(small, monkeypatch):
     assert again.report() == study.report()
 
 
-def test_results_are_plain_and_the_report_has_the_verdicts(small):
-    study, _ = small
-    found = json.loads(to_json(study.results()))
-    assert np.shape(found["grid"]["max_error_deg"]) == (2, 2, 1)
-    assert [claim["verdict"] for claim in found["claims"]] == [c.verdict for c in study.claims()]
-    report = study.report()
-    for claim in study.claims():
-        assert claim.quote in report
-        assert f"**{claim.verdict}**" in report
-
-
-def test_figures_have_labels_with_units(small):
-    figures = small[0].figures()
-    assert set(figures) == {"study_lambda_slope", "study_phi_eta", "study_claims", "study_trap"}
-    for figure in figures.values():
+def test_every_figure_can_be_drawn(small):
+    for figure in small[0].figures().values():
         figure.canvas.draw()
-        labels = [ax.get_xlabel() + ax.get_ylabel() for ax in figure.axes]
-        assert any("(1/s)" in label or "(m/s²)" in label for label in labels)
-        plt.close(figure)
+
+
+# --------------------------------------------------------- results, report and figures by hand
+
+
+def trap_case(number, lambda_, variant):
+    return TrapCase(
+        lambda_per_s=lambda_,
+        variant=variant,
+        stable=number != 2,
+        disk_margin=0.11 + 0.01 * number,
+        max_error_deg=1.1 + number,
+        mean_command_change_rpm=31.0 + number,
+        oscillation_at_rest_deg=0.21 + 0.1 * number,
+        time_s=np.array([0.0, 1.0, 2.0]),
+        error_deg=np.array([0.1, 0.2, 0.3]) + number,
+        failure="",
+    )
+
+
+@pytest.fixture(scope="module")
+def by_hand():
+    """A study in which no two numbers are equal."""
+    grid = np.arange(30.0).reshape(SHAPE)
+    values = {name: 0.05 + 0.001 * grid + 0.04 * n for n, name in enumerate(FIGURES)}
+    values["stable"] = np.where(grid % 7 == 3, 0.0, 1.0)
+    values["settling_s"][0, 0, 0] = math.inf
+    values["disk_margin"][2, 4, 0] = math.nan
+    mapped = {
+        name: 0.3 + 0.1 * n + np.array([[0.01, 0.02], [0.03, 0.04]])
+        for n, name in enumerate(MAP_FIGURES)
+    }
+    mapped["stable"] = np.array([[1.0, 1.0], [1.0, 0.0]])
+    trap = [
+        trap_case(n, lambda_, variant)
+        for n, (lambda_, variant) in enumerate(product(GRID.trap_lambdas_per_s, TRAP_VARIANTS))
+    ]
+    failures = {(10.0, 0.32, 2.8e4): "left the range"}
+    return ControllerStudy(Scenario(), GRID, values, failures, tuple(trap), mapped)
+
+
+def test_results_are_the_grid_the_trap_and_the_map(by_hand, flat, check_rules):
+    found = by_hand.results()
+    check_rules({name: found[name] for name in ("grid", "map", "trap", "claims")})
+    beta = math.sqrt(1.8 / 1.4)
+    expected = {
+        "lambdas_per_s": GRID.lambdas_per_s,
+        "phis_m_s2": GRID.phis_m_s2,
+        "etas_m_s3": GRID.etas_m_s3,
+        "slope_per_s": [[beta * eta / phi for eta in GRID.etas_m_s3] for phi in GRID.phis_m_s2],
+        "grid": by_hand.values,
+        "failures": [
+            {"lambda_per_s": 10.0, "phi_m_s2": 0.32, "eta_m_s3": 2.8e4, "why": "left the range"}
+        ],
+        "trap": [
+            {key: v for key, v in vars(case).items() if key not in ("time_s", "error_deg")}
+            for case in by_hand.trap
+        ],
+        "map": {
+            "time_constants_s": GRID.map_time_constants_s,
+            "slopes_per_s": GRID.map_slopes_per_s,
+            **by_hand.map_values,
+        },
+    }
+    own = {name: value for name, value in found.items() if name != "claims"}
+    assert flat(own) == pytest.approx(flat(expected), nan_ok=True)
+    for claim, written in zip(by_hand.claims(), found["claims"], strict=True):
+        assert written == vars(claim) | {"verdict": claim.verdict}
+
+
+def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
+    claims, *lines, trap = tables(by_hand.report())
+    for row, claim in zip(claims[1:], by_hand.claims(), strict=True):
+        assert row[2] == str(claim.cases)
+        assert row[5] == str(claim.sound_cases)
+        assert row[4] == f"**{claim.verdict}**"
+        for cell, share in ((row[3], claim.share), (row[6], claim.sound_share)):
+            assert cell == ("–" if math.isnan(share) else f"{100 * share:.0f} %")
+    # Along λ, Φ and η through the default: λ = 20, Φ = 3.2, η = 2.8e5.
+    assert by_hand.centre == (1, 2, 1)
+    columns = (
+        "max_error_deg",
+        "mean_command_change_rpm",
+        "saturated_share",
+        "fast_max_error_deg",
+        "settling_s",
+        "large_settling_s",
+        "disk_margin",
+        "phase_margin_deg",
+    )
+    beta = math.sqrt(1.8 / 1.4)
+    axes = (GRID.lambdas_per_s, GRID.phis_m_s2, GRID.etas_m_s3)
+    for axis, (shown, along) in enumerate(zip(lines, axes, strict=True)):
+        rows = []
+        for n, value in enumerate(along):
+            at = tuple(n if i == axis else c for i, c in enumerate((1, 2, 1)))
+            slope = beta * GRID.etas_m_s3[at[2]] / GRID.phis_m_s2[at[1]]
+            rows.append([value, slope, *(float(by_hand.values[name][at]) for name in columns)])
+        check_cells(shown, rows)
+        assert shown[0][0] == ("λ (1/s)", "Φ (m/s²)", "η (m/s³)")[axis]
+    per_sample = math.pi / 30.0 / 0.002  # rad/s² of 1 rpm in a sample
+    check_cells(
+        trap,
+        [
+            [
+                case.lambda_per_s,
+                case.variant,
+                "stable" if case.stable else "unstable",
+                case.disk_margin,
+                case.max_error_deg,
+                case.mean_command_change_rpm,
+                case.mean_command_change_rpm * per_sample,
+                case.oscillation_at_rest_deg,
+            ]
+            for case in by_hand.trap
+        ],
+    )
+
+
+def test_the_words_have_the_largest_error_of_a_stable_loop(by_hand):
+    text = by_hand.report()
+    limit = Scenario().plant.pump.acceleration_limit_rad_s2
+    demand = 31.0 * math.pi / 30.0 / 0.002 / limit
+    for said in (
+        "30 points; 1 of them have a run that failed",
+        f"mean change is {demand:.2g} times",
+        "errs by up to 0.33° (T_f = 20 ms, k/Φ = 1e+04 1/s)",
+    ):
+        assert said in text
+
+
+def test_the_maps_have_their_axes_where_the_labels_say(by_hand, check_heat_map):
+    drawn = by_hand.figures()
+    beta = math.sqrt(1.8 / 1.4)
+    panels = (
+        ("study_lambda_slope", "λ (1/s)", "k/Φ (1/s)"),
+        ("study_phi_eta", "Φ (m/s²)", "η (m/s³)"),
+    )
+    names = {
+        "study_lambda_slope": (
+            *("max_error_deg", "mean_command_change_rpm", "settling_s", "disk_margin"),
+        ),
+        "study_phi_eta": (
+            *("max_error_deg", "mean_command_change_rpm", "saturated_share", "disk_margin"),
+        ),
+    }
+    rising = beta * 2.8e5 / np.array(GRID.phis_m_s2[::-1])
+    for title, across, up in panels:
+        axes = drawn[title].axes
+        assert axes[2].get_xlabel() == across
+        assert axes[0].get_ylabel() == up
+        for ax, name in zip(axes[:4], names[title], strict=True):
+            values = np.where(np.isinf(by_hand.values[name]), np.nan, by_hand.values[name])
+            if title == "study_lambda_slope":  # at the default η; the smallest Φ is on top
+                check_heat_map(ax, GRID.lambdas_per_s, rising, values[:, ::-1, 1])
+                stable = by_hand.values["stable"][:, ::-1, 1]
+                x, y, default = GRID.lambdas_per_s, rising, (20.0, rising[2])
+            else:  # at the default λ
+                check_heat_map(ax, GRID.phis_m_s2, GRID.etas_m_s3, values[1])
+                stable = by_hand.values["stable"][1]
+                x, y, default = GRID.phis_m_s2, GRID.etas_m_s3, (3.2, 2.8e5)
+            crosses, star = ax.lines[:2]
+            unstable = sorted((x[i], y[j]) for i, j in np.argwhere(stable == 0.0))
+            marked = sorted(zip(*crosses.get_data(), strict=True))
+            assert np.array(marked) == pytest.approx(np.array(unstable))
+            assert np.ravel(star.get_data()) == pytest.approx(default)
+    _, error, margin, *_ = drawn["study_trap"].axes
+    for ax, name in ((error, "max_error_deg"), (margin, "disk_margin")):
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("T_f (ms)", "k/Φ (1/s)")
+        check_heat_map(ax, [10.0, 20.0], GRID.map_slopes_per_s, by_hand.map_values[name])
+        crosses, star, circle = ax.lines
+        assert np.ravel(crosses.get_data()) == pytest.approx([20.0, 1e5])
+        assert np.ravel(star.get_data()) == pytest.approx([20.0, beta * 2.8e5 / 3.2])
+        at = [1e3 * GRID.trap_time_constant_s, GRID.trap_slope_per_s]
+        assert np.ravel(circle.get_data()) == pytest.approx(at)
+
+
+def test_the_lines_of_the_claims_are_those_of_the_grid(by_hand, curves):
+    drawn = by_hand.figures()
+    faster, chattering, adherent, collapse = drawn["study_claims"].axes
+    values, beta = by_hand.values, math.sqrt(1.8 / 1.4)
+    lines = curves(faster)
+    for label, name in (
+        (f"step of {GRID.step_deg:g}°", "settling_s"),
+        (f"step of {GRID.large_step_deg:g}°", "large_settling_s"),
+    ):
+        assert lines[label][0] == pytest.approx(GRID.lambdas_per_s)
+        assert lines[label][1] == pytest.approx(values[name][:, 2, 1])
+    assert lines["s = 0 alone"][1] == pytest.approx(
+        [ideal_settling_time_s(x, GRID.settled_share) for x in GRID.lambdas_per_s]
+    )
+    for ax, labels, x, of in (
+        (
+            chattering,
+            GRID.lambdas_per_s,
+            GRID.phis_m_s2,
+            lambda n: values["mean_command_change_rpm"][n, :, 1],
+        ),
+        (adherent, GRID.phis_m_s2, GRID.etas_m_s3, lambda n: values["max_error_deg"][1, n]),
+    ):
+        for label, (xs, ys) in curves(ax).items():
+            assert xs == pytest.approx(x)
+            assert ys == pytest.approx(of(labels.index(float(label))))
+    for n, eta in enumerate(GRID.etas_m_s3):
+        xs, ys = curves(collapse)[f"{eta:g}"]
+        assert xs == pytest.approx(beta * eta / np.array(GRID.phis_m_s2))
+        assert ys == pytest.approx(values["max_error_deg"][1, :, n])
+    lines = curves(drawn["study_trap"].axes[0])
+    shown = [c for c in by_hand.trap if c.lambda_per_s == GRID.trap_lambdas_per_s[0]]
+    assert list(lines) == [case.variant for case in shown]
+    for case in shown:
+        assert lines[case.variant][1] == pytest.approx(case.error_deg)
+
+
+# ------------------------------------------------------------------------------ a run that fails
 
 
 def test_a_run_that_fails_leaves_nan_and_its_reason(monkeypatch):

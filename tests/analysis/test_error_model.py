@@ -89,6 +89,14 @@ def test_each_part_of_the_model_is_where_it_belongs():
     assert geared.speed_ratio == pytest.approx(1.1, rel=1e-12)
     completed = loop(**{"controller.area_uncertainty": 1.0 / 7.0})
     faster = error_model(completed, rod_speed_m_s=0.04)
+    # Both leakages take from the rod's speed, so the rod lags behind a load that pushes it in.
+    leaks = {"plant.pump.internal_leakage_m3_per_s_pa": 2e-12}
+    leaks |= {"plant.pump.external_leakage_m3_per_s_pa": 1e-12}
+    leaking = error_model(loop(**leaks, **{"plant.cylinder.leakage_m3_per_s_pa": 7e-12}))
+    lost = (2e-12 + 0.5e-12 + 7e-12) / MEAN_AREA
+    assert leaking.leakage_m_per_s_pa == pytest.approx(lost, rel=1e-12)
+    gain = STIFFNESS / (20.0**2 * 1e5)
+    assert leaking.error_m(0.0, 0.0, 3e5) == pytest.approx(-gain * lost * 3e5, rel=1e-9)
     # Φ = 3.1749 m/s² makes the slope 1e5 1/s at rest; ω̂²/7 · 0.04 m/s is 45 400 m/s³ more of k.
     phi = BETA * 2.8e5 / 1e5
     assert faster.slope_per_s - 1e5 == pytest.approx(STIFFNESS / 7.0 * 0.04 / phi, rel=1e-9)

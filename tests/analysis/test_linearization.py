@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 
 from kneexo.analysis import loop_rest
 from kneexo.analysis.plant_linearization import find_operating_point, linearize_plant
-from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.errors import KneexoError, LinearizationError, LinkageError, ParameterError
 from kneexo.parameters import (
@@ -805,6 +805,34 @@ def test_the_delay_margin_is_the_smallest_of_all_crossings(loops, margins, name)
     expected = min(np.radians(np.mod(phases, 360.0)) / omegas)
     # The spline is good for 1e-6 where the loop bends most (the 447 Hz mode, exact states).
     assert margins[name].delay_margin_s == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_the_phase_margin_of_a_delayed_integrator_is_that_of_the_closed_form(delay):
+    # L = g z⁻ⁿ/(z − 1) has |L| = 1 at 2 sin(ωT/2) = g, and there the phase −90° − (n + ½) ωT.
+    g, size = 1.2, delay + 1
+    loop = SampledLoop(
+        a=np.array([[0.0]]),
+        b=np.array([[1.0 / T]]),
+        c=np.array([[1.0]]),
+        g_x=-g * np.eye(size)[:, :1],
+        g_z=np.eye(size, k=-1),
+        g_r=np.zeros((size, 4)),
+        c_u=np.eye(size)[-1:],
+        sample_time_s=T,
+        output="rod_extension",
+        knee_angle_rad=0.0,
+        scenario=Scenario(),
+    )
+    angle = 2.0 * math.asin(0.5 * g)
+    margin = 90.0 - math.degrees((delay + 0.5) * angle)
+    m = loop.margins()
+    assert m.stable is (margin > 0.0)  # 53.1° and −94.4°: as much is missing
+    assert m.phase_margin_deg == pytest.approx(margin, rel=1e-9)
+    assert m.phase_margin_frequency_hz == pytest.approx(angle / (2.0 * math.pi * T), rel=1e-9)
+    # A delay only turns the phase back: an unstable loop is as far from −180° the other way round.
+    turn = margin % 360.0 / 360.0
+    assert m.delay_margin_s == pytest.approx(turn / m.phase_margin_frequency_hz, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["difference", "pid_tuned"])

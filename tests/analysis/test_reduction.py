@@ -1,11 +1,10 @@
 """Full against reduced order: speeds, modes, bandwidth and the switching force."""
 
-import json
+import itertools
 import math
 
 import numpy as np
 import pytest
-from matplotlib import pyplot as plt
 
 from kneexo.analysis.checkpoint import Checkpoint
 from kneexo.analysis.error_model import error_model
@@ -18,8 +17,8 @@ from kneexo.analysis.reduction import (
     switching_row,
     tracking_row,
 )
+from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import ParameterError
-from kneexo.output import to_json
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
     KneeLoadParameters,
@@ -32,6 +31,7 @@ from kneexo.scenario import changed
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
 AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)
 MEAN_AREA = 0.5 * (AREA_1 + AREA_2)
+LAG = 0.010
 FLOW = 0.8e-6 * 5000.0 / 60.0 / 6.0
 TABLE_1 = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)
 DRAKE = {"simulation.integrator": "radau3"}
@@ -105,6 +105,28 @@ def test_margins_fall_with_the_rod_side_loaded_and_grow_with_the_cap_side():
     assert margins["full", -60.0] == low
     assert margins["full", 60.0] == high
     assert (low, middle, high) == pytest.approx((51.1, 57.1, 61.5), abs=0.2)  # as measured
+
+
+def test_a_frequency_row_has_the_units_of_its_names():
+    found = frequency_row(UNCERTAIN_KNEE, ("reduced", 60.0, 40.0))
+    loop = linearize_loop(in_order(UNCERTAIN_KNEE, "reduced", 60.0), 40.0)
+    margins = loop.margins()
+    assert found["stable"] is True
+    assert found["failure"] == ""
+    assert found["delay_margin_ms"] == 1e3 * margins.delay_margin_s
+    assert found["delay_margin_ms"] == pytest.approx(187.0, abs=2.0)  # docs/validation.md
+    for name in ("phase_margin_deg", "gain_margin", "disk_margin"):
+        assert found[name] == getattr(margins, name)
+    assert found["bandwidth_hz"] == loop.bandwidth_hz()
+    # 60 N on the rod, and the weight of 1.6 kg at 0.2 m over the moment arm at 40°, in N.
+    arm = np.polyval(np.polyder(TABLE_1), 40.0) * 1e-3 * 180.0 / math.pi
+    weight = 1.6 * 9.81 * 0.2 * math.sin(math.radians(40.0)) / arm
+    assert found["rod_force_n"] == pytest.approx(60.0 + weight, rel=0.01)
+    trace = found["trace"]
+    assert trace["frequencies_hz"][0] == 1.0
+    # Well below motor and oil a radian of the motor moves D_m/(gear Ā) in m.
+    at_1_hz = abs(1.0 / (1.0 + 2j * math.pi * LAG)) * 0.8e-6 / (2.0 * math.pi) / 6.0 / MEAN_AREA
+    assert trace["plant_gain_m"][0] == pytest.approx(at_1_hz, rel=0.01)
 
 
 def test_no_linear_loop_is_said_in_words():
@@ -183,21 +205,200 @@ def test_rod_oscillates_near_the_switching_force_in_retraction_alone(comparison)
 
 
 @pytest.mark.slow
-def test_comparison_resumes_reports_and_draws(comparison):
+def test_comparison_resumes_and_draws(comparison):
     found, path = comparison
-    assert isinstance(found, OrderComparison)
-    text = found.report()
-    assert "oscillates at 16…16 N when it retracts" in text
-    assert "the paper measured 0.21 Hz" in text
-    results = json.loads(to_json(found.results()))
-    assert len(results["speeds"]) == 8
-    assert not any("trace" in row for part in results.values() for row in part)
+    assert len(found.results()["speeds"]) == 8
     again = compare_orders(found.scenario, found.settings, checkpoint=Checkpoint(path, resume=True))
-    assert again.report() == text
-    figures = found.figures()
-    assert set(figures) == {"order_tracking", "order_switching", "order_frequency"}
-    assert all(axis.get_ylabel() for figure in figures.values() for axis in figure.axes)
-    plt.close("all")
+    assert again.report() == found.report()
+    for figure in found.figures().values():
+        figure.canvas.draw()
+
+
+# ------------------------------------------------------- report and figures, by hand-made rows
+
+NAMES = {
+    "tracking": (
+        *("max_error_deg", "rms_error_deg", "mean_command_change_rpm", "saturated_share"),
+        *("load_pressure_min_mpa", "load_pressure_max_mpa", "cap_min_mpa", "cap_max_mpa"),
+        *("rod_side_min_mpa", "rod_side_max_mpa"),
+    ),
+    "speeds": ("saturated_share", "rod_speed_mm_s"),
+    "switching": (
+        *("velocity_swing_mm_s", "velocity_rms_mm_s", "load_pressure_swing_mpa"),
+        "max_error_deg",
+    ),
+    "frequency": (
+        *("rod_force_n", "mode_hz", "mode_damping", "phase_margin_deg", "gain_margin"),
+        *("delay_margin_ms", "disk_margin", "bandwidth_hz"),
+    ),
+    "bandwidth": ("bandwidth_hz",),
+}
+"""The numbers of a row in each part; no two of all rows are equal."""
+
+
+@pytest.fixture(scope="module")
+def by_hand():
+    counter = itertools.count(1)
+
+    def row(part, **labels):
+        values = {name: round(0.00617 * next(counter), 5) for name in NAMES[part]}
+        if labels.get("order") == "full":
+            gone = [name for name in values if name.startswith("load_pressure")]
+        else:
+            gone = [name for name in values if name.startswith(("cap", "rod_side"))]
+        return labels | {k: v for k, v in values.items() if k not in gone}
+
+    loads, postures = (0.0, 60.0), (10.0, 40.0, 70.0)
+    both = [(order, load) for load in loads for order in ("reduced", "full")]
+    tracking = [row("tracking", order=o, disturbance_n=f) for o, f in both]
+    for n, one in enumerate(tracking):
+        names = ("load_pressure",) if one["order"] == "reduced" else ("cap", "rod_side")
+        one["trace"] = {
+            "time_s": [0.0, 1.0, 2.0],
+            "error_deg": [0.1 + n, 0.2 + n, 0.3 + n],
+            "pressures_mpa": {name: [n + 0.5, n + 0.6, len(name)] for name in names},
+        }
+    frequency = [
+        row("frequency", order=o, disturbance_n=f, posture_deg=p, stable=True, failure="")
+        for o, f in both
+        for p in postures
+    ]
+    for n, one in enumerate(frequency):
+        one["trace"] = {"frequencies_hz": [1.0, 10.0], "plant_gain_m": [1e-3 * (n + 1), 2e-5 * n]}
+    lost = dict.fromkeys(NAMES["frequency"][3:], math.nan)
+    frequency[0] |= {"bandwidth_hz": math.nan}
+    frequency[1] |= lost | {"stable": False}
+    frequency[2] |= lost | {"stable": None, "failure": "no rest"}
+    return OrderComparison(
+        tracking=tuple(tracking),
+        speeds=tuple(
+            row("speeds", order=o, force_n=60.0, direction=d)
+            for o in ("reduced", "full")
+            for d in ("in", "out")
+        ),
+        switching=tuple(
+            row("switching", force_n=f, direction=d, oscillates=d == "in" and f == 16.0)
+            for d in ("in", "out")
+            for f in (6.0, 16.0)
+        ),
+        frequency=tuple(frequency),
+        bandwidth=tuple(row("bandwidth", order=o, disturbance_n=f, failure="") for o, f in both),
+        scenario=UNCERTAIN_KNEE,
+        settings=OrderComparisonParameters(disturbances_n=loads, postures_deg=postures),
+    )
+
+
+def test_results_are_the_rows_without_their_traces(by_hand, flat, check_rules):
+    numbers = by_hand.results()
+    check_rules(numbers)
+    expected = {
+        part: [{k: v for k, v in row.items() if k != "trace"} for row in getattr(by_hand, part)]
+        for part in NAMES
+    }
+    assert flat(numbers) == pytest.approx(flat(expected), nan_ok=True)
+
+
+def test_every_cell_of_the_report_is_in_the_results(by_hand, tables, check_cells):
+    tracking, speeds, bandwidth, frequency, switching = tables(by_hand.report())
+    # A range is shown as low…high, to a thousandth of a MPa.
+    names = ("load_pressure", "cap", "rod_side")
+    for row, own in zip(tracking[1:], by_hand.tracking, strict=True):
+        for n, name in enumerate(names):
+            ends = [own.get(f"{name}_{end}_mpa") for end in ("min", "max")]
+            expected = "" if ends[0] is None else f"{ends[0]:.3f}…{ends[1]:.3f}"
+            assert row[5 + n] == expected
+    assert tracking[0][5:] == ["P_L (MPa)", "P_1 (MPa)", "P_2 (MPa)"]
+    columns = ("disturbance_n", "rms_error_deg", "max_error_deg", "mean_command_change_rpm")
+    check_cells(
+        [row[:5] for row in tracking],
+        [[r["order"], *(r[name] for name in columns)] for r in by_hand.tracking],
+    )
+    check_cells(
+        speeds,
+        [
+            [r["order"], "60", r["direction"], r["rod_speed_mm_s"], 100.0 * r["saturated_share"]]
+            for r in by_hand.speeds
+        ],
+    )
+    check_cells(
+        bandwidth,
+        [[r["order"], r["disturbance_n"], r["bandwidth_hz"]] for r in by_hand.bandwidth],
+    )
+    last = {0: "none below Nyquist", 1: "unstable", 2: "no rest"}
+    check_cells(
+        frequency,
+        [
+            [
+                r["order"],
+                *(r[name] for name in ("disturbance_n", "posture_deg", *NAMES["frequency"][:-1])),
+                last.get(n, r["bandwidth_hz"]),
+            ]
+            for n, r in enumerate(by_hand.frequency)
+        ],
+    )
+    columns = ("velocity_swing_mm_s", "load_pressure_swing_mpa", "max_error_deg")
+    check_cells(
+        switching,
+        [[r["force_n"], r["direction"], *(r[n] for n in columns)] for r in by_hand.switching],
+    )
+
+
+def test_the_findings_have_the_extremes_of_each_order(by_hand):
+    text = by_hand.report()
+    for part, name, form in (
+        ("tracking", "rms_error_deg", ".3f"),
+        ("speeds", "rod_speed_mm_s", ".1f"),
+        ("bandwidth", "bandwidth_hz", ".3f"),
+        ("frequency", "mode_damping", ".2g"),
+        ("frequency", "phase_margin_deg", ".1f"),
+        ("frequency", "disk_margin", ".2f"),
+    ):
+        said = []
+        for order in ("reduced", "full"):
+            values = [r[name] for r in getattr(by_hand, part) if r["order"] == order]
+            ends = sorted({f"{f(values):{form}}" for f in (np.nanmin, np.nanmax)}, key=float)
+            said.append(f"{order} {'…'.join(ends)}")
+        assert ", ".join(said) in text
+    assert "the paper measured 0.21 Hz" in text
+    assert by_hand.oscillating_n("in") == [16.0]
+    assert by_hand.oscillating_n("out") == []
+    assert "oscillates at 16…16 N when it retracts" in text
+    assert "oscillates at none of the forces when it extends" in text
+
+
+def test_every_line_of_the_figures_is_that_of_its_row(by_hand, curves):
+    drawn = by_hand.figures()
+    assert set(drawn) == {"order_tracking", "order_switching", "order_frequency"}
+    panels = np.reshape(drawn["order_tracking"].axes, (2, 2))
+    pressures = {"P_L, reduced": "load_pressure", "P_1": "cap", "P_2": "rod_side"}
+    for (error, pressure), load in zip(panels, (0.0, 60.0), strict=True):
+        assert f" {load:g} N" in error.get_title()
+        lines, shown = curves(error), curves(pressure)
+        for r in rows(by_hand.tracking, disturbance_n=load):
+            assert lines[r["order"]][1] == pytest.approx(r["trace"]["error_deg"])
+            for name, values in r["trace"]["pressures_mpa"].items():
+                (label,) = (k for k, v in pressures.items() if v == name)
+                assert shown[label][1] == pytest.approx(values)
+    (ax,) = drawn["order_switching"].axes
+    lines = curves(ax)
+    for label, direction in (("retracting", "in"), ("extending", "out")):
+        own = rows(by_hand.switching, direction=direction)
+        assert lines[label][0] == pytest.approx([6.0, 16.0])
+        assert lines[label][1] == pytest.approx([r["velocity_swing_mm_s"] for r in own])
+    (label,) = (label for label in lines if label.startswith("P_r"))
+    assert lines[label][0] == pytest.approx(0.2e6 * (AREA_1 - AREA_2))
+    assert label.endswith("= 15.7 N")
+    (ax,) = drawn["order_frequency"].axes
+    lines = curves(ax)
+    assert "(mm/rad)" in ax.get_ylabel()
+    assert "40 deg" in ax.get_title()
+    for r in rows(by_hand.frequency, posture_deg=40.0):
+        hertz, gain = lines[f"{r['order']}, {r['disturbance_n']:g} N"]
+        assert hertz == pytest.approx(r["trace"]["frequencies_hz"])
+        assert gain == pytest.approx([1e3 * value for value in r["trace"]["plant_gain_m"]])
+    assert lines["Nyquist, 250 Hz"][0] == pytest.approx(250.0)
+    for figure in drawn.values():
+        assert all(ax.get_ylabel() for ax in figure.axes)
 
 
 # ------------------------------------------------------------------------------ bad input

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib import pyplot as plt
 from scipy.linalg import expm
 
 from kneexo.analysis import simulate
@@ -15,6 +14,9 @@ from kneexo.analysis.checkpoint import Checkpoint
 from kneexo.analysis.simulation import Run
 from kneexo.analysis.sliding_condition import (
     LAWS,
+    NeededEta,
+    SlidingCase,
+    SlidingStudy,
     check_sliding,
     effective_masses_kg,
     error_bounds,
@@ -273,16 +275,192 @@ def test_study_has_every_case_and_plain_results(small_study):
     assert to_json(resumed.results()) == to_json(study.results())
 
 
-def test_study_reports_and_draws(small_study):
-    study, _ = small_study
-    text = study.report()
-    for head in ("Along the reference", "From outside the layer", "Findings"):
-        assert f"## {head}" in text
-    assert "3.31e+04 m/s³" in text
-    figures = study.figures()
-    assert set(figures) == {"sliding_condition", "error_bound", "boundary_layer"}
-    assert all(axis.get_xlabel() for figure in figures.values() for axis in figure.axes)
-    plt.close("all")
+def test_every_figure_can_be_drawn(small_study):
+    for figure in small_study[0].figures().values():
+        figure.canvas.draw()
+
+
+SHARES = ("outside_share", "holding_share", "attracting_share", "left_share")
+SHARES += ("held_share", "mean_share")
+NUMBERS = ("largest_s", "largest_error_mm", "worst_rate_m_s3", "reaching_s", "promised_s")
+
+
+@pytest.fixture(scope="module")
+def by_hand():
+    """Cases in which no two numbers are equal; one leaves the range, one never the layer."""
+    cases = []
+
+    def case(part, plant, law, load, eta, **changes):
+        n = len(cases) + 1
+        found = {name: 0.01 * n + 0.001 * k for k, name in enumerate(SHARES)}
+        found |= {name: 1.1 * n + 0.1 * k for k, name in enumerate(NUMBERS)}
+        found["failure"] = ""
+        found["trace"] = {
+            "time_s": [0.0, 0.5, 1.0],
+            "s_m_s2": [0.1 * n] * 3,
+            "error_m": [1e-3 * n, -2e-3 * n, 3e-3 * n],
+            "bound_m": [8e-3] * 3,
+            "outside_time_s": [0.1 * n, 0.2 * n],
+            "away_m_s3": [-1e3 * n, -2e3 * n],
+        }
+        cases.append(SlidingCase(part, plant, law, load, eta, found | changes))
+
+    for law in LAWS:
+        for load in (60.0, -60.0):
+            # By its own k s stays from 2e4 m/s³ on, completed from 1e4 m/s³ on.
+            for eta in (1e4, 2e4):
+                stays = {"left_share": 0.0} if eta > 1e4 or law != "paper" else {}
+                case("motion", "full", law, load, eta, **stays)
+            case("start", "full", law, load, 2e4)
+    cases[0].found["failure"] = "left the range"
+    for eta in (1e4, 2e4):
+        case("motion", "reduced, 1.4 kg", "paper", 60.0, eta, left_share=0.0, outside_share=0.0)
+    case("start", "reduced, 1.4 kg", "paper", 60.0, 2e4, left_share=0.0, holding_share=1.0)
+    case("sampled", "full, motor", "paper", 60.0, 2.8e5)
+    return SlidingStudy(
+        cases=tuple(cases),
+        needed=NeededEta(speed=3.3e4, stability=8.1e4),
+        scenario=SLIDING_LAW,
+        settings=SlidingStudyParameters(
+            etas_m_s3=(1e4, 2e4), loads_n=(60.0, -60.0), start_eta_m_s3=2e4
+        ),
+    )
+
+
+def test_results_are_the_cases_without_their_traces(by_hand, flat, check_rules):
+    found = by_hand.results()
+    check_rules(found)
+    low, high = GAIN["controller.mass_min_kg"], GAIN["controller.mass_max_kg"]
+    assert found.pop("effective_mass_kg") == pytest.approx((low, high), rel=1e-4)
+    from_1e4 = {"60 N": 1e4, "-60 N": 1e4}
+    expected = {
+        "needed_eta_m_s3": {"speed": 3.3e4, "stability": 8.1e4},
+        "smallest_eta_m_s3": {
+            "paper": {"60 N": 2e4, "-60 N": 2e4},
+            "area": from_1e4,
+            "area_gain": from_1e4,
+        },
+        "cases": [
+            {"part": c.part, "plant": c.plant, "law": c.law, "load_n": c.load_n}
+            | {"eta_m_s3": c.eta_m_s3}
+            | {name: value for name, value in c.found.items() if name != "trace"}
+            for c in by_hand.cases
+        ],
+    }
+    assert flat(found) == pytest.approx(flat(expected))
+
+
+def test_every_cell_of_the_report_is_in_the_cases(by_hand, tables, check_cells):
+    motion, start, sampled = tables(by_hand.report())
+
+    def labels(case):
+        return [case.plant, case.load_n, LAWS[case.law], case.eta_m_s3]
+
+    def percent(case, *names):
+        return [100.0 * case.found[name] for name in names]
+
+    def in_ms(case):
+        return [1e3 * case.found[name] for name in ("reaching_s", "promised_s")]
+
+    check_cells(
+        motion,
+        [
+            [
+                *labels(c),
+                *percent(c, "outside_share", "holding_share", "attracting_share"),
+                *(c.found[name] for name in ("largest_s", "largest_error_mm")),
+                "left the range of motion" if c.found["failure"] else "complete",
+            ]
+            for c in by_hand.of("motion")
+        ],
+    )
+    check_cells(
+        start,
+        [
+            [
+                *labels(c),
+                *percent(c, "holding_share"),
+                c.found["worst_rate_m_s3"],
+                *in_ms(c),
+                *percent(c, "left_share"),
+            ]
+            for c in by_hand.of("start")
+        ],
+    )
+    check_cells(
+        sampled,
+        [
+            [
+                *labels(c),
+                *percent(c, "holding_share", "held_share", "mean_share"),
+                *in_ms(c),
+                *percent(c, "left_share"),
+                c.found["largest_error_mm"],
+            ]
+            for c in by_hand.of("sampled")
+        ],
+    )
+    for title, name in (("reached after (ms)", 6), ("promised (ms)", 7)):
+        assert start[0][name] == title
+
+
+def test_the_findings_have_the_numbers_of_the_results(by_hand):
+    text = by_hand.report()
+    full = [c for c in by_hand.cases if c.plant == "full"]
+    shares = {
+        name: [100.0 * c.found["holding_share"] for c in full if c.law == name] for name in LAWS
+    }
+    for said in (
+        "λ = 20 1/s, Φ = 3.2 m/s²",
+        "Φ/λ² = 8 mm",
+        "in 3 of 3 runs",
+        "60 N: with the paper's k, s stays in the layer from η = 2e+04 m/s³ on; with",
+        "from 1e+04 m/s³ on.",
+        "η ≥ 3.3e+04 m/s³",
+        "η ≥ 8.1e+04 m/s³",
+        *(f"{LAWS[n]} {min(s):.0f}…{max(s):.0f} % of a run" for n, s in shares.items()),
+    ):
+        assert said in text
+
+
+def test_every_line_of_the_figures_is_that_of_its_case(by_hand, curves):
+    drawn = by_hand.figures()
+    start, motion = drawn["sliding_condition"].axes
+    # Over time the smallest η with which the paper's k ends its run; the first load alone.
+    for ax, part, scale in ((start, "start", 1e3), (motion, "motion", 1.0)):
+        lines = curves(ax)
+        for c in by_hand.of(part, plant="full", load_n=60.0, eta_m_s3=2e4):
+            x, y = lines[LAWS[c.law]]
+            assert x == pytest.approx([scale * t for t in c.found["trace"]["outside_time_s"]])
+            assert y == pytest.approx(c.found["trace"]["away_m_s3"])
+        (promised,) = (y for label, (_, y) in lines.items() if label.startswith("−η"))
+        assert promised == pytest.approx(-2e4)
+        assert ax.get_xlabel() == ("time (ms)" if part == "start" else "time (s)")
+    for ax, load in zip(drawn["error_bound"].axes, (60.0, -60.0), strict=True):
+        lines = curves(ax)
+        for c in by_hand.of("motion", plant="full", load_n=load, eta_m_s3=2e4):
+            x, y = lines[LAWS[c.law]]
+            assert x == pytest.approx(c.found["trace"]["time_s"])
+            assert y == pytest.approx([1e3 * abs(e) for e in c.found["trace"]["error_m"]])
+        assert lines["Φ/λ² = 8 mm"][1] == pytest.approx(8.0)
+        assert ax.get_title().startswith(f"{load:g} N")
+    (ax,) = drawn["boundary_layer"].axes
+    lines = curves(ax)
+    for law, label in LAWS.items():
+        for load in (60.0, -60.0):
+            x, y = lines[f"{label}, {load:g} N"]
+            assert x == pytest.approx([1e4, 2e4])
+            own = by_hand.of("motion", plant="full", law=law, load_n=load)
+            expected = [math.nan if c.found["failure"] else c.found["largest_s"] for c in own]
+            assert y == pytest.approx(expected, nan_ok=True)
+    lost = [line for line in ax.lines if line.get_marker() == "x" and len(line.get_xdata())]
+    assert [list(line.get_xdata()) for line in lost] == [[1e4]]
+    needed = [line.get_xdata()[0] for line in ax.lines if line.get_color() == "0.5"]
+    assert needed == [3.3e4, 8.1e4]
+    assert {text.get_text().split()[-1]: text.get_position()[0] for text in ax.texts} == {
+        "speed": 3.3e4,
+        "stability": 8.1e4,
+    }
 
 
 @pytest.mark.slow

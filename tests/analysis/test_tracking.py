@@ -3,7 +3,14 @@ import math
 import numpy as np
 import pytest
 
-from kneexo.analysis.tracking import mean_change, saturated_share, track, tracking_metrics
+from kneexo.analysis.tracking import (
+    TRACKING_FIGURES,
+    mean_change,
+    saturated_share,
+    track,
+    track_figures,
+    tracking_metrics,
+)
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     BldcPumpParameters,
@@ -18,7 +25,7 @@ from kneexo.parameters import (
 TIME = np.arange(0.0, 4.0, 0.002)
 
 
-def metrics(error, command=None, power=None, settled_s=0.0):
+def metrics(error, command=None, power=None, hydraulic=None, settled_s=0.0):
     zero = np.zeros_like(TIME)
     return tracking_metrics(
         TIME,
@@ -26,7 +33,7 @@ def metrics(error, command=None, power=None, settled_s=0.0):
         zero if command is None else command,
         np.full_like(TIME, 2e6),
         zero if power is None else power,
-        zero,
+        zero if hydraulic is None else hydraulic,
         settled_s=settled_s,
         command_limit_rad_s=100.0,
         pressure_rating_pa=3.5e6,
@@ -53,6 +60,17 @@ def test_chattering_index_is_the_mean_change_in_rpm():
     assert mean_change(np.array([0.0, 3.0, 2.0])) == 2.0
 
 
+def test_change_and_saturation_of_the_command_count_from_the_first_period_on():
+    # Before 1 s: at the limit, and 200 rad/s up and down; after: 3 rad/s, a tenth at the limit.
+    after = np.where(np.arange(TIME.size) % 10 == 0, 100.0, 97.0)
+    before = 100.0 * (-1.0) ** np.arange(TIME.size)
+    m = metrics(0 * TIME, np.where(TIME < 1.0 - 1e-9, before, after), settled_s=1.0)
+    assert m.saturated_share == pytest.approx(0.1)
+    changes = np.count_nonzero(np.diff(after[500:])) / 1499
+    assert m.mean_command_change_rpm == pytest.approx(3.0 * changes * 30.0 / math.pi)
+    assert m.peak_command_rpm == pytest.approx(100.0 * 30.0 / math.pi)
+
+
 def test_saturated_share_counts_both_limits():
     assert saturated_share(np.array([100.0, -100.0, 99.0, 0.0]), 100.0) == 0.5
 
@@ -63,6 +81,15 @@ def test_energy_is_the_integral_of_power_and_delivered_energy_leaves_out_returns
     assert m.shaft_energy_j == pytest.approx(0.0, abs=1e-4)
     assert m.shaft_energy_delivered_j == pytest.approx(4.0 / math.pi, abs=1e-4)
     assert m.peak_shaft_power_w == pytest.approx(1.0, abs=1e-4)
+
+
+def test_shaft_and_hydraulic_energy_are_told_apart():
+    # 7 W at the shaft from 1 s on, of which 5 W reach the cylinder; 3 W come back before.
+    pushed = TIME >= 1.0 - 1e-9
+    m = metrics(0 * TIME, power=np.where(pushed, 7.0, -3.0), hydraulic=np.where(pushed, 5.0, -2.0))
+    assert m.shaft_energy_j == pytest.approx(3.0 * 7.0 - 3.0, abs=0.02)
+    assert m.shaft_energy_delivered_j == pytest.approx(3.0 * 7.0, abs=0.02)
+    assert m.hydraulic_energy_j == pytest.approx(3.0 * 5.0 - 2.0, abs=0.02)
 
 
 def test_pressure_over_rating_is_flagged():
@@ -122,6 +149,16 @@ def test_tracking_a_fast_small_sine_gives_settings_signals_and_a_plot():
         "tracking error (deg)",
         "motor speed command (rpm)",
     ]
+
+
+def test_the_figures_alone_are_those_of_the_whole_result():
+    scenario = Scenario(
+        reference=SineReference(mean_deg=40.0, amplitude_deg=5.0, frequency_hz=2.0),
+        simulation=SimulationParameters(duration_s=0.8),
+    )
+    figures, metrics = track_figures(scenario), track(scenario).metrics
+    assert figures == {name: getattr(metrics, name) for name in TRACKING_FIGURES}
+    assert figures["saturated_share"] > 0.1
 
 
 def test_a_step_saturates_and_settles():

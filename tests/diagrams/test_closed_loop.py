@@ -780,6 +780,17 @@ def test_a_mounting_error_shifts_the_measured_knee_angle(four_bar, quantized):
     assert measured == pytest.approx(expected, abs=0.51 * count if quantized else 1e-9)
 
 
+def test_the_controller_measures_with_the_linkage_that_it_believes_in():
+    # φ is what turns the coupler's angle into the knee's (Eq. 7).
+    turned = PlantParameters(linkage={"phi_rad": PlantParameters().linkage.phi_rad + 0.01})
+    scenario = Scenario(encoder=UNQUANTIZED, nominal=turned)
+    diagram = make_closed_loop(scenario, signals=())
+    context = diagram.CreateDefaultContext()
+    knee = diagram.GetOutputPort("knee_angle").Eval(context)[0]
+    measured = diagram.GetOutputPort("measured_knee_angle").Eval(context)[0]
+    assert measured - knee == pytest.approx(0.01, abs=1e-9)
+
+
 def with_phase(phase, **changes):
     return Scenario(encoder=EncoderParameters(phase_rad=phase), **changes)
 

@@ -59,7 +59,11 @@ STRUCTURES = {
     "quantized": Scenario(),
     "loaded": Scenario(encoder=FREE, plant=LOADED),
     "polynomial, nominal": Scenario(
-        encoder=FREE, plant=PlantParameters(rod_map="polynomial"), nominal=PlantParameters()
+        encoder=FREE,
+        plant=PlantParameters(rod_map="polynomial"),
+        nominal=PlantParameters(
+            linkage={"phi_rad": G1.phi_rad + 0.01}, cylinder=CylinderParameters(bore_m=0.021)
+        ),
     ),
     "ideal motor, difference": Scenario(
         encoder=FREE,

@@ -1,0 +1,293 @@
+"""Put mistakes into the package, one at a time, and see whether its tests notice.
+
+    python benchmarks/mutation.py                                   # two in each module
+    python benchmarks/mutation.py analysis/tracking --count 20      # many in one
+    python benchmarks/mutation.py --seed 7                          # others
+
+Each mutant is one wrong operator, constant, sign, name, attribute or key. It is killed when a fast
+test of the mirrored file (``tests/PATH/test_X.py``, or those of `TESTS`) fails, does not end in
+time, or can not be collected. Mutants live in a copy of the tree, so that no wrong source is left
+when the run is killed. The seed and the module alone decide which mutants are picked. A survivor
+is a gap in the tests, or a change that changes nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+
+TESTS: dict[str, tuple[str, ...]] = {
+    "__init__": ("test_cli",),
+    "__main__": ("test_cli",),
+    "errors": ("test_cli", "test_parameters"),
+    "quantity": ("test_parameters",),
+    "analysis/amplitude_response": ("analysis/test_bandwidth",),
+    "analysis/contest_figures": ("analysis/test_contest",),
+    "analysis/controller_study_figures": ("analysis/test_controller_study",),
+    "analysis/loop_rest": ("analysis/test_linearization",),
+    "analysis/plant_linearization": ("analysis/test_linearization",),
+    "analysis/reduction_figures": ("analysis/test_reduction",),
+    "analysis/robustness_figures": ("analysis/test_robustness",),
+    "analysis/sampled_loop": ("analysis/test_linearization",),
+    "analysis/sizing": ("analysis/test_sizing", "analysis/test_sizing_report"),
+    "analysis/sizing_figures": ("analysis/test_sizing_report",),
+    "analysis/sliding_condition_figures": ("analysis/test_sliding_condition",),
+    "systems/_leaf": ("systems/test_leaf",),
+    "diagrams/plant": ("diagrams/test_plant", "diagrams/test_full_order_plant"),
+    "compilation/integrators": ("compilation/test_time_loop", "compilation/test_model"),
+    "compilation/machine_code": ("compilation/test_cache", "compilation/test_model"),
+    "compilation/native": ("compilation/test_cache", "compilation/test_time_loop"),
+    "compilation/runner": ("compilation/test_time_loop", "compilation/test_model"),
+}
+"""Tests of the modules that have no file of their own name."""
+
+_BINARY = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.FloorDiv: ast.Div,
+    ast.Mod: ast.FloorDiv,
+    ast.MatMult: ast.Mult,
+    ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+}
+_COMPARED = {
+    ast.Lt: (ast.LtE, ast.Gt),
+    ast.LtE: (ast.Lt, ast.GtE),
+    ast.Gt: (ast.GtE, ast.Lt),
+    ast.GtE: (ast.Gt, ast.LtE),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.Is: (ast.IsNot,),
+    ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,),
+    ast.NotIn: (ast.In,),
+}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A changed module: its line, the expression before and after, and the whole source."""
+
+    line: int
+    before: str
+    after: str
+    source: str
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"line {self.line}: {self.before} -> {self.after}"
+
+
+# --------------------------------------------------------------------------------- mutants
+
+
+def _code(node: ast.AST) -> Iterator[ast.AST]:
+    """What runs below a node: neither annotations, decorators, imports nor bare strings."""
+    yield node
+    for name, value in ast.iter_fields(node):
+        if name in ("annotation", "returns", "decorator_list"):
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            bare = isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant)
+            typing = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)
+            imported = isinstance(child, ast.Import | ast.ImportFrom)
+            if isinstance(child, ast.AST) and not (bare or typing or imported):
+                yield from _code(child)
+
+
+def _key(node: ast.Subscript) -> str:
+    """The text in brackets; empty for anything else."""
+    value = node.slice.value if isinstance(node.slice, ast.Constant) else ""
+    return value if isinstance(value, str) else ""
+
+
+def _others(values: set[str], value: str, chance: random.Random) -> list[str]:
+    """One of the values that is another; none where there is none."""
+    others = sorted(values - {value})
+    return [chance.choice(others)] if others else []
+
+
+def _changes(tree: ast.Module, chance: random.Random) -> Iterator[tuple[ast.AST, Any, str, Any]]:
+    """Each node that may be wrong: where it is, what to set, the attribute and its new value."""
+    attributes: dict[str, set[str]] = {}
+    keys: set[str] = set()
+    for node in _code(tree):
+        if isinstance(node, ast.Attribute):
+            attributes.setdefault(ast.unparse(node.value), set()).add(node.attr)
+        if isinstance(node, ast.Subscript) and _key(node):
+            keys.add(_key(node))
+    for scope in ast.walk(tree):
+        if not isinstance(scope, ast.FunctionDef):
+            continue
+        arguments = scope.args.posonlyargs + scope.args.args + scope.args.kwonlyargs
+        local = {a.arg for a in arguments} - {"self", "cls"}
+        inside = [node for node in _code(scope) if isinstance(node, ast.Name)]
+        local |= {node.id for node in inside if isinstance(node.ctx, ast.Store)}
+        for node in inside:
+            if isinstance(node.ctx, ast.Load) and node.id in local:
+                for name in _others(local, node.id, chance):
+                    yield node, node, "id", name
+    for node in _code(tree):
+        if isinstance(node, ast.BinOp | ast.AugAssign) and type(node.op) in _BINARY:
+            yield node, node, "op", _BINARY[type(node.op)]()
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            yield node, node, "op", ast.UAdd()
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            yield node, node, "operand", ast.UnaryOp(ast.Not(), node.operand)
+        elif isinstance(node, ast.BoolOp):
+            yield node, node, "op", ast.Or() if isinstance(node.op, ast.And) else ast.And()
+        elif isinstance(node, ast.Compare):
+            for other in _COMPARED[type(node.ops[0])]:
+                yield node, node, "ops", [other(), *node.ops[1:]]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
+            yield node, node, "value", not node.value
+        elif isinstance(node, ast.Constant) and isinstance(node.value, int):
+            yield node, node, "value", node.value + 1
+        elif isinstance(node, ast.Constant) and isinstance(node.value, float):
+            yield node, node, "value", 10.0 * node.value or 1.0
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+            for name in _others(attributes[ast.unparse(node.value)], node.attr, chance):
+                yield node, node, "attr", name
+        elif isinstance(node, ast.Subscript) and _key(node):
+            for name in _others(keys, _key(node), chance):
+                yield node, node.slice, "value", name
+
+
+def mutants(source: str, count: int, seed: str) -> list[Mutant]:
+    """At most ``count`` mutants of a module, picked by the seed, in the order of their lines."""
+    tree, chance = ast.parse(source), random.Random(seed)
+    changes = list(_changes(tree, chance))
+    found = []
+    for node, holder, name, value in chance.sample(changes, len(changes)):
+        if len(found) == count:
+            break
+        before, old = ast.unparse(node), getattr(holder, name)
+        setattr(holder, name, value)
+        try:
+            changed = ast.unparse(tree)
+            compile(changed, "mutant", "exec")
+        except (SyntaxError, ValueError):  # an f-string that cannot hold it
+            continue
+        else:
+            found.append(Mutant(getattr(node, "lineno", 0), before, ast.unparse(node), changed))
+        finally:
+            setattr(holder, name, old)
+    return sorted(found, key=lambda mutant: mutant.line)
+
+
+# -------------------------------------------------------------------------------- the tests
+
+
+def mirrored(module: str, root: Path = ROOT) -> list[str]:
+    """Paths of the tests of a module such as ``analysis/tracking``, from the root of the tree."""
+    folder, _, name = module.rpartition("/")
+    names = TESTS.get(module, (f"{folder}/test_{name}".lstrip("/"),))
+    paths = [f"tests/{test}.py" for test in names]
+    return [path for path in paths if (root / path).exists()]
+
+
+def modules_of(root: Path = ROOT) -> list[str]:
+    """All modules that have code of their own and tests."""
+    paths = sorted((root / "kneexo").rglob("*.py"))
+    names = [path.relative_to(root / "kneexo").with_suffix("").as_posix() for path in paths]
+    return [name for name in names if mirrored(name, root)]
+
+
+def run_tests(tree: Path, tests: Sequence[str], limit_s: float) -> str:
+    """``passed``, ``failed`` or ``timeout``: the fast tests in a copy of the tree."""
+    environment = os.environ | {
+        "PYTHONPATH": str(tree),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "KNEEXO_CACHE_DIR": str(tree / ".cache"),
+    }
+    options = ["-x", "-q", "-n0", "--no-header", "--tb=no", "-p", "no:cacheprovider"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pytest", *options, *tests],
+        cwd=tree,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        return "failed" if process.wait(limit_s) else "passed"
+    except subprocess.TimeoutExpired:
+        return "timeout"
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)  # with its workers
+            process.wait()
+
+
+def run(
+    modules: Sequence[str], *, count: int, seed: int, slack_s: float = 30.0, root: Path = ROOT
+) -> dict[str, tuple[int, list[Mutant]]]:
+    """Killed mutants (how many) and survivors of each module; prints them as they come.
+
+    A mutant may take three times as long as the tests do without it, and ``slack_s`` more.
+    """
+    found = {}
+    with tempfile.TemporaryDirectory(prefix="kneexo-mutation-") as folder:
+        tree = Path(folder) / "tree"
+        hidden = shutil.ignore_patterns(".*", "__pycache__", "results", "build")
+        shutil.copytree(root, tree, ignore=hidden)
+        for module in modules:
+            path, tests = tree / "kneexo" / f"{module}.py", mirrored(module, root)
+            source = path.read_text(encoding="utf-8")
+            picked = mutants(source, count, f"{seed} {module}")
+            if not picked:
+                continue
+            start = time.monotonic()
+            if run_tests(tree, tests, 3600.0) != "passed":
+                raise SystemExit(f"{module}: {', '.join(tests)} fails without any mutant")
+            limit = 3.0 * (time.monotonic() - start) + slack_s
+            survived = []
+            for mutant in picked:
+                path.write_text(mutant.source, encoding="utf-8")
+                outcome = run_tests(tree, tests, limit)
+                survived += [mutant] if outcome == "passed" else []
+            path.write_text(source, encoding="utf-8")
+            found[module] = len(picked) - len(survived), survived
+            print(f"{module}: {found[module][0]} killed, {len(survived)} survived", flush=True)
+            for mutant in survived:
+                print(f"    {mutant}", flush=True)
+    return found
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("modules", nargs="*", help="such as analysis/tracking; all by default")
+    parser.add_argument("--count", type=int, default=2, help="mutants for each module")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    known = modules_of()
+    for module in options.modules:
+        if module not in known:
+            parser.error(f"{module}: no such module with tests; known: {', '.join(known)}")
+    found = run(options.modules or known, count=options.count, seed=options.seed)
+    killed = sum(number for number, _ in found.values())
+    survived = sum(len(mutants) for _, mutants in found.values())
+    print(f"in all: {killed} killed, {survived} survived")
+
+
+if __name__ == "__main__":
+    main()
