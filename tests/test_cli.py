@@ -1,4 +1,5 @@
 import csv
+import fcntl
 import json
 import os
 import re
@@ -194,13 +195,16 @@ def started(*arguments, **options):
         process.communicate()
 
 
+SWEEP = ["bandwidth", "--workers", "2"]
+
+
 @pytest.mark.parametrize(
     ("number", "told", "code"),
     [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)],
 )
 def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, told, code):
     out = tmp_path / "deep" / "out"
-    with started("reproduce", "--workers", "2", "--out", out) as process:
+    with started(*SWEEP, "--out", out) as process:
         wait_for(lambda: len(alive(process.pid)) >= 3)  # workers are there, or are starting
         assert any(out.glob(".kneexo-*"))
         os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
@@ -212,22 +216,16 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, told, cod
         wait_for(lambda: not alive(process.pid), 5.0)
 
 
-LONG_MAP = ["bandwidth", "--set", "frequencies_hz=[1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10]"]
-LONG_MAP += ["--engine", "drake", "--workers", "2"]
-
-
-def test_a_killed_sweep_leaves_no_process_and_its_pieces(capsys, tmp_path, monkeypatch):
+def test_a_killed_sweep_leaves_no_process_and_its_pieces(tmp_path):
     path = tmp_path / "bandwidth.checkpoint.jsonl"
-    with started(*LONG_MAP, "--out", tmp_path) as process:
+    with started(*SWEEP, "--out", tmp_path) as process:
         wait_for(lambda: path.exists() and path.read_bytes().count(b"\n") > 1)
-        assert main([*LONG_MAP, "--out", str(tmp_path)]) == 2  # a second process
-        assert "another process is at work on it" in capsys.readouterr().err
         process.kill()
         process.wait()
         wait_for(lambda: not alive(process.pid), 5.0)
     kept = path.read_bytes()
     assert [file.name for file in tmp_path.glob(".*")] == [next(tmp_path.glob(".kneexo-*")).name]
-    with started(*LONG_MAP, "--out", tmp_path) as process:
+    with started(*SWEEP, "--out", tmp_path) as process:
         wait_for(lambda: len(alive(process.pid)) >= 3)
         process.terminate()
         error = process.communicate(timeout=20)[1]
@@ -459,6 +457,18 @@ def test_a_file_that_is_no_checkpoint_is_refused(capsys, tmp_path, monkeypatch, 
     )
     assert path.read_text() == "my notes\n"
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_second_process_is_refused(capsys, tmp_path, monkeypatch):
+    stand_in(monkeypatch, lambda checkpoint: pytest.fail("the study began"))
+    path = tmp_path / "bandwidth.checkpoint.jsonl"
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        assert main(["bandwidth", "--out", str(tmp_path), "--restart"]) == 2
+    assert capsys.readouterr().err == (
+        f"kneexo: checkpoint {path}: another process is at work on it; wait until it has ended, or "
+        f"choose another directory\n"
+    )
 
 
 def test_damaged_lines_are_one_line_on_stderr(tmp_path):
