@@ -378,7 +378,7 @@ def test_a_full_disk_is_one_line_and_what_is_finished_stays(capsys, tmp_path):
         assert [file.name for file in out.iterdir()] == [path.name]
         assert path.stat().st_size <= size
     fill = Checkpoint(tmp_path / "sweep.jsonl")
-    with files_of_at_most(800), pytest.raises(OutputError, match="what it holds stays readable"):
+    with files_of_at_most(800), pytest.raises(OutputError, match="pieces that it holds are kept"):
         parallel_map(str, [n + 0.5 for n in range(100)], checkpoint=fill)
     kept = Checkpoint(tmp_path / "sweep.jsonl")
     assert 10 < len(kept) == len(fill) < 100
