@@ -27,6 +27,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -112,19 +113,22 @@ def run(
             start_new_session=True,
         )
         try:
-            process.wait(after_s if number else None)
-        except subprocess.TimeoutExpired:
-            if number == signal.SIGINT:  # a terminal sends it to all processes
-                os.killpg(process.pid, number)
-            else:
-                process.send_signal(number or signal.SIGKILL)
-            process.wait()
-        seconds = time.monotonic() - begin
-        end = time.monotonic() + ORPHANS_S
-        while (left := alive(process.pid)) and time.monotonic() < end:
-            time.sleep(0.05)
-        for orphan in left:
-            os.kill(orphan, signal.SIGKILL)
+            try:
+                process.wait(after_s if number else None)
+            except subprocess.TimeoutExpired:
+                if number == signal.SIGINT:  # a terminal sends it to all processes
+                    os.killpg(process.pid, number)
+                else:
+                    process.send_signal(number or signal.SIGKILL)
+                process.wait()
+            seconds = time.monotonic() - begin
+            end = time.monotonic() + ORPHANS_S
+            while (left := alive(process.pid)) and time.monotonic() < end:
+                time.sleep(0.05)
+        finally:  # also when the campaign itself is interrupted
+            for orphan in alive(process.pid):
+                with suppress(ProcessLookupError):
+                    os.kill(orphan, signal.SIGKILL)
         error.seek(0)
         return Ended(process.returncode, error.read(), seconds, len(left))
 
