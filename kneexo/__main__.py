@@ -1,8 +1,21 @@
-"""``python -m kneexo``."""
+"""The command ``kneexo`` and ``python -m kneexo``."""
 
+import signal
 import sys
 
-from kneexo.cli import main
+
+def main() -> int:
+    """Run `kneexo.cli.main`; Ctrl-C before and after it is no traceback either."""
+    try:
+        from kneexo.cli import main as command
+
+        return command()
+    except KeyboardInterrupt:
+        print("kneexo: interrupted", file=sys.stderr)
+        return 130
+    finally:  # the end of Python has nothing to clear away
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from kneexo import __version__
 from kneexo.errors import KneexoError, WorkerError
+from kneexo.interruption import Terminated, sigterm_raises
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -43,7 +45,8 @@ examples:
   kneexo size --out size               what a faster knee would take
   kneexo diagram --out pictures        the block diagram
 
-Exit codes: 0 done, 2 wrong input or a run that failed (one line says why), 130 interrupted.
+Exit codes: 0 done, 2 wrong input or a run that failed (one line says why),
+130 interrupted, 143 terminated.
 """
 
 
@@ -51,8 +54,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     # Before numpy is there: on matrices as small as ours, threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    with sigterm_raises():
+        options = argparse.Namespace()
+        try:
+            return _run(options, arguments)
+        except (KeyboardInterrupt, ImportError) as error:
+            # An interrupt during the import of Drake arrives as an ImportError that it caused.
+            cause = (
+                error.__cause__ or error.__context__ if isinstance(error, ImportError) else error
+            )
+            if not isinstance(cause, KeyboardInterrupt):
+                raise
+            what, code = (
+                ("terminated", 143) if isinstance(cause, Terminated) else ("interrupted", 130)
+            )
+            print(f"kneexo: {what}; {_left(options)}", file=sys.stderr)
+            return code
+
+
+def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
+    _parser().parse_args(arguments, options)
+    format_before = warnings.formatwarning
+    warnings.formatwarning = _one_line
     try:
         options.run(options)
     except KneexoError as error:
@@ -61,18 +84,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         kept = _kept(options) if isinstance(error, WorkerError) else ""
         print(f"kneexo: {where}{error}{kept and f'; {kept}'}", file=sys.stderr)
         return 2
-    except (KeyboardInterrupt, ImportError) as error:
-        # An interrupt during the import of Drake arrives as an ImportError that it caused.
-        cause = error.__cause__ or error.__context__
-        if isinstance(error, ImportError) and not isinstance(cause, KeyboardInterrupt):
-            raise
-        what = _kept(options) or "nothing was written"
-        print(f"kneexo: interrupted; {what}", file=sys.stderr)
-        return 130
     except BrokenPipeError:  # the reader of our output went away, as with `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    finally:
+        warnings.formatwarning = format_before
     return 0
+
+
+def _one_line(message: Warning | str, *_: Any, **__: Any) -> str:
+    return f"kneexo: {message}\n"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -94,7 +114,7 @@ def _parser() -> argparse.ArgumentParser:
             formatter_class=argparse.ArgumentDefaultsHelpFormatter,
         )
         sub.add_argument("--json", action="store_true", help="print the result as JSON")
-        sub.set_defaults(run=run)
+        sub.set_defaults(run=run, command=name)
         return sub
 
     def add_out(sub: argparse.ArgumentParser, files: str) -> None:
@@ -147,10 +167,15 @@ def _parser() -> argparse.ArgumentParser:
             help="a setting of the study, such as its seed; `kneexo params` lists them all",
         )
         add_workers(sub)
-        sub.add_argument(
+        before = sub.add_mutually_exclusive_group()
+        before.add_argument(
             "--resume",
             action="store_true",
-            help="go on from what an interrupted run left in the directory",
+            help="go on from the finished pieces that an interrupted run left in the directory; "
+            "always so without --restart",
+        )
+        before.add_argument(
+            "--restart", action="store_true", help="delete these finished pieces and begin anew"
         )
 
     sub = command(
@@ -281,15 +306,40 @@ def _executor(options: argparse.Namespace) -> AbstractContextManager[Executor | 
     return dask_cluster(options.dask)
 
 
+def _checkpoint_path(options: argparse.Namespace) -> Path:
+    """Where a sweep keeps its finished pieces."""
+    name = getattr(options, "what", options.command)
+    return Path(options.out, f"{name}.checkpoint.jsonl")
+
+
 def _kept(options: argparse.Namespace) -> str:
     """What an unfinished sweep has left; empty where it kept nothing."""
     kept = getattr(options, "checkpoint", None)
-    if not kept:
-        return ""
-    return f"{len(kept)} finished pieces are kept in {kept.path}; --resume goes on from them"
+    if kept is not None:
+        return f"{len(kept)} finished pieces are kept in {kept.path}; {_AGAIN}" if kept else ""
+    if hasattr(options, "restart") and _checkpoint_path(options).exists():
+        return f"finished pieces are kept in {_checkpoint_path(options)}; {_AGAIN}"
+    return ""
 
 
-def _sweep(options: argparse.Namespace, name: str, compute: Callable[..., Any]) -> None:
+_AGAIN = "the same command goes on from them"
+
+
+def _left(options: argparse.Namespace) -> str:
+    """What an interrupted command has left."""
+    if getattr(options, "written", False):
+        return f"the results are in {options.out}"
+    return _kept(options) or "nothing was written"
+
+
+def _results(options: argparse.Namespace) -> AbstractContextManager[Path]:
+    """The directory for the results; notes when they are in ``--out``."""
+    from kneexo.output import output_directory
+
+    return output_directory(options.out, partial(setattr, options, "written", True))
+
+
+def _sweep(options: argparse.Namespace, compute: Callable[..., Any]) -> None:
     """Run a study whose finished pieces are kept, and write results, report and figures.
 
     ``compute`` takes ``workers``, ``executor``, ``checkpoint`` and ``progress``; what it returns
@@ -299,22 +349,33 @@ def _sweep(options: argparse.Namespace, name: str, compute: Callable[..., Any]) 
     import matplotlib.pyplot as plt
 
     from kneexo.analysis.checkpoint import Checkpoint
-    from kneexo.output import output_directory, save_figure, to_json
+    from kneexo.output import save_figure, to_json
 
-    with _executor(options) as executor, output_directory(options.out) as directory:
-        checkpoint = Checkpoint(options.out / f"{name}.checkpoint.jsonl", resume=options.resume)
+    name = getattr(options, "what", options.command)
+    with _executor(options) as executor, _results(options) as directory:
+        checkpoint = Checkpoint(_checkpoint_path(options), resume=not options.restart)
         options.checkpoint = checkpoint
-        done = compute(
-            workers=options.workers, executor=executor, checkpoint=checkpoint, progress=True
+        try:
+            done = compute(
+                workers=options.workers, executor=executor, checkpoint=checkpoint, progress=True
+            )
+            numbers, text = to_json(done.results()), done.report()
+            (directory / f"{name}.json").write_text(numbers, encoding="utf-8")
+            (directory / f"{name}.md").write_text(text, encoding="utf-8")
+            for title, figure in done.figures().items():
+                save_figure(directory, title, figure)
+                plt.close(figure)
+            written = ", ".join(sorted(file.name for file in directory.iterdir()))
+        except BaseException:
+            checkpoint.close()
+            raise
+    others = checkpoint.remove()
+    if others:
+        print(
+            f"kneexo: {others} finished pieces of other settings stay in {checkpoint.path}; "
+            f"--restart deletes them",
+            file=sys.stderr,
         )
-        numbers, text = to_json(done.results()), done.report()
-        (directory / f"{name}.json").write_text(numbers, encoding="utf-8")
-        (directory / f"{name}.md").write_text(text, encoding="utf-8")
-        for title, figure in done.figures().items():
-            save_figure(directory, title, figure)
-            plt.close(figure)
-        written = ", ".join(sorted(file.name for file in directory.iterdir()))
-    checkpoint.remove()
     if options.json:
         print(numbers, end="")
     else:
@@ -328,10 +389,10 @@ def _reproduce(options: argparse.Namespace) -> None:
     _headless()
     import matplotlib.pyplot as plt
 
-    from kneexo.output import output_directory, save_figure, to_json
+    from kneexo.output import save_figure, to_json
     from kneexo.reproduction import figures, report, reproduce, results
 
-    with _executor(options) as executor, output_directory(options.out) as directory:
+    with _executor(options) as executor, _results(options) as directory:
         done = reproduce(
             engine=options.engine, workers=options.workers, executor=executor, progress=True
         )
@@ -355,10 +416,10 @@ def _simulate(options: argparse.Namespace) -> None:
     from dataclasses import asdict
 
     from kneexo.analysis import track
-    from kneexo.output import output_directory, save_figure, to_json, write_csv
+    from kneexo.output import save_figure, to_json, write_csv
     from kneexo.scenario import dump_scenario
 
-    with output_directory(options.out) as directory:
+    with _results(options) as directory:
         if scenario.simulation.compiled:
             result = track(scenario, all_signals=True)
         else:
@@ -398,9 +459,9 @@ def _linearize(options: argparse.Namespace) -> None:
     from dataclasses import asdict
 
     from kneexo.analysis import linearize_loop, linearize_plant
-    from kneexo.output import output_directory, save_figure, to_json
+    from kneexo.output import save_figure, to_json
 
-    with output_directory(options.out) as directory:
+    with _results(options) as directory:
         plant = linearize_plant(scenario.plant, options.knee_angle)
         loop = linearize_loop(scenario, options.knee_angle)
         frequency, damping = plant.damping
@@ -446,7 +507,7 @@ def _bandwidth(options: argparse.Namespace) -> None:
     from kneexo.parameters import AmplitudeMapParameters
 
     settings = _settings(options, AmplitudeMapParameters)
-    _sweep(options, "bandwidth", partial(amplitude_map, _scenario(options), settings=settings))
+    _sweep(options, partial(amplitude_map, _scenario(options), settings=settings))
 
 
 def _robustness(options: argparse.Namespace) -> None:
@@ -459,7 +520,7 @@ def _robustness(options: argparse.Namespace) -> None:
     uncertainty = UNCERTAINTY
     if options.uncertainty is not None:
         uncertainty = load_uncertainty(options.uncertainty, scenario)
-    _sweep(options, "robustness", partial(robustness, scenario, uncertainty, settings=settings))
+    _sweep(options, partial(robustness, scenario, uncertainty, settings=settings))
 
 
 def _study(options: argparse.Namespace) -> None:
@@ -473,7 +534,7 @@ def _study(options: argparse.Namespace) -> None:
     }[options.what]
     compute = getattr(import_module(f"kneexo.analysis.{module}"), function)
     settings = _settings(options, _study_settings()[f"study {options.what}"])
-    _sweep(options, options.what, partial(compute, _scenario(options, default), settings=settings))
+    _sweep(options, partial(compute, _scenario(options, default), settings=settings))
 
 
 def _size(options: argparse.Namespace) -> None:
@@ -481,7 +542,7 @@ def _size(options: argparse.Namespace) -> None:
     from kneexo.parameters import UNCERTAIN_KNEE, SizingParameters
 
     settings = _settings(options, SizingParameters)
-    _sweep(options, "size", partial(sizing, _scenario(options, UNCERTAIN_KNEE), settings=settings))
+    _sweep(options, partial(sizing, _scenario(options, UNCERTAIN_KNEE), settings=settings))
 
 
 def _params(options: argparse.Namespace) -> None:
@@ -581,11 +642,10 @@ def _diagram(options: argparse.Namespace) -> None:
     import json
 
     from kneexo.diagrams import make_closed_loop
-    from kneexo.output import output_directory
 
     diagram = make_closed_loop(scenario)
     graphviz = shutil.which("dot")
-    with output_directory(options.out) as directory:
+    with _results(options) as directory:
         source = directory / "closed_loop.dot"
         source.write_text(diagram.GetGraphvizString(), encoding="utf-8")
         if graphviz:

@@ -2,53 +2,152 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kneexo.errors import OutputError
+from kneexo.interruption import interrupt_later
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from kneexo.analysis import Run
 
+_PREFIX = ".kneexo-"
+_LOCK = "kneexo.lock"
+
 
 @contextmanager
-def output_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
+def output_directory(
+    path: str | os.PathLike[str], written: Callable[[], object] | None = None
+) -> Iterator[Path]:
     """A temporary directory whose files move to ``path`` when the body ends without error.
 
-    ``path`` and its parents are made when missing, and removed again when the body fails. Raises
-    `OutputError` before the body when ``path`` cannot be written, and when writing fails.
+    All files move, or none: an error puts back what was there before. ``path`` and its parents are
+    made when missing, and removed again when the body fails. What killed processes left there is
+    deleted. ``written`` is called as soon as the files are in ``path``.
+
+    Raises `OutputError` before the body when ``path`` cannot be written, and when writing fails.
     """
     target = Path(path)
     made = [folder for folder in (target, *target.parents) if not folder.exists()]
     try:
         target.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=".kneexo-", dir=target))
+        _delete_leftovers(target)
+        workspace, lock = _workspace(target)
     except OSError as error:
+        _remove_empty(made)
         raise _output_error(target, error) from None
     try:
-        yield temporary
-        for file in sorted(temporary.iterdir()):
-            os.replace(file, target / file.name)
+        yield workspace / "new"
+        with interrupt_later():
+            _replace(target, workspace)
+            if written is not None:
+                written()
     except OSError as error:
         if isinstance(error, OutputError):
             raise
         raise _output_error(target, error) from None
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        for folder in made:
-            if not any(folder.iterdir()):
+        _delete(workspace)
+        os.close(lock)
+        _remove_empty(made)
+
+
+def _workspace(target: Path) -> tuple[Path, int]:
+    """A temporary directory in ``target``, and the descriptor of its lock, which dies with us.
+
+    It holds the file `_LOCK`, ``new`` for results and ``old`` for the files that they replace.
+    """
+    while True:
+        workspace = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=target))
+        with suppress(FileNotFoundError, BlockingIOError):  # taken for a leftover: again
+            lock = os.open(workspace / _LOCK, os.O_RDWR | os.O_CREAT)
+            try:
+                _lock(lock)
+                (workspace / "old").mkdir()
+                (workspace / "new").mkdir()
+            except BaseException:
+                os.close(lock)
+                raise
+            return workspace, lock
+
+
+def _lock(file: int) -> None:
+    """Lock an open file, also where the file system has no locks; `BlockingIOError`: is locked."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:
+        pass
+
+
+def _delete_leftovers(target: Path) -> None:
+    """Delete the temporary directories of dead processes: nobody locks them."""
+    for folder in target.glob(f"{_PREFIX}*"):
+        with suppress(OSError):  # at work, another's, or a file system without locks
+            if not os.listdir(folder):
                 folder.rmdir()
+                continue
+            lock = os.open(folder / _LOCK, os.O_RDWR)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _delete(folder)
+            finally:
+                os.close(lock)
+
+
+def _delete(workspace: Path) -> None:
+    """The lock goes last: what a kill leaves is still known as a leftover."""
+    for folder in (workspace / "new", workspace / "old", workspace):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _replace(target: Path, workspace: Path) -> None:
+    """Move the new files to ``target``; an error restores the old ones."""
+    old = workspace / "old"
+    files = sorted((workspace / "new").iterdir())
+    for file in files:
+        place = target / file.name
+        if place.is_dir():
+            raise OutputError(
+                f"--out {target}: {file.name} is a directory there; move it away or choose another "
+                f"directory"
+            )
+        if os.path.lexists(place):
+            try:
+                os.link(place, old / file.name, follow_symlinks=False)
+            except OSError:  # a file system without hard links
+                shutil.copy2(place, old / file.name, follow_symlinks=False)
+    moved = []
+    try:
+        for file in files:
+            os.replace(file, target / file.name)
+            moved.append(file.name)
+    except OSError:
+        for name in moved:
+            if os.path.lexists(old / name):
+                os.replace(old / name, target / name)
+            else:
+                (target / name).unlink()
+        raise
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError):  # not empty, or never made
+            folder.rmdir()
 
 
 def _output_error(path: Path, error: OSError) -> OutputError:

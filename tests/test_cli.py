@@ -1,11 +1,15 @@
 import csv
+import fcntl
 import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -152,24 +156,126 @@ def test_bad_scenarios_are_one_line_exit_2_and_leave_nothing(
     assert not out.exists()
 
 
-def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path):
-    out = tmp_path / "deep" / "out"
+def wait_for(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not (value := condition()):
+        if time.monotonic() > end:
+            raise TimeoutError(condition)
+        time.sleep(0.01)
+    return value
+
+
+def alive(session):
+    """Processes of a session that still work."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, _, of = file.read_text().rpartition(")")[2].split()[:4]
+        except OSError:  # it has just ended
+            continue
+        if int(of) == session and state != "Z":
+            found.append(int(file.parent.name))
+    return found
+
+
+@contextmanager
+def started(*arguments, **options):
+    """A command in a session of its own, which is killed at the end."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "kneexo", "reproduce", "--workers", "2", "--out", str(out)],
+        [sys.executable, "-m", "kneexo", *map(str, arguments)],
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        **options,
     )
-    deadline = time.monotonic() + 60.0
-    while not any(out.glob(".kneexo-*")) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    time.sleep(3.0)  # the workers are at it, or just starting: both must end
-    os.killpg(process.pid, signal.SIGINT)
-    error = process.communicate(timeout=20)[1]
-    assert process.returncode == 130
-    assert "Traceback" not in error
-    assert error.splitlines()[-1] == "kneexo: interrupted; nothing was written"
-    assert not (tmp_path / "deep").exists()
+    try:
+        yield process
+    finally:
+        for number in alive(process.pid):
+            with suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        process.communicate()
+
+
+SWEEP = ["bandwidth", "--workers", "2"]
+
+
+@pytest.mark.parametrize(
+    ("number", "told", "code"),
+    [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)],
+)
+def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, told, code):
+    out = tmp_path / "deep" / "out"
+    with started(*SWEEP, "--out", out) as process:
+        wait_for(lambda: len(alive(process.pid)) >= 3)  # workers are there, or are starting
+        assert any(out.glob(".kneexo-*"))
+        os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+        error = process.communicate(timeout=20)[1]
+        assert process.returncode == code
+        assert "Traceback" not in error
+        assert error.splitlines()[-1] == f"kneexo: {told}; nothing was written"
+        assert not (tmp_path / "deep").exists()
+        wait_for(lambda: not alive(process.pid), 5.0)
+
+
+def test_a_killed_sweep_leaves_no_process_and_its_pieces(tmp_path):
+    path = tmp_path / "bandwidth.checkpoint.jsonl"
+    with started(*SWEEP, "--out", tmp_path) as process:
+        wait_for(lambda: path.exists() and path.read_bytes().count(b"\n") > 1)
+        process.kill()
+        process.wait()
+        wait_for(lambda: not alive(process.pid), 5.0)
+    kept = path.read_bytes()
+    assert [file.name for file in tmp_path.glob(".*")] == [next(tmp_path.glob(".kneexo-*")).name]
+    with started(*SWEEP, "--out", tmp_path) as process:
+        wait_for(lambda: len(alive(process.pid)) >= 3)
+        process.terminate()
+        error = process.communicate(timeout=20)[1]
+        assert process.returncode == 143
+    last = error.splitlines()[-1]
+    assert re.fullmatch(
+        rf"kneexo: terminated; [0-9]+ finished pieces are kept in {re.escape(str(path))}; "
+        rf"the same command goes on from them",
+        last,
+    )
+    assert path.read_bytes().startswith(kept)
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+EARLY = """
+import os, signal, sys
+MODULE = sys.argv.pop(1)
+class Interrupt:
+    def find_spec(self, name, path, target=None):
+        if name == MODULE:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+import runpy
+runpy.run_module("kneexo", run_name="__main__", alter_sys=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "told"),
+    [
+        ("kneexo.cli", "interrupted"),
+        ("argparse", "interrupted"),
+        ("kneexo.parameters", "interrupted; KEPT"),
+        ("pydrake", "interrupted; KEPT"),
+        ("matplotlib", "interrupted; KEPT"),
+    ],
+)
+def test_an_interrupt_of_an_import_is_one_true_line(tmp_path, module, told):
+    kept = tmp_path / "bandwidth.checkpoint.jsonl"
+    kept.write_text("")
+    done = subprocess.run(
+        [sys.executable, "-c", EARLY, module, "bandwidth", "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+    )
+    line = f"finished pieces are kept in {kept}; the same command goes on from them"
+    assert done.stderr == f"kneexo: {told.replace('KEPT', line)}\n"
+    assert done.returncode == 130
 
 
 def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp_path):
@@ -329,15 +435,12 @@ def test_an_interrupted_study_goes_on_with_identical_results(capsys, tmp_path, m
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("kneexo: interrupted; 3 finished pieces are kept in ")
     assert [file.name for file in torn.iterdir()] == ["bandwidth.checkpoint.jsonl"]
-    assert main([*command, str(torn), "--resume"]) == 0
+    assert main([*command, str(torn)]) == 0
     pieces = len(calls) - 4
     assert pieces > 0
     for name in ("bandwidth.json", "bandwidth.md"):
         assert (torn / name).read_bytes() == (whole / name).read_bytes()
     assert not (torn / "bandwidth.checkpoint.jsonl").exists()
-    calls.clear()
-    monkeypatch.setattr(amplitude_response, "_measure", measure)
-    assert main([*command, str(tmp_path / "again"), "--resume"]) == 0
 
 
 class FakeStudy:
@@ -352,6 +455,91 @@ class FakeStudy:
 
     def figures(self):
         return {}
+
+
+def stand_in(monkeypatch, compute):
+    """A bandwidth study that takes no time."""
+
+    def study(scenario, *, settings, workers, executor, checkpoint, progress):
+        compute(checkpoint)
+        return FakeStudy(settings)
+
+    monkeypatch.setattr("kneexo.analysis.amplitude_response.amplitude_map", study)
+
+
+def test_finished_pieces_go_only_when_asked(capsys, tmp_path, monkeypatch):
+    path = tmp_path / "bandwidth.checkpoint.jsonl"
+    command = ["bandwidth", "--out", str(tmp_path)]
+
+    def interrupted(checkpoint):
+        checkpoint.keep("a", 1)
+        raise KeyboardInterrupt
+
+    stand_in(monkeypatch, interrupted)
+    assert main(command) == 130
+    seen = []
+    stand_in(monkeypatch, lambda checkpoint: seen.append(len(checkpoint)))
+    for option in ([], ["--resume"]):
+        assert main([*command, *option]) == 0
+        told = f"kneexo: 1 finished pieces of other settings stay in {path}; --restart deletes them"
+        assert capsys.readouterr().err.splitlines()[-1] == told
+    assert main([*command, "--restart"]) == 0
+    assert not path.exists()
+    assert seen == [1, 1, 0]
+
+
+@pytest.mark.parametrize("option", [[], ["--resume"], ["--restart"]])
+def test_a_file_that_is_no_checkpoint_is_refused(capsys, tmp_path, monkeypatch, option):
+    stand_in(monkeypatch, lambda checkpoint: pytest.fail("the study began"))
+    path = tmp_path / "bandwidth.checkpoint.jsonl"
+    path.write_text("my notes\n")
+    assert main(["bandwidth", "--out", str(tmp_path), *option]) == 2
+    assert capsys.readouterr().err == (
+        f"kneexo: checkpoint {path}: this is not a checkpoint of kneexo; move it away or choose "
+        f"another directory\n"
+    )
+    assert path.read_text() == "my notes\n"
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_second_process_is_refused(capsys, tmp_path, monkeypatch):
+    stand_in(monkeypatch, lambda checkpoint: pytest.fail("the study began"))
+    path = tmp_path / "bandwidth.checkpoint.jsonl"
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        assert main(["bandwidth", "--out", str(tmp_path), "--restart"]) == 2
+    assert capsys.readouterr().err == (
+        f"kneexo: checkpoint {path}: another process is at work on it; wait until it has ended, or "
+        f"choose another directory\n"
+    )
+
+
+def test_damaged_lines_are_one_line_on_stderr(tmp_path):
+    path = tmp_path / "bandwidth.checkpoint.jsonl"
+    path.write_text('{"kneexo checkpoint": 1}\ndamaged\ndamaged\n')
+    code = (
+        "from kneexo.analysis import amplitude_response\n"
+        "from kneexo.errors import WorkerError\n"
+        "def fail(*a, **b): raise WorkerError('no worker')\n"
+        "amplitude_response.amplitude_map = fail\n"
+        f"from kneexo.cli import main; main(['bandwidth', '--out', {str(tmp_path)!r}])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stderr.splitlines() == [
+        f"kneexo: checkpoint {path}: 2 damaged lines are skipped",
+        "kneexo: no worker",
+    ]
+
+
+def test_an_interrupt_after_the_files_are_written_says_so(capsys, tmp_path, monkeypatch):
+    stand_in(monkeypatch, lambda checkpoint: None)
+
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("kneexo.analysis.checkpoint.Checkpoint.remove", interrupted)
+    assert main(["bandwidth", "--out", str(tmp_path)]) == 130
+    assert capsys.readouterr().err == f"kneexo: interrupted; the results are in {tmp_path}\n"
 
 
 @pytest.mark.parametrize(

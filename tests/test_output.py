@@ -1,10 +1,17 @@
+import fcntl
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from kneexo import output
 from kneexo.errors import OutputError
 from kneexo.output import output_directory, save_figure, to_json
 
@@ -50,6 +57,122 @@ def test_a_failing_write_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match="No space"), output_directory(tmp_path / "out"):
         raise OSError(28, "No space left on device")
     assert not (tmp_path / "out").exists()
+
+
+def write(target, text="new", names=("a.csv", "b.csv", "c.csv")):
+    with output_directory(target) as directory:
+        for name in names:
+            (directory / name).write_text(text)
+
+
+def texts(folder):
+    return {file.name: file.read_text() for file in folder.iterdir() if file.is_file()}
+
+
+def test_a_directory_in_the_place_of_a_file_leaves_all_old_files(tmp_path):
+    write(tmp_path, "old", ["a.csv", "c.csv"])
+    (tmp_path / "b.csv").mkdir()
+    with pytest.raises(OutputError, match=r"b\.csv is a directory there; move it away") as caught:
+        write(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert texts(tmp_path) == {"a.csv": "old", "c.csv": "old"}
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_an_error_in_the_middle_restores_the_old_files(tmp_path, monkeypatch, links):
+    write(tmp_path, "old", ["a.csv", "c.csv"])
+    replace = os.replace
+
+    def fail(source, target):
+        if source.name == "c.csv" and source.read_text() == "new":
+            assert texts(tmp_path) == {"a.csv": "new", "b.csv": "new", "c.csv": "old"}
+            raise OSError(5, "Input/output error")
+        replace(source, target)
+
+    def no_links(*_, **__):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "replace", fail)
+    if not links:
+        monkeypatch.setattr(os, "link", no_links)
+    with pytest.raises(OutputError, match="Input/output error"):
+        write(tmp_path)
+    assert texts(tmp_path) == {"a.csv": "old", "c.csv": "old"}
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_an_interrupt_in_the_middle_comes_after_the_last_file(tmp_path, monkeypatch):
+    replace, seen = os.replace, []
+
+    def interrupted(source, target):
+        if source.name == "b.csv":
+            signal.raise_signal(signal.SIGINT)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+
+    def write_it():
+        with output_directory(tmp_path, lambda: seen.append(texts(tmp_path))) as directory:
+            for name in ("a.csv", "b.csv", "c.csv"):
+                (directory / name).write_text("new")
+
+    with pytest.raises(KeyboardInterrupt):
+        write_it()
+    assert seen == [{"a.csv": "new", "b.csv": "new", "c.csv": "new"}]
+    assert texts(tmp_path) == seen[0]
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+KILLED = """
+import os, signal, sys
+from kneexo.output import output_directory
+with output_directory(sys.argv[1]) as directory:
+    (directory / "a.csv").write_text("new")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_leftovers_of_the_dead_are_deleted_and_of_the_living_are_not(tmp_path):
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)])
+    (left,) = tmp_path.glob(".kneexo-*")
+    (tmp_path / ".kneexo-mine").mkdir()
+    (tmp_path / ".kneexo-mine" / "text").write_text("mine")
+    (tmp_path / ".kneexo-file").write_text("mine")
+    (tmp_path / ".kneexo-empty").mkdir()
+    with output_directory(tmp_path) as directory:
+        assert not left.exists()
+        write(tmp_path)
+        assert directory.exists()
+    names = {".kneexo-mine", ".kneexo-file", "a.csv", "b.csv", "c.csv"}
+    assert {file.name for file in tmp_path.iterdir()} == names
+
+
+def test_a_directory_taken_for_a_leftover_is_made_again(tmp_path, monkeypatch):
+    made, make = [], tempfile.mkdtemp
+
+    def taken(**options):
+        made.append(make(**options))
+        if len(made) == 1:
+            output._delete_leftovers(tmp_path)
+            assert not os.path.exists(made[0])
+        return made[-1]
+
+    monkeypatch.setattr(tempfile, "mkdtemp", taken)
+    write(tmp_path)
+    assert len(made) == 2
+    assert len(texts(tmp_path)) == 3
+
+
+def test_it_works_where_there_are_no_locks(tmp_path, monkeypatch):
+    def no_locks(*_):
+        raise OSError(38, "Function not implemented")
+
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)])
+    monkeypatch.setattr(fcntl, "flock", no_locks)
+    write(tmp_path)
+    assert len(texts(tmp_path)) == 3
+    assert any(tmp_path.glob(".kneexo-*"))  # nobody can tell whether it is at work
 
 
 def test_json_has_plain_numbers_and_null_for_nan():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
-import signal
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -28,6 +28,7 @@ from kneexo import __version__
 from kneexo.analysis.checkpoint import Checkpoint, piece_keys
 from kneexo.analysis.coroutines import is_coroutine, together
 from kneexo.errors import WorkerError
+from kneexo.interruption import interrupt_later
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -58,13 +59,14 @@ def process_pool(workers: int | None) -> Iterator[Executor | None]:
     if count == 1:
         yield None
         return
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(count, context, initializer=_end_with_parent)
     try:
         with _single_threaded_blas():
             yield pool
     except BaseException:  # KeyboardInterrupt too: nothing may go on working
         for process in list((pool._processes or {}).values()):
-            process.terminate()
+            process.kill()
         raise
     finally:
         pool.shutdown(cancel_futures=True)
@@ -154,14 +156,16 @@ def _require_this_version(client: Any, address: str) -> None:
             )
 
 
-@contextmanager
-def _interrupt_later() -> Iterator[None]:
-    """Hold Ctrl-C back. Processes that start meanwhile inherit that: only this one answers it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def _end_with_parent() -> None:
+    """Make this worker process die as soon as its parent has died, however that came."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def parallel_map(
@@ -292,7 +296,7 @@ def _by_executor(
     ended: SimpleQueue[Future[tuple[list[Result], bool]]] = SimpleQueue()
     try:
         while units or under_way:
-            with _interrupt_later():
+            with interrupt_later():
                 while units and len(under_way) < most:
                     unit = units.take()
                     future = executor.submit(_unit, function, [items[index] for index in unit])

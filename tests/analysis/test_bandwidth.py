@@ -408,8 +408,8 @@ def test_the_closed_form_is_drawn_over_the_demand_of_speed(by_hand, curves):
 def test_an_interrupted_map_goes_on_with_identical_results(mapped):
     result, path = mapped
     lines = path.read_bytes().splitlines(keepends=True)
-    assert len(lines) == 6 + 3 + 2  # cells, without quantizer, bandwidths
-    path.write_bytes(b"".join(lines[:9]))
+    assert len(lines) == 1 + 6 + 3 + 2  # header, cells, without quantizer, bandwidths
+    path.write_bytes(b"".join(lines[:10]))
     again = amplitude_map(Scenario(), SMALL_MAP, checkpoint=Checkpoint(path, resume=True))
     assert to_json(again.results()) == to_json(result.results())
 

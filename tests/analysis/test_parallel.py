@@ -3,6 +3,8 @@ import multiprocessing
 import os
 import pickle
 import signal
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import (
@@ -13,6 +15,7 @@ from concurrent.futures import (
     ThreadPoolExecutor,
 )
 from functools import partial
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -22,6 +25,7 @@ from kneexo.analysis import parallel, parallel_map
 from kneexo.analysis.checkpoint import Checkpoint, piece_keys
 from kneexo.analysis.coroutines import coroutine, steps
 from kneexo.errors import WorkerError
+from kneexo.interruption import interrupt_later
 
 
 class AtOnce(Executor):
@@ -236,7 +240,7 @@ def test_what_ended_before_an_error_is_kept(tmp_path, batches):
     with pytest.raises(ValueError, match="33 is too much"):
         parallel_map(partial(square_below, 33), items, checkpoint=Checkpoint(path))
     keys = piece_keys(partial(square_below, 33), items)
-    kept = Checkpoint(path, resume=True)
+    kept = Checkpoint(path)
     assert [key in kept for key in keys] == [True] * 33 + [False] * 7
     with pytest.raises(ValueError, match="33 is too much"):
         parallel_map(partial(square_below, 33), items, executor=AtOnce(), checkpoint=kept)
@@ -247,7 +251,7 @@ def test_what_is_kept_is_not_asked_for_again(tmp_path, batches):
     items = list(range(40))
     parallel_map(square, items[10:20], checkpoint=Checkpoint(path))
     batches.clear()
-    found = parallel_map(square, items, checkpoint=Checkpoint(path, resume=True))
+    found = parallel_map(square, items, checkpoint=Checkpoint(path))
     assert found == [n * n for n in items]
     assert sum(batches) == 3 * 45  # 0 + 1 + … + 9 for each ten but one
 
@@ -279,8 +283,8 @@ def die(_):
 
 
 def square_or_die(item):
-    if item == 30 and not os.environ.get("KNEEXO_TEST_IMMORTAL"):
-        time.sleep(0.2)  # the others' results are on their way
+    if item == 30 and (path := os.environ.get("KNEEXO_TEST_CHECKPOINT")):
+        wait_for(lambda: Path(path).read_bytes().count(b"\n") > 1)  # results of others are kept
         die(item)
     return item * item
 
@@ -294,12 +298,13 @@ def test_a_worker_that_dies_is_one_line():
 def test_what_was_finished_before_a_worker_died_is_kept(tmp_path, monkeypatch):
     path = tmp_path / "checkpoint.jsonl"
     items = list(range(40))
+    monkeypatch.setenv("KNEEXO_TEST_CHECKPOINT", str(path))
     pool_of = ProcessPoolExecutor(2, multiprocessing.get_context("spawn"))
     with pool_of as pool, pytest.raises(WorkerError, match="worker process died"):
         parallel_map(square_or_die, items, executor=pool, checkpoint=Checkpoint(path))
-    kept = Checkpoint(path, resume=True)
+    kept = Checkpoint(path)
     assert 1 <= len(kept) < len(items)
-    monkeypatch.setenv("KNEEXO_TEST_IMMORTAL", "1")
+    monkeypatch.delenv("KNEEXO_TEST_CHECKPOINT")
     found = parallel_map(square_or_die, items, checkpoint=kept)
     assert found == [n * n for n in items]
 
@@ -313,7 +318,7 @@ def test_an_executor_that_breaks_is_one_line_and_resumes(tmp_path, most):
     with pytest.raises(WorkerError) as caught:
         parallel_map(abs, items, executor=executor, checkpoint=Checkpoint(path))
     assert "\n" not in str(caught.value)
-    kept = Checkpoint(path, resume=True)
+    kept = Checkpoint(path)
     assert len(kept) == max(most - 3, 0)  # the results of three units were not yet taken
     assert parallel_map(abs, items, executor=AtOnce(), checkpoint=kept) == items
 
@@ -332,6 +337,81 @@ def test_an_executor_that_cancels_the_work_is_one_line():
 
 def interrupt_is_held_back(_):
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, set())
+
+
+ORPHANS = """
+import sys
+from pathlib import Path
+from concurrent.futures import wait
+from kneexo.analysis.parallel import process_pool
+from tests_of_parallel import note_and_wait
+if __name__ == "__main__":
+    with process_pool(2) as pool:
+        wait([pool.submit(note_and_wait, sys.argv[1]) for _ in range(2)])
+"""
+NOTE_AND_WAIT = """
+import os, time
+from pathlib import Path
+def note_and_wait(folder):
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(600)
+"""
+
+
+def wait_for(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(condition)
+        time.sleep(0.01)
+
+
+def is_alive(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(") ")[2][0] != "Z"
+    except OSError:
+        return False
+
+
+def test_workers_die_with_their_parent(tmp_path):
+    (tmp_path / "tests_of_parallel.py").write_text(NOTE_AND_WAIT)
+    (tmp_path / "orphans.py").write_text(ORPHANS)
+    notes = tmp_path / "notes"
+    notes.mkdir()
+    with subprocess.Popen(
+        [sys.executable, str(tmp_path / "orphans.py"), str(notes)], stderr=subprocess.DEVNULL
+    ) as parent:
+        wait_for(lambda: len(list(notes.iterdir())) == 2)
+        parent.kill()
+    workers = [int(file.name) for file in notes.iterdir()]
+    try:
+        wait_for(lambda: not any(map(is_alive, workers)), 5.0)
+    finally:
+        for worker in filter(is_alive, workers):
+            os.kill(worker, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_waits_until_a_unit_is_submitted(number):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    before = signal.signal(number, interrupted)
+    ended = []
+
+    def body():
+        with interrupt_later():
+            signal.raise_signal(number)
+            os.kill(os.getpid(), number)
+            ended.append(True)
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            body()
+        assert signal.getsignal(number) is interrupted
+    finally:
+        signal.signal(number, before)
+    assert ended
 
 
 def test_workers_leave_an_interrupt_to_the_parent():

@@ -1,0 +1,359 @@
+"""Kill and damage what kneexo does and keeps; nothing may be lost, and no number may be wrong.
+
+    python benchmarks/campaign.py [--seed N] [--count N] [PART ...]
+
+``kills``: sweeps, ``simulate`` and ``reproduce`` are killed at random times by SIGKILL, SIGTERM or
+SIGINT, most sweeps twice. After each kill no process may be left for longer than 5 s, no finished
+piece may be lost, and there must be no traceback (SIGKILL: other processes may have one). The next
+run must delete what was left and write the bytes of a run that nobody interrupted.
+
+``damage``: files of the cache and checkpoints are damaged. A run must write the same bytes, or say
+in one line what is wrong, without a traceback.
+
+``--count``: cases of each part. The same seed gives the same cases; where a kill hits depends on
+the machine. Prints a table with counts, and each violation; exit code 1 if there is any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+SCENARIO = "simulation: {duration_s: 2.0}\n"
+FEW = ["--set", "frequencies_hz=[2, 3, 5, 8]"]
+COMMANDS = {
+    "bandwidth": ["bandwidth", "--workers", "2", *FEW, "--set", "amplitudes_deg=[0.5, 1, 2, 4]"],
+    "bandwidth, 1 worker": ["bandwidth", "--workers", "1", *FEW, "--set", "amplitudes_deg=[1, 3]"],
+    "robustness": [
+        *("robustness", "--workers", "2", "--set", "samples=20", "--set", "corners_max=10"),
+        *("--set", "bandwidth=false", "--set", "sensitivity_duration_s=0"),
+    ],
+    "simulate": ["simulate", "scenario.yaml"],
+    "reproduce": ["reproduce", "--workers", "2"],
+}
+DAMAGED = COMMANDS["bandwidth, 1 worker"]
+SIGNALS = {signal.SIGKILL: -9, signal.SIGTERM: 143, signal.SIGINT: 130}
+ORPHANS_S = 5.0
+
+
+@dataclass
+class Part:
+    """What a part of the campaign counted."""
+
+    folder: Path
+    random: random.Random
+    count: int
+    counts: Counter[str] = field(default_factory=Counter)
+    violations: list[str] = field(default_factory=list)
+
+    def require(self, holds: bool, case: str, what: str) -> None:
+        """Note a violation where ``holds`` is false."""
+        if not holds:
+            self.counts["violations"] += 1
+            self.violations.append(f"{case}: {what}")
+            print(f"  {case}: {what}", flush=True)
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A command that has ended."""
+
+    code: int
+    error: str
+    seconds: float
+    orphans: int
+    """Its processes that were alive 5 s later; they are killed."""
+
+
+# ------------------------------------------------------------------------------ processes
+
+
+def alive(session: int) -> list[int]:
+    """Processes of a session that still work."""
+    numbers = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, _, of = file.read_text().rpartition(")")[2].split()[:4]
+        except OSError:  # it has just ended
+            continue
+        if int(of) == session and state != "Z":
+            numbers.append(int(file.parent.name))
+    return numbers
+
+
+def run(
+    part: Part,
+    command: Sequence[str],
+    out: Path,
+    number: signal.Signals | None = None,
+    after_s: float = 0.0,
+) -> Ended:
+    """Run a command in the part's folder; it gets the signal after that time, if it still runs."""
+    begin = time.monotonic()
+    environment = os.environ | {"KNEEXO_CACHE_DIR": str(part.folder / "cache")}
+    with (part.folder / "error").open("w+") as error:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "kneexo", *command, "--out", str(out)],
+            cwd=part.folder,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=error,
+            start_new_session=True,
+        )
+        try:
+            try:
+                process.wait(after_s if number else None)
+            except subprocess.TimeoutExpired:
+                if number == signal.SIGINT:  # a terminal sends it to all processes
+                    os.killpg(process.pid, number)
+                else:
+                    process.send_signal(number or signal.SIGKILL)
+                process.wait()
+            seconds = time.monotonic() - begin
+            end = time.monotonic() + ORPHANS_S
+            while (left := alive(process.pid)) and time.monotonic() < end:
+                time.sleep(0.05)
+        finally:  # also when the campaign itself is interrupted
+            for orphan in alive(process.pid):
+                with suppress(ProcessLookupError):
+                    os.kill(orphan, signal.SIGKILL)
+        error.seek(0)
+        return Ended(process.returncode, error.read(), seconds, len(left))
+
+
+def results(out: Path) -> dict[str, bytes]:
+    """The files of a directory, without hidden ones and checkpoints."""
+    files = sorted(out.iterdir()) if out.exists() else []
+    return {
+        file.name: file.read_bytes()
+        for file in files
+        if file.is_file() and not file.name.endswith(".checkpoint.jsonl")
+    }
+
+
+def last_line(ended: Ended) -> str:
+    """What a command said at its end."""
+    return (ended.error.strip().splitlines() or [""])[-1]
+
+
+# ---------------------------------------------------------------------------------- kills
+
+
+def kills(part: Part) -> None:
+    """See the docstring of this file."""
+    (part.folder / "scenario.yaml").write_text(SCENARIO)
+    expected, seconds = {}, {}
+    for name, command in COMMANDS.items():
+        run(part, command, part.folder / "whole")  # compiles
+        ended = run(part, command, part.folder / name)
+        part.require(ended.code == 0, name, last_line(ended))
+        expected[name], seconds[name] = results(part.folder / name), ended.seconds
+        shutil.rmtree(part.folder / "whole")
+    for case in range(part.count):
+        name = part.random.choice(list(COMMANDS))
+        out = part.folder / f"case {case}"
+        for _ in range(part.random.choice((1, 2))):
+            number = part.random.choice(list(SIGNALS))
+            after_s = part.random.uniform(0.02, seconds[name])
+            _kill(part, name, out, number, after_s, expected[name])
+        label = f"{case} {name}, again"
+        ended = run(part, COMMANDS[name], out)
+        part.require(ended.code == 0, label, last_line(ended))
+        part.require(results(out) == expected[name], label, "other bytes")
+        names = {file.name for file in out.iterdir()}
+        part.require(names == set(expected[name]), label, f"leftovers {names}")
+        part.counts["runs compared"] += 1
+        shutil.rmtree(out)
+
+
+def _kill(
+    part: Part,
+    name: str,
+    out: Path,
+    number: signal.Signals,
+    after_s: float,
+    expected: dict[str, bytes],
+) -> None:
+    label = f"{out.name} {name}, {number.name} after {after_s:.2f} s"
+    pieces = _checkpoint(out)
+    ended = run(part, COMMANDS[name], out, number, after_s)
+    part.counts[number.name] += 1
+    part.require(not ended.orphans, label, f"{ended.orphans} processes after {ORPHANS_S:g} s")
+    now = _checkpoint(out)
+    if ended.code == 0:
+        part.counts["ended before"] += 1
+    else:
+        kept = now.startswith(pieces) or results(out) == expected
+        part.require(kept, label, "finished pieces are lost")
+        part.counts["pieces kept"] += now.count(b"\n")
+    part.require(results(out) in ({}, expected), label, "not all files or none")
+    if number == signal.SIGKILL or ended.code == 0:
+        return
+    early = ended.code == -number  # Python itself had not yet begun
+    part.counts["before Python began"] += early
+    part.require(early or ended.code == SIGNALS[number], label, f"exit code {ended.code}")
+    part.require("Traceback" not in ended.error, label, f"traceback: {ended.error[-1500:]}")
+    part.require(not list(out.glob(".kneexo-*")), label, "a temporary directory is left")
+    if not early:
+        line = last_line(ended)
+        part.require(line.startswith("kneexo: "), label, f"said {line!r}")
+        if now:
+            part.require("are kept in" in line or line.endswith("ed"), label, f"said {line!r}")
+
+
+def _checkpoint(out: Path) -> bytes:
+    return b"".join(file.read_bytes() for file in out.glob("*.checkpoint.jsonl"))
+
+
+# --------------------------------------------------------------------------------- damage
+
+
+def _flip(data: bytearray, chance: random.Random) -> bytearray:
+    data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+    return data
+
+
+def _digit(data: bytearray, chance: random.Random) -> bytearray:
+    places = [i for i, byte in enumerate(data) if chr(byte).isdigit()]
+    place = chance.choice(places)
+    data[place] = chance.choice([d for d in b"0123456789" if d != data[place]])
+    return data
+
+
+def _cut(data: bytearray, chance: random.Random) -> bytearray:
+    return data[: chance.randrange(len(data))]
+
+
+def _zeros(data: bytearray, chance: random.Random) -> bytearray:
+    start = chance.randrange(len(data))
+    size = min(chance.choice((1, 16, 512, 4096)), len(data) - start)
+    data[start : start + size] = bytes(size)
+    return data
+
+
+def _remove(data: bytearray, chance: random.Random) -> bytearray:
+    start = chance.randrange(len(data))
+    del data[start : start + chance.choice((1, 16, 512))]
+    return data
+
+
+def _twice(data: bytearray, chance: random.Random) -> bytearray:
+    start, end = sorted(chance.randrange(len(data)) for _ in range(2))
+    return data[:end] + data[start:]
+
+
+def _insert(data: bytearray, chance: random.Random) -> bytearray:
+    texts = (b"[" * 100_000, b"\n", b"\xff" * 9, b"null\n", b'["a", 1]\n', chance.randbytes(99))
+    start = chance.randrange(len(data))
+    return data[:start] + chance.choice(texts) + data[start:]
+
+
+def _other(data: bytearray, chance: random.Random) -> bytearray:
+    return bytearray(chance.choice((b"", b"\n", b"{}", b"my notes\n", chance.randbytes(len(data)))))
+
+
+WAYS: list[Callable[[bytearray, random.Random], bytearray]]
+WAYS = [_flip, _digit, _cut, _zeros, _remove, _twice, _insert, _other]
+
+
+def damage(part: Part) -> None:
+    """See the docstring of this file."""
+    expected = _whole(part)
+    cache, checkpoint = _kept(part)
+    for case in range(part.count):
+        way = WAYS[case % len(WAYS)]
+        for kind in ("cache", "checkpoint"):
+            out = part.folder / "out"
+            out.mkdir()
+            label = f"{case} {kind} {way.__name__.strip('_')}"
+            for path, data in cache.items():
+                broken = way(bytearray(data), part.random) if kind == "cache" else data
+                path.write_bytes(broken)
+            data = checkpoint
+            if kind == "checkpoint":
+                data = bytes(way(bytearray(checkpoint), part.random))
+                (out / "bandwidth.checkpoint.jsonl").write_bytes(data)
+            ended = run(part, DAMAGED, out)
+            part.counts[f"{kind} damaged"] += 1
+            part.require("Traceback" not in ended.error, label, ended.error[-1500:])
+            if kind == "checkpoint" and ended.code == 2:
+                part.counts["refused"] += 1
+                part.require("is not a checkpoint" in last_line(ended), label, last_line(ended))
+                left = (out / "bandwidth.checkpoint.jsonl").read_bytes()
+                part.require(left == data, label, "a refused file was changed")
+            else:
+                part.counts["skipped or made anew, as said"] += "kneexo: " in ended.error
+                part.require(ended.code == 0, label, f"{ended.code}: {last_line(ended)}")
+                part.require(results(out) == expected, label, "other bytes")
+                part.counts["runs compared"] += 1
+            shutil.rmtree(out)
+
+
+def _whole(part: Part) -> dict[str, bytes]:
+    ended = run(part, DAMAGED, part.folder / "whole")
+    part.require(ended.code == 0, "whole run", last_line(ended))
+    return results(part.folder / "whole")
+
+
+def _kept(part: Part) -> tuple[dict[Path, bytes], bytes]:
+    """The files of the cache, and the checkpoint of a sweep that was killed."""
+    cache = {file: file.read_bytes() for file in (part.folder / "cache").glob("*.kneexo")}
+    after_s = 0.5
+    while True:
+        out = part.folder / "killed"
+        run(part, DAMAGED, out, signal.SIGKILL, after_s)
+        checkpoint = _checkpoint(out)
+        shutil.rmtree(out, ignore_errors=True)
+        if checkpoint.count(b"\n") > 5:
+            return cache, checkpoint
+        after_s = 0.5 if after_s > 30.0 else after_s + 0.1
+
+
+# ------------------------------------------------------------------------------- campaign
+
+PARTS: dict[str, Callable[[Part], None]] = {"kills": kills, "damage": damage}
+"""Each gets a folder, a random generator and the number of cases, and counts what it does."""
+
+
+def campaign(names: Sequence[str], seed: int, count: int) -> Iterator[tuple[str, Part]]:
+    """Run the parts of these names."""
+    for name in names:
+        with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
+            part = Part(Path(folder), random.Random(f"{name} {seed}"), count)
+            PARTS[name](part)
+        yield name, part
+
+
+def main() -> int:
+    """Run the campaign; 1 if something was violated."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; all")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=100, help="cases of each part")
+    options = parser.parse_args()
+    if unknown := set(options.parts) - set(PARTS):
+        parser.error(f"PART = {', '.join(unknown)}: must be of {', '.join(PARTS)}")
+    violations = 0
+    print(f"seed {options.seed}\n| part | what | count |\n|---|---|---|")
+    for name, part in campaign(options.parts or list(PARTS), options.seed, options.count):
+        part.counts["violations"] += 0
+        for what, count in sorted(part.counts.items()):
+            print(f"| {name} | {what} | {count} |", flush=True)
+        violations += len(part.violations)
+    return int(violations > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
