@@ -61,13 +61,20 @@ def source_of(field: FieldInfo) -> str:
     return str(extra.get("source", "")) if isinstance(extra, dict) else ""
 
 
+def shortened(text: str, most: int = 120) -> str:
+    """``text``, its middle left out where it has more than ``most`` characters."""
+    if len(text) <= most:
+        return text
+    return f"{text[: most // 2]} … {text[-(most // 2) + 3 :]}"
+
+
 def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:
     """Where the first fault of a validation error lies, and one line that says what it is."""
     faults = error.errors()
     # A misspelt name explains the value that is missing because of it.
     fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
     location, holders = _without_tags(model, fault["loc"])
-    path = ".".join(str(key) for key in location)
+    path = shortened(".".join(str(key) for key in location))
     value = fault["input"]
     field = _field_at(model, location)
     unit = unit_of(field) if field else ""
@@ -77,7 +84,7 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
     if isinstance(value, float) and value == float(f"{value:g}"):
         shown = f"{value:g}"
     if len(shown) > 60:
-        shown = type(value).__name__
+        shown = type(value).__name__ if not isinstance(value, str) else shortened(shown, 60)
     shown_with_unit = f"{shown} {unit}".strip()
     kind = fault["type"]
     if kind == "extra_forbidden":
@@ -93,7 +100,7 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
             unit = ""  # "finite" needs none
         line = f"{path} = {shown_with_unit} is out of range: must be {bounds} {unit}".rstrip()
     elif kind == "union_tag_invalid":
-        line = f"{path}.kind = {fault['ctx']['tag']!r}: must be {fault['ctx']['expected_tags']}"
+        line = f"{path}.kind = {shortened(fault['ctx']['tag'])!r}: must be {fault['ctx']['expected_tags']}"
         location = (*location, "kind")
     elif kind == "missing":
         line = f"{path}: is missing"

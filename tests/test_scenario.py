@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import time
 import types
 import typing
 from pathlib import Path
@@ -12,6 +14,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kneexo import scenario
 from kneexo.errors import ParameterError, ScenarioError
 from kneexo.parameters import (
     G2,
@@ -32,7 +35,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
-from kneexo.scenario import changed, dump_scenario, json_schema, load_scenario
+from kneexo.scenario import changed, dump_scenario, json_schema, load_scenario, read_value
 
 NAME = "scenario.yaml"
 
@@ -396,11 +399,59 @@ def test_file_that_cannot_be_read(
     assert message("a\0b") == "a b: cannot be read: embedded null byte"
     assert message("a\nb").startswith("a b: cannot be read: ")
 
-    def refuse(path: Path) -> bytes:
+    def refuse(path: Path, mode: str) -> bytes:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(Path, "read_bytes", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
     assert message(file.path) == f"{file.path}: cannot be read: Permission denied"
+
+
+def test_only_regular_files_are_read(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)  # with no writer, opening it would never end
+    for path in (pipe, Path("/dev/zero")):
+        with pytest.raises(ScenarioError, match="cannot be read: is not a regular file$"):
+            load_scenario(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (" " * (2**20 + 1), "is too large: must have at most 1048576 bytes"),
+        ("\n".join(["- 1"] * 21_000), "too deep or too many values"),
+        ("a: " + "[" * 400_000, "1: too deep or too many values"),
+    ],
+)
+def test_large_files_are_refused_before_they_cost_time(
+    file: File, text: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scenario, "_MOST_VALUES", 10_000)
+    start = time.perf_counter()
+    assert told in file.fault(text)
+    assert time.perf_counter() - start < 5.0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{'a' * 100_000}: 1",
+        f"controller: {{kind: {'a' * 100_000}}}",
+        f"plant: {{rod_map: {'a' * 100_000}}}",
+        f"plant: {{linkage: {'a' * 100_000}}}",
+        f"a: !{'a' * 1000} 1",
+        f"{'1' * 1000}: 1",
+        f"a: *{'a' * 100_000}",
+    ],
+)
+def test_a_fault_is_a_short_line(file: File, text: str) -> None:
+    assert len(file.fault(text)) < 900
+
+
+def test_a_setting_is_a_single_value() -> None:
+    assert read_value("--set seed", "[1, 2]") == (1, 2)
+    for text in ("1\nx: 2", "1\n...\n---\n2"):
+        with pytest.raises(ScenarioError, match="^--set seed"):
+            read_value("--set seed", text)
 
 
 WORDS = sorted({*re.split(r"(\W)", EVERY_SECTION), *"'\"|>?!%@\\~.", "---", "\n  ", ": ", "<<"})
