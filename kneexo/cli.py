@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import codecs
+import io
+import json
 import os
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -51,6 +55,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     # Before numpy is there: on matrices as small as ours, threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Before Matplotlib is there: it refuses a name that it does not know, and we only write files.
+    os.environ["MPLBACKEND"] = "Agg"
+    warnings.formatwarning = lambda message, *_: f"kneexo: {message}\n"
+    codecs.register_error("kneexo", _escaped)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="kneexo")
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            if sys.stdout is not None:  # None when it was closed
+                sys.stdout.flush()
+    except OSError as error:
+        if sys.stdout is not None:  # what it still holds would fail again at exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):  # the reader went away, as with `| head`
+            return 0
+        with suppress(OSError):
+            where = f"{error.filename}: " if error.filename else ""
+            print(f"kneexo: {where}{error.strerror or error}", file=sys.stderr)
+        return 2
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    """Characters that a stream's encoding lacks, as JSON writes them."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return json.dumps(error.object[error.start : error.end])[1:-1], error.end
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     try:
@@ -69,9 +105,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         what = _kept(options) or "nothing was written"
         print(f"kneexo: interrupted; {what}", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # the reader of our output went away, as with `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except MemoryError:
+        print(
+            "kneexo: out of memory; reduce simulation.duration_s, or the processes with --workers",
+            file=sys.stderr,
+        )
+        return 2
     return 0
 
 
@@ -491,8 +530,6 @@ def _params(options: argparse.Namespace) -> None:
 
         print(dump_scenario(scenario), end="")
         return
-    import json
-
     if options.schema:
         from kneexo.scenario import json_schema
 
@@ -578,8 +615,6 @@ def _parameter_rows(
 
 def _diagram(options: argparse.Namespace) -> None:
     scenario = _scenario(options)
-    import json
-
     from kneexo.diagrams import make_closed_loop
     from kneexo.output import output_directory
 
@@ -616,7 +651,6 @@ def _diagram(options: argparse.Namespace) -> None:
 
 
 def _cache(options: argparse.Namespace) -> None:
-    import json
     import time
 
     from kneexo.compilation import cache

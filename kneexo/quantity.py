@@ -100,7 +100,8 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
             unit = ""  # "finite" needs none
         line = f"{path} = {shown_with_unit} is out of range: must be {bounds} {unit}".rstrip()
     elif kind == "union_tag_invalid":
-        line = f"{path}.kind = {shortened(fault['ctx']['tag'])!r}: must be {fault['ctx']['expected_tags']}"
+        tag, expected = shortened(fault["ctx"]["tag"]), fault["ctx"]["expected_tags"]
+        line = f"{path}.kind = {tag!r}: must be {expected}"
         location = (*location, "kind")
     elif kind == "missing":
         line = f"{path}: is missing"

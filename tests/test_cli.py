@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from kneexo import cli
 from kneexo.cli import main
 from kneexo.compilation import cache
 from kneexo.parameters import Scenario
@@ -27,6 +28,75 @@ def scenario_file(tmp_path):
         return str(path)
 
     return write
+
+
+def run_command(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "kneexo", *arguments], stderr=subprocess.PIPE, text=True, **options
+    )
+
+
+def test_a_stream_without_greek_letters_gets_escapes():
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = run_command("params", "--json", stdout=subprocess.PIPE, env=environment)
+    assert done.returncode == 0
+    assert not done.stderr
+    assert any(row["unit"] == "m/s²" for row in json.loads(done.stdout))
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["params"], ["params", "--yaml"]])
+def test_a_full_device_is_a_line(arguments):
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    with open("/dev/full", "w") as full:
+        done = run_command(*arguments, stdout=full, env=environment)
+    assert (done.returncode, done.stderr) == (2, "kneexo: No space left on device\n")
+
+
+def test_a_closed_output_is_no_failure():
+    line = ["sh", "-c", f"exec {sys.executable} -m kneexo params >&-"]
+    done = subprocess.run(line, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_unknown_matplotlib_backend_does_not_matter():
+    code = "from kneexo import cli; cli.main(['cache']); import matplotlib"
+    environment = os.environ | {"MPLBACKEND": "bogus"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True)
+
+
+def test_no_home_directory_is_a_line(tmp_path):
+    code = (
+        "import sys, pathlib\n"
+        "def nowhere(): raise RuntimeError('Could not determine home directory.')\n"
+        "pathlib.Path.home = nowhere\n"
+        "from kneexo import cli\n"
+        "sys.exit(cli.main(['cache']))\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("KNEEXO", "XDG"))}
+    line = [sys.executable, "-c", code]
+    done = subprocess.run(line, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0
+    (told,) = done.stderr.splitlines()
+    assert told.startswith("kneexo: cache directory: cannot be determined")
+
+
+def test_too_little_memory_is_a_line(capsys, monkeypatch, tmp_path):
+    def refuse(options):
+        raise MemoryError
+
+    monkeypatch.setattr(cli, "_simulate", refuse)
+    assert main(["simulate", "--out", str(tmp_path)]) == 2
+    assert "simulation.duration_s" in capsys.readouterr().err
+
+
+def test_a_run_that_would_not_fit_into_memory_is_refused(capsys, scenario_file, tmp_path):
+    path = scenario_file("simulation: {duration_s: 86400}")
+    assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "simulation.duration_s = 86400 s" in line
+    assert "43200000 samples" in line
+    assert "at most 2 GiB" in line
+    assert not (tmp_path / "out").exists()
 
 
 def test_help_names_every_command_and_needs_no_drake():

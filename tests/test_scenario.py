@@ -410,7 +410,7 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)  # with no writer, opening it would never end
     for path in (pipe, Path("/dev/zero")):
-        with pytest.raises(ScenarioError, match="cannot be read: is not a regular file$"):
+        with pytest.raises(ScenarioError, match=r"cannot be read: is not a regular file$"):
             load_scenario(path)
 
 
@@ -450,7 +450,7 @@ def test_a_fault_is_a_short_line(file: File, text: str) -> None:
 def test_a_setting_is_a_single_value() -> None:
     assert read_value("--set seed", "[1, 2]") == (1, 2)
     for text in ("1\nx: 2", "1\n...\n---\n2"):
-        with pytest.raises(ScenarioError, match="^--set seed"):
+        with pytest.raises(ScenarioError, match=r"^--set seed"):
             read_value("--set seed", text)
 
 

@@ -200,6 +200,12 @@ def test_comparison_resumes_reports_and_draws(comparison):
     plt.close("all")
 
 
+def test_a_comparison_without_forces_has_dashes_in_its_report():
+    settings = OrderComparisonParameters(disturbances_n=(0.0,), switching_forces_n=(0.0,))
+    empty = OrderComparison((), (), (), (), (), UNCERTAIN_KNEE, settings)
+    assert "Rod speed at the limit in mm/s: reduced –, full –." in empty.report()
+
+
 # ------------------------------------------------------------------------------ bad input
 
 
