@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from difflib import get_close_matches
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
@@ -37,9 +37,12 @@ def choice(default: Any, source: str) -> Any:
 
 
 def allowed_range(field: FieldInfo) -> str:
-    """The range of a field as text, for instance ``0 … 150`` or ``> 0``."""
+    """The range of a field, or of its elements, as text, for instance ``>= 0 and <= 150``."""
     lower = upper = ""
-    for bound in field.metadata:
+    elements = get_args(field.annotation)[:1]
+    # Annotated[float, Field(…)] has the field in its __metadata__.
+    of_elements = [b for e in elements for f in getattr(e, "__metadata__", ()) for b in f.metadata]
+    for bound in (*of_elements, *field.metadata):
         if getattr(bound, "ge", None) is not None:
             lower = f">= {bound.ge:g}"
         if getattr(bound, "gt", None) is not None:

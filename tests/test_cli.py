@@ -413,7 +413,9 @@ def test_each_study_is_wired(capsys, tmp_path, monkeypatch, command, module, fun
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--set", "frequencies_hz=[1, 2, 300]"], "300 Hz is too high: must be <= 50 Hz"),
+        (["--set", "frequencies_hz=[1, 2, 90]"], "90 Hz is too high: must be <= 50 Hz"),
+        (["--set", "frequencies_hz=[1, 2, 300]"], "frequencies_hz.2 = 300 Hz is out of range"),
+        (["--set", "amplitudes_deg=[1e-200]"], "must be finite and >= 1e-06 and <= 46 deg"),
         (["--set", "frequencies_hz=[1, 2, 60]"], "60 Hz is too high: must be <= 50 Hz"),
         (["--set", "estimate={averaged_cycles: 1}"], "estimate.averaged_cycles = 1 cycles"),
         (["--set", "estimate={largest_cycles: 3}"], "too few cycles"),

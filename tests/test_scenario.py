@@ -32,6 +32,7 @@ from kneexo.parameters import (
     SampledReference,
     Scenario,
     SimulationParameters,
+    SineReference,
     SlidingModeParameters,
     StepReference,
 )
@@ -180,8 +181,9 @@ def test_kind_chooses_the_class_and_the_default_is_implied(
     ],
 )
 def test_numbers_as_in_yaml_1_2(file: File, scalar: str, value: float) -> None:
-    scenario = file.load(f"plant: {{cylinder: {{bulk_modulus_pa: {scalar}}}}}")
-    assert scenario.plant.cylinder.bulk_modulus_pa == value
+    controller = file.load(f"controller: {{eta_m_s3: {scalar}}}").controller
+    assert isinstance(controller, SlidingModeParameters)
+    assert controller.eta_m_s3 == value
 
 
 @pytest.mark.parametrize("scalar", ["yes", "1:30", "2020-01-01", "1_000", "'1.5'", "1e", "0x10"])
@@ -480,7 +482,6 @@ def test_any_text_is_a_scenario_or_one_line(file: File, text: str) -> None:
 # ---------------------------------------------------------------------------- round trip
 
 ORDERED = {
-    CylinderParameters: ("rod_diameter_m", "bore_m"),
     KneeParameters: ("flexion_min_deg", "flexion_max_deg"),
     SlidingModeParameters: ("mass_min_kg", "mass_max_kg"),
 }
@@ -504,7 +505,7 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
     if origin is typing.Literal:
         return st.sampled_from(arguments)
     if origin is tuple:
-        number = st.floats(allow_nan=False, allow_infinity=False)
+        number = st.floats(-1e4, 1e4)  # the coefficients of Table 1
         return st.tuples(*[number for _ in arguments])
     assert origin in {types.UnionType, typing.Union}, annotation
     return st.one_of([values_of(member, {}) for member in arguments])
@@ -537,6 +538,10 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
             knee = drawn["plant"].knee
             if low < knee.flexion_min_deg or high > knee.flexion_max_deg:
                 del drawn["reference"], drawn["plant"]
+        if model is SineReference and drawn["ramp_s"] < 1e-3:
+            del drawn["ramp_s"]
+        if model is CylinderParameters and drawn["rod_diameter_m"] > 0.98 * drawn["bore_m"]:
+            del drawn["rod_diameter_m"], drawn["bore_m"]
         low, high = ORDERED.get(model, (None, None))
         if low and drawn[low] >= drawn[high]:  # then both have their default
             del drawn[low], drawn[high]
@@ -562,7 +567,7 @@ def test_any_yaml_reader_understands_a_dump(scenario: Scenario) -> None:
 def test_small_and_large_floats_are_floats_in_yaml_1_1(file: File) -> None:
     scenario = Scenario(
         plant=PlantParameters(pump={"displacement_m3_per_rad": 1e-5}),
-        polynomial=RodPolynomialParameters(p_mm_deg=(1e-20, -3e22, 1.5e-7, 12e300, 5e-324, -0.0)),
+        polynomial=RodPolynomialParameters(p_mm_deg=(1e-20, -3e3, 1.5e-7, 12e-300, 5e-324, -0.0)),
     )
     text = dump_scenario(scenario)
     assert "displacement_m3_per_rad: 1.0e-05" in text
