@@ -6,8 +6,9 @@ of outcomes, and each outcome that must not be with its scenario's changes.
 *files*: the built-in scenarios as YAML, damaged in their text or with other values; each is loaded,
 and a valid one is dumped, loaded again, and made into parameters and start of its compiled model.
 *corners*: every number of a scenario at both ends of its range, in several structures. *random*:
-some numbers at random or at an end of their range, in random structures. Runs last 0.05…0.5 s and
-log all signals. They go in lanes, in a process of their own that a hang does not survive.
+some numbers at random or at an end of their range, in random structures. *linear*: the corners
+again, linearized, with margins. Runs last 0.05…0.5 s, log all signals and are measured. They go in
+lanes, in a process of their own that a hang does not survive.
 """
 
 from __future__ import annotations
@@ -28,8 +29,15 @@ from typing import Any
 
 import numpy as np
 
-from kneexo.analysis.simulation import RunRequest, answers
-from kneexo.errors import KneexoError, LinkageError, ParameterError, SimulationError
+from kneexo.analysis import linearize_loop, track
+from kneexo.analysis.simulation import answers
+from kneexo.errors import (
+    KneexoError,
+    LinearizationError,
+    LinkageError,
+    ParameterError,
+    SimulationError,
+)
 from kneexo.parameters import FIG_12, IDEAL_SMC, SLIDING_LAW, UNCERTAIN_KNEE, Scenario
 from kneexo.quantity import Parameters
 from kneexo.scenario import changed, dump_scenario, load_scenario
@@ -126,6 +134,7 @@ def outcome_of(error: BaseException) -> tuple[str, str]:
         (LinkageError, "no such linkage"),
         (ParameterError, "refused"),
         (SimulationError, "failed run"),
+        (LinearizationError, "no linear loop"),
     ):
         if isinstance(error, kind):
             return name, message
@@ -170,12 +179,12 @@ def structure(rng: random.Random) -> Scenario:
     exact = rng.random() < 0.3
     estimator = "exact" if exact else rng.choice(("observer", "difference"))
     controller: dict[str, Any] = {"kind": rng.choice(("smc", "smc", "pid"))}
-    controller["sample_time_s"] = rng.choice((0.002, 0.002, 0.002, 5e-4, 0.005, 0.02, 1e-4, 0.1))
+    controller["sample_time_s"] = rng.choice((0.002, 0.002, 0.002, 1e-5, 5e-4, 0.005, 0.02, 1.0))
     if controller["kind"] == "smc":
         controller["switching"] = rng.choice(("saturation", "saturation", "signum"))
         controller["continuous"] = exact and rng.random() < 0.5
     else:
-        controller["anti_windup_s"] = 0.2
+        controller["anti_windup_s"] = 2.0
     kind = rng.choice(("sine", "sine", "step", "ramp", "samples"))
     values: dict[str, Any] = {
         "plant.linkage": rng.choice(("G1", "G1", "G2", "G3")),
@@ -197,8 +206,10 @@ def structure(rng: random.Random) -> Scenario:
 
 
 def with_duration(scenario: Scenario, rng: random.Random) -> Scenario:
-    """The scenario with a short duration."""
-    return changed(scenario, {"simulation.duration_s": rng.uniform(0.05, 0.5)})
+    """The scenario with a short duration: of a few thousand samples at most, of two at least."""
+    sample_time = scenario.controller.sample_time_s
+    duration = max(2.0 * sample_time, min(rng.uniform(0.05, 0.5), 3000.0 * sample_time))
+    return changed(scenario, {"simulation.duration_s": duration})
 
 
 def corners(templates: Sequence[Scenario], seed: int) -> Iterator[tuple[str, Scenario | None]]:
@@ -217,7 +228,9 @@ def randoms(
     rng = random.Random(seed)
     for n in range(count):
         template = templates[n * len(templates) // count]
-        found = list(numbers(template))
+        # Most other linkages cannot be assembled, which the corners have tried.
+        links = rng.random() < 0.1
+        found = [row for row in numbers(template) if links or ".linkage." not in row[0]]
         values = {
             path: drawn(rng, value, low, high)
             for path, value, low, high in rng.sample(found, rng.choice((1, 2, 3, 5, 10)))
@@ -254,14 +267,23 @@ def vary(
 def run_outcomes(scenarios: Sequence[Scenario]) -> list[tuple[str, str]]:
     """What becomes of runs that go together."""
     found: dict[int, tuple[str, str]] = {}
-    requests = {n: RunRequest(scenario) for n, scenario in enumerate(scenarios)}
+    calls = [track.steps(scenario, all_signals=True) for scenario in scenarios]
     try:
-        for n, run in answers(requests):
+        for n, run in answers({n: next(call) for n, call in enumerate(calls)}):
             if isinstance(run, KneexoError):
                 found[n] = outcome_of(run)
-            else:
-                finite = all(np.isfinite(values).all() for values in run.data.values())
-                found[n] = ("valid" if finite else "nan"), ""
+                continue
+            finite = all(np.isfinite(values).all() for values in run.data.values())
+            if not finite:
+                found[n] = "nan", ""
+                continue
+            found[n] = "valid", ""
+            try:
+                calls[n].send(run)  # ends with the metrics
+            except StopIteration:
+                pass
+            except KneexoError as error:
+                found[n] = outcome_of(error)
     except Exception as error:
         if len(scenarios) == 1:
             return [outcome_of(error)]
@@ -339,6 +361,25 @@ def run_all(
         yield from flush()
 
 
+def linear_outcome(scenario: Scenario) -> tuple[str, str]:
+    """What becomes of the linear loop of a scenario, and the message."""
+    try:
+        with time_limit(RUN_LIMIT_S):
+            linearize_loop(scenario).margins()
+        return "valid", ""
+    except BaseException as error:
+        return outcome_of(error)
+
+
+def linearized(scenarios: Iterator[tuple[str, Scenario | None]]) -> Iterator[tuple[str, str, str]]:
+    """Outcome, message and changes of linearizations."""
+    for told, scenario in scenarios:
+        if scenario is None:
+            yield "refused", "", told
+        else:
+            yield *linear_outcome(scenario), told
+
+
 # ---------------------------------------------------------------------------------- report
 
 
@@ -349,7 +390,7 @@ def summary(name: str, outcomes: Iterator[tuple[str, str, str]]) -> tuple[str, i
         counts[kind] += 1
         if kind in BAD:
             print(f"--- {name}: {kind}\n{message}\n{text}\n", flush=True)
-    kinds = ("valid", "refused", "no such linkage", "failed run", *BAD)
+    kinds = ("valid", "refused", "no such linkage", "failed run", "no linear loop", *BAD)
     rest = counts.total() - sum(counts[kind] for kind in kinds)
     cells = [counts.total(), *(counts[kind] for kind in kinds), rest]
     took = time.perf_counter() - start
@@ -373,12 +414,22 @@ def main() -> int:
         if options.runs:
             some = templates[: max(1, options.structures // 6)]
             rows += [
+                summary("linear", linearized(corners(some[:5], options.seed))),
                 summary("corners", run_all(corners(some, options.seed), process)),
                 summary("random", run_all(randoms(templates, options.runs, options.seed), process)),
             ]
     finally:
         process.end()
-    head = ("campaign", "count", "valid", "refused", "no such linkage", "failed run", *BAD)
+    head = (
+        "campaign",
+        "count",
+        "valid",
+        "refused",
+        "no such linkage",
+        "failed run",
+        "no linear loop",
+        *BAD,
+    )
     print(f"| {' | '.join(head)} | other error | s |\n|{'---|' * (len(head) + 2)}")
     for line, _ in rows:
         print(line)
