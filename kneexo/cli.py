@@ -394,6 +394,7 @@ def _simulate(options: argparse.Namespace) -> None:
     from dataclasses import asdict
 
     from kneexo.analysis import track
+    from kneexo.analysis.markdown import number
     from kneexo.output import output_directory, save_figure, to_json, write_csv
     from kneexo.scenario import dump_scenario
 
@@ -411,7 +412,7 @@ def _simulate(options: argparse.Namespace) -> None:
         print(metrics, end="")
         return
     for name, value in asdict(result.metrics).items():
-        print(f"{name:28s} {value:.6g}")
+        print(f"{name:28s} {number(value, '.6g')}")
     print(f"In {options.out}: signals.csv, metrics.json, scenario.yaml, tracking.png, tracking.pdf")
 
 

@@ -155,6 +155,15 @@ def test_simulate_writes_signals_metrics_scenario_and_plot(capsys, scenario_file
     assert len(rows) == 1 + 601
 
 
+def test_a_run_shorter_than_a_period_has_dashes(capsys, scenario_file, tmp_path):
+    path = scenario_file("simulation: {duration_s: 0.1}")
+    assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    assert "nan" not in text
+    assert f"{'max_error_deg':28s} –" in text
+    assert "nan" not in (tmp_path / "out" / "signals.csv").read_text()
+
+
 def test_diagram_always_writes_the_dot_file(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))  # no Graphviz here
     assert main(["diagram", "--out", str(tmp_path / "out")]) == 0
