@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import codecs
+import io
+import json
 import os
 import shutil
 import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -54,10 +57,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     # Before numpy is there: on matrices as small as ours, threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Before Matplotlib is there: it refuses a name that it does not know, and we only write files.
+    os.environ["MPLBACKEND"] = "Agg"
+    codecs.register_error("kneexo", _escaped)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="kneexo")
     with sigterm_raises():
         options = argparse.Namespace()
         try:
-            return _run(options, arguments)
+            try:
+                return _run(options, arguments)
+            finally:
+                if sys.stdout is not None:  # None when it was closed
+                    sys.stdout.flush()
         except (KeyboardInterrupt, ImportError) as error:
             # An interrupt during the import of Drake arrives as an ImportError that it caused.
             cause = (
@@ -70,6 +83,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
             print(f"kneexo: {what}; {_left(options)}", file=sys.stderr)
             return code
+        except OSError as error:
+            if sys.stdout is not None:  # what it still holds would fail again at exit
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            if isinstance(error, BrokenPipeError):  # the reader went away, as with `| head`
+                return 0
+            with suppress(OSError):
+                where = f"{error.filename}: " if error.filename else ""
+                print(f"kneexo: {where}{error.strerror or error}", file=sys.stderr)
+            return 2
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    """Characters that a stream's encoding lacks, as JSON writes them."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return json.dumps(error.object[error.start : error.end])[1:-1], error.end
 
 
 def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
@@ -84,8 +113,12 @@ def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
         kept = _kept(options) if isinstance(error, WorkerError) else ""
         print(f"kneexo: {where}{error}{kept and f'; {kept}'}", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # the reader of our output went away, as with `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except MemoryError:
+        print(
+            "kneexo: out of memory; reduce simulation.duration_s, or the processes with --workers",
+            file=sys.stderr,
+        )
+        return 2
     finally:
         warnings.formatwarning = format_before
     return 0
@@ -416,6 +449,7 @@ def _simulate(options: argparse.Namespace) -> None:
     from dataclasses import asdict
 
     from kneexo.analysis import track
+    from kneexo.analysis.markdown import number
     from kneexo.output import save_figure, to_json, write_csv
     from kneexo.scenario import dump_scenario
 
@@ -433,7 +467,7 @@ def _simulate(options: argparse.Namespace) -> None:
         print(metrics, end="")
         return
     for name, value in asdict(result.metrics).items():
-        print(f"{name:28s} {value:.6g}")
+        print(f"{name:28s} {number(value, '.6g')}")
     print(f"In {options.out}: signals.csv, metrics.json, scenario.yaml, tracking.png, tracking.pdf")
 
 
@@ -552,8 +586,6 @@ def _params(options: argparse.Namespace) -> None:
 
         print(dump_scenario(scenario), end="")
         return
-    import json
-
     if options.schema:
         from kneexo.scenario import json_schema
 
@@ -639,8 +671,6 @@ def _parameter_rows(
 
 def _diagram(options: argparse.Namespace) -> None:
     scenario = _scenario(options)
-    import json
-
     from kneexo.diagrams import make_closed_loop
 
     diagram = make_closed_loop(scenario)
@@ -676,7 +706,6 @@ def _diagram(options: argparse.Namespace) -> None:
 
 
 def _cache(options: argparse.Namespace) -> None:
-    import json
     import time
 
     from kneexo.compilation import cache

@@ -5,6 +5,10 @@ in the paper's units). "Table n", "Eq. n" and "Section n" are those of Lee, Lee,
 "Design and Control of a Polycentric Knee Exoskeleton Using an Electro-Hydraulic Actuator",
 Applied Sciences 2020. "Assumption" marks what the paper does not print, with the reason.
 
+A range is what such hardware and such a task could ever have, with a decade to spare. A quantity
+that divides has a lower limit above zero for the same reason: no value within the ranges takes the
+arithmetic near an overflow.
+
 All classes are frozen and validated on construction; a bad value raises `ParameterError` with
 one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
 """
@@ -37,7 +41,7 @@ class BldcPumpParameters(Parameters):
     """BLDC motor with gear and axial-piston pump (Eq. 12, 13)."""
 
     speed_limit_rad_s: float = quantity(
-        5000.0 * RPM, "rad/s", "Tables 2 and 3: 5000 rpm at the motor", gt=0, le=5000
+        5000.0 * RPM, "rad/s", "Tables 2 and 3: 5000 rpm at the motor", ge=0.1, le=5000
     )
     lag_s: float = quantity(
         0.010,
@@ -51,14 +55,14 @@ class BldcPumpParameters(Parameters):
         "rad/s²",
         "assumption: torque and inertia are not printed, but Section 5 explains its initial error "
         "by the time that the motor needs to accelerate",
-        gt=0,
+        ge=1,
         le=1e7,
     )
     gear_ratio: float = quantity(
-        6.0, "1", "Section 5: 6:1; the scale factor s_r of Eq. 17 hides it", gt=0, le=1000
+        6.0, "1", "Section 5: 6:1; the scale factor s_r of Eq. 17 hides it", ge=0.01, le=1000
     )
     displacement_m3_per_rad: float = quantity(
-        0.8e-6 / (2.0 * math.pi), "m³/rad", "Tables 2 and 3: 0.8 cc/rev", gt=0, le=1e-4
+        0.8e-6 / (2.0 * math.pi), "m³/rad", "Tables 2 and 3: 0.8 cc/rev", ge=1e-10, le=1e-4
     )
     internal_leakage_m3_per_s_pa: float = quantity(
         2e-13,
@@ -70,7 +74,7 @@ class BldcPumpParameters(Parameters):
     external_leakage_m3_per_s_pa: float = quantity(
         0.0, "m³/(s·Pa)", "assumption: C_em of Eq. 12 is not printed", ge=0, le=1e-9
     )
-    rated_power_w: float = quantity(200.0, "W", "Table 3", gt=0, le=1e5)
+    rated_power_w: float = quantity(200.0, "W", "Table 3", ge=0.1, le=1e5)
 
     @property
     def leakage_m3_per_s_pa(self) -> float:
@@ -78,21 +82,24 @@ class BldcPumpParameters(Parameters):
         return self.internal_leakage_m3_per_s_pa + 0.5 * self.external_leakage_m3_per_s_pa
 
 
+_THICKEST_ROD = 0.98  # of the bore; the annulus that is left, 4 % of the area, is a divisor
+
+
 class CylinderParameters(Parameters):
     """Single-rod cylinder and the mass that it moves (Eq. 15, 16)."""
 
-    bore_m: float = quantity(0.020, "m", "Table 3", gt=0, le=1)
+    bore_m: float = quantity(0.020, "m", "Table 3", ge=1e-3, le=1)
     rod_diameter_m: float = quantity(0.010, "m", "Table 3", ge=0, le=1)
-    stroke_m: float = quantity(0.150, "m", "Tables 2 and 3", gt=0, le=5)
+    stroke_m: float = quantity(0.150, "m", "Tables 2 and 3", ge=1e-3, le=5)
     total_volume_m3: float = quantity(
         41_233e-9,
         "m³",
         "Table 2: V_t = V_1 + V_2, mean area times stroke; does not follow bore and stroke",
-        gt=0,
+        ge=1e-8,
         le=1,
     )
     bulk_modulus_pa: float = quantity(
-        17_200e5, "Pa", "Tables 2 and 3: 17 200 bar (ISO VG 46)", gt=0, le=1e11
+        17_200e5, "Pa", "Tables 2 and 3: 17 200 bar (ISO VG 46)", ge=1e6, le=1e11
     )
     mass_kg: float = quantity(1.6, "kg", "Tables 2 and 3: shank", ge=0.01, le=1000)
     damping_n_s_per_m: float = quantity(0.05, "N/(m/s)", "Table 2: B", ge=0, le=1e6)
@@ -106,7 +113,7 @@ class CylinderParameters(Parameters):
         ge=0,
         le=1e-9,
     )
-    pressure_rating_pa: float = quantity(3.5e6, "Pa", "Table 3: 3.5 MPa", gt=0, le=1e9)
+    pressure_rating_pa: float = quantity(3.5e6, "Pa", "Table 3: 3.5 MPa", ge=1e3, le=1e9)
 
     @property
     def cap_area_m2(self) -> float:
@@ -125,9 +132,9 @@ class CylinderParameters(Parameters):
 
     @model_validator(mode="after")
     def _rod_fits_bore(self) -> CylinderParameters:
-        if self.rod_diameter_m >= self.bore_m:
+        if self.rod_diameter_m > _THICKEST_ROD * self.bore_m:
             raise ValueError(
-                f"rod_diameter_m = {self.rod_diameter_m:g} m must be below "
+                f"rod_diameter_m = {self.rod_diameter_m:g} m must be below {_THICKEST_ROD:g} times "
                 f"bore_m = {self.bore_m:g} m"
             )
         return self
@@ -145,7 +152,7 @@ class FullCylinderParameters(Parameters):
         "m³",
         "assumption: V_d of each chamber, with its hose; Eq. 14 leaves V_1⁰ and V_2⁰ open, and "
         "0 is singular at the end of the stroke",
-        gt=0,
+        ge=1e-9,
         le=1,
     )
     reservoir_pressure_pa: float = quantity(
@@ -174,7 +181,7 @@ class FullCylinderParameters(Parameters):
         "Pa",
         "assumption: |P_1 − P_2| that opens one pilot-operated check valve and closes the other; "
         "narrow beside the 0.067 MPa that P_r leaves between the lines without load",
-        gt=0,
+        ge=10,
         le=1e7,
     )
     relief_pressure_pa: float = quantity(
@@ -192,7 +199,7 @@ class FullCylinderParameters(Parameters):
         le=1e-6,
     )
     valve_band_pa: float = quantity(
-        0.02e6, "Pa", "assumption: rounds the opening of check and relief valves", gt=0, le=1e7
+        0.02e6, "Pa", "assumption: rounds the opening of check and relief valves", ge=10, le=1e7
     )
     entrained_air: float = quantity(
         0.0,
@@ -209,10 +216,10 @@ class FullCylinderParameters(Parameters):
         0.0, "N", "assumption: what breakaway takes beyond it", ge=0, le=1e5
     )
     stribeck_speed_m_s: float = quantity(
-        0.01, "m/s", "assumption: typical of hydraulic seals", gt=0, le=10
+        0.01, "m/s", "assumption: typical of hydraulic seals", ge=1e-5, le=10
     )
     friction_band_m_s: float = quantity(
-        1e-3, "m/s", "assumption: rounds the reversal of the friction", gt=0, le=10
+        1e-3, "m/s", "assumption: rounds the reversal of the friction", ge=1e-6, le=10
     )
 
 
@@ -223,7 +230,7 @@ _IDENTIFIED = (
 
 
 def _length(default: float) -> Any:
-    return quantity(default, "m", _IDENTIFIED, gt=0, le=2)
+    return quantity(default, "m", _IDENTIFIED, ge=1e-3, le=2)
 
 
 def _coordinate(default: float) -> Any:
@@ -341,14 +348,21 @@ class KneeParameters(Parameters):
         return self
 
 
+_Coefficient = Annotated[float, Field(ge=-1e4, le=1e4)]
+
+
 class RodPolynomialParameters(Parameters):
     """Eq. 10 and 11 with Table 1: the controller's map from knee angle (deg) to rod (mm)."""
 
-    p_mm_deg: tuple[float, float, float, float, float, float] = Field(
+    p_mm_deg: tuple[
+        _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient
+    ] = Field(
         default=(1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0),
         json_schema_extra={"unit": "mm/deg^n", "source": "Table 1: p_1 … p_6 of Eq. 10"},
     )
-    q_deg_mm: tuple[float, float, float, float, float, float] = Field(
+    q_deg_mm: tuple[
+        _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient
+    ] = Field(
         default=(-1.807e-9, 5.788e-7, -7.285e-5, 0.004161, -0.6389, 91.73),
         json_schema_extra={"unit": "deg/mm^n", "source": "Table 1: q_1 … q_6 of Eq. 11"},
     )
@@ -467,7 +481,7 @@ class ObserverParameters(Parameters):
         0.020,
         "s",
         "assumption: T_f; the paper does not say how velocity and acceleration are measured",
-        gt=0,
+        ge=1e-5,
         le=10,
     )
 
@@ -498,9 +512,9 @@ class SlidingModeParameters(Parameters):
     switching: Literal["saturation", "signum"] = choice(
         "saturation", "sat of Eq. 27, or sgn of Eq. 24 to show chattering"
     )
-    lambda_per_s: float = quantity(20.0, "1/s", "assumption: λ is not printed", gt=0, le=1e4)
+    lambda_per_s: float = quantity(20.0, "1/s", "assumption: λ is not printed", ge=1e-3, le=1e4)
     phi_m_s2: float = quantity(
-        3.2, "m/s²", "assumption: Φ is not printed; k/Φ = 1e5 1/s", gt=0, le=1e9
+        3.2, "m/s²", "assumption: Φ is not printed; k/Φ = 1e5 1/s", ge=1e-6, le=1e9
     )
     eta_m_s3: float = quantity(
         2.8e5,
@@ -509,8 +523,8 @@ class SlidingModeParameters(Parameters):
         ge=0,
         le=1e12,
     )
-    mass_min_kg: float = quantity(1.4, "kg", "Table 2", gt=0, le=1000)
-    mass_max_kg: float = quantity(1.8, "kg", "Table 2", gt=0, le=1000)
+    mass_min_kg: float = quantity(1.4, "kg", "Table 2", ge=0.01, le=1000)
+    mass_max_kg: float = quantity(1.8, "kg", "Table 2", ge=0.01, le=1000)
     stiffness_uncertainty_n_per_m: float = quantity(
         0.0, "N/m", "assumption: ΔK_max of Eq. 27 is not printed", ge=0, le=1e7
     )
@@ -532,7 +546,7 @@ class SlidingModeParameters(Parameters):
         5000.0 * RPM,
         "rad/s",
         "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
-        gt=0,
+        ge=1e-3,
         le=1e12,
     )
 
@@ -581,7 +595,7 @@ class PidParameters(Parameters):
         le=10,
     )
     anti_windup_s: float = quantity(
-        0.1, "s", "assumption: tracking time constant of back-calculation", gt=0, le=1e3
+        0.1, "s", "assumption: tracking time constant of back-calculation", ge=1e-5, le=1e3
     )
     velocity_feedforward: float = quantity(
         0.0, "1", "assumption: share of the reference's rate that is fed forward", ge=0, le=2
@@ -590,14 +604,14 @@ class PidParameters(Parameters):
         0.1,
         "m",
         "assumption: moment arm that turns a knee rate into a rod speed (mid-range of Table 1)",
-        gt=0,
+        ge=1e-3,
         le=2,
     )
     command_limit_rad_s: float = quantity(
         5000.0 * RPM,
         "rad/s",
         "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
-        gt=0,
+        ge=1e-3,
         le=1e12,
     )
 
@@ -618,6 +632,9 @@ def _flexion(default: float, source: str) -> Any:
     return quantity(default, "deg", source, ge=-2, le=91)
 
 
+_SHORTEST_RAMP_S = 1e-3  # its third power divides the jerk
+
+
 class SineReference(Parameters):
     """Knee angle mean − amplitude·cos(2πft): starts at rest at its smallest value.
 
@@ -627,7 +644,7 @@ class SineReference(Parameters):
     kind: Literal["sine"] = "sine"
     mean_deg: float = _flexion(40.0, "Section 5: 10…70°")
     amplitude_deg: float = quantity(30.0, "deg", "Section 5: 10…70°", ge=0, le=46)
-    frequency_hz: float = quantity(0.1, "Hz", "Section 5: 0.1 Hz", gt=0, le=250)
+    frequency_hz: float = quantity(0.1, "Hz", "Section 5: 0.1 Hz", ge=1e-5, le=250)
     ramp_s: float = quantity(
         0.0, "s", "assumption: none; time over which the amplitude grows", ge=0, le=1e5
     )
@@ -636,6 +653,15 @@ class SineReference(Parameters):
     def range_deg(self) -> tuple[float, float]:
         """Smallest and largest angle in deg."""
         return self.mean_deg - self.amplitude_deg, self.mean_deg + self.amplitude_deg
+
+    @model_validator(mode="after")
+    def _ramp_is_smooth(self) -> SineReference:
+        if 0.0 < self.ramp_s < _SHORTEST_RAMP_S:
+            raise ValueError(
+                f"ramp_s = {self.ramp_s:g} s is out of range: must be 0 or >= {_SHORTEST_RAMP_S:g} "
+                f"s and <= 100000 s"
+            )
+        return self
 
 
 class StepReference(Parameters):
@@ -660,7 +686,7 @@ class RampReference(Parameters):
     end_deg: float = _flexion(60.0, "assumption: an example")
     time_s: float = quantity(1.0, "s", "assumption: an example", ge=0, le=1e6)
     rate_deg_s: float = quantity(
-        15.0, "deg/s", "assumption: below the 23 deg/s that the speed limit allows", gt=0, le=1e4
+        15.0, "deg/s", "assumption: below the 23 deg/s that the speed limit allows", ge=1e-3, le=1e4
     )
 
     @property
@@ -711,7 +737,9 @@ Reference = Annotated[
 class SimulationParameters(Parameters):
     """How a closed loop is run: by the compiled engine, or by Drake's Simulator."""
 
-    duration_s: float = quantity(30.0, "s", "three periods of 0.1 Hz, as in Fig. 12", gt=0, le=1e5)
+    duration_s: float = quantity(
+        30.0, "s", "three periods of 0.1 Hz, as in Fig. 12", ge=1e-3, le=1e5
+    )
     integrator: Literal[
         "exact_hold", "rk4", "radau3", "radau1", "runge_kutta3", "implicit_euler"
     ] = choice(
@@ -825,7 +853,7 @@ _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the pape
 class SinestreamParameters(Parameters):
     """Frequency response with one sine after another, and what differs between repetitions."""
 
-    frequencies_hz: tuple[Annotated[float, Field(gt=0, le=250)], ...] = Field(
+    frequencies_hz: tuple[Annotated[float, Field(ge=1e-5, le=250)], ...] = Field(
         default=(
             *(0.05, 0.07, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2),
             *(0.21, 0.22, 0.23, 0.24, 0.27, 0.31, 0.38, 0.5),
@@ -857,14 +885,18 @@ class SinestreamParameters(Parameters):
     seed: int = Field(
         default=2020, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
     )
-    internal_leakage_min_m3_per_s_pa: float = quantity(2e-14, "m³/(s·Pa)", _TRIALS, gt=0, le=1e-9)
-    internal_leakage_max_m3_per_s_pa: float = quantity(2e-12, "m³/(s·Pa)", _TRIALS, gt=0, le=1e-9)
-    acceleration_limit_min_rad_s2: float = quantity(2e3, "rad/s²", _TRIALS, gt=0, le=1e7)
-    acceleration_limit_max_rad_s2: float = quantity(1e4, "rad/s²", _TRIALS, gt=0, le=1e7)
-    bulk_modulus_min_pa: float = quantity(0.2e9, "Pa", _TRIALS + "; entrained air", gt=0, le=1e11)
-    bulk_modulus_max_pa: float = quantity(17_200e5, "Pa", _TRIALS, gt=0, le=1e11)
-    mass_min_kg: float = quantity(1.4, "kg", "Table 2", gt=0, le=1000)
-    mass_max_kg: float = quantity(1.8, "kg", "Table 2", gt=0, le=1000)
+    internal_leakage_min_m3_per_s_pa: float = quantity(
+        2e-14, "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
+    )
+    internal_leakage_max_m3_per_s_pa: float = quantity(
+        2e-12, "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
+    )
+    acceleration_limit_min_rad_s2: float = quantity(2e3, "rad/s²", _TRIALS, ge=1, le=1e7)
+    acceleration_limit_max_rad_s2: float = quantity(1e4, "rad/s²", _TRIALS, ge=1, le=1e7)
+    bulk_modulus_min_pa: float = quantity(0.2e9, "Pa", _TRIALS + "; entrained air", ge=1e6, le=1e11)
+    bulk_modulus_max_pa: float = quantity(17_200e5, "Pa", _TRIALS, ge=1e6, le=1e11)
+    mass_min_kg: float = quantity(1.4, "kg", "Table 2", ge=0.01, le=1000)
+    mass_max_kg: float = quantity(1.8, "kg", "Table 2", ge=0.01, le=1000)
 
     @model_validator(mode="after")
     def _ordered(self) -> SinestreamParameters:
@@ -903,7 +935,7 @@ class SineEstimateParameters(Parameters):
         "1",
         "assumption: change of the response from one cycle to the next, relative to it, below "
         "which the loop has settled",
-        gt=0,
+        ge=1e-6,
         le=0.5,
     )
     averaged_cycles: int = Field(
@@ -935,7 +967,7 @@ class SineEstimateParameters(Parameters):
 class AmplitudeMapParameters(Parameters):
     """Frequency response over amplitude and frequency: ``kneexo bandwidth``."""
 
-    amplitudes_deg: tuple[float, ...] = Field(
+    amplitudes_deg: tuple[Annotated[float, Field(ge=1e-6, le=46)], ...] = Field(
         default=(0.1, 0.3, 1.0, 3.0, 10.0, 30.0),
         min_length=1,
         json_schema_extra={
@@ -943,7 +975,7 @@ class AmplitudeMapParameters(Parameters):
             "source": "assumption: from about one count of the encoder to Section 5's 10…70°",
         },
     )
-    frequencies_hz: tuple[float, ...] = Field(
+    frequencies_hz: tuple[Annotated[float, Field(ge=1e-5, le=250)], ...] = Field(
         default=(
             *(0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.315, 0.4, 0.5, 0.63, 0.8),
             *(1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5, 16.0, 20.0),
@@ -975,7 +1007,7 @@ def _tried(default: tuple[float, ...], unit: str, source: str) -> Any:
     return Field(default=default, min_length=1, json_schema_extra={"unit": unit, "source": source})
 
 
-_Positive = tuple[Annotated[float, Field(gt=0, le=1e9)], ...]
+_Positive = tuple[Annotated[float, Field(ge=1e-6, le=1e9)], ...]
 
 
 class SizingParameters(Parameters):
@@ -991,7 +1023,7 @@ class SizingParameters(Parameters):
         "1",
         "assumption: the same for the hardware that was sized for walking",
     )
-    stride_frequencies_hz: tuple[Annotated[float, Field(gt=0, le=10)], ...] = _tried(
+    stride_frequencies_hz: tuple[Annotated[float, Field(ge=1e-5, le=10)], ...] = _tried(
         (1.0, 1.0 / GAIT_STRIDE_S), "Hz", "assumption: walking at 1 Hz; the measured stride"
     )
     cycles: int = Field(
@@ -1001,7 +1033,7 @@ class SizingParameters(Parameters):
         json_schema_extra={"unit": "1", "source": "assumption: strides; the first is discarded"},
     )
     error_bound_deg: float = quantity(
-        2.0, "deg", "Section 5: the error was less than 2° with the SMC", gt=0, le=90
+        2.0, "deg", "Section 5: the error was less than 2° with the SMC", ge=1e-3, le=90
     )
     largest_flow_factor: float = quantity(
         25.0,
@@ -1012,13 +1044,13 @@ class SizingParameters(Parameters):
         le=100,
     )
     acceleration_limit_min_rad_s2: float = quantity(
-        1e3, "rad/s²", "assumption: a tenth of the default", gt=0, le=1e7
+        1e3, "rad/s²", "assumption: a tenth of the default", ge=1, le=1e7
     )
     acceleration_limit_max_rad_s2: float = quantity(
-        1e5, "rad/s²", "assumption: ten times the default, without effect on walking", gt=0, le=1e7
+        1e5, "rad/s²", "assumption: ten times the default, without effect on walking", ge=1, le=1e7
     )
     search_tolerance: float = quantity(
-        0.005, "1", "assumption: relative accuracy of the smallest values", gt=0, le=0.5
+        0.005, "1", "assumption: relative accuracy of the smallest values", ge=1e-4, le=0.5
     )
     margin: float = quantity(
         1.1, "1", "assumption: sized flow and acceleration limit over the smallest", ge=1, le=10
@@ -1031,7 +1063,7 @@ class SizingParameters(Parameters):
     )
     observer_s: _Positive = _tried((0.010, 0.020), "s", "assumption: T_f to try")
     disk_margin_min: float = quantity(
-        0.5, "1", "assumption: 28° of phase and a gain of 1.67 at the same time", gt=0, le=2
+        0.5, "1", "assumption: 28° of phase and a gain of 1.67 at the same time", ge=1e-3, le=2
     )
     command_change_ratio_max: float = quantity(
         1.5,
@@ -1042,7 +1074,11 @@ class SizingParameters(Parameters):
         le=1000,
     )
     check_step_s: float = quantity(
-        1e-4, "s", "assumption: step of RK4 for pressure and power; half of it too", gt=0, le=2e-3
+        1e-4,
+        "s",
+        "assumption: step of RK4 for pressure and power; half of it too",
+        ge=1e-6,
+        le=2e-3,
     )
     seal_friction_n: float = quantity(
         40.0, "N", "assumption: as in UNCERTAINTY; a sized design must bear it", ge=0, le=1e5
@@ -1315,25 +1351,25 @@ class ControllerStudyParameters(Parameters):
         2.0,
         "deg",
         "assumption: twenty counts of the encoder, and within the speed limit up to λ = 60 1/s",
-        gt=0,
+        ge=1e-3,
         le=45,
     )
     large_step_deg: float = quantity(
-        20.0, "deg", "assumption: one that the speed limit governs", gt=0, le=45
+        20.0, "deg", "assumption: one that the speed limit governs", ge=1e-3, le=45
     )
     step_duration_s: float = quantity(
-        4.0, "s", "assumption: four times what the large step takes", gt=0, le=1e3
+        4.0, "s", "assumption: four times what the large step takes", ge=0.01, le=1e3
     )
     settled_share: float = quantity(
-        0.1, "1", "assumption: of the small step; two counts of the encoder", gt=0, le=0.9
+        0.1, "1", "assumption: of the small step; two counts of the encoder", ge=1e-3, le=0.9
     )
     fast_amplitude_deg: float = quantity(
-        2.5, "deg", "assumption: at 1 Hz it stays below the speed limit", gt=0, le=45
+        2.5, "deg", "assumption: at 1 Hz it stays below the speed limit", ge=1e-3, le=45
     )
     fast_frequency_hz: float = quantity(
-        1.0, "Hz", "assumption: ten times the reference of Section 5", gt=0, le=250
+        1.0, "Hz", "assumption: ten times the reference of Section 5", ge=1e-3, le=250
     )
-    fast_duration_s: float = quantity(4.0, "s", "assumption: four periods", gt=0, le=1e4)
+    fast_duration_s: float = quantity(4.0, "s", "assumption: four periods", ge=0.01, le=1e4)
     chattering_factor: float = quantity(
         2.0,
         "1",
@@ -1349,23 +1385,23 @@ class ControllerStudyParameters(Parameters):
         "1",
         "assumption: gain by a factor of 0.6…1.67 and phase by 28°, alone; a loop below it is "
         "counted apart",
-        gt=0,
+        ge=1e-3,
         le=2,
     )
     trap_time_constant_s: float = quantity(
         0.008,
         "s",
         "assumption: T_f of a loop that is linearly stable and errs by degrees",
-        gt=0,
+        ge=1e-5,
         le=1,
     )
-    trap_slope_per_s: float = quantity(1e4, "1/s", "assumption: k/Φ of the same", gt=0, le=1e12)
+    trap_slope_per_s: float = quantity(1e4, "1/s", "assumption: k/Φ of the same", ge=1e-3, le=1e12)
     trap_lambdas_per_s: _Positive = _tried((20.0, 10.0), "1/s", "assumption: λ of the same")
     hold_duration_s: float = quantity(
-        20.0, "s", "assumption: long enough for an oscillation at rest to settle", gt=0, le=1e4
+        20.0, "s", "assumption: long enough for an oscillation at rest to settle", ge=0.01, le=1e4
     )
     unlimited_acceleration_rad_s2: float = quantity(
-        1e7, "rad/s²", "assumption: a thousand times the default limit", gt=0, le=1e7
+        1e7, "rad/s²", "assumption: a thousand times the default limit", ge=1, le=1e7
     )
     map_time_constants_s: _Positive = _tried(
         (0.003, 0.004, 0.006, 0.008, 0.012, 0.016, 0.020, 0.028, 0.040),
@@ -1394,7 +1430,7 @@ class ControllerStudyParameters(Parameters):
 class SlidingStudyParameters(Parameters):
     """Which η, loads and gains the check of the sliding condition runs through."""
 
-    etas_m_s3: tuple[Annotated[float, Field(gt=0, le=1e12)], ...] = Field(
+    etas_m_s3: tuple[Annotated[float, Field(ge=1e-3, le=1e12)], ...] = Field(
         default=(1e3, 1e4, 3e4, 3.6e4, 7e4, 9e4, 2.8e5),
         min_length=1,
         json_schema_extra={
@@ -1416,14 +1452,14 @@ class SlidingStudyParameters(Parameters):
         1e3,
         "m/s³",
         "assumption: so small that reaching the layer takes a time worth looking at",
-        gt=0,
+        ge=1e-3,
         le=1e12,
     )
     start_offset_m: float = quantity(
         -0.010, "m", "assumption: λ² times it lies outside the layer", ge=-0.15, le=0.15
     )
     start_duration_s: float = quantity(
-        0.010, "s", "assumption: ten times what reaching takes", gt=0, le=1e3
+        0.010, "s", "assumption: ten times what reaching takes", ge=1e-3, le=1e3
     )
     start_sample_time_s: float = quantity(
         2e-5, "s", "assumption: of the log; fifty before the layer is reached", ge=1e-5, le=1
@@ -1432,7 +1468,7 @@ class SlidingStudyParameters(Parameters):
         2.8e4,
         "m/s³",
         "assumption: k/Φ = 9.9e3 1/s, below the stability boundary of exact states at 2 ms",
-        gt=0,
+        ge=1e-3,
         le=1e12,
     )
     sampled_offset_m: float = quantity(
@@ -1473,7 +1509,7 @@ class OrderComparisonParameters(Parameters):
         json_schema_extra={"unit": "deg", "source": "Section 5: ends and middle of 10…70°"},
     )
     speed_rate_deg_s: float = quantity(
-        60.0, "deg/s", "assumption: beyond the speed limit at every posture", gt=0, le=1e4
+        60.0, "deg/s", "assumption: beyond the speed limit at every posture", ge=1e-3, le=1e4
     )
     switching_forces_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
         default=tuple(float(force) for force in range(0, 41, 2)),
@@ -1484,14 +1520,14 @@ class OrderComparisonParameters(Parameters):
         },
     )
     switching_rate_deg_s: float = quantity(
-        15.0, "deg/s", "assumption: two thirds of what the speed limit allows", gt=0, le=1e4
+        15.0, "deg/s", "assumption: two thirds of what the speed limit allows", ge=1e-3, le=1e4
     )
     switching_step_s: float = quantity(
         2e-5,
         "s",
         "assumption: step of rk4, which takes the many openings of the valves better than an "
         "exact hold; a third of the make-up valve's time constant",
-        gt=0,
+        ge=1e-7,
         le=1e-3,
     )
     oscillation_m_s: float = quantity(
@@ -1499,7 +1535,7 @@ class OrderComparisonParameters(Parameters):
         "m/s",
         "assumption: peak to peak of the rod's velocity about its reference that counts as "
         "oscillation; without, a tenth of it is left",
-        gt=0,
+        ge=1e-6,
         le=10,
     )
 
@@ -1628,19 +1664,19 @@ class ContestParameters(Parameters):
         "1",
         "assumption: spread of the population's objectives, relative to their mean, at which a "
         "search has converged",
-        gt=0,
+        ge=1e-6,
         le=1,
     )
     least_disk_margin: float = quantity(
         0.5,
         "1",
         "assumption: gain by a factor of 0.6…1.67 and phase by 28°, alone, on every training plant",
-        gt=0,
+        ge=1e-3,
         le=2,
     )
     duration_s: float = quantity(
-        20.0, "s", "assumption: two periods of 0.1 Hz, of which the second counts", gt=0, le=1e5
+        20.0, "s", "assumption: two periods of 0.1 Hz, of which the second counts", ge=1e-3, le=1e5
     )
     other_reference: SineReference = SineReference(amplitude_deg=2.5, frequency_hz=1.0)
     """A task that nobody is tuned for, below the speed limit."""
-    other_duration_s: float = quantity(5.0, "s", "assumption: five of its periods", gt=0, le=1e5)
+    other_duration_s: float = quantity(5.0, "s", "assumption: five of its periods", ge=0.01, le=1e5)

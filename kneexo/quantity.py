@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from difflib import get_close_matches
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
@@ -37,9 +37,12 @@ def choice(default: Any, source: str) -> Any:
 
 
 def allowed_range(field: FieldInfo) -> str:
-    """The range of a field as text, for instance ``0 … 150`` or ``> 0``."""
+    """The range of a field, or of its elements, as text, for instance ``>= 0 and <= 150``."""
     lower = upper = ""
-    for bound in field.metadata:
+    elements = get_args(field.annotation)[:1]
+    # Annotated[float, Field(…)] has the field in its __metadata__.
+    of_elements = [b for e in elements for f in getattr(e, "__metadata__", ()) for b in f.metadata]
+    for bound in (*of_elements, *field.metadata):
         if getattr(bound, "ge", None) is not None:
             lower = f">= {bound.ge:g}"
         if getattr(bound, "gt", None) is not None:
@@ -61,13 +64,20 @@ def source_of(field: FieldInfo) -> str:
     return str(extra.get("source", "")) if isinstance(extra, dict) else ""
 
 
+def shortened(text: str, most: int = 120) -> str:
+    """``text``, its middle left out where it has more than ``most`` characters."""
+    if len(text) <= most:
+        return text
+    return f"{text[: most // 2]} … {text[-(most // 2) + 3 :]}"
+
+
 def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:
     """Where the first fault of a validation error lies, and one line that says what it is."""
     faults = error.errors()
     # A misspelt name explains the value that is missing because of it.
     fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
     location, holders = _without_tags(model, fault["loc"])
-    path = ".".join(str(key) for key in location)
+    path = shortened(".".join(str(key) for key in location))
     value = fault["input"]
     field = _field_at(model, location)
     unit = unit_of(field) if field else ""
@@ -77,7 +87,7 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
     if isinstance(value, float) and value == float(f"{value:g}"):
         shown = f"{value:g}"
     if len(shown) > 60:
-        shown = type(value).__name__
+        shown = type(value).__name__ if not isinstance(value, str) else shortened(shown, 60)
     shown_with_unit = f"{shown} {unit}".strip()
     kind = fault["type"]
     if kind == "extra_forbidden":
@@ -93,7 +103,8 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
             unit = ""  # "finite" needs none
         line = f"{path} = {shown_with_unit} is out of range: must be {bounds} {unit}".rstrip()
     elif kind == "union_tag_invalid":
-        line = f"{path}.kind = {fault['ctx']['tag']!r}: must be {fault['ctx']['expected_tags']}"
+        tag, expected = shortened(fault["ctx"]["tag"]), fault["ctx"]["expected_tags"]
+        line = f"{path}.kind = {tag!r}: must be {expected}"
         location = (*location, "kind")
     elif kind == "missing":
         line = f"{path}: is missing"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -21,12 +22,14 @@ from yaml.reader import ReaderError
 
 from kneexo.errors import ParameterError, ScenarioError
 from kneexo.parameters import UNCERTAIN_KNEE, Scenario, Uncertainty, UncertaintySet
-from kneexo.quantity import Parameters, allowed_range, models_of, one_line, unit_of
+from kneexo.quantity import Parameters, allowed_range, models_of, one_line, shortened, unit_of
 
 _Path = tuple[str | int, ...]
 _TAG = "tag:yaml.org,2002:"
-_MOST_VALUES = 300_000  # aliases can multiply a short text without end
+_MOST_BYTES = 2**20
+_MOST_VALUES = 100_000  # two seconds; aliases can multiply a short text without end
 _DEEPEST = 20
+_LONGEST_MESSAGE = 800
 
 
 def load_scenario(path: str | os.PathLike[str]) -> Scenario:
@@ -35,7 +38,8 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     Parameters
     ----------
     path
-        The file. An empty one is the default scenario.
+        A regular file of at most 1 MiB with at most 100 000 values. An empty one is the default
+        scenario.
 
     Raises
     ------
@@ -157,7 +161,10 @@ def read_value(name: str, text: str) -> Any:
 
     ``name`` is what a `ScenarioError` calls it.
     """
-    return _read(name, f"value: {text}")[0]["value"]
+    data, _ = _read(name, f"value: {text}")
+    if list(data) != ["value"]:
+        raise ScenarioError(f"{name}: must be a single value, not more lines of YAML")
+    return data["value"]
 
 
 def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
@@ -190,6 +197,12 @@ def json_schema() -> dict[str, Any]:
     return Scenario.model_json_schema()
 
 
+_TOO_MUCH = (
+    f"too deep or too many values (aliases?): must have at most {_DEEPEST} levels and "
+    f"{_MOST_VALUES} values"
+)
+
+
 class _Loader(yaml.SafeLoader):
     """SafeLoader with the scalars of YAML 1.2: 1e5 is a number; on, 1:30 and dates are text."""
 
@@ -197,6 +210,18 @@ class _Loader(yaml.SafeLoader):
         super().__init__(text)
         self.name = name
         self.lines: dict[_Path, int] = {}
+        self._composed, self._depth = 0, 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """As PyYAML's, but too deep and too long a text ends before it has been read."""
+        self._composed += 1
+        self._depth += 1
+        if self._depth > _DEEPEST + 1 or self._composed > 2 * _MOST_VALUES:
+            line = self.peek_event().start_mark.line + 1  # type: ignore[no-untyped-call]
+            raise _fault(self.name, line, _TOO_MUCH)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
     def fault(self, node: yaml.Node, path: _Path, message: str) -> ScenarioError:
         where = f"{_dotted(path)}: " if path else ""
@@ -206,12 +231,12 @@ class _Loader(yaml.SafeLoader):
         """Dictionaries, tuples and scalars of a node; notes the line of each path in ``lines``."""
         self.lines.setdefault(path, node.start_mark.line + 1)
         if len(path) > _DEEPEST or len(self.lines) > _MOST_VALUES:
-            raise self.fault(node, path, "too deep or too many values (aliases?)")
+            raise self.fault(node, path, _TOO_MUCH)
         quoted = isinstance(node, yaml.ScalarNode) and node.style is not None
         # PyYAML's stubs leave resolve() untyped.
         implied = self.resolve(type(node), node.value, (not quoted, quoted))  # type: ignore[no-untyped-call]
         if node.tag != implied:
-            raise self.fault(node, path, f"tag {node.tag!r} is not supported")
+            raise self.fault(node, path, f"tag {shortened(node.tag)!r} is not supported")
         if isinstance(node, yaml.ScalarNode):
             return self.construct_object(node)
         if isinstance(node, yaml.SequenceNode):
@@ -220,7 +245,7 @@ class _Loader(yaml.SafeLoader):
         for key_node, value_node in node.value:
             key = key_node.value
             if not isinstance(key_node, yaml.ScalarNode) or key_node.tag != f"{_TAG}str":
-                shown = (key or "null") if isinstance(key, str) else "a list or mapping"
+                shown = shortened(key or "null") if isinstance(key, str) else "a list or mapping"
                 raise self.fault(key_node, path, f"a name must be text, not {shown}")
             at = (*path, key)
             if first := self.lines.get(at):
@@ -251,7 +276,14 @@ def _line(lines: Mapping[_Path, int], location: _Path) -> int:
 def _text(name: str) -> str:
     """The text of a file in UTF-8."""
     try:
-        return Path(name).read_bytes().decode("utf-8")
+        mode = os.stat(name).st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # a pipe or device may never end
+            raise _fault(name, None, "cannot be read: is not a regular file")
+        with Path(name).open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
+            raise _fault(name, None, f"is too large: must have at most {_MOST_BYTES} bytes")
+        return data.decode("utf-8")
     except UnicodeDecodeError as error:
         line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
         raise _fault(name, line, f"is not UTF-8: byte 0x{byte:02x}") from None
@@ -306,9 +338,10 @@ def _note(field: FieldInfo) -> str:
 
 
 def _dotted(path: _Path) -> str:
-    return ".".join(str(key) for key in path)
+    return shortened(".".join(str(key) for key in path))
 
 
 def _fault(name: str, line: int | None, message: str) -> ScenarioError:
+    message = shortened(message, _LONGEST_MESSAGE)
     text = f"{name}: {message}" if line is None else f"{name}:{line}: {message}"
     return ScenarioError("".join(c if c.isprintable() else " " for c in text))

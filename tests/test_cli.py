@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kneexo import cli
 from kneexo.cli import main
 from kneexo.compilation import cache
 from kneexo.parameters import PlantParameters, Scenario
@@ -33,6 +34,75 @@ def scenario_file(tmp_path):
         return str(path)
 
     return write
+
+
+def run_command(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "kneexo", *arguments], stderr=subprocess.PIPE, text=True, **options
+    )
+
+
+def test_a_stream_without_greek_letters_gets_escapes():
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = run_command("params", "--json", stdout=subprocess.PIPE, env=environment)
+    assert done.returncode == 0
+    assert not done.stderr
+    assert any(row["unit"] == "m/s²" for row in json.loads(done.stdout))
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["params"], ["params", "--yaml"]])
+def test_a_full_device_is_a_line(arguments):
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    with open("/dev/full", "w") as full:
+        done = run_command(*arguments, stdout=full, env=environment)
+    assert (done.returncode, done.stderr) == (2, "kneexo: No space left on device\n")
+
+
+def test_a_closed_output_is_no_failure():
+    line = ["sh", "-c", f"exec {sys.executable} -m kneexo params >&-"]
+    done = subprocess.run(line, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_unknown_matplotlib_backend_does_not_matter():
+    code = "from kneexo import cli; cli.main(['cache']); import matplotlib"
+    environment = os.environ | {"MPLBACKEND": "bogus"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True)
+
+
+def test_no_home_directory_is_a_line(tmp_path):
+    code = (
+        "import sys, pathlib\n"
+        "def nowhere(): raise RuntimeError('Could not determine home directory.')\n"
+        "pathlib.Path.home = nowhere\n"
+        "from kneexo import cli\n"
+        "sys.exit(cli.main(['cache']))\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("KNEEXO", "XDG"))}
+    line = [sys.executable, "-c", code]
+    done = subprocess.run(line, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0
+    (told,) = done.stderr.splitlines()
+    assert told.startswith("kneexo: cache directory: cannot be determined")
+
+
+def test_too_little_memory_is_a_line(capsys, monkeypatch, tmp_path):
+    def refuse(options):
+        raise MemoryError
+
+    monkeypatch.setattr(cli, "_simulate", refuse)
+    assert main(["simulate", "--out", str(tmp_path)]) == 2
+    assert "simulation.duration_s" in capsys.readouterr().err
+
+
+def test_a_run_that_would_not_fit_into_memory_is_refused(capsys, scenario_file, tmp_path):
+    path = scenario_file("simulation: {duration_s: 86400}")
+    assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "simulation.duration_s = 86400 s" in line
+    assert "43200000 samples" in line
+    assert "at most 2 GiB" in line
+    assert not (tmp_path / "out").exists()
 
 
 def test_help_names_every_command_and_needs_no_drake():
@@ -89,6 +159,15 @@ def test_simulate_writes_signals_metrics_scenario_and_plot(capsys, scenario_file
     assert rows[0][:2] == ["time_s", "knee_reference_rad"]
     assert "load_pressure_pa" in rows[0]
     assert len(rows) == 1 + 601
+
+
+def test_a_run_shorter_than_a_period_has_dashes(capsys, scenario_file, tmp_path):
+    path = scenario_file("simulation: {duration_s: 0.1}")
+    assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    assert "nan" not in text
+    assert f"{'max_error_deg':28s} –" in text
+    assert "nan" not in (tmp_path / "out" / "signals.csv").read_text()
 
 
 def test_diagram_always_writes_the_dot_file(capsys, tmp_path, monkeypatch):
@@ -574,7 +653,9 @@ def test_each_study_is_wired(capsys, tmp_path, monkeypatch, command, module, fun
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--set", "frequencies_hz=[1, 2, 300]"], "300 Hz is too high: must be <= 50 Hz"),
+        (["--set", "frequencies_hz=[1, 2, 90]"], "90 Hz is too high: must be <= 50 Hz"),
+        (["--set", "frequencies_hz=[1, 2, 300]"], "frequencies_hz.2 = 300 Hz is out of range"),
+        (["--set", "amplitudes_deg=[1e-200]"], "must be finite and >= 1e-06 and <= 46 deg"),
         (["--set", "frequencies_hz=[1, 2, 60]"], "60 Hz is too high: must be <= 50 Hz"),
         (["--set", "estimate={averaged_cycles: 1}"], "estimate.averaged_cycles = 1 cycles"),
         (["--set", "estimate={largest_cycles: 3}"], "too few cycles"),

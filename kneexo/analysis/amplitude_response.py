@@ -210,13 +210,19 @@ class AmplitudeMap:
     def _linear_in_words(self) -> str:
         if self.linear_failure:
             return f"There is no linear loop to compare with: {self.linear_failure}."
+        free, counted = (self.linear_deviation(quantized=quantized) for quantized in (False, True))
+        if math.isnan(free):
+            return (
+                f"At {self.amplitudes_deg[0]:g}° the motor reaches its limits, or the run fails, "
+                f"at every frequency: there is nothing to compare with the linear loop."
+            )
         text = (
             f"Where the motor stays off its limits, the response at {self.amplitudes_deg[0]:g}° "
-            f"differs from that of the linear loop by at most "
-            f"{100 * self.linear_deviation(quantized=False):.2g} % without the encoder's counts"
+            f"differs from that of the linear loop by at most {100 * free:.2g} % without the "
+            f"encoder's counts"
         )
-        if self.scenario.encoder.quantized:
-            text += f", {100 * self.linear_deviation(quantized=True):.2g} % with them"
+        if self.scenario.encoder.quantized and not math.isnan(counted):
+            text += f", {100 * counted:.2g} % with them"
         return text + "."
 
     def _wandering_in_words(self) -> str:

@@ -368,12 +368,13 @@ class OrderComparison:
     def _findings(self) -> list[str]:
         def extremes(rows: Rows, name: str, order: str) -> tuple[float, float]:
             values = [row[name] for row in rows if row["order"] == order]
-            return float(np.nanmin(values)), float(np.nanmax(values))
+            values = [value for value in values if not math.isnan(value)] or [math.nan]
+            return min(values), max(values)
 
         def both(rows: Rows, name: str, form: str) -> str:
             texts = []
             for order in ORDERS:
-                low, high = (format(value, form) for value in extremes(rows, name, order))
+                low, high = (number(value, form) for value in extremes(rows, name, order))
                 texts.append(f"{order} {low if low == high else f'{low}…{high}'}")
             return ", ".join(texts)
 

@@ -416,7 +416,7 @@ def _crossings(function: Callable[[float], float], grid: Array, values: Array) -
     return [
         float(brentq(function, low, high, xtol=1e-14))
         for low, high in brackets
-        if function(low) * function(high) <= 0.0
+        if np.sign(function(low)) * np.sign(function(high)) <= 0.0  # a product could underflow
     ]
 
 

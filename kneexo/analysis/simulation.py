@@ -14,7 +14,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from kneexo.analysis.coroutines import Steps, coroutine
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
-from kneexo.errors import KneexoError, SimulationError, StiffnessError
+from kneexo.errors import KneexoError, ParameterError, SimulationError, StiffnessError
 from kneexo.parameters import Scenario, SimulationParameters
 
 Array = NDArray[np.float64]
@@ -104,6 +104,12 @@ LARGEST_BATCH = 32
 
 _LARGEST_RECORD = 4_000_000  # numbers that these may log: 32 MB
 
+LARGEST_RUN_BYTES = 2 * 2**30
+"""Most that the logged signals of a run may take."""
+
+MOST_STEPS = 1_000_000_000
+"""Most steps of a fixed size in a run."""
+
 
 def answers(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
     """The run of each request, or why it failed, as soon as it is there.
@@ -116,7 +122,9 @@ def answers(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | Kne
     ways: dict[Any, list[int]] = {}
     for index, request in requests.items():
         settings = request.scenario.simulation
-        if settings.compiled:
+        if fault := _too_large(request):
+            yield index, fault
+        elif settings.compiled:
             signals = None if request.signals is None else tuple(request.signals)
             way = (settings.integrator, settings.step_s, settings.tolerance)
             ways.setdefault((signals, way), []).append(index)
@@ -131,6 +139,41 @@ def answers(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | Kne
                 yield index, run
     for signals, indices in rough.items():
         yield from _compiled_runs(requests, indices, signals, ("rk4", ROUGH_STEP_S))
+
+
+def _too_large(request: RunRequest) -> ParameterError | None:
+    """Why a run would take too much memory or time."""
+    settings = request.scenario.simulation
+    duration = f"simulation.duration_s = {settings.duration_s:g} s"
+    samples, width = _records(request), _width(request)
+    size = 8.0 * samples * width
+    if size > LARGEST_RUN_BYTES:
+        return ParameterError(
+            f"{duration} at sample_time_s = {request.scenario.controller.sample_time_s:g} s: "
+            f"{samples:.0f} samples of {width} columns take {size / 2**30:.3g} GiB, must be at "
+            f"most {LARGEST_RUN_BYTES / 2**30:g} GiB; reduce duration_s or log fewer signals"
+        )
+    steps = settings.duration_s / settings.step_s
+    if settings.integrator != "exact_hold" and steps > MOST_STEPS:
+        return ParameterError(
+            f"{duration} at step_s = {settings.step_s:g} s: takes {steps:.3g} steps, must be at "
+            f"most {MOST_STEPS:g}"
+        )
+    return None
+
+
+def _records(request: RunRequest) -> float:
+    """Samples that a run logs."""
+    scenario = request.scenario
+    return scenario.simulation.duration_s / scenario.controller.sample_time_s
+
+
+def _width(request: RunRequest) -> int:
+    """Columns that a run logs; signals that do not exist have none."""
+    names = request.signals
+    if names is None:
+        names = available_signals(request.scenario)
+    return sum(len(SIGNALS.get(name, ())) for name in names)
 
 
 def _drake_run(request: RunRequest) -> Run | KneexoError:
@@ -167,16 +210,10 @@ def _compiled_runs(
 def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterator[list[int]]:
     """Runs of a group that go together: of similar duration, and not too much to keep."""
 
-    def records(index: int) -> float:
-        scenario = requests[index].scenario
-        return scenario.simulation.duration_s / scenario.controller.sample_time_s
-
-    scenario, signals = requests[group[0]].scenario, requests[group[0]].signals
-    names = available_signals(scenario) if signals is None else signals
-    width = sum(len(SIGNALS.get(name, ())) for name in names)
-    waiting = sorted(group, key=records, reverse=True)
+    width = _width(requests[group[0]])
+    waiting = sorted(group, key=lambda index: _records(requests[index]), reverse=True)
     while waiting:
-        most = max(1, int(_LARGEST_RECORD / (width * records(waiting[0]) + 1.0)))
+        most = max(1, int(_LARGEST_RECORD / (width * _records(requests[waiting[0]]) + 1.0)))
         size = min(LARGEST_BATCH, most)
         yield waiting[:size]
         del waiting[:size]

@@ -1,5 +1,6 @@
 import math
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -205,6 +206,15 @@ def test_the_map_shows_where_the_limits_take_over(mapped):
     for gain, amplitude in zip(np.abs(result.response), (0.3, 3.0), strict=True):
         # The bound holds for any controller; 5 % for the curvature of x(θ) and the settling.
         assert np.all(gain <= 1.05 * bound / rod_amplitude_m(sine(amplitude)))
+
+
+def test_a_map_without_a_sine_to_compare_with_the_linear_loop_says_so(mapped):
+    limited = replace(mapped[0], unlimited=np.zeros(3, dtype=bool))
+    assert "nothing to compare with the linear loop" in limited.report()
+    failed = mapped[0].response.copy()
+    failed[0] = math.nan
+    for result in (limited, replace(mapped[0], response=failed)):
+        assert "nan" not in result.report()
 
 
 def test_every_figure_of_a_map_can_be_drawn(mapped):

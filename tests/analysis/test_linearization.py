@@ -930,6 +930,12 @@ def test_an_unstable_loop_says_so(unstable):
     assert "margin " not in str(unstable)
 
 
+def test_a_loop_with_hardly_any_gain_has_no_gain_margin():
+    law = PidParameters(proportional_per_s=1e-300)  # products of two values of the loop are zero
+    loop = linearize_loop(Scenario(controller=law, estimator={"kind": "exact"}))
+    assert loop.margins().gain_margin > 1e100
+
+
 def test_a_loop_prints_its_margins_and_plots(loops):
     loop = loops["smc"]
     m, text = loop.margins(), str(loop)

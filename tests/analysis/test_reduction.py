@@ -401,6 +401,12 @@ def test_every_line_of_the_figures_is_that_of_its_row(by_hand, curves):
         assert all(ax.get_ylabel() for ax in figure.axes)
 
 
+def test_a_comparison_without_forces_has_dashes_in_its_report():
+    settings = OrderComparisonParameters(disturbances_n=(0.0,), switching_forces_n=(0.0,))
+    empty = OrderComparison((), (), (), (), (), UNCERTAIN_KNEE, settings)
+    assert "Rod speed at the limit in mm/s: reduced –, full –." in empty.report()
+
+
 # ------------------------------------------------------------------------------ bad input
 
 

@@ -41,6 +41,13 @@ def test_another_failure_is_not_repeated(monkeypatch):
     assert len(calls) == 1
 
 
+@pytest.mark.parametrize("integrator", ["rk4", "radau3"])
+def test_a_run_of_too_many_steps_is_refused(integrator):
+    settings = SimulationParameters(duration_s=1e3, step_s=1e-7, integrator=integrator)
+    with pytest.raises(ParameterError, match=r"duration_s = 1000 s .* 1e\+10 steps, must be at"):
+        simulate(Scenario(simulation=settings), signals=("knee_angle",))
+
+
 @pytest.mark.parametrize("integrator", ["exact_hold", "radau3"])
 def test_progress_ends_at_the_duration(integrator):
     told = []

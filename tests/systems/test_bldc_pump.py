@@ -172,10 +172,10 @@ def test_ideal_pump_follows_any_command_at_once():
     ("values", "line"),
     [
         ({"lag_s": 0.0}, r"lag_s = 0 s is out of range: .*>= 0\.0001 and <= 1 s"),
-        ({"gear_ratio": 0.0}, r"gear_ratio = 0 is out of range: .*> 0 and <= 1000"),
+        ({"gear_ratio": 0.0}, r"gear_ratio = 0 is out of range: .*>= 0\.01 and <= 1000"),
         (
             {"acceleration_limit_rad_s2": -1.0},
-            r"acceleration_limit_rad_s2 = -1 rad/s² is out of range: .*> 0 and <= 1e\+07 rad/s²",
+            r"acceleration_limit_rad_s2 = -1 rad/s² is out of range: .*>= 1 and <= 1e\+07 rad/s²",
         ),
         (
             {"speed_limit_rad_s": math.nan},

@@ -367,7 +367,7 @@ def test_friction_opposes_motion_and_falls_from_breakaway_to_coulomb():
 @pytest.mark.parametrize(
     ("values", "line"),
     [
-        ({"dead_volume_m3": 0.0}, r"dead_volume_m3 = 0 m³ is out of range: .*> 0 and <= 1 m³"),
+        ({"dead_volume_m3": 0.0}, r"dead_volume_m3 = 0 m³ is out of range: .*>= 1e-09 and <= 1 m³"),
         ({"relief_pressure_pa": 1e5}, r"relief_pressure_pa = 100000 Pa is out of range: .* Pa"),
         (
             {"reservoir_pressure_pa": 2e6},
