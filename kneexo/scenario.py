@@ -45,7 +45,7 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     name = os.fspath(path)
     data, lines = _read(name, _text(name))
     try:
-        return Scenario.model_validate(data)
+        return Scenario.model_validate(data, context={"directory": Path(name).parent})
     except ValidationError as error:
         location, message = one_line(Scenario, error)
     raise _fault(name, _line(lines, location), message)

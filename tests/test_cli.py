@@ -133,7 +133,7 @@ def test_diagram_draws_with_graphviz(capsys, tmp_path, monkeypatch):
         (
             "reference: {kind: samples, times_s: [0, 1, 2, 3], angles_deg: [5, 89, 89, 5]}\n"
             "simulation: {duration_s: 1.0}",
-            "leaves the range of motion",
+            "interpolation cubic passes the range of motion",
         ),
         ("reference: {kind: samples, times_s: [0, 1], angles_deg: [1, 2]}", "must have at least 3"),
     ],

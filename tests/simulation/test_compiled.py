@@ -341,3 +341,23 @@ def test_a_model_that_was_pickled_runs_alike(compiled_run):
     copy = pickle.loads(pickle.dumps(model))
     runs = [each.simulate(parameters, state, 0.1) for each in (model, copy)]
     np.testing.assert_array_equal(*(run["rod_velocity"] for run in runs))
+
+
+def test_interpolations_of_samples_share_a_model():
+    samples = {"times_s": (0.0, 0.1, 0.2), "angles_deg": (20.0, 20.2, 20.1)}
+    time = np.arange(0.0, 0.1001, 0.002)
+    keys = set()
+    for interpolation in ("cubic", "pchip", "linear"):
+        reference = SampledReference(**samples, interpolation=interpolation)
+        scenario = Scenario(reference=reference, simulation=SimulationParameters(duration_s=0.1))
+        keys.add(structure_key(scenario))
+        run = simulate_compiled(scenario, signals=["knee_reference"])
+        curve = make_knee_reference(reference)
+        context = curve.CreateDefaultContext()
+        expected = []
+        for t in run.time_s:
+            context.SetTime(t)
+            expected.append(curve.get_output_port().Eval(context)[0])
+        assert run.time_s == pytest.approx(time)
+        assert run["knee_reference_rad"] == pytest.approx(expected, abs=1e-14)
+    assert len(keys) == 1
