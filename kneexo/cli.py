@@ -494,7 +494,7 @@ def _params(options: argparse.Namespace) -> None:
     import json
 
     if options.schema:
-        from kneexo.scenario import json_schema
+        from kneexo.schema import json_schema
 
         print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
         return

@@ -185,11 +185,6 @@ def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     return Scenario(**data)
 
 
-def json_schema() -> dict[str, Any]:
-    """JSON schema of a scenario file, for editors; each number carries its unit and source."""
-    return Scenario.model_json_schema()
-
-
 class _Loader(yaml.SafeLoader):
     """SafeLoader with the scalars of YAML 1.2: 1e5 is a number; on, 1:30 and dates are text."""
 

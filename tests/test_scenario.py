@@ -32,7 +32,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
-from kneexo.scenario import changed, dump_scenario, json_schema, load_scenario
+from kneexo.scenario import changed, dump_scenario, load_scenario
 
 NAME = "scenario.yaml"
 
@@ -526,15 +526,6 @@ def test_dump_is_documented() -> None:
     assert "  rod_map: linkage  # linkage, polynomial" in lines
     assert "nominal: null" in lines
     assert "  ideal_motor: false" in lines
-
-
-def test_schema_names_sections_units_and_ranges() -> None:
-    schema = json_schema()
-    assert set(schema["properties"]) == set(Scenario.model_fields)
-    mass = schema["$defs"]["CylinderParameters"]["properties"]["mass_kg"]
-    assert mass["unit"] == "kg"
-    assert mass["minimum"] == 0.01
-    assert mass["maximum"] == 1000
 
 
 # ------------------------------------------------------------------------------- changes
