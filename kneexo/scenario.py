@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -24,6 +24,7 @@ from kneexo.parameters import UNCERTAIN_KNEE, Scenario, Uncertainty, Uncertainty
 from kneexo.quantity import Parameters, allowed_range, models_of, one_line, unit_of
 
 _Path = tuple[str | int, ...]
+_Changed = TypeVar("_Changed", bound=Parameters)
 _TAG = "tag:yaml.org,2002:"
 _MOST_VALUES = 300_000  # aliases can multiply a short text without end
 _DEEPEST = 20
@@ -160,11 +161,11 @@ def read_value(name: str, text: str) -> Any:
     return _read(name, f"value: {text}")[0]["value"]
 
 
-def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
     """A copy with other values at dotted paths, such as ``plant.cylinder.mass_kg``; validated.
 
-    A value may be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
-    scenario does not have, and for a value out of range.
+    ``scenario``: a scenario, or other parameters. A value may be a mapping, as in a scenario file.
+    Raises `ParameterError` for a path that they do not have, and for a value out of range.
     """
     data = dict(vars(scenario))
     for path, value in values.items():
@@ -174,15 +175,18 @@ def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
             part = holder.get(parent)
             if isinstance(part, Parameters):  # only the parts that change are validated again
                 part = holder[parent] = dict(vars(part))
+            elif isinstance(part, dict):
+                part = holder[parent] = dict(part)
             holder = part
             if not isinstance(holder, dict):
                 break
         # A wrong name in an existing mapping is found by the validation below.
         if not isinstance(holder, dict):
-            raise ParameterError(f"{path}: this scenario has no {path.rpartition('.')[0]}")
+            what = "this scenario has" if isinstance(scenario, Scenario) else "there is"
+            raise ParameterError(f"{path}: {what} no {path.rpartition('.')[0]}")
         # A later path may reach into a mapping.
         holder[name] = deepcopy(value) if isinstance(value, dict) else value
-    return Scenario(**data)
+    return type(scenario)(**data)
 
 
 class _Loader(yaml.SafeLoader):
