@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kneexo.errors import LinkageError
 from kneexo.parameters import LinkageParameters, RodPolynomialParameters
+from kneexo.result import Result
 
 Array = NDArray[np.float64]
 
@@ -59,8 +60,8 @@ def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: An
 # --------------------------------------------------------- knee angle to everything (exact)
 
 
-@dataclass(frozen=True)
-class LinkagePose:
+@dataclass(frozen=True, repr=False)
+class LinkagePose(Result):
     """All joints of the linkage at the knee angles ``knee_angle`` (n,); see `pose`.
 
     Points are complex numbers x + jy in m; angles in rad.

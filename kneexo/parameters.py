@@ -269,6 +269,11 @@ class LinkageParameters(Parameters):
         -1, "assembly branch, the sign of sin(θ_4 − θ_2); the paper never states it"
     )
 
+    def __repr__(self) -> str:
+        """The name of one of `LINKAGES`; of others, what differs from G1."""
+        names = (name for name, linkage in LINKAGES.items() if linkage == self)
+        return next(names, None) or super().__repr__()
+
 
 G1 = LinkageParameters()
 """Shank as ground, coupler shortest (double rocker): the default."""
@@ -1232,6 +1237,10 @@ class UncertaintySet(Parameters):
     """Uncertain values of a scenario, by dotted path (``plant.cylinder.mass_kg``)."""
 
     values: dict[str, Uncertainty] = Field(min_length=1)
+
+    def __repr__(self) -> str:
+        """How many values are uncertain."""
+        return f"UncertaintySet({len(self.values)} values)"
 
 
 UNCERTAINTY = UncertaintySet(

@@ -6,6 +6,7 @@ one line.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from difflib import get_close_matches
 from functools import cache
 from typing import TYPE_CHECKING, Any, get_args, get_origin
@@ -196,6 +197,17 @@ def _as_tuple(value: Any, *, any_length: bool) -> Any:
     return value
 
 
+class _Short:
+    """A long tuple, whose middle `repr` leaves out."""
+
+    def __init__(self, values: tuple[Any, ...]) -> None:
+        self._values = values
+
+    def __repr__(self) -> str:
+        first, second, *_, last = self._values
+        return f"({first!r}, {second!r}, …, {last!r}: {len(self._values)} values)"
+
+
 class Parameters(BaseModel):
     """Base of all parameter classes: frozen, no unknown names, no silent type changes.
 
@@ -223,6 +235,17 @@ class Parameters(BaseModel):
             if isinstance(data.get(name), dict)
         }
         return data | kinds if kinds else data
+
+    def __repr_args__(self) -> Iterator[tuple[str, Any]]:
+        """What differs from the defaults: `repr` is short, and still makes an equal object."""
+        for name, field in type(self).model_fields.items():
+            value = getattr(self, name)
+            if field.is_required() or value != field.default:
+                yield name, _Short(value) if isinstance(value, tuple) and len(value) > 8 else value
+
+    def __str__(self) -> str:
+        """As `repr`."""
+        return repr(self)
 
     if not TYPE_CHECKING:  # the type checker keeps the signature that pydantic makes
 

@@ -41,14 +41,15 @@ from kneexo.parameters import (
     SineReference,
     SinestreamParameters,
 )
+from kneexo.result import Result
 from kneexo.scenario import changed
 
 PAPER_BANDWIDTH_HZ = 0.21
 """The paper's measured −3 dB bandwidth (Section 5, Fig. 13)."""
 
 
-@dataclass(frozen=True)
-class Reproduction:
+@dataclass(frozen=True, repr=False)
+class Reproduction(Result):
     """Everything that ``kneexo reproduce`` computes; see `results` and `report`."""
 
     fit: PolynomialFit

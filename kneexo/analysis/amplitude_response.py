@@ -40,6 +40,7 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.simulation import Array, needs_runs
 from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import AmplitudeMapParameters, Scenario, SineEstimateParameters
+from kneexo.result import Result, data_frame
 from kneexo.scenario import changed
 
 if TYPE_CHECKING:
@@ -68,8 +69,8 @@ CELL = {
 """What a cell of the map holds besides the response (see `SineEstimate`), where its run failed."""
 
 
-@dataclass(frozen=True)
-class AmplitudeMap:
+@dataclass(frozen=True, repr=False)
+class AmplitudeMap(Result):
     """Response θ_p/θ_d of the fundamental over m amplitudes and n frequencies, by sinestream.
 
     ``response`` complex (m, n); ``cells`` (m, n) by the names of `CELL`. What failed is nan, and
@@ -130,6 +131,22 @@ class AmplitudeMap:
         predicted = {_LIMITS[name]: float(self.bandwidths[name][index]) for name in _LIMITS}
         name = min(predicted, key=lambda n: np.nan_to_num(predicted[n], nan=math.inf))
         return name, predicted[name]
+
+    def to_dataframe(self) -> Any:
+        """A row for each cell of the map, as `pandas.DataFrame`.
+
+        Columns: ``amplitude_deg``, ``frequency_hz``, ``gain``, ``phase_deg`` and those of `CELL`.
+        Raises `PackageError` without pandas.
+        """
+        amplitude, frequency = np.meshgrid(self.amplitudes_deg, self.frequencies_hz, indexing="ij")
+        table = {
+            "amplitude_deg": amplitude,
+            "frequency_hz": frequency,
+            "gain": np.abs(self.response),
+            "phase_deg": self.phase_deg,
+            **self.cells,
+        }
+        return data_frame({name: np.ravel(values) for name, values in table.items()})
 
     def results(self) -> dict[str, Any]:
         """Plain data: the linear loop, then the map by amplitude."""

@@ -28,6 +28,7 @@ from kneexo.parameters import (
     SineReference,
     SinestreamParameters,
 )
+from kneexo.result import Result, data_frame
 from kneexo.scenario import changed
 
 MINUS_3_DB = 1.0 / math.sqrt(2.0)
@@ -98,8 +99,8 @@ def nominal_trial(scenario: Scenario) -> Trial:
     )
 
 
-@dataclass(frozen=True)
-class FrequencyResponse:
+@dataclass(frozen=True, repr=False)
+class FrequencyResponse(Result):
     """Sinestream response θ_p/θ_d of the fundamental.
 
     ``frequencies_hz`` (n,), ``response`` (trials, n) complex. ``bandwidth_hz`` is the −3 dB
@@ -124,6 +125,20 @@ class FrequencyResponse:
     def phase_deg(self) -> Array:
         """Mean phase over the trials in deg, unwrapped over frequency, (n,)."""
         return np.asarray(np.mean(_phase_deg(self.response), axis=0))
+
+    def to_dataframe(self) -> Any:
+        """Means and trials as `pandas.DataFrame` over ``frequency_hz``.
+
+        ``gain`` and ``phase_deg`` are the means, ``gain_1`` … those of the trials. Raises
+        `PackageError` without pandas.
+        """
+        trials = enumerate(zip(self.response, _phase_deg(self.response), strict=True), 1)
+        columns = {"frequency_hz": self.frequencies_hz, "gain": self.gain}
+        columns["phase_deg"] = self.phase_deg
+        for number, (response, phase) in trials:
+            columns[f"gain_{number}"] = np.abs(response)
+            columns[f"phase_{number}_deg"] = phase
+        return data_frame(columns, "frequency_hz")
 
     def plot(self, ax: Any = None) -> Any:
         """Plot magnitude and phase as Fig. 13 does: trials, means and PCHIP; ``ax``: two axes."""
@@ -297,8 +312,8 @@ def sinestream(
 # ------------------------------------------------------------------------- one sine, settled
 
 
-@dataclass(frozen=True)
-class SineEstimate:
+@dataclass(frozen=True, repr=False)
+class SineEstimate(Result):
     """Response θ_p/θ_d of the fundamental to one sine, the mean of its last cycles.
 
     ``uncertainty`` is an absolute error of the complex response: the standard error of that mean

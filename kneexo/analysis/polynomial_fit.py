@@ -11,6 +11,7 @@ from numpy.polynomial import Polynomial
 from kneexo import linkage
 from kneexo.analysis.simulation import Array
 from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
+from kneexo.result import Result, data_frame
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,8 +20,8 @@ SAMPLES = 901
 """Every 0.1° from 0 to 90°."""
 
 
-@dataclass(frozen=True)
-class PolynomialFit:
+@dataclass(frozen=True, repr=False)
+class PolynomialFit(Result):
     """Quintic fits of x(θ_p) and θ_p(x) to a linkage, in the paper's units, beside Table 1.
 
     ``angle_deg`` and ``extension_mm`` (901,) are the linkage. ``p_mm_deg`` and ``q_deg_mm`` (6,)
@@ -38,6 +39,15 @@ class PolynomialFit:
     q_error_deg: Array
     table_p_error_mm: Array
     table_q_error_deg: Array
+
+    def to_dataframe(self) -> Any:
+        """Linkage and errors of the polynomials as `pandas.DataFrame` over ``angle_deg``.
+
+        Raises `PackageError` without pandas.
+        """
+        names = ["angle_deg", "extension_mm", "p_error_mm", "q_error_deg"]
+        names += ["table_p_error_mm", "table_q_error_deg"]
+        return data_frame({name: getattr(self, name) for name in names}, "angle_deg")
 
     def plot(self, ax: Any = None) -> Any:
         """Plot both maps as Fig. 5 does: linkage, fit and Table 1; ``ax``: two axes."""

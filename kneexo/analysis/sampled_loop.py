@@ -27,6 +27,7 @@ from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
 from kneexo.analysis.simulation import Array
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
+from kneexo.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,8 +38,8 @@ _BESIDE_REST_RAD_S3 = 1e-3
 rest apart: above the rounding of the estimates, and nothing next to the boundary layer."""
 
 
-@dataclass(frozen=True)
-class Margins:
+@dataclass(frozen=True, repr=False)
+class Margins(Result):
     """Stability margins of a sampled loop, broken at the motor speed command.
 
     ``stable`` says whether the closed loop is; if not, the numbers are distances to stability and
@@ -61,8 +62,8 @@ class Margins:
     disk_phase_margin_deg: float
 
 
-@dataclass(frozen=True)
-class SampledLoop:
+@dataclass(frozen=True, repr=False)
+class SampledLoop(Result):
     """Plant and controller, linearized and joined exactly at the sampling instants.
 
     Between samples dx/dt = A x + B u with u held. At a sample the controller maps its own state z,
@@ -131,10 +132,24 @@ class SampledLoop:
         return a, b, c
 
     def to_control(self) -> Any:
-        """Loop transfer L(z) as `control.StateSpace` with dt = T; the feedback is negative."""
+        """Loop transfer L(z) as `control.StateSpace` with dt = T; the feedback is negative.
+
+        Input ``motor_speed_command_rad_s``, output ``returned_command_rad_s``; states ``plant[i]``
+        and ``controller[i]``.
+        """
         import control
 
-        return control.ss(*self.loop_matrices, [[0.0]], self.sample_time_s)
+        plant, controller = self.a.shape[0], self.g_z.shape[0]
+        return control.ss(
+            *self.loop_matrices,
+            [[0.0]],
+            self.sample_time_s,
+            name="loop",
+            inputs=["motor_speed_command_rad_s"],
+            outputs=["returned_command_rad_s"],
+            states=[f"plant[{i}]" for i in range(plant)]
+            + [f"controller[{i}]" for i in range(controller)],
+        )
 
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
         """L(e^{j2πfT}) at frequencies in Hz, (n,); L is periodic in the sampling frequency."""
