@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import System
 
+from kneexo.compilation.cores import available_cores
 from kneexo.compilation.equations import Equations, Node, read_equations
 from kneexo.compilation.machine_code import MachineCode, equations_key
 from kneexo.compilation.native import LANES
@@ -458,7 +458,7 @@ def _in_threads(
     function: Callable[[list[int]], Any], items: Sequence[list[int]], threads: int | None
 ) -> Iterator[Any]:
     """Results in the order of ``items``."""
-    count = len(os.sched_getaffinity(0)) if threads is None else threads
+    count = available_cores() if threads is None else threads
     if count == 1 or len(items) == 1:
         yield from map(function, items)
         return
