@@ -313,8 +313,27 @@ G3 = LinkageParameters(
 )
 """Thigh as ground, ground shortest (drag link); mechanically the best conditioned."""
 
-LINKAGES = {"G1": G1, "G2": G2, "G3": G3}
-"""Three geometries that reproduce Table 1; a scenario may name one in place of its numbers."""
+G4 = LinkageParameters(
+    o_a_x_m=-1.52785e-3,
+    o_a_y_m=-3.49263e-3,
+    o_b_x_m=3.43876e-3,
+    o_b_y_m=-6.31537e-3,
+    a_2_m=24.09745e-3,
+    a_3_m=11.95039e-3,
+    a_4_m=28.96078e-3,
+    phi_rad=math.radians(41.92103),
+    rod_pin_radius_m=82.79717e-3,
+    rod_pin_angle_rad=math.radians(-28.25057),
+    rod_anchor_radius_m=961.48141e-3,
+    rod_anchor_angle_rad=math.radians(85.54219),
+    rod_length_m=924.81905e-3,
+    branch=1,
+)
+"""Thigh as ground, ground shortest (drag link); identified from both polynomials of Table 1 over
+5…90°, whose printed errors it meets."""
+
+LINKAGES = {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
+"""Geometries that reproduce Table 1; a scenario may name one in place of its numbers."""
 
 
 class KneeParameters(Parameters):

@@ -289,7 +289,9 @@ class AmplitudeMap(Result):
         ):
             heat_map(axis, f, amplitudes, values.T, norm=norm, label=label)
         for axis in axes[1]:
-            axis.plot(self.bandwidths["measured_hz"], amplitudes, "wo", mec="k", ms=5)
+            measured = self.bandwidths["measured_hz"]
+            axis.plot(measured, amplitudes, "wo", mec="k", ms=5, label="−3 dB, measured")
+            axis.legend(loc="lower left", fontsize=8, facecolor="0.75")
             axis.set_xlabel("frequency (Hz)")
         for axis in axes[:, 0]:
             axis.set_ylabel("amplitude (deg)")
@@ -354,7 +356,7 @@ class AmplitudeMap(Result):
             axis.plot(self.frequencies_hz, shown(self.linear), "k--", lw=1.2, label="linear loop")
             axis.plot([], [], ":", color="0.4", label="rate-limited follower")
             axis.grid(alpha=0.3)
-        axes[0].axhline(_MINUS_3_DB, color="0.5", lw=0.8)
+        axes[0].axhline(_MINUS_3_DB, color="0.5", lw=0.8, label="−3 dB")
         axes[0].set(ylabel="gain (dB)", ylim=(-45.0, 5.0), xscale="log")
         axes[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
         plain_ticks(axes[0].xaxis, _TICKS_HZ)
@@ -384,7 +386,7 @@ class AmplitudeMap(Result):
         grid = np.geomspace(demand.min(), demand.max(), 400)
         closed = _decibel(rate_limited_gain(1.0 / grid))
         axes[1].plot(grid, closed, "C3", lw=1.2, label="closed form")
-        axes[1].axhline(_MINUS_3_DB, color="0.5", lw=0.8)
+        axes[1].axhline(_MINUS_3_DB, color="0.5", lw=0.8, label="−3 dB")
         axes[1].set(
             xlabel="speed demand aω/R = 1/ρ (1)",
             ylabel="gain (dB)",

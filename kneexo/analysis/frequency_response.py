@@ -35,6 +35,9 @@ MINUS_3_DB = 1.0 / math.sqrt(2.0)
 """The bandwidth's threshold on the gain of the fundamental."""
 
 
+_TICKS_HZ = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+
 @dataclass(frozen=True)
 class Trial:
     """What differs between the repetitions of the experiment; SI units."""
@@ -164,7 +167,7 @@ class FrequencyResponse(Result):
             axis.plot(f, mean, "C0o", ms=4, label="mean")
             axis.plot(fine, curve, "C0", lw=1.2, label="PCHIP")
             axis.set(xlabel="frequency (Hz)", ylabel=label, xscale="log")
-            ticks = [t for t in (0.05, 0.1, 0.2, 0.3, 0.5, 1.0) if f[0] <= t <= f[-1]]
+            ticks = [t for t in _TICKS_HZ if f[0] <= t <= f[-1]]
             axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
             axis.minorticks_off()
             axis.grid(alpha=0.3)

@@ -240,8 +240,11 @@ class TrackingResult(Result):
         ax[2].plot(self.run.time_s, to_rpm(self.run["motor_speed_command_rad_s"]), "C2", lw=0.8)
         ax[2].set(xlabel="time (s)", ylabel="motor speed command (rpm)")
         if limit < 1e6:
-            for sign in (-1, 1):
-                ax[2].axhline(sign * limit, color="0.4", ls=":", lw=1)
+            for sign, label in ((-1, None), (1, f"limit ±{limit:.0f} rpm")):
+                ax[2].axhline(sign * limit, color="0.4", ls=":", lw=1, label=label)
+            low, high = ax[2].get_ylim()
+            ax[2].set_ylim(low, high + 0.25 * (high - low))  # room for the legend
+            ax[2].legend(loc="upper right")
         for upper in ax[:2]:
             upper.set_xlabel("")
         return ax
