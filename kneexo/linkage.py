@@ -28,7 +28,7 @@ FIT_RANGE_DEG = (-2.0, 91.0)
 """Knee angles that the inverse `RodInverse` covers: the range of motion and a margin."""
 
 FIT_DEGREE = 25
-"""Chebyshev degree of `RodInverse`: below 5e-12 rad for G1, G2 and G3."""
+"""Chebyshev degree of `RodInverse`: below 5e-12 rad for G1, G2 and G3, 5e-11 rad for G4."""
 
 _FIT_TOLERANCE_RAD = 1e-8
 

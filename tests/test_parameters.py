@@ -21,6 +21,7 @@ from kneexo.parameters import (
     G1,
     G2,
     G3,
+    G4,
     IDEAL_SMC,
     LINKAGES,
     RPM,
@@ -237,11 +238,11 @@ def test_derived_values() -> None:
 
 
 def test_linkage_may_be_named() -> None:
-    assert LINKAGES == {"G1": G1, "G2": G2, "G3": G3}
-    assert len({G1, G2, G3}) == 3
+    assert LINKAGES == {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
+    assert len({G1, G2, G3, G4}) == 4
     assert LinkageParameters() == G1 == PlantParameters().linkage
     assert PlantParameters(linkage="G3").linkage is G3
-    line = fault(PlantParameters, linkage="G4")
+    line = fault(PlantParameters, linkage="G9")
     assert "linkage" in line
     assert "must be one of G1, G2, G3" in line
 

@@ -72,6 +72,7 @@ def test_results_have_the_keys_that_others_read(short):
     numbers = json.loads(to_json(results(short)))
     expected = {
         "table1": {"x_at_10deg_mm", "x_at_70deg_mm", "linkage_rmse_mm", "linkage_max_mm"},
+        "table1_g4": {"refit_p_sse_mm2", "refit_q_sse_deg2", "refit_p_rmse_mm", "refit_q_rmse_deg"},
         "fig9": {"error_after_1s_mm", "final_error_mm"},
         "fig12": {"smc", "pid", "pid_tuned"},
         "fig13": {
@@ -93,6 +94,9 @@ def test_results_have_the_keys_that_others_read(short):
             "saturated_share",
         } <= set(controller)
     assert numbers["table1"]["x_at_70deg_mm"] == pytest.approx(38.916, abs=1e-3)
+    g4 = numbers["table1_g4"]
+    assert g4["refit_p_rmse_mm"] == pytest.approx(0.0296, abs=1e-4)
+    assert g4["refit_q_rmse_deg"] == pytest.approx(0.0796, abs=1e-4)
     assert numbers["table1"]["strokes_per_period_mm"] == pytest.approx(200.27, abs=0.01)
     # 89 mm (1 + λt) e^{−λt} at λ = 10 1/s and 1 s.
     assert numbers["fig9"]["error_after_1s_mm"] == pytest.approx(0.0444, abs=2e-4)
