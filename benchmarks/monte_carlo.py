@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -28,6 +27,7 @@ import numpy as np
 from kneexo.analysis import parallel_map
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.robustness import assess_plant, draw
+from kneexo.compilation.cores import available_cores
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
 
 REDUCED = {path: one for path, one in UNCERTAINTY.values.items() if path != "plant.full_order"}
@@ -84,7 +84,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", nargs="*", type=int, default=[1000, 10000])
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--workers", type=int, default=available_cores())
     parser.add_argument("--mixed-runs", type=int, default=500, help="0 leaves the mixed set out")
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()

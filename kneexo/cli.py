@@ -53,6 +53,19 @@ Exit codes: 0 done, 2 wrong input or a run that failed (one line says why),
 """
 
 
+PAPER = "the paper's setup (see `kneexo params`)"
+UNDER_LOAD = "the paper's setup under the weight of the shank"
+
+
+class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Shows the defaults that tell something."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default in (None, False, []):
+            return action.help
+        return super()._get_help_string(action)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     # Before numpy is there: on matrices as small as ours, threads only wait for each other.
@@ -144,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
             name,
             help=text,
             description=f"{text[0].upper()}{text[1:]}. {detail}".strip(),
-            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+            formatter_class=_HelpFormatter,
         )
         sub.add_argument("--json", action="store_true", help="print the result as JSON")
         sub.set_defaults(run=run, command=name)
@@ -159,27 +172,30 @@ def _parser() -> argparse.ArgumentParser:
             help=f"directory for {files}; made when missing, files of the same name are replaced",
         )
 
-    def add_scenario(sub: argparse.ArgumentParser) -> None:
+    def add_scenario(
+        sub: argparse.ArgumentParser, default: str = PAPER, engine: bool = True
+    ) -> None:
         sub.add_argument(
             "scenario",
             nargs="?",
             metavar="SCENARIO.yaml",
-            help="scenario file; left out: the paper's setup (see `kneexo params`)",
+            help=f"scenario file; left out: {default}",
         )
-        add_engine(sub)
+        if engine:
+            add_engine(sub)
 
     def add_engine(sub: argparse.ArgumentParser) -> None:
         sub.add_argument(
             "--engine",
             choices=("compiled", "drake"),
-            help="run on compiled equations, or through Drake's Simulator, 200 times slower; left "
-            "out: as the scenario's integrator says",
+            help="run on compiled equations, or through Drake's Simulator, a thousand times "
+            "slower; left out: as the integrator in the scenario says",
         )
 
     def add_workers(sub: argparse.ArgumentParser) -> None:
         where = sub.add_mutually_exclusive_group()
         where.add_argument(
-            "--workers", type=int, metavar="N", help="processes; all cores by default"
+            "--workers", type=int, metavar="N", help="processes; left out: one for each core"
         )
         where.add_argument(
             "--dask",
@@ -188,8 +204,8 @@ def _parser() -> argparse.ArgumentParser:
             "kneexo (pip install 'kneexo[cluster]')",
         )
 
-    def add_sweep(sub: argparse.ArgumentParser) -> None:
-        add_scenario(sub)
+    def add_sweep(sub: argparse.ArgumentParser, section: str, default: str = PAPER) -> None:
+        add_scenario(sub, default)
         add_out(sub, "figures (PNG, PDF), results (JSON) and report (Markdown)")
         sub.add_argument(
             "--set",
@@ -197,7 +213,8 @@ def _parser() -> argparse.ArgumentParser:
             default=[],
             metavar="NAME=VALUE",
             dest="settings",
-            help="a setting of the study, such as its seed; `kneexo params` lists them all",
+            help=f"a setting, by its dotted name; `kneexo params` lists them with their defaults "
+            f"after '{section}:'. VALUE is YAML: 3, [1, 2]. May be given several times",
         )
         add_workers(sub)
         before = sub.add_mutually_exclusive_group()
@@ -233,7 +250,7 @@ def _parser() -> argparse.ArgumentParser:
         "poles, margins and small-signal bandwidth of plant and sampled loop",
         "At a posture; the quantizer is bypassed.",
     )
-    add_scenario(sub)
+    add_scenario(sub, engine=False)
     sub.add_argument(
         "--knee-angle", type=float, default=40.0, metavar="DEG", help="posture, knee angle in deg"
     )
@@ -246,7 +263,7 @@ def _parser() -> argparse.ArgumentParser:
         "Sinestream over frequencies and amplitudes, beside the linear prediction and the closed "
         "form of the speed limit.",
     )
-    add_sweep(sub)
+    add_sweep(sub, "bandwidth")
 
     sub = command(
         "robustness",
@@ -254,7 +271,7 @@ def _parser() -> argparse.ArgumentParser:
         "worst case, spread and sensitivities over an uncertainty set",
         "Corners, seeded Monte Carlo and one value at a time: tracking error, bandwidth, margins.",
     )
-    add_sweep(sub)
+    add_sweep(sub, "robustness", UNDER_LOAD)
     sub.add_argument(
         "--uncertainty",
         metavar="FILE.yaml",
@@ -271,7 +288,12 @@ def _parser() -> argparse.ArgumentParser:
         "condition and the bound on the error; order: full against reduced order.",
     )
     sub.add_argument("what", choices=("controller", "contest", "sliding", "order"))
-    add_sweep(sub)
+    add_sweep(
+        sub,
+        "study WHAT",
+        f"controller: {PAPER}; contest and order: {UNDER_LOAD}; sliding: ideal motor and exact "
+        "states in continuous time",
+    )
 
     sub = command(
         "size",
@@ -279,10 +301,17 @@ def _parser() -> argparse.ArgumentParser:
         "find the motor, pump and encoder that a task needs",
         "Bandwidth and error over the hardware, and what walking takes.",
     )
-    add_sweep(sub)
+    add_sweep(sub, "size", UNDER_LOAD)
 
-    sub = command("params", _params, "list every parameter with value, unit, range and provenance")
-    add_scenario(sub)
+    sub = command(
+        "params",
+        _params,
+        "list every parameter with value, unit, range and provenance",
+        "Without a scenario file also the settings of all studies. With --schema, editors complete "
+        "and check scenario files: save the schema as kneexo.schema.json and begin a file with "
+        "the line '# yaml-language-server: $schema=kneexo.schema.json'.",
+    )
+    add_scenario(sub, engine=False)
     form = sub.add_mutually_exclusive_group()
     form.add_argument("--yaml", action="store_true", help="print a complete scenario file instead")
     form.add_argument(
@@ -295,7 +324,7 @@ def _parser() -> argparse.ArgumentParser:
         "draw the block diagram of a scenario",
         "Always writes closed_loop.dot; also SVG and PNG when Graphviz is installed.",
     )
-    add_scenario(sub)
+    add_scenario(sub, engine=False)
     add_out(sub, "closed_loop.dot, .svg and .png")
 
     sub = command(
@@ -317,7 +346,7 @@ def _scenario(options: argparse.Namespace, default: Scenario | None = None) -> S
         scenario = default or Scenario()
     else:
         scenario = load_scenario(options.scenario)
-    return scenario.with_engine(options.engine)
+    return scenario.with_engine(getattr(options, "engine", None))
 
 
 def _headless() -> None:
@@ -372,11 +401,22 @@ def _results(options: argparse.Namespace) -> AbstractContextManager[Path]:
     return output_directory(options.out, partial(setattr, options, "written", True))
 
 
-def _sweep(options: argparse.Namespace, compute: Callable[..., Any]) -> None:
+def _origin(scenario: Scenario, settings: Parameters | None = None) -> dict[str, Any]:
+    """What every JSON result begins with: version of kneexo, scenario and settings."""
+    given = {} if settings is None else {"settings": settings.model_dump(mode="json")}
+    return {"kneexo": __version__, "scenario": scenario.model_dump(mode="json")} | given
+
+
+def _sweep(
+    options: argparse.Namespace,
+    compute: Callable[..., Any],
+    scenario: Scenario,
+    settings: Parameters,
+) -> None:
     """Run a study whose finished pieces are kept, and write results, report and figures.
 
-    ``compute`` takes ``workers``, ``executor``, ``checkpoint`` and ``progress``; what it returns
-    has ``results()``, ``report()`` and ``figures()``.
+    ``compute`` takes the scenario, ``settings``, ``workers``, ``executor``, ``checkpoint`` and
+    ``progress``; what it returns has ``results()``, ``report()`` and ``figures()``.
     """
     _headless()
     import matplotlib.pyplot as plt
@@ -390,9 +430,14 @@ def _sweep(options: argparse.Namespace, compute: Callable[..., Any]) -> None:
         options.checkpoint = checkpoint
         try:
             done = compute(
-                workers=options.workers, executor=executor, checkpoint=checkpoint, progress=True
+                scenario,
+                settings=settings,
+                workers=options.workers,
+                executor=executor,
+                checkpoint=checkpoint,
+                progress=True,
             )
-            numbers, text = to_json(done.results()), done.report()
+            numbers, text = to_json(_origin(scenario, settings) | done.results()), done.report()
             (directory / f"{name}.json").write_text(numbers, encoding="utf-8")
             (directory / f"{name}.md").write_text(text, encoding="utf-8")
             for title, figure in done.figures().items():
@@ -423,6 +468,7 @@ def _reproduce(options: argparse.Namespace) -> None:
     import matplotlib.pyplot as plt
 
     from kneexo.output import save_figure, to_json
+    from kneexo.parameters import Scenario, SinestreamParameters
     from kneexo.reproduction import figures, report, reproduce, results
 
     with _executor(options) as executor, _results(options) as directory:
@@ -430,14 +476,16 @@ def _reproduce(options: argparse.Namespace) -> None:
             engine=options.engine, workers=options.workers, executor=executor, progress=True
         )
         numbers = results(done)
-        (directory / "results.json").write_text(to_json(numbers), encoding="utf-8")
+        base = Scenario().with_engine(options.engine)
+        document = to_json(_origin(base, SinestreamParameters()) | numbers)
+        (directory / "results.json").write_text(document, encoding="utf-8")
         text = report(numbers)
         (directory / "report.md").write_text(text, encoding="utf-8")
         for name, figure in figures(done).items():
             save_figure(directory, name, figure)
             plt.close(figure)
     if options.json:
-        print(to_json(numbers), end="")
+        print(document, end="")
     else:
         print(text)
         print(f"In {options.out}: the figures, results.json, report.md")
@@ -458,7 +506,7 @@ def _simulate(options: argparse.Namespace) -> None:
             result = track(scenario, all_signals=True)
         else:
             result = _track_with_bar(scenario)
-        metrics = to_json(asdict(result.metrics))
+        metrics = to_json(_origin(scenario) | asdict(result.metrics))
         (directory / "metrics.json").write_text(metrics, encoding="utf-8")
         (directory / "scenario.yaml").write_text(dump_scenario(scenario), encoding="utf-8")
         write_csv(directory / "signals.csv", result.run)
@@ -501,6 +549,8 @@ def _linearize(options: argparse.Namespace) -> None:
         frequency, damping = plant.damping
         text = to_json(
             {
+                **_origin(scenario),
+                "settings": {"knee_angle_deg": options.knee_angle},
                 "operating_point": asdict(plant.operating_point),
                 "plant_poles_per_s": [[p.real, p.imag] for p in plant.poles],
                 "plant_frequencies_rad_s": frequency,
@@ -525,7 +575,7 @@ def _linearize(options: argparse.Namespace) -> None:
 def _settings(options: argparse.Namespace, cls: type[Settings]) -> Settings:
     """The settings of a study with what ``--set`` changes."""
     from kneexo.errors import ParameterError
-    from kneexo.scenario import read_value
+    from kneexo.scenario import changed, read_value
 
     values = {}
     for text in options.settings:
@@ -533,7 +583,7 @@ def _settings(options: argparse.Namespace, cls: type[Settings]) -> Settings:
         if not separator:
             raise ParameterError(f"--set {text}: must be NAME=VALUE")
         values[name] = read_value(f"--set {name}", value)
-    return cls(**values)
+    return changed(cls(), values)
 
 
 def _bandwidth(options: argparse.Namespace) -> None:
@@ -541,7 +591,7 @@ def _bandwidth(options: argparse.Namespace) -> None:
     from kneexo.parameters import AmplitudeMapParameters
 
     settings = _settings(options, AmplitudeMapParameters)
-    _sweep(options, partial(amplitude_map, _scenario(options), settings=settings))
+    _sweep(options, amplitude_map, _scenario(options), settings)
 
 
 def _robustness(options: argparse.Namespace) -> None:
@@ -554,7 +604,8 @@ def _robustness(options: argparse.Namespace) -> None:
     uncertainty = UNCERTAINTY
     if options.uncertainty is not None:
         uncertainty = load_uncertainty(options.uncertainty, scenario)
-    _sweep(options, partial(robustness, scenario, uncertainty, settings=settings))
+    compute = partial(robustness, uncertainty=uncertainty)
+    _sweep(options, compute, scenario, settings)
 
 
 def _study(options: argparse.Namespace) -> None:
@@ -568,7 +619,7 @@ def _study(options: argparse.Namespace) -> None:
     }[options.what]
     compute = getattr(import_module(f"kneexo.analysis.{module}"), function)
     settings = _settings(options, _study_settings()[f"study {options.what}"])
-    _sweep(options, partial(compute, _scenario(options, default), settings=settings))
+    _sweep(options, compute, _scenario(options, default), settings)
 
 
 def _size(options: argparse.Namespace) -> None:
@@ -576,7 +627,7 @@ def _size(options: argparse.Namespace) -> None:
     from kneexo.parameters import UNCERTAIN_KNEE, SizingParameters
 
     settings = _settings(options, SizingParameters)
-    _sweep(options, partial(sizing, _scenario(options, UNCERTAIN_KNEE), settings=settings))
+    _sweep(options, sizing, _scenario(options, UNCERTAIN_KNEE), settings)
 
 
 def _params(options: argparse.Namespace) -> None:
@@ -587,7 +638,7 @@ def _params(options: argparse.Namespace) -> None:
         print(dump_scenario(scenario), end="")
         return
     if options.schema:
-        from kneexo.scenario import json_schema
+        from kneexo.schema import json_schema
 
         print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
         return
@@ -597,7 +648,8 @@ def _params(options: argparse.Namespace) -> None:
             rows += _parameter_rows(cls(), f"{name}: ")
         rows += _uncertainty_rows()
     if options.json:
-        print(json.dumps(rows, indent=2, ensure_ascii=False))
+        document = {**_origin(scenario), "parameters": rows}
+        print(json.dumps(document, indent=2, ensure_ascii=False))
         return
     for row in rows:
         bounds = f"  [{row['range']}]" if row["range"] else ""
@@ -690,7 +742,7 @@ def _diagram(options: argparse.Namespace) -> None:
                     print(f"kneexo: Graphviz could not draw the {kind}: {reason}", file=sys.stderr)
         written = sorted(file.name for file in directory.iterdir())
     if options.json:
-        print(json.dumps({"directory": str(options.out), "files": written}))
+        print(json.dumps({**_origin(scenario), "directory": str(options.out), "files": written}))
         return
     print(
         f"{', '.join(written)} are in {options.out}"
@@ -714,7 +766,8 @@ def _cache(options: argparse.Namespace) -> None:
     if options.clear:
         count = cache.clear()
         if options.json:
-            print(json.dumps({"directory": str(directory), "deleted": count}))
+            document = {"kneexo": __version__, "directory": str(directory), "deleted": count}
+            print(json.dumps(document))
         else:
             print(f"{directory}: {count} {'entry' if count == 1 else 'entries'} deleted")
         return
@@ -722,6 +775,7 @@ def _cache(options: argparse.Namespace) -> None:
     size_bytes = sum(entry.size_bytes for entry in entries)
     if options.json:
         summary = {
+            "kneexo": __version__,
             "directory": str(directory),
             "size_bytes": size_bytes,
             "limit_bytes": limit_bytes,

@@ -37,5 +37,9 @@ class CompilationError(KneexoError, TypeError):
     """A diagram cannot be compiled: says which subsystem and port."""
 
 
+class PackageError(KneexoError, ImportError):
+    """A package that something needs is not installed: says which."""
+
+
 class WorkerError(KneexoError, RuntimeError):
     """A worker process died, or workers cannot be had."""

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kneexo.errors import LinkageError
 from kneexo.parameters import LinkageParameters, RodPolynomialParameters
+from kneexo.result import Result
 
 Array = NDArray[np.float64]
 
@@ -27,7 +28,7 @@ FIT_RANGE_DEG = (-2.0, 91.0)
 """Knee angles that the inverse `RodInverse` covers: the range of motion and a margin."""
 
 FIT_DEGREE = 25
-"""Chebyshev degree of `RodInverse`: below 5e-12 rad for G1, G2 and G3."""
+"""Chebyshev degree of `RodInverse`: below 5e-12 rad for G1, G2 and G3, 5e-11 rad for G4."""
 
 _FIT_TOLERANCE_RAD = 1e-8
 
@@ -59,8 +60,8 @@ def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: An
 # --------------------------------------------------------- knee angle to everything (exact)
 
 
-@dataclass(frozen=True)
-class LinkagePose:
+@dataclass(frozen=True, repr=False)
+class LinkagePose(Result):
     """All joints of the linkage at the knee angles ``knee_angle`` (n,); see `pose`.
 
     Points are complex numbers x + jy in m; angles in rad.

@@ -15,11 +15,14 @@ one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
 
 from __future__ import annotations
 
+import csv
 import math
+import os
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.quantity import Parameters, choice, quantity
@@ -273,6 +276,11 @@ class LinkageParameters(Parameters):
         -1, "assembly branch, the sign of sin(θ_4 − θ_2); the paper never states it"
     )
 
+    def __repr__(self) -> str:
+        """The name of one of `LINKAGES`; of others, what differs from G1."""
+        names = (name for name, linkage in LINKAGES.items() if linkage == self)
+        return next(names, None) or super().__repr__()
+
 
 G1 = LinkageParameters()
 """Shank as ground, coupler shortest (double rocker): the default."""
@@ -312,8 +320,27 @@ G3 = LinkageParameters(
 )
 """Thigh as ground, ground shortest (drag link); mechanically the best conditioned."""
 
-LINKAGES = {"G1": G1, "G2": G2, "G3": G3}
-"""Three geometries that reproduce Table 1; a scenario may name one in place of its numbers."""
+G4 = LinkageParameters(
+    o_a_x_m=-1.52785e-3,
+    o_a_y_m=-3.49263e-3,
+    o_b_x_m=3.43876e-3,
+    o_b_y_m=-6.31537e-3,
+    a_2_m=24.09745e-3,
+    a_3_m=11.95039e-3,
+    a_4_m=28.96078e-3,
+    phi_rad=math.radians(41.92103),
+    rod_pin_radius_m=82.79717e-3,
+    rod_pin_angle_rad=math.radians(-28.25057),
+    rod_anchor_radius_m=961.48141e-3,
+    rod_anchor_angle_rad=math.radians(85.54219),
+    rod_length_m=924.81905e-3,
+    branch=1,
+)
+"""Thigh as ground, ground shortest (drag link); identified from both polynomials of Table 1 over
+5…90°, whose printed errors it meets."""
+
+LINKAGES = {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
+"""Geometries that reproduce Table 1; a scenario may name one in place of its numbers."""
 
 
 class KneeParameters(Parameters):
@@ -695,8 +722,18 @@ class RampReference(Parameters):
         return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
 
 
+Interpolation = Literal["cubic", "pchip", "linear"]
+_INTERPOLATION = (
+    "cubic: spline with continuous acceleration, which may pass the samples' range; pchip: "
+    "shape-preserving cubic, which stays within neighbouring samples; linear: straight lines"
+)
+
+
 class SampledReference(Parameters):
-    """Knee angle from samples, joined by a cubic spline with continuous acceleration."""
+    """Knee angle from samples, by default joined by a cubic spline with continuous acceleration.
+
+    A sequence of numbers may be a tuple, a list, a NumPy array or a pandas column.
+    """
 
     kind: Literal["samples"] = "samples"
     times_s: tuple[float, ...] = Field(
@@ -706,6 +743,7 @@ class SampledReference(Parameters):
     angles_deg: tuple[float, ...] = Field(
         min_length=3, json_schema_extra={"unit": "deg", "source": "given by the user"}
     )
+    interpolation: Interpolation = choice("cubic", _INTERPOLATION)
 
     @model_validator(mode="after")
     def _consistent(self) -> SampledReference:
@@ -724,6 +762,109 @@ class SampledReference(Parameters):
     def range_deg(self) -> tuple[float, float]:
         """Smallest and largest sample in deg; the spline between them may reach further."""
         return min(self.angles_deg), max(self.angles_deg)
+
+
+class CsvReference(Parameters):
+    """A CSV file with a header line that holds the samples of a reference.
+
+    `samples` reads the file. A scenario that names one keeps the samples, not the file.
+    """
+
+    kind: Literal["csv"] = "csv"
+    file: str = Field(
+        min_length=1,
+        json_schema_extra={
+            "unit": "",
+            "source": "given by the user; relative to the scenario file, else to the working "
+            "directory",
+        },
+    )
+    time: str = choice("time_s", "name of the column of times in s")
+    angle: str = choice("knee_angle_deg", "name of the column of knee angles in deg")
+    interpolation: Interpolation = choice("cubic", _INTERPOLATION)
+
+    def samples(self, directory: str | os.PathLike[str] = ".") -> SampledReference:
+        """The samples; ``directory`` is what a relative path starts from.
+
+        Lines that are empty or start with ``#`` are left out. Raises `ParameterError` when the
+        file cannot be read, or a column or number is missing.
+        """
+        path = Path(directory, self.file)
+        try:
+            with path.open(encoding="utf-8-sig", newline="") as stream:
+                lines = [
+                    (number, line)
+                    for number, line in enumerate(stream, 1)
+                    if line.strip() and not line.startswith("#")
+                ]
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "is not UTF-8"
+            raise ParameterError(f"{path}: cannot be read: {reason}") from None
+        if not lines:
+            raise ParameterError(f"{path}: is empty")
+        header, *rows = csv.reader(line for _, line in lines)
+        names = [name.strip() for name in header]
+        columns: dict[str, list[float]] = {}
+        for name in (self.time, self.angle):
+            if name not in names:
+                raise ParameterError(f"{path}: has no column {name!r}; it has {', '.join(names)}")
+            columns[name] = []
+            place = names.index(name)
+            for (number, _), row in zip(lines[1:], rows, strict=False):
+                try:
+                    columns[name].append(float(row[place]))
+                except (IndexError, ValueError):
+                    value = repr(row[place]) if place < len(row) else "no value"
+                    raise ParameterError(
+                        f"{path}:{number}: {name}: {value}; must be a number"
+                    ) from None
+        try:
+            return SampledReference(
+                times_s=tuple(columns[self.time]),
+                angles_deg=tuple(columns[self.angle]),
+                interpolation=self.interpolation,
+            )
+        except ParameterError as error:
+            raise ParameterError(
+                f"{path}: {str(error).removeprefix('SampledReference: ')}"
+            ) from None
+
+
+class GaitReference(Parameters):
+    """The built-in gait curve by name: see `kneexo.gait.gait_reference`."""
+
+    kind: Literal["gait"] = "gait"
+    frequency_hz: float = quantity(1.0, "Hz", "assumption: strides per second", gt=0, le=10)
+    cycles: int = Field(
+        default=30,
+        ge=1,
+        le=1000,
+        json_schema_extra={
+            "unit": "1",
+            "source": "assumption: 30 s at 1 Hz, a default run",
+        },
+    )
+
+
+def _read_reference(value: Any, directory: Any) -> Any:
+    """References that are named, as the samples that they stand for."""
+    if isinstance(value, str):
+        if value != "gait":
+            raise ValueError(f"{value!r} must be gait, or a mapping")
+        value = GaitReference()
+    if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
+        given = CsvReference if value["kind"] == "csv" else GaitReference
+        try:
+            value = given(**value)
+        except ParameterError as error:
+            raise ParameterError(str(error).removeprefix(f"{given.__name__}: ")) from None
+    if isinstance(value, CsvReference):
+        return value.samples(directory)
+    if isinstance(value, GaitReference):
+        from kneexo.gait import gait_reference  # which needs SampledReference
+
+        return gait_reference(value.frequency_hz, value.cycles)
+    return value
 
 
 Reference = Annotated[
@@ -828,6 +969,11 @@ class Scenario(Parameters):
     def believed_plant(self) -> PlantParameters:
         """The plant that the controller is designed for."""
         return self.plant if self.nominal is None else self.nominal
+
+    @field_validator("reference", mode="before")
+    @classmethod
+    def _named_reference(cls, reference: Any, info: ValidationInfo) -> Any:
+        return _read_reference(reference, (info.context or {}).get("directory", "."))
 
     @model_validator(mode="after")
     def _compatible(self) -> Scenario:
@@ -1146,6 +1292,10 @@ class UncertaintySet(Parameters):
     """Uncertain values of a scenario, by dotted path (``plant.cylinder.mass_kg``)."""
 
     values: dict[str, Uncertainty] = Field(min_length=1)
+
+    def __repr__(self) -> str:
+        """How many values are uncertain."""
+        return f"UncertaintySet({len(self.values)} values)"
 
 
 UNCERTAINTY = UncertaintySet(

@@ -6,9 +6,10 @@ one line.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from difflib import get_close_matches
 from functools import cache
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
@@ -183,23 +184,79 @@ def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
     )
 
 
+@cache
+def _tuple_fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
+    """The fields that hold tuples, and whether any number of values is a valid length."""
+    return tuple(
+        (name, get_args(field.annotation)[-1] is ...)
+        for name, field in model.model_fields.items()
+        if get_origin(field.annotation) is tuple
+    )
+
+
+def _as_tuple(value: Any, *, any_length: bool) -> Any:
+    """Lists, NumPy arrays and pandas columns as tuples; a single number as a tuple of one.
+
+    Values of other types are returned unchanged, so that pydantic reports them.
+    """
+    if hasattr(value, "tolist"):  # NumPy and pandas
+        value = value.tolist()
+    if isinstance(value, list):
+        return tuple(value)
+    if any_length and isinstance(value, int | float) and not isinstance(value, bool):
+        return (value,)
+    return value
+
+
+class _Short:
+    """A long tuple, whose middle `repr` leaves out."""
+
+    def __init__(self, values: tuple[Any, ...]) -> None:
+        self._values = values
+
+    def __repr__(self) -> str:
+        first, second, *_, last = self._values
+        return f"({first!r}, {second!r}, …, {last!r}: {len(self._values)} values)"
+
+
 class Parameters(BaseModel):
-    """Base of all parameter classes: frozen, no unknown names, no silent type changes."""
+    """Base of all parameter classes: frozen, no unknown names, no silent type changes.
+
+    Where a tuple of numbers is asked for, lists, NumPy arrays, pandas columns and, for tuples of
+    any length, single numbers are accepted.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
-    def _default_kind(cls, data: Any) -> Any:
-        """A mapping that does not say its kind is of the default's kind."""
+    def _completed(cls, data: Any) -> Any:
+        """Arrays as tuples; a mapping that does not say its kind is of the default's kind."""
         if not isinstance(data, dict):
             return data
+        tuples = {
+            name: _as_tuple(data[name], any_length=any_length)
+            for name, any_length in _tuple_fields(cls)
+            if name in data
+        }
+        data = data | tuples if tuples else data
         kinds = {
             name: {"kind": kind} | data[name]
             for name, kind in _default_kinds(cls)
             if isinstance(data.get(name), dict)
         }
         return data | kinds if kinds else data
+
+    def __repr_args__(self) -> Iterator[tuple[str, Any]]:
+        """What differs from the defaults: `repr` is short, and still makes an equal object."""
+        for name, field in type(self).model_fields.items():
+            value = getattr(self, name)
+            if field.is_required() or value != field.default:
+                yield name, _Short(value) if isinstance(value, tuple) and len(value) > 8 else value
+
+    def __str__(self) -> str:
+        """As `repr`."""
+        return repr(self)
 
     if not TYPE_CHECKING:  # the type checker keeps the signature that pydantic makes
 

@@ -13,7 +13,7 @@ import stat
 from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -25,6 +25,7 @@ from kneexo.parameters import UNCERTAIN_KNEE, Scenario, Uncertainty, Uncertainty
 from kneexo.quantity import Parameters, allowed_range, models_of, one_line, shortened, unit_of
 
 _Path = tuple[str | int, ...]
+_Changed = TypeVar("_Changed", bound=Parameters)
 _TAG = "tag:yaml.org,2002:"
 _MOST_BYTES = 2**20
 _MOST_VALUES = 100_000  # two seconds; aliases can multiply a short text without end
@@ -49,7 +50,7 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     name = os.fspath(path)
     data, lines = _read(name, _text(name))
     try:
-        return Scenario.model_validate(data)
+        return Scenario.model_validate(data, context={"directory": Path(name).parent})
     except ValidationError as error:
         location, message = one_line(Scenario, error)
     raise _fault(name, _line(lines, location), message)
@@ -167,11 +168,11 @@ def read_value(name: str, text: str) -> Any:
     return data["value"]
 
 
-def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
     """A copy with other values at dotted paths, such as ``plant.cylinder.mass_kg``; validated.
 
-    A value may be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
-    scenario does not have, and for a value out of range.
+    ``scenario``: a scenario, or other parameters. A value may be a mapping, as in a scenario file.
+    Raises `ParameterError` for a path that they do not have, and for a value out of range.
     """
     data = dict(vars(scenario))
     for path, value in values.items():
@@ -181,20 +182,18 @@ def changed(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
             part = holder.get(parent)
             if isinstance(part, Parameters):  # only the parts that change are validated again
                 part = holder[parent] = dict(vars(part))
+            elif isinstance(part, dict):
+                part = holder[parent] = dict(part)
             holder = part
             if not isinstance(holder, dict):
                 break
         # A wrong name in an existing mapping is found by the validation below.
         if not isinstance(holder, dict):
-            raise ParameterError(f"{path}: this scenario has no {path.rpartition('.')[0]}")
+            what = "this scenario has" if isinstance(scenario, Scenario) else "there is"
+            raise ParameterError(f"{path}: {what} no {path.rpartition('.')[0]}")
         # A later path may reach into a mapping.
         holder[name] = deepcopy(value) if isinstance(value, dict) else value
-    return Scenario(**data)
-
-
-def json_schema() -> dict[str, Any]:
-    """JSON schema of a scenario file, for editors; each number carries its unit and source."""
-    return Scenario.model_json_schema()
+    return type(scenario)(**data)
 
 
 _TOO_MUCH = (

@@ -9,16 +9,19 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import kneexo
 from kneexo import cli
-from kneexo.cli import main
+from kneexo.analysis import TrackingMetrics
+from kneexo.cli import _parameter_rows, _study_settings, main
 from kneexo.compilation import cache
-from kneexo.parameters import PlantParameters, Scenario
-from kneexo.scenario import load_scenario
+from kneexo.parameters import ContestParameters, PlantParameters, Scenario
+from kneexo.scenario import changed, load_scenario
 
 SHORT = """
 reference: {frequency_hz: 1.0, amplitude_deg: 2.0}
@@ -119,7 +122,7 @@ def test_help_names_every_command_and_needs_no_drake():
 
 def test_params_lists_every_number_with_unit_and_provenance(capsys):
     assert main(["params", "--json"]) == 0
-    rows = {row["parameter"]: row for row in json.loads(capsys.readouterr().out)}
+    rows = {row["parameter"]: row for row in json.loads(capsys.readouterr().out)["parameters"]}
     mass = rows["plant.cylinder.mass_kg"]
     assert (mass["value"], mass["unit"]) == (1.6, "kg")
     assert "Table" in mass["provenance"]
@@ -218,7 +221,7 @@ def test_diagram_draws_with_graphviz(capsys, tmp_path, monkeypatch):
         (
             "reference: {kind: samples, times_s: [0, 1, 2, 3], angles_deg: [5, 89, 89, 5]}\n"
             "simulation: {duration_s: 1.0}",
-            "leaves the range of motion",
+            "interpolation cubic passes the range of motion",
         ),
         ("reference: {kind: samples, times_s: [0, 1], angles_deg: [1, 2]}", "must have at least 3"),
     ],
@@ -466,7 +469,11 @@ def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
     cache.store("key", b"code")
     assert main(["cache", "--clear", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert printed == {"directory": str(tmp_path / "cache"), "deleted": 1}
+    assert printed == {
+        "kneexo": kneexo.__version__,
+        "directory": str(tmp_path / "cache"),
+        "deleted": 1,
+    }
 
 
 def test_cache_needs_neither_numpy_nor_drake():
@@ -685,3 +692,88 @@ def test_the_reference_engine_can_be_asked_for(capsys, scenario_file, tmp_path):
     for name in ("max_error_deg", "rms_error_deg", "mean_command_change_rpm"):
         # radau3 at 2 ms against the exact hold; a count of the encoder may fall a sample later.
         assert results["compiled"][name] == pytest.approx(results["drake"][name], rel=2e-2)
+
+
+# ---------------------------------------------------------------------- origin of results
+
+
+@pytest.mark.parametrize(
+    "command", [["simulate"], ["linearize", "--knee-angle", "20"], ["diagram"], ["params"]]
+)
+def test_json_says_version_and_scenario(capsys, scenario_file, tmp_path, command):
+    name, *options = command
+    out = [] if name == "params" else ["--out", str(tmp_path / "out")]
+    assert main([name, scenario_file(SHORT), *options, *out, "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["kneexo"] == kneexo.__version__
+    assert changed(Scenario(), printed["scenario"]) == load_scenario(scenario_file(SHORT))
+    if name == "linearize":
+        assert printed["settings"] == {"knee_angle_deg": 20.0}
+
+
+def test_json_of_a_sweep_says_version_scenario_and_settings(capsys, tmp_path):
+    command = ["bandwidth", *SMALL_MAP, "--set", "estimate.averaged_cycles=4", "--workers", "1"]
+    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["kneexo"] == kneexo.__version__
+    assert changed(Scenario(), printed["scenario"]) == Scenario()
+    assert printed["settings"]["estimate"]["averaged_cycles"] == 4
+
+
+def test_every_key_of_the_results_is_documented():
+    text = (Path(__file__).parents[1] / "docs/results.md").read_text(encoding="utf-8")
+    for key in (*(field.name for field in fields(TrackingMetrics)), "kneexo", "scenario"):
+        assert f"`{key}`" in text, key
+
+
+# -------------------------------------------------------------------------------- --help
+
+COMMANDS = [
+    *("reproduce", "simulate", "linearize", "bandwidth", "robustness", "study", "size"),
+    *("params", "diagram", "cache"),
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_only_defaults_that_tell_something(command, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main([command, "--help"])
+    text = capsys.readouterr().out
+    assert not re.search(r"default:\s+(None|False|\[\])", text)
+    assert ("--engine" in text) == (command not in ("linearize", "params", "diagram", "cache"))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("estimate.tolerance=9", "estimate.tolerance = 9 is out of range"),
+        ("estimate.tol=9", "estimate.tol: unknown name; known here: averaged_cycles"),
+        ("estimat.tolerance=9", "estimat.tolerance: there is no estimat"),
+        ("tol=9", "tol: unknown name; known here: amplitudes_deg"),
+    ],
+)
+def test_faults_of_nested_settings_name_their_path(capsys, tmp_path, text, told):
+    assert main(["bandwidth", "--set", text, "--out", str(tmp_path / "out")]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_every_listed_setting_can_be_set():
+    """`kneexo params` lists a setting under the name that ``--set`` takes."""
+    for section, cls in _study_settings().items():
+        for row in _parameter_rows(cls(), f"{section}: "):
+            name = row["parameter"].removeprefix(f"{section}: ")
+            assert changed(cls(), {name: row["value"]}) == cls(), name
+
+
+def test_a_scalar_is_a_list_of_one(capsys, tmp_path):
+    command = ["bandwidth", *SMALL_MAP, "--set", "amplitudes_deg=1", "--workers", "1"]
+    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["settings"]["amplitudes_deg"] == [1.0]
+
+
+def test_changed_leaves_nested_mappings_of_settings_alone():
+    settings = ContestParameters()
+    path = "contestants.SMC.controller.lambda_per_s"
+    assert changed(settings, {path: 5.0}).contestants["SMC"].controller.lambda_per_s == 5.0
+    assert settings == ContestParameters()
+    assert ContestParameters().contestants["SMC"].controller.lambda_per_s == 20.0

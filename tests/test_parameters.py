@@ -6,7 +6,9 @@ import math
 import pickle
 import re
 import typing
+from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,19 +16,24 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from kneexo.errors import KneexoError, ParameterError
+from kneexo.gait import gait_reference
 from kneexo.parameters import (
     G1,
     G2,
     G3,
+    G4,
     IDEAL_SMC,
     LINKAGES,
     RPM,
     UNCERTAIN_KNEE,
     UNCERTAINTY,
+    AmplitudeMapParameters,
     BldcPumpParameters,
+    CsvReference,
     CylinderParameters,
     EncoderParameters,
     ExactParameters,
+    GaitReference,
     KneeLoadParameters,
     KneeParameters,
     LinkageParameters,
@@ -231,11 +238,11 @@ def test_derived_values() -> None:
 
 
 def test_linkage_may_be_named() -> None:
-    assert LINKAGES == {"G1": G1, "G2": G2, "G3": G3}
-    assert len({G1, G2, G3}) == 3
+    assert LINKAGES == {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
+    assert len({G1, G2, G3, G4}) == 4
     assert LinkageParameters() == G1 == PlantParameters().linkage
     assert PlantParameters(linkage="G3").linkage is G3
-    line = fault(PlantParameters, linkage="G4")
+    line = fault(PlantParameters, linkage="G9")
     assert "linkage" in line
     assert "must be one of G1, G2, G3" in line
 
@@ -483,3 +490,87 @@ def test_every_uncertain_value_has_a_source_and_fits_the_scenario(path: str) -> 
     assert uncertain.source != "given by the user"
     for share in (0.0, 0.5, 1.0):
         changed(UNCERTAIN_KNEE, {path: uncertain.at(share)})
+
+
+# ------------------------------------------------------------------------------- arrays
+
+
+class Column:
+    """What a pandas column offers."""
+
+    def __init__(self, values: list[float]) -> None:
+        self.values = values
+
+    def tolist(self) -> list[float]:
+        return self.values
+
+
+@pytest.mark.parametrize("make", [list, np.array, Column], ids=["list", "array", "column"])
+def test_arrays_are_accepted_where_tuples_are_asked_for(make: typing.Any) -> None:
+    times, angles = [0.0, 1.0, 2.0], [10.0, 20.0, 15.0]
+    made = SampledReference(times_s=make(times), angles_deg=make(angles))
+    assert made == SampledReference(times_s=tuple(times), angles_deg=tuple(angles))
+    assert {type(value) for value in made.times_s} == {float}
+    assert hash(made)  # models are cached by their scenarios
+
+
+def test_a_number_is_a_tuple_of_one_where_any_length_is_valid() -> None:
+    assert AmplitudeMapParameters(amplitudes_deg=1).amplitudes_deg == (1.0,)
+    assert "must be a valid tuple" in fault(RodPolynomialParameters, p_mm_deg=1.0)
+    assert "must be a valid tuple" in fault(AmplitudeMapParameters, amplitudes_deg=True)
+
+
+def test_arrays_of_wrong_shape_or_type_are_refused() -> None:
+    two = fault(SampledReference, times_s=np.ones((2, 2)), angles_deg=(1.0, 2.0, 3.0))
+    assert "times_s.0" in two
+    assert "must be a valid number" in two
+    assert "must be a valid tuple" in fault(SampledReference, times_s="012", angles_deg=(1.0,) * 3)
+
+
+# ---------------------------------------------------------------------- named references
+
+
+def csv_file(directory: Path, text: str) -> CsvReference:
+    (directory / "gait.csv").write_text(text, encoding="utf-8")
+    return CsvReference(file="gait.csv", time="t", angle="knee")
+
+
+def test_csv_reference_reads_two_columns(tmp_path: Path) -> None:
+    text = "# measured\n\nt, hip ,knee\n0,1,10\n0.5,2,20\n\n1,3,12.5\n"
+    given = csv_file(tmp_path, text).model_copy(update={"interpolation": "pchip"})
+    assert given.samples(tmp_path) == SampledReference(
+        times_s=(0.0, 0.5, 1.0), angles_deg=(10.0, 20.0, 12.5), interpolation="pchip"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", "gait.csv: is empty"),
+        ("t,hip\n0,1\n", "gait.csv: has no column 'knee'; it has t, hip"),
+        ("t,knee\n0,1\n1,two\n", "gait.csv:3: knee: 'two'; must be a number"),
+        ("t,knee\n0,1\n1\n", "gait.csv:3: knee: no value; must be a number"),
+        ("t,knee\n0,1\n1,2\n", "gait.csv: times_s has 2 values: must have at least 3"),
+        ("t,knee\n0,1\n0,2\n1,2\n", "gait.csv: times_s must increase by at least 1e-6 s"),
+    ],
+)
+def test_faults_of_a_csv_reference_name_file_and_line(tmp_path: Path, text: str, line: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        csv_file(tmp_path, text).samples(tmp_path)
+    assert str(caught.value).startswith(f"{tmp_path}/{line}")
+
+
+def test_a_missing_csv_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match=r"none\.csv: cannot be read: No such file"):
+        CsvReference(file="none.csv").samples(tmp_path)
+
+
+def test_the_gait_curve_has_a_name() -> None:
+    named = Scenario(reference={"kind": "gait", "frequency_hz": 0.5, "cycles": 2})
+    assert named.reference == gait_reference(0.5, 2)
+    assert Scenario(reference="gait").reference == gait_reference(1.0, 30)
+    assert Scenario(reference=GaitReference(cycles=4)).reference == gait_reference(1.0, 4)
+    with pytest.raises(ParameterError, match="reference: 'walk' must be gait, or a mapping"):
+        Scenario(reference="walk")
+    with pytest.raises(ParameterError, match="reference: cycles = 0 is out of range"):
+        Scenario(reference={"kind": "gait", "cycles": 0})

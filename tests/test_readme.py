@@ -64,3 +64,29 @@ def test_the_example_of_the_engine_runs():
     records, spread, log = done.stdout.splitlines()
     assert (records, log) == ("(15001, 1)", "(1, 501)")
     assert 0.0 < float(spread) < 1e-3
+
+
+SCENARIO_FILES = (ROOT / "docs/scenario_files.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "text", re.findall(r"^\| `(\{kind: [^`]*\})", SCENARIO_FILES, re.MULTILINE)
+)
+def test_the_references_of_the_scenario_files_load(text, tmp_path):
+    (tmp_path / "gait.csv").write_text("time_s,knee_angle_deg\n0,10\n1,20\n2,15\n")
+    path = tmp_path / "scenario.yaml"
+    path.write_text(f"reference: {text}", encoding="utf-8")
+    kind = re.match(r"\{kind: (\w+)", text)[1]
+    assert load_scenario(path).reference.kind == ("samples" if kind == "csv" else kind)
+
+
+def test_the_example_of_the_scenario_files_runs():
+    code = block("python", SCENARIO_FILES)
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert 1.0 < float(done.stdout) < 90.0
+
+
+def test_the_schema_line_is_printed_by_help(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["params", "--help"])
+    assert "yaml-language-server: $schema=" in capsys.readouterr().out

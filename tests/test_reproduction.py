@@ -140,6 +140,13 @@ def test_every_number_of_the_results_is_the_one_that_its_name_says(known, flat, 
     for name, case in FIG_12.items():
         law = type(case.controller)(**numbers["fig12"][name].pop("controller"))
         assert law == case.controller
+    g4 = numbers.pop("table1_g4")  # of the geometry itself, 204 points
+    assert g4 == {
+        "refit_p_sse_mm2": pytest.approx(0.174, abs=1e-3),
+        "refit_q_sse_deg2": pytest.approx(1.253, abs=1e-3),
+        "refit_p_rmse_mm": pytest.approx(0.0296, abs=1e-4),
+        "refit_q_rmse_deg": pytest.approx(0.0796, abs=1e-4),
+    }
     root = math.sqrt(2.0)
     # Eq. 10 with Table 1, term by term.
     x_10 = 148.0 - 6.195 - 3.192 + 0.4789 - 0.04164 + 0.001571
@@ -222,6 +229,10 @@ PAPER = {
     ("table1", "linkage_max_mm"): None,
     ("table1", "refit_p_sse_mm2"): 0.1781,
     ("table1", "refit_q_sse_deg2"): 1.241,
+    ("table1_g4", "refit_p_sse_mm2"): 0.1781,
+    ("table1_g4", "refit_q_sse_deg2"): 1.241,
+    ("table1_g4", "refit_p_rmse_mm"): 0.03,
+    ("table1_g4", "refit_q_rmse_deg"): 0.0792,
     ("table1", "linkage_rmse_mm"): 0.03,
     ("table1", "refit_q_rmse_deg"): 0.0792,
     ("fig9", "error_after_1s_mm"): None,

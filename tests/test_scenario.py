@@ -36,7 +36,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
-from kneexo.scenario import changed, dump_scenario, json_schema, load_scenario, read_value
+from kneexo.scenario import changed, dump_scenario, load_scenario, read_value
 
 NAME = "scenario.yaml"
 
@@ -584,15 +584,6 @@ def test_dump_is_documented() -> None:
     assert "  ideal_motor: false" in lines
 
 
-def test_schema_names_sections_units_and_ranges() -> None:
-    schema = json_schema()
-    assert set(schema["properties"]) == set(Scenario.model_fields)
-    mass = schema["$defs"]["CylinderParameters"]["properties"]["mass_kg"]
-    assert mass["unit"] == "kg"
-    assert mass["minimum"] == 0.01
-    assert mass["maximum"] == 1000
-
-
 # ------------------------------------------------------------------------------- changes
 
 
@@ -664,3 +655,16 @@ def test_a_change_that_the_scenario_does_not_have_is_refused(
 ) -> None:
     with pytest.raises(ParameterError, match=re.escape(told)):
         changed(Scenario(), {path: value})
+
+
+def test_a_csv_reference_is_relative_to_the_scenario_file(tmp_path, monkeypatch):
+    (tmp_path / "gait.csv").write_text("time_s,knee_angle_deg\n0,10\n1,20\n2,15\n")
+    monkeypatch.chdir("/")
+    scenario = File(tmp_path).load("\nreference: {kind: csv, file: gait.csv}")
+    assert scenario.reference == SampledReference(times_s=(0, 1, 2), angles_deg=(10, 20, 15))
+    assert File(tmp_path).load(dump_scenario(scenario)) == scenario
+
+
+def test_a_faulty_csv_reference_names_both_files(tmp_path):
+    line = File(tmp_path).fault("\nreference: {kind: csv, file: none.csv}")
+    assert line.startswith(f"{NAME}:2: reference: {tmp_path}/none.csv: cannot be read")

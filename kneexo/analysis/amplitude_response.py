@@ -40,6 +40,7 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.simulation import Array, needs_runs
 from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import AmplitudeMapParameters, Scenario, SineEstimateParameters
+from kneexo.result import Result, data_frame
 from kneexo.scenario import changed
 
 if TYPE_CHECKING:
@@ -68,8 +69,8 @@ CELL = {
 """What a cell of the map holds besides the response (see `SineEstimate`), where its run failed."""
 
 
-@dataclass(frozen=True)
-class AmplitudeMap:
+@dataclass(frozen=True, repr=False)
+class AmplitudeMap(Result):
     """Response θ_p/θ_d of the fundamental over m amplitudes and n frequencies, by sinestream.
 
     ``response`` complex (m, n); ``cells`` (m, n) by the names of `CELL`. What failed is nan, and
@@ -130,6 +131,22 @@ class AmplitudeMap:
         predicted = {_LIMITS[name]: float(self.bandwidths[name][index]) for name in _LIMITS}
         name = min(predicted, key=lambda n: np.nan_to_num(predicted[n], nan=math.inf))
         return name, predicted[name]
+
+    def to_dataframe(self) -> Any:
+        """A row for each cell of the map, as `pandas.DataFrame`.
+
+        Columns: ``amplitude_deg``, ``frequency_hz``, ``gain``, ``phase_deg`` and those of `CELL`.
+        Raises `PackageError` without pandas.
+        """
+        amplitude, frequency = np.meshgrid(self.amplitudes_deg, self.frequencies_hz, indexing="ij")
+        table = {
+            "amplitude_deg": amplitude,
+            "frequency_hz": frequency,
+            "gain": np.abs(self.response),
+            "phase_deg": self.phase_deg,
+            **self.cells,
+        }
+        return data_frame({name: np.ravel(values) for name, values in table.items()})
 
     def results(self) -> dict[str, Any]:
         """Plain data: the linear loop, then the map by amplitude."""
@@ -278,7 +295,9 @@ class AmplitudeMap:
         ):
             heat_map(axis, f, amplitudes, values.T, norm=norm, label=label)
         for axis in axes[1]:
-            axis.plot(self.bandwidths["measured_hz"], amplitudes, "wo", mec="k", ms=5)
+            measured = self.bandwidths["measured_hz"]
+            axis.plot(measured, amplitudes, "wo", mec="k", ms=5, label="−3 dB, measured")
+            axis.legend(loc="lower left", fontsize=8, facecolor="0.75")
             axis.set_xlabel("frequency (Hz)")
         for axis in axes[:, 0]:
             axis.set_ylabel("amplitude (deg)")
@@ -343,7 +362,7 @@ class AmplitudeMap:
             axis.plot(self.frequencies_hz, shown(self.linear), "k--", lw=1.2, label="linear loop")
             axis.plot([], [], ":", color="0.4", label="rate-limited follower")
             axis.grid(alpha=0.3)
-        axes[0].axhline(_MINUS_3_DB, color="0.5", lw=0.8)
+        axes[0].axhline(_MINUS_3_DB, color="0.5", lw=0.8, label="−3 dB")
         axes[0].set(ylabel="gain (dB)", ylim=(-45.0, 5.0), xscale="log")
         axes[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
         plain_ticks(axes[0].xaxis, _TICKS_HZ)
@@ -373,7 +392,7 @@ class AmplitudeMap:
         grid = np.geomspace(demand.min(), demand.max(), 400)
         closed = _decibel(rate_limited_gain(1.0 / grid))
         axes[1].plot(grid, closed, "C3", lw=1.2, label="closed form")
-        axes[1].axhline(_MINUS_3_DB, color="0.5", lw=0.8)
+        axes[1].axhline(_MINUS_3_DB, color="0.5", lw=0.8, label="−3 dB")
         axes[1].set(
             xlabel="speed demand aω/R = 1/ρ (1)",
             ylabel="gain (dB)",

@@ -40,6 +40,7 @@ from kneexo.parameters import (
     Uncertainty,
     UncertaintySet,
 )
+from kneexo.result import Result
 from kneexo.scenario import applicable, changed
 
 if TYPE_CHECKING:
@@ -74,8 +75,8 @@ class Tuning:
         return self.objective_deg < INFEASIBLE_DEG
 
 
-@dataclass(frozen=True)
-class Contest:
+@dataclass(frozen=True, repr=False)
+class Contest(Result):
     """Tuned and untuned controllers on the test plants.
 
     ``entrants``: by name, what each sets in the scenario. ``tested`` and ``elsewhere``: by

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from kneexo.analysis.contest import INFEASIBLE_DEG, Contest, errors_of
+from kneexo.analysis.heat_map import decimal_ticks
 from kneexo.analysis.simulation import Array
 
 
@@ -39,8 +40,13 @@ def outcome(done: Contest) -> Figure:
         if not np.isfinite(ax.dataLim.minposx):  # every run failed
             ax.set_xlim(0.1, 10.0)
         ax.set(xscale="log", xlabel="largest error (deg)")
+        decimal_ticks(ax.xaxis)
         ax.grid(alpha=0.3)
-    figure.legend(loc="outside lower center", ncols=4, fontsize=8)
+    for marker, label in (("o", "tuned here"), ("x", "not tuned here")):
+        axes[2].plot([], [], marker, color="0.3", ms=3.5, mew=0.8, ls="none", label=label)
+    axes[2].legend(fontsize=8)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
     return figure
 
 

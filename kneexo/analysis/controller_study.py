@@ -36,6 +36,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
+from kneexo.result import Result
 from kneexo.scenario import changed
 
 if TYPE_CHECKING:
@@ -108,8 +109,8 @@ class TrapCase:
     failure: str
 
 
-@dataclass(frozen=True)
-class ControllerStudy:
+@dataclass(frozen=True, repr=False)
+class ControllerStudy(Result):
     """The grid, the trap, and what both say about the paper's discussion.
 
     ``values``: an array (λ, Φ, η) for each of `FIGURES`. ``map_values``: an array (T_f, k/Φ) for

@@ -163,7 +163,7 @@ def trap(study: ControllerStudy) -> Figure:
         xlabel="time (s)",
         ylabel="tracking error (deg)",
         ylim=(low, high + 0.35 * (high - low)),
-        title=f"(a) circle, λ = {shown:g} 1/s",
+        title=f"(a) circle in (b), (c); λ = {shown:g} 1/s",
     )
     axes[0].legend(fontsize=8, loc="upper right")
     times, slopes = 1e3 * np.array(grid.map_time_constants_s), grid.map_slopes_per_s
@@ -176,5 +176,6 @@ def trap(study: ControllerStudy) -> Figure:
         values = study.map_values[name]
         _map(ax, times, slopes, values, stable, default, norm=norm, label=label)
         ax.plot(1e3 * grid.trap_time_constant_s, grid.trap_slope_per_s, "C1o", mec="w", ms=9)
-        ax.set(xlabel="T_f (ms)", ylabel="k/Φ (1/s)", title=title)
+        ax.set(xlabel="T_f (ms)", ylabel="k/Φ (1/s)")
+        ax.set_title(title, loc="left", fontsize=10)
     return figure

@@ -34,6 +34,7 @@ from kneexo.analysis.plant_linearization import Complex
 from kneexo.analysis.simulation import Array, rms, simulate
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, Scenario
+from kneexo.result import Result
 from kneexo.scenario import changed
 
 if TYPE_CHECKING:
@@ -42,8 +43,8 @@ if TYPE_CHECKING:
 Chamber = Literal["cap", "rod_side"]
 
 
-@dataclass(frozen=True)
-class ErrorModel:
+@dataclass(frozen=True, repr=False)
+class ErrorModel(Result):
     """The error e of the rod in closed form, inside the boundary layer and the speed limit."""
 
     lambda_per_s: float
@@ -143,8 +144,8 @@ def _area_m2(cylinder: CylinderParameters, loaded: Chamber | None, full_order: b
     return cylinder.cap_area_m2 if loaded == "cap" else cylinder.rod_side_area_m2
 
 
-@dataclass(frozen=True)
-class ErrorComparison:
+@dataclass(frozen=True, repr=False)
+class ErrorComparison(Result):
     """Simulated and predicted error of the rod over the last part of a run, each (n,)."""
 
     model: ErrorModel

@@ -28,10 +28,14 @@ from kneexo.parameters import (
     SineReference,
     SinestreamParameters,
 )
+from kneexo.result import Result, data_frame
 from kneexo.scenario import changed
 
 MINUS_3_DB = 1.0 / math.sqrt(2.0)
 """The bandwidth's threshold on the gain of the fundamental."""
+
+
+_TICKS_HZ = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -98,8 +102,8 @@ def nominal_trial(scenario: Scenario) -> Trial:
     )
 
 
-@dataclass(frozen=True)
-class FrequencyResponse:
+@dataclass(frozen=True, repr=False)
+class FrequencyResponse(Result):
     """Sinestream response θ_p/θ_d of the fundamental.
 
     ``frequencies_hz`` (n,), ``response`` (trials, n) complex. ``bandwidth_hz`` is the −3 dB
@@ -125,6 +129,20 @@ class FrequencyResponse:
         """Mean phase over the trials in deg, unwrapped over frequency, (n,)."""
         return np.asarray(np.mean(_phase_deg(self.response), axis=0))
 
+    def to_dataframe(self) -> Any:
+        """Means and trials as `pandas.DataFrame` over ``frequency_hz``.
+
+        ``gain`` and ``phase_deg`` are the means, ``gain_1`` … those of the trials. Raises
+        `PackageError` without pandas.
+        """
+        trials = enumerate(zip(self.response, _phase_deg(self.response), strict=True), 1)
+        columns = {"frequency_hz": self.frequencies_hz, "gain": self.gain}
+        columns["phase_deg"] = self.phase_deg
+        for number, (response, phase) in trials:
+            columns[f"gain_{number}"] = np.abs(response)
+            columns[f"phase_{number}_deg"] = phase
+        return data_frame(columns, "frequency_hz")
+
     def plot(self, ax: Any = None) -> Any:
         """Plot magnitude and phase as Fig. 13 does: trials, means and PCHIP; ``ax``: two axes."""
         import matplotlib.pyplot as plt
@@ -149,7 +167,7 @@ class FrequencyResponse:
             axis.plot(f, mean, "C0o", ms=4, label="mean")
             axis.plot(fine, curve, "C0", lw=1.2, label="PCHIP")
             axis.set(xlabel="frequency (Hz)", ylabel=label, xscale="log")
-            ticks = [t for t in (0.05, 0.1, 0.2, 0.3, 0.5, 1.0) if f[0] <= t <= f[-1]]
+            ticks = [t for t in _TICKS_HZ if f[0] <= t <= f[-1]]
             axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
             axis.minorticks_off()
             axis.grid(alpha=0.3)
@@ -297,8 +315,8 @@ def sinestream(
 # ------------------------------------------------------------------------- one sine, settled
 
 
-@dataclass(frozen=True)
-class SineEstimate:
+@dataclass(frozen=True, repr=False)
+class SineEstimate(Result):
     """Response θ_p/θ_d of the fundamental to one sine, the mean of its last cycles.
 
     ``uncertainty`` is an absolute error of the complex response: the standard error of that mean

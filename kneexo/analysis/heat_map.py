@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 from numpy.typing import ArrayLike
 
 from kneexo.analysis.simulation import Array
+
+_CLOSEST = 0.065  # share of an axis that a number needs
 
 
 def cell_borders(values: ArrayLike) -> Array:
@@ -20,14 +23,39 @@ def cell_borders(values: ArrayLike) -> Array:
 
 
 def plain_ticks(axis: Any, values: Any) -> None:
-    """Ticks at ``values`` (n,) alone, as plain numbers."""
-    axis.set_major_locator(FixedLocator(values))
+    """Ticks at ``values`` (n,) alone, as plain numbers.
+
+    The axis is logarithmic. A tick whose number would overlap that of the one before is left out.
+    """
+    logs = np.log(np.asarray(values, dtype=float))
+    gap = _CLOSEST * float(np.ptp(logs))
+    kept: list[int] = []
+    for index, value in enumerate(logs):
+        if not kept or abs(value - logs[kept[-1]]) >= gap:
+            kept.append(index)
+    axis.set_major_locator(FixedLocator([values[index] for index in kept]))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
+def decimal_ticks(axis: Any) -> None:
+    """Ticks of a logarithmic axis as plain numbers: 1, 2, 5; 1, 3; or 1 of each decade.
+
+    Which of them follows from the decades that the axis shows now.
+    """
+    low, high = sorted(axis.get_view_interval())
+    decades = math.log10(high / low) if low > 0.0 else 1.0
+    subs = (1.0, 2.0, 5.0) if decades < 1.5 else (1.0, 3.0) if decades < 3.0 else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
 def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, label: str) -> None:
-    """Show ``values`` (x, y) with a colour bar; grey where they are not finite."""
+    """Show ``values`` (x, y) with a colour bar; grey where they are not finite.
+
+    The label stands above the map, clear of the axis of the panel on its right.
+    """
     ax.set_facecolor("0.8")
     mesh = ax.pcolormesh(
         cell_borders(x),
@@ -41,4 +69,5 @@ def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, 
     finite = values[np.isfinite(values)]
     below, above = bool(np.any(finite < norm.vmin)), bool(np.any(finite > norm.vmax))
     extend = ("neither", "max", "min", "both")[2 * below + above]
-    ax.figure.colorbar(mesh, ax=ax, label=label, extend=extend)
+    ax.figure.colorbar(mesh, ax=ax, extend=extend)
+    ax.set_title(label, fontsize=9, loc="right")

@@ -27,6 +27,7 @@ from tqdm import tqdm
 from kneexo import __version__
 from kneexo.analysis.checkpoint import Checkpoint, piece_keys
 from kneexo.analysis.coroutines import is_coroutine, together
+from kneexo.compilation.cores import available_cores
 from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later
 
@@ -55,7 +56,7 @@ def process_pool(workers: int | None) -> Iterator[Executor | None]:
     ``workers``: their number, None for all cores of this process; with 1 there is none, and
     `parallel_map` works in this process.
     """
-    count = len(os.sched_getaffinity(0)) if workers is None else workers
+    count = available_cores() if workers is None else workers
     if count == 1:
         yield None
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +13,10 @@ from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoD
 from pydrake.systems.framework import Diagram
 
 from kneexo.analysis.simulation import Array, to_rpm
-from kneexo.diagrams import make_plant
+from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.errors import LinearizationError
 from kneexo.parameters import PlantParameters
+from kneexo.result import Result
 
 Complex = NDArray[np.complex128]
 
@@ -23,8 +25,8 @@ MID_RANGE_DEG = 40.0
 """Middle of the paper's 10…70°."""
 
 
-@dataclass(frozen=True)
-class OperatingPoint:
+@dataclass(frozen=True, repr=False)
+class OperatingPoint(Result):
     """A posture that the plant holds: all derivatives zero.
 
     ``state`` (n,) in the units of the plant's Context; ``motor_speed_rad_s`` makes up for the
@@ -41,9 +43,15 @@ class OperatingPoint:
         """One line in the paper's units."""
         return (
             f"knee at {math.degrees(self.knee_angle_rad):.4g} deg: motor "
-            f"{to_rpm(self.motor_speed_rad_s):.4g} rpm, load pressure "
-            f"{1e-6 * self.load_pressure_pa:.4g} MPa, rod force {self.rod_force_n:.4g} N"
+            f"{_rounded(to_rpm(self.motor_speed_rad_s)):.4g} rpm, load pressure "
+            f"{_rounded(1e-6 * self.load_pressure_pa):.4g} MPa, "
+            f"rod force {_rounded(self.rod_force_n):.4g} N"
         )
+
+
+def _rounded(value: float) -> float:
+    """``value``; zero where it is what rounding leaves of zero."""
+    return value if abs(value) > 1e-9 else 0.0
 
 
 def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float) -> None:
@@ -134,8 +142,8 @@ def _plant(plant: PlantParameters | Diagram, knee_angle_deg: float) -> Any:
     return plant
 
 
-@dataclass(frozen=True)
-class PlantLinearization:
+@dataclass(frozen=True, repr=False)
+class PlantLinearization(Result):
     """The plant around an operating point: dx/dt = A x + B u, y = C x + D u.
 
     u: motor speed command in rad/s (one column); y: the ports ``outputs``, one row an element.
@@ -147,6 +155,8 @@ class PlantLinearization:
     d: Array
     outputs: tuple[str, ...]
     operating_point: OperatingPoint
+    states: tuple[str, ...] = ()
+    """Names of the states: subsystem and index."""
 
     @property
     def poles(self) -> Complex:
@@ -187,10 +197,21 @@ class PlantLinearization:
         return float(np.real((self.c[0] @ right[:, index]) * (left @ self.b[:, 0])))
 
     def to_control(self) -> Any:
-        """As `control.StateSpace` in continuous time."""
+        """As `control.StateSpace` in continuous time, with the names of inputs and outputs.
+
+        The input is ``motor_speed_command_rad_s``; an output has the name of its column in a run,
+        or of its port where a run has none; states are those of `states`.
+        """
         import control
 
-        return control.ss(self.a, self.b, self.c, self.d)
+        outputs = [label for port in self.outputs for label in SIGNALS.get(port, (port,))]
+        return control.ss(
+            *(self.a, self.b, self.c, self.d),
+            name="plant",
+            inputs=["motor_speed_command_rad_s"],
+            outputs=outputs if len(outputs) == len(self.c) else None,
+            states=list(self.states) or None,
+        )
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
         """G(j2πf) of the first output, (n,)."""
@@ -244,4 +265,15 @@ def linearize_plant(
         d=gradient[n:, n:],
         outputs=outputs,
         operating_point=point,
+        states=tuple(_state_names(diagram)),
     )
+
+
+def _state_names(system: Any, path: str = "") -> Iterator[str]:
+    """Subsystem and index of each continuous state, in the order of the Context."""
+    if isinstance(system, Diagram):
+        for part in system.GetSystems():
+            yield from _state_names(part, f"{path}{part.get_name()}.")
+    else:
+        count = system.CreateDefaultContext().num_continuous_states()
+        yield from (f"{path}x[{i}]" for i in range(count))

@@ -11,6 +11,7 @@ from numpy.polynomial import Polynomial
 from kneexo import linkage
 from kneexo.analysis.simulation import Array
 from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
+from kneexo.result import Result, data_frame
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,11 +20,11 @@ SAMPLES = 901
 """Every 0.1° from 0 to 90°."""
 
 
-@dataclass(frozen=True)
-class PolynomialFit:
+@dataclass(frozen=True, repr=False)
+class PolynomialFit(Result):
     """Quintic fits of x(θ_p) and θ_p(x) to a linkage, in the paper's units, beside Table 1.
 
-    ``angle_deg`` and ``extension_mm`` (901,) are the linkage. ``p_mm_deg`` and ``q_deg_mm`` (6,)
+    ``angle_deg`` and ``extension_mm`` (n,) are the linkage. ``p_mm_deg`` and ``q_deg_mm`` (6,)
     are the fitted coefficients, highest power first. Errors are linkage minus polynomial:
     ``p_error_mm`` and ``q_error_deg`` of this fit, ``table_p_error_mm`` and ``table_q_error_deg``
     of Table 1.
@@ -38,6 +39,30 @@ class PolynomialFit:
     q_error_deg: Array
     table_p_error_mm: Array
     table_q_error_deg: Array
+
+    @property
+    def p_sse_mm2(self) -> float:
+        """Sum of squared errors of x(θ_p) in mm²."""
+        return float(np.sum(self.p_error_mm**2))
+
+    @property
+    def q_sse_deg2(self) -> float:
+        """Sum of squared errors of θ_p(x) in deg²."""
+        return float(np.sum(self.q_error_deg**2))
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Points less the six coefficients; the RMSE of Fig. 5 is √(SSE/degrees of freedom)."""
+        return self.angle_deg.size - len(self.p_mm_deg)
+
+    def to_dataframe(self) -> Any:
+        """Linkage and errors of the polynomials as `pandas.DataFrame` over ``angle_deg``.
+
+        Raises `PackageError` without pandas.
+        """
+        names = ["angle_deg", "extension_mm", "p_error_mm", "q_error_deg"]
+        names += ["table_p_error_mm", "table_q_error_deg"]
+        return data_frame({name: getattr(self, name) for name in names}, "angle_deg")
 
     def plot(self, ax: Any = None) -> Any:
         """Plot both maps as Fig. 5 does: linkage, fit and Table 1; ``ax``: two axes."""
@@ -62,13 +87,18 @@ class PolynomialFit:
 
 
 def fit_polynomials(
-    link: LinkageParameters = G1, table: RodPolynomialParameters = RodPolynomialParameters()
+    link: LinkageParameters = G1,
+    table: RodPolynomialParameters = RodPolynomialParameters(),
+    *,
+    start_deg: float = 0.0,
+    samples: int = SAMPLES,
 ) -> PolynomialFit:
-    """Fit Eq. 10 and 11 to a linkage over 0…90°, and compare ``table`` with it.
+    """Fit Eq. 10 and 11 to ``samples`` points of a linkage, and compare ``table`` with it.
 
-    Raises `LinkageError` when it cannot be assembled.
+    The points lie evenly over ``start_deg`` … 90°. Raises `LinkageError` when the linkage cannot
+    be assembled.
     """
-    angle = np.linspace(0.0, 90.0, SAMPLES)
+    angle = np.linspace(start_deg, 90.0, samples)
     extension = 1e3 * linkage.rod_extension(link, np.radians(angle))
     p = _quintic(angle, extension)
     q = _quintic(extension, angle)

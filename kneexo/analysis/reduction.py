@@ -35,6 +35,7 @@ from kneexo.parameters import (
     RampReference,
     Scenario,
 )
+from kneexo.result import Result
 from kneexo.scenario import changed
 
 if TYPE_CHECKING:
@@ -229,8 +230,8 @@ def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str
 Rows = tuple[Mapping[str, Any], ...]
 
 
-@dataclass(frozen=True)
-class OrderComparison:
+@dataclass(frozen=True, repr=False)
+class OrderComparison(Result):
     """Rows of plain numbers by name, one for each order, load and posture; see the pieces."""
 
     tracking: Rows

@@ -38,6 +38,7 @@ from kneexo.parameters import (
     Uncertainty,
     UncertaintySet,
 )
+from kneexo.result import Result
 from kneexo.scenario import applicable, changed
 
 if TYPE_CHECKING:
@@ -190,8 +191,8 @@ def chance(one: Uncertainty, count: int) -> float:
     return math.sqrt(chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
 
 
-@dataclass(frozen=True)
-class Robustness:
+@dataclass(frozen=True, repr=False)
+class Robustness(Result):
     """Nominal plant, one value at a time, samples and corners, with local sensitivities.
 
     ``uncertainty`` is what applies to the scenario, ``left_out`` are the paths of the rest.

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from kneexo.analysis.robustness import (
@@ -90,11 +91,15 @@ def tornado(r: Robustness) -> Figure:
     )
     for ax, merit in zip(axes[0], merits, strict=True):
         _plot_tornado(ax, r, merit, names)
-    entries = {"low end": "C0<", "high end": "C1>", "options in their order": "C0o"}
+    entries = {"low end": "C0<", "high end": "C1>"}
+    options = max(len(one.options) for one in r.uncertainty.values.values())
+    entries |= {f"option {n + 1}": f"C{n}{'os^Dv'[n % 5]}" for n in range(min(options, 5))}
     if any(np.isinf(signed(r.one_at_a_time, merit)).any() for merit in merits):
         entries["fails or is unstable"] = "C3x"
     handles = [Line2D([], [], color=s[:2], marker=s[2], ls="", ms=5) for s in entries.values()]
-    figure.legend(handles, list(entries), loc="outside lower center", ncols=4, fontsize=8)
+    handles.append(Line2D([], [], color="0.4", ls="--", lw=1))
+    labels = [*entries, "nominal"]
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
     return figure
 
 
@@ -149,6 +154,13 @@ def importance(r: Robustness) -> Figure:
         axes[1].set_title("whole interval by AutoDiff, % of the nominal figure", fontsize=9)
     else:
         axes[1].set_visible(False)
+    key = {
+        "C3": "more of the value is worse",
+        "C0": "more of the value is better",
+        "0.5": "options, which have no order: strength alone",
+    }
+    patches = [Patch(color=colour, alpha=0.8, label=label) for colour, label in key.items()]
+    figure.legend(handles=patches, loc="outside lower center", ncols=3, fontsize=8)
     return figure
 
 

@@ -27,6 +27,7 @@ from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
 from kneexo.analysis.simulation import Array
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
+from kneexo.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,8 +38,8 @@ _BESIDE_REST_RAD_S3 = 1e-3
 rest apart: above the rounding of the estimates, and nothing next to the boundary layer."""
 
 
-@dataclass(frozen=True)
-class Margins:
+@dataclass(frozen=True, repr=False)
+class Margins(Result):
     """Stability margins of a sampled loop, broken at the motor speed command.
 
     ``stable`` says whether the closed loop is; if not, the numbers are distances to stability and
@@ -61,8 +62,8 @@ class Margins:
     disk_phase_margin_deg: float
 
 
-@dataclass(frozen=True)
-class SampledLoop:
+@dataclass(frozen=True, repr=False)
+class SampledLoop(Result):
     """Plant and controller, linearized and joined exactly at the sampling instants.
 
     Between samples dx/dt = A x + B u with u held. At a sample the controller maps its own state z,
@@ -131,10 +132,24 @@ class SampledLoop:
         return a, b, c
 
     def to_control(self) -> Any:
-        """Loop transfer L(z) as `control.StateSpace` with dt = T; the feedback is negative."""
+        """Loop transfer L(z) as `control.StateSpace` with dt = T; the feedback is negative.
+
+        Input ``motor_speed_command_rad_s``, output ``returned_command_rad_s``; states ``plant[i]``
+        and ``controller[i]``.
+        """
         import control
 
-        return control.ss(*self.loop_matrices, [[0.0]], self.sample_time_s)
+        plant, controller = self.a.shape[0], self.g_z.shape[0]
+        return control.ss(
+            *self.loop_matrices,
+            [[0.0]],
+            self.sample_time_s,
+            name="loop",
+            inputs=["motor_speed_command_rad_s"],
+            outputs=["returned_command_rad_s"],
+            states=[f"plant[{i}]" for i in range(plant)]
+            + [f"controller[{i}]" for i in range(controller)],
+        )
 
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
         """L(e^{j2πfT}) at frequencies in Hz, (n,); L is periodic in the sampling frequency."""
@@ -306,7 +321,7 @@ class SampledLoop:
     def plot(self, ax: Any = None) -> Any:
         """Bode plot of the loop up to its Nyquist frequency, with its margins; ``ax``: two axes.
 
-        The phase is unwrapped and starts in −270…90°. Green: phase margin; orange: gain margin.
+        The phase is unwrapped and starts in −270…90°.
         """
         import matplotlib.pyplot as plt
 
@@ -326,16 +341,21 @@ class SampledLoop:
         crossover = margins.phase_margin_frequency_hz
         if math.isfinite(crossover):
             there = float(np.interp(crossover, f, phase))
-            ax[0].plot([crossover], [0.0], "C2.")
-            ax[1].plot([crossover] * 2, [there - margins.phase_margin_deg, there], "C2.-", lw=2)
+            ax[0].plot([crossover], [0.0], "C2.", label=f"crossover {crossover:.3g} Hz")
+            ends = [there - margins.phase_margin_deg, there]
+            label = f"phase margin {margins.phase_margin_deg:.3g}°"
+            ax[1].plot([crossover] * 2, ends, "C2.-", lw=2, label=label)
         if math.isfinite(margins.gain_margin):
             at = margins.gain_margin_frequency_hz
-            ax[0].plot([at] * 2, [-20.0 * math.log10(margins.gain_margin), 0.0], "C1.-", lw=2)
+            decibels = 20.0 * math.log10(margins.gain_margin)
+            label = f"gain margin {margins.gain_margin:.3g} ({decibels:.3g} dB)"
+            ax[0].plot([at] * 2, [-decibels, 0.0], "C1.-", lw=2, label=label)
         ax[0].axhline(0.0, color="0.6", lw=0.8)
         ax[1].axhline(-180.0, color="0.6", lw=0.8)
         ax[0].set(ylabel="loop magnitude (dB)")
         ax[1].set(xlabel="frequency (Hz)", ylabel="loop phase (deg)")
-        ax[0].legend(loc="lower left")
+        for axis in ax:
+            axis.legend(loc="lower left")
         return ax
 
     def _plot_grid(self, nyquist: float) -> Array:
@@ -358,11 +378,11 @@ class SampledLoop:
         if ax is None:
             ax = plt.subplots(figsize=(5.5, 5.5), layout="constrained")[1]
         loop = self._loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
-        ax.plot(loop.real, loop.imag, "C0", lw=1.2)
-        ax.plot(loop.real, -loop.imag, "C0:", lw=0.8)
+        ax.plot(loop.real, loop.imag, "C0", lw=1.2, label="L, f > 0")
+        ax.plot(loop.real, -loop.imag, "C0:", lw=0.8, label="L, f < 0")
         circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
-        ax.plot(circle.real, circle.imag, color="0.6", lw=0.8)
-        ax.plot([-1.0], [0.0], "C3+", ms=9, mew=1.5)
+        ax.plot(circle.real, circle.imag, color="0.6", lw=0.8, label="|L| = 1")
+        ax.plot([-1.0], [0.0], "C3+", ms=9, mew=1.5, label="−1")
         if disk_margin is None:
             disk_margin = self.margins().disk_margin if self.stable else math.nan
         reach = 0.5 * disk_margin
@@ -371,7 +391,7 @@ class SampledLoop:
             disk = -0.5 * (gain + 1.0 / gain) + 0.5 * (gain - 1.0 / gain) * circle
             label = f"disk margin {2.0 * reach:.3g}"
             ax.fill(disk.real, disk.imag, color="C3", alpha=0.25, lw=0, label=label)
-            ax.legend(loc="upper right")
+        ax.legend(loc="upper right", fontsize=8)
         ax.set(xlabel="real part of L", ylabel="imaginary part of L")
         ax.set_aspect("equal")
         ax.set(xlim=(-3.5, 1.5), ylim=(-2.5, 2.5))

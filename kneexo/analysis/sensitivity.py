@@ -30,6 +30,7 @@ from kneexo.diagrams import make_closed_loop
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.quantity import Parameters
+from kneexo.result import Result
 
 _DIFFERENTIABLE = (
     "plant.pump.",
@@ -42,8 +43,8 @@ _BESIDE_REST = 3e-7
 """Step of the states (their share) by which two gradients tell how the Jacobian changes."""
 
 
-@dataclass(frozen=True)
-class Sensitivities:
+@dataclass(frozen=True, repr=False)
+class Sensitivities(Result):
     """Figures of merit and their gradients in the values at ``paths``, each (paths,)."""
 
     paths: tuple[str, ...]

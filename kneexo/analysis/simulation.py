@@ -16,12 +16,13 @@ from kneexo.analysis.coroutines import Steps, coroutine
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.errors import KneexoError, ParameterError, SimulationError, StiffnessError
 from kneexo.parameters import Scenario, SimulationParameters
+from kneexo.result import Result, data_frame
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, repr=False)
+class Run(Result):
     """Logged signals of one simulation: ``time_s`` (n,) and ``data`` by column name, each (n,).
 
     A command at time t is the one held up to t. ``settings`` are those of the solver.
@@ -34,6 +35,13 @@ class Run:
     def __getitem__(self, column: str) -> Array:
         """The column of that name, (n,)."""
         return self.data[column]
+
+    def to_dataframe(self) -> Any:
+        """The signals as `pandas.DataFrame` over ``time_s``; names end in the unit.
+
+        Raises `PackageError` without pandas.
+        """
+        return data_frame({"time_s": self.time_s, **self.data}, "time_s")
 
 
 def simulate_diagram(

@@ -53,6 +53,7 @@ from kneexo.parameters import (
     Scenario,
     SizingParameters,
 )
+from kneexo.result import Result
 from kneexo.scenario import changed
 
 if TYPE_CHECKING:
@@ -184,8 +185,8 @@ class WalkingDesign:
     halved: Mapping[str, Any]
 
 
-@dataclass(frozen=True)
-class Sizing:
+@dataclass(frozen=True, repr=False)
+class Sizing(Result):
     """Everything that `sizing` finds; see `results`, `report` and `figures`."""
 
     scenario: Scenario

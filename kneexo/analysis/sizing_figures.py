@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from kneexo.analysis.bandwidth import rod_amplitude_m, rod_limits
 from kneexo.analysis.frequency_response import require_sine
@@ -22,7 +21,7 @@ from kneexo.analysis.hardware import (
     HARDWARE,
     ONE_PERCENT_RATIO,
 )
-from kneexo.analysis.heat_map import heat_map, plain_ticks
+from kneexo.analysis.heat_map import decimal_ticks, heat_map, plain_ticks
 from kneexo.analysis.simulation import Array, to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
 
@@ -57,7 +56,7 @@ def _sweeps(sizing: Sizing) -> Figure:
             axis.plot(factors, values, style, ms=4.5, lw=1.2, label=HARDWARE[path][0])
         axis.set(xscale="log", yscale="log", xlabel="factor on the value", ylabel=label)
         plain_ticks(axis.xaxis, factors[::2])
-        _decimal_ticks(axis.yaxis)
+        decimal_ticks(axis.yaxis)
         axis.grid(alpha=0.3)
     for path, style, label in (
         (DISPLACEMENT, "k--", "bound: speed, displacement, gear"),
@@ -65,7 +64,9 @@ def _sweeps(sizing: Sizing) -> Figure:
     ):
         bound = [one["expected_bandwidth_hz"] for one in sizing.sweeps[path]]
         axes[0].plot(settings.factors, bound, style, lw=1.2, label=label)
-    axes[2].axhline(settings.error_bound_deg, color="0.4", ls="--", lw=1)
+    bound_label = f"bound of the paper, {settings.error_bound_deg:g}°"
+    axes[2].axhline(settings.error_bound_deg, color="0.4", ls="--", lw=1, label=bound_label)
+    axes[2].legend(handles=axes[2].get_lines()[-1:], loc="lower left", fontsize=8)
     reference, frequency = require_sine(sizing.scenario), sizing.designs[0].frequency_hz
     low, high = reference.range_deg
     axes[0].set_title(f"(a) {low:g}…{high:g}°, hardware as it is")
@@ -76,13 +77,6 @@ def _sweeps(sizing: Sizing) -> Figure:
     )
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
-
-
-def _decimal_ticks(axis: Any) -> None:
-    """1, 2, 5 of each decade, as plain numbers."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_locator(NullLocator())
 
 
 def _maps(sizing: Sizing) -> Figure:
@@ -102,7 +96,7 @@ def _maps(sizing: Sizing) -> Figure:
             continue
         norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
         heat_map(axis, speed, limit, values.T, norm=norm, label=label)
-        _decimal_ticks(figure.axes[-1].yaxis)
+        decimal_ticks(figure.axes[-1].yaxis)
         for (row, column), value in np.ndenumerate(values):
             text = "–" if math.isnan(value) else f"{value:.2g}"
             dark = math.isnan(value) or norm(value) > 0.6
@@ -119,10 +113,9 @@ def _maps(sizing: Sizing) -> Figure:
         axis.tick_params(axis="x", rotation=45)
     _regimes(axes[0], sizing)
     _walking_limits(axes[1], sizing)
-    axes[0].set_title("(a) bandwidth, controller as it is (grey: run fails)")
-    axes[1].set_title(
-        f"(b) walking at {design.frequency_hz:.3g} Hz, sized controller (grey: fails)"
-    )
+    axes[0].set_title("(a) controller as it is (grey: run fails)", loc="left", fontsize=10)
+    title = f"(b) walking at {design.frequency_hz:.3g} Hz, sized controller (grey: fails)"
+    axes[1].set_title(title, loc="left", fontsize=10)
     return figure
 
 
@@ -192,7 +185,7 @@ def _gains(sizing: Sizing) -> Figure:
         axis.set(xlabel="λ (1/s)", ylabel="k/Φ (1/s)", facecolor="0.85")
         axis.set_title(f"T_f = {1e3 * settings.observer_s[index]:g} ms")
     bar = figure.colorbar(mesh, ax=axes[0], label="largest error in walking (deg)")
-    _decimal_ticks(bar.ax.yaxis)
+    decimal_ticks(bar.ax.yaxis)
     figure.suptitle(
         "largest error, disk margin; bold: enough margin and no chattering", fontsize=10
     )
@@ -223,12 +216,17 @@ def _tracking(sizing: Sizing) -> Figure:
     demand = sizing.demands[0]
     axes[0].plot(demand.cycle_percent, demand.knee_angle_deg, "k--", lw=1, label="reference")
     limit = to_rpm(sizing.scenario.plant.pump.speed_limit_rad_s)
+    bound = sizing.settings.error_bound_deg
     for sign in (-1, 1):
-        axes[1].axhline(sign * sizing.settings.error_bound_deg, color="0.4", ls=":", lw=1)
-        axes[2].axhline(sign * limit, color="0.4", ls=":", lw=1)
+        lines = [
+            axes[1].axhline(sign * bound, color="0.4", ls=":", lw=1, label=f"±{bound:g}°"),
+            axes[2].axhline(sign * limit, color="0.4", ls=":", lw=1, label=f"±{limit:.0f} rpm"),
+        ]
+    for axis, line in zip(axes[1:], lines, strict=True):
+        axis.legend(handles=[line], loc="lower right", fontsize=8)
     axes[0].set(ylabel="knee flexion (deg)", title=f"walking at {frequency:.3g} Hz", ylim=(-2, 82))
     axes[0].legend(loc="upper left", ncols=2)
-    axes[1].set_ylabel("error (deg)")
+    axes[1].set_ylabel("error (deg)\nlogarithmic beyond ±2")
     axes[1].set_yscale("symlog", linthresh=2.0, linscale=1.5)
     axes[1].set_yticks([-50, -10, -2, 0, 2, 10, 50], ["−50", "−10", "−2", "0", "2", "10", "50"])
     axes[2].set(ylabel="motor speed (rpm)", xlabel="gait cycle (%)", xlim=(0, 100))

@@ -49,6 +49,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     SlidingStudyParameters,
 )
+from kneexo.result import Result
 from kneexo.scenario import changed
 from kneexo.systems.knee_coordinates import rod_derivatives
 from kneexo.systems.reduced_cylinder import PA_PER_MPA
@@ -458,8 +459,8 @@ def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
     )
 
 
-@dataclass(frozen=True)
-class SlidingStudy:
+@dataclass(frozen=True, repr=False)
+class SlidingStudy(Result):
     """What `sliding_study` found; ``needed`` is what the closed forms ask for."""
 
     cases: tuple[SlidingCase, ...]

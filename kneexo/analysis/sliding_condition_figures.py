@@ -65,7 +65,8 @@ def error_bound(study: SlidingStudy) -> Figure:
             error = 1e3 * np.abs(np.array(trace["error_m"]))
             axis.semilogy(trace["time_s"], error, color, lw=1.2, label=LAWS[case.law])
             if case.found["failure"]:
-                axis.plot(trace["time_s"][-1], error[-1], f"{color}x", ms=8)
+                end = {"ms": 8, "label": "leaves the range of motion"}
+                axis.plot(trace["time_s"][-1], error[-1], f"{color}x", **end)
         axis.axhline(bound, color="k", ls="--", lw=1, label=f"Φ/λ² = {bound:g} mm")
         axis.set(xlabel="time (s)", ylabel="|e| (mm)", title=f"{load:g} N, η = {eta:g} m/s³")
         axis.set_ylim(bottom=1e-3)
@@ -87,7 +88,9 @@ def boundary_layer(study: SlidingStudy) -> Figure:
                 label=f"{label}, {load:g} N",
             )
             off = [case.eta_m_s3 for case in cases if case.found["failure"]]
-            ax.plot(off, [_OFF] * len(off), f"C{index}x", ms=8 if load < 0.0 else 5)
+            text = f"{label}, {load:g} N: left the range" if off else None
+            size = 8 if load < 0.0 else 5
+            ax.plot(off, [_OFF] * len(off), f"C{index}x", ms=size, label=text)
     ax.axhline(1.0, color="k", lw=1)
     for value, name in ((study.needed.speed, "speed"), (study.needed.stability, "stability")):
         ax.axvline(value, color="0.5", ls=":", lw=1)

@@ -13,6 +13,7 @@ from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.simulation import Array, Run, needs_runs, period_s, rms, simulate, to_rpm
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
+from kneexo.result import Result, data_frame
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,8 +38,8 @@ TRACKING_FIGURES = (
 """Figures of `TrackingMetrics` that the first four of these signals give."""
 
 
-@dataclass(frozen=True)
-class TrackingMetrics:
+@dataclass(frozen=True, repr=False)
+class TrackingMetrics(Result):
     """Figures of merit of a tracking run.
 
     Errors and commands are insensitive to the solver's step; pressure, power and energy are not
@@ -176,8 +177,8 @@ def track_figures(scenario: Scenario) -> Steps[dict[str, float]]:
     )
 
 
-@dataclass(frozen=True)
-class TrackingResult:
+@dataclass(frozen=True, repr=False)
+class TrackingResult(Result):
     """A tracking run: the scenario, its signals and its metrics."""
 
     scenario: Scenario
@@ -188,6 +189,14 @@ class TrackingResult:
     def error_deg(self) -> Array:
         """θ_d − θ_p in deg, (n,)."""
         return np.degrees(self.run["knee_reference_rad"] - self.run["knee_angle_rad"])
+
+    def to_dataframe(self) -> Any:
+        """Signals of the run and ``error_deg`` as `pandas.DataFrame` over ``time_s``.
+
+        Raises `PackageError` without pandas.
+        """
+        columns = {"time_s": self.run.time_s, **self.run.data, "error_deg": self.error_deg}
+        return data_frame(columns, "time_s")
 
     def plot_angle(self, ax: Axes | None = None) -> Axes:
         """Plot reference and knee angle over time."""
@@ -231,8 +240,11 @@ class TrackingResult:
         ax[2].plot(self.run.time_s, to_rpm(self.run["motor_speed_command_rad_s"]), "C2", lw=0.8)
         ax[2].set(xlabel="time (s)", ylabel="motor speed command (rpm)")
         if limit < 1e6:
-            for sign in (-1, 1):
-                ax[2].axhline(sign * limit, color="0.4", ls=":", lw=1)
+            for sign, label in ((-1, None), (1, f"limit ±{limit:.0f} rpm")):
+                ax[2].axhline(sign * limit, color="0.4", ls=":", lw=1, label=label)
+            low, high = ax[2].get_ylim()
+            ax[2].set_ylim(low, high + 0.25 * (high - low))  # room for the legend
+            ax[2].legend(loc="upper right")
         for upper in ax[:2]:
             upper.set_xlabel("")
         return ax

@@ -24,6 +24,7 @@ from kneexo.analysis.tracking import TRACKING_SIGNALS, tracking_metrics
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.gait import gait_reference, gait_start_percent
 from kneexo.parameters import KneeLoadParameters, Scenario
+from kneexo.result import Result, data_frame
 from kneexo.scenario import changed
 
 WALKING_FIGURES = (
@@ -45,8 +46,8 @@ _HARMONICS = 40  # of a stride, in `linear_error_deg`: beyond lies the rounding 
 _ANGLE_STEP = 1e-5  # rad, of a central difference: 1e-10 of the moment arm
 
 
-@dataclass(frozen=True)
-class WalkingDemand:
+@dataclass(frozen=True, repr=False)
+class WalkingDemand(Result):
     """What one stride asks of the actuator; arrays (n,) from heel contact to heel contact.
 
     Pump and motor without limits, lag or controller. ``segment_inertia``: whether the moving mass
@@ -66,6 +67,14 @@ class WalkingDemand:
     motor_speed_rad_s: Array
     motor_acceleration_rad_s2: Array
     shaft_power_w: Array
+
+    def to_dataframe(self) -> Any:
+        """The signals as `pandas.DataFrame` over ``cycle_percent``.
+
+        Raises `PackageError` without pandas.
+        """
+        columns = {field.name: getattr(self, field.name) for field in fields(self)[2:]}
+        return data_frame(columns, "cycle_percent")
 
     def peaks(self) -> dict[str, float]:
         """Largest absolute value of each signal, mean motor acceleration, energy per cycle."""

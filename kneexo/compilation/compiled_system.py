@@ -44,8 +44,12 @@ class CompiledSystem(LeafSystem):
         """``parameters`` and ``state``: defaults, before the initialization events of the diagram,
         which this system has too. ``integrator``, ``step_s`` and ``tolerance`` as in
         `CompiledModel.simulate`, whose errors each update raises. ``tick_s``: a shorter tick;
-        needed for a model without sample time.
+        needed for a model without sample time, else `ValueError`.
         """
+        if tick_s is None and not model.sample_times_s:
+            raise ValueError("tick_s is needed: the model has no sample time")
+        if tick_s is not None and not 0.0 < tick_s < math.inf:
+            raise ValueError(f"tick_s = {tick_s} s: must be finite and > 0")
         super().__init__()
         self.model = model
         self._options: dict[str, Any] = {

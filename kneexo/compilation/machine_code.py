@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import version
+from multiprocessing import parent_process
 from pathlib import Path
-from threading import RLock
+from threading import RLock, Timer
 
 from kneexo.compilation import cache as entries
 from kneexo.compilation.equations import Equations
@@ -18,6 +21,9 @@ from kneexo.compilation.time_loop import between_text, run_text, start_text
 
 Source = Equations | Callable[[], Equations]
 """Equations, or what reads them when machine code of them must be made."""
+
+ANNOUNCED_AFTER_S = 1.0
+"""A compilation that takes longer is told on stderr."""
 
 _lock = RLock()  # threads may want the same code
 _libraries: dict[str, Library] = {}
@@ -46,7 +52,8 @@ class MachineCode:
             if key not in _layouts:
                 content = entries.load(key)
                 if content is None:
-                    _layouts[key] = self.program.layout
+                    with _announced():
+                        _layouts[key] = self.program.layout
                     entries.store(key, json.dumps(_layouts[key].plain()).encode())
                 else:
                     _layouts[key] = Layout.from_plain(json.loads(content))
@@ -83,7 +90,8 @@ class MachineCode:
             if key not in _libraries:
                 code = entries.load(key)
                 if code is None:
-                    code = compile_text(text())
+                    with _announced():
+                        code = compile_text(text())
                     entries.store(key, code)
                 _libraries[key] = Library(code)
             return _libraries[key]
@@ -91,6 +99,22 @@ class MachineCode:
     def _entry(self, part: str) -> str:
         """Key of a part: everything that makes its bytes."""
         return "\n".join((self.key, _sources(), processor().key, part))
+
+
+@contextmanager
+def _announced() -> Iterator[None]:
+    """A line on stderr when the body takes more than a second; worker processes are silent."""
+    if parent_process() is not None:
+        yield
+        return
+    line = f"compiling equations; machine code is kept in {entries.cache_directory()}"
+    timer = Timer(ANNOUNCED_AFTER_S, lambda: print(line, file=sys.stderr, flush=True))  # noqa: T201
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 @cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -11,7 +10,9 @@ from threading import local
 from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import System
 
+from kneexo.compilation.cores import available_cores
 from kneexo.compilation.equations import Equations, Node, read_equations
 from kneexo.compilation.machine_code import MachineCode, equations_key
 from kneexo.compilation.native import LANES
@@ -28,10 +29,16 @@ from kneexo.compilation.runner import (
     require_shape,
 )
 from kneexo.compilation.time_loop import NOT_FINITE, OK, TOO_ROUGH
-from kneexo.errors import KneexoError, ParameterError, SimulationError, StiffnessError
+from kneexo.errors import (
+    CompilationError,
+    KneexoError,
+    ParameterError,
+    SimulationError,
+    StiffnessError,
+)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Simulation:
     """Recorded outputs of one run: ``time_s`` (n,), each output (n, size), and the last state."""
 
@@ -42,6 +49,10 @@ class Simulation:
     def __getitem__(self, output: str) -> Array:
         """The output port of that name, (n, size)."""
         return self.outputs[output]
+
+    def __repr__(self) -> str:
+        """Number of records, and names of the outputs."""
+        return f"Simulation({self.time_s.size} records of {', '.join(self.outputs) or 'nothing'})"
 
 
 @dataclass(frozen=True)
@@ -334,11 +345,26 @@ class CompiledModel:
         record = runner.records_between(kept, batch.inputs[0], times, places.astype(np.int64))
         return self._simulation(runner, times, record[0], final)
 
-    def as_system(self, parameters: Array, state: State, **options: Any) -> Any:
-        """The model as a leaf system for Drake's Simulator: `CompiledSystem`."""
+    def as_system(
+        self, parameters: Array, state: State, *, tick_s: float | None = None, **options: Any
+    ) -> Any:
+        """The model as a leaf system for Drake's Simulator: `CompiledSystem`.
+
+        ``tick_s``: period of its updates; `ValueError` without it when the model has no sample
+        time.
+        """
         from kneexo.compilation.compiled_system import CompiledSystem
 
-        return CompiledSystem(self, parameters, state, **options)
+        return CompiledSystem(self, parameters, state, tick_s=tick_s, **options)
+
+    def __repr__(self) -> str:
+        """Sizes, and names of inputs and outputs."""
+        return (
+            f"{type(self).__name__}({len(self.parameter_names)} parameters, "
+            f"{len(self.state_names)} continuous and {len(self.held_names)} discrete states, "
+            f"inputs: {', '.join(self.inputs) or 'none'}, outputs: "
+            f"{', '.join(self.outputs) or 'none'})"
+        )
 
     def fault(
         self, outcome: Sequence[int], timing: Timing, parameters: Array, state: State
@@ -433,7 +459,7 @@ def _in_threads(
     function: Callable[[list[int]], Any], items: Sequence[list[int]], threads: int | None
 ) -> Iterator[Any]:
     """Results in the order of ``items``."""
-    count = len(os.sched_getaffinity(0)) if threads is None else threads
+    count = available_cores() if threads is None else threads
     if count == 1 or len(items) == 1:
         yield from map(function, items)
         return
@@ -486,6 +512,27 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
     Raises
     ------
     CompilationError
-        Names the subsystem and port that cannot be converted.
+        Names the subsystem and port that cannot be converted; ``diagram`` is something else.
     """
-    return DiagramModel(diagram, read_equations(diagram, tuple(inputs)))
+    if not isinstance(diagram, System):
+        raise CompilationError(
+            f"{type(diagram).__name__} {diagram!r:.60}: cannot be compiled; must be a Diagram or "
+            f"leaf system of floats"
+        )
+    name = diagram.get_name() or type(diagram).__name__
+    ports = [diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports())]
+    open_ports = (inputs,) if isinstance(inputs, str) else tuple(inputs)
+    for port in open_ports:
+        if port not in ports:
+            raise CompilationError(
+                f"{name}: has no input port {port!r}; it has {', '.join(ports) or 'none'}"
+            )
+    try:
+        equations = read_equations(diagram, open_ports)
+    except CompilationError as error:
+        # A single leaf system has no path, and a port is not known to be one of `inputs`.
+        text = f"{name}{error}" if str(error).startswith(": ") else str(error)
+        if "is not connected" in text:
+            text += "; connect it, or name the diagram's port in inputs"
+        raise CompilationError(text) from error
+    return DiagramModel(diagram, equations)

@@ -19,7 +19,7 @@ from kneexo import systems
 from kneexo.diagrams.plant import FULL_ORDER_OUTPUTS, make_plant
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
-from kneexo.systems.knee_reference import reference_range_deg, start_angle_rad
+from kneexo.systems.knee_reference import require_reference_in_range, start_angle_rad
 
 SIGNALS = {
     "knee_reference": (
@@ -114,8 +114,7 @@ def make_closed_loop(
     Raises `ParameterError` when the reference leaves the range of motion or a signal is unknown,
     `LinkageError` when the linkage cannot be assembled.
     """
-    # The scenario has checked the samples; a spline may pass them.
-    scenario.plant.knee.require_in_range(*reference_range_deg(scenario.reference))
+    require_reference_in_range(scenario.reference, scenario.plant.knee)
     names = chosen_signals(scenario, signals)
     builder = DiagramBuilder()
 

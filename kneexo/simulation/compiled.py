@@ -111,6 +111,8 @@ def structure_key(scenario: Scenario) -> str:
     if scenario.nominal is None:
         kept["nominal"] = kept["plant"]
     kept.pop("simulation", None)  # says how to run, not what
+    if isinstance(scenario.reference, SampledReference):
+        kept["reference"] = scenario.reference.kind  # an input, however it is interpolated
     return _key(tuple(kept.items()))
 
 
@@ -274,13 +276,12 @@ _NO_INPUTS = InputTable()
 
 @lru_cache(maxsize=64)
 def reference_table(reference: SampledReference) -> InputTable:
-    """The spline of a sampled reference and its derivatives; constant before and after."""
+    """The curve of a sampled reference and its derivatives; constant before and after."""
     return input_table(knee_reference.sampled_spline(reference), derivatives=3)
 
 
 def _require_reference_in_range(scenario: Scenario) -> None:
-    reached = knee_reference.reference_range_deg(scenario.reference)
-    scenario.plant.knee.require_in_range(*reached)
+    knee_reference.require_reference_in_range(scenario.reference, scenario.plant.knee)
 
 
 def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:

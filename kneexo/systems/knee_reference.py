@@ -22,8 +22,10 @@ from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
+from kneexo.errors import ParameterError
 from kneexo.linkage import polynomial, polynomial_derivative
 from kneexo.parameters import (
+    KneeParameters,
     RampReference,
     SampledReference,
     SineReference,
@@ -188,8 +190,8 @@ def make_knee_reference(
 ) -> Any:
     """The reference system of a parameter class.
 
-    Samples are joined by a cubic spline with continuous acceleration; the first and last angle
-    hold outside. That one is a `TrajectorySource`, which has no symbolic form.
+    Samples are joined as their ``interpolation`` says; the first and last angle hold outside. That
+    one is a `TrajectorySource`, which has no symbolic form.
     """
     if isinstance(parameters, SineReference):
         return SineKneeReference_[None](parameters)
@@ -204,10 +206,13 @@ def make_knee_reference(
 
 @lru_cache(maxsize=64)
 def sampled_spline(parameters: SampledReference) -> Any:
-    """Drake's cubic spline through the samples, in rad."""
-    return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
-        np.array(parameters.times_s), np.radians([parameters.angles_deg])
-    )
+    """Drake's piecewise polynomial through the samples, in rad."""
+    interpolate = {
+        "cubic": PiecewisePolynomial.CubicWithContinuousSecondDerivatives,
+        "pchip": PiecewisePolynomial.CubicShapePreserving,
+        "linear": PiecewisePolynomial.FirstOrderHold,
+    }[parameters.interpolation]
+    return interpolate(np.array(parameters.times_s), np.radians([parameters.angles_deg]))
 
 
 @lru_cache(maxsize=64)
@@ -237,6 +242,28 @@ def reference_range_deg(
         times += [start + t.real for t in roots if t.imag == 0.0 and 0.0 < t.real < end - start]
     angles = np.degrees(spline.vector_values(times)[0])
     return float(angles.min()), float(angles.max())
+
+
+def require_reference_in_range(
+    parameters: SineReference | StepReference | RampReference | SampledReference,
+    knee: KneeParameters,
+) -> None:
+    """`ParameterError` when a reference leaves the range of motion.
+
+    Samples must lie within it; the curve between them may pass it by ``knee.overshoot_deg``.
+    """
+    knee.require_in_range(*parameters.range_deg)
+    if not isinstance(parameters, SampledReference):
+        return
+    low, high = reference_range_deg(parameters)
+    slack = knee.overshoot_deg + 1e-9
+    if low < knee.flexion_min_deg - slack or high > knee.flexion_max_deg + slack:
+        raise ParameterError(
+            f"reference = {low:.4g} … {high:.4g} deg between its samples: the interpolation "
+            f"{parameters.interpolation} passes the range of motion {knee.flexion_min_deg:g} … "
+            f"{knee.flexion_max_deg:g} deg by more than overshoot_deg = {knee.overshoot_deg:g} "
+            f"deg; take interpolation: pchip, or reduce the reference"
+        )
 
 
 __getattr__ = instances_of_float(__name__)

@@ -1,10 +1,12 @@
+import math
+
 import numpy as np
 import pytest
 
 from kneexo.analysis import fit_polynomials
 from kneexo.analysis.simulation import rms
 from kneexo.errors import LinkageError
-from kneexo.parameters import G2, LinkageParameters
+from kneexo.parameters import G2, G4, LinkageParameters, RodPolynomialParameters
 
 
 def test_the_linkage_agrees_with_table_1():
@@ -37,3 +39,24 @@ def test_a_linkage_that_cannot_be_assembled_is_refused():
 def test_the_plot_has_the_two_maps_of_fig_5():
     axes = fit_polynomials().plot()
     assert [ax.get_xlabel() for ax in axes] == ["knee angle θ_p (deg)", "rod extension x (mm)"]
+
+
+def test_quintics_fitted_to_g4_leave_the_printed_errors_of_fig_5():
+    fit = fit_polynomials(G4, start_deg=5.0, samples=204)
+    assert fit.angle_deg[[0, -1]].tolist() == [5.0, 90.0]
+    assert fit.degrees_of_freedom == 198
+    assert fit.p_sse_mm2 == pytest.approx(0.1740, abs=5e-5)
+    assert fit.q_sse_deg2 == pytest.approx(1.2533, abs=5e-5)
+    # Fig. 5 prints 0.1781 mm² and 1.241 deg².
+    assert fit.p_sse_mm2 == pytest.approx(0.1781, rel=0.03)
+    assert fit.q_sse_deg2 == pytest.approx(1.241, rel=0.02)
+    assert math.sqrt(fit.p_sse_mm2 / 198) == pytest.approx(0.03, abs=5e-4)
+    assert math.sqrt(fit.q_sse_deg2 / 198) == pytest.approx(0.0792, abs=5e-4)
+
+
+def test_no_evenly_spaced_data_over_0_to_90_meet_table_1_and_its_inverse_error():
+    """x(θ) of Table 1 itself, inverted and refitted, errs by more than the paper prints."""
+    angle = np.linspace(0.0, 90.0, 204)
+    rod = np.polyval(RodPolynomialParameters().p_mm_deg, angle)
+    error = angle - np.polynomial.Polynomial.fit(rod, angle, 5)(rod)
+    assert np.sum(error**2) == pytest.approx(4.17, abs=0.01)

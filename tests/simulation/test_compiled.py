@@ -363,7 +363,6 @@ def test_an_output_that_is_not_finite_ends_a_run(integrator):
     simulate(broken, signals=("rod_extension",))  # which does not depend on it
 
 
-@pytest.mark.xfail(strict=True, reason="times are whole numbers of ticks of T/3")
 def test_records_have_whole_numbers_of_sample_times():
     sample_time_s = 0.005
     run = simulate(
@@ -374,3 +373,23 @@ def test_records_have_whole_numbers_of_sample_times():
         signals=("knee_angle",),
     )
     np.testing.assert_array_equal(run.time_s, sample_time_s * np.arange(201))
+
+
+def test_interpolations_of_samples_share_a_model():
+    samples = {"times_s": (0.0, 0.1, 0.2), "angles_deg": (20.0, 20.2, 20.1)}
+    time = np.arange(0.0, 0.1001, 0.002)
+    keys = set()
+    for interpolation in ("cubic", "pchip", "linear"):
+        reference = SampledReference(**samples, interpolation=interpolation)
+        scenario = Scenario(reference=reference, simulation=SimulationParameters(duration_s=0.1))
+        keys.add(structure_key(scenario))
+        run = simulate_compiled(scenario, signals=["knee_reference"])
+        curve = make_knee_reference(reference)
+        context = curve.CreateDefaultContext()
+        expected = []
+        for t in run.time_s:
+            context.SetTime(t)
+            expected.append(curve.get_output_port().Eval(context)[0])
+        assert run.time_s == pytest.approx(time)
+        assert run["knee_reference_rad"] == pytest.approx(expected, abs=1e-14)
+    assert len(keys) == 1

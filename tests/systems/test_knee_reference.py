@@ -5,14 +5,20 @@ import pytest
 from pydrake.autodiffutils import AutoDiffXd
 
 from kneexo.errors import ParameterError
-from kneexo.parameters import RampReference, SampledReference, SineReference, StepReference
+from kneexo.parameters import (
+    KneeParameters,
+    RampReference,
+    SampledReference,
+    SineReference,
+    StepReference,
+)
 from kneexo.systems import (
     RampKneeReference,
     SineKneeReference,
     StepKneeReference,
     make_knee_reference,
 )
-from kneexo.systems.knee_reference import reference_range_deg
+from kneexo.systems.knee_reference import reference_range_deg, require_reference_in_range
 
 TIMES = (0.0, 0.3, 0.5, 1.1, 1.4, 2.0)
 ANGLES = (5.0, 30.0, 62.0, 20.0, 18.0, 40.0)
@@ -283,3 +289,48 @@ def test_unknown_or_nan_context_parameter_is_refused(kind, parameters, change):
         system.set_parameter(context, "phase", 1.0)
     with pytest.raises(ValueError, match=f"{change[0]} = nan: must be finite"):
         system.set_parameter(context, change[0], math.nan)
+
+
+# ------------------------------------------------------------------------ interpolation
+
+STOP = {"times_s": (0.0, 1.0, 2.0, 3.0, 4.0), "angles_deg": (0.0, 0.0, 90.0, 90.0, 40.0)}
+
+
+def interpolated(interpolation, **values):
+    return SampledReference(**STOP | values, interpolation=interpolation)
+
+
+def test_linear_interpolation_joins_samples_by_straight_lines():
+    values = references(make_knee_reference(interpolated("linear")), [0.5, 1.25, 3.5])
+    angles = np.radians([0.0, 22.5, 65.0])
+    assert values[:, 0] == pytest.approx(angles, abs=1e-14)
+    assert values[:, 1] == pytest.approx(np.radians([0.0, 90.0, -50.0]), abs=1e-13)
+    assert not values[:, 2:].any()
+
+
+def test_pchip_interpolation_stays_within_its_samples():
+    parameters = interpolated("pchip")
+    assert reference_range_deg(parameters) == pytest.approx((0.0, 90.0), abs=1e-12)
+    values = references(make_knee_reference(parameters), [0.5, 1.5, 2.5])
+    # Between horizontal ends: a smoothstep, half way at 1.5 times the mean rate.
+    assert np.degrees(values[1, :2]) == pytest.approx([45.0, 135.0])
+    assert np.degrees(values[[0, 2], 0]) == pytest.approx([0.0, 90.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("interpolation", ["pchip", "linear"])
+def test_a_reference_may_touch_the_stops(interpolation):
+    require_reference_in_range(interpolated(interpolation), KneeParameters())
+
+
+def test_a_curve_that_passes_the_stops_names_its_interpolation():
+    with pytest.raises(ParameterError, match=r"interpolation cubic .* overshoot_deg = 0.5 deg; "):
+        require_reference_in_range(interpolated("cubic"), KneeParameters())
+
+
+def test_a_curve_may_pass_the_stops_by_the_overshoot():
+    small = interpolated("cubic", angles_deg=(0.0, 0.0, 1.0, 1.0, 0.5))
+    low, _ = reference_range_deg(small)
+    assert -0.5 < low < -0.01
+    require_reference_in_range(small, KneeParameters())
+    with pytest.raises(ParameterError, match="interpolation cubic"):
+        require_reference_in_range(small, KneeParameters(overshoot_deg=0.0))

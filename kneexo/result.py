@@ -1,0 +1,78 @@
+"""What results share: a short text, a table for notebooks, and data frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from kneexo.errors import PackageError
+
+_LONGEST = 60  # characters of one value
+
+
+class Result:
+    """Base of result dataclasses, which are made with ``repr=False``.
+
+    ``repr`` names each field in a few words: a number by its value, an array by its shape. In a
+    notebook the same stands in a table.
+    """
+
+    def __repr__(self) -> str:
+        """One line."""
+        values = ", ".join(f"{name}={text}" for name, text in _texts(self))
+        return f"{type(self).__name__}({values})"
+
+    def _repr_html_(self) -> str:
+        """A table with a row for each field."""
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(text)}</td></tr>"
+            for name, text in _texts(self)
+        )
+        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
+
+
+def _texts(result: Any) -> Iterable[tuple[str, str]]:
+    """Name and short text of each field of a dataclass."""
+    return ((field.name, short(getattr(result, field.name))) for field in fields(result))
+
+
+def short(value: Any) -> str:
+    """A value in a few words."""
+    if isinstance(value, float | complex | np.floating):
+        return f"{value:.6g}"
+    if isinstance(value, np.ndarray):
+        return f"array{value.shape}"
+    if isinstance(value, Mapping):
+        return _counted(value, "{", "}")
+    text = repr(value)
+    if len(text) <= _LONGEST:
+        return text
+    if isinstance(value, Result):
+        return f"{type(value).__name__}(…)"
+    if isinstance(value, tuple | list):
+        return f"{len(value)} × {type(value[0]).__name__}"
+    return f"{text[: _LONGEST - 1]}…"
+
+
+def _counted(value: Mapping[Any, Any], left: str, right: str) -> str:
+    """The names of a mapping, the first of many."""
+    names = ", ".join(str(name) for name in list(value)[:3])
+    more = f", … {len(value)} names" if len(value) > 3 else ""
+    return f"{left}{names}{more}{right}"
+
+
+def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
+    """A `pandas.DataFrame` of columns by name, each (n,); ``index``: the column that is the index.
+
+    Raises `PackageError` when pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise PackageError("to_dataframe needs pandas: pip install pandas") from None
+    frame = pandas.DataFrame(dict(columns))
+    return frame if index is None else frame.set_index(index)

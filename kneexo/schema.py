@@ -1,0 +1,82 @@
+"""JSON schema of scenario files, for editors and other programs.
+
+pydantic makes it from the parameter classes; this module adds what a scenario file may write in
+place of a mapping, and a description of each value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic.json_schema import models_json_schema
+
+from kneexo.parameters import LINKAGES, CsvReference, GaitReference, Scenario
+
+DRAFT = "http://json-schema.org/draft-07/schema#"
+"""The draft that editors know; nothing in the schema needs a later one."""
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema of a scenario file (draft 7).
+
+    Each value has ``unit``, ``source`` and a ``description`` with unit, range and source. What no
+    single value shows, such as a reference that leaves the range of motion, `load_scenario` alone
+    finds.
+    """
+    models: Any = [(model, "validation") for model in (Scenario, CsvReference, GaitReference)]
+    classes = models_json_schema(models)[1]["$defs"]
+    scenario = classes.pop("Scenario")
+    references = scenario["properties"]["reference"]
+    references["oneOf"] += [
+        {"$ref": "#/$defs/CsvReference"},
+        {"$ref": "#/$defs/GaitReference"},
+        {"const": "gait"},
+    ]
+    linkages = classes["PlantParameters"]["properties"]["linkage"]
+    linkages["anyOf"] = [{"enum": list(LINKAGES)}, {"$ref": linkages.pop("$ref")}]
+    for model in (scenario, *classes.values()):
+        for value in model.get("properties", {}).values():
+            _require_kinds(value, classes)
+            for part in _parts(value):
+                _without_prefix_items(part)
+            if text := _description(value):
+                value["description"] = text
+    return {"$schema": DRAFT, **scenario, "$defs": classes}
+
+
+def _require_kinds(value: dict[str, Any], classes: dict[str, Any]) -> None:
+    """All members of a union but the default one must say their kind."""
+    if value.pop("discriminator", None) is None:
+        return
+    default = value["default"]["kind"]
+    for member in value["oneOf"]:
+        model = classes.get(member.get("$ref", "").removeprefix("#/$defs/"))
+        if model is not None and model["properties"]["kind"]["const"] != default:
+            model["required"] = ["kind", *model.get("required", [])]
+
+
+def _parts(value: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """A schema and its alternatives."""
+    yield value
+    yield from (part for key in ("anyOf", "oneOf") for part in value.get(key, []))
+
+
+def _without_prefix_items(value: dict[str, Any]) -> None:
+    """Tuples of equal items as arrays of a fixed length, which draft 7 knows."""
+    items = value.pop("prefixItems", None)
+    if items is not None:
+        value["items"] = items[0]
+
+
+def _description(value: dict[str, Any]) -> str:
+    """Unit, range and source of a value in one line; empty when it has none."""
+    if "source" not in value:
+        return ""
+    bounds = [
+        f"{sign} {value[key]:g}"
+        for key, sign in (("minimum", ">="), ("exclusiveMinimum", ">"), ("maximum", "<="))
+        if key in value
+    ]
+    unit = "" if value["unit"] == "1" else value["unit"]
+    return "; ".join(part for part in (unit, " and ".join(bounds), value["source"]) if part)

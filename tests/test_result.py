@@ -1,0 +1,168 @@
+"""Results as text, as tables for notebooks, and as data frames; parameters as short text."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import types
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import kneexo.analysis
+from kneexo.analysis import FrequencyResponse, linearize_loop, linearize_plant, track
+from kneexo.analysis.polynomial_fit import fit_polynomials
+from kneexo.analysis.walking import walking_demand
+from kneexo.errors import PackageError
+from kneexo.parameters import (
+    G2,
+    UNCERTAINTY,
+    CylinderParameters,
+    LinkageParameters,
+    PlantParameters,
+    SampledReference,
+    Scenario,
+    SimulationParameters,
+    SineReference,
+    SinestreamParameters,
+)
+from kneexo.result import Result, data_frame, short
+
+SHORT = Scenario(
+    reference=SineReference(frequency_hz=1.0, amplitude_deg=2.0),
+    simulation=SimulationParameters(duration_s=1.2),
+)
+
+
+class Frame(dict):
+    """What a data frame is to these tests."""
+
+    index = None
+
+    def set_index(self, name):
+        self.index = name
+        return self
+
+
+@pytest.fixture
+def pandas(monkeypatch):
+    module = types.ModuleType("pandas")
+    module.DataFrame = Frame
+    monkeypatch.setitem(sys.modules, "pandas", module)
+
+
+@pytest.fixture(scope="module")
+def tracked():
+    return track(SHORT)
+
+
+@dataclass(frozen=True, repr=False)
+class Example(Result):
+    gain: float
+    values: np.ndarray
+    by_name: dict[str, int]
+    many: tuple[int, ...]
+
+
+EXAMPLE = Example(1.0 / 3.0, np.zeros((2, 3)), dict.fromkeys("abcd", 1), tuple(range(100)))
+
+
+def test_repr_names_each_field_in_a_few_words():
+    assert repr(EXAMPLE) == (
+        "Example(gain=0.333333, values=array(2, 3), by_name={a, b, c, … 4 names}, many=100 × int)"
+    )
+
+
+def test_notebooks_get_a_table_with_a_row_a_field():
+    html = EXAMPLE._repr_html_()
+    assert html.count("<tr>") == 4
+    assert "<td>0.333333</td>" in html
+    escaped = Example(0.0, np.zeros(1), {"<b>": 1}, ())
+    assert "<b>" not in escaped._repr_html_()
+
+
+def test_results_of_a_run_are_short(tracked):
+    assert len(repr(tracked.run)) < 200
+    assert len(repr(tracked)) < 400
+    assert "max_error_deg=" in repr(tracked.metrics)
+    assert short(tracked) == "TrackingResult(…)"
+
+
+@pytest.mark.parametrize("name", kneexo.analysis.__all__)
+def test_no_signature_prints_a_whole_scenario(name):
+    thing = getattr(kneexo.analysis, name)
+    if not inspect.isclass(thing):
+        assert len(str(inspect.signature(thing))) < 700
+
+
+# ------------------------------------------------------------------------- data frames
+
+
+def test_a_run_becomes_a_frame_over_time_with_units(pandas, tracked):
+    for result in (tracked.run, tracked):
+        frame = result.to_dataframe()
+        assert frame.index == "time_s"
+        assert {"time_s", "knee_angle_rad", "load_pressure_pa"} <= set(frame)
+        assert frame["knee_angle_rad"] is tracked.run["knee_angle_rad"]
+    assert frame["error_deg"] == pytest.approx(tracked.error_deg)
+
+
+def test_a_frequency_response_becomes_a_frame(pandas):
+    response = np.array([[1.0, 0.5j], [1.0, 0.7j]])
+    result = FrequencyResponse(
+        np.array([1.0, 2.0]), response, 1.5, 45.0, (), Scenario(), SinestreamParameters()
+    )
+    frame = result.to_dataframe()
+    assert frame.index == "frequency_hz"
+    assert frame["gain"] == pytest.approx([1.0, 0.6])
+    assert frame["gain_2"] == pytest.approx([1.0, 0.7])
+    assert frame["phase_1_deg"] == pytest.approx(frame["phase_deg"])
+
+
+@pytest.mark.parametrize("make", [fit_polynomials, lambda: walking_demand(Scenario())])
+def test_columns_end_in_their_unit(pandas, make):
+    frame = make().to_dataframe()
+    assert len({np.size(column) for column in frame.values()}) == 1
+    units = ("_deg", "_mm", "_percent", "_s", "_m_s2", "_n", "_pa", "_m3_s", "_rad_s2", "_w")
+    assert [name for name in frame if not name.endswith((*units, "_rad_s"))] == []
+
+
+def test_a_missing_pandas_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(PackageError, match=r"^to_dataframe needs pandas: pip install pandas$"):
+        data_frame({"a": [1]})
+
+
+# ------------------------------------------------------------------------- state spaces
+
+
+def test_state_spaces_have_names():
+    plant = linearize_plant(outputs=("knee_angle", "load_pressure")).to_control()
+    assert plant.input_labels == ["motor_speed_command_rad_s"]
+    assert plant.output_labels == ["knee_angle_rad", "load_pressure_pa"]
+    assert plant.state_labels == ["motor.x[0]", "cylinder.x[0]", "cylinder.x[1]", "cylinder.x[2]"]
+    loop = linearize_loop(Scenario()).to_control()
+    assert loop.input_labels == ["motor_speed_command_rad_s"]
+    assert loop.output_labels == ["returned_command_rad_s"]
+    assert loop.state_labels[0] == "plant[0]"
+    assert loop.state_labels[-1].startswith("controller[")
+
+
+# --------------------------------------------------------------------------- parameters
+
+
+def test_parameters_show_what_differs_from_the_defaults():
+    assert repr(Scenario()) == str(Scenario()) == "Scenario()"
+    scenario = Scenario(plant=PlantParameters(cylinder=CylinderParameters(mass_kg=1.8), linkage=G2))
+    shown = "Scenario(plant=PlantParameters(cylinder=CylinderParameters(mass_kg=1.8), linkage=G2))"
+    assert repr(scenario) == shown
+    assert eval(shown) == scenario
+    assert repr(LinkageParameters(a_3_m=0.018)) == "LinkageParameters(a_3_m=0.018)"
+    assert repr(UNCERTAINTY) == f"UncertaintySet({len(UNCERTAINTY.values)} values)"
+
+
+def test_long_samples_are_shortened():
+    times = tuple(float(n) for n in range(9))
+    shown = repr(SampledReference(times_s=times, angles_deg=times))
+    assert "times_s=(0.0, 1.0, …, 8.0: 9 values)" in shown
