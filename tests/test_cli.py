@@ -50,7 +50,7 @@ def test_a_stream_without_greek_letters_gets_escapes():
     done = run_command("params", "--json", stdout=subprocess.PIPE, env=environment)
     assert done.returncode == 0
     assert not done.stderr
-    assert any(row["unit"] == "m/s²" for row in json.loads(done.stdout))
+    assert any(row["unit"] == "m/s²" for row in json.loads(done.stdout)["parameters"])
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["params"], ["params", "--yaml"]])
