@@ -829,11 +829,11 @@ def delayed(a, b, gain, samples):
 
 def test_the_phase_in_a_bode_plot_starts_below_90_deg():
     # L = g T²/2 (z + 1)/(z − 1)² z⁻ⁿ turns by −180° − (n + ½) ωT: the first angle is +179.9°.
-    loop = delayed(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 50.0, 1)
+    loop = delayed(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 50.0, 2)
     magnitude, phase = loop.plot()
     f, values = (part[:-1] for part in phase.lines[0].get_data())  # L is zero at Nyquist
     omega = 2.0 * math.pi * f
-    assert values == pytest.approx(-180.0 - 1.5 * np.degrees(omega * T), abs=1e-3)
+    assert values == pytest.approx(-180.0 - 2.5 * np.degrees(omega * T), abs=1e-3)
     assert f.max() == pytest.approx(250.0, rel=0.01)
     gain = 50.0 * T**2 / 4.0 * np.cos(0.5 * omega * T) / np.sin(0.5 * omega * T) ** 2
     assert magnitude.lines[0].get_ydata()[:-1] == pytest.approx(20.0 * np.log10(gain), abs=1e-3)
