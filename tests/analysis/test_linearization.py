@@ -807,15 +807,16 @@ def test_the_delay_margin_is_the_smallest_of_all_crossings(loops, margins, name)
     assert margins[name].delay_margin_s == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("delay", [0, 2])
-def test_the_phase_margin_of_a_delayed_integrator_is_that_of_the_closed_form(delay):
-    # L = g z⁻ⁿ/(z − 1) has |L| = 1 at 2 sin(ωT/2) = g, and there the phase −90° − (n + ½) ωT.
-    g, size = 1.2, delay + 1
-    loop = SampledLoop(
-        a=np.array([[0.0]]),
-        b=np.array([[1.0 / T]]),
-        c=np.array([[1.0]]),
-        g_x=-g * np.eye(size)[:, :1],
+def delayed(a, b, gain, samples):
+    """The first state of a plant, fed back with a gain after a delay."""
+    size = samples + 1
+    g_x = np.zeros((size, len(a)))
+    g_x[0, 0] = -gain
+    return SampledLoop(
+        a=a,
+        b=b,
+        c=np.eye(1, len(a)),
+        g_x=g_x,
         g_z=np.eye(size, k=-1),
         g_r=np.zeros((size, 4)),
         c_u=np.eye(size)[-1:],
@@ -824,6 +825,25 @@ def test_the_phase_margin_of_a_delayed_integrator_is_that_of_the_closed_form(del
         knee_angle_rad=0.0,
         scenario=Scenario(),
     )
+
+
+def test_the_phase_in_a_bode_plot_starts_below_90_deg():
+    # L = g T²/2 (z + 1)/(z − 1)² z⁻ⁿ turns by −180° − (n + ½) ωT: the first angle is +179.9°.
+    loop = delayed(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 50.0, 2)
+    magnitude, phase = loop.plot()
+    f, values = (part[:-1] for part in phase.lines[0].get_data())  # L is zero at Nyquist
+    omega = 2.0 * math.pi * f
+    assert values == pytest.approx(-180.0 - 2.5 * np.degrees(omega * T), abs=1e-3)
+    assert f.max() == pytest.approx(250.0, rel=0.01)
+    gain = 50.0 * T**2 / 4.0 * np.cos(0.5 * omega * T) / np.sin(0.5 * omega * T) ** 2
+    assert magnitude.lines[0].get_ydata()[:-1] == pytest.approx(20.0 * np.log10(gain), abs=1e-3)
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_the_phase_margin_of_a_delayed_integrator_is_that_of_the_closed_form(delay):
+    # L = g z⁻ⁿ/(z − 1) has |L| = 1 at 2 sin(ωT/2) = g, and there the phase −90° − (n + ½) ωT.
+    g = 1.2
+    loop = delayed(np.array([[0.0]]), np.array([[1.0 / T]]), g, delay)
     angle = 2.0 * math.asin(0.5 * g)
     margin = 90.0 - math.degrees((delay + 0.5) * angle)
     m = loop.margins()

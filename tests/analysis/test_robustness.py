@@ -3,6 +3,7 @@
 Most tests put a formula in the place of `assess`, so that the worst corner is known beforehand.
 """
 
+import dataclasses
 import itertools
 import json
 import math
@@ -688,14 +689,18 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
 
 
 def test_nyquist_draws_the_loops_of_the_samples(by_hand):
-    (ax,) = by_hand.figures()["robustness_nyquist"].axes
+    unstable = visit(1.2, 1.7, None, None, stable=False, disk_margin=math.nan)
+    one_at_a_time = (*by_hand.one_at_a_time[:-1], unstable)
+    done = dataclasses.replace(by_hand, one_at_a_time=one_at_a_time)
+    (ax,) = done.figures()["robustness_nyquist"].axes
     for line, sample in zip(ax.lines, by_hand.samples[: FEW.nyquist_loops], strict=False):
         loop = linearize_loop(realize(UNCERTAIN_KNEE, SMALL, sample.values), 40.0)
         expected = loop.loop_response(np.geomspace(0.02, 250.0, 2000))
         assert line.get_xdata() == pytest.approx(expected.real)
         assert line.get_ydata() == pytest.approx(expected.imag)
     assert ax.get_title().startswith("3 samples, blue")
-    # The disk is that of the plant with the least disk margin.
+    assert ax.get_title().endswith("\n1 of 16 plants are unstable (red)")
+    # The disk is that of the stable plant with the least disk margin.
     least = linearize_loop(realize(UNCERTAIN_KNEE, SMALL, by_hand.corners[1].values), 40.0)
     assert ax.patches[0].get_label() == f"disk margin {least.margins().disk_margin:.3g}"
 
