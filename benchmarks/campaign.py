@@ -345,6 +345,8 @@ def main() -> int:
     options = parser.parse_args()
     if unknown := set(options.parts) - set(PARTS):
         parser.error(f"PART = {', '.join(unknown)}: must be of {', '.join(PARTS)}")
+    # A shell makes what it starts in the background ignore SIGINT; our commands must not.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     violations = 0
     print(f"seed {options.seed}\n| part | what | count |\n|---|---|---|")
     for name, part in campaign(options.parts or list(PARTS), options.seed, options.count):
