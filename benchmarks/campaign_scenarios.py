@@ -65,6 +65,9 @@ BUILT_IN = (
     changed(Scenario(), {"reference": SAMPLES, "can_delay_samples": 2}),
 )
 
+CHOSEN = ("sample_time_s", "duration_s", "step_s")
+"""Numbers that structures and lengths of runs decide."""
+
 # ---------------------------------------------------------------------------------- files
 
 WORDS = (
@@ -166,7 +169,7 @@ def numbers(holder: Parameters, path: str = "") -> Iterator[tuple[str, float, fl
         value = getattr(holder, name)
         if isinstance(value, Parameters):
             yield from numbers(value, f"{path}{name}.")
-        elif isinstance(value, float) and name not in ("sample_time_s", "duration_s"):
+        elif isinstance(value, float) and name not in CHOSEN:
             low, high = -math.inf, math.inf
             for bound in field.metadata:
                 low = max(low, getattr(bound, "ge", low), getattr(bound, "gt", low))
@@ -198,7 +201,7 @@ def structure(rng: random.Random) -> Scenario:
         "controller": controller,
         "can_delay_samples": 0 if controller.get("continuous") else rng.choice((0, 0, 1, 10)),
         "reference": SAMPLES if kind == "samples" else {"kind": kind},
-        "simulation.integrator": rng.choice(("exact_hold", "exact_hold", "exact_hold", "rk4")),
+        "simulation.integrator": rng.choice(("exact_hold",) * 10 + ("rk4",) * 3 + ("radau3",)),
     }
     if rng.random() < 0.2:
         values["nominal"] = {"linkage": rng.choice(("G1", "G2"))}
@@ -209,7 +212,9 @@ def with_duration(scenario: Scenario, rng: random.Random) -> Scenario:
     """The scenario with a short duration: of a few thousand samples at most, of two at least."""
     sample_time = scenario.controller.sample_time_s
     duration = max(2.0 * sample_time, min(rng.uniform(0.05, 0.5), 3000.0 * sample_time))
-    return changed(scenario, {"simulation.duration_s": duration})
+    # Drake takes the step only where it would not take minutes.
+    step = rng.choice((1e-6, 1e-4, 1.0)) if scenario.simulation.compiled else 0.002
+    return changed(scenario, {"simulation.duration_s": duration, "simulation.step_s": step})
 
 
 def corners(templates: Sequence[Scenario], seed: int) -> Iterator[tuple[str, Scenario | None]]:
@@ -233,7 +238,7 @@ def randoms(
         found = [row for row in numbers(template) if links or ".linkage." not in row[0]]
         values = {
             path: drawn(rng, value, low, high)
-            for path, value, low, high in rng.sample(found, rng.choice((1, 2, 3, 5, 10)))
+            for path, value, low, high in rng.sample(found, rng.choice((1, 2, 3, 5, 10, 20)))
         }
         yield vary(template, values, rng)
 
