@@ -388,16 +388,18 @@ def linearized(scenarios: Iterator[tuple[str, Scenario | None]]) -> Iterator[tup
 # ---------------------------------------------------------------------------------- report
 
 
-def summary(name: str, outcomes: Iterator[tuple[str, str, str]]) -> tuple[str, int]:
-    """A line of the table, and how many outcomes must not be; prints these."""
+KINDS = ("valid", "refused", "no such linkage", "failed run", "no linear loop", *BAD)
+
+
+def row(name: str, outcomes: Iterator[tuple[str, str, str]]) -> tuple[str, int]:
+    """A line of the table, and how many outcomes must not be; prints these at once."""
     start, counts = time.perf_counter(), Counter[str]()
     for kind, message, text in outcomes:
         counts[kind] += 1
         if kind in BAD:
             print(f"--- {name}: {kind}\n{message}\n{text}\n", flush=True)
-    kinds = ("valid", "refused", "no such linkage", "failed run", "no linear loop", *BAD)
-    rest = counts.total() - sum(counts[kind] for kind in kinds)
-    cells = [counts.total(), *(counts[kind] for kind in kinds), rest]
+    rest = counts.total() - sum(counts[kind] for kind in KINDS)
+    cells = [counts.total(), *(counts[kind] for kind in KINDS), rest]
     took = time.perf_counter() - start
     line = f"| {name} | {' | '.join(map(str, cells))} | {took:.0f} |"
     return line, sum(counts[kind] for kind in BAD)
@@ -411,34 +413,27 @@ def main() -> int:
     parser.add_argument("--structures", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    rng = random.Random(options.seed)
+    rng, seed = random.Random(options.seed), options.seed
     templates = [structure(rng) for _ in range(options.structures)]
-    process = Process()
+    some = templates[: max(1, options.structures // 6)]
+    print(f"| campaign | count | {' | '.join(KINDS)} | other error | s |")
+    print(f"|{'---|' * (len(KINDS) + 4)}", flush=True)
+    process, bad = Process(), 0
+    campaigns = {"files": files(options.files, seed)}
+    if options.runs:
+        campaigns |= {
+            "linear": linearized(corners(some[:5], seed)),
+            "corners": run_all(corners(some, seed), process),
+            "random": run_all(randoms(templates, options.runs, seed), process),
+        }
     try:
-        rows = [summary("files", files(options.files, options.seed))]
-        if options.runs:
-            some = templates[: max(1, options.structures // 6)]
-            rows += [
-                summary("linear", linearized(corners(some[:5], options.seed))),
-                summary("corners", run_all(corners(some, options.seed), process)),
-                summary("random", run_all(randoms(templates, options.runs, options.seed), process)),
-            ]
+        for name, outcomes in campaigns.items():
+            line, count = row(name, outcomes)
+            print(line, flush=True)
+            bad += count
     finally:
         process.end()
-    head = (
-        "campaign",
-        "count",
-        "valid",
-        "refused",
-        "no such linkage",
-        "failed run",
-        "no linear loop",
-        *BAD,
-    )
-    print(f"| {' | '.join(head)} | other error | s |\n|{'---|' * (len(head) + 2)}")
-    for line, _ in rows:
-        print(line)
-    return int(any(bad for _, bad in rows))
+    return int(bad > 0)
 
 
 if __name__ == "__main__":
