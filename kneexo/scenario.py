@@ -277,11 +277,11 @@ def _text(name: str) -> str:
     try:
         mode = os.stat(name).st_mode
         if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # a pipe or device may never end
-            raise _fault(name, None, "cannot be read: is not a regular file")
+            raise OSError("is not a regular file")
         with Path(name).open("rb") as file:
             data = file.read(_MOST_BYTES + 1)
         if len(data) > _MOST_BYTES:
-            raise _fault(name, None, f"is too large: must have at most {_MOST_BYTES} bytes")
+            raise OSError(f"is too large, must have at most {_MOST_BYTES} bytes")
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
         line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]

@@ -58,9 +58,7 @@ def test_a_traceback_is_told_of_its_run_alone(monkeypatch):
 
 
 def test_a_hang_ends():
-    start = time.perf_counter()
     with pytest.raises(TimeoutError), campaign.time_limit(0.05):
         time.sleep(5.0)
-    assert time.perf_counter() < start + 5.0
     assert campaign.outcome_of(TimeoutError()) == ("hang", "")
     assert campaign.outcome_of(KeyError("a"))[0] == "traceback"

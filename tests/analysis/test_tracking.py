@@ -116,7 +116,7 @@ def test_a_run_within_the_first_period_has_overall_figures_only():
 
 def test_a_run_of_one_sample_is_refused():
     with pytest.raises(ParameterError, match="1 samples are too few"):
-        track(Scenario(simulation=SimulationParameters(duration_s=1e-5)))
+        track(Scenario(simulation=SimulationParameters(duration_s=1e-3)))
 
 
 def test_power_over_rating_is_flagged():
