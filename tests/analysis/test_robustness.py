@@ -489,6 +489,10 @@ def test_figures_and_report(real):
     for figure in drawn.values():
         figure.canvas.draw()
         plt.close(figure)
+    key = [text.get_text() for text in drawn["robustness_importance"].legends[0].get_texts()]
+    assert key[:2] == ["more of the value is worse", "more of the value is better"]
+    marks = [text.get_text() for text in drawn["robustness_tornado"].legends[0].get_texts()]
+    assert marks == ["low end", "high end", "nominal"]
     tornado = drawn["robustness_tornado"].axes[-1]
     assert tornado.get_xlabel() == "disk margin"
     # The value that matters more is on top.
