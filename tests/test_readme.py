@@ -89,4 +89,4 @@ def test_the_example_of_the_scenario_files_runs():
 def test_the_schema_line_is_printed_by_help(capsys):
     with pytest.raises(SystemExit, match="0"):
         main(["params", "--help"])
-    assert "yaml-language-server: $schema=" in capsys.readouterr().out
+    assert "yaml-language-server: $schema=" in " ".join(capsys.readouterr().out.split())

@@ -166,3 +166,9 @@ def test_long_samples_are_shortened():
     times = tuple(float(n) for n in range(9))
     shown = repr(SampledReference(times_s=times, angles_deg=times))
     assert "times_s=(0.0, 1.0, …, 8.0: 9 values)" in shown
+
+
+def test_what_rounding_leaves_of_zero_is_shown_as_zero():
+    assert str(linearize_plant().operating_point) == (
+        "knee at 40 deg: motor 0 rpm, load pressure 0 MPa, rod force 0 N"
+    )

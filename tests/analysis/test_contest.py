@@ -311,6 +311,8 @@ def test_figures_have_labels_and_name_everybody():
         plt.close(figure)
     legend = [text.get_text() for text in figures["contest"].legends[0].get_texts()]
     assert legend == ["SMC", "PID", "SMC, default"]
+    marks = [text.get_text() for text in figures["contest"].axes[2].get_legend().get_texts()]
+    assert marks == ["tuned here", "not tuned here"]
 
 
 def test_a_contest_whose_every_run_failed_is_drawn():

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import LogNorm, Normalize
 
-from kneexo.analysis.heat_map import cell_borders, heat_map, plain_ticks
+from kneexo.analysis.heat_map import cell_borders, decimal_ticks, heat_map, plain_ticks
 
 
 @given(st.lists(st.floats(1.1, 10.0), min_size=1, max_size=8), st.floats(1e-3, 1e3))
@@ -48,4 +48,30 @@ def test_ticks_are_plain_numbers_at_the_values_alone():
     figure.canvas.draw()
     assert [label.get_text() for label in ax.get_xticklabels()] == ["5", "20", "80"]
     assert ax.get_xticks(minor=True).size == 0
+    plt.close(figure)
+
+
+def test_ticks_that_would_overlap_are_left_out():
+    figure, ax = plt.subplots()
+    ax.set(xscale="log", xlim=(300.0, 1400.0))
+    plain_ticks(ax.xaxis, [330.0, 660.0, 690.0, 720.0, 1300.0])
+    assert ax.get_xticks().tolist() == [330.0, 660.0, 1300.0]
+    plt.close(figure)
+
+
+@pytest.mark.parametrize(
+    ("limits", "ticks"),
+    [
+        ((0.9, 11.0), ["1", "2", "5", "10"]),
+        ((0.09, 11.0), ["0.1", "0.3", "1", "3", "10"]),
+        ((0.009, 110.0), ["0.01", "0.1", "1", "10", "100"]),
+    ],
+)
+def test_decimal_ticks_suit_the_decades(limits, ticks):
+    figure, ax = plt.subplots()
+    ax.set(xscale="log", xlim=limits)
+    decimal_ticks(ax.xaxis)
+    low, high = limits
+    shown = [t for t in ax.get_xticks() if low <= t <= high]
+    assert [f"{t:g}" for t in shown] == ticks
     plt.close(figure)

@@ -979,6 +979,10 @@ def test_the_phase_of_a_bode_plot_is_unwrapped_also_through_a_resonance(loops):
     turned = np.degrees(np.angle(loop.loop_response(f))) - values
     assert turned == pytest.approx(360.0 * np.round(turned / 360.0), abs=1e-6)
     assert magnitude.get_legend().get_texts()[0].get_text() == "Nyquist, 250 Hz"
+    shown = [text.get_text() for ax in (magnitude, phase) for text in ax.get_legend().get_texts()]
+    margins = loop.margins()
+    assert f"phase margin {margins.phase_margin_deg:.3g}°" in shown
+    assert any(text.startswith(f"gain margin {margins.gain_margin:.3g} (") for text in shown)
     plt.close(phase.figure)
 
 

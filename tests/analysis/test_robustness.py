@@ -743,8 +743,13 @@ def test_a_narrow_interval_moves_the_figures_as_the_local_sensitivity_says(real)
 
 
 def test_every_figure_can_be_drawn(real):
-    for figure in real.figures().values():
+    drawn = real.figures()
+    for figure in drawn.values():
         figure.canvas.draw()
+    key = [text.get_text() for text in drawn["robustness_importance"].legends[0].get_texts()]
+    assert key[:2] == ["more of the value is worse", "more of the value is better"]
+    marks = [text.get_text() for text in drawn["robustness_tornado"].legends[0].get_texts()]
+    assert marks == ["low end", "high end", "nominal"]
     assert "None of the 6 samples fails or is unstable." in real.report()
 
 

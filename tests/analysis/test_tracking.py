@@ -144,6 +144,7 @@ def test_tracking_a_fast_small_sine_gives_settings_signals_and_a_plot():
     assert result.run.time_s[-1] == pytest.approx(1.5)
     assert np.all(np.isfinite(np.stack(list(result.run.data.values()))))
     axes = result.plot()
+    assert [text.get_text() for text in axes[2].get_legend().get_texts()] == ["limit ±5000 rpm"]
     assert [ax.get_ylabel() for ax in axes] == [
         "knee angle (deg)",
         "tracking error (deg)",
