@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from kneexo.analysis import reduction
 from kneexo.analysis.checkpoint import Checkpoint
 from kneexo.analysis.error_model import error_model
 from kneexo.analysis.reduction import (
@@ -18,6 +19,7 @@ from kneexo.analysis.reduction import (
     tracking_row,
 )
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.simulation import Run
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
@@ -105,6 +107,47 @@ def test_margins_fall_with_the_rod_side_loaded_and_grow_with_the_cap_side():
     assert margins["full", -60.0] == low
     assert margins["full", 60.0] == high
     assert (low, middle, high) == pytest.approx((51.1, 57.1, 61.5), abs=0.2)  # as measured
+
+
+def test_rows_of_a_known_run_are_those_of_its_later_part(monkeypatch):
+    time = np.arange(0.0, 2.0, 0.25)
+    late, wave = time >= 0.5, np.where(np.arange(time.size) % 2, 1.0, -1.0)
+    columns = {
+        "rod_velocity_m_s": np.where(late, 0.03 + 0.002 * wave, 9.0),
+        "rod_reference_velocity_m_s": np.where(late, 0.02, 5.0),
+        "knee_angle_rad": np.radians(np.where(late, 20.0 + 0.3 * wave, 80.0)),
+        "knee_reference_rad": np.radians(np.where(late, 20.1, 0.0)),
+        "cap_pressure_pa": np.where(late, 1e6 + 2e5 * wave, 9e6),
+        "rod_side_pressure_pa": np.where(late, 3e5, 0.0),
+        "motor_speed_command_rad_s": np.where(late & (time < 1.0), 5000.0 * math.pi / 30.0, 1.0),
+    }
+
+    def known(scenario, **options):
+        return Run(time, columns, scenario.simulation)
+
+    monkeypatch.setattr(reduction, "simulate", known)
+    found = switching_row(UNCERTAIN_KNEE, SETTINGS, (16.0, True))
+    assert found == pytest.approx(
+        {
+            "force_n": 16.0,
+            "direction": "in",
+            "velocity_swing_mm_s": 4.0,
+            "velocity_rms_mm_s": 2.0,
+            "load_pressure_swing_mpa": 0.4,
+            "max_error_deg": 0.4,
+            "oscillates": False,  # not by the 10 mm/s that count
+        }
+    )
+    found = speed_row(UNCERTAIN_KNEE, SETTINGS, ("full", 60.0, False))
+    assert found == pytest.approx(
+        {
+            "order": "full",
+            "force_n": 60.0,
+            "direction": "out",
+            "saturated_share": 2.0 / 6.0,
+            "rod_speed_mm_s": 30.0,
+        }
+    )
 
 
 def test_a_frequency_row_has_the_units_of_its_names():
