@@ -113,8 +113,9 @@ def _maps(sizing: Sizing) -> Figure:
         axis.tick_params(axis="x", rotation=45)
     _regimes(axes[0], sizing)
     _walking_limits(axes[1], sizing)
-    axes[0].set_title("(a) controller as it is (grey: run fails)", loc="left", fontsize=10)
-    title = f"(b) walking at {design.frequency_hz:.3g} Hz, sized controller (grey: fails)"
+    figure.suptitle("grey: the run fails", fontsize=10)
+    axes[0].set_title("(a) controller as it is", loc="left", fontsize=10)
+    title = f"(b) walking at {design.frequency_hz:.3g} Hz, sized controller"
     axes[1].set_title(title, loc="left", fontsize=10)
     return figure
 
