@@ -34,6 +34,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "__init__": ("test_cli",),
     "__main__": ("test_cli",),
     "errors": ("test_cli", "test_parameters"),
+    "interruption": ("test_cli",),
     "quantity": ("test_parameters",),
     "analysis/amplitude_response": ("analysis/test_bandwidth",),
     "analysis/contest_figures": ("analysis/test_contest",),

@@ -452,7 +452,11 @@ def test_a_run_that_fails_leaves_its_cell_empty(monkeypatch):
     [
         (Scenario(), {"frequencies_hz": (1.0, 2.0, 51.0)}, "51 Hz is too high: must be <= 50 Hz"),
         (Scenario(), {"amplitudes_deg": (1.0, 45.0)}, "leaves the range of motion"),
-        (Scenario(), {"amplitudes_deg": (1.0, 50.0)}, "amplitude_deg = 50 deg is out of range"),
+        (
+            Scenario(),
+            {"amplitudes_deg": (1.0, 50.0)},
+            r"amplitudes_deg\.1 = 50 deg is out of range",
+        ),
         (Scenario(reference=RampReference()), {}, "reference = ramp"),
     ],
 )
@@ -464,5 +468,8 @@ def test_a_map_that_means_nothing_is_refused(scenario, values, told):
 @pytest.mark.parametrize("name", ["amplitudes_deg", "frequencies_hz"])
 @pytest.mark.parametrize("values", [(1.0, 3.0, 2.0), (1.0, 1.0, 2.0), (0.0, 1.0, 2.0)])
 def test_amplitudes_and_frequencies_are_positive_and_increase(name, values):
-    with pytest.raises(ParameterError, match=f"{name} must be above zero and increase"):
+    with pytest.raises(
+        ParameterError,
+        match=rf"{name} must be above zero and increase|{name}\.0 = 0 \w+ is out of range",
+    ):
         AmplitudeMapParameters(**{name: values})

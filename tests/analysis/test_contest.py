@@ -62,7 +62,7 @@ def test_the_search_evaluates_whole_generations_and_repeats_itself():
         seen.append(candidates.copy())
         return bowl(candidates)
 
-    settings = ContestParameters(population=7, generations=3, tolerance=1e-9)
+    settings = ContestParameters(population=7, generations=3, tolerance=1e-6)
     first = search(objective, 2, settings, seed=5)[0]
     assert [batch.shape for batch in seen] == [(7, 2)] * 4
     assert all(batch.min() >= 0.0 and batch.max() <= 1.0 for batch in seen)
@@ -263,7 +263,8 @@ def test_the_outcome_shows_each_entrant_at_its_errors_and_margins(curves):
         assert x == pytest.approx(errors, nan_ok=True)
         expected = [one["disk_margin"] for one in done.tested[name]]
         assert y == pytest.approx(expected, nan_ok=True)
-    assert margins.lines[-1].get_ydata() == [done.settings.least_disk_margin] * 2
+    least = [done.settings.least_disk_margin] * 2
+    assert least in [list(line.get_ydata()) for line in margins.lines]
 
 
 def test_the_search_shows_the_best_of_each_generation():

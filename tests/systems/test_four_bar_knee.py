@@ -20,7 +20,12 @@ from kneexo.parameters import (
 from kneexo.systems import FourBarKnee
 
 P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
-THETA_4_DEG = {"G1": (82.5, -4.7), "G2": (-101.95, -189.26), "G3": (-87.6, 38.72)}
+THETA_4_DEG = {
+    "G1": (82.5, -4.7),
+    "G2": (-101.95, -189.26),
+    "G3": (-87.6, 38.72),
+    "G4": (-89.7, 20.8),
+}
 INPUTS = {"rod_extension": [(0.01, 0.13)]}
 OUTPUTS = {"knee_kinematics": 3, "knee_angle": 1, "encoder_angle": 1, "moment_arm": 1, "icr": 2}
 
@@ -178,7 +183,7 @@ def test_range_of_motion_out_of_range_is_refused_in_one_line(values, line):
 
 
 def test_link_length_out_of_range_is_refused_in_one_line():
-    line = r"^LinkageParameters: a_3_m = 0 m is out of range: .*> 0 and <= 2 m\Z"
+    line = r"^LinkageParameters: a_3_m = 0 m is out of range: .*>= 0.001 and <= 2 m\Z"
     with pytest.raises(ParameterError, match=line):
         FourBarKnee(LinkageParameters(a_3_m=0.0))
 

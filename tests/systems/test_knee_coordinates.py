@@ -10,7 +10,12 @@ from kneexo.systems import KneeCoordinates, RodReference
 
 P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
 OTHER_TABLE = RodPolynomialParameters(p_mm_deg=(2e-8, -4e-6, 0.0005, -0.03, -0.6, 140.0))
-THETA_4_DEG = {"G1": (82.5, -4.7), "G2": (-101.95, -189.26), "G3": (-87.6, 38.72)}
+THETA_4_DEG = {
+    "G1": (82.5, -4.7),
+    "G2": (-101.95, -189.26),
+    "G3": (-87.6, 38.72),
+    "G4": (-89.7, 20.8),
+}
 COUNT = 2.0 * math.pi / 4096
 
 names = pytest.mark.parametrize("name", LINKAGES)
@@ -169,7 +174,7 @@ def test_table_that_is_not_finite_is_refused_in_one_line():
 
 
 def test_link_out_of_range_is_refused_in_one_line():
-    line = r"^LinkageParameters: a_2_m = -0\.01 m is out of range: .*> 0 and <= 2 m\Z"
+    line = r"^LinkageParameters: a_2_m = -0\.01 m is out of range: .*>= 0.001 and <= 2 m\Z"
     with pytest.raises(ParameterError, match=line):
         KneeCoordinates(LinkageParameters(a_2_m=-0.01))
 

@@ -299,8 +299,8 @@ def test_held_command_is_the_one_of_the_last_sample():
 @pytest.mark.parametrize(
     ("values", "line"),
     [
-        ({"phi_m_s2": 0.0}, r"phi_m_s2 = 0 m/s² is out of range: .*> 0 and <= 1e\+09 m/s²"),
-        ({"lambda_per_s": -1.0}, r"lambda_per_s = -1 1/s is out of range: .*> 0 .*10000 1/s"),
+        ({"phi_m_s2": 0.0}, r"phi_m_s2 = 0 m/s² is out of range: .*>= 1e-06 and <= 1e\+09 m/s²"),
+        ({"lambda_per_s": -1.0}, r"lambda_per_s = -1 1/s is out of range: .*>= 0.001 .*10000 1/s"),
         ({"sample_time_s": 0.0}, r"sample_time_s = 0 s is out of range: .*>= 1e-05 and <= 1 s"),
         ({"eta_m_s3": math.nan}, r"eta_m_s3 = nan m/s³ is out of range: must be finite.*m/s³"),
         (

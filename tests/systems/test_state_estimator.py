@@ -182,7 +182,7 @@ def test_initialize_puts_the_estimator_at_rest_at_the_measured_position(kind):
 @pytest.mark.parametrize(
     ("value", "line"),
     [
-        (0.0, r"time_constant_s = 0 s is out of range: .*> 0 and <= 10 s"),
+        (0.0, r"time_constant_s = 0 s is out of range: .*>= 1e-05 and <= 10 s"),
         (math.nan, r"time_constant_s = nan s is out of range: must be finite.*<= 10 s"),
     ],
 )
