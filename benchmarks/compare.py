@@ -441,7 +441,7 @@ def measure_batch(case: Case, effort: Effort, cores: set[int]) -> tuple[Batch, s
     batch(1)  # compiles
     alone, together, c_s = [], [], np.nan
     for _ in range(effort.batches):  # in turns: the machine may have other work
-        c_s = np.fmin(shortest_times(in_c_alone, effort).get("C", np.nan), c_s)
+        c_s = float(np.fmin(shortest_times(in_c_alone, effort).get("C", np.nan), c_s))
         alone.append(batch(1))
         one_core = restrict(cores)
         together.append(batch(len(cores)))
@@ -509,10 +509,10 @@ def targets(rows: list[Row], batches: list[Batch]) -> Iterator[Target]:
     """Judge the batches, and the rows of the tables that have C and kneexo."""
 
     def at_most(what: str, limit: float, found: float) -> Target:
-        return Target(what, f"≤ {limit:g}", found, found <= limit)
+        return Target(what, f"≤ {limit:g}", found, bool(found <= limit))
 
     def at_least(what: str, limit: float, found: float) -> Target:
-        return Target(what, f"≥ {limit:g}", found, found >= limit)
+        return Target(what, f"≥ {limit:g}", found, bool(found >= limit))
 
     tables: dict[str, dict[str, Row]] = {}
     for row in rows:
@@ -545,7 +545,7 @@ def targets(rows: list[Row], batches: list[Batch]) -> Iterator[Target]:
             f"{one.case}: batch, ms a run and core",
             f"≤ {limit:g}, or a 15th of C's {c_ms:.3g}",
             ms,
-            ms <= limit or ms <= c_ms / 15.0,
+            bool(ms <= limit or ms <= c_ms / 15.0),
         )
         if "weight" not in one.case:
             yield at_most(f"{one.case}: batch, ms with AVX2 code", 0.5, 1e3 * one.avx2_s)
