@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 error.__cause__ or error.__context__ if isinstance(error, ImportError) else error
             )
             if not isinstance(cause, KeyboardInterrupt):
-                raise
+                return _missing_library(error)
             what, code = (
                 ("terminated", 143) if isinstance(cause, Terminated) else ("interrupted", 130)
             )
@@ -105,6 +105,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 where = f"{error.filename}: " if error.filename else ""
                 print(f"kneexo: {where}{error.strerror or error}", file=sys.stderr)
             return 2
+
+
+def _missing_library(error: BaseException) -> int:
+    """Tell what to install where the system lacks a library; raises every other import error."""
+    library, found, _ = str(error).partition(": cannot open shared object file")
+    if not found:
+        raise error
+    remedy = "apt-get install libglib2.0-0" if "libglib" in library else "install its package"
+    print(f"kneexo: the system library {library} is missing: {remedy}", file=sys.stderr)
+    return 2
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:
