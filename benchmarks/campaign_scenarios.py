@@ -108,7 +108,7 @@ def file_outcome(path: Path) -> tuple[str, str]:
                 return "not equal after dump", ""
             values = [*scenario_values(scenario).values(), *scenario_start(scenario).values()]
             return ("valid" if np.isfinite(values).all() else "nan"), ""
-    except BaseException as error:
+    except BaseException as error:  # a campaign counts whatever comes
         return outcome_of(error)
 
 
@@ -289,7 +289,7 @@ def run_outcomes(scenarios: Sequence[Scenario]) -> list[tuple[str, str]]:
                 pass
             except KneexoError as error:
                 found[n] = outcome_of(error)
-    except Exception as error:
+    except Exception as error:  # of one scenario of several: each alone tells which
         if len(scenarios) == 1:
             return [outcome_of(error)]
         return [outcome for scenario in scenarios for outcome in run_outcomes([scenario])]
@@ -372,7 +372,7 @@ def linear_outcome(scenario: Scenario) -> tuple[str, str]:
         with time_limit(RUN_LIMIT_S):
             linearize_loop(scenario).margins()
         return "valid", ""
-    except BaseException as error:
+    except BaseException as error:  # a campaign counts whatever comes
         return outcome_of(error)
 
 

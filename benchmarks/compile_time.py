@@ -47,7 +47,7 @@ print(model.simulate(parameters, state, 30.0, inputs=inputs)["knee_angle"][-1, 0
 def Springs_(T: Any) -> Any:
     """A row of masses; each is pulled by its neighbours through springs of third order."""
 
-    class Impl(LeafSystem_[T]):  # type: ignore[misc,name-defined]
+    class Impl(LeafSystem_[T]):
         def _construct(self, size: int, *, converter: Any = None) -> None:
             LeafSystem_[T].__init__(self, converter)
             self.size = size

@@ -454,7 +454,7 @@ def _sweep(
                 save_figure(directory, title, figure)
                 plt.close(figure)
             written = ", ".join(sorted(file.name for file in directory.iterdir()))
-        except BaseException:
+        except BaseException:  # KeyboardInterrupt too: the next process may have the file
             checkpoint.close()
             raise
     others = checkpoint.remove()

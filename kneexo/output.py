@@ -77,7 +77,7 @@ def _workspace(target: Path) -> tuple[Path, int]:
                 _lock(lock)
                 (workspace / "old").mkdir()
                 (workspace / "new").mkdir()
-            except BaseException:
+            except BaseException:  # KeyboardInterrupt too: an open lock keeps the leftover
                 os.close(lock)
                 raise
             return workspace, lock

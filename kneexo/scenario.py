@@ -216,6 +216,7 @@ class _Loader(yaml.SafeLoader):
         self._composed += 1
         self._depth += 1
         if self._depth > _DEEPEST + 1 or self._composed > 2 * _MOST_VALUES:
+            # PyYAML's stubs leave peek_event() untyped.
             line = self.peek_event().start_mark.line + 1  # type: ignore[no-untyped-call]
             raise _fault(self.name, line, _TOO_MUCH)
         node: yaml.Node | None = super().compose_node(parent, index)

@@ -37,7 +37,7 @@ def drive(calls: Sequence[Steps[Result]], answers: Answers) -> Iterator[tuple[in
             requests[index] = step(*given)
         except StopIteration as end:
             yield index, end.value
-        except Exception as raised:
+        except Exception as raised:  # whatever a call raises is raised for it, in its turn
             if index < failed:
                 error, failed = raised, index
 

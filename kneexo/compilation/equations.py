@@ -495,7 +495,7 @@ def _symbolic(where: str, evaluate: Callable[[], Any]) -> Any:
     """What ``evaluate()`` returns; `CompilationError` when it has no symbolic value."""
     try:
         return evaluate()
-    except Exception as error:
+    except Exception as error:  # whatever a leaf of the user raises: its reason is told
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CompilationError(f"{where}: has no symbolic form ({reason})") from error
 

@@ -176,23 +176,16 @@ class Variable:
 
 
 class Loop:
-    """Ways out of the body of `Function.forever`."""
+    """The way out of the body of `Function.forever`."""
 
-    def __init__(self, function: Function, head: str, after: str) -> None:
-        self._function, self._head, self._after = function, head, after
-
-    def _branch(self, condition: Value, target: str) -> None:
-        (onward,) = self._function.new_labels("onward")
-        self._function.line(f"br i1 {condition.name}, label %{target}, label %{onward}")
-        self._function.label(onward)
+    def __init__(self, function: Function, after: str) -> None:
+        self._function, self._after = function, after
 
     def stop_if(self, condition: Value) -> None:
         """Leave the loop."""
-        self._branch(condition, self._after)
-
-    def restart_if(self, condition: Value) -> None:
-        """Go to the head of the loop."""
-        self._branch(condition, self._head)
+        (onward,) = self._function.new_labels("onward")
+        self._function.line(f"br i1 {condition.name}, label %{self._after}, label %{onward}")
+        self._function.label(onward)
 
 
 class Module:
@@ -368,10 +361,6 @@ class Function:
         """Smallest whole number that is not smaller."""
         return self._intrinsic("ceil", value)
 
-    def nearest(self, value: Operand) -> Value:
-        """Nearest whole number, the even one of two."""
-        return self._intrinsic("rint", value)
-
     def copysign(self, magnitude: Operand, sign: Operand) -> Value:
         """Magnitude of the one with the sign of the other."""
         return self._intrinsic("copysign", magnitude, sign)
@@ -515,25 +504,25 @@ class Function:
         head, after = self.new_labels("loop", "after")
         self.line(f"br label %{head}")
         self.label(head)
-        yield Loop(self, head, after)
+        yield Loop(self, after)
         self.line(f"br label %{head}")
         self.label(after)
 
-    def each(self, count: int | Value, first: int = 0) -> Iterator[Operand]:
-        """``first`` … ``count`` - 1: numbers of Python when they are few, else a loop."""
-        if isinstance(count, int) and count - first <= UNROLLED:
-            yield from range(first, count)
+    def each(self, count: int | Value) -> Iterator[Operand]:
+        """0 … ``count`` - 1: numbers of Python when they are few, else a loop."""
+        if isinstance(count, int) and count <= UNROLLED:
+            yield from range(count)
             return
-        number, end = self.variable(self.constant(first, INT)), self.coerce(count, INT)
+        number, end = self.variable(self.constant(0, INT)), self.coerce(count, INT)
         with self.forever() as loop:
             k = number.get()
             loop.stop_if(k >= end)
             yield k
             number.set(k + 1)
 
-    def loop(self, count: int | Value, first: int = 0) -> Iterator[Operand]:
+    def loop(self, count: int | Value) -> Iterator[Operand]:
         """The same, always as a loop: for code that runs rarely."""
-        return self.each(self.coerce(count, INT), first)
+        return self.each(self.coerce(count, INT))
 
     def give(self, value: Value | None = None) -> None:
         """Return from the function."""

@@ -108,6 +108,7 @@ def _announced() -> Iterator[None]:
         yield
         return
     line = f"compiling equations; machine code is kept in {entries.cache_directory()}"
+    # A wait without a word looks like a hang; there is no logger to say it.
     timer = Timer(ANNOUNCED_AFTER_S, lambda: print(line, file=sys.stderr, flush=True))  # noqa: T201
     timer.daemon = True
     timer.start()

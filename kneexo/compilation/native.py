@@ -95,6 +95,7 @@ class Library:
             address = self._engine.get_function_address(name)
             assert address, name
             made = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
-            made.library = self  # type: ignore[attr-defined]  # its code goes with it
+            # The function keeps the library, whose code it is; mypy knows no such attribute.
+            made.library = self  # type: ignore[attr-defined]
             self._functions[name] = made
         return self._functions[name]
