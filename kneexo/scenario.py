@@ -287,9 +287,10 @@ def _text(name: str) -> str:
     except UnicodeDecodeError as error:
         line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
         raise _fault(name, line, f"is not UTF-8: byte 0x{byte:02x}") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise _fault(name, None, f"cannot be read: {reason}") from error
+    except OSError as error:
+        raise _fault(name, None, f"cannot be read: {error.strerror or error}") from error
+    except ValueError:  # in words that change with the version of Python
+        raise _fault(name, None, "cannot be read: a null byte in its name") from None
 
 
 def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:

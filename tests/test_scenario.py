@@ -398,7 +398,7 @@ def test_file_that_cannot_be_read(
     absent = tmp_path / "absent.yaml"
     assert message(absent) == f"{absent}: cannot be read: No such file or directory"
     assert message(str(tmp_path)) == f"{tmp_path}: cannot be read: Is a directory"
-    assert message("a\0b") == "a b: cannot be read: embedded null byte"
+    assert message("a\0b") == "a b: cannot be read: a null byte in its name"
     assert message("a\nb").startswith("a b: cannot be read: ")
 
     def refuse(path: Path, mode: str) -> bytes:
