@@ -31,7 +31,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 
 TESTS: dict[str, tuple[str, ...]] = {
-    "__init__": ("test_cli",),
+    "__init__": ("compilation/test_api",),
     "__main__": ("test_cli",),
     "errors": ("test_cli", "test_parameters"),
     "interruption": ("test_cli",),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from threading import local
+from threading import Event, local
 from typing import Any
 
 import numpy as np
@@ -240,7 +240,7 @@ class CompiledModel:
             return []
         lanes = LANES if count >= LANES else 1
         settings = {"outputs": outputs, "record_period_s": record_period_s} | options
-        runners = local()
+        runners, cancelled = local(), Event()
         runners.own = Runner(self, lanes=lanes, **settings)  # makes the code before threads want it
         batch = self._batch(
             runners.own, np.asarray(parameters, dtype=float), of_states, durations, tables
@@ -251,14 +251,15 @@ class CompiledModel:
         def run_set(indices: list[int]) -> list[Any]:
             if not hasattr(runners, "own"):
                 runners.own = Runner(self, lanes=lanes, **settings)
-            runs = self._run_lanes(runners.own, batch, indices)
+            runs = self._run_lanes(runners.own, batch, indices, cancelled.is_set)
             return [
                 run if isinstance(run, KneexoError) or reduce is None else reduce(run)
                 for run in runs
             ]
 
         results: list[Any] = [None] * count
-        for indices, values in zip(sets, _in_threads(run_set, sets, threads), strict=True):
+        of_sets = _in_threads(run_set, sets, threads, cancelled)
+        for indices, values in zip(sets, of_sets, strict=True):
             for index, value in zip(indices, values, strict=True):
                 results[index] = value
         if failures == "raise":
@@ -291,7 +292,11 @@ class CompiledModel:
         return _Batch(rows, states, np.array(ticks, dtype=np.int64), tables)
 
     def _run_lanes(
-        self, runner: Runner, batch: _Batch, indices: list[int]
+        self,
+        runner: Runner,
+        batch: _Batch,
+        indices: list[int],
+        cancelled: Callable[[], bool] = lambda: False,
     ) -> list[Simulation | SimulationError]:
         """Runs of a batch, one in each lane; lanes without a run of their own repeat the last."""
         lanes = [*indices, *indices[-1:] * (runner.lanes - len(indices))]
@@ -301,7 +306,8 @@ class CompiledModel:
         every = runner.timing.record_every
         record = RECORDS.array((len(lanes), runner.columns.size, int(last.max()) // every + 1))
         runner.restart(batch.parameters[lanes])
-        status = runner.run(x, d, 0, last, [batch.inputs[i] for i in lanes], record)
+        tables = [batch.inputs[i] for i in lanes]
+        status = runner.run(x, d, 0, last, tables, record, cancelled=cancelled)
         times = runner.timing.times(np.arange(0, last.max() + 1, every))
         runs: list[Simulation | SimulationError] = []
         for lane, index in enumerate(indices):
@@ -456,9 +462,12 @@ def _columns(vectors: Sequence[Array]) -> Array:
 
 
 def _in_threads(
-    function: Callable[[list[int]], Any], items: Sequence[list[int]], threads: int | None
+    function: Callable[[list[int]], Any],
+    items: Sequence[list[int]],
+    threads: int | None,
+    cancelled: Event,
 ) -> Iterator[Any]:
-    """Results in the order of ``items``."""
+    """Results in the order of ``items``; sets ``cancelled`` when Ctrl-C ends the wait for them."""
     count = available_cores() if threads is None else threads
     if count == 1 or len(items) == 1:
         yield from map(function, items)
@@ -467,6 +476,7 @@ def _in_threads(
         try:
             yield from pool.map(function, items)
         except BaseException:  # KeyboardInterrupt too: what waits is not begun
+            cancelled.set()
             pool.shutdown(cancel_futures=True)
             raise
 

@@ -6,11 +6,12 @@ import ctypes
 import math
 import weakref
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property, lru_cache
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from kneexo.compilation import exact_hold
 from kneexo.compilation.printer import MEMO_LINES
-from kneexo.compilation.time_loop import BETWEEN, DOUBLES, INPUT, INTEGRATORS, RUN
+from kneexo.compilation.time_loop import BETWEEN, DOUBLES, INPUT, INTEGRATORS, OK, RUN
 from kneexo.errors import CompilationError
 
 if TYPE_CHECKING:
@@ -144,6 +145,11 @@ class BufferPool:
 
 _NO_TICKS = np.empty(0, dtype=np.int64)
 
+PIECE_S = 0.2
+"""What a piece of a run should take, between two chances for Ctrl-C."""
+
+_FIRST_PIECE = 160_000  # steps; 30 s at the usual step are a single piece
+
 RECORDS = BufferPool(8_000_000)
 """Memory of the records of all models: at most 64 MB that nobody uses."""
 
@@ -186,6 +192,8 @@ class Runner:
             first += size
         self.columns = np.array([c for n in self.names for c in columns[n]], dtype=np.int64)
         self._wanted = np.array([name in self.names for name, _ in layout.outputs], dtype=np.uint8)
+        steps = 10.0 if integrator == "exact_hold" else max(1.0, self.timing.tick / step_s)
+        self.piece = max(1, int(_FIRST_PIECE / steps))
         self._run = model.code.run(integrator, lanes)
         self._constants = model.code.start("constants")
         self._own_c = np.empty((lanes, layout.constants))
@@ -240,16 +248,39 @@ class Runner:
         inputs: Sequence[InputTable],
         record: Array | None = None,
         kept: tuple[Integers, Array, Array] | None = None,
+        cancelled: Callable[[], bool] = lambda: False,
     ) -> Integers:
         """Advance ``x`` (states, lanes) and ``d`` (held, lanes) from tick ``first`` to ``last``.
 
         ``record`` (lanes, columns, rows) is filled; a run without a step records at its only tick.
         ``kept``: ticks, and the states after their events, to be filled in. Returns the status of
         each lane, (lanes, 3): outcome, tick, and which limit.
+
+        A long run is made in pieces of some tenths of a second, so that Ctrl-C ends it; each goes
+        on with the bits of the one before. Raises `KeyboardInterrupt` once ``cancelled()``.
         """
-        self.bind(x, d, last, record, kept)
+        start, longest, ends = first, int(last.max()), np.empty_like(last)
+        every = self.timing.record_every
         rows = 0 if record is None else record.shape[2]
-        return self.go(first, int(last.max()), rows, inputs).copy()
+        status = np.zeros_like(self._status)
+        piece = self.piece
+        while True:
+            until = min(first + piece, longest)
+            np.minimum(last, until, out=ends)
+            ends[status[:, 0] != OK] = -1
+            self.bind(x, d, ends, record, kept and _kept_from(first, kept))
+            begin = perf_counter()
+            row = -(-first // every) + start // -every
+            outcome = self.go(first, until, rows, inputs, row)
+            failed = outcome[:, 0] != OK
+            status[failed] = outcome[failed]
+            if not (last[status[:, 0] == OK] > until).any():
+                return status
+            if cancelled():
+                raise KeyboardInterrupt
+            took = perf_counter() - begin
+            piece = 2 * piece if took < 0.5 * PIECE_S else max(1, int(piece * PIECE_S / took))
+            first = until
 
     def bind(
         self,
@@ -267,14 +298,20 @@ class Runner:
         if record is not None:
             _set(self._arguments, record=record)
 
-    def go(self, first: int, longest: int, rows: int, inputs: Sequence[InputTable]) -> Integers:
-        """Run with the bound arrays, recording ``rows``; returns the status, until the next run."""
+    def go(
+        self, first: int, longest: int, rows: int, inputs: Sequence[InputTable], row: int = 0
+    ) -> Integers:
+        """Run with the bound arrays; returns the status, until the next run.
+
+        The record has ``rows``; the first one written is ``row``.
+        """
         if self.model.inputs:
             self._inputs[:] = [table.address for table in inputs]
         self._status.fill(0)
         arguments = self._arguments
         arguments.first, arguments.longest, arguments.rows = first, longest, rows
         arguments.record_every = self.timing.record_every if first < longest else 1
+        arguments.row = row
         self._run(self._address)
         return self._status
 
@@ -309,6 +346,13 @@ class Runner:
         )
         self.model.code.between()(ctypes.addressof(arguments))
         return record
+
+
+def _kept_from(first: int, kept: tuple[Integers, Array, Array]) -> tuple[Integers, Array, Array]:
+    """What is kept from the tick ``first`` on; at ``first`` - 1, only before the first tick."""
+    start = int(np.searchsorted(kept[0], first)) if first else 0
+    ticks, x, d = kept
+    return ticks[start:], x[start:], d[start:]
 
 
 @cache

@@ -49,7 +49,8 @@ hold cannot hold its tolerance."""
 
 RUN = (
     *("c", "own_c", "x", "d", "inputs", "tick", "unit", "split", "first", "last", "longest"),
-    *("periods", "offsets", "record_every", "rows", "wanted", "columns", "column_count", "record"),
+    *("periods", "offsets", "record_every", "row", "rows", "wanted", "columns"),
+    *("column_count", "record"),
     *("step", "tolerance", "memory", "shared", "tags", "values", "status"),
     *("kept", "kept_count", "kept_x", "kept_d"),
 )
@@ -57,12 +58,12 @@ RUN = (
 
 ``c`` (constants, lanes), ``own_c`` (lanes, constants), ``x`` (states, lanes), ``d`` (held, lanes),
 ``inputs`` (lanes, `INPUT`), the ``tick`` in s and the ``unit``, which has ``split`` ticks: see
-`_Clock`; ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and
-``offsets`` (periods,) in ticks, ``wanted`` (output ports,) bytes, ``columns`` (column_count,) of
-the elements of all outputs, ``record`` (lanes, column_count, rows), ``memory`` and ``shared`` of
-the exact hold, ``tags`` and ``values`` of the tables of whole-number functions, ``status``
-(lanes, 3): outcome, tick, and which limit; ``kept`` (kept_count,) ticks whose states after the
-events go into ``kept_x`` (kept_count, states) and ``kept_d``, with a single lane.
+`_Clock`; ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and ``offsets``
+(periods,) in ticks, the ``row`` of the first record, ``wanted`` (output ports,) bytes, ``columns``
+(column_count,) of the elements of all outputs, ``record`` (lanes, column_count, rows), ``memory``
+and ``shared`` of the exact hold, ``tags`` and ``values`` of the tables of whole-number functions,
+``status`` (lanes, 3): outcome, tick, and which limit; ``kept`` (kept_count,) ticks whose states
+after the events go into ``kept_x`` (kept_count, states) and ``kept_d``, with a single lane.
 """
 
 BETWEEN = (
@@ -339,7 +340,7 @@ class _Run:
             model.d[i] = outer_d[i]
         ends = a.array("last", INT.of(self.lanes))[0]
         number, clock = f.variable(a["first"]), _Clock(f, a, a["first"])
-        row, keep = f.variable(f.constant(0, INT)), f.variable(f.constant(0, INT))
+        row, keep = f.variable(a["row"]), f.variable(f.constant(0, INT))
         if self.lanes == 1:
             self._keep(keep, a["first"] - 1)
         with f.forever() as loop:

@@ -1,5 +1,6 @@
 """Runs in lanes against the same runs alone, bit by bit, failures included."""
 
+import signal
 from types import SimpleNamespace
 
 import numpy as np
@@ -205,6 +206,56 @@ def test_sets_of_lanes(models, count):
     batch = model.simulate_batch(runs[0], runs[1], 0.01, failures="return", threads=3)
     for run, parameters, state in zip(batch, *runs[:2], strict=True):
         assert_same_run(run, alone(model, parameters, state, 0.01, None))
+
+
+@pytest.mark.parametrize("lanes", [1, 8])
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("name", MODELS)
+def test_pieces_of_a_run_are_the_whole_run(models, name, integrator, lanes):
+    model, outcomes = models[name], set()
+    runner = Runner(model, lanes=lanes, integrator=integrator, step_s=7e-4, record_period_s=0.03)
+
+    def run(piece, seed):
+        parameters, states, durations, tables = random_runs(model, seed, lanes)
+        x = np.array([state.continuous for state in states]).T.copy()
+        d = np.array([state.held for state in states]).T.copy()
+        last = (durations / runner.timing.tick).round().astype(np.int64)
+        rows = int(last.max()) // runner.timing.record_every + 1
+        record = np.zeros((lanes, runner.columns.size, rows))
+        kept = None
+        if lanes == 1:
+            ticks = np.arange(-1, last[0], 2)
+            kept = ticks, np.zeros((ticks.size, len(x))), np.zeros((ticks.size, len(d)))
+        runner.piece = piece
+        status = runner.restart(parameters).run(x, d, 0, last, tables, record, kept)
+        outcomes.update(status[:, 0])
+        return [status, x, d, record, *(kept or ())]
+
+    for seed in range(12):
+        whole = run(10**9, seed)
+        for piece in (1, 3):
+            for ours, theirs in zip(run(piece, seed), whole, strict=True):
+                np.testing.assert_array_equal(ours.view(np.int64), theirs.view(np.int64))
+    assert len(outcomes) > 1  # some fail
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_interrupt_ends_a_run_of_hours(models, threads):
+    model, state = models["without states"], State(np.empty(0), np.zeros(2))
+
+    def interrupt(number, frame):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            model.simulate_batch(
+                np.zeros((16, 1)), state, 1e9, outputs=(), integrator="rk4", threads=threads
+            )
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def test_a_run_that_ends_outside_its_limits_between_two_records(models):
