@@ -1,4 +1,6 @@
-"""Kill and damage what kneexo does and keeps; nothing may be lost, and no number may be wrong.
+"""Kill and damage what kneexo does and keeps, and give it random scenarios.
+
+Nothing may be lost, no number may be wrong, and nothing may end in a traceback, a hang or a nan.
 
     python benchmarks/campaign.py [--seed N] [--count N] [PART ...]
 
@@ -9,6 +11,8 @@ run must delete what was left and write the bytes of a run that nobody interrupt
 
 ``damage``: files of the cache and checkpoints are damaged. A run must write the same bytes, or say
 in one line what is wrong, without a traceback.
+
+``files``, ``linear``, ``corners``, ``random``: see ``campaign_scenarios.py``.
 
 ``--count``: cases of each part. The same seed gives the same cases; where a kill hits depends on
 the machine. Prints a table with counts, and each violation; exit code 1 if there is any.
@@ -29,6 +33,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 SCENARIO = "simulation: {duration_s: 2.0}\n"
@@ -325,17 +330,37 @@ def _kept(part: Part) -> tuple[dict[Path, bytes], bytes]:
 
 # ------------------------------------------------------------------------------- campaign
 
-PARTS: dict[str, Callable[[Part], None]] = {"kills": kills, "damage": damage}
-"""Each gets a folder, a random generator and the number of cases, and counts what it does."""
+
+def _scenarios(name: str, part: Part) -> None:
+    import campaign_scenarios  # beside this file; needs Drake
+
+    seed = part.random.randrange(2**32)
+    for kind, message, text in campaign_scenarios.outcomes(name, part.count, seed):
+        part.counts["cases"] += 1
+        part.counts[kind] += 1
+        part.require(kind not in campaign_scenarios.BAD, kind, f"{message}\n{text}")
 
 
-def campaign(names: Sequence[str], seed: int, count: int) -> Iterator[tuple[str, Part]]:
+PARTS: dict[str, tuple[Callable[[Part], None], int]] = {
+    "kills": (kills, 100),
+    "damage": (damage, 100),
+    "files": (partial(_scenarios, "files"), 10_000),
+    "linear": (partial(_scenarios, "linear"), 0),
+    "corners": (partial(_scenarios, "corners"), 0),
+    "random": (partial(_scenarios, "random"), 5_000),
+}
+"""Each gets a folder, a random generator and the number of cases, and counts what it does; and the
+number of cases by default."""
+
+
+def campaign(names: Sequence[str], seed: int, count: int | None) -> Iterator[tuple[str, Part]]:
     """Run the parts of these names."""
     for name in names:
+        function, usual = PARTS[name]
         with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
-            part = Part(Path(folder), random.Random(f"{name} {seed}"), count)
+            part = Part(Path(folder), random.Random(f"{name} {seed}"), count or usual)
             try:
-                PARTS[name](part)
+                function(part)
             except KeyboardInterrupt:
                 part.counts["interrupted"] += 1
         yield name, part
@@ -346,7 +371,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; all")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--count", type=int, default=100, help="cases of each part")
+    parser.add_argument("--count", type=int, help="cases of each part")
     options = parser.parse_args()
     if unknown := set(options.parts) - set(PARTS):
         parser.error(f"PART = {', '.join(unknown)}: must be of {', '.join(PARTS)}")

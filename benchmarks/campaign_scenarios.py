@@ -1,27 +1,22 @@
 """Random scenario files and random runs: none may end in a traceback, a hang or a nan.
 
-``python benchmarks/campaign_scenarios.py [--files 10000] [--runs 5000] [--seed 1]``. Prints a table
-of outcomes, and each outcome that must not be with its scenario's changes.
-
-*files*: the built-in scenarios as YAML, damaged in their text or with other values; each is loaded,
-and a valid one is dumped, loaded again, and made into parameters and start of its compiled model.
-*corners*: every number of a scenario at both ends of its range, in several structures. *random*:
-some numbers at random or at an end of their range, in random structures. *linear*: the corners
-again, linearized, with margins. Runs last 0.05…0.5 s, log all signals and are measured. They go in
-lanes, in a process of their own that a hang does not survive.
+These are parts of ``campaign.py``. *files*: the built-in scenarios as YAML, damaged in their text
+or with other values; each is loaded, and a valid one is dumped, loaded again, and made into
+parameters and start of its compiled model. *corners*: every number of a scenario at both ends of
+its range, in several structures. *random*: some numbers at random or at an end of their range, in
+random structures. *linear*: the corners again, linearized, with margins. Runs last 0.05…0.5 s, log
+all signals and are measured. They go in lanes, in a process of their own that a hang does not
+survive.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import multiprocessing
 import random
 import signal
 import tempfile
-import time
 import traceback
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -388,56 +383,29 @@ def linearized(scenarios: Iterator[tuple[str, Scenario | None]]) -> Iterator[tup
             yield *linear_outcome(scenario), told
 
 
-# ---------------------------------------------------------------------------------- report
+# ------------------------------------------------------------------------------- campaign
 
 
-KINDS = ("valid", "refused", "no such linkage", "failed run", "no linear loop", *BAD)
+STRUCTURES = 60
 
 
-def row(name: str, outcomes: Iterator[tuple[str, str, str]]) -> tuple[str, int]:
-    """A line of the table, and how many outcomes must not be; prints these at once."""
-    start, counts = time.perf_counter(), Counter[str]()
-    for kind, message, text in outcomes:
-        counts[kind] += 1
-        if kind in BAD:
-            print(f"--- {name}: {kind}\n{message}\n{text}\n", flush=True)
-    rest = counts.total() - sum(counts[kind] for kind in KINDS)
-    cells = [counts.total(), *(counts[kind] for kind in KINDS), rest]
-    took = time.perf_counter() - start
-    line = f"| {name} | {' | '.join(map(str, cells))} | {took:.0f} |"
-    return line, sum(counts[kind] for kind in BAD)
+def outcomes(part: str, count: int, seed: int) -> Iterator[tuple[str, str, str]]:
+    """Outcome, message and changes of each case of ``files``, ``linear``, ``corners``, ``random``.
 
-
-def main() -> int:
-    """Print the table; returns 1 where something must not be."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--files", type=int, default=10_000)
-    parser.add_argument("--runs", type=int, default=5_000, help="random ones; the corners too")
-    parser.add_argument("--structures", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    rng, seed = random.Random(options.seed), options.seed
-    templates = [structure(rng) for _ in range(options.structures)]
-    some = templates[: max(1, options.structures // 6)]
-    print(f"| campaign | count | {' | '.join(KINDS)} | other error | s |")
-    print(f"|{'---|' * (len(KINDS) + 4)}", flush=True)
-    process, bad = Process(), 0
-    campaigns = {"files": files(options.files, seed)}
-    if options.runs:
-        campaigns |= {
-            "linear": linearized(corners(some[:5], seed)),
-            "corners": run_all(corners(some, seed), process),
-            "random": run_all(randoms(templates, options.runs, seed), process),
-        }
+    ``count`` files or random runs; the corners are as many as there are.
+    """
+    if part == "files":
+        yield from files(count, seed)
+        return
+    rng = random.Random(seed)
+    templates = [structure(rng) for _ in range(STRUCTURES)]
+    some = templates[: STRUCTURES // 6]
+    if part == "linear":
+        yield from linearized(corners(some[:5], seed))
+        return
+    process = Process()
     try:
-        for name, outcomes in campaigns.items():
-            line, count = row(name, outcomes)
-            print(line, flush=True)
-            bad += count
+        scenarios = corners(some, seed) if part == "corners" else randoms(templates, count, seed)
+        yield from run_all(scenarios, process)
     finally:
         process.end()
-    return int(bad > 0)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

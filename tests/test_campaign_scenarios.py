@@ -1,4 +1,4 @@
-"""The campaign of random scenario files and runs, in small; `benchmarks/campaign_scenarios.py`."""
+"""The campaign of random scenario files and runs, in small; `benchmarks/campaign.py`."""
 
 import importlib.util
 import time
