@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 
 from kneexo.analysis import linearize_loop, track
-from kneexo.analysis.simulation import answers
 from kneexo.errors import (
     KneexoError,
     LinearizationError,
@@ -33,10 +32,14 @@ from kneexo.errors import (
     ParameterError,
     SimulationError,
 )
-from kneexo.parameters import FIG_12, IDEAL_SMC, SLIDING_LAW, UNCERTAIN_KNEE, Scenario
-from kneexo.quantity import Parameters
-from kneexo.scenario import changed, dump_scenario, load_scenario
+from kneexo.parameters import UNCERTAIN_KNEE, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.parameters.quantity import Parameters
+from kneexo.scenario_file import dump_scenario, load_scenario
 from kneexo.simulation.compiled import scenario_start, scenario_values
+from kneexo.simulation.engines import answers
+from kneexo.studies.paper import FIG_12, IDEAL_SMC
+from kneexo.studies.sliding import SLIDING_LAW
 
 FILE_LIMIT_S = 5.0
 RUN_LIMIT_S = 30.0

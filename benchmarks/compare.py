@@ -40,12 +40,13 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from kneexo.analysis.simulation import simulate_diagram
 from kneexo.compilation import Simulation
 from kneexo.diagrams import columns, make_closed_loop
-from kneexo.parameters import PID_TUNED, Scenario
-from kneexo.scenario import changed
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
 from kneexo.simulation import compile_scenario, scenario_run
+from kneexo.simulation.drake import simulate_diagram
+from kneexo.studies.paper import PID_TUNED
 
 Array = NDArray[np.float64]
 Runner = Callable[[], Array]

@@ -28,9 +28,10 @@ from pydrake.systems.primitives import Integrator
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.compilation import compile_diagram
-from kneexo.parameters import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12, IDEAL_SMC, Scenario
-from kneexo.scenario import changed
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
 from kneexo.simulation import compile_scenario, scenario_run
+from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12, IDEAL_SMC
 
 PROCESS = """
 import kneexo

@@ -24,11 +24,11 @@ from functools import partial
 
 import numpy as np
 
-from kneexo.analysis import parallel_map
 from kneexo.analysis.assessment import assess
-from kneexo.analysis.robustness import assess_plant, draw
 from kneexo.compilation.cores import available_cores
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
+from kneexo.studies.robustness import assess_plant, draw
+from kneexo.sweeps import parallel_map
 
 REDUCED = {path: one for path, one in UNCERTAINTY.values.items() if path != "plant.full_order"}
 UNLOADED = {path: one for path, one in REDUCED.items() if not path.startswith("plant.load")}

@@ -33,26 +33,33 @@ ROOT = Path(__file__).parents[1]
 TESTS: dict[str, tuple[str, ...]] = {
     "__init__": ("compilation/test_api",),
     "__main__": ("test_cli",),
-    "errors": ("test_cli", "test_parameters"),
+    "errors": ("test_cli", "test_scenario_file"),
     "interruption": ("test_cli",),
-    "quantity": ("test_parameters",),
-    "analysis/amplitude_response": ("analysis/test_bandwidth",),
-    "analysis/contest_figures": ("analysis/test_contest",),
-    "analysis/controller_study_figures": ("analysis/test_controller_study",),
-    "analysis/loop_rest": ("analysis/test_linearization",),
+    "version": ("test_citation",),
+    "analysis/loop_equilibrium": ("analysis/test_linearization",),
     "analysis/plant_linearization": ("analysis/test_linearization",),
-    "analysis/reduction_figures": ("analysis/test_reduction",),
-    "analysis/robustness_figures": ("analysis/test_robustness",),
     "analysis/sampled_loop": ("analysis/test_linearization",),
-    "analysis/sizing": ("analysis/test_sizing", "analysis/test_sizing_report"),
-    "analysis/sizing_figures": ("analysis/test_sizing_report",),
-    "analysis/sliding_condition_figures": ("analysis/test_sliding_condition",),
-    "systems/_leaf": ("systems/test_leaf",),
-    "diagrams/plant": ("diagrams/test_plant", "diagrams/test_full_order_plant"),
+    "analysis/signals": ("analysis/test_tracking", "analysis/test_walking"),
     "compilation/integrators": ("compilation/test_time_loop", "compilation/test_model"),
     "compilation/machine_code": ("compilation/test_cache", "compilation/test_model"),
     "compilation/native": ("compilation/test_cache", "compilation/test_time_loop"),
     "compilation/runner": ("compilation/test_time_loop", "compilation/test_model"),
+    "diagrams/plant": ("diagrams/test_plant", "diagrams/test_full_order_plant"),
+    "parameters/control": ("test_parameters", "systems/test_sliding_mode_controller"),
+    "parameters/linkages": ("test_parameters", "test_linkage"),
+    "parameters/paths": ("test_scenario_file", "test_uncertainty"),
+    "parameters/plant": ("test_parameters",),
+    "parameters/quantity": ("test_parameters", "test_scenario_file"),
+    "parameters/reference": ("test_parameters", "test_gait", "test_scenario_file"),
+    "parameters/scenario": ("test_parameters", "test_scenario_file"),
+    "parameters/uncertainty": ("test_uncertainty",),
+    "simulation/drake": ("simulation/test_engines", "test_engines"),
+    "simulation/run": ("simulation/test_engines", "test_result"),
+    "studies/catalogue": ("test_cli",),
+    "studies/paper": ("studies/test_reproduce",),
+    "studies/size": ("studies/test_size", "studies/test_size_report"),
+    "studies/size_results": ("studies/test_size_report",),
+    "systems/_leaf": ("systems/test_leaf",),
 }
 """Tests of the modules that have no file of their own name."""
 
@@ -199,7 +206,10 @@ def mutants(source: str, count: int, seed: str) -> list[Mutant]:
 def mirrored(module: str, root: Path = ROOT) -> list[str]:
     """Paths of the tests of a module such as ``analysis/tracking``, from the root of the tree."""
     folder, _, name = module.rpartition("/")
-    names = TESTS.get(module, (f"{folder}/test_{name}".lstrip("/"),))
+    if folder == "studies":  # with the report and the pictures of a study
+        name = name.removesuffix("_report").removesuffix("_figures")
+    names = TESTS.get(module) or TESTS.get(f"{folder}/{name}")
+    names = names or (f"{folder}/test_{name}".lstrip("/"),)
     paths = [f"tests/{test}.py" for test in names]
     return [path for path in paths if (root / path).exists()]
 

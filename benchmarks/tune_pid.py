@@ -1,6 +1,6 @@
 """Find the best PID for Fig. 12 within a budget of chattering; prints the gains.
 
-The search that `kneexo.parameters.PID_TUNED` and `PID_FEEDFORWARD` come from:
+The search that `kneexo.studies.paper.PID_TUNED` and `PID_FEEDFORWARD` come from:
 
     python benchmarks/tune_pid.py                           # error feedback alone
     python benchmarks/tune_pid.py --start 14 400 0 0.015    # the same without derivative
@@ -19,9 +19,10 @@ import argparse
 import math
 from itertools import product
 
-from kneexo.analysis import parallel_map, track
+from kneexo.analysis import track
 from kneexo.errors import SimulationError
 from kneexo.parameters import PidParameters, Scenario, SimulationParameters
+from kneexo.sweeps import parallel_map
 
 NAMES = ("proportional_per_s", "integral_per_s2", "derivative", "filter_s")
 START = (10.0, 20.0, 0.02, 0.02)  # a start of 0 stays 0

@@ -24,7 +24,7 @@ from kneexo.analysis.bandwidth import (
 from kneexo.analysis.frequency_response import MINUS_3_DB, cycle_responses, estimate_sine
 from kneexo.linkage import polynomial
 from kneexo.parameters import SampledReference, Scenario
-from kneexo.scenario import changed
+from kneexo.parameters.paths import changed
 
 STIFFER_PER_S = 40.0
 """Twice the default λ: the sliding surface is met later, and nearer to where the follower does."""

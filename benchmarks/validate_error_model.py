@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 
-from kneexo.analysis import parallel_map
 from kneexo.analysis.error_model import compare_error, error_model
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.parameters import (
@@ -21,7 +20,8 @@ from kneexo.parameters import (
     SineReference,
     SlidingModeParameters,
 )
-from kneexo.scenario import changed
+from kneexo.parameters.paths import changed
+from kneexo.sweeps import parallel_map
 
 LAMBDAS = (5.0, 7.0, 10.0, 20.0, 35.0, 50.0)
 SLOPES = (2e4, 5e4, 1e5, 2e5)

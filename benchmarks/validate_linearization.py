@@ -20,10 +20,9 @@ from pydrake.systems.analysis import InitializeParams, ResetIntegratorFromFlags,
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from kneexo.analysis import SampledLoop, linearize_loop, linearize_plant, parallel_map
+from kneexo.analysis import SampledLoop, linearize_loop, linearize_plant
 from kneexo.diagrams import make_closed_loop
 from kneexo.parameters import (
-    EQ_27_EXACT_STATES,
     BldcPumpParameters,
     CylinderParameters,
     DifferenceParameters,
@@ -37,6 +36,8 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
+from kneexo.studies.paper import EQ_27_EXACT_STATES
+from kneexo.sweeps import parallel_map
 
 MID_DEG = 40.0
 LOG_S = 0.2e-3

@@ -23,9 +23,10 @@ from kneexo.analysis.sensitivity import (
     tracking_sensitivities,
     value_at,
 )
-from kneexo.parameters import PID_TUNED, UNCERTAIN_KNEE, UNCERTAINTY, Scenario
-from kneexo.scenario import changed
+from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario
+from kneexo.parameters.paths import changed
 from kneexo.simulation.compiled import simulate_compiled
+from kneexo.studies.paper import PID_TUNED
 
 REQUIRED = 1e-5
 KNOWN = 1e-6

@@ -1,8 +1,10 @@
 """kneexo: a polycentric knee exoskeleton with electro-hydraulic actuator, on Drake.
 
-Subpackages: ``kneexo.systems`` (leaf systems), ``kneexo.diagrams`` (builders),
-``kneexo.compilation`` (diagrams as machine code) and ``kneexo.analysis``; ``kneexo.parameters``
-holds every physical number, ``kneexo.linkage`` the four-bar mathematics as plain functions.
+Subpackages, each of which knows only those before it: ``kneexo.parameters`` (every physical
+number), ``kneexo.systems`` (leaf systems), ``kneexo.diagrams`` (builders), ``kneexo.compilation``
+(diagrams as machine code), ``kneexo.simulation`` (one run), ``kneexo.sweeps`` (many runs),
+``kneexo.analysis`` (measures of one scenario) and ``kneexo.studies`` (comparisons of many).
+``kneexo.linkage`` has the four-bar mathematics as plain functions.
 """
 
 from __future__ import annotations
@@ -11,13 +13,13 @@ from collections.abc import Iterable
 from os import PathLike
 from typing import TYPE_CHECKING, overload
 
+from kneexo.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from pydrake.systems.framework import System
 
     from kneexo.compilation import CompiledModel, DiagramModel
     from kneexo.parameters import Scenario
-
-__version__ = "0.1.0"
 
 
 @overload
@@ -31,10 +33,38 @@ def compile(system: System, *, inputs: Iterable[str] = ()) -> DiagramModel: ... 
 def compile(  # noqa: A001
     system: Scenario | str | PathLike[str] | System, *, inputs: Iterable[str] = ()
 ) -> CompiledModel:
-    """Compile a scenario, a scenario file or a diagram: see `kneexo.simulation.compile_model`.
+    """Compile the closed loop of a scenario or of a scenario file, or a diagram.
 
-    ``inputs``: names of the input ports of a diagram that stay inputs of the model.
+    See `kneexo.simulation.compile_scenario` and `kneexo.compilation.compile_diagram`.
+
+    Parameters
+    ----------
+    system
+        A scenario, the path of a scenario file, or a Diagram or leaf system of floats.
+    inputs
+        Names of the input ports of a diagram that stay inputs of the model.
+
+    Raises
+    ------
+    ScenarioError
+        The file is faulty.
+    CompilationError
+        ``system`` is something else, or a subsystem cannot be converted; ``inputs`` are given for
+        a scenario, whose inputs follow from its reference.
     """
-    from kneexo.simulation import compile_model  # LLVM and Drake only when asked for
+    # LLVM and Drake only when asked for.
+    from kneexo.compilation import compile_diagram
+    from kneexo.errors import CompilationError
+    from kneexo.parameters import Scenario
+    from kneexo.scenario_file import load_scenario
+    from kneexo.simulation import compile_scenario
 
-    return compile_model(system, inputs=inputs)
+    if isinstance(system, str | PathLike):
+        system = load_scenario(system)
+    if not isinstance(system, Scenario):
+        return compile_diagram(system, inputs=inputs)
+    if isinstance(inputs, str) or tuple(inputs):
+        raise CompilationError(
+            "inputs: must be left out for a scenario; compile a diagram to choose them"
+        )
+    return compile_scenario(system)

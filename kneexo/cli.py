@@ -14,13 +14,13 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kneexo import __version__
 from kneexo.errors import KneexoError, WorkerError
 from kneexo.interruption import Terminated, sigterm_raises
+from kneexo.studies.catalogue import PAPER, STUDIES, Study
+from kneexo.version import __version__
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from kneexo.analysis import TrackingResult
     from kneexo.parameters import Scenario
-    from kneexo.quantity import Parameters
+    from kneexo.parameters.quantity import Parameters
 
 Settings = TypeVar("Settings", bound="Parameters")
 
@@ -51,10 +51,6 @@ examples:
 Exit codes: 0 done, 2 wrong input or a run that failed (one line says why),
 130 interrupted, 143 terminated.
 """
-
-
-PAPER = "the paper's setup (see `kneexo params`)"
-UNDER_LOAD = "the paper's setup under the weight of the shank"
 
 
 class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
@@ -162,8 +158,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"kneexo {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
-    def command(name: str, run: Any, text: str, detail: str = "") -> argparse.ArgumentParser:
-        sub = commands.add_parser(
+    def command(
+        name: str, run: Any, text: str, detail: str = "", among: Any = None
+    ) -> argparse.ArgumentParser:
+        sub = (among or commands).add_parser(
             name,
             help=text,
             description=f"{text[0].upper()}{text[1:]}. {detail}".strip(),
@@ -214,8 +212,8 @@ def _parser() -> argparse.ArgumentParser:
             "kneexo (pip install 'kneexo[cluster]')",
         )
 
-    def add_sweep(sub: argparse.ArgumentParser, section: str, default: str = PAPER) -> None:
-        add_scenario(sub, default)
+    def add_sweep(sub: argparse.ArgumentParser, study: Study) -> None:
+        add_scenario(sub, study.setup)
         add_out(sub, "figures (PNG, PDF), results (JSON) and report (Markdown)")
         sub.add_argument(
             "--set",
@@ -224,8 +222,15 @@ def _parser() -> argparse.ArgumentParser:
             metavar="NAME=VALUE",
             dest="settings",
             help=f"a setting, by its dotted name; `kneexo params` lists them with their defaults "
-            f"after '{section}:'. VALUE is YAML: 3, [1, 2]. May be given several times",
+            f"after '{study.command}:'. VALUE is YAML: 3, [1, 2]. May be given several times",
         )
+        if study.uncertain:
+            sub.add_argument(
+                "--uncertainty",
+                metavar="FILE.yaml",
+                help="values by dotted path, each {low, high, scale} or {options}; left out: the "
+                "default set (see `kneexo params`)",
+            )
         add_workers(sub)
         before = sub.add_mutually_exclusive_group()
         before.add_argument(
@@ -266,52 +271,23 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_out(sub, "linearization.json; loop, nyquist and poles as PNG and PDF")
 
-    sub = command(
-        "bandwidth",
-        _bandwidth,
-        "measure the frequency response from small to large amplitude",
-        "Sinestream over frequencies and amplitudes, beside the linear prediction and the closed "
-        "form of the speed limit.",
-    )
-    add_sweep(sub, "bandwidth")
+    def add_study(study: Study, add: Callable[..., argparse.ArgumentParser]) -> None:
+        sub = add(study.command.split()[-1], partial(_sweep, study), study.summary, study.detail)
+        add_sweep(sub, study)
 
-    sub = command(
-        "robustness",
-        _robustness,
-        "worst case, spread and sensitivities over an uncertainty set",
-        "Corners, seeded Monte Carlo and one value at a time: tracking error, bandwidth, margins.",
-    )
-    add_sweep(sub, "robustness", UNDER_LOAD)
-    sub.add_argument(
-        "--uncertainty",
-        metavar="FILE.yaml",
-        help="values by dotted path, each {low, high, scale} or {options}; left out: the default "
-        "set (see `kneexo params`)",
-    )
-
-    sub = command(
-        "study",
-        _study,
-        "compare controllers, or the full order with the reduced one",
-        "controller: errors, chattering and margins over λ, Φ and η, and the paper's claims; "
-        "contest: SMC and PID tuned alike, compared over the uncertainty set; sliding: the sliding "
-        "condition and the bound on the error; order: full against reduced order.",
-    )
-    sub.add_argument("what", choices=("controller", "contest", "sliding", "order"))
-    add_sweep(
-        sub,
-        "study WHAT",
-        f"controller: {PAPER}; contest and order: {UNDER_LOAD}; sliding: ideal motor and exact "
-        "states in continuous time",
-    )
-
-    sub = command(
-        "size",
-        _size,
-        "find the motor, pump and encoder that a task needs",
-        "Bandwidth and error over the hardware, and what walking takes.",
-    )
-    add_sweep(sub, "size", UNDER_LOAD)
+    studies = None
+    for study in STUDIES.values():
+        if " " not in study.command:
+            add_study(study, command)
+            continue
+        if studies is None:
+            what = commands.add_parser(
+                "study",
+                help="compare controllers, or the full order with the reduced one",
+                formatter_class=_HelpFormatter,
+            )
+            studies = what.add_subparsers(title="studies", required=True, metavar="STUDY")
+        add_study(study, partial(command, among=studies))
 
     sub = command(
         "params",
@@ -350,7 +326,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _scenario(options: argparse.Namespace, default: Scenario | None = None) -> Scenario:
     from kneexo.parameters import Scenario
-    from kneexo.scenario import load_scenario
+    from kneexo.scenario_file import load_scenario
 
     if options.scenario is None:
         scenario = default or Scenario()
@@ -373,15 +349,14 @@ def _executor(options: argparse.Namespace) -> AbstractContextManager[Executor | 
         raise ParameterError(f"--workers = {options.workers}: must be at least 1")
     if options.dask is None:
         return nullcontext()
-    from kneexo.analysis.parallel import dask_cluster
+    from kneexo.sweeps.parallel import dask_cluster
 
     return dask_cluster(options.dask)
 
 
 def _checkpoint_path(options: argparse.Namespace) -> Path:
     """Where a sweep keeps its finished pieces."""
-    name = getattr(options, "what", options.command)
-    return Path(options.out, f"{name}.checkpoint.jsonl")
+    return Path(options.out, f"{options.command}.checkpoint.jsonl")
 
 
 def _kept(options: argparse.Namespace) -> str:
@@ -417,24 +392,21 @@ def _origin(scenario: Scenario, settings: Parameters | None = None) -> dict[str,
     return {"kneexo": __version__, "scenario": scenario.model_dump(mode="json")} | given
 
 
-def _sweep(
-    options: argparse.Namespace,
-    compute: Callable[..., Any],
-    scenario: Scenario,
-    settings: Parameters,
-) -> None:
-    """Run a study whose finished pieces are kept, and write results, report and figures.
+def _sweep(study: Study, options: argparse.Namespace) -> None:
+    """Run a study whose finished pieces are kept, and write results, report and figures."""
+    scenario = _scenario(options, study.scenario)
+    settings = _settings(options, study.settings)
+    compute = study.compute
+    if study.uncertain and options.uncertainty is not None:
+        from kneexo.scenario_file import load_uncertainty
 
-    ``compute`` takes the scenario, ``settings``, ``workers``, ``executor``, ``checkpoint`` and
-    ``progress``; what it returns has ``results()``, ``report()`` and ``figures()``.
-    """
+        compute = partial(compute, uncertainty=load_uncertainty(options.uncertainty, scenario))
     _headless()
     import matplotlib.pyplot as plt
 
-    from kneexo.analysis.checkpoint import Checkpoint
     from kneexo.output import save_figure, to_json
+    from kneexo.sweeps.checkpoint import Checkpoint
 
-    name = getattr(options, "what", options.command)
     with _executor(options) as executor, _results(options) as directory:
         checkpoint = Checkpoint(_checkpoint_path(options), resume=not options.restart)
         options.checkpoint = checkpoint
@@ -447,10 +419,11 @@ def _sweep(
                 checkpoint=checkpoint,
                 progress=True,
             )
-            numbers, text = to_json(_origin(scenario, settings) | done.results()), done.report()
-            (directory / f"{name}.json").write_text(numbers, encoding="utf-8")
-            (directory / f"{name}.md").write_text(text, encoding="utf-8")
-            for title, figure in done.figures().items():
+            numbers = to_json(_origin(scenario, settings) | done.results())
+            text = study.report(done)
+            (directory / f"{study.name}.json").write_text(numbers, encoding="utf-8")
+            (directory / f"{study.name}.md").write_text(text, encoding="utf-8")
+            for title, figure in study.figures(done).items():
                 save_figure(directory, title, figure)
                 plt.close(figure)
             written = ", ".join(sorted(file.name for file in directory.iterdir()))
@@ -477,9 +450,12 @@ def _reproduce(options: argparse.Namespace) -> None:
     _headless()
     import matplotlib.pyplot as plt
 
+    from kneexo.analysis.frequency_response import SinestreamSettings
     from kneexo.output import save_figure, to_json
-    from kneexo.parameters import Scenario, SinestreamParameters
-    from kneexo.reproduction import figures, report, reproduce, results
+    from kneexo.parameters import Scenario
+    from kneexo.studies.reproduce import reproduce, results
+    from kneexo.studies.reproduce_figures import figures
+    from kneexo.studies.reproduce_report import report
 
     with _executor(options) as executor, _results(options) as directory:
         done = reproduce(
@@ -487,7 +463,7 @@ def _reproduce(options: argparse.Namespace) -> None:
         )
         numbers = results(done)
         base = Scenario().with_engine(options.engine)
-        document = to_json(_origin(base, SinestreamParameters()) | numbers)
+        document = to_json(_origin(base, SinestreamSettings()) | numbers)
         (directory / "results.json").write_text(document, encoding="utf-8")
         text = report(numbers)
         (directory / "report.md").write_text(text, encoding="utf-8")
@@ -507,9 +483,9 @@ def _simulate(options: argparse.Namespace) -> None:
     from dataclasses import asdict
 
     from kneexo.analysis import track
-    from kneexo.analysis.markdown import number
     from kneexo.output import save_figure, to_json, write_csv
-    from kneexo.scenario import dump_scenario
+    from kneexo.scenario_file import dump_scenario
+    from kneexo.studies.markdown import number
 
     with _results(options) as directory:
         if scenario.simulation.compiled:
@@ -585,7 +561,8 @@ def _linearize(options: argparse.Namespace) -> None:
 def _settings(options: argparse.Namespace, cls: type[Settings]) -> Settings:
     """The settings of a study with what ``--set`` changes."""
     from kneexo.errors import ParameterError
-    from kneexo.scenario import changed, read_value
+    from kneexo.parameters.paths import changed
+    from kneexo.scenario_file import read_value
 
     values = {}
     for text in options.settings:
@@ -596,54 +573,10 @@ def _settings(options: argparse.Namespace, cls: type[Settings]) -> Settings:
     return changed(cls(), values)
 
 
-def _bandwidth(options: argparse.Namespace) -> None:
-    from kneexo.analysis.amplitude_response import amplitude_map
-    from kneexo.parameters import AmplitudeMapParameters
-
-    settings = _settings(options, AmplitudeMapParameters)
-    _sweep(options, amplitude_map, _scenario(options), settings)
-
-
-def _robustness(options: argparse.Namespace) -> None:
-    from kneexo.analysis.robustness import robustness
-    from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, RobustnessParameters
-    from kneexo.scenario import load_uncertainty
-
-    scenario = _scenario(options, UNCERTAIN_KNEE)
-    settings = _settings(options, RobustnessParameters)
-    uncertainty = UNCERTAINTY
-    if options.uncertainty is not None:
-        uncertainty = load_uncertainty(options.uncertainty, scenario)
-    compute = partial(robustness, uncertainty=uncertainty)
-    _sweep(options, compute, scenario, settings)
-
-
-def _study(options: argparse.Namespace) -> None:
-    from kneexo import parameters
-
-    module, function, default = {
-        "controller": ("controller_study", "controller_study", parameters.Scenario()),
-        "contest": ("contest", "contest", parameters.UNCERTAIN_KNEE),
-        "sliding": ("sliding_condition", "sliding_study", parameters.SLIDING_LAW),
-        "order": ("reduction", "compare_orders", parameters.UNCERTAIN_KNEE),
-    }[options.what]
-    compute = getattr(import_module(f"kneexo.analysis.{module}"), function)
-    settings = _settings(options, _study_settings()[f"study {options.what}"])
-    _sweep(options, compute, _scenario(options, default), settings)
-
-
-def _size(options: argparse.Namespace) -> None:
-    from kneexo.analysis.sizing import sizing
-    from kneexo.parameters import UNCERTAIN_KNEE, SizingParameters
-
-    settings = _settings(options, SizingParameters)
-    _sweep(options, sizing, _scenario(options, UNCERTAIN_KNEE), settings)
-
-
 def _params(options: argparse.Namespace) -> None:
     scenario = _scenario(options)
     if options.yaml:
-        from kneexo.scenario import dump_scenario
+        from kneexo.scenario_file import dump_scenario
 
         print(dump_scenario(scenario), end="")
         return
@@ -654,8 +587,11 @@ def _params(options: argparse.Namespace) -> None:
         return
     rows = list(_parameter_rows(scenario, others=options.scenario is None))
     if options.scenario is None:
-        for name, cls in _study_settings().items():
-            rows += _parameter_rows(cls(), f"{name}: ")
+        from kneexo.analysis.frequency_response import SinestreamSettings
+
+        rows += _parameter_rows(SinestreamSettings(), "reproduce, Fig. 13: ")
+        for study in STUDIES.values():
+            rows += _parameter_rows(study.settings(), f"{study.command}: ")
         rows += _uncertainty_rows()
     if options.json:
         document = {**_origin(scenario), "parameters": rows}
@@ -666,22 +602,6 @@ def _params(options: argparse.Namespace) -> None:
         unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
         value = f"{row['value']:.10g}" if isinstance(row["value"], float) else row["value"]
         print(f"{row['parameter']} = {value}{unit}{bounds}\n    {row['provenance']}")
-
-
-def _study_settings() -> dict[str, type[Parameters]]:
-    """The settings of each study, by command."""
-    from kneexo import parameters
-
-    return {
-        "reproduce, Fig. 13": parameters.SinestreamParameters,
-        "bandwidth": parameters.AmplitudeMapParameters,
-        "robustness": parameters.RobustnessParameters,
-        "study controller": parameters.ControllerStudyParameters,
-        "study contest": parameters.ContestParameters,
-        "study sliding": parameters.SlidingStudyParameters,
-        "study order": parameters.OrderComparisonParameters,
-        "size": parameters.SizingParameters,
-    }
 
 
 def _uncertainty_rows() -> Iterator[dict[str, Any]]:
@@ -707,7 +627,7 @@ def _parameter_rows(
     """
     from pydantic import BaseModel
 
-    from kneexo.quantity import allowed_range, models_of, source_of, unit_of
+    from kneexo.parameters.quantity import allowed_range, models_of, source_of, unit_of
 
     cls = model if isinstance(model, type) else type(model)
     for name, field in cls.model_fields.items():

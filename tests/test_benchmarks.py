@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kneexo.parameters import PID_TUNED, Scenario
-from kneexo.scenario import changed
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
 from kneexo.simulation import simulate_compiled
+from kneexo.studies.paper import PID_TUNED
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 STEPS, SAMPLES = 10, 100  # of RK4 in a sample; samples of 2 ms

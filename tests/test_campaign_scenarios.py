@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kneexo.parameters import Scenario
-from kneexo.scenario import changed
+from kneexo.parameters.paths import changed
 
 PATH = Path(__file__).parents[1] / "benchmarks" / "campaign_scenarios.py"
 spec = importlib.util.spec_from_file_location("campaign_scenarios", PATH)

@@ -1,5 +1,6 @@
 import csv
 import fcntl
+import inspect
 import json
 import math
 import os
@@ -18,10 +19,14 @@ import pytest
 import kneexo
 from kneexo import cli
 from kneexo.analysis import TrackingMetrics
-from kneexo.cli import _parameter_rows, _study_settings, main
+from kneexo.cli import _parameter_rows, main
 from kneexo.compilation import cache
-from kneexo.parameters import ContestParameters, PlantParameters, Scenario
-from kneexo.scenario import changed, load_scenario
+from kneexo.parameters import PlantParameters, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.scenario_file import load_scenario
+from kneexo.studies import bandwidth
+from kneexo.studies.catalogue import STUDIES, Study
+from kneexo.studies.contest import ContestSettings
 
 SHORT = """
 reference: {frequency_hz: 1.0, amplitude_deg: 2.0}
@@ -501,12 +506,11 @@ def test_bandwidth_measures_writes_and_leaves_no_checkpoint(capsys, tmp_path):
 
 
 def test_an_interrupted_study_goes_on_with_identical_results(capsys, tmp_path, monkeypatch):
-    from kneexo.analysis import amplitude_response
 
     whole, torn = tmp_path / "whole", tmp_path / "torn"
     command = ["bandwidth", *SMALL_MAP, "--workers", "1", "--out"]
     assert main([*command, str(whole)]) == 0
-    measure, calls = amplitude_response._measure, []
+    measure, calls = bandwidth._measure, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -515,7 +519,7 @@ def test_an_interrupted_study_goes_on_with_identical_results(capsys, tmp_path, m
         return measure(*arguments)
 
     interrupted.__module__, interrupted.__qualname__ = measure.__module__, measure.__qualname__
-    monkeypatch.setattr(amplitude_response, "_measure", interrupted)
+    monkeypatch.setattr(bandwidth, "_measure", interrupted)
     capsys.readouterr()
     assert main([*command, str(torn)]) == 130
     last = capsys.readouterr().err.splitlines()[-1]
@@ -536,21 +540,22 @@ class FakeStudy:
     def results(self):
         return {"settings": type(self.settings).__name__}
 
-    def report(self):
-        return "# found\n"
 
-    def figures(self):
-        return {}
+def replace_study(monkeypatch, name, compute):
+    """Put ``compute`` in the place of a study; its result is a `FakeStudy`."""
+    monkeypatch.setattr(f"kneexo.studies.{name}.{name}_study", compute)
+    monkeypatch.setattr(Study, "report", lambda study, result: "# found\n")
+    monkeypatch.setattr(Study, "figures", lambda study, result: {})
 
 
 def stand_in(monkeypatch, compute):
     """A bandwidth study that takes no time."""
 
-    def study(scenario, *, settings, workers, executor, checkpoint, progress):
+    def study(scenario=Scenario(), *, settings, workers, executor, checkpoint, progress):
         compute(checkpoint)
         return FakeStudy(settings)
 
-    monkeypatch.setattr("kneexo.analysis.amplitude_response.amplitude_map", study)
+    replace_study(monkeypatch, "bandwidth", study)
 
 
 def test_finished_pieces_go_only_when_asked(capsys, tmp_path, monkeypatch):
@@ -604,10 +609,11 @@ def test_damaged_lines_are_one_line_on_stderr(tmp_path):
     path = tmp_path / "bandwidth.checkpoint.jsonl"
     path.write_text('{"kneexo checkpoint": 1}\ndamaged\ndamaged\n')
     code = (
-        "from kneexo.analysis import amplitude_response\n"
+        "from kneexo.studies import bandwidth\n"
         "from kneexo.errors import WorkerError\n"
-        "def fail(*a, **b): raise WorkerError('no worker')\n"
-        "amplitude_response.amplitude_map = fail\n"
+        "from kneexo.parameters import Scenario\n"
+        "def fail(scenario=Scenario(), **b): raise WorkerError('no worker')\n"
+        "bandwidth.bandwidth_study = fail\n"
         f"from kneexo.cli import main; main(['bandwidth', '--out', {str(tmp_path)!r}])\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -623,38 +629,37 @@ def test_an_interrupt_after_the_files_are_written_says_so(capsys, tmp_path, monk
     def interrupted(self):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("kneexo.analysis.checkpoint.Checkpoint.remove", interrupted)
+    monkeypatch.setattr("kneexo.sweeps.checkpoint.Checkpoint.remove", interrupted)
     assert main(["bandwidth", "--out", str(tmp_path)]) == 130
     assert capsys.readouterr().err == f"kneexo: interrupted; the results are in {tmp_path}\n"
 
 
-@pytest.mark.parametrize(
-    ("command", "module", "function", "settings"),
-    [
-        (["bandwidth"], "amplitude_response", "amplitude_map", "AmplitudeMapParameters"),
-        (["size"], "sizing", "sizing", "SizingParameters"),
-        (["study", "controller"], "controller_study", "controller_study", None),
-        (["study", "contest"], "contest", "contest", "ContestParameters"),
-        (["study", "sliding"], "sliding_condition", "sliding_study", "SlidingStudyParameters"),
-        (["study", "order"], "reduction", "compare_orders", "OrderComparisonParameters"),
-    ],
-)
-def test_each_study_is_wired(capsys, tmp_path, monkeypatch, command, module, function, settings):
+@pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
+def test_each_study_is_wired(capsys, tmp_path, monkeypatch, study):
     seen = {}
 
-    def compute(scenario, *, settings, workers, executor, checkpoint, progress):
+    def compute(scenario=Scenario(), *, settings, workers, executor, checkpoint, progress):
         assert executor is None
         seen["workers"] = workers
         return FakeStudy(settings)
 
-    monkeypatch.setattr(f"kneexo.analysis.{module}.{function}", compute)
+    replace_study(monkeypatch, study.name, compute)
+    command = study.command.split()
     out = tmp_path / "out"
     assert main([*command, "--workers", "2", "--out", str(out), "--json"]) == 0
     assert seen["workers"] == 2
     printed = json.loads(capsys.readouterr().out)
-    assert printed["settings"] == (settings or "ControllerStudyParameters")
-    name = command[-1]
-    assert {file.name for file in out.iterdir()} == {f"{name}.json", f"{name}.md"}
+    assert printed["settings"] == study.settings.__name__
+    assert {file.name for file in out.iterdir()} == {f"{study.name}.json", f"{study.name}.md"}
+
+
+@pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
+def test_the_catalogue_is_true(study):
+    parameters = inspect.signature(study.compute).parameters
+    assert ("uncertainty" in parameters) == study.uncertain
+    assert isinstance(study.scenario, Scenario)
+    assert isinstance(parameters["settings"].default, study.settings)
+    assert study.command.split()[-1] == study.name
 
 
 @pytest.mark.parametrize(
@@ -728,19 +733,21 @@ def test_every_key_of_the_results_is_documented():
 
 # -------------------------------------------------------------------------------- --help
 
+WITHOUT_ENGINE = ("linearize", "params", "diagram", "cache")
 COMMANDS = [
-    *("reproduce", "simulate", "linearize", "bandwidth", "robustness", "study", "size"),
-    *("params", "diagram", "cache"),
+    *("reproduce", "simulate", *WITHOUT_ENGINE),
+    *(study.command for study in STUDIES.values()),
 ]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_shows_only_defaults_that_tell_something(command, capsys):
     with pytest.raises(SystemExit, match="0"):
-        main([command, "--help"])
+        main([*command.split(), "--help"])
     text = capsys.readouterr().out
+    assert "--json" in text
     assert not re.search(r"default:\s+(None|False|\[\])", text)
-    assert ("--engine" in text) == (command not in ("linearize", "params", "diagram", "cache"))
+    assert ("--engine" in text) == (command not in WITHOUT_ENGINE)
 
 
 @pytest.mark.parametrize(
@@ -759,10 +766,11 @@ def test_faults_of_nested_settings_name_their_path(capsys, tmp_path, text, told)
 
 def test_every_listed_setting_can_be_set():
     """`kneexo params` lists a setting under the name that ``--set`` takes."""
-    for section, cls in _study_settings().items():
-        for row in _parameter_rows(cls(), f"{section}: "):
-            name = row["parameter"].removeprefix(f"{section}: ")
-            assert changed(cls(), {name: row["value"]}) == cls(), name
+    for study in STUDIES.values():
+        settings = study.settings()
+        for row in _parameter_rows(settings, f"{study.command}: "):
+            name = row["parameter"].removeprefix(f"{study.command}: ")
+            assert changed(settings, {name: row["value"]}) == settings, name
 
 
 def test_a_scalar_is_a_list_of_one(capsys, tmp_path):
@@ -772,11 +780,11 @@ def test_a_scalar_is_a_list_of_one(capsys, tmp_path):
 
 
 def test_changed_leaves_nested_mappings_of_settings_alone():
-    settings = ContestParameters()
+    settings = ContestSettings()
     path = "contestants.SMC.controller.lambda_per_s"
     assert changed(settings, {path: 5.0}).contestants["SMC"].controller.lambda_per_s == 5.0
-    assert settings == ContestParameters()
-    assert ContestParameters().contestants["SMC"].controller.lambda_per_s == 20.0
+    assert settings == ContestSettings()
+    assert ContestSettings().contestants["SMC"].controller.lambda_per_s == 20.0
 
 
 @pytest.mark.parametrize(

@@ -16,37 +16,25 @@ from functools import partial
 import pytest
 
 from kneexo import __version__
-from kneexo.analysis import parallel, parallel_map, sinestream
-from kneexo.analysis.amplitude_response import amplitude_map
+from kneexo.analysis import sinestream
 from kneexo.analysis.assessment import assess
-from kneexo.analysis.checkpoint import Checkpoint
-from kneexo.analysis.contest import contest
-from kneexo.analysis.controller_study import controller_study
-from kneexo.analysis.parallel import dask_cluster
-from kneexo.analysis.reduction import compare_orders
-from kneexo.analysis.robustness import assess_plant, draw, robustness
-from kneexo.analysis.sizing import sizing
-from kneexo.analysis.sliding_condition import sliding_study
+from kneexo.analysis.frequency_response import SinestreamSettings
 from kneexo.cli import main
 from kneexo.errors import OutputError, WorkerError
 from kneexo.output import to_json
-from kneexo.parameters import (
-    SLIDING_LAW,
-    UNCERTAIN_KNEE,
-    UNCERTAINTY,
-    AmplitudeMapParameters,
-    ContestParameters,
-    ControllerStudyParameters,
-    OrderComparisonParameters,
-    RobustnessParameters,
-    Scenario,
-    SinestreamParameters,
-    SizingParameters,
-    SlidingStudyParameters,
-    UncertaintySet,
-)
-from kneexo.reproduction import reproduce, results
-from kneexo.scenario import changed
+from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
+from kneexo.parameters.paths import changed
+from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
+from kneexo.studies.contest import ContestSettings, contest_study
+from kneexo.studies.controller import ControllerSettings, controller_study
+from kneexo.studies.order import OrderSettings, order_study
+from kneexo.studies.reproduce import reproduce, results
+from kneexo.studies.robustness import RobustnessSettings, assess_plant, draw, robustness_study
+from kneexo.studies.size import SizeSettings, size_study
+from kneexo.studies.sliding import SLIDING_LAW, SlidingSettings, sliding_study
+from kneexo.sweeps import parallel, parallel_map
+from kneexo.sweeps.checkpoint import Checkpoint
+from kneexo.sweeps.parallel import dask_cluster
 
 REDUCED = UncertaintySet(
     values={path: one for path, one in UNCERTAINTY.values.items() if path != "plant.full_order"}
@@ -72,7 +60,7 @@ def _copied(text):
     return pickle.loads(pickle.dumps(function(*arguments)))
 
 
-FEW_SINES = SinestreamParameters(
+FEW_SINES = SinestreamSettings(
     frequencies_hz=(8.0, 9.0, 10.0), trials=2, measured_cycles=1, transient_cycles=0
 )
 QUICK = {"simulation": {"duration_s": 0.5}, "reference": {"kind": "sine", "amplitude_deg": 1.0}}
@@ -81,19 +69,19 @@ SWEEPS = {
     "reproduce": (reproduce, FEW_SINES),
     "sinestream": (partial(sinestream, Scenario()), FEW_SINES),
     "bandwidth": (
-        partial(amplitude_map, Scenario()),
-        AmplitudeMapParameters(
+        partial(bandwidth_study, Scenario()),
+        BandwidthSettings(
             amplitudes_deg=(0.3, 3.0),
             frequencies_hz=(2.5, 5.0, 12.5),
         ),
     ),
     "robustness": (
-        partial(robustness, changed(UNCERTAIN_KNEE, QUICK), REDUCED),
-        RobustnessParameters(samples=2, corners_max=2, bandwidth=False, sensitivity_duration_s=0.0),
+        partial(robustness_study, changed(UNCERTAIN_KNEE, QUICK), REDUCED),
+        RobustnessSettings(samples=2, corners_max=2, bandwidth=False, sensitivity_duration_s=0.0),
     ),
     "study controller": (
         partial(controller_study, changed(Scenario(), QUICK)),
-        ControllerStudyParameters(
+        ControllerSettings(
             lambdas_per_s=(20.0, 40.0),
             phis_m_s2=(3.2,),
             etas_m_s3=(2.8e5,),
@@ -106,8 +94,8 @@ SWEEPS = {
         ),
     ),
     "study contest": (
-        partial(contest, changed(UNCERTAIN_KNEE, QUICK), REDUCED),
-        ContestParameters(
+        partial(contest_study, changed(UNCERTAIN_KNEE, QUICK), REDUCED),
+        ContestSettings(
             training_samples=1,
             test_samples=2,
             optimizer_seeds=(1,),
@@ -125,19 +113,17 @@ SWEEPS = {
                 {"simulation": {"duration_s": 0.004, "integrator": "radau3", "step_s": 1e-4}},
             ),
         ),
-        SlidingStudyParameters(
+        SlidingSettings(
             etas_m_s3=(2.8e5,), loads_n=(60.0,), start_duration_s=0.001, start_sample_time_s=5e-5
         ),
     ),
     "study order": (
-        partial(compare_orders, UNCERTAIN_KNEE),
-        OrderComparisonParameters(
-            postures_deg=(40.0,), switching_forces_n=(16.0,), disturbances_n=(0.0, 60.0)
-        ),
+        partial(order_study, UNCERTAIN_KNEE),
+        OrderSettings(postures_deg=(40.0,), switching_forces_n=(16.0,), disturbances_n=(0.0, 60.0)),
     ),
     "size": (
-        sizing,
-        SizingParameters(
+        size_study,
+        SizeSettings(
             factors=(1.0, 2.0),
             walking_factors=(1.0, 1.5),
             stride_frequencies_hz=(1.0,),
@@ -212,10 +198,10 @@ def _address(file):
 def test_a_dask_worker_killed_in_the_middle_changes_nothing(cluster, tmp_path):
     address, workers = cluster
     checkpoint = Checkpoint(tmp_path / "checkpoint.jsonl")
-    settings = RobustnessParameters(
+    settings = RobustnessSettings(
         samples=150, corners_max=60, bandwidth=False, sensitivity_duration_s=0.0
     )
-    sweep = partial(robustness, UNCERTAIN_KNEE, REDUCED, settings)
+    sweep = partial(robustness_study, UNCERTAIN_KNEE, REDUCED, settings)
     killed_at = []
 
     def kill():

@@ -12,43 +12,26 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from kneexo import reproduction
-from kneexo.analysis import simulation, track
-from kneexo.analysis.amplitude_response import amplitude_map
-from kneexo.analysis.contest import contest
-from kneexo.analysis.controller_study import controller_study
-from kneexo.analysis.reduction import compare_orders
-from kneexo.analysis.robustness import robustness
-from kneexo.analysis.sizing import sizing
-from kneexo.analysis.sliding_condition import sliding_study
+from kneexo.analysis import track
+from kneexo.analysis.frequency_response import SineEstimateSettings, SinestreamSettings
 from kneexo.cli import main
 from kneexo.compilation.model import CompiledModel
 from kneexo.errors import KneexoError
 from kneexo.output import to_json
-from kneexo.parameters import (
-    EQ_27_DIFFERENCES,
-    EQ_27_EXACT_STATES,
-    FIG_12,
-    IDEAL_SMC,
-    SLIDING_LAW,
-    AmplitudeMapParameters,
-    Contestant,
-    ContestParameters,
-    ControllerStudyParameters,
-    OrderComparisonParameters,
-    PidParameters,
-    RobustnessParameters,
-    Scenario,
-    SineEstimateParameters,
-    SineReference,
-    SinestreamParameters,
-    SizingParameters,
-    SlidingStudyParameters,
-    Uncertainty,
-    UncertaintySet,
-)
-from kneexo.scenario import changed
-from kneexo.simulation import compiled, simulate_compiled
+from kneexo.parameters import PidParameters, Scenario, SineReference, Uncertainty, UncertaintySet
+from kneexo.parameters.paths import changed
+from kneexo.simulation import compiled, drake, simulate_compiled
+from kneexo.simulation.engines import simulate
+from kneexo.studies import reproduce
+from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
+from kneexo.studies.catalogue import STUDIES
+from kneexo.studies.contest import Contestant, ContestSettings, contest_study
+from kneexo.studies.controller import ControllerSettings, controller_study
+from kneexo.studies.order import OrderSettings, order_study
+from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12, IDEAL_SMC
+from kneexo.studies.robustness import RobustnessSettings, robustness_study
+from kneexo.studies.size import SizeSettings, size_study
+from kneexo.studies.sliding import SLIDING_LAW, SlidingSettings, sliding_study
 
 TOLERANCES = {
     # name in the results: (relative, absolute), and where it comes from
@@ -96,7 +79,7 @@ def shut_off_other(patch, engine):
     if engine == "drake":
         patch.setattr(CompiledModel, "__init__", refuse)
     else:
-        patch.setattr(simulation, "Simulator", refuse)
+        patch.setattr(drake, "Simulator", refuse)
 
 
 def plain(value, path=""):
@@ -126,26 +109,24 @@ def require_equal(compiled, drake):
 
 
 MASS = UncertaintySet(values={"plant.cylinder.mass_kg": Uncertainty(low=1.4, high=1.8)})
-QUICK = SineEstimateParameters(averaged_cycles=2, largest_cycles=3, ramp_min_s=0.1)
-STUDIES = {
+QUICK = SineEstimateSettings(averaged_cycles=2, largest_cycles=3, ramp_min_s=0.1)
+SMALL = {
     "bandwidth": (
-        amplitude_map,
+        bandwidth_study,
         SMOOTH,
-        AmplitudeMapParameters(
-            amplitudes_deg=(1.0,), frequencies_hz=(6.3, 8.0, 10.0), estimate=QUICK
-        ),
+        BandwidthSettings(amplitudes_deg=(1.0,), frequencies_hz=(6.3, 8.0, 10.0), estimate=QUICK),
     ),
     "robustness": (
-        lambda scenario, *, settings: robustness(scenario, MASS, settings=settings),
+        lambda scenario, *, settings: robustness_study(scenario, MASS, settings=settings),
         SMOOTH,
-        RobustnessParameters(
+        RobustnessSettings(
             samples=2, corners_max=2, bandwidth=False, sensitivity_duration_s=0.0, nyquist_loops=0
         ),
     ),
     "study controller": (
         controller_study,
         SMOOTH,
-        ControllerStudyParameters(
+        ControllerSettings(
             lambdas_per_s=(20.0,),
             phis_m_s2=(3.2,),
             etas_m_s3=(2.8e5,),
@@ -161,9 +142,9 @@ STUDIES = {
         ),
     ),
     "study contest": (
-        lambda scenario, *, settings: contest(scenario, MASS, settings=settings),
+        lambda scenario, *, settings: contest_study(scenario, MASS, settings=settings),
         SMOOTH,
-        ContestParameters(
+        ContestSettings(
             contestants={
                 "P": Contestant(
                     controller=PidParameters(),
@@ -185,7 +166,7 @@ STUDIES = {
     "study sliding": (
         sliding_study,
         changed(SLIDING_LAW, {"simulation.duration_s": 0.01, "simulation.step_s": 5e-5}),
-        SlidingStudyParameters(
+        SlidingSettings(
             etas_m_s3=(1e3, 2.8e5),
             loads_n=(60.0,),
             start_duration_s=0.001,
@@ -193,9 +174,9 @@ STUDIES = {
         ),
     ),
     "study order": (
-        compare_orders,
+        order_study,
         SMOOTH,
-        OrderComparisonParameters(
+        OrderSettings(
             disturbances_n=(60.0,),
             postures_deg=(40.0,),
             switching_forces_n=(30.0,),
@@ -204,9 +185,9 @@ STUDIES = {
         ),
     ),
     "size": (
-        sizing,
+        size_study,
         changed(SMOOTH, {"reference.amplitude_deg": 0.2, "reference.frequency_hz": 5.0}),
-        SizingParameters(
+        SizeSettings(
             factors=(1.0,),
             walking_factors=(1.0,),
             stride_frequencies_hz=(1.0,),
@@ -224,9 +205,9 @@ STUDIES = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", STUDIES)
+@pytest.mark.parametrize("command", SMALL)
 def test_study_is_the_same_by_both_engines(command):
-    compute, scenario, settings = STUDIES[command]
+    compute, scenario, settings = SMALL[command]
     results = {}
     for engine in ("compiled", "drake"):
         with pytest.MonkeyPatch.context() as patch:
@@ -290,7 +271,7 @@ def lasting(cases, duration_s):
 
 @pytest.mark.slow
 def test_reproduce_is_the_same_by_both_engines(monkeypatch):
-    runs = {key: run for key, run, _ in reproduction._STUDIES}
+    runs = {key: run for key, run, _ in reproduce._STUDIES}
     cases = {
         "fig9": lasting({"": IDEAL_SMC}, 1.01),
         "fig12": lasting(FIG_12, 1.0),
@@ -298,18 +279,18 @@ def test_reproduce_is_the_same_by_both_engines(monkeypatch):
         "differences": lasting(EQ_27_DIFFERENCES, 0.05),  # soon one count more makes another run
     }
     shortened = tuple((key, runs[key], own) for key, own in cases.items())
-    monkeypatch.setattr(reproduction, "_STUDIES", shortened)
-    fast = SinestreamParameters(
+    monkeypatch.setattr(reproduce, "_STUDIES", shortened)
+    fast = SinestreamSettings(
         frequencies_hz=(1.0, 2.0, 3.0), trials=2, transient_cycles=0, measured_cycles=1
     )
-    scaling = {name: (case, fast) for name, (case, _) in reproduction.FIG_13_SCALING.items()}
-    monkeypatch.setattr(reproduction, "FIG_13_SCALING", scaling)
+    scaling = {name: (case, fast) for name, (case, _) in reproduce.FIG_13_SCALING.items()}
+    monkeypatch.setattr(reproduce, "FIG_13_SCALING", scaling)
     results = {}
     for engine in ("compiled", "drake"):
         with monkeypatch.context() as patch:
             shut_off_other(patch, engine)
-            done = reproduction.reproduce(fast, engine=engine)
-            results[engine] = reproduction.results(done)
+            done = reproduce.reproduce(fast, engine=engine)
+            results[engine] = reproduce.results(done)
     assert require_equal(results["compiled"], results["drake"]) > 70
 
 
@@ -319,22 +300,19 @@ def test_reproduce_is_the_same_by_both_engines(monkeypatch):
 @pytest.mark.parametrize(
     ("command", "function"),
     [
-        (["reproduce"], "kneexo.reproduction.reproduce"),
-        (["bandwidth"], "kneexo.analysis.amplitude_response.amplitude_map"),
-        (["robustness"], "kneexo.analysis.robustness.robustness"),
-        (["study", "controller"], "kneexo.analysis.controller_study.controller_study"),
-        (["study", "contest"], "kneexo.analysis.contest.contest"),
-        (["study", "sliding"], "kneexo.analysis.sliding_condition.sliding_study"),
-        (["study", "order"], "kneexo.analysis.reduction.compare_orders"),
-        (["size"], "kneexo.analysis.sizing.sizing"),
+        (["reproduce"], "kneexo.studies.reproduce.reproduce"),
+        *(
+            (study.command.split(), f"kneexo.studies.{study.name}.{study.name}_study")
+            for study in STUDIES.values()
+        ),
     ],
 )
 @pytest.mark.parametrize("engine", ["compiled", "drake"])
 def test_command_hands_the_engine_on(monkeypatch, tmp_path, command, function, engine):
     seen = []
 
-    def compute(*arguments, engine=None, **_):
-        seen.append(engine or ("compiled" if arguments[0].simulation.compiled else "drake"))
+    def compute(scenario=Scenario(), *, engine=None, **_):
+        seen.append(engine or ("compiled" if scenario.simulation.compiled else "drake"))
         raise KneexoError("enough")
 
     monkeypatch.setattr(function, compute)
@@ -351,10 +329,10 @@ def test_runge_kutta3_is_drakes_over_30_s():
     # step, do not grow: the loop is stable. They are 2e-10, and 4e-10 at 0.1 Hz.
     steps = {"encoder.quantized": False, "reference.frequency_hz": 0.21}
     scenario = changed(Scenario(), steps).with_engine("drake").with_steps(4e-4)
-    drake = simulation.simulate(scenario)
+    by_drake = simulate(scenario)
     ours = simulate_compiled(scenario, integrator="runge_kutta3", step_s=4e-4)
-    assert drake.time_s[-1] == ours.time_s[-1] == 30.0
-    for column, values in drake.data.items():
+    assert by_drake.time_s[-1] == ours.time_s[-1] == 30.0
+    for column, values in by_drake.data.items():
         assert np.max(np.abs(ours[column] - values)) <= 1e-9 * np.max(np.abs(values)), column
 
 

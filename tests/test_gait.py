@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kneexo.errors import ParameterError
-from kneexo.gait import gait_knee_flexion, gait_reference, gait_start_percent
-from kneexo.parameters import GAIT_STRIDE_S
+from kneexo.gait import GAIT_STRIDE_S, gait_knee_flexion, gait_start_percent
+from kneexo.parameters import gait_reference
 from kneexo.systems.knee_reference import make_knee_reference, reference_range_deg
 
 

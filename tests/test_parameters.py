@@ -16,18 +16,15 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from kneexo.errors import KneexoError, ParameterError
-from kneexo.gait import gait_reference
 from kneexo.parameters import (
     G1,
     G2,
     G3,
     G4,
-    IDEAL_SMC,
     LINKAGES,
     RPM,
     UNCERTAIN_KNEE,
     UNCERTAINTY,
-    AmplitudeMapParameters,
     BldcPumpParameters,
     CsvReference,
     CylinderParameters,
@@ -47,9 +44,12 @@ from kneexo.parameters import (
     SlidingModeParameters,
     Uncertainty,
     UncertaintySet,
+    gait_reference,
 )
-from kneexo.quantity import Parameters, allowed_range, source_of, unit_of
-from kneexo.scenario import changed
+from kneexo.parameters.paths import changed
+from kneexo.parameters.quantity import Parameters, allowed_range, source_of, unit_of
+from kneexo.studies.bandwidth import BandwidthSettings
+from kneexo.studies.paper import IDEAL_SMC
 
 
 def classes_of(annotation: typing.Any) -> list[type[Parameters]]:
@@ -515,9 +515,9 @@ def test_arrays_are_accepted_where_tuples_are_asked_for(make: typing.Any) -> Non
 
 
 def test_a_number_is_a_tuple_of_one_where_any_length_is_valid() -> None:
-    assert AmplitudeMapParameters(amplitudes_deg=1).amplitudes_deg == (1.0,)
+    assert BandwidthSettings(amplitudes_deg=1).amplitudes_deg == (1.0,)
     assert "must be a valid tuple" in fault(RodPolynomialParameters, p_mm_deg=1.0)
-    assert "must be a valid tuple" in fault(AmplitudeMapParameters, amplitudes_deg=True)
+    assert "must be a valid tuple" in fault(BandwidthSettings, amplitudes_deg=True)
 
 
 def test_arrays_of_wrong_shape_or_type_are_refused() -> None:

@@ -12,6 +12,7 @@ import pytest
 
 import kneexo.analysis
 from kneexo.analysis import FrequencyResponse, linearize_loop, linearize_plant, track
+from kneexo.analysis.frequency_response import SinestreamSettings
 from kneexo.analysis.polynomial_fit import fit_polynomials
 from kneexo.analysis.walking import walking_demand
 from kneexo.errors import PackageError
@@ -25,7 +26,6 @@ from kneexo.parameters import (
     Scenario,
     SimulationParameters,
     SineReference,
-    SinestreamParameters,
 )
 from kneexo.result import Result, data_frame, short
 
@@ -111,7 +111,7 @@ def test_a_run_becomes_a_frame_over_time_with_units(pandas, tracked):
 def test_a_frequency_response_becomes_a_frame(pandas):
     response = np.array([[1.0, 0.5j], [1.0, 0.7j]])
     result = FrequencyResponse(
-        np.array([1.0, 2.0]), response, 1.5, 45.0, (), Scenario(), SinestreamParameters()
+        np.array([1.0, 2.0]), response, 1.5, 45.0, (), Scenario(), SinestreamSettings()
     )
     frame = result.to_dataframe()
     assert frame.index == "frequency_hz"

@@ -11,7 +11,7 @@ from jsonschema import Draft7Validator
 
 from kneexo.errors import ScenarioError
 from kneexo.parameters import LINKAGES, Scenario
-from kneexo.scenario import _read, dump_scenario, load_scenario
+from kneexo.scenario_file import _read, dump_scenario, load_scenario
 from kneexo.schema import json_schema
 
 README = Path(__file__).parents[1] / "README.md"

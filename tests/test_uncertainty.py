@@ -3,15 +3,10 @@
 import pytest
 
 from kneexo.errors import ScenarioError
-from kneexo.parameters import (
-    PID_TUNED,
-    UNCERTAIN_KNEE,
-    UNCERTAINTY,
-    Scenario,
-    Uncertainty,
-    UncertaintySet,
-)
-from kneexo.scenario import applicable, load_uncertainty
+from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters.paths import applicable
+from kneexo.scenario_file import load_uncertainty
+from kneexo.studies.paper import PID_TUNED
 
 
 @pytest.fixture

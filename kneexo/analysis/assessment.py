@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
-from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.simulation import needs_runs
 from kneexo.analysis.tracking import TRACKING_FIGURES, track_figures
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
+from kneexo.simulation.coroutines import Steps, steps
+from kneexo.simulation.engines import needs_runs
 
 MARGIN_FIGURES = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
 """Figures of `kneexo.analysis.Margins` that an assessment quotes."""

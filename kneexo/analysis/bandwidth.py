@@ -19,9 +19,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from kneexo import linkage
-from kneexo.analysis.coroutines import Steps, evaluated, steps
 from kneexo.analysis.frequency_response import (
     MINUS_3_DB,
+    SineEstimateSettings,
     estimate_sine,
     fundamental,
     highest_frequency_hz,
@@ -30,10 +30,12 @@ from kneexo.analysis.frequency_response import (
 )
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_follower
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.simulation import Array, needs_runs
 from kneexo.errors import LinearizationError
-from kneexo.parameters import Scenario, SineEstimateParameters
-from kneexo.scenario import changed
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
+from kneexo.simulation.coroutines import Steps, evaluated, steps
+from kneexo.simulation.engines import needs_runs
+from kneexo.simulation.run import Array
 
 LOWEST_HZ = 0.02
 """Where a search for a bandwidth ends, downwards."""
@@ -122,7 +124,7 @@ def follower_bandwidth_hz(scenario: Scenario) -> float:
 @needs_runs
 def large_signal_bandwidth_hz(
     scenario: Scenario = Scenario(),
-    settings: SineEstimateParameters = SineEstimateParameters(averaged_cycles=2, largest_cycles=6),
+    settings: SineEstimateSettings = SineEstimateSettings(averaged_cycles=2, largest_cycles=6),
 ) -> Steps[float]:
     """Frequency in Hz where the gain of the scenario's own sine first falls below 1/√2.
 

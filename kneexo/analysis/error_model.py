@@ -31,11 +31,13 @@ from numpy.typing import ArrayLike
 
 from kneexo.analysis.hardware import sliding_mode
 from kneexo.analysis.plant_linearization import Complex
-from kneexo.analysis.simulation import Array, rms, simulate
+from kneexo.analysis.signals import rms
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, Scenario
+from kneexo.parameters.paths import changed
 from kneexo.result import Result
-from kneexo.scenario import changed
+from kneexo.simulation.engines import simulate
+from kneexo.simulation.run import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

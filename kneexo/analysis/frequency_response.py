@@ -12,24 +12,136 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, model_validator
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.optimize import brentq
 
-from kneexo.analysis.coroutines import Steps, steps
-from kneexo.analysis.parallel import parallel_map
-from kneexo.analysis.simulation import Array, Run, needs_runs, simulate
 from kneexo.errors import ParameterError
-from kneexo.parameters import (
-    Scenario,
-    SineEstimateParameters,
-    SineReference,
-    SinestreamParameters,
-)
+from kneexo.parameters import Scenario, SineReference
+from kneexo.parameters.paths import changed
+from kneexo.parameters.quantity import Parameters, quantity
 from kneexo.result import Result, data_frame
-from kneexo.scenario import changed
+from kneexo.simulation.coroutines import Steps, steps
+from kneexo.simulation.engines import needs_runs, simulate
+from kneexo.simulation.run import Array, Run
+from kneexo.sweeps.parallel import parallel_map
+
+_TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the paper does not describe"
+
+
+class SinestreamSettings(Parameters):
+    """Frequency response with one sine after another, and what differs between repetitions."""
+
+    frequencies_hz: tuple[Annotated[float, Field(ge=1e-5, le=250)], ...] = Field(
+        default=(
+            *(0.05, 0.07, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2),
+            *(0.21, 0.22, 0.23, 0.24, 0.27, 0.31, 0.38, 0.5),
+        ),
+        min_length=3,
+        json_schema_extra={
+            "unit": "Hz",
+            "source": "assumption: Fig. 13 spans the neighbourhood of its 0.21 Hz",
+        },
+    )
+    transient_cycles: int = Field(
+        default=1,
+        ge=0,
+        le=1000,
+        json_schema_extra={"unit": "cycles", "source": "assumption: discarded before measuring"},
+    )
+    measured_cycles: int = Field(
+        default=3,
+        ge=1,
+        le=1000,
+        json_schema_extra={"unit": "cycles", "source": "Section 5: more than three cycles"},
+    )
+    trials: int = Field(
+        default=5,
+        ge=1,
+        le=10_000,
+        json_schema_extra={"unit": "1", "source": "Section 5: five times for each frequency"},
+    )
+    seed: int = Field(
+        default=2020, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
+    )
+    internal_leakage_min_m3_per_s_pa: float = quantity(
+        2e-14, "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
+    )
+    internal_leakage_max_m3_per_s_pa: float = quantity(
+        2e-12, "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
+    )
+    acceleration_limit_min_rad_s2: float = quantity(2e3, "rad/s²", _TRIALS, ge=1, le=1e7)
+    acceleration_limit_max_rad_s2: float = quantity(1e4, "rad/s²", _TRIALS, ge=1, le=1e7)
+    bulk_modulus_min_pa: float = quantity(0.2e9, "Pa", _TRIALS + "; entrained air", ge=1e6, le=1e11)
+    bulk_modulus_max_pa: float = quantity(17_200e5, "Pa", _TRIALS, ge=1e6, le=1e11)
+    mass_min_kg: float = quantity(1.4, "kg", "Table 2", ge=0.01, le=1000)
+    mass_max_kg: float = quantity(1.8, "kg", "Table 2", ge=0.01, le=1000)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> SinestreamSettings:
+        for name in type(self).model_fields:
+            if "_min_" in name:
+                low, high = getattr(self, name), getattr(self, name.replace("_min_", "_max_"))
+                if low > high:
+                    raise ValueError(
+                        f"{name} = {low:g} must not exceed "
+                        f"{name.replace('_min_', '_max_')} = {high:g}"
+                    )
+        if len(set(self.frequencies_hz)) < len(self.frequencies_hz):
+            raise ValueError("frequencies_hz must not repeat a value")
+        return self
+
+
+class SineEstimateSettings(Parameters):
+    """How the response to one sine is estimated: ramp, settling, averaging."""
+
+    ramp_cycles: float = quantity(
+        1.0, "cycles", "assumption: over which the amplitude grows from zero", ge=0, le=1000
+    )
+    ramp_min_s: float = quantity(
+        0.5,
+        "s",
+        "assumption: five times the slowest time constant of the default loop, so that short "
+        "cycles do not start its transients",
+        ge=0,
+        le=1e3,
+    )
+    tolerance: float = quantity(
+        2e-3,
+        "1",
+        "assumption: change of the response from one cycle to the next, relative to it, below "
+        "which the loop has settled",
+        ge=1e-6,
+        le=0.5,
+    )
+    averaged_cycles: int = Field(
+        default=3,
+        ge=2,
+        le=1000,
+        json_schema_extra={
+            "unit": "cycles",
+            "source": "Section 5: more than three cycles, of which the ramp is the first",
+        },
+    )
+    largest_cycles: int = Field(
+        default=24,
+        ge=3,
+        le=10_000,
+        json_schema_extra={"unit": "cycles", "source": "assumption: then it has not settled"},
+    )
+
+    @model_validator(mode="after")
+    def _enough_cycles(self) -> SineEstimateSettings:
+        if self.largest_cycles <= self.averaged_cycles:
+            raise ValueError(
+                f"largest_cycles = {self.largest_cycles}: too few cycles, must be more than "
+                f"averaged_cycles = {self.averaged_cycles}"
+            )
+        return self
+
 
 MINUS_3_DB = 1.0 / math.sqrt(2.0)
 """The bandwidth's threshold on the gain of the fundamental."""
@@ -63,7 +175,7 @@ class Trial:
         )
 
 
-def draw_trials(scenario: Scenario, settings: SinestreamParameters) -> tuple[Trial, ...]:
+def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> tuple[Trial, ...]:
     """Draw the trials from the ranges of ``settings``, by its seed.
 
     Mass and encoder phase are uniform; leakage, acceleration limit and bulk modulus, known only
@@ -117,7 +229,7 @@ class FrequencyResponse(Result):
     phase_at_bandwidth_deg: float
     trials: tuple[Trial, ...]
     scenario: Scenario
-    settings: SinestreamParameters
+    settings: SinestreamSettings
 
     @property
     def gain(self) -> Array:
@@ -227,7 +339,7 @@ def crossing(frequencies_hz: Array, gain: Array, threshold: float = MINUS_3_DB) 
 
 
 @needs_runs
-def _measure(settings: SinestreamParameters, work: tuple[float, Scenario]) -> Steps[complex]:
+def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -> Steps[complex]:
     """Response of a scenario at one frequency in Hz."""
     frequency, scenario = work
     cycles = settings.transient_cycles + settings.measured_cycles
@@ -270,7 +382,7 @@ def require_sampled(frequency_hz: float, scenario: Scenario) -> None:
 
 def sinestream(
     scenario: Scenario = Scenario(),
-    settings: SinestreamParameters = SinestreamParameters(),
+    settings: SinestreamSettings = SinestreamSettings(),
     *,
     trials: Sequence[Trial] | None = None,
     workers: int | None = 1,
@@ -413,7 +525,7 @@ def response_uncertainty(responses: Any) -> float:
 @needs_runs
 def estimate_sine(
     scenario: Scenario = Scenario(),
-    settings: SineEstimateParameters = SineEstimateParameters(),
+    settings: SineEstimateSettings = SineEstimateSettings(),
 ) -> Steps[SineEstimate]:
     """Measure the closed loop's response to the scenario's own sine.
 

@@ -28,7 +28,7 @@ from kneexo.analysis.bandwidth import acceleration_bound_hz, rod_amplitude_m, ro
 from kneexo.analysis.frequency_response import MINUS_3_DB, require_sine
 from kneexo.errors import ParameterError
 from kneexo.parameters import RPM, Scenario, SlidingModeParameters
-from kneexo.scenario import changed
+from kneexo.parameters.paths import changed
 
 DISPLACEMENT = "plant.pump.displacement_m3_per_rad"
 ACCELERATION_LIMIT = "plant.pump.acceleration_limit_rad_s2"

@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.framework import Diagram
 
-from kneexo.analysis.simulation import Array, to_rpm
+from kneexo.analysis.signals import to_rpm
 from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.errors import LinearizationError
 from kneexo.parameters import PlantParameters
 from kneexo.result import Result
+from kneexo.simulation.run import Array
 
 Complex = NDArray[np.complex128]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from kneexo import linkage
-from kneexo.analysis.simulation import Array
 from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
 from kneexo.result import Result, data_frame
+from kneexo.simulation.run import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

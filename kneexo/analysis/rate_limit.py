@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
-from kneexo.analysis.simulation import Array
 from kneexo.errors import ParameterError
+from kneexo.simulation.run import Array
 
 TRIANGLE_RATIO = 2.0 / math.sqrt(math.pi**2 + 4.0)
 """ρ below which the follower never meets the sine for more than an instant: 0.5370."""

@@ -22,12 +22,12 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
-from kneexo.analysis.loop_rest import find_rest, held_and_live
+from kneexo.analysis.loop_equilibrium import find_rest, held_and_live
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
-from kneexo.analysis.simulation import Array
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.result import Result
+from kneexo.simulation.run import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,19 +18,20 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, Simulator
 from scipy.linalg import eig, expm_frechet
 
 from kneexo.analysis.assessment import MARGIN_FIGURES
-from kneexo.analysis.loop_rest import (
+from kneexo.analysis.loop_equilibrium import (
     find_rest,
     held_and_live,
     set_loop_parameters,
     start_state,
 )
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
-from kneexo.analysis.simulation import Array, period_s, rms
+from kneexo.analysis.signals import period_s, rms
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import Scenario
-from kneexo.quantity import Parameters
+from kneexo.parameters.quantity import Parameters
 from kneexo.result import Result
+from kneexo.simulation.run import Array
 
 _DIFFERENTIABLE = (
     "plant.pump.",

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kneexo.analysis.coroutines import Steps, steps
-from kneexo.analysis.simulation import Array, Run, needs_runs, period_s, rms, simulate, to_rpm
+from kneexo.analysis.signals import period_s, rms, to_rpm
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.result import Result, data_frame
+from kneexo.simulation.coroutines import Steps, steps
+from kneexo.simulation.engines import needs_runs, simulate
+from kneexo.simulation.run import Array, Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,15 +17,17 @@ from scipy.interpolate import CubicSpline
 
 from kneexo import systems
 from kneexo.analysis.bandwidth import rod_of
-from kneexo.analysis.coroutines import Steps, steps
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.simulation import Array, needs_runs, simulate, to_rpm
+from kneexo.analysis.signals import to_rpm
 from kneexo.analysis.tracking import TRACKING_SIGNALS, tracking_metrics
 from kneexo.errors import KneexoError, ParameterError
-from kneexo.gait import gait_reference, gait_start_percent
-from kneexo.parameters import KneeLoadParameters, Scenario
+from kneexo.gait import gait_start_percent
+from kneexo.parameters import KneeLoadParameters, Scenario, gait_reference
+from kneexo.parameters.paths import changed
 from kneexo.result import Result, data_frame
-from kneexo.scenario import changed
+from kneexo.simulation.coroutines import Steps, steps
+from kneexo.simulation.engines import needs_runs, simulate
+from kneexo.simulation.run import Array
 
 WALKING_FIGURES = (
     "max_error_deg",

@@ -109,7 +109,7 @@ def make_closed_loop(
     plant starts.
 
     A logged command at t is the one held up to t: Drake's updates and publishes at t both see the
-    state before the update. The paper's ideal case (Fig. 9) is `kneexo.parameters.IDEAL_SMC`.
+    state before the update. The paper's ideal case (Fig. 9) is `kneexo.studies.paper.IDEAL_SMC`.
 
     Raises `ParameterError` when the reference leaves the range of motion or a signal is unknown,
     `LinkageError` when the linkage cannot be assembled.

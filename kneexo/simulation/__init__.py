@@ -1,61 +1,44 @@
-"""Runs of scenarios: closed loops as compiled models.
+"""One run of a closed loop: by compiled equations or by Drake's Simulator.
 
-`compiled` makes structure, parameters and initial state of a scenario for `kneexo.compilation`.
+`compiled` makes structure, parameters and initial state of a scenario for `kneexo.compilation`;
+`drake` runs a diagram; `engines` chooses between both; `run` is the result of either.
 """
 
-from __future__ import annotations
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from collections.abc import Iterable
-from os import PathLike
-from typing import overload
+if TYPE_CHECKING:
+    from kneexo.simulation.compiled import compile_scenario, scenario_run, simulate_compiled
+    from kneexo.simulation.drake import simulate_diagram
+    from kneexo.simulation.engines import simulate
+    from kneexo.simulation.run import Run
 
-from pydrake.systems.framework import System
+__all__ = [
+    "Run",
+    "compile_scenario",
+    "scenario_run",
+    "simulate",
+    "simulate_compiled",
+    "simulate_diagram",
+]
 
-from kneexo.compilation.model import CompiledModel, DiagramModel, compile_diagram
-from kneexo.errors import CompilationError
-from kneexo.parameters import Scenario
-from kneexo.scenario import load_scenario
-from kneexo.simulation.compiled import compile_scenario, scenario_run, simulate_compiled
+_MODULE_OF = {
+    "Run": "kneexo.simulation.run",
+    "compile_scenario": "kneexo.simulation.compiled",
+    "scenario_run": "kneexo.simulation.compiled",
+    "simulate": "kneexo.simulation.engines",
+    "simulate_compiled": "kneexo.simulation.compiled",
+    "simulate_diagram": "kneexo.simulation.drake",
+}
 
-__all__ = ["compile_model", "compile_scenario", "scenario_run", "simulate_compiled"]
+if not TYPE_CHECKING:  # mypy accepts every name of a module with a visible __getattr__
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name at its first use: Drake and LLVM take a second."""
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_MODULE_OF[name]), name)
 
 
-@overload
-def compile_model(system: Scenario | str | PathLike[str] = Scenario()) -> CompiledModel: ...
-
-
-@overload
-def compile_model(system: System, *, inputs: Iterable[str] = ()) -> DiagramModel: ...
-
-
-def compile_model(
-    system: Scenario | str | PathLike[str] | System = Scenario(), *, inputs: Iterable[str] = ()
-) -> CompiledModel:
-    """Compile the closed loop of a scenario or of a scenario file, or a diagram.
-
-    See `compile_scenario` and `compile_diagram`.
-
-    Parameters
-    ----------
-    system
-        A scenario, the path of a scenario file, or a Diagram or leaf system of floats.
-    inputs
-        Names of the input ports of a diagram that stay inputs of the model.
-
-    Raises
-    ------
-    ScenarioError
-        The file is faulty.
-    CompilationError
-        ``system`` is something else, or a subsystem cannot be converted; ``inputs`` are given for
-        a scenario, whose inputs follow from its reference.
-    """
-    if isinstance(system, str | PathLike):
-        system = load_scenario(system)
-    if not isinstance(system, Scenario):
-        return compile_diagram(system, inputs=inputs)
-    if isinstance(inputs, str) or tuple(inputs):
-        raise CompilationError(
-            "inputs: must be left out for a scenario; compile a diagram to choose them"
-        )
-    return compile_scenario(system)
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -16,7 +16,7 @@ from functools import cache, lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Any, get_origin
+from typing import Any, get_origin
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -44,7 +44,8 @@ from kneexo.parameters import (
     Scenario,
     SlidingModeParameters,
 )
-from kneexo.quantity import Parameters, models_of
+from kneexo.parameters.quantity import Parameters, models_of
+from kneexo.simulation.run import Run
 from kneexo.systems import (
     bldc_pump,
     four_bar_knee,
@@ -58,14 +59,13 @@ from kneexo.systems import (
 )
 from kneexo.systems.reduced_cylinder import PA_PER_MPA
 
-if TYPE_CHECKING:
-    from kneexo.analysis.simulation import Run
-
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (
-    *(f"{folder}/*.py" for folder in ("systems", "diagrams", "compilation", "simulation")),
+    *(
+        f"{folder}/*.py"
+        for folder in ("parameters", "systems", "diagrams", "compilation", "simulation")
+    ),
     "linkage.py",
-    "parameters.py",
 )
 _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into constants
 
@@ -343,8 +343,6 @@ def simulate_together(
     tolerance: float = TOLERANCE,
 ) -> list[Run | KneexoError]:
     """`simulate_compiled` for scenarios of one structure: each one's run, or why it failed."""
-    from kneexo.analysis.simulation import Run
-
     results: list[Any] = []
     ready = {}
     model = None

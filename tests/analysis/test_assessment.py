@@ -10,7 +10,7 @@ from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import track
 from kneexo.parameters import Scenario
-from kneexo.scenario import changed
+from kneexo.parameters.paths import changed
 from kneexo.simulation import compiled
 from kneexo.simulation.compiled import scenario_diagram
 

@@ -16,7 +16,7 @@ from kneexo.parameters import (
     PidParameters,
     Scenario,
 )
-from kneexo.scenario import changed
+from kneexo.parameters.paths import changed
 
 # Lee et al. 2020, Tables 2 and 3.
 AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)

@@ -17,6 +17,8 @@ from kneexo.analysis import (
 )
 from kneexo.analysis.frequency_response import (
     MINUS_3_DB,
+    SineEstimateSettings,
+    SinestreamSettings,
     cycle_responses,
     estimate_sine,
     response_uncertainty,
@@ -29,11 +31,9 @@ from kneexo.parameters import (
     RampReference,
     Scenario,
     SimulationParameters,
-    SineEstimateParameters,
     SineReference,
-    SinestreamParameters,
 )
-from kneexo.scenario import changed
+from kneexo.parameters.paths import changed
 
 
 @given(
@@ -78,10 +78,10 @@ def test_crossing_takes_a_mean_exactly_at_the_threshold():
 
 
 def test_trials_are_seeded_and_within_their_ranges():
-    settings = SinestreamParameters(trials=40)
+    settings = SinestreamSettings(trials=40)
     trials = draw_trials(Scenario(), settings)
     assert trials == draw_trials(Scenario(), settings)
-    assert trials != draw_trials(Scenario(), SinestreamParameters(trials=40, seed=7))
+    assert trials != draw_trials(Scenario(), SinestreamSettings(trials=40, seed=7))
     masses = [trial.mass_kg for trial in trials]
     assert 1.4 <= min(masses) < 1.5 < 1.7 < max(masses) <= 1.8
     limits = [trial.acceleration_limit_rad_s2 for trial in trials]
@@ -94,7 +94,7 @@ def test_trials_are_seeded_and_within_their_ranges():
 
 def test_a_trial_changes_the_plant_and_not_what_the_controller_believes():
     scenario = Scenario()
-    trial = draw_trials(scenario, SinestreamParameters())[0]
+    trial = draw_trials(scenario, SinestreamSettings())[0]
     applied = trial.applied(scenario)
     assert applied.plant.pump.internal_leakage_m3_per_s_pa == trial.internal_leakage_m3_per_s_pa
     assert applied.plant.pump.acceleration_limit_rad_s2 == trial.acceleration_limit_rad_s2
@@ -108,7 +108,7 @@ def test_a_trial_changes_the_plant_and_not_what_the_controller_believes():
 
 
 def test_the_default_frequencies_hold_those_of_the_paper():
-    frequencies = SinestreamParameters().frequencies_hz
+    frequencies = SinestreamSettings().frequencies_hz
     assert len(frequencies) >= 14
     assert {0.05, 0.1, 0.2, 0.21, 0.22, 0.24, 0.5} <= set(frequencies)
 
@@ -117,7 +117,7 @@ def test_ranges_that_cross_are_refused():
     with pytest.raises(
         ParameterError, match=r"mass_min_kg = 1.7 must not exceed mass_max_kg = 1.6"
     ):
-        SinestreamParameters(mass_min_kg=1.7, mass_max_kg=1.6)
+        SinestreamSettings(mass_min_kg=1.7, mass_max_kg=1.6)
 
 
 @pytest.mark.parametrize(
@@ -130,12 +130,12 @@ def test_ranges_that_cross_are_refused():
 )
 def test_a_sinestream_that_means_nothing_is_refused(scenario, frequencies, trials, told):
     with pytest.raises(ParameterError, match=told):
-        sinestream(scenario, SinestreamParameters(frequencies_hz=frequencies), trials=trials)
+        sinestream(scenario, SinestreamSettings(frequencies_hz=frequencies), trials=trials)
 
 
 def test_repeated_frequencies_are_refused():
     with pytest.raises(ParameterError, match="must not repeat"):
-        SinestreamParameters(frequencies_hz=(0.1, 0.2, 0.1))
+        SinestreamSettings(frequencies_hz=(0.1, 0.2, 0.1))
 
 
 def test_a_sinestream_needs_a_sine():
@@ -146,7 +146,7 @@ def test_a_sinestream_needs_a_sine():
 def test_a_small_sine_within_the_speed_limit_is_followed():
     result = sinestream(
         Scenario(reference=SineReference(amplitude_deg=2.0)),
-        SinestreamParameters(frequencies_hz=(0.4, 0.5, 0.6), trials=1, measured_cycles=1),
+        SinestreamSettings(frequencies_hz=(0.4, 0.5, 0.6), trials=1, measured_cycles=1),
     )
     assert result.response.shape == (1, 3)
     # Far below the speed limit; the observer's lag leaves 2 % at 0.5 Hz, growing with f².
@@ -158,12 +158,12 @@ def test_a_small_sine_within_the_speed_limit_is_followed():
 def test_the_bandwidth_is_that_of_a_rate_limited_follower_and_scales_with_flow_over_amplitude():
     # Kinematic follower of a sine in the knee angle at 40.4 mm/s: 0.2247 Hz; twice the flow or
     # half the amplitude doubles it, but for the knee's own nonlinearity.
-    settings = SinestreamParameters(frequencies_hz=(0.2, 0.21, 0.22, 0.23, 0.24), trials=1)
+    settings = SinestreamSettings(frequencies_hz=(0.2, 0.21, 0.22, 0.23, 0.24), trials=1)
     base = sinestream(Scenario(), settings)
     assert np.abs(base.gain[[0, 1, 2, 4]] - [0.79, 0.755, 0.72, 0.66]).max() <= 0.01
     assert 0.220 <= base.bandwidth_hz <= 0.226
     assert -36.0 <= base.phase_at_bandwidth_deg <= -26.0
-    double = SinestreamParameters(frequencies_hz=(0.4, 0.42, 0.44, 0.46, 0.48), trials=1)
+    double = SinestreamSettings(frequencies_hz=(0.4, 0.42, 0.44, 0.46, 0.48), trials=1)
     faster = sinestream(
         Scenario(plant=PlantParameters(pump=BldcPumpParameters(gear_ratio=3.0))), double
     )
@@ -269,21 +269,21 @@ def fake_loop(monkeypatch, time_constant):
 def test_a_loop_that_settles_slowly_is_waited_for(monkeypatch):
     durations = fake_loop(monkeypatch, time_constant=1.0)
     scenario = Scenario(reference=SineReference(frequency_hz=2.0))
-    found = estimate_sine(scenario, SineEstimateParameters(largest_cycles=100))
+    found = estimate_sine(scenario, SineEstimateSettings(largest_cycles=100))
     assert found.settled
     assert found.cycles == 16  # 4, 8, then 16
     assert durations == pytest.approx([0.5 + n / 2.0 for n in (4, 8, 16)])
     # Cycles count from a change of 0.2 % on: e^(−t/τ) < 0.002/(e^0.5 − 1) = 0.3 %.
     assert abs(found.response - 1.0) < 3e-3
     assert 0.5 * abs(found.response - 1.0) < found.uncertainty < 3e-3
-    more = estimate_sine(scenario, SineEstimateParameters(averaged_cycles=12, largest_cycles=100))
+    more = estimate_sine(scenario, SineEstimateSettings(averaged_cycles=12, largest_cycles=100))
     assert more.averaged_cycles >= 12
 
 
 def test_a_loop_that_does_not_settle_is_told(monkeypatch):
     fake_loop(monkeypatch, time_constant=20.0)
     scenario = Scenario(reference=SineReference(frequency_hz=2.0))
-    found = estimate_sine(scenario, SineEstimateParameters(largest_cycles=10))
+    found = estimate_sine(scenario, SineEstimateSettings(largest_cycles=10))
     assert not found.settled
     assert (found.cycles, found.averaged_cycles) == (10, 5)
     assert found.uncertainty > 0.02  # it drifts by 2.5 % a cycle
@@ -342,6 +342,6 @@ def test_a_frequency_above_nyquist_says_so():
 
 def test_too_few_cycles_are_refused():
     with pytest.raises(ParameterError, match="averaged_cycles = 1 cycles is out of range"):
-        SineEstimateParameters(averaged_cycles=1)
+        SineEstimateSettings(averaged_cycles=1)
     with pytest.raises(ParameterError, match=r"largest_cycles = 4: too few cycles, must be mor"):
-        SineEstimateParameters(averaged_cycles=4, largest_cycles=4)
+        SineEstimateSettings(averaged_cycles=4, largest_cycles=4)

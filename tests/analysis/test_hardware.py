@@ -26,7 +26,8 @@ from kneexo.analysis.hardware import (
     tuned,
 )
 from kneexo.errors import ParameterError
-from kneexo.parameters import PID_TUNED, PlantParameters, RampReference, Scenario
+from kneexo.parameters import PlantParameters, RampReference, Scenario
+from kneexo.studies.paper import PID_TUNED
 
 positive = st.floats(1e-4, 1e4)
 

@@ -15,15 +15,13 @@ from pydrake.systems.primitives import LogVectorOutput
 from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
-from kneexo.analysis import loop_rest
+from kneexo.analysis import loop_equilibrium
 from kneexo.analysis.plant_linearization import find_operating_point, linearize_plant
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.errors import KneexoError, LinearizationError, LinkageError, ParameterError
 from kneexo.parameters import (
-    EQ_27_EXACT_STATES,
     G1,
-    IDEAL_SMC,
     BldcPumpParameters,
     CylinderParameters,
     DifferenceParameters,
@@ -40,6 +38,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
+from kneexo.studies.paper import EQ_27_EXACT_STATES, IDEAL_SMC
 
 T = 0.002
 AREA = math.pi / 4.0 * (0.020**2 - 0.5 * 0.010**2)
@@ -495,7 +494,7 @@ EQ_27_GAIN = (
 """b̂ of Eq. 27 in m/s³ per rad/s."""
 
 
-def test_a_loop_rests_where_leakage_and_slope_of_the_boundary_layer_meet():
+def test_a_loop_equilibriums_where_leakage_and_slope_of_the_boundary_layer_meet():
     # Eq. 27 at rest: u = −(k/Φ) λ² e/b̂ must feed the leakage under a constant force.
     force, n = 300.0, PAPER | {"c_im": 2e-12}
     load = KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force)
@@ -1041,22 +1040,22 @@ def test_the_delay_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, 
 
 
 def test_one_diagram_serves_all_loops_of_a_structure(loops, monkeypatch):
-    monkeypatch.setattr(loop_rest, "_built", {})
+    monkeypatch.setattr(loop_equilibrium, "_built", {})
     for name in ("smc", "other_plant", "weight", "exact", "pid", "pid_tuned", "can_2"):
         for scenario in (Scenario(plant=plant_parameters(LEAKY, load=WEIGHT)), SCENARIOS[name]):
             found = linearize_loop(scenario, 52.0)
-        monkeypatch.setattr(loop_rest, "_built", {})
+        monkeypatch.setattr(loop_equilibrium, "_built", {})
         fresh = linearize_loop(SCENARIOS[name], 52.0)
-        monkeypatch.setattr(loop_rest, "_built", {})
+        monkeypatch.setattr(loop_equilibrium, "_built", {})
         for matrix in ("a", "b", "c", "g_x", "g_z", "g_r", "c_u"):
             assert np.array_equal(getattr(found, matrix), getattr(fresh, matrix)), matrix
 
 
 def test_loops_that_differ_in_numbers_share_a_diagram(monkeypatch):
-    monkeypatch.setattr(loop_rest, "_built", {})
+    monkeypatch.setattr(loop_equilibrium, "_built", {})
     for n in (PAPER, LEAKY, SOFT):
         linearize_loop(Scenario(plant=plant_parameters(n), nominal=PlantParameters()))
-    assert len(loop_rest._built) == 1
+    assert len(loop_equilibrium._built) == 1
 
 
 # -------------------------------------------------------------------------------- refusals

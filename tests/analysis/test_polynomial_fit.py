@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import fit_polynomials
-from kneexo.analysis.simulation import rms
+from kneexo.analysis.signals import rms
 from kneexo.errors import LinkageError
 from kneexo.parameters import G2, G4, LinkageParameters, RodPolynomialParameters
 

@@ -17,10 +17,11 @@ from kneexo.analysis.sensitivity import (
     loop_sensitivities,
     tracking_sensitivities,
 )
-from kneexo.analysis.simulation import simulate
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
-from kneexo.parameters import PID_TUNED, UNCERTAIN_KNEE, UNCERTAINTY, Scenario
-from kneexo.scenario import changed
+from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.simulation.engines import simulate
+from kneexo.studies.paper import PID_TUNED
 
 PATHS = tuple(path for path in UNCERTAINTY.values if differentiable(UNCERTAIN_KNEE, path))
 

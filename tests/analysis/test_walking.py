@@ -20,7 +20,7 @@ from kneexo.analysis.walking import (
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.gait import gait_knee_flexion
 from kneexo.parameters import G1, UNCERTAIN_KNEE, KneeParameters, PlantParameters, Scenario
-from kneexo.scenario import changed
+from kneexo.parameters.paths import changed
 
 WALKS = tuned(
     scaled(UNCERTAIN_KNEE, {DISPLACEMENT: 25.0, ACCELERATION_LIMIT: 10.0}),

@@ -12,7 +12,6 @@ import kneexo
 from kneexo.compilation import machine_code
 from kneexo.errors import CompilationError
 from kneexo.parameters import Scenario
-from kneexo.simulation import compile_model
 
 
 def lag():
@@ -21,11 +20,10 @@ def lag():
 
 
 def test_signatures_show_the_inputs():
-    for function in (kneexo.compile, compile_model):
-        parameters = inspect.signature(function).parameters
-        assert list(parameters) == ["system", "inputs"]
-        assert "Iterable[str]" in str(parameters["inputs"].annotation)
-        assert len(str(inspect.signature(function))) < 200
+    parameters = inspect.signature(kneexo.compile).parameters
+    assert list(parameters) == ["system", "inputs"]
+    assert "Iterable[str]" in str(parameters["inputs"].annotation)
+    assert len(str(inspect.signature(kneexo.compile))) < 200
 
 
 @pytest.mark.parametrize(

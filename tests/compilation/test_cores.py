@@ -2,9 +2,9 @@ import os
 
 import pytest
 
-from kneexo.analysis.parallel import process_pool
 from kneexo.compilation.cores import available_cores
 from kneexo.compilation.model import _in_threads
+from kneexo.sweeps.parallel import process_pool
 
 
 def test_cores_are_those_of_this_process():

@@ -25,7 +25,6 @@ from pydrake.systems.primitives import (
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 import kneexo
-from kneexo.analysis.simulation import simulate
 from kneexo.compilation import (
     InputTable,
     State,
@@ -49,6 +48,7 @@ from kneexo.parameters import (
     SineReference,
 )
 from kneexo.simulation import compile_scenario, scenario_run, simulate_compiled
+from kneexo.simulation.engines import simulate
 
 FREE = EncoderParameters(quantized=False)
 TARGET_M = 1e-6 * 0.15  # a millionth of the stroke

@@ -16,7 +16,6 @@ from kneexo.diagrams import (
 )
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
-    IDEAL_SMC,
     BldcPumpParameters,
     CylinderParameters,
     DifferenceParameters,
@@ -33,6 +32,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
+from kneexo.studies.paper import IDEAL_SMC
 
 PERIOD = 0.002
 UNQUANTIZED = EncoderParameters(quantized=False)

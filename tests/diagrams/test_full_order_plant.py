@@ -9,7 +9,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, Linearize, LogVectorOutput
 
 from kneexo.analysis import sinestream, track
-from kneexo.analysis.frequency_response import Trial
+from kneexo.analysis.frequency_response import SinestreamSettings, Trial
 from kneexo.diagrams import PLANT_OUTPUTS, make_plant
 from kneexo.diagrams.plant import FULL_ORDER_OUTPUTS
 from kneexo.parameters import (
@@ -21,10 +21,9 @@ from kneexo.parameters import (
     PlantParameters,
     Scenario,
     SimulationParameters,
-    SinestreamParameters,
     SlidingModeParameters,
 )
-from kneexo.scenario import dump_scenario, load_scenario
+from kneexo.scenario_file import dump_scenario, load_scenario
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
 AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)
@@ -318,7 +317,7 @@ def test_loaded_chamber_sets_the_bandwidth(force, friction, frequencies, expecte
     )
     response = sinestream(
         Scenario(plant=plant),
-        SinestreamParameters(frequencies_hz=frequencies, transient_cycles=1, measured_cycles=2),
+        SinestreamSettings(frequencies_hz=frequencies, transient_cycles=1, measured_cycles=2),
         trials=[Trial(2e-13, 1e4, 1.72e9, 1.6, 0.0)],
     )
     # Expected: a kinematic follower of speeds Q/A_1 and Q/A_2. Measured: 0.1958, 0.2618 and

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from kneexo.analysis.simulation import simulate
 from kneexo.compilation.equations import Node, read_equations
 from kneexo.compilation.machine_code import equations_key
 from kneexo.compilation.model import parameters_of, state_of
@@ -17,9 +16,6 @@ from kneexo.errors import LinkageError, ParameterError, SimulationError
 from kneexo.parameters import (
     G1,
     G3,
-    IDEAL_SMC,
-    PID_FEEDFORWARD,
-    PID_TUNED,
     BldcPumpParameters,
     CylinderParameters,
     DifferenceParameters,
@@ -37,7 +33,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
-from kneexo.quantity import Parameters
+from kneexo.parameters.quantity import Parameters
 from kneexo.simulation import compiled, simulate_compiled
 from kneexo.simulation.compiled import (
     reference_table,
@@ -46,6 +42,8 @@ from kneexo.simulation.compiled import (
     scenario_values,
     structure_key,
 )
+from kneexo.simulation.engines import simulate
+from kneexo.studies.paper import IDEAL_SMC, PID_FEEDFORWARD, PID_TUNED
 from kneexo.systems.knee_reference import make_knee_reference
 
 FREE = EncoderParameters(quantized=False)
@@ -320,7 +318,7 @@ def test_a_known_structure_needs_no_diagram_and_no_symbolic_work():
     code = (
         "import sys\n"
         "from kneexo.parameters import Scenario\n"
-        "from kneexo.scenario import changed\n"
+        "from kneexo.parameters.paths import changed\n"
         "from kneexo.simulation import compiled, simulate_compiled\n"
         "def refuse(*_args, **_options):\n"
         "    raise AssertionError('not needed')\n"

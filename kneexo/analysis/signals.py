@@ -1,0 +1,27 @@
+"""Measures of a signal, and its units."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from kneexo.parameters import Scenario
+from kneexo.simulation.run import Array
+
+
+def period_s(scenario: Scenario) -> float:
+    """Period of a sinusoidal reference in s; zero for every other one."""
+    reference = scenario.reference
+    return 1.0 / reference.frequency_hz if reference.kind == "sine" else 0.0
+
+
+def rms(values: Array) -> float:
+    """Root mean square of ``values`` (n,)."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def to_rpm(speed: Any) -> Any:
+    """Speed in rpm from rad/s."""
+    return speed * 30.0 / math.pi

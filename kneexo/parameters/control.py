@@ -1,0 +1,196 @@
+"""What runs on the embedded target: encoder, state estimator, controller."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from kneexo.parameters.plant import (
+    RPM,
+)
+from kneexo.parameters.quantity import Parameters, choice, quantity
+
+
+class EncoderParameters(Parameters):
+    """Rotary encoder AMT203-V on link 4."""
+
+    counts_per_revolution: int = Field(
+        default=4096,
+        ge=2,
+        le=2**24,
+        json_schema_extra={"unit": "1", "source": "Section 2: AMT203-V, 12 bit"},
+    )
+    quantized: bool = choice(True, "False bypasses the quantizer, as linearization must")
+    mounting_error_rad: float = quantity(
+        0.0,
+        "rad",
+        "assumption: true θ_4 minus what calibration takes it for; not printed",
+        ge=-0.2,
+        le=0.2,
+    )
+    phase_rad: float = quantity(
+        0.0,
+        "rad",
+        "assumption: θ_4 at which a count begins, known from calibration; not printed",
+        ge=0,
+        le=2.0 * math.pi,
+    )
+
+    @property
+    def resolution_rad(self) -> float:
+        """Angle of one count in rad; zero without the quantizer."""
+        return 2.0 * math.pi / self.counts_per_revolution if self.quantized else 0.0
+
+
+class ObserverParameters(Parameters):
+    """Third-order tracking observer of rod position, velocity and acceleration."""
+
+    kind: Literal["observer"] = "observer"
+    time_constant_s: float = quantity(
+        0.020,
+        "s",
+        "assumption: T_f; the paper does not say how velocity and acceleration are measured",
+        ge=1e-5,
+        le=10,
+    )
+
+
+class DifferenceParameters(Parameters):
+    """Plain backward differences of the measured position, as a first attempt would do."""
+
+    kind: Literal["difference"] = "difference"
+
+
+class ExactParameters(Parameters):
+    """Exact rod position, velocity and acceleration, as in the paper's simulation."""
+
+    kind: Literal["exact"] = "exact"
+
+
+_SAMPLE_TIME = "Table 3: interrupt time"
+
+
+class SlidingModeParameters(Parameters):
+    """Sliding-mode controller (Eq. 20–27)."""
+
+    kind: Literal["smc"] = "smc"
+    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, ge=1e-5, le=1)
+    continuous: bool = choice(
+        False, "True: continuous time, as in the ideal simulation of Fig. 9; needs exact states"
+    )
+    switching: Literal["saturation", "signum"] = choice(
+        "saturation", "sat of Eq. 27, or sgn of Eq. 24 to show chattering"
+    )
+    lambda_per_s: float = quantity(20.0, "1/s", "assumption: λ is not printed", ge=1e-3, le=1e4)
+    phi_m_s2: float = quantity(
+        3.2, "m/s²", "assumption: Φ is not printed; k/Φ = 1e5 1/s", ge=1e-6, le=1e9
+    )
+    eta_m_s3: float = quantity(
+        2.8e5,
+        "m/s³",
+        "assumption: η is not printed; β·η is the full speed authority",
+        ge=0,
+        le=1e12,
+    )
+    mass_min_kg: float = quantity(1.4, "kg", "Table 2", ge=0.01, le=1000)
+    mass_max_kg: float = quantity(1.8, "kg", "Table 2", ge=0.01, le=1000)
+    stiffness_uncertainty_n_per_m: float = quantity(
+        0.0, "N/m", "assumption: ΔK_max of Eq. 27 is not printed", ge=0, le=1e7
+    )
+    damping_uncertainty_n_s_per_m: float = quantity(
+        0.0, "N/(m/s)", "assumption: ΔB_max of Eq. 27 is not printed", ge=0, le=1e6
+    )
+    load_rate_uncertainty_n_per_s: float = quantity(
+        0.0, "N/s", "assumption: bound on dF_L/dt in Eq. 27 is not printed", ge=0, le=1e9
+    )
+    area_uncertainty: float = quantity(
+        0.0,
+        "1",
+        "Eq. 27 has no such term: bound on |A/Ā − 1|, how far the area that moves the oil may be "
+        "from the mean area; 1/7 covers A_1 and A_2 of Table 3",
+        ge=0,
+        le=1,
+    )
+    command_limit_rad_s: float = quantity(
+        5000.0 * RPM,
+        "rad/s",
+        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
+        ge=1e-3,
+        le=1e12,
+    )
+
+    @property
+    def mass_estimate_kg(self) -> float:
+        """Geometric mean of the mass bounds, m̂ = √(m_min m_max) (Table 2), in kg."""
+        return math.sqrt(self.mass_min_kg * self.mass_max_kg)
+
+    @property
+    def gain_ratio(self) -> float:
+        """β = √(b_max/b_min) = √(m_max/m_min); Eq. 23 prints its inverse."""
+        return math.sqrt(self.mass_max_kg / self.mass_min_kg)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> SlidingModeParameters:
+        if self.mass_min_kg > self.mass_max_kg:
+            raise ValueError(
+                f"mass_min_kg = {self.mass_min_kg:g} kg must not exceed "
+                f"mass_max_kg = {self.mass_max_kg:g} kg"
+            )
+        return self
+
+
+class PidParameters(Parameters):
+    """PID controller on the knee angle; the output is a motor speed."""
+
+    kind: Literal["pid"] = "pid"
+    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, ge=1e-5, le=1)
+    proportional_per_s: float = quantity(
+        5.0,
+        "1/s",
+        "assumption: PID gains are not printed; 5 1/s gives the error of Fig. 12",
+        ge=0,
+        le=1e4,
+    )
+    integral_per_s2: float = quantity(0.0, "1/s²", "assumption: not printed", ge=0, le=1e6)
+    derivative: float = quantity(
+        0.0, "1", "assumption: not printed; gain on the error's rate", ge=0, le=1e4
+    )
+    filter_s: float = quantity(
+        0.020,
+        "s",
+        "assumption: lag of the error's filter, on P and D; as the observer's, because both see "
+        "the same encoder",
+        ge=1e-4,
+        le=10,
+    )
+    anti_windup_s: float = quantity(
+        0.1, "s", "assumption: tracking time constant of back-calculation", ge=1e-5, le=1e3
+    )
+    velocity_feedforward: float = quantity(
+        0.0, "1", "assumption: share of the reference's rate that is fed forward", ge=0, le=2
+    )
+    moment_arm_m: float = quantity(
+        0.1,
+        "m",
+        "assumption: moment arm that turns a knee rate into a rod speed (mid-range of Table 1)",
+        ge=1e-3,
+        le=2,
+    )
+    command_limit_rad_s: float = quantity(
+        5000.0 * RPM,
+        "rad/s",
+        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
+        ge=1e-3,
+        le=1e12,
+    )
+
+    @model_validator(mode="after")
+    def _anti_windup_is_stable(self) -> PidParameters:
+        if self.anti_windup_s < self.sample_time_s:
+            raise ValueError(
+                f"anti_windup_s = {self.anti_windup_s:g} s must be at least sample_time_s = "
+                f"{self.sample_time_s:g} s"
+            )
+        return self

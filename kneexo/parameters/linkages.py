@@ -1,0 +1,124 @@
+"""Four-bar linkages of the knee; the paper prints none."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+from kneexo.parameters.quantity import Parameters, choice, quantity
+
+_IDENTIFIED = (
+    "assumption: identified from Table 1 over 0…90° by least squares; the paper prints no link "
+    "lengths"
+)
+
+
+def _length(default: float) -> Any:
+    return quantity(default, "m", _IDENTIFIED, ge=1e-3, le=2)
+
+
+def _coordinate(default: float) -> Any:
+    return quantity(default, "m", _IDENTIFIED, ge=-2, le=2)
+
+
+def _angle(default_deg: float) -> Any:
+    return quantity(math.radians(default_deg), "rad", _IDENTIFIED, ge=-7, le=7)
+
+
+class LinkageParameters(Parameters):
+    """Four-bar knee (Eq. 1–9), in the frame of the ground link.
+
+    The origin is the nominal knee axis, y points proximally, and flexion is counter-clockwise.
+    Link 1 is the ground O_A–O_B, link 2 is O_A–A, link 3 is the coupler A–B, link 4 is O_B–B.
+    The defaults are geometry G1: the shank is the ground and the coupler (the shortest link)
+    belongs to the thigh.
+    """
+
+    o_a_x_m: float = _coordinate(22.2063e-3)
+    o_a_y_m: float = _coordinate(-34.732e-3)
+    o_b_x_m: float = _coordinate(-6.679e-3)
+    o_b_y_m: float = _coordinate(-17.5701e-3)
+    a_2_m: float = _length(32.9701e-3)
+    a_3_m: float = _length(17.0e-3)
+    a_4_m: float = _length(18.2289e-3)
+    phi_rad: float = _angle(-167.0801)
+    """Knee angle minus coupler angle, φ of Eq. 7."""
+    rod_pin_radius_m: float = _length(265.8651e-3)
+    """|P'B| of Eq. 8: from the coupler's joint B to the pin of the rod."""
+    rod_pin_angle_rad: float = _angle(-62.9916)
+    """φ' of Eq. 8."""
+    rod_anchor_radius_m: float = _length(118.1887e-3)
+    """|P_rod O| of Eq. 9: from the origin to the pin of the cylinder."""
+    rod_anchor_angle_rad: float = _angle(-97.3807)
+    """θ_rod of Eq. 9."""
+    rod_length_m: float = _length(231.3769e-3)
+    """L_0: distance of the pins at x = 0; the paper leaves it out."""
+    branch: Literal[-1, 1] = choice(
+        -1, "assembly branch, the sign of sin(θ_4 − θ_2); the paper never states it"
+    )
+
+    def __repr__(self) -> str:
+        """The name of one of `LINKAGES`; of others, what differs from G1."""
+        names = (name for name, linkage in LINKAGES.items() if linkage == self)
+        return next(names, None) or super().__repr__()
+
+
+G1 = LinkageParameters()
+"""Shank as ground, coupler shortest (double rocker): the default."""
+
+G2 = LinkageParameters(
+    o_a_x_m=-24.3737e-3,
+    o_a_y_m=47.9781e-3,
+    o_b_x_m=13.62e-3,
+    o_b_y_m=22.1909e-3,
+    a_2_m=44.5361e-3,
+    a_3_m=23.836e-3,
+    a_4_m=25.7183e-3,
+    phi_rad=math.radians(18.5041),
+    rod_pin_radius_m=93.8743e-3,
+    rod_pin_angle_rad=math.radians(-57.3501),
+    rod_anchor_radius_m=349.1986e-3,
+    rod_anchor_angle_rad=math.radians(77.0024),
+    rod_length_m=288.7536e-3,
+)
+"""Thigh as ground, coupler shortest; its instantaneous centre moves the wrong way."""
+
+G3 = LinkageParameters(
+    o_a_x_m=-12.207e-3,
+    o_a_y_m=-2.2969e-3,
+    o_b_x_m=6.1253e-3,
+    o_b_y_m=-14.499e-3,
+    a_2_m=26.1508e-3,
+    a_3_m=47.9084e-3,
+    a_4_m=44.2795e-3,
+    phi_rad=math.radians(45.3361),
+    rod_pin_radius_m=60.7302e-3,
+    rod_pin_angle_rad=math.radians(-37.9753),
+    rod_anchor_radius_m=266.6114e-3,
+    rod_anchor_angle_rad=math.radians(71.0364),
+    rod_length_m=230.0e-3,
+    branch=1,
+)
+"""Thigh as ground, ground shortest (drag link); mechanically the best conditioned."""
+
+G4 = LinkageParameters(
+    o_a_x_m=-1.52785e-3,
+    o_a_y_m=-3.49263e-3,
+    o_b_x_m=3.43876e-3,
+    o_b_y_m=-6.31537e-3,
+    a_2_m=24.09745e-3,
+    a_3_m=11.95039e-3,
+    a_4_m=28.96078e-3,
+    phi_rad=math.radians(41.92103),
+    rod_pin_radius_m=82.79717e-3,
+    rod_pin_angle_rad=math.radians(-28.25057),
+    rod_anchor_radius_m=961.48141e-3,
+    rod_anchor_angle_rad=math.radians(85.54219),
+    rod_length_m=924.81905e-3,
+    branch=1,
+)
+"""Thigh as ground, ground shortest (drag link); identified from both polynomials of Table 1 over
+5…90°, whose printed errors it meets."""
+
+LINKAGES = {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
+"""Geometries that reproduce Table 1; a scenario may name one in place of its numbers."""

@@ -1,0 +1,331 @@
+"""The plant: motor and pump, cylinder, knee, load."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from kneexo.errors import ParameterError
+from kneexo.parameters.linkages import G1, LINKAGES, LinkageParameters
+from kneexo.parameters.quantity import Parameters, choice, quantity
+
+RPM = 2.0 * math.pi / 60.0
+"""One revolution per minute in rad/s."""
+
+
+ATMOSPHERE_PA = 101_325.0
+"""Standard atmosphere in Pa; pressures are relative to it."""
+
+AIR_EXPONENT = 1.4
+"""Polytropic exponent of entrained air: adiabatic, as the hydraulic mode is fast (assumption)."""
+
+
+class BldcPumpParameters(Parameters):
+    """BLDC motor with gear and axial-piston pump (Eq. 12, 13)."""
+
+    speed_limit_rad_s: float = quantity(
+        5000.0 * RPM, "rad/s", "Tables 2 and 3: 5000 rpm at the motor", ge=0.1, le=5000
+    )
+    lag_s: float = quantity(
+        0.010,
+        "s",
+        "assumption: time constant of the drive's speed loop; not printed",
+        ge=1e-4,
+        le=1,
+    )
+    acceleration_limit_rad_s2: float = quantity(
+        1e4,
+        "rad/s²",
+        "assumption: torque and inertia are not printed, but Section 5 explains its initial error "
+        "by the time that the motor needs to accelerate",
+        ge=1,
+        le=1e7,
+    )
+    gear_ratio: float = quantity(
+        6.0, "1", "Section 5: 6:1; the scale factor s_r of Eq. 17 hides it", ge=0.01, le=1000
+    )
+    displacement_m3_per_rad: float = quantity(
+        0.8e-6 / (2.0 * math.pi), "m³/rad", "Tables 2 and 3: 0.8 cc/rev", ge=1e-10, le=1e-4
+    )
+    internal_leakage_m3_per_s_pa: float = quantity(
+        2e-13,
+        "m³/(s·Pa)",
+        "assumption: C_im of Eq. 12 is not printed; the pump leaks, the piston seals barely",
+        ge=0,
+        le=1e-9,
+    )
+    external_leakage_m3_per_s_pa: float = quantity(
+        0.0, "m³/(s·Pa)", "assumption: C_em of Eq. 12 is not printed", ge=0, le=1e-9
+    )
+    rated_power_w: float = quantity(200.0, "W", "Table 3", ge=0.1, le=1e5)
+
+    @property
+    def leakage_m3_per_s_pa(self) -> float:
+        """Leakage of the load flow, C_im + C_em/2 (Eq. 13), in m³/(s·Pa)."""
+        return self.internal_leakage_m3_per_s_pa + 0.5 * self.external_leakage_m3_per_s_pa
+
+
+_THICKEST_ROD = 0.98  # of the bore; the annulus that is left, 4 % of the area, is a divisor
+
+
+class CylinderParameters(Parameters):
+    """Single-rod cylinder and the mass that it moves (Eq. 15, 16)."""
+
+    bore_m: float = quantity(0.020, "m", "Table 3", ge=1e-3, le=1)
+    rod_diameter_m: float = quantity(0.010, "m", "Table 3", ge=0, le=1)
+    stroke_m: float = quantity(0.150, "m", "Tables 2 and 3", ge=1e-3, le=5)
+    total_volume_m3: float = quantity(
+        41_233e-9,
+        "m³",
+        "Table 2: V_t = V_1 + V_2, mean area times stroke; does not follow bore and stroke",
+        ge=1e-8,
+        le=1,
+    )
+    bulk_modulus_pa: float = quantity(
+        17_200e5, "Pa", "Tables 2 and 3: 17 200 bar (ISO VG 46)", ge=1e6, le=1e11
+    )
+    mass_kg: float = quantity(1.6, "kg", "Tables 2 and 3: shank", ge=0.01, le=1000)
+    damping_n_s_per_m: float = quantity(0.05, "N/(m/s)", "Table 2: B", ge=0, le=1e6)
+    stiffness_n_per_m: float = quantity(
+        0.0, "N/m", "assumption: K of Eq. 16 is not printed", ge=0, le=1e7
+    )
+    leakage_m3_per_s_pa: float = quantity(
+        0.0,
+        "m³/(s·Pa)",
+        "assumption: C_L of Eq. 15 is not printed; piston seals barely leak",
+        ge=0,
+        le=1e-9,
+    )
+    pressure_rating_pa: float = quantity(3.5e6, "Pa", "Table 3: 3.5 MPa", ge=1e3, le=1e9)
+
+    @property
+    def cap_area_m2(self) -> float:
+        """Piston area of the chamber without rod, A_1, in m²."""
+        return math.pi / 4.0 * self.bore_m**2
+
+    @property
+    def rod_side_area_m2(self) -> float:
+        """Annular area of the chamber with the rod, A_2, in m²."""
+        return math.pi / 4.0 * (self.bore_m**2 - self.rod_diameter_m**2)
+
+    @property
+    def mean_area_m2(self) -> float:
+        """Mean piston area (A_1 + A_2)/2 of Eq. 15, in m²; Table 2 prints 274.8894 mm²."""
+        return 0.5 * (self.cap_area_m2 + self.rod_side_area_m2)
+
+    @model_validator(mode="after")
+    def _rod_fits_bore(self) -> CylinderParameters:
+        if self.rod_diameter_m > _THICKEST_ROD * self.bore_m:
+            raise ValueError(
+                f"rod_diameter_m = {self.rod_diameter_m:g} m must be below {_THICKEST_ROD:g} times "
+                f"bore_m = {self.bore_m:g} m"
+            )
+        return self
+
+
+class FullCylinderParameters(Parameters):
+    """What the full order adds to `CylinderParameters`: both chambers, valves and seals (Eq. 14).
+
+    C_im' of Eq. 14 is `CylinderParameters.leakage_m3_per_s_pa`; with external leakage C_em' the
+    reduced order's C_L is C_im' + C_em'/2. Pressures are relative to the atmosphere.
+    """
+
+    dead_volume_m3: float = quantity(
+        5e-6,
+        "m³",
+        "assumption: V_d of each chamber, with its hose; Eq. 14 leaves V_1⁰ and V_2⁰ open, and "
+        "0 is singular at the end of the stroke",
+        ge=1e-9,
+        le=1,
+    )
+    reservoir_pressure_pa: float = quantity(
+        0.2e6,
+        "Pa",
+        "assumption: P_r of Eq. 14 is not printed; 2 bar keep the return line from cavitating",
+        ge=0,
+        le=1e6,
+    )
+    cap_external_leakage_m3_per_s_pa: float = quantity(
+        0.0, "m³/(s·Pa)", "assumption: C_em1' of Eq. 14 is not printed", ge=0, le=1e-9
+    )
+    rod_side_external_leakage_m3_per_s_pa: float = quantity(
+        0.0, "m³/(s·Pa)", "assumption: C_em2' of Eq. 14 is not printed", ge=0, le=1e-9
+    )
+    makeup_conductance_m3_per_s_pa: float = quantity(
+        2e-10,
+        "m³/(s·Pa)",
+        "assumption: 0.02 MPa at the 3.7 cm³/s that A_1 − A_2 asks for at full speed; 0 blocks "
+        "the valves",
+        ge=0,
+        le=1e-6,
+    )
+    makeup_band_pa: float = quantity(
+        0.02e6,
+        "Pa",
+        "assumption: |P_1 − P_2| that opens one pilot-operated check valve and closes the other; "
+        "narrow beside the 0.067 MPa that P_r leaves between the lines without load",
+        ge=10,
+        le=1e7,
+    )
+    relief_pressure_pa: float = quantity(
+        3.5e6,
+        "Pa",
+        "assumption: both lines are relieved at the cylinder's rating of Table 3",
+        gt=1e6,
+        le=1e9,
+    )
+    relief_conductance_m3_per_s_pa: float = quantity(
+        5e-10,
+        "m³/(s·Pa)",
+        "assumption: the whole flow of the pump, 11 cm³/s, 1 % above the relief pressure",
+        ge=0,
+        le=1e-6,
+    )
+    valve_band_pa: float = quantity(
+        0.02e6, "Pa", "assumption: rounds the opening of check and relief valves", ge=10, le=1e7
+    )
+    entrained_air: float = quantity(
+        0.0,
+        "1",
+        "assumption: volume of free air in that of the oil at atmospheric pressure; 1.5 % makes "
+        "0.06 GPa of β_e at P_r",
+        ge=0,
+        le=0.5,
+    )
+    coulomb_friction_n: float = quantity(
+        0.0, "N", "assumption: seal friction in motion; Eq. 16 has none", ge=0, le=1e5
+    )
+    stribeck_friction_n: float = quantity(
+        0.0, "N", "assumption: what breakaway takes beyond it", ge=0, le=1e5
+    )
+    stribeck_speed_m_s: float = quantity(
+        0.01, "m/s", "assumption: typical of hydraulic seals", ge=1e-5, le=10
+    )
+    friction_band_m_s: float = quantity(
+        1e-3, "m/s", "assumption: rounds the reversal of the friction", ge=1e-6, le=10
+    )
+
+
+class KneeParameters(Parameters):
+    """Range of motion of the knee; the end stops are an error, not a force."""
+
+    flexion_min_deg: float = quantity(0.0, "deg", "Section 2: 0…90°", ge=-2, le=90)
+    flexion_max_deg: float = quantity(90.0, "deg", "Section 2: 0…90°", ge=0, le=91)
+    overshoot_deg: float = quantity(
+        0.5,
+        "deg",
+        "assumption: how far a run may pass the range of motion before it is an error, so that a "
+        "reference may touch the stops",
+        ge=0,
+        le=1,
+    )
+
+    def require_in_range(self, low_deg: float, high_deg: float) -> None:
+        """`ParameterError` when a reference of that range, in deg, leaves the range of motion."""
+        if low_deg < self.flexion_min_deg or high_deg > self.flexion_max_deg:
+            raise ParameterError(
+                f"reference = {low_deg:.4g} … {high_deg:.4g} deg leaves the range of motion "
+                f"{self.flexion_min_deg:g} … {self.flexion_max_deg:g} deg; reduce it"
+            )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> KneeParameters:
+        if self.flexion_min_deg >= self.flexion_max_deg:
+            raise ValueError(
+                f"flexion_min_deg = {self.flexion_min_deg:g} deg must be below "
+                f"flexion_max_deg = {self.flexion_max_deg:g} deg"
+            )
+        return self
+
+
+_Coefficient = Annotated[float, Field(ge=-1e4, le=1e4)]
+
+
+class RodPolynomialParameters(Parameters):
+    """Eq. 10 and 11 with Table 1: the controller's map from knee angle (deg) to rod (mm)."""
+
+    p_mm_deg: tuple[
+        _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient
+    ] = Field(
+        default=(1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0),
+        json_schema_extra={"unit": "mm/deg^n", "source": "Table 1: p_1 … p_6 of Eq. 10"},
+    )
+    q_deg_mm: tuple[
+        _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient
+    ] = Field(
+        default=(-1.807e-9, 5.788e-7, -7.285e-5, 0.004161, -0.6389, 91.73),
+        json_schema_extra={"unit": "deg/mm^n", "source": "Table 1: q_1 … q_6 of Eq. 11"},
+    )
+
+    @property
+    def p_si(self) -> tuple[float, ...]:
+        """Coefficients of Eq. 10, highest power first, for θ_p in rad and x in m."""
+        degree = len(self.p_mm_deg) - 1
+        return tuple(
+            1e-3 * p * math.degrees(1.0) ** (degree - n) for n, p in enumerate(self.p_mm_deg)
+        )
+
+
+class NoLoad(Parameters):
+    """No load, as in the paper's simulation: the disturbance input acts on the rod directly."""
+
+    kind: Literal["none"] = "none"
+
+
+class KneeLoadParameters(Parameters):
+    """What acts on the knee: weight of the shank, disturbance on the rod, torque of the wearer."""
+
+    kind: Literal["knee"] = "knee"
+    segment_mass_kg: float = quantity(
+        1.6, "kg", "Table 3: shank; 0 switches the weight off", ge=0, le=200
+    )
+    centre_of_mass_m: float = quantity(
+        0.20, "m", "assumption: knee axis to the centre of mass of shank and foot", ge=0, le=2
+    )
+    thigh_inclination_rad: float = quantity(
+        0.0, "rad", "assumption: hanging thigh; positive leans forward", ge=-math.pi, le=math.pi
+    )
+    gravity_m_s2: float = quantity(9.81, "m/s²", "standard gravity, rounded", ge=0, le=100)
+    knee_torque_n_m: float = quantity(
+        0.0, "N·m", "assumption: constant torque of the wearer; positive flexes", ge=-500, le=500
+    )
+    disturbance_n: float = quantity(
+        0.0, "N", "assumption: constant force against extension", ge=-1e4, le=1e4
+    )
+    disturbance_amplitude_n: float = quantity(
+        0.0, "N", "assumption: sinusoidal force against extension", ge=0, le=1e4
+    )
+    disturbance_frequency_hz: float = quantity(
+        1.0, "Hz", "assumption: frequency of the sinusoidal force", ge=0, le=1000
+    )
+
+
+class PlantParameters(Parameters):
+    """Motor and pump, cylinder, knee and load, and which idealizations hold."""
+
+    pump: BldcPumpParameters = BldcPumpParameters()
+    cylinder: CylinderParameters = CylinderParameters()
+    linkage: LinkageParameters = G1
+    knee: KneeParameters = KneeParameters()
+    load: Annotated[NoLoad | KneeLoadParameters, Field(discriminator="kind")] = NoLoad()
+    rod_map: Literal["linkage", "polynomial"] = choice(
+        "linkage",
+        "the plant's rod follows the exact linkage (Eq. 1–9), or Table 1 as the controller's does",
+    )
+    ideal_motor: bool = choice(
+        False, "Eq. 17: pump speed equals the command, without lag, acceleration or speed limit"
+    )
+    full_order: FullCylinderParameters | None = choice(
+        None, "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15"
+    )
+
+    @field_validator("linkage", mode="before")
+    @classmethod
+    def _named_linkage(cls, linkage: Any) -> Any:
+        if not isinstance(linkage, str):
+            return linkage
+        if linkage not in LINKAGES:
+            raise ValueError(f"{linkage!r} must be one of {', '.join(LINKAGES)}, or a mapping")
+        return LINKAGES[linkage]

@@ -1,0 +1,281 @@
+"""Numbers with unit, range and provenance: what the parameter classes are made of.
+
+pydantic validates; this module adds unit and provenance to its fields, and turns its reports into
+one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
+
+from kneexo.errors import ParameterError
+
+
+def quantity(
+    default: float,
+    unit: str,
+    source: str,
+    *,
+    ge: float | None = None,
+    gt: float | None = None,
+    le: float | None = None,
+) -> Any:
+    """A pydantic field for one physical number, with its unit, range and provenance."""
+    return Field(
+        default=default, ge=ge, gt=gt, le=le, json_schema_extra={"unit": unit, "source": source}
+    )
+
+
+def choice(default: Any, source: str) -> Any:
+    """A pydantic field for a structural choice (no unit), with its provenance."""
+    return Field(default=default, json_schema_extra={"unit": "", "source": source})
+
+
+Positive = tuple[Annotated[float, Field(ge=1e-6, le=1e9)], ...]
+"""Type of a field made by `positive_values`."""
+
+
+def positive_values(default: tuple[float, ...], unit: str, source: str) -> Any:
+    """A pydantic field for the numbers above zero that a study tries, with their provenance."""
+    return Field(default=default, min_length=1, json_schema_extra={"unit": unit, "source": source})
+
+
+def allowed_range(field: FieldInfo) -> str:
+    """The range of a field, or of its elements, as text, for instance ``>= 0 and <= 150``."""
+    lower = upper = ""
+    elements = get_args(field.annotation)[:1]
+    # Annotated[float, Field(…)] has the field in its __metadata__.
+    of_elements = [b for e in elements for f in getattr(e, "__metadata__", ()) for b in f.metadata]
+    for bound in (*of_elements, *field.metadata):
+        if getattr(bound, "ge", None) is not None:
+            lower = f">= {bound.ge:g}"
+        if getattr(bound, "gt", None) is not None:
+            lower = f"> {bound.gt:g}"
+        if getattr(bound, "le", None) is not None:
+            upper = f"<= {bound.le:g}"
+    return " and ".join(part for part in (lower, upper) if part)
+
+
+def unit_of(field: FieldInfo) -> str:
+    """The unit of a field made by `quantity`, or an empty string."""
+    extra = field.json_schema_extra
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+
+
+def source_of(field: FieldInfo) -> str:
+    """The provenance of a field made by `quantity` or `choice`, or an empty string."""
+    extra = field.json_schema_extra
+    return str(extra.get("source", "")) if isinstance(extra, dict) else ""
+
+
+def shortened(text: str, most: int = 120) -> str:
+    """``text``, its middle left out where it has more than ``most`` characters."""
+    if len(text) <= most:
+        return text
+    return f"{text[: most // 2]} … {text[-(most // 2) + 3 :]}"
+
+
+def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:
+    """Where the first fault of a validation error lies, and one line that says what it is."""
+    faults = error.errors()
+    # A misspelt name explains the value that is missing because of it.
+    fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
+    location, holders = _without_tags(model, fault["loc"])
+    path = shortened(".".join(str(key) for key in location))
+    value = fault["input"]
+    field = _field_at(model, location)
+    unit = unit_of(field) if field else ""
+    unit = "" if unit == "1" else unit
+    bounds = allowed_range(field) if field else ""
+    shown = repr(value)
+    if isinstance(value, float) and value == float(f"{value:g}"):
+        shown = f"{value:g}"
+    if len(shown) > 60:
+        shown = type(value).__name__ if not isinstance(value, str) else shortened(shown, 60)
+    shown_with_unit = f"{shown} {unit}".strip()
+    kind = fault["type"]
+    if kind == "extra_forbidden":
+        names = sorted({name for holder in holders for name in holder.model_fields})
+        line = f"{path}: unknown name; known here: {', '.join(names)}"
+        for close in get_close_matches(str(location[-1]), names, n=1):
+            line += f"; did you mean {close!r}?"
+    elif value is None:
+        line = f"{path} has no value"
+    elif kind in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
+        bounds = f"finite and {bounds}" if bounds else "finite"
+        if field is None or not allowed_range(field):
+            unit = ""  # "finite" needs none
+        line = f"{path} = {shown_with_unit} is out of range: must be {bounds} {unit}".rstrip()
+    elif kind == "union_tag_invalid":
+        tag, expected = shortened(fault["ctx"]["tag"]), fault["ctx"]["expected_tags"]
+        line = f"{path}.kind = {tag!r}: must be {expected}"
+        location = (*location, "kind")
+    elif kind == "missing":
+        line = f"{path}: is missing"
+    elif kind in {"too_short", "too_long"}:
+        context = fault["ctx"]
+        bound = context.get("min_length", context.get("max_length"))
+        word = "at least" if kind == "too_short" else "at most"
+        line = f"{path} has {context['actual_length']} values: must have {word} {bound}"
+    elif kind == "value_error":
+        line = str(fault["ctx"]["error"])
+        line = f"{path}: {line}" if path else line
+    else:
+        expected = fault["msg"].removeprefix("Input should be ")
+        line = f"{path} = {shown_with_unit}: must be {expected}"
+        if bounds:
+            line += f", {bounds} {unit}".rstrip()
+    # A bad sample also makes its list too short: that is no second fault.
+    more = sum(f is not fault and f["type"] != "too_short" for f in faults)
+    return location, line + (f" (and {more} more)" if more else "")
+
+
+def _without_tags(
+    model: type[BaseModel], location: tuple[str | int, ...]
+) -> tuple[tuple[str | int, ...], tuple[type[BaseModel], ...]]:
+    """The location without pydantic's discriminator tags, and the classes of its last key."""
+    kept: list[str | int] = []
+    holders: tuple[type[BaseModel], ...] = ()
+    members: tuple[type[BaseModel], ...] = (model,)
+    for key in location:
+        if len(members) > 1 and any(_kind(member) == key for member in members):
+            members = tuple(member for member in members if _kind(member) == key)
+            continue
+        kept.append(key)
+        holders = members
+        members = models_of(members[0].model_fields.get(str(key))) if members else ()
+    return tuple(kept), holders
+
+
+def _kind(model: type[BaseModel]) -> object:
+    field = model.model_fields.get("kind")
+    return None if field is None else field.default
+
+
+def models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
+    """The parameter classes that a field may hold."""
+    found: list[type[BaseModel]] = []
+    pending: list[Any] = [] if field is None else [field.annotation]
+    while pending:
+        annotation = pending.pop(0)
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            found.append(annotation)
+        else:
+            pending.extend(getattr(annotation, "__args__", ()))
+    return tuple(found)
+
+
+def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldInfo | None:
+    models: tuple[type[BaseModel], ...] = (model,)
+    field = None
+    for key in location:
+        fields = [m.model_fields[str(key)] for m in models if str(key) in m.model_fields]
+        if not fields:
+            return field
+        field = fields[0]
+        models = models_of(field)
+    return field
+
+
+@cache
+def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
+    """The fields whose kind may be left out, and their defaults' kinds."""
+    return tuple(
+        (name, field.default.kind)
+        for name, field in model.model_fields.items()
+        if field.discriminator and not field.is_required()
+    )
+
+
+@cache
+def _tuple_fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
+    """The fields that hold tuples, and whether any number of values is a valid length."""
+    return tuple(
+        (name, get_args(field.annotation)[-1] is ...)
+        for name, field in model.model_fields.items()
+        if get_origin(field.annotation) is tuple
+    )
+
+
+def _as_tuple(value: Any, *, any_length: bool) -> Any:
+    """Lists, NumPy arrays and pandas columns as tuples; a single number as a tuple of one.
+
+    Values of other types are returned unchanged, so that pydantic reports them.
+    """
+    if hasattr(value, "tolist"):  # NumPy and pandas
+        value = value.tolist()
+    if isinstance(value, list):
+        return tuple(value)
+    if any_length and isinstance(value, int | float) and not isinstance(value, bool):
+        return (value,)
+    return value
+
+
+class _Short:
+    """A long tuple, whose middle `repr` leaves out."""
+
+    def __init__(self, values: tuple[Any, ...]) -> None:
+        self._values = values
+
+    def __repr__(self) -> str:
+        first, second, *_, last = self._values
+        return f"({first!r}, {second!r}, …, {last!r}: {len(self._values)} values)"
+
+
+class Parameters(BaseModel):
+    """Base of all parameter classes: frozen, no unknown names, no silent type changes.
+
+    Where a tuple of numbers is asked for, lists, NumPy arrays, pandas columns and, for tuples of
+    any length, single numbers are accepted.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _completed(cls, data: Any) -> Any:
+        """Arrays as tuples; a mapping that does not say its kind is of the default's kind."""
+        if not isinstance(data, dict):
+            return data
+        tuples = {
+            name: _as_tuple(data[name], any_length=any_length)
+            for name, any_length in _tuple_fields(cls)
+            if name in data
+        }
+        data = data | tuples if tuples else data
+        kinds = {
+            name: {"kind": kind} | data[name]
+            for name, kind in _default_kinds(cls)
+            if isinstance(data.get(name), dict)
+        }
+        return data | kinds if kinds else data
+
+    def __repr_args__(self) -> Iterator[tuple[str, Any]]:
+        """What differs from the defaults: `repr` is short, and still makes an equal object."""
+        for name, field in type(self).model_fields.items():
+            value = getattr(self, name)
+            if field.is_required() or value != field.default:
+                yield name, _Short(value) if isinstance(value, tuple) and len(value) > 8 else value
+
+    def __str__(self) -> str:
+        """As `repr`."""
+        return repr(self)
+
+    if not TYPE_CHECKING:  # the type checker keeps the signature that pydantic makes
+
+        def __init__(self, **data: Any) -> None:
+            """Validate; raises `ParameterError` with one line."""
+            try:
+                super().__init__(**data)
+            except ValidationError as error:
+                line = one_line(type(self), error)[1]
+                raise ParameterError(f"{type(self).__name__}: {line}") from None
+
+        # Nested parameters are validated by the outermost constructor, which knows their path.
+        __init__.__pydantic_base_init__ = True

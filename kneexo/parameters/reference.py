@@ -1,0 +1,262 @@
+"""Knee references: sine, step, ramp, samples, and what stands for samples in a file."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from kneexo.errors import ParameterError
+from kneexo.gait import gait_knee_flexion
+from kneexo.parameters.quantity import Parameters, choice, quantity
+
+
+def _flexion(default: float, source: str) -> Any:
+    return quantity(default, "deg", source, ge=-2, le=91)
+
+
+_SHORTEST_RAMP_S = 1e-3  # its third power divides the jerk
+
+
+class SineReference(Parameters):
+    """Knee angle mean − amplitude·cos(2πft): starts at rest at its smallest value.
+
+    With a ramp it starts at its mean and the amplitude grows smoothly.
+    """
+
+    kind: Literal["sine"] = "sine"
+    mean_deg: float = _flexion(40.0, "Section 5: 10…70°")
+    amplitude_deg: float = quantity(30.0, "deg", "Section 5: 10…70°", ge=0, le=46)
+    frequency_hz: float = quantity(0.1, "Hz", "Section 5: 0.1 Hz", ge=1e-5, le=250)
+    ramp_s: float = quantity(
+        0.0, "s", "assumption: none; time over which the amplitude grows", ge=0, le=1e5
+    )
+
+    @property
+    def range_deg(self) -> tuple[float, float]:
+        """Smallest and largest angle in deg."""
+        return self.mean_deg - self.amplitude_deg, self.mean_deg + self.amplitude_deg
+
+    @model_validator(mode="after")
+    def _ramp_is_smooth(self) -> SineReference:
+        if 0.0 < self.ramp_s < _SHORTEST_RAMP_S:
+            raise ValueError(
+                f"ramp_s = {self.ramp_s:g} s is out of range: must be 0 or >= {_SHORTEST_RAMP_S:g} "
+                f"s and <= 100000 s"
+            )
+        return self
+
+
+class StepReference(Parameters):
+    """Knee angle that jumps once."""
+
+    kind: Literal["step"] = "step"
+    start_deg: float = _flexion(30.0, "assumption: an example")
+    end_deg: float = _flexion(50.0, "assumption: an example")
+    time_s: float = quantity(1.0, "s", "assumption: an example", ge=0, le=1e6)
+
+    @property
+    def range_deg(self) -> tuple[float, float]:
+        """Smallest and largest angle in deg."""
+        return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
+
+
+class RampReference(Parameters):
+    """Knee angle that moves from one value to another at a constant rate."""
+
+    kind: Literal["ramp"] = "ramp"
+    start_deg: float = _flexion(20.0, "assumption: an example")
+    end_deg: float = _flexion(60.0, "assumption: an example")
+    time_s: float = quantity(1.0, "s", "assumption: an example", ge=0, le=1e6)
+    rate_deg_s: float = quantity(
+        15.0, "deg/s", "assumption: below the 23 deg/s that the speed limit allows", ge=1e-3, le=1e4
+    )
+
+    @property
+    def range_deg(self) -> tuple[float, float]:
+        """Smallest and largest angle in deg."""
+        return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
+
+
+Interpolation = Literal["cubic", "pchip", "linear"]
+_INTERPOLATION = (
+    "cubic: spline with continuous acceleration, which may pass the samples' range; pchip: "
+    "shape-preserving cubic, which stays within neighbouring samples; linear: straight lines"
+)
+
+
+class SampledReference(Parameters):
+    """Knee angle from samples, by default joined by a cubic spline with continuous acceleration.
+
+    A sequence of numbers may be a tuple, a list, a NumPy array or a pandas column.
+    """
+
+    kind: Literal["samples"] = "samples"
+    times_s: tuple[float, ...] = Field(
+        min_length=3,
+        json_schema_extra={"unit": "s", "source": "given by the user; strictly increasing"},
+    )
+    angles_deg: tuple[float, ...] = Field(
+        min_length=3, json_schema_extra={"unit": "deg", "source": "given by the user"}
+    )
+    interpolation: Interpolation = choice("cubic", _INTERPOLATION)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SampledReference:
+        if len(self.times_s) != len(self.angles_deg):
+            raise ValueError(
+                f"times_s has {len(self.times_s)} values and angles_deg has "
+                f"{len(self.angles_deg)}: must be as many"
+            )
+        if any(b - a < 1e-6 for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
+            raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
+        if max(abs(self.times_s[0]), abs(self.times_s[-1])) > 1e5:
+            raise ValueError("times_s must lie within ±100000 s")
+        return self
+
+    @property
+    def range_deg(self) -> tuple[float, float]:
+        """Smallest and largest sample in deg; the spline between them may reach further."""
+        return min(self.angles_deg), max(self.angles_deg)
+
+
+class CsvReference(Parameters):
+    """A CSV file with a header line that holds the samples of a reference.
+
+    `samples` reads the file. A scenario that names one keeps the samples, not the file.
+    """
+
+    kind: Literal["csv"] = "csv"
+    file: str = Field(
+        min_length=1,
+        json_schema_extra={
+            "unit": "",
+            "source": "given by the user; relative to the scenario file, else to the working "
+            "directory",
+        },
+    )
+    time: str = choice("time_s", "name of the column of times in s")
+    angle: str = choice("knee_angle_deg", "name of the column of knee angles in deg")
+    interpolation: Interpolation = choice("cubic", _INTERPOLATION)
+
+    def samples(self, directory: str | os.PathLike[str] = ".") -> SampledReference:
+        """The samples; ``directory`` is what a relative path starts from.
+
+        Lines that are empty or start with ``#`` are left out. Raises `ParameterError` when the
+        file cannot be read, or a column or number is missing.
+        """
+        path = Path(directory, self.file)
+        try:
+            with path.open(encoding="utf-8-sig", newline="") as stream:
+                lines = [
+                    (number, line)
+                    for number, line in enumerate(stream, 1)
+                    if line.strip() and not line.startswith("#")
+                ]
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "is not UTF-8"
+            raise ParameterError(f"{path}: cannot be read: {reason}") from None
+        if not lines:
+            raise ParameterError(f"{path}: is empty")
+        header, *rows = csv.reader(line for _, line in lines)
+        names = [name.strip() for name in header]
+        columns: dict[str, list[float]] = {}
+        for name in (self.time, self.angle):
+            if name not in names:
+                raise ParameterError(f"{path}: has no column {name!r}; it has {', '.join(names)}")
+            columns[name] = []
+            place = names.index(name)
+            for (number, _), row in zip(lines[1:], rows, strict=False):
+                try:
+                    columns[name].append(float(row[place]))
+                except (IndexError, ValueError):
+                    value = repr(row[place]) if place < len(row) else "no value"
+                    raise ParameterError(
+                        f"{path}:{number}: {name}: {value}; must be a number"
+                    ) from None
+        try:
+            return SampledReference(
+                times_s=tuple(columns[self.time]),
+                angles_deg=tuple(columns[self.angle]),
+                interpolation=self.interpolation,
+            )
+        except ParameterError as error:
+            raise ParameterError(
+                f"{path}: {str(error).removeprefix('SampledReference: ')}"
+            ) from None
+
+
+class GaitReference(Parameters):
+    """The built-in gait curve by name: see `kneexo.gait.gait_reference`."""
+
+    kind: Literal["gait"] = "gait"
+    frequency_hz: float = quantity(1.0, "Hz", "assumption: strides per second", gt=0, le=10)
+    cycles: int = Field(
+        default=30,
+        ge=1,
+        le=1000,
+        json_schema_extra={
+            "unit": "1",
+            "source": "assumption: 30 s at 1 Hz, a default run",
+        },
+    )
+
+
+def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReference:
+    """The measured knee flexion as a periodic reference, ``cycles`` strides long.
+
+    It starts and ends at the least flexion, where the knee is at rest (`gait_start_percent`), at
+    t = 0. A straight line is taken from the curve that closes it: it moves no sample by more than
+    0.03°, a twentieth of the standard deviation. The loop settles during the first stride.
+
+    Parameters
+    ----------
+    frequency_hz
+        Strides per second, > 0 and at most 10 Hz (beyond, a sample lasts less than a millisecond);
+        the measured one is `kneexo.gait.GAIT_STRIDE_S`.
+    cycles
+        Number of strides, 1 … 1000.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range.
+    """
+    if not 0.0 < frequency_hz <= 10.0:
+        raise ParameterError(f"frequency_hz = {frequency_hz:g} Hz: must be > 0 and <= 10 Hz")
+    if not 1 <= cycles <= 1000:
+        raise ParameterError(f"cycles = {cycles}: must be >= 1 and <= 1000")
+    percent, mean, _ = gait_knee_flexion()
+    closed = mean - (mean[-1] - mean[0]) * percent / percent[-1]
+    stride = np.roll(closed[:-1], -int(np.argmin(mean)))
+    angles = np.append(np.tile(stride, cycles), stride[0])
+    times = np.arange(angles.size) / (stride.size * frequency_hz)
+    return SampledReference(times_s=tuple(times.tolist()), angles_deg=tuple(angles.tolist()))
+
+
+def read_reference(value: Any, directory: Any) -> Any:
+    """References that are named, as the samples that they stand for."""
+    if isinstance(value, str):
+        if value != "gait":
+            raise ValueError(f"{value!r} must be gait, or a mapping")
+        value = GaitReference()
+    if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
+        given = CsvReference if value["kind"] == "csv" else GaitReference
+        try:
+            value = given(**value)
+        except ParameterError as error:
+            raise ParameterError(str(error).removeprefix(f"{given.__name__}: ")) from None
+    if isinstance(value, CsvReference):
+        return value.samples(directory)
+    if isinstance(value, GaitReference):
+        return gait_reference(value.frequency_hz, value.cycles)
+    return value
+
+
+Reference = Annotated[
+    SineReference | StepReference | RampReference | SampledReference, Field(discriminator="kind")
+]

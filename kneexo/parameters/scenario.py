@@ -1,0 +1,142 @@
+"""One closed-loop run: `Scenario`, and how it is simulated."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from kneexo.parameters.control import (
+    DifferenceParameters,
+    EncoderParameters,
+    ExactParameters,
+    ObserverParameters,
+    PidParameters,
+    SlidingModeParameters,
+)
+from kneexo.parameters.plant import (
+    PlantParameters,
+    RodPolynomialParameters,
+)
+from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.parameters.reference import (
+    Reference,
+    SineReference,
+    read_reference,
+)
+
+
+class SimulationParameters(Parameters):
+    """How a closed loop is run: by the compiled engine, or by Drake's Simulator."""
+
+    duration_s: float = quantity(
+        30.0, "s", "three periods of 0.1 Hz, as in Fig. 12", ge=1e-3, le=1e5
+    )
+    integrator: Literal[
+        "exact_hold", "rk4", "radau3", "radau1", "runge_kutta3", "implicit_euler"
+    ] = choice(
+        "exact_hold",
+        "exact_hold and rk4 are those of the compiled engine, the others Drake's; implicit or "
+        "exponential, because the hydraulic mode lies at 447 Hz",
+    )
+    step_s: float = quantity(
+        0.002, "s", "the control period; exact_hold controls its error instead", ge=1e-7, le=1
+    )
+    error_controlled: bool = choice(False, "of Drake's: step_s is only the largest step")
+    accuracy: float = quantity(
+        1e-4, "1", "accuracy of Drake's error-controlled integrators", ge=1e-12, le=0.1
+    )
+    tolerance: float = quantity(
+        1e-8,
+        "1",
+        "accuracy of exact_hold: local error of each state, relative to one plus the state",
+        ge=1e-14,
+        le=0.01,
+    )
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the compiled engine runs it."""
+        return self.integrator in ("exact_hold", "rk4")
+
+    def with_drake(self) -> SimulationParameters:
+        """The same for Drake's Simulator: with radau3 if the integrator is not one of Drake's."""
+        return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
+
+
+class Scenario(Parameters):
+    """One closed-loop run: plant, measurement, controller, reference and simulation.
+
+    ``nominal`` is the plant that the controller believes in; left out, it is ``plant``.
+    """
+
+    plant: PlantParameters = PlantParameters()
+    nominal: PlantParameters | None = None
+    polynomial: RodPolynomialParameters = RodPolynomialParameters()
+    encoder: EncoderParameters = EncoderParameters()
+    estimator: Annotated[
+        ObserverParameters | DifferenceParameters | ExactParameters, Field(discriminator="kind")
+    ] = ObserverParameters()
+    controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")] = (
+        SlidingModeParameters()
+    )
+    can_delay_samples: int = Field(
+        default=0,
+        ge=0,
+        le=10,
+        json_schema_extra={
+            "unit": "samples",
+            "source": "assumption: latency of the CAN bus from controller to motor",
+        },
+    )
+    reference: Reference = SineReference()
+    initial_offset_m: float = quantity(
+        0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15
+    )
+    simulation: SimulationParameters = SimulationParameters()
+
+    def with_engine(self, engine: Literal["compiled", "drake"] | None) -> Scenario:
+        """The same run by the compiled engine or Drake's Simulator; None: by what it asks for."""
+        if engine is None or (engine == "compiled") == self.simulation.compiled:
+            return self
+        integrator = "exact_hold" if engine == "compiled" else "radau3"
+        simulation = self.simulation.model_copy(update={"integrator": integrator})
+        return self.model_copy(update={"simulation": simulation})
+
+    def with_steps(self, step_s: float) -> Scenario:
+        """The same run by explicit Runge–Kutta steps: rk4, or with Drake its runge_kutta3."""
+        integrator = "rk4" if self.simulation.compiled else "runge_kutta3"
+        steps = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
+        return self.model_copy(update={"simulation": self.simulation.model_copy(update=steps)})
+
+    @property
+    def command_limit_rad_s(self) -> float:
+        """Limit of the command: the controller's, or the believed motor's where that is lower."""
+        pump = self.believed_plant
+        own = self.controller.command_limit_rad_s
+        return own if pump.ideal_motor else min(own, pump.pump.speed_limit_rad_s)
+
+    @property
+    def believed_plant(self) -> PlantParameters:
+        """The plant that the controller is designed for."""
+        return self.plant if self.nominal is None else self.nominal
+
+    @field_validator("reference", mode="before")
+    @classmethod
+    def _named_reference(cls, reference: Any, info: ValidationInfo) -> Any:
+        return read_reference(reference, (info.context or {}).get("directory", "."))
+
+    @model_validator(mode="after")
+    def _compatible(self) -> Scenario:
+        self.plant.knee.require_in_range(*self.reference.range_deg)
+        continuous = self.controller.kind == "smc" and self.controller.continuous
+        if continuous and self.estimator.kind != "exact":
+            raise ValueError(
+                f"controller.continuous = true needs estimator.kind = exact, "
+                f"not {self.estimator.kind}"
+            )
+        if continuous and self.can_delay_samples:
+            raise ValueError(
+                f"can_delay_samples = {self.can_delay_samples} needs a discrete controller"
+            )
+        return self

@@ -1,0 +1,271 @@
+"""Scenario files: YAML to `kneexo.parameters.Scenario` and back; files of uncertain values.
+
+A file names only what differs from the defaults. Every fault is a `ScenarioError` whose single
+line tells file, line, path, value, unit and range.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import yaml
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+from yaml.reader import ReaderError
+
+from kneexo.errors import ParameterError, ScenarioError
+from kneexo.parameters import UNCERTAIN_KNEE, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters.paths import require_applicable
+from kneexo.parameters.quantity import (
+    Parameters,
+    allowed_range,
+    one_line,
+    shortened,
+    unit_of,
+)
+
+_Path = tuple[str | int, ...]
+_TAG = "tag:yaml.org,2002:"
+_MOST_BYTES = 2**20
+_MOST_VALUES = 100_000  # two seconds; aliases can multiply a short text without end
+_DEEPEST = 20
+_LONGEST_MESSAGE = 800
+
+
+def load_scenario(path: str | os.PathLike[str]) -> Scenario:
+    """Scenario from a YAML file in UTF-8; what the file leaves out has its default.
+
+    Parameters
+    ----------
+    path
+        A regular file of at most 1 MiB with at most 100 000 values. An empty one is the default
+        scenario.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, is not YAML, or has a duplicate, unknown, missing or wrong entry.
+    """
+    name = os.fspath(path)
+    data, lines = _read(name, _text(name))
+    try:
+        return Scenario.model_validate(data, context={"directory": Path(name).parent})
+    except ValidationError as error:
+        location, message = one_line(Scenario, error)
+    raise _fault(name, _line(lines, location), message)
+
+
+def load_uncertainty(
+    path: str | os.PathLike[str], scenario: Scenario = UNCERTAIN_KNEE
+) -> UncertaintySet:
+    """Uncertain values from a YAML file in UTF-8: a mapping from dotted paths to `Uncertainty`.
+
+    .. code-block:: yaml
+
+        plant.cylinder.mass_kg: {low: 1.4, high: 1.8}
+        plant.pump.lag_s: {low: 0.005, high: 0.02, scale: log}
+        plant.linkage: {options: [G1, G2, G3], known: true}
+
+    Values that ``scenario`` does not have are kept: `applicable` tells which.
+
+    Raises
+    ------
+    ScenarioError
+        As `load_scenario`; also for an empty file, and for a value that is out of range.
+    """
+    name = os.fspath(path)
+    data, lines = _read(name, _text(name))
+    if not data:
+        raise _fault(name, None, "has no uncertain values")
+    found = {}
+    for own, value in data.items():
+        if not isinstance(value, dict):
+            raise _fault(name, lines[own,], f"{own}: must have low and high, or options")
+        try:
+            found[own] = Uncertainty.model_validate(value)
+            require_applicable(scenario, own, found[own], data)
+        except ValidationError as error:
+            location, message = one_line(Uncertainty, error)
+            separator = "." if location else ": "
+            line = _line(lines, (own, *location))
+            raise _fault(name, line, f"{own}{separator}{message}") from None
+        except ParameterError as error:
+            raise _fault(name, lines[own,], str(error)) from None
+    return UncertaintySet(values=found)
+
+
+def dump_scenario(scenario: Scenario) -> str:
+    """YAML text (write it as UTF-8) of every value, with unit, range or choices as a comment.
+
+    `load_scenario` reads an equal scenario from it: floats have all their digits.
+    """
+    return "\n".join(_dumped(scenario, "")) + "\n"
+
+
+def read_value(name: str, text: str) -> Any:
+    """One value as a scenario file would write it: a scalar, list or mapping in YAML.
+
+    ``name`` is what a `ScenarioError` calls it.
+    """
+    data, _ = _read(name, f"value: {text}")
+    if list(data) != ["value"]:
+        raise ScenarioError(f"{name}: must be a single value, not more lines of YAML")
+    return data["value"]
+
+
+_TOO_MUCH = (
+    f"too deep or too many values (aliases?): must have at most {_DEEPEST} levels and "
+    f"{_MOST_VALUES} values"
+)
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader with the scalars of YAML 1.2: 1e5 is a number; on, 1:30 and dates are text."""
+
+    def __init__(self, name: str, text: str) -> None:
+        super().__init__(text)
+        self.name = name
+        self.lines: dict[_Path, int] = {}
+        self._composed, self._depth = 0, 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """As PyYAML's, but too deep and too long a text ends before it has been read."""
+        self._composed += 1
+        self._depth += 1
+        if self._depth > _DEEPEST + 1 or self._composed > 2 * _MOST_VALUES:
+            # PyYAML's stubs leave peek_event() untyped.
+            line = self.peek_event().start_mark.line + 1  # type: ignore[no-untyped-call]
+            raise _fault(self.name, line, _TOO_MUCH)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def fault(self, node: yaml.Node, path: _Path, message: str) -> ScenarioError:
+        where = f"{_dotted(path)}: " if path else ""
+        return _fault(self.name, node.start_mark.line + 1, where + message)
+
+    def plain(self, node: yaml.Node, path: _Path) -> Any:
+        """Dictionaries, tuples and scalars of a node; notes the line of each path in ``lines``."""
+        self.lines.setdefault(path, node.start_mark.line + 1)
+        if len(path) > _DEEPEST or len(self.lines) > _MOST_VALUES:
+            raise self.fault(node, path, _TOO_MUCH)
+        quoted = isinstance(node, yaml.ScalarNode) and node.style is not None
+        # PyYAML's stubs leave resolve() untyped.
+        implied = self.resolve(type(node), node.value, (not quoted, quoted))  # type: ignore[no-untyped-call]
+        if node.tag != implied:
+            raise self.fault(node, path, f"tag {shortened(node.tag)!r} is not supported")
+        if isinstance(node, yaml.ScalarNode):
+            return self.construct_object(node)
+        if isinstance(node, yaml.SequenceNode):
+            return tuple(self.plain(item, (*path, n)) for n, item in enumerate(node.value))
+        data: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key = key_node.value
+            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag != f"{_TAG}str":
+                shown = shortened(key or "null") if isinstance(key, str) else "a list or mapping"
+                raise self.fault(key_node, path, f"a name must be text, not {shown}")
+            at = (*path, key)
+            if first := self.lines.get(at):
+                raise self.fault(key_node, at, f"duplicate name, first on line {first}")
+            self.lines[at] = key_node.start_mark.line + 1
+            data[key] = self.plain(value_node, at)
+        return data
+
+
+_Loader.yaml_implicit_resolvers = {}  # its own, in place of SafeLoader's
+for _kind, _pattern in {
+    "null": r"|~|null|Null|NULL",
+    "bool": r"true|True|TRUE|false|False|FALSE",
+    "int": r"[-+]?(0|[1-9][0-9]{0,17})",  # with more digits, a float
+    "float": r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"
+    r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+}.items():
+    _Loader.add_implicit_resolver(f"{_TAG}{_kind}", re.compile(rf"(?:{_pattern})\Z"), None)
+
+
+def _line(lines: Mapping[_Path, int], location: _Path) -> int:
+    """Line of a location, or of what holds it."""
+    while location not in lines:
+        location = location[:-1]
+    return lines[location]
+
+
+def _text(name: str) -> str:
+    """The text of a file in UTF-8."""
+    try:
+        mode = os.stat(name).st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # a pipe or device may never end
+            raise OSError("is not a regular file")
+        with Path(name).open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
+            raise OSError(f"is too large, must have at most {_MOST_BYTES} bytes")
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
+        raise _fault(name, line, f"is not UTF-8: byte 0x{byte:02x}") from None
+    except OSError as error:
+        raise _fault(name, None, f"cannot be read: {error.strerror or error}") from error
+    except ValueError:  # in words that change with the version of Python
+        raise _fault(name, None, "cannot be read: a null byte in its name") from None
+
+
+def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
+    """The top-level mapping of a YAML text, and the line of each path in it."""
+    try:
+        loader = _Loader(name, text)
+        root = loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        problem = ", ".join(part for part in (error.context, error.problem) if part)
+        mark = error.problem_mark
+        line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        raise _fault(name, line, f"YAML syntax, column {column}: {problem}") from None
+    except ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise _fault(name, line, f"YAML syntax: {text[error.position]!a}: {error.reason}") from None
+    except (ArithmeticError, ValueError, RecursionError) as error:  # an absurd \U, %YAML, nesting
+        raise _fault(name, None, f"YAML syntax: {error}") from None
+    if root is None or (data := loader.plain(root, ())) is None:
+        return {}, loader.lines
+    if not isinstance(data, dict):
+        found = "a list" if isinstance(data, tuple) else "a single value"
+        raise _fault(name, loader.lines[()], f"the top level must be a mapping, not {found}")
+    return data, loader.lines
+
+
+def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
+    for name, field in type(parameters).model_fields.items():
+        value = getattr(parameters, name)
+        comment = f"  # {note}" if (note := _note(field)) else ""
+        if isinstance(value, Parameters):
+            yield f"{indent}{name}:{comment}"
+            yield from _dumped(value, indent + "  ")
+        else:
+            number = re.sub(r"(?<![.\d])(\d+)e", r"\1.0e", json.dumps(value))  # as YAML 1.1 wants
+            yield f"{indent}{name}: {value if isinstance(value, str) else number}{comment}"
+
+
+def _note(field: FieldInfo) -> str:
+    """Unit and range of a field, or what may be chosen."""
+    options = get_args(field.annotation)
+    if field.discriminator:
+        return "kind: " + ", ".join(member.model_fields["kind"].default for member in options)
+    if get_origin(field.annotation) is Literal and len(options) > 1:
+        return ", ".join(str(option) for option in options)
+    return ", ".join(part for part in (unit_of(field), allowed_range(field)) if part)
+
+
+def _dotted(path: _Path) -> str:
+    return shortened(".".join(str(key) for key in path))
+
+
+def _fault(name: str, line: int | None, message: str) -> ScenarioError:
+    message = shortened(message, _LONGEST_MESSAGE)
+    text = f"{name}: {message}" if line is None else f"{name}:{line}: {message}"
+    return ScenarioError("".join(c if c.isprintable() else " " for c in text))

@@ -1,0 +1,68 @@
+"""Runs by Drake's Simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import Context, Diagram
+
+from kneexo.errors import SimulationError
+from kneexo.parameters import SimulationParameters
+from kneexo.simulation.run import Run
+
+
+def simulate_diagram(
+    diagram: Diagram,
+    context: Context,
+    names: Sequence[str],
+    settings: SimulationParameters,
+    progress: Callable[[float], Any] | None = None,
+) -> Run:
+    """Run a diagram that has a `VectorLogSink` named ``log`` with the columns ``names``.
+
+    ``context`` is the root Context to start from; it is changed. ``progress`` gets the simulated
+    time every 0.25 s. Drake's `radau3` stands in for the compiled engine's integrators. Raises
+    `SimulationError` when the run diverges, stalls or leaves the range of motion.
+    """
+    settings = settings.with_drake()
+    log = diagram.GetSubsystemByName("log").FindMutableLog(context)
+    log.Clear()
+    simulator = Simulator(diagram, context)
+    ApplySimulatorConfig(
+        SimulatorConfig(
+            integration_scheme=settings.integrator,
+            max_step_size=settings.step_s,
+            accuracy=settings.accuracy,
+            use_error_control=settings.error_controlled,
+            start_time=context.get_time(),
+        ),
+        simulator,
+    )
+    start = end = context.get_time()
+    while end < start + settings.duration_s:
+        end = min(end + 0.25, start + settings.duration_s)
+        try:
+            simulator.AdvanceTo(end)  # initializes, the first time
+        except (RuntimeError, ValueError) as error:
+            if isinstance(error, SimulationError):
+                raise
+            reason = str(error).splitlines()[0]
+            raise SimulationError(
+                f"t = {context.get_time():.6g} s: {diagram.get_name()}: the integrator "
+                f"{settings.integrator} gave up at step_s = {settings.step_s:g} s ({reason}); "
+                f"reduce the step"
+            ) from None
+        if progress is not None:
+            progress(end - start)
+    values = log.data().copy()
+    finite = np.isfinite(values)
+    if not finite.all():
+        row, sample = (int(i[0]) for i in np.nonzero(~finite))
+        raise SimulationError(
+            f"t = {log.sample_times()[sample]:.6g} s: {names[row]} is not finite; reduce the step "
+            f"or check the parameters"
+        )
+    return Run(log.sample_times().copy(), dict(zip(names, values, strict=True)), settings)

@@ -1,0 +1,163 @@
+"""Runs of closed loops as arrays: by either engine, one alone or many together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
+from kneexo.errors import KneexoError, ParameterError, StiffnessError
+from kneexo.parameters import Scenario
+from kneexo.simulation.coroutines import Steps, coroutine
+from kneexo.simulation.drake import simulate_diagram
+from kneexo.simulation.run import Run
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What a `coroutine` yields for a `Run` of a scenario; see `simulate` for the rest."""
+
+    scenario: Scenario
+    signals: Sequence[str] | None = None
+    progress: Callable[[float], Any] | None = None
+
+
+LARGEST_BATCH = 32
+"""Most runs that the compiled engine gets together."""
+
+_LARGEST_RECORD = 4_000_000  # numbers that these may log: 32 MB
+
+LARGEST_RUN_BYTES = 2 * 2**30
+"""Most that the logged signals of a run may take."""
+
+MOST_STEPS = 1_000_000_000
+"""Most steps of a fixed size in a run."""
+
+
+def answers(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
+    """The run of each request, or why it failed, as soon as it is there.
+
+    The compiled engine gets the runs of each structure together; those in which the exact hold
+    gives up follow, by RK4 with steps of 20 µs. No run depends on which others there are.
+    """
+    from kneexo.compilation.runner import ROUGH_STEP_S
+
+    ways: dict[Any, list[int]] = {}
+    for index, request in requests.items():
+        settings = request.scenario.simulation
+        if fault := _too_large(request):
+            yield index, fault
+        elif settings.compiled:
+            signals = None if request.signals is None else tuple(request.signals)
+            way = (settings.integrator, settings.step_s, settings.tolerance)
+            ways.setdefault((signals, way), []).append(index)
+        else:
+            yield index, _drake_run(request)
+    rough: dict[Any, list[int]] = {}
+    for (signals, way), indices in ways.items():
+        for index, run in _compiled_runs(requests, indices, signals, way):
+            if isinstance(run, StiffnessError):  # valves that open and close all the time
+                rough.setdefault(signals, []).append(index)
+            else:
+                yield index, run
+    for signals, indices in rough.items():
+        yield from _compiled_runs(requests, indices, signals, ("rk4", ROUGH_STEP_S))
+
+
+def _too_large(request: RunRequest) -> ParameterError | None:
+    """Why a run would take too much memory or time."""
+    settings = request.scenario.simulation
+    duration = f"simulation.duration_s = {settings.duration_s:g} s"
+    samples, width = _records(request), _width(request)
+    size = 8.0 * samples * width
+    if size > LARGEST_RUN_BYTES:
+        return ParameterError(
+            f"{duration} at sample_time_s = {request.scenario.controller.sample_time_s:g} s: "
+            f"{samples:.0f} samples of {width} columns take {size / 2**30:.3g} GiB, must be at "
+            f"most {LARGEST_RUN_BYTES / 2**30:g} GiB; reduce duration_s or log fewer signals"
+        )
+    steps = settings.duration_s / settings.step_s
+    if settings.integrator != "exact_hold" and steps > MOST_STEPS:
+        return ParameterError(
+            f"{duration} at step_s = {settings.step_s:g} s: takes {steps:.3g} steps, must be at "
+            f"most {MOST_STEPS:g}"
+        )
+    return None
+
+
+def _records(request: RunRequest) -> float:
+    """Samples that a run logs."""
+    scenario = request.scenario
+    return scenario.simulation.duration_s / scenario.controller.sample_time_s
+
+
+def _width(request: RunRequest) -> int:
+    """Columns that a run logs; signals that do not exist have none."""
+    names = request.signals
+    if names is None:
+        names = available_signals(request.scenario)
+    return sum(len(SIGNALS.get(name, ())) for name in names)
+
+
+def _drake_run(request: RunRequest) -> Run | KneexoError:
+    scenario = request.scenario
+    names = available_signals(scenario) if request.signals is None else tuple(request.signals)
+    try:
+        diagram = make_closed_loop(scenario, signals=names)
+        context = diagram.CreateDefaultContext()
+        return simulate_diagram(
+            diagram, context, columns(names), scenario.simulation, request.progress
+        )
+    except KneexoError as error:
+        return error
+
+
+def _compiled_runs(
+    requests: Mapping[int, RunRequest], indices: Sequence[int], signals: Any, way: Any
+) -> Iterator[tuple[int, Run | KneexoError]]:
+    from kneexo.simulation import compiled
+
+    groups: dict[str, list[int]] = {}
+    for index in indices:
+        groups.setdefault(compiled.structure_key(requests[index].scenario), []).append(index)
+    for group in groups.values():
+        for batch in _batches(group, requests):
+            scenarios = [requests[index].scenario for index in batch]
+            runs = compiled.simulate_together(scenarios, signals, *way)
+            for index, run in zip(batch, runs, strict=True):
+                if (progress := requests[index].progress) is not None and isinstance(run, Run):
+                    progress(requests[index].scenario.simulation.duration_s)
+                yield index, run
+
+
+def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterator[list[int]]:
+    """Runs of a group that go together: of similar duration, and not too much to keep."""
+
+    width = _width(requests[group[0]])
+    waiting = sorted(group, key=lambda index: _records(requests[index]), reverse=True)
+    while waiting:
+        most = max(1, int(_LARGEST_RECORD / (width * _records(requests[waiting[0]]) + 1.0)))
+        size = min(LARGEST_BATCH, most)
+        yield waiting[:size]
+        del waiting[:size]
+
+
+needs_runs = coroutine(answers)
+"""Decorator of generator functions that yield a `RunRequest` for each `Run` that they need."""
+
+
+@needs_runs
+def simulate(
+    scenario: Scenario = Scenario(),
+    *,
+    signals: Sequence[str] | None = None,
+    progress: Callable[[float], Any] | None = None,
+) -> Steps[Run]:
+    """Run the closed loop of ``scenario``; all available signals by default.
+
+    ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator.
+    Where the exact hold cannot follow, RK4 with steps of 20 µs goes on in its place (the run's
+    ``settings`` say so). Raises what `make_closed_loop` and `simulate_diagram` raise.
+    """
+    return (yield RunRequest(scenario, signals, progress))

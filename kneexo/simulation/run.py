@@ -1,0 +1,37 @@
+"""The result of one simulation, by either engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kneexo.parameters import SimulationParameters
+from kneexo.result import Result, data_frame
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, repr=False)
+class Run(Result):
+    """Logged signals of one simulation: ``time_s`` (n,) and ``data`` by column name, each (n,).
+
+    A command at time t is the one held up to t. ``settings`` are those of the solver.
+    """
+
+    time_s: Array
+    data: dict[str, Array]
+    settings: SimulationParameters
+
+    def __getitem__(self, column: str) -> Array:
+        """The column of that name, (n,)."""
+        return self.data[column]
+
+    def to_dataframe(self) -> Any:
+        """The signals as `pandas.DataFrame` over ``time_s``; names end in the unit.
+
+        Raises `PackageError` without pandas.
+        """
+        return data_frame({"time_s": self.time_s, **self.data}, "time_s")

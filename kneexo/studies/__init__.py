@@ -1,0 +1,5 @@
+"""Studies: each compares many scenarios and tells what it saw.
+
+The module of a study has its settings and its result; ``…_report`` the text, ``…_figures`` the
+pictures.
+"""

@@ -1,0 +1,340 @@
+"""Frequency response over amplitude and frequency, and what limits it where."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from kneexo.analysis.bandwidth import (
+    acceleration_bound_hz,
+    follower_bandwidth_hz,
+    follower_response,
+    large_signal_bandwidth_hz,
+    rod_amplitude_m,
+    rod_limits,
+    speed_limit_reached_hz,
+)
+from kneexo.analysis.frequency_response import (
+    SineEstimateSettings,
+    estimate_sine,
+    require_sampled,
+    require_sine,
+)
+from kneexo.analysis.plant_linearization import Complex
+from kneexo.analysis.rate_limit import (
+    rate_limit_bandwidth_hz,
+)
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.errors import LinearizationError, SimulationError
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
+from kneexo.parameters.quantity import Parameters
+from kneexo.result import Result, data_frame
+from kneexo.simulation.coroutines import Steps, steps
+from kneexo.simulation.engines import needs_runs
+from kneexo.simulation.run import Array
+from kneexo.sweeps.checkpoint import Checkpoint
+from kneexo.sweeps.parallel import parallel_map
+
+if TYPE_CHECKING:
+    pass
+
+
+class BandwidthSettings(Parameters):
+    """Frequency response over amplitude and frequency: ``kneexo bandwidth``."""
+
+    amplitudes_deg: tuple[Annotated[float, Field(ge=1e-6, le=46)], ...] = Field(
+        default=(0.1, 0.3, 1.0, 3.0, 10.0, 30.0),
+        min_length=1,
+        json_schema_extra={
+            "unit": "deg",
+            "source": "assumption: from about one count of the encoder to Section 5's 10…70°",
+        },
+    )
+    frequencies_hz: tuple[Annotated[float, Field(ge=1e-5, le=250)], ...] = Field(
+        default=(
+            *(0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.315, 0.4, 0.5, 0.63, 0.8),
+            *(1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5, 16.0, 20.0),
+        ),
+        min_length=3,
+        json_schema_extra={
+            "unit": "Hz",
+            "source": "assumption: preferred numbers (R 10) about the bandwidths of all amplitudes",
+        },
+    )
+    estimate: SineEstimateSettings = SineEstimateSettings()
+
+    @model_validator(mode="after")
+    def _increasing(self) -> BandwidthSettings:
+        for name in ("amplitudes_deg", "frequencies_hz"):
+            values = getattr(self, name)
+            if any(b <= a for a, b in zip((0.0, *values), values, strict=False)):
+                raise ValueError(f"{name} must be above zero and increase")
+        return self
+
+
+_LEAST_GAIN = 1e-12  # as of a sine between two counts of the encoder
+_LIMITS = {
+    "follower_hz": "speed limit",
+    "acceleration_bound_hz": "acceleration limit",
+    "linear_loop_hz": "linear loop",
+}
+
+CELL = {
+    "uncertainty": math.nan,
+    "settled": False,
+    "cycles": 0,
+    "mean_deg": math.nan,
+    "speed_limited_share": math.nan,
+    "acceleration_limited_share": math.nan,
+}
+"""What a cell of the map holds besides the response (see `SineEstimate`), where its run failed."""
+
+
+@dataclass(frozen=True, repr=False)
+class BandwidthStudy(Result):
+    """Response θ_p/θ_d of the fundamental over m amplitudes and n frequencies, by sinestream.
+
+    ``response`` complex (m, n); ``cells`` (m, n) by the names of `CELL`. What failed is nan, and
+    ``failures`` says why, a line each.
+
+    ``bandwidths`` (m,) by name, in Hz: ``measured_hz`` (`large_signal_bandwidth_hz`), and what the
+    limits alone say: ``linear_loop_hz``, ``acceleration_bound_hz``, ``follower_hz`` (speed limit,
+    through x(θ)), ``rate_limit_hz`` (speed limit, closed form of a sine in x);
+    ``speed_limit_reached_hz`` is where the reference begins to ask for more speed.
+
+    ``linear`` (n,) is the response of the linear loop, ``follower`` (m, n) that of the follower.
+    ``unquantized`` (n,) is measured at the smallest amplitude without the encoder's counts, and
+    ``unlimited`` (n,) says where the motor was off its limits then.
+    """
+
+    amplitudes_deg: Array
+    frequencies_hz: Array
+    response: Complex
+    cells: dict[str, Any]
+    bandwidths: dict[str, Array]
+    linear: Complex
+    linear_failure: str
+    """Why there is no linear loop; its response and bandwidth are nan then."""
+    follower: Complex
+    unquantized: Complex
+    unlimited: Any
+    failures: tuple[str, ...]
+    scenario: Scenario
+    settings: BandwidthSettings
+
+    @property
+    def gain_db(self) -> Array:
+        """Gain in dB, (m, n)."""
+        return np.asarray(20.0 * np.log10(np.maximum(np.abs(self.response), _LEAST_GAIN)))
+
+    @property
+    def phase_deg(self) -> Array:
+        """Phase in deg, unwrapped over frequency, (m, n)."""
+        return np.array([unwrapped_deg(row) for row in self.response])
+
+    @property
+    def relative_uncertainty(self) -> Array:
+        """Uncertainty as a share of the gain, (m, n)."""
+        return self.cells["uncertainty"] / np.maximum(np.abs(self.response), _LEAST_GAIN)
+
+    def linear_deviation(self, *, quantized: bool) -> float:
+        """Largest |G − G_linear|/|G_linear| at the smallest amplitude, with or without counts.
+
+        Of the frequencies at which the motor stays off its limits; nan where there are none, or no
+        linear loop.
+        """
+        measured = self.response[0] if quantized else self.unquantized
+        deviation = np.abs(measured / self.linear - 1.0)[self.unlimited]
+        return float(np.max(deviation)) if deviation.size else math.nan
+
+    def decided_by(self, index: int) -> tuple[str, float]:
+        """What predicts the lowest bandwidth of an amplitude, and that bandwidth in Hz."""
+        predicted = {_LIMITS[name]: float(self.bandwidths[name][index]) for name in _LIMITS}
+        name = min(predicted, key=lambda n: np.nan_to_num(predicted[n], nan=math.inf))
+        return name, predicted[name]
+
+    def to_dataframe(self) -> Any:
+        """A row for each cell of the map, as `pandas.DataFrame`.
+
+        Columns: ``amplitude_deg``, ``frequency_hz``, ``gain``, ``phase_deg`` and those of `CELL`.
+        Raises `PackageError` without pandas.
+        """
+        amplitude, frequency = np.meshgrid(self.amplitudes_deg, self.frequencies_hz, indexing="ij")
+        table = {
+            "amplitude_deg": amplitude,
+            "frequency_hz": frequency,
+            "gain": np.abs(self.response),
+            "phase_deg": self.phase_deg,
+            **self.cells,
+        }
+        return data_frame({name: np.ravel(values) for name, values in table.items()})
+
+    def results(self) -> dict[str, Any]:
+        """Plain data: the linear loop, then the map by amplitude."""
+        gain, phase = np.abs(self.response), self.phase_deg
+        return {
+            "frequencies_hz": self.frequencies_hz.tolist(),
+            "linear_loop": {
+                "gain": np.abs(self.linear).tolist(),
+                "phase_deg": unwrapped_deg(self.linear).tolist(),
+                "failure": self.linear_failure,
+                "largest_deviation": self.linear_deviation(quantized=True),
+                "largest_deviation_without_quantizer": self.linear_deviation(quantized=False),
+            },
+            "amplitudes": [
+                {
+                    "amplitude_deg": float(amplitude),
+                    "bandwidths": {n: float(v[i]) for n, v in self.bandwidths.items()},
+                    "decided_by": self.decided_by(i)[0],
+                    "gain": gain[i].tolist(),
+                    "phase_deg": phase[i].tolist(),
+                    **{name: values[i].tolist() for name, values in self.cells.items()},
+                }
+                for i, amplitude in enumerate(self.amplitudes_deg)
+            ],
+            "failures": list(self.failures),
+        }
+
+    # ------------------------------------------------------------------------------ report
+
+    # ----------------------------------------------------------------------------- figures
+
+
+def unwrapped_deg(response: Any) -> Array:
+    """Phase in deg of ``response`` (n,), unwrapped over its finite values."""
+    phase = np.angle(response)
+    finite = np.isfinite(phase)
+    phase[finite] = np.unwrap(phase[finite])
+    return np.degrees(phase)
+
+
+def decibel(response: Any) -> Any:
+    """Gain of a response in dB."""
+    return 20.0 * np.log10(np.abs(response))
+
+
+# ---------------------------------------------------------------------------------- measurement
+
+_Item = tuple[float, float | None, bool]
+"""Amplitude (deg), frequency (Hz; None: where is −3 dB?), with the encoder's counts."""
+
+
+@needs_runs
+def _measure(
+    scenario: Scenario, settings: SineEstimateSettings, item: _Item
+) -> Steps[dict[str, Any]]:
+    """One piece of the map as plain data."""
+    amplitude, frequency, quantized = item
+    values = {"reference.amplitude_deg": amplitude, "encoder.quantized": quantized}
+    if frequency is not None:
+        values["reference.frequency_hz"] = frequency
+    at = changed(scenario, values)
+    try:
+        if frequency is None:
+            bandwidth = yield from steps(large_signal_bandwidth_hz, at)
+            return {"measured_hz": bandwidth, "failure": ""}
+        found = yield from steps(estimate_sine, at, settings)
+    except SimulationError as error:
+        failed = {"measured_hz": math.nan, "response": [math.nan, math.nan]}
+        return CELL | failed | {"failure": str(error)}
+    response = [found.response.real, found.response.imag]
+    return {name: getattr(found, name) for name in CELL} | {"response": response, "failure": ""}
+
+
+def _column(found: list[dict[str, Any]], name: str) -> Any:
+    return np.array([row[name] for row in found])
+
+
+def _response(found: list[dict[str, Any]]) -> Complex:
+    return np.asarray(_column(found, "response") @ [1.0, 1.0j], dtype=complex)
+
+
+def bandwidth_study(
+    scenario: Scenario = Scenario(),
+    settings: BandwidthSettings = BandwidthSettings(),
+    *,
+    workers: int | None = 1,
+    executor: Executor | None = None,
+    checkpoint: Checkpoint | None = None,
+    progress: bool = False,
+) -> BandwidthStudy:
+    """Measure the closed loop's frequency response at several amplitudes of the knee's sine.
+
+    ``scenario`` needs a sinusoidal reference; its amplitude and frequency are replaced. A run that
+    fails leaves its cell nan and goes into ``failures``. ``workers``, ``executor``,
+    ``checkpoint``: see `parallel_map`.
+
+    Raises `ParameterError` when the reference is no sine, leaves the range of motion, or has fewer
+    than ten samples a period.
+    """
+    amplitudes, frequencies = settings.amplitudes_deg, np.array(settings.frequencies_hz)
+    mean_deg = require_sine(scenario).mean_deg
+    require_sampled(frequencies[-1], scenario)
+    at = [changed(scenario, {"reference.amplitude_deg": a}) for a in amplitudes]  # checks them
+    quantized = scenario.encoder.quantized
+    cells: list[_Item] = [(a, f, quantized) for a in amplitudes for f in settings.frequencies_hz]
+    small: list[_Item] = [(amplitudes[0], f, False) for f in settings.frequencies_hz if quantized]
+    searches: list[_Item] = [(a, None, quantized) for a in amplitudes]
+    items = [*cells, *small, *searches]
+    found = parallel_map(
+        partial(_measure, scenario, settings.estimate),
+        items,
+        workers=workers,
+        executor=executor,
+        checkpoint=checkpoint,
+        description="amplitude map" if progress else None,
+        weight=lambda item: 1.0 / (item[1] or 1.0),
+    )
+    grid, searched = found[: len(cells)], found[len(cells) + len(small) :]
+    unquantized = found[len(cells) : len(cells) + len(small)] or grid[: frequencies.size]
+    limited = _column(unquantized, "speed_limited_share")
+    limited = limited + _column(unquantized, "acceleration_limited_share")
+
+    linear, linear_hz, failure = (
+        np.full(frequencies.size, complex(math.nan, math.nan)),
+        math.nan,
+        "",
+    )
+    try:
+        loop = linearize_loop(scenario, mean_deg)
+        linear_hz, linear = loop.bandwidth_hz(), loop.output_response(frequencies)
+    except LinearizationError as error:
+        failure = str(error)
+    speed, acceleration = rod_limits(scenario)
+    rod = [rod_amplitude_m(s) for s in at]
+    shape = (len(amplitudes), frequencies.size)
+    return BandwidthStudy(
+        amplitudes_deg=np.array(amplitudes),
+        frequencies_hz=frequencies,
+        response=_response(grid).reshape(shape),
+        cells={name: _column(grid, name).reshape(shape) for name in CELL},
+        bandwidths={
+            "measured_hz": _column(searched, "measured_hz"),
+            "linear_loop_hz": np.full(len(amplitudes), linear_hz),
+            "acceleration_bound_hz": np.array(
+                [acceleration_bound_hz(acceleration, a) for a in rod]
+            ),
+            "follower_hz": np.array([follower_bandwidth_hz(s) for s in at]),
+            "rate_limit_hz": np.array([rate_limit_bandwidth_hz(speed, a) for a in rod]),
+            "speed_limit_reached_hz": np.array([speed_limit_reached_hz(s) for s in at]),
+        },
+        linear=linear,
+        linear_failure=failure,
+        follower=np.array([[follower_response(s, f) for f in frequencies] for s in at]),
+        unquantized=_response(unquantized),
+        unlimited=limited == 0.0,
+        failures=tuple(
+            f"{a:g} deg, {'−3 dB' if f is None else f'{f:g} Hz'}: {row['failure']}"
+            for (a, f, _), row in zip(items, found, strict=True)
+            if row["failure"]
+        ),
+        scenario=scenario,
+        settings=settings,
+    )

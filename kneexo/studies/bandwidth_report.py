@@ -1,0 +1,104 @@
+"""Markdown of `kneexo.studies.bandwidth`."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kneexo.analysis.bandwidth import (
+    rod_limits,
+)
+from kneexo.analysis.frequency_response import (
+    require_sine,
+)
+from kneexo.studies.markdown import number
+
+if TYPE_CHECKING:
+    pass
+
+from kneexo.studies.bandwidth import BandwidthStudy
+
+_WANDERING_DEG = 1.0
+
+
+def report(study: BandwidthStudy) -> str:
+    """The story in Markdown."""
+    unsettled = int(np.sum(~study.cells["settled"] & np.isfinite(study.gain_db)))
+    worst = 100.0 * np.nanmax(study.relative_uncertainty, initial=0.0)
+    lines = [
+        "# Frequency response from small to large amplitudes",
+        "",
+        f"Sinestream about {require_sine(study.scenario).mean_deg:g}°, {study.response.size} "
+        f"sines. Bandwidth is where the gain of the fundamental first falls below 1/√2. "
+        f"{unsettled} sines had not settled after {study.settings.estimate.largest_cycles} "
+        f"cycles: their scatter is in the uncertainty, which is at most {worst:.2g} % of the "
+        f"gain.",
+        "",
+        "| amplitude (deg) | −3 dB, measured (Hz) | linear loop | acceleration bound "
+        "| speed limit, follower | speed limit, closed form | lowest | measured / lowest |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    columns = ("linear_loop_hz", "acceleration_bound_hz", "follower_hz", "rate_limit_hz")
+    for i, amplitude in enumerate(study.amplitudes_deg):
+        name, expected = study.decided_by(i)
+        measured = study.bandwidths["measured_hz"][i]
+        values = [measured, *(study.bandwidths[column][i] for column in columns)]
+        shown = " | ".join(number(value, ".4g") for value in values)
+        lines.append(f"| {amplitude:g} | {shown} | {name} | {number(measured / expected, '.4g')} |")
+    lines += ["", _limits_in_words(study), "", _linear_in_words(study)]
+    if wandering := _wandering_in_words(study):
+        lines += ["", wandering]
+    if study.failures:
+        lines += ["", "Runs that failed:", "", *(f"- {line}" for line in study.failures)]
+    return "\n".join(lines) + "\n"
+
+
+def _limits_in_words(study: BandwidthStudy) -> str:
+    at: dict[str, list[str]] = {}
+    for i, amplitude in enumerate(study.amplitudes_deg):
+        at.setdefault(study.decided_by(i)[0], []).append(f"{amplitude:g}°")
+    parts = [f"the {name} at {', '.join(amplitudes)}" for name, amplitudes in at.items()]
+    speed, acceleration = rod_limits(study.scenario)
+    text = f"What sets the bandwidth: {'; '.join(parts)}."
+    if math.isfinite(acceleration):
+        text += (
+            f" The motor gives the rod at most {1e3 * speed:.3g} mm/s and "
+            f"{acceleration:.3g} m/s²: below {1e3 * speed**2 / acceleration:.2g} mm of rod "
+            f"amplitude a sine meets the acceleration limit first, above it the speed limit."
+        )
+    return text
+
+
+def _linear_in_words(study: BandwidthStudy) -> str:
+    if study.linear_failure:
+        return f"There is no linear loop to compare with: {study.linear_failure}."
+    free, counted = (study.linear_deviation(quantized=quantized) for quantized in (False, True))
+    if math.isnan(free):
+        return (
+            f"At {study.amplitudes_deg[0]:g}° the motor reaches its limits, or the run fails, "
+            f"at every frequency: there is nothing to compare with the linear loop."
+        )
+    text = (
+        f"Where the motor stays off its limits, the response at {study.amplitudes_deg[0]:g}° "
+        f"differs from that of the linear loop by at most {100 * free:.2g} % without the "
+        f"encoder's counts"
+    )
+    if study.scenario.encoder.quantized and not math.isnan(counted):
+        text += f", {100 * counted:.2g} % with them"
+    return text + "."
+
+
+def _wandering_in_words(study: BandwidthStudy) -> str:
+    away = np.abs(study.cells["mean_deg"] - require_sine(study.scenario).mean_deg)
+    count = int(np.sum(away > _WANDERING_DEG))
+    if not count:
+        return ""
+    i, j = np.unravel_index(np.nanargmax(away), away.shape)
+    return (
+        f"At {count} sines the mean of the knee leaves the reference's by more than "
+        f"{_WANDERING_DEG:g}°, most ({away[i, j]:.3g}°) at {study.amplitudes_deg[i]:g}° and "
+        f"{study.frequencies_hz[j]:g} Hz: a motor that a fast sine keeps at its limits has "
+        f"little authority left to hold the mean."
+    )

@@ -1,0 +1,122 @@
+"""The studies of the command line, a row each.
+
+A study NAME is `kneexo.studies.NAME` with ``NAMESettings`` and ``NAME_study(scenario, …)``, whose
+result goes to ``NAME_report.report`` and ``NAME_figures.figures``. What the command line,
+``kneexo params`` and the tests know of studies, they read here.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from kneexo.parameters import Scenario
+    from kneexo.parameters.quantity import Parameters
+
+PAPER = "the paper's setup (see `kneexo params`)"
+_UNDER_LOAD = "the paper's setup under the weight of the shank"
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study; its modules are imported when something of them is asked for."""
+
+    name: str
+    command: str
+    """What to type after ``kneexo``."""
+    summary: str
+    detail: str = ""
+    setup: str = _UNDER_LOAD
+    """What the scenario is when none is given."""
+    uncertain: bool = False
+    """Whether it takes an uncertainty set."""
+
+    @property
+    def settings(self) -> type[Parameters]:
+        """The class of its settings."""
+        found: type[Parameters] = self._part("", f"{self.name.capitalize()}Settings")
+        return found
+
+    @property
+    def compute(self) -> Callable[..., Any]:
+        """The function that runs it.
+
+        It takes the scenario, ``settings``, ``workers``, ``executor``, ``checkpoint``, ``progress``
+        and, where the study is `uncertain`, ``uncertainty``. Its result has ``results()``.
+        """
+        function: Callable[..., Any] = self._part("", f"{self.name}_study")
+        return function
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario when none is given."""
+        default: Scenario = inspect.signature(self.compute).parameters["scenario"].default
+        return default
+
+    def report(self, result: Any) -> str:
+        """Markdown of a result."""
+        text: str = self._part("_report", "report")(result)
+        return text
+
+    def figures(self, result: Any) -> dict[str, Figure]:
+        """Pictures of a result, by name."""
+        pictures: dict[str, Figure] = self._part("_figures", "figures")(result)
+        return pictures
+
+    def _part(self, suffix: str, name: str) -> Any:
+        return getattr(import_module(f"kneexo.studies.{self.name}{suffix}"), name)
+
+
+STUDIES = {
+    study.name: study
+    for study in (
+        Study(
+            "bandwidth",
+            "bandwidth",
+            "measure the frequency response from small to large amplitude",
+            "Sinestream over frequencies and amplitudes, beside the linear prediction and the "
+            "closed form of the speed limit.",
+            setup=PAPER,
+        ),
+        Study(
+            "robustness",
+            "robustness",
+            "worst case, spread and sensitivities over an uncertainty set",
+            "Corners, seeded Monte Carlo and one value at a time: tracking error, bandwidth, "
+            "margins.",
+            uncertain=True,
+        ),
+        Study(
+            "controller",
+            "study controller",
+            "errors, chattering and margins over λ, Φ and η, and the paper's claims",
+            setup=PAPER,
+        ),
+        Study(
+            "contest",
+            "study contest",
+            "SMC and PID tuned alike, compared over the uncertainty set",
+            uncertain=True,
+        ),
+        Study(
+            "sliding",
+            "study sliding",
+            "the sliding condition and the bound on the error",
+            setup="ideal motor and exact states in continuous time",
+        ),
+        Study("order", "study order", "full against reduced order"),
+        Study(
+            "size",
+            "size",
+            "find the motor, pump and encoder that a task needs",
+            "Bandwidth and error over the hardware, and what walking takes.",
+        ),
+    )
+}
+"""All studies by name."""

@@ -1,0 +1,81 @@
+"""Figures of a `kneexo.studies.contest.ContestStudy`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from kneexo.simulation.run import Array
+from kneexo.studies.contest import INFEASIBLE_DEG, ContestStudy, errors_of
+from kneexo.studies.heat_map import decimal_ticks
+
+
+def outcome(done: ContestStudy) -> Figure:
+    """Errors over the test plants, at both tasks, and the margin beside them."""
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
+    share = (np.arange(len(done.samples)) + 1.0) / len(done.samples)
+    for index, name in enumerate(done.entrants):
+        tuned = name in done.settings.contestants
+        style: dict[str, Any] = {"color": f"C{index}", "lw": 2.0 if tuned else 1.0}
+        style["ls"] = "-" if tuned else "--"
+        errors, elsewhere = (_drawn(errors_of(of[name])) for of in (done.tested, done.elsewhere))
+        axes[0].step(np.sort(errors), share, where="post", label=name, **style)
+        axes[1].step(np.sort(elsewhere), share, where="post", **style)
+        margins = [values["disk_margin"] for values in done.tested[name]]
+        axes[2].plot(
+            errors, margins, "o" if tuned else "x", ms=3.5, color=f"C{index}", alpha=0.6, mew=0.8
+        )
+    other = done.settings.other_reference
+    axes[0].set(ylabel="share of the test plants", title="(a) the task of the tuning")
+    axes[1].set(
+        ylabel="share of the test plants",
+        title=f"(b) {other.amplitude_deg:g}° at {other.frequency_hz:g} Hz",
+    )
+    axes[2].axhline(done.settings.least_disk_margin, color="0.4", ls=":", lw=1)
+    axes[2].set(ylabel="disk margin", title="(c) margin; dotted: least of the tuning")
+    for ax in axes:
+        if not np.isfinite(ax.dataLim.minposx):  # every run failed
+            ax.set_xlim(0.1, 10.0)
+        ax.set(xscale="log", xlabel="largest error (deg)")
+        decimal_ticks(ax.xaxis)
+        ax.grid(alpha=0.3)
+    for marker, label in (("o", "tuned here"), ("x", "not tuned here")):
+        axes[2].plot([], [], marker, color="0.3", ms=3.5, mew=0.8, ls="none", label=label)
+    axes[2].legend(fontsize=8)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
+    return figure
+
+
+def _drawn(errors: Array) -> Array:
+    """Errors on an axis that has no place for those of failed runs, which are infinite."""
+    return np.where(np.isfinite(errors), errors, np.nan)
+
+
+def search(done: ContestStudy) -> Figure:
+    """The best objective of each search over its evaluations; the first seed solid."""
+    figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    names = list(done.settings.contestants)
+    for tuning in done.tunings:
+        best = np.array(tuning.history_deg)
+        evaluations = done.settings.population * (np.arange(best.size) + 2)
+        first = tuning.seed == done.settings.optimizer_seeds[0]
+        ax.semilogy(
+            evaluations,
+            np.where(best < INFEASIBLE_DEG, best, np.nan),
+            color=f"C{names.index(tuning.contestant)}",
+            ls="-" if first else "--",
+            label=tuning.contestant + ("" if tuning.converged else " (not converged)"),
+        )
+    ax.set(xlabel="evaluations", ylabel="mean of the largest errors (deg)")
+    ax.grid(alpha=0.3, which="both")
+    ax.legend(fontsize=8)
+    return figure
+
+
+def figures(study: ContestStudy) -> dict[str, Figure]:
+    """Figures by name; the caller closes them."""
+    return {"contest": outcome(study), "contest_search": search(study)}

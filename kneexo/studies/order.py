@@ -1,0 +1,385 @@
+"""What the reduction of the cylinder to Eq. 15 costs: full against reduced order.
+
+In time: the same scenario in both orders, the rod's speed at the limit, and retraction near the
+switching force P_r (A_1 − A_2), where the loaded chamber changes back and forth. In frequency: the
+oil's mode, the margins of the sampled loop and its small-signal bandwidth by posture and load, and
+the large-signal bandwidth by load.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.frequency_response import require_sine
+from kneexo.analysis.plant_linearization import linearize_plant
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.signals import rms
+from kneexo.analysis.tracking import saturated_share, track
+from kneexo.errors import KneexoError, LinearizationError, ParameterError
+from kneexo.parameters import (
+    UNCERTAIN_KNEE,
+    FullCylinderParameters,
+    KneeLoadParameters,
+    RampReference,
+    Scenario,
+)
+from kneexo.parameters.paths import changed
+from kneexo.parameters.quantity import Parameters, quantity
+from kneexo.result import Result
+from kneexo.simulation.coroutines import Steps, steps
+from kneexo.simulation.engines import needs_runs, simulate
+from kneexo.sweeps.checkpoint import Checkpoint
+from kneexo.sweeps.parallel import parallel_map, process_pool
+
+if TYPE_CHECKING:
+    pass
+
+
+class OrderSettings(Parameters):
+    """What the full order is compared with the reduced one in."""
+
+    disturbances_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
+        default=(0.0, 60.0, -60.0),
+        min_length=1,
+        json_schema_extra={
+            "unit": "N",
+            "source": "assumption: none, and enough for P_1 or P_2 to carry the load throughout",
+        },
+    )
+    postures_deg: tuple[Annotated[float, Field(ge=0, le=90)], ...] = Field(
+        default=(10.0, 40.0, 70.0),
+        min_length=1,
+        json_schema_extra={"unit": "deg", "source": "Section 5: ends and middle of 10…70°"},
+    )
+    speed_rate_deg_s: float = quantity(
+        60.0, "deg/s", "assumption: beyond the speed limit at every posture", ge=1e-3, le=1e4
+    )
+    switching_forces_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
+        default=tuple(float(force) for force in range(0, 41, 2)),
+        min_length=1,
+        json_schema_extra={
+            "unit": "N",
+            "source": "assumption: about the switching force P_r (A_1 − A_2) = 15.7 N",
+        },
+    )
+    switching_rate_deg_s: float = quantity(
+        15.0, "deg/s", "assumption: two thirds of what the speed limit allows", ge=1e-3, le=1e4
+    )
+    switching_step_s: float = quantity(
+        2e-5,
+        "s",
+        "assumption: step of rk4, which takes the many openings of the valves better than an "
+        "exact hold; a third of the make-up valve's time constant",
+        ge=1e-7,
+        le=1e-3,
+    )
+    oscillation_m_s: float = quantity(
+        0.010,
+        "m/s",
+        "assumption: peak to peak of the rod's velocity about its reference that counts as "
+        "oscillation; without, a tenth of it is left",
+        ge=1e-6,
+        le=10,
+    )
+
+
+ORDERS = ("reduced", "full")
+
+"""Measured by Lee et al. 2020 (Fig. 13)."""
+
+_TRACE_POINTS = 800
+_START_S = 0.5
+"""Of a ramp, before anything is measured."""
+
+
+def in_order(scenario: Scenario, order: str, disturbance_n: float = 0.0) -> Scenario:
+    """The scenario with one of the `ORDERS`, its load with another disturbance."""
+    plant = scenario.plant
+    load = plant.load if plant.load.kind == "knee" else KneeLoadParameters(segment_mass_kg=0.0)
+    full = plant.full_order or FullCylinderParameters()
+    values = {
+        "plant.load": dict(load) | {"disturbance_n": load.disturbance_n + disturbance_n},
+        "plant.full_order": dict(full) if order == "full" else None,
+    }
+    return changed(scenario, values)
+
+
+def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
+    """The scenario under a constant force on the rod alone."""
+    load = KneeLoadParameters(segment_mass_kg=0.0)
+    return in_order(changed(scenario, {"plant.load": dict(load)}), order, force_n)
+
+
+# -------------------------------------------------------------------- pieces of the work
+
+
+@needs_runs
+def tracking_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str, Any]]:
+    """Tracking run of one order under one load."""
+    order, force = case
+    tracked = yield from steps(track, in_order(scenario, order, force), all_signals=True)
+    run, metrics = tracked.run, tracked.metrics
+    pressures = {"load_pressure": run["load_pressure_pa"]}
+    if order == "full":
+        pressures = {name: run[f"{name}_pressure_pa"] for name in ("cap", "rod_side")}
+    every = max(1, run.time_s.size // _TRACE_POINTS)
+    found: dict[str, Any] = {
+        "order": order,
+        "disturbance_n": force,
+        "max_error_deg": metrics.max_error_deg,
+        "rms_error_deg": metrics.rms_error_deg,
+        "mean_command_change_rpm": metrics.mean_command_change_rpm,
+        "saturated_share": metrics.saturated_share,
+    }
+    for name, values in pressures.items():
+        found |= {
+            f"{name}_min_mpa": 1e-6 * float(values.min()),
+            f"{name}_max_mpa": 1e-6 * float(values.max()),
+        }
+    if order == "full":
+        relief = run["cap_relief_flow_m3_s"] + run["rod_side_relief_flow_m3_s"]
+        found["relief_share"] = float(np.mean(relief > 0.0))
+        makeup = np.abs(run["cap_makeup_flow_m3_s"] + run["rod_side_makeup_flow_m3_s"])
+        found["peak_makeup_cm3_s"] = 1e6 * float(makeup.max())
+    found["trace"] = {
+        "time_s": run.time_s[::every].tolist(),
+        "error_deg": tracked.error_deg[::every].tolist(),
+        "pressures_mpa": {
+            name: (1e-6 * values[::every]).tolist() for name, values in pressures.items()
+        },
+    }
+    return found
+
+
+def _ramp(
+    scenario: Scenario, order: str, force: float, flexing: bool, rate_deg_s: float
+) -> Scenario:
+    """A ramp over the scenario's range that ends before the reference does."""
+    low, high = scenario.reference.range_deg
+    start, end = (low, high) if flexing else (high, low)
+    ramp = RampReference(start_deg=start, end_deg=end, time_s=0.0, rate_deg_s=rate_deg_s)
+    return changed(_without_weight(scenario, order, force), {"reference": dict(ramp)})
+
+
+@needs_runs
+def speed_row(
+    scenario: Scenario, settings: OrderSettings, case: tuple[str, float, bool]
+) -> Steps[dict[str, Any]]:
+    """Speed of the rod while the command is at its limit."""
+    order, force, flexing = case
+    fast = _ramp(scenario, order, force, flexing, settings.speed_rate_deg_s)
+    fast = changed(fast, {"simulation.duration_s": 1.0})
+    run = yield from steps(simulate, fast, signals=("rod_velocity", "motor_speed_command"))
+    late = run.time_s >= _START_S
+    command = run["motor_speed_command_rad_s"][late]
+    return {
+        "order": order,
+        "force_n": force,
+        "direction": "in" if flexing else "out",
+        "saturated_share": saturated_share(command, fast.command_limit_rad_s),
+        "rod_speed_mm_s": 1e3 * float(np.mean(np.abs(run["rod_velocity_m_s"][late]))),
+    }
+
+
+@needs_runs
+def switching_row(
+    scenario: Scenario, settings: OrderSettings, case: tuple[float, bool]
+) -> Steps[dict[str, Any]]:
+    """What the rod does around its reference near the switching force, in full order."""
+    force, flexing = case
+    low, high = scenario.reference.range_deg
+    slow = _ramp(scenario, "full", force, flexing, settings.switching_rate_deg_s)
+    duration = 0.95 * (high - low) / settings.switching_rate_deg_s
+    if duration <= _START_S:
+        raise ParameterError(
+            f"switching_rate_deg_s = {settings.switching_rate_deg_s:g} deg/s: the "
+            f"{high - low:g} deg of the reference take {duration:g} s, must take > {_START_S:g} s"
+        )
+    run = yield from steps(
+        simulate,
+        changed(slow, {"simulation.duration_s": duration}).with_steps(settings.switching_step_s),
+        signals=(
+            *("rod_velocity", "rod_reference", "knee_angle", "knee_reference"),
+            "chamber_pressures",
+        ),
+    )
+    late = run.time_s >= _START_S
+    velocity = (run["rod_velocity_m_s"] - run["rod_reference_velocity_m_s"])[late]
+    error = (run["knee_angle_rad"] - run["knee_reference_rad"])[late]
+    across = (run["cap_pressure_pa"] - run["rod_side_pressure_pa"])[late]
+    return {
+        "force_n": force,
+        "direction": "in" if flexing else "out",
+        "velocity_swing_mm_s": 1e3 * float(np.ptp(velocity)),
+        "velocity_rms_mm_s": 1e3 * rms(velocity - velocity.mean()),
+        "load_pressure_swing_mpa": 1e-6 * float(np.ptp(across)),
+        "max_error_deg": math.degrees(float(np.max(np.abs(error)))),
+        "oscillates": bool(np.ptp(velocity) > settings.oscillation_m_s),
+    }
+
+
+def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[str, Any]:
+    """Poles of the plant and margins of the loop of one order at one posture and load."""
+    order, force, posture = case
+    at = in_order(scenario, order, force)
+    found: dict[str, Any] = {"order": order, "disturbance_n": force, "posture_deg": posture}
+    names = ("mode_hz", "mode_damping", "rod_force_n", "phase_margin_deg", "gain_margin")
+    found |= dict.fromkeys((*names, "delay_margin_ms", "disk_margin", "bandwidth_hz"), math.nan)
+    found |= {"stable": None, "failure": ""}
+    try:
+        plant = linearize_plant(at.plant, posture, outputs=("rod_velocity",))
+        found["rod_force_n"] = plant.operating_point.rod_force_n
+        mode = plant.poles[np.argmax(plant.poles.imag)]
+        if mode.imag > 0.0:
+            found["mode_hz"] = float(abs(mode) / (2.0 * math.pi))
+            found["mode_damping"] = float(-mode.real / abs(mode))
+        grid = np.geomspace(1.0, 1000.0, 400)
+        found["trace"] = {
+            "frequencies_hz": grid.tolist(),
+            "plant_gain_m": np.abs(plant.response(grid)).tolist(),
+        }
+        loop = linearize_loop(at, posture)
+        found["stable"] = loop.stable
+        if loop.stable:
+            margins = loop.margins()
+            found["phase_margin_deg"] = margins.phase_margin_deg
+            found["gain_margin"] = margins.gain_margin
+            found["delay_margin_ms"] = 1e3 * margins.delay_margin_s
+            found["disk_margin"] = margins.disk_margin
+            found["bandwidth_hz"] = loop.bandwidth_hz()
+    except LinearizationError as error:
+        found["failure"] = str(error)
+    return found
+
+
+@needs_runs
+def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str, Any]]:
+    """Large-signal bandwidth of one order under one load."""
+    order, force = case
+    found = {"order": order, "disturbance_n": force, "bandwidth_hz": math.nan, "failure": ""}
+    at = in_order(scenario, order, force)
+    try:
+        found["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, at)
+    except KneexoError as error:
+        found["failure"] = str(error)
+    return found
+
+
+# -------------------------------------------------------------------------------- result
+
+
+Rows = tuple[Mapping[str, Any], ...]
+
+
+@dataclass(frozen=True, repr=False)
+class OrderStudy(Result):
+    """Rows of plain numbers by name, one for each order, load and posture; see the pieces."""
+
+    tracking: Rows
+    speeds: Rows
+    switching: Rows
+    frequency: Rows
+    bandwidth: Rows
+    scenario: Scenario
+    settings: OrderSettings
+
+    def results(self) -> dict[str, Any]:
+        """Plain data, units in the names."""
+        parts = ("tracking", "speeds", "switching", "frequency", "bandwidth")
+        return {
+            part: [
+                {name: value for name, value in row.items() if name != "trace"}
+                for row in getattr(self, part)
+            ]
+            for part in parts
+        }
+
+    def oscillating_n(self, direction: str) -> list[float]:
+        """Forces in N at which the rod oscillates when it moves ``in`` or ``out``."""
+        return [
+            row["force_n"]
+            for row in self.switching
+            if row["oscillates"] and row["direction"] == direction
+        ]
+
+
+def switching_force_n(scenario: Scenario) -> float:
+    """P_r (A_1 − A_2), the force at which the loaded chamber changes."""
+    full, oil = scenario.plant.full_order or FullCylinderParameters(), scenario.plant.cylinder
+    return full.reservoir_pressure_pa * (oil.cap_area_m2 - oil.rod_side_area_m2)
+
+
+def order_study(
+    scenario: Scenario = UNCERTAIN_KNEE,
+    settings: OrderSettings = OrderSettings(),
+    *,
+    workers: int | None = 1,
+    executor: Executor | None = None,
+    checkpoint: Checkpoint | None = None,
+    progress: bool = False,
+) -> OrderStudy:
+    """Compare both orders of the cylinder under the loads of ``settings``, in time and frequency.
+
+    ``scenario`` needs a sinusoidal reference; of its cylinder either order is taken, with its own
+    valves and seals where it has them. What fails in frequency is nan, and ``failure`` says why.
+    ``workers``, ``executor``, ``checkpoint``: see `parallel_map`.
+
+    Raises `ParameterError` when the reference is no sine, and what the simulation raises.
+    """
+    require_sine(scenario)
+    loads, forces = settings.disturbances_n, settings.switching_forces_n
+    outer = [force for force in loads if force != 0.0]
+    parts: list[tuple[str, Callable[[Any], dict[str, Any]], list[Any]]] = [
+        (
+            "tracking",
+            partial(tracking_row, scenario),
+            [(order, force) for force in loads for order in ORDERS],
+        ),
+        (
+            "speeds",
+            partial(speed_row, scenario, settings),
+            [(o, force, flexing) for force in outer for o in ORDERS for flexing in (True, False)],
+        ),
+        (
+            "switching",
+            partial(switching_row, scenario, settings),
+            [(force, flexing) for flexing in (True, False) for force in forces],
+        ),
+        (
+            "frequency",
+            partial(frequency_row, scenario),
+            [
+                (order, force, posture)
+                for force in loads
+                for order in ORDERS
+                for posture in settings.postures_deg
+            ],
+        ),
+        (
+            "bandwidth",
+            partial(bandwidth_row, scenario),
+            [(order, force) for force in loads for order in ORDERS],
+        ),
+    ]
+    found: dict[str, Rows] = {}
+    with process_pool(1 if executor is not None else workers) as pool:
+        for name, piece, items in parts:
+            found[name] = tuple(
+                parallel_map(
+                    piece,
+                    items,
+                    executor=executor or pool,
+                    description=f"orders: {name}" if progress else None,
+                    checkpoint=checkpoint,
+                )
+            )
+    return OrderStudy(scenario=scenario, settings=settings, **found)

@@ -1,0 +1,111 @@
+"""The setups of the paper's figures, as scenarios."""
+
+from __future__ import annotations
+
+from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.parameters import (
+    BldcPumpParameters,
+    DifferenceParameters,
+    EncoderParameters,
+    ExactParameters,
+    PidParameters,
+    PlantParameters,
+    Scenario,
+    SimulationParameters,
+    SineReference,
+    SlidingModeParameters,
+    StepReference,
+)
+
+IDEAL_SMC = Scenario(
+    plant=PlantParameters(
+        pump=BldcPumpParameters(internal_leakage_m3_per_s_pa=0.0),
+        rod_map="polynomial",
+        ideal_motor=True,
+    ),
+    encoder=EncoderParameters(quantized=False),
+    estimator=ExactParameters(),
+    controller=SlidingModeParameters(continuous=True, lambda_per_s=10.0, command_limit_rad_s=1e12),
+    initial_offset_m=-0.089,
+    simulation=SimulationParameters(
+        duration_s=10.0, tolerance=1e-13, error_controlled=True, accuracy=1e-6
+    ),
+)
+"""Fig. 9: continuous sliding mode, exact states, no speed limit, no leakage, 89 mm off."""
+
+PID_PAPER = PidParameters()
+"""A PID tuned as poorly as Fig. 12 shows: proportional action alone, 5 1/s."""
+
+PID_TUNED = PidParameters(proportional_per_s=14.0, integral_per_s2=400.0, filter_s=0.015)
+"""The best PID found for Fig. 12 within the chattering of the SMC: ``benchmarks/tune_pid.py``.
+
+The largest error depends on where single counts of the encoder fall, so neighbouring gains differ
+by some hundredths of a degree in no order.
+"""
+
+PID_FEEDFORWARD = PidParameters(
+    proportional_per_s=1.25,
+    integral_per_s2=40.0,
+    derivative=0.02,
+    filter_s=0.010,
+    velocity_feedforward=1.0,
+)
+"""The same with the reference's velocity: ``benchmarks/tune_pid.py --feedforward``."""
+
+FIG_12 = {
+    "smc": Scenario(),
+    "pid": Scenario(controller=PID_PAPER),
+    "pid_tuned": Scenario(controller=PID_TUNED),
+    "pid_feedforward": Scenario(controller=PID_FEEDFORWARD),
+}
+"""Fig. 12: 10…70° at 0.1 Hz with the sliding-mode controller and with PIDs."""
+
+_BASE_HZ = (0.20, 0.21, 0.22, 0.23, 0.24)
+
+FIG_13_SCALING = {
+    "nominal": (Scenario(), SinestreamSettings(frequencies_hz=_BASE_HZ)),
+    "gear_3": (
+        Scenario(plant=PlantParameters(pump=BldcPumpParameters(gear_ratio=3.0))),
+        SinestreamSettings(frequencies_hz=tuple(2.0 * f for f in _BASE_HZ)),
+    ),
+    "half_amplitude": (
+        Scenario(reference=SineReference(amplitude_deg=15.0)),
+        SinestreamSettings(frequencies_hz=tuple(2.0 * f for f in _BASE_HZ)),
+    ),
+}
+"""What should double the bandwidth of Fig. 13: twice the flow, or half the way."""
+
+
+def _eq_27(slope_per_s: float) -> SlidingModeParameters:
+    """The default controller with another k/Φ, taking k = β·η (1/s)."""
+    default = SlidingModeParameters()
+    return SlidingModeParameters(phi_m_s2=default.gain_ratio * default.eta_m_s3 / slope_per_s)
+
+
+EQ_27_EXACT_STATES = {
+    f"{slope:g}": Scenario(
+        encoder=EncoderParameters(quantized=False),
+        estimator=ExactParameters(),
+        controller=_eq_27(slope),
+        reference=StepReference(start_deg=30.0, end_deg=30.0),
+        initial_offset_m=5e-5,
+        simulation=SimulationParameters(duration_s=3.0, integrator="rk4", step_s=4e-5),
+    )
+    for slope in (1.0e4, 1.3e4)
+}
+"""Eq. 27 at 2 ms with exact states, by k/Φ in 1/s: below and above the stability boundary of the
+sampled hydraulic mode. At this step rk4 is exact to 2e-4 1/s; Drake's radau3 damps the mode by 0.06
+1/s and its RK3 by 0.17 1/s, at 0.2 ms more than the oil does."""
+
+EQ_27_DIFFERENCES = {
+    f"{slope:g}": Scenario(
+        estimator=DifferenceParameters(),
+        controller=_eq_27(slope),
+        simulation=SimulationParameters(duration_s=20.0),
+    )
+    for slope in (1.0e4, 4.0e4)
+}
+"""Eq. 27 at 2 ms with plain differences of the quantized encoder, by k/Φ in 1/s."""
+
+PAPER_BANDWIDTH_HZ = 0.21
+"""The paper's measured −3 dB bandwidth (Section 5, Fig. 13)."""

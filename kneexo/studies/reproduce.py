@@ -1,0 +1,262 @@
+"""The paper's figures and numbers, each beside what kneexo finds (``kneexo reproduce``)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from kneexo.analysis import (
+    FrequencyResponse,
+    PolynomialFit,
+    Run,
+    TrackingResult,
+    fit_polynomials,
+    nominal_trial,
+    simulate,
+    sinestream,
+    track,
+)
+from kneexo.analysis.bandwidth import speed_limit_reached_hz
+from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.analysis.signals import rms, to_rpm
+from kneexo.analysis.tracking import mean_change
+from kneexo.parameters import G4, RodPolynomialParameters, Scenario, SineReference
+from kneexo.parameters.paths import changed
+from kneexo.result import Result
+from kneexo.simulation.coroutines import Steps, steps
+from kneexo.simulation.engines import needs_runs
+from kneexo.simulation.run import Array
+from kneexo.studies.paper import (
+    EQ_27_DIFFERENCES,
+    EQ_27_EXACT_STATES,
+    FIG_12,
+    FIG_13_SCALING,
+    IDEAL_SMC,
+)
+from kneexo.sweeps import parallel_map, process_pool
+
+FIG_5_POINTS = 204
+"""Points of the fits of Fig. 5: printed SSE over squared RMSE is 198, six coefficients beside."""
+
+
+@dataclass(frozen=True, repr=False)
+class Reproduction(Result):
+    """Everything that ``kneexo reproduce`` computes; see `results` and `report`."""
+
+    fit: PolynomialFit
+    fig9: Run
+    fig12: Mapping[str, TrackingResult]
+    fig13: FrequencyResponse
+    scaling: Mapping[str, FrequencyResponse]
+    eq27_exact: Mapping[str, Run]
+    eq27_differences: Mapping[str, TrackingResult]
+
+
+@needs_runs
+def _ideal(scenario: Scenario) -> Steps[Run]:
+    return (yield from steps(simulate, scenario, signals=("rod_reference", "rod_extension")))
+
+
+@needs_runs
+def _hydraulic(scenario: Scenario) -> Steps[Run]:
+    return (yield from steps(simulate, scenario, signals=("load_pressure", "motor_speed_command")))
+
+
+_STUDIES: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...] = (
+    ("fig9", _ideal, {"": IDEAL_SMC}),
+    ("fig12", track, FIG_12),
+    ("exact", _hydraulic, EQ_27_EXACT_STATES),
+    ("differences", track, EQ_27_DIFFERENCES),
+)
+
+
+@needs_runs
+def _call(task: partial[Any]) -> Steps[Any]:
+    return (yield from steps(task))
+
+
+def _cost(task: partial[Any]) -> float:
+    """Steps of the solver, roughly."""
+    simulation = task.args[0].simulation
+    return simulation.duration_s / simulation.step_s
+
+
+def reproduce(
+    settings: SinestreamSettings = SinestreamSettings(),
+    *,
+    engine: Literal["compiled", "drake"] | None = None,
+    workers: int | None = 1,
+    executor: Executor | None = None,
+    progress: bool = False,
+) -> Reproduction:
+    """Run every study of the paper.
+
+    ``engine``: see `Scenario.with_engine`. ``workers`` (see `kneexo.analysis.parallel_map`) share
+    the work of Drake's Simulator; compiled equations take a second without them. An ``executor``
+    gets everything.
+    """
+    tasks = {
+        (key, name): partial(run, case.with_engine(engine))
+        for key, run, cases in _STUDIES
+        for name, case in cases.items()
+    }
+    base = Scenario().with_engine(engine)
+    if executor is not None:
+        pool_of: AbstractContextManager[Executor | None] = nullcontext(executor)
+    else:
+        pool_of = process_pool(workers if engine == "drake" else 1)
+    with pool_of as pool:
+        values = parallel_map(
+            _call,
+            list(tasks.values()),
+            executor=pool,
+            description="Fig. 9, Fig. 12, Eq. 27 at 2 ms" if progress else None,
+            weight=_cost,
+        )
+        response = sinestream(base, settings, executor=pool, progress=progress)
+        scaling = {}
+        for name, (case, own) in FIG_13_SCALING.items():
+            scaled = case.with_engine(engine)
+            trials = [nominal_trial(scaled)]
+            scaling[name] = sinestream(scaled, own, trials=trials, executor=pool, progress=progress)
+    done = dict(zip(tasks, values, strict=True))
+
+    def group(key: str) -> dict[str, Any]:
+        return {name: value for (kind, name), value in done.items() if kind == key}
+
+    return Reproduction(
+        fit=fit_polynomials(),
+        fig9=done["fig9", ""],
+        fig12=group("fig12"),
+        fig13=response,
+        scaling=scaling,
+        eq27_exact=group("exact"),
+        eq27_differences=group("differences"),
+    )
+
+
+# --------------------------------------------------------------------------------- numbers
+
+
+def rod_error_mm(run: Run) -> Array:
+    """E = x − x_d in mm, (n,)."""
+    return np.asarray(1e3 * (run["rod_extension_m"] - run["rod_reference_m"]))
+
+
+def speed_demand() -> tuple[float, float]:
+    """Peak motor speed in rpm that the paper's reference asks for, by Eq. 10, and the frequency in
+    Hz at which that peak is the speed limit.
+    """
+    scenario = changed(Scenario(), {"plant.rod_map": "polynomial"})
+    reached_hz = speed_limit_reached_hz(scenario)
+    share = SineReference().frequency_hz / reached_hz
+    return share * to_rpm(scenario.plant.pump.speed_limit_rad_s), reached_hz
+
+
+def growth_rate(run: Run) -> float:
+    """Exponential growth rate in 1/s of the load pressure's oscillation over the second half."""
+    half = run.time_s >= 0.5 * run.time_s[-1]
+    time, pressure = run.time_s[half], run["load_pressure_pa"][half]
+    blocks = np.array_split(np.arange(time.size), 10)
+    level = [np.log(np.std(pressure[block]) + 1e-12) for block in blocks]
+    centre = [float(np.mean(time[block])) for block in blocks]
+    return float(np.polyfit(centre, level, 1)[0])
+
+
+def results(done: Reproduction) -> dict[str, Any]:
+    """The content of ``results.json``: plain numbers, units in the names."""
+    table = RodPolynomialParameters()
+    fit, error = done.fit, rod_error_mm(done.fig9)
+    peak_rpm, saturation_hz = speed_demand()
+    response = done.fig13
+    g4 = fit_polynomials(G4, start_deg=5.0, samples=FIG_5_POINTS)
+    return {
+        "table1": {
+            "x_at_10deg_mm": float(np.polyval(table.p_mm_deg, 10.0)),
+            "x_at_70deg_mm": float(np.polyval(table.p_mm_deg, 70.0)),
+            "linkage_rmse_mm": rms(fit.table_p_error_mm),
+            "linkage_max_mm": float(np.max(np.abs(fit.table_p_error_mm))),
+            "refit_p_mm_deg": fit.p_mm_deg,
+            "refit_p_rmse_mm": rms(fit.p_error_mm),
+            "refit_p_sse_mm2": float(np.sum(fit.p_error_mm**2)),
+            "refit_q_sse_deg2": float(np.sum(fit.q_error_deg**2)),
+            "strokes_per_period_mm": 2.0
+            * float(np.polyval(table.p_mm_deg, 10.0) - np.polyval(table.p_mm_deg, 70.0)),
+            "refit_q_deg_mm": fit.q_deg_mm,
+            "refit_q_rmse_deg": rms(fit.q_error_deg),
+            "table_q_rmse_deg": rms(fit.table_q_error_deg),
+        },
+        "table1_g4": {
+            "refit_p_sse_mm2": g4.p_sse_mm2,
+            "refit_q_sse_deg2": g4.q_sse_deg2,
+            "refit_p_rmse_mm": math.sqrt(g4.p_sse_mm2 / g4.degrees_of_freedom),
+            "refit_q_rmse_deg": math.sqrt(g4.q_sse_deg2 / g4.degrees_of_freedom),
+        },
+        "fig9": {
+            "initial_error_mm": float(abs(error[0])),
+            "error_after_1s_mm": float(abs(np.interp(1.0, done.fig9.time_s, error))),
+            "final_error_mm": float(abs(error[-1])),
+        },
+        "fig12": {
+            name: asdict(tracked.metrics)
+            | {"controller": tracked.scenario.controller.model_dump(exclude_defaults=True)}
+            for name, tracked in done.fig12.items()
+        },
+        "fig13": {
+            "frequencies_hz": response.frequencies_hz,
+            "gain": response.gain,
+            "phase_deg": response.phase_deg,
+            "bandwidth_hz": response.bandwidth_hz,
+            "phase_at_bandwidth_deg": response.phase_at_bandwidth_deg,
+            "gain_spread": np.ptp(np.abs(response.response), axis=0),
+            "trials": [
+                asdict(trial) | {"gain": np.abs(values)}
+                for trial, values in zip(response.trials, response.response, strict=True)
+            ],
+        },
+        "scaling": {
+            name: {
+                "bandwidth_hz": scaled.bandwidth_hz,
+                "ratio": scaled.bandwidth_hz / done.scaling["nominal"].bandwidth_hz,
+            }
+            for name, scaled in done.scaling.items()
+        },
+        "speed_limit": {
+            "peak_command_at_0.1hz_rpm": peak_rpm,
+            "saturation_from_hz": saturation_hz,
+        },
+        "eq27_exact_states": {
+            name: {
+                "growth_rate_per_s": growth_rate(run),
+                "mean_command_change_rpm": to_rpm(mean_change(run["motor_speed_command_rad_s"])),
+            }
+            for name, run in done.eq27_exact.items()
+        },
+        "eq27_differences": {
+            name: {
+                "max_error_deg": tracked.metrics.max_error_deg,
+                "rms_error_deg": tracked.metrics.rms_error_deg,
+                "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
+            }
+            for name, tracked in done.eq27_differences.items()
+        },
+    }
+
+
+# ---------------------------------------------------------------------------------- report
+
+
+# --------------------------------------------------------------------------------- figures
+
+FIG_12_TITLES = {
+    "smc": "sliding-mode control",
+    "pid": "PID as in the paper (P, 5 1/s)",
+    "pid_tuned": "PID, tuned",
+}

@@ -1,0 +1,525 @@
+"""What uncertainty does to a closed loop: samples, corners, one value at a time, sensitivities.
+
+The plant and its measurement vary; the controller keeps believing in the nominal plant but for
+what is `kneexo.parameters.Uncertainty.known`. Nothing that fails is left out: a run that stops and
+a loop that is unstable count as worse than any number.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice, product
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from kneexo.analysis.assessment import assess
+from kneexo.analysis.sensitivity import (
+    differentiable,
+    loop_sensitivities,
+    tracking_sensitivities,
+    value_at,
+)
+from kneexo.errors import KneexoError, ParameterError
+from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters.paths import applicable, changed
+from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.result import Result
+from kneexo.simulation.coroutines import Steps, steps
+from kneexo.simulation.engines import needs_runs
+from kneexo.simulation.run import Array
+from kneexo.sweeps.checkpoint import Checkpoint
+from kneexo.sweeps.parallel import parallel_map, process_pool
+
+if TYPE_CHECKING:
+    pass
+
+
+class RobustnessSettings(Parameters):
+    """How uncertainty is explored: ``kneexo robustness``."""
+
+    samples: int = Field(
+        default=500,
+        ge=2,
+        le=1_000_000,
+        json_schema_extra={
+            "unit": "1",
+            "source": "assumption: the worst of 500 leaves out 0.6 % of all plants at most, with "
+            "95 % confidence",
+        },
+    )
+    seed: int = Field(
+        default=2020, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
+    )
+    corners_max: int = Field(
+        default=1000,
+        ge=1,
+        le=10_000_000,
+        json_schema_extra={"unit": "1", "source": "assumption: as many minutes as the samples"},
+    )
+    bandwidth: bool = choice(True, "False leaves out the large-signal bandwidth, which costs most")
+    sensitivity_duration_s: float = quantity(
+        20.0,
+        "s",
+        "assumption: two periods of 0.1 Hz, of which the second counts; 0 leaves AutoDiff through "
+        "the run out",
+        ge=0,
+        le=1e5,
+    )
+    nyquist_loops: int = Field(
+        default=60,
+        ge=0,
+        le=10_000,
+        json_schema_extra={"unit": "1", "source": "assumption: lines that a plot can carry"},
+    )
+
+
+Values = Mapping[str, Any]
+Corner = tuple[int, ...]
+
+CONFIDENCE = 0.95
+UNSTABLE = "the sampled loop, linearized in the middle of the reference, is unstable"
+
+
+class Merit(NamedTuple):
+    """A figure of merit: its name with the unit, and 1 where larger is worse, else −1."""
+
+    label: str
+    worse: float
+
+
+MERITS = {
+    "max_error_deg": Merit("largest error (deg)", 1.0),
+    "rms_error_deg": Merit("rms error (deg)", 1.0),
+    "mean_command_change_rpm": Merit("chattering (rpm per sample)", 1.0),
+    "bandwidth_hz": Merit("bandwidth (Hz)", -1.0),
+    "phase_margin_deg": Merit("phase margin (deg)", -1.0),
+    "delay_margin_s": Merit("delay margin (s)", -1.0),
+    "disk_margin": Merit("disk margin", -1.0),
+}
+"""Figures of merit, of those that `kneexo.analysis.assess` finds."""
+
+
+@dataclass(frozen=True)
+class Visit:
+    """One plant: the values that are not nominal, and what `kneexo.analysis.assess` found."""
+
+    values: Values
+    figures: dict[str, Any]
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Why a figure is missing; empty when all is well."""
+        texts = [text for name, text in self.figures.items() if name.endswith("_failure") and text]
+        return (*texts, UNSTABLE) if self.figures["stable"] is False else tuple(texts)
+
+
+def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, Any]]:
+    """Draw ``count`` plants, values by path; the first ones are the same for every count."""
+    entries = uncertainty.values.items()
+    shares = np.random.default_rng(seed).random((count, len(entries)))
+    return [
+        {path: one.at(float(share)) for (path, one), share in zip(entries, row, strict=True)}
+        for row in shares
+    ]
+
+
+def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> Scenario:
+    """The scenario with those values, whose controller is told of the known ones alone.
+
+    Raises `ParameterError` for values that do not go together.
+    """
+    known = {
+        f"nominal.{path.removeprefix('plant.')}": value
+        for path, value in values.items()
+        if uncertainty.values[path].known
+    }
+    return changed(scenario, {"nominal": scenario.believed_plant, **values, **known})
+
+
+@needs_runs
+def assess_plant(
+    scenario: Scenario,
+    uncertainty: UncertaintySet,
+    judge: Callable[[Scenario], dict[str, Any]],
+    values: Values,
+) -> Steps[dict[str, Any]]:
+    """What ``judge`` says of the plant with those values: `realize`, where the run is.
+
+    Of values that do not go together it says why, as ``tracking_failure``.
+    """
+    try:
+        plant = realize(scenario, uncertainty, values)
+    except ParameterError as error:
+        return {"stable": None, "tracking_failure": str(error).removeprefix("Scenario: ")}
+    return (yield from steps(judge, plant))
+
+
+def levels(one: Uncertainty) -> tuple[Any, ...]:
+    """The ends of an interval, or the options."""
+    return one.options or (one.low, one.high)
+
+
+def signed(visits: Iterable[Visit], merit: str) -> Array:
+    """A figure of merit at each visit; what failed is infinitely bad."""
+    values = np.array([visit.figures[merit] for visit in visits], dtype=float)
+    return np.where(np.isnan(values), MERITS[merit].worse * math.inf, values)
+
+
+def worst(visits: Sequence[Visit], merit: str) -> Visit:
+    """The visit with the worst figure of merit, the first of several."""
+    return visits[int(np.argmax(MERITS[merit].worse * signed(visits, merit)))]
+
+
+def quantile(visits: Sequence[Visit], merit: str, share: float) -> float:
+    """Order statistic at ``share``: infinite where that many visits failed."""
+    return float(np.quantile(signed(visits, merit), share, method="inverted_cdf"))
+
+
+def failures(visits: Sequence[Visit]) -> list[dict[str, Any]]:
+    """Reasons of failures, alike but for their numbers: how many, and the first one's words."""
+    found: dict[str, dict[str, Any]] = {}
+    for visit in visits:
+        for text in visit.failures:
+            kind = re.sub(r"[-+−]?\d[\d.e+-]*", "#", text)
+            entry = found.setdefault(kind, {"count": 0, "example": text, "values": visit.values})
+            entry["count"] += 1
+    return sorted(found.values(), key=lambda entry: -entry["count"])
+
+
+def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit: str) -> Array:
+    """How each uncertain value ranks with a figure of merit over ``visits``, (values,).
+
+    Intervals: Spearman's rank correlation. Options: the correlation ratio η of the figure's ranks,
+    the root of the share of their variance that lies between the options (no sign). What failed
+    has the worst rank. nan for a figure that is the same everywhere.
+    """
+    from scipy.stats import rankdata  # takes half a second, which workers need not wait
+
+    ranks = rankdata(signed(visits, merit)) - 0.5 * (len(visits) + 1)
+    size = math.sqrt(ranks @ ranks)
+    if size == 0.0:
+        return np.full(len(uncertainty.values), math.nan)
+
+    def strength(path: str, one: Uncertainty) -> float:
+        own = [visit.values[path] for visit in visits]
+        if not one.options:
+            x = rankdata(own) - 0.5 * (len(visits) + 1)
+            return float(x @ ranks / (math.sqrt(x @ x) * size))
+        groups = np.array([one.options.index(value) for value in own])
+        sums = [ranks[groups == g].sum() ** 2 / np.sum(groups == g) for g in np.unique(groups)]
+        return math.sqrt(sum(sums)) / size
+
+    return np.array([strength(path, one) for path, one in uncertainty.values.items()])
+
+
+def chance(one: Uncertainty, count: int) -> float:
+    """What `rank_correlation` over ``count`` visits stays below by chance, with 95 % confidence."""
+    from scipy.stats import chi2
+
+    freedom = max(len(one.options), 2) - 1
+    return math.sqrt(chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
+
+
+@dataclass(frozen=True, repr=False)
+class RobustnessStudy(Result):
+    """Nominal plant, one value at a time, samples and corners, with local sensitivities.
+
+    ``uncertainty`` is what applies to the scenario, ``left_out`` are the paths of the rest.
+    ``local`` holds derivatives of figures by figure and path, ``local_failures`` why some miss.
+    ``corners_possible`` says how many corners there are; ``corners_settled`` whether no single
+    change of the worst corner of any figure of merit makes that figure worse (None: all visited).
+    """
+
+    scenario: Scenario
+    uncertainty: UncertaintySet
+    left_out: tuple[str, ...]
+    settings: RobustnessSettings
+    nominal: Visit
+    one_at_a_time: tuple[Visit, ...]
+    samples: tuple[Visit, ...]
+    corners: tuple[Visit, ...]
+    corners_possible: int
+    corners_settled: bool | None
+    local: dict[str, dict[str, float]]
+    local_failures: tuple[str, ...]
+
+    @property
+    def merits(self) -> tuple[str, ...]:
+        """The figures of merit that were asked for."""
+        return tuple(name for name in MERITS if name in self.nominal.figures)
+
+    def effects(self, merit: str) -> dict[str, list[float]]:
+        """The figure of merit at each level of one value, all others nominal, by path."""
+        values = iter(signed(self.one_at_a_time, merit).tolist())
+        return {
+            path: list(islice(values, len(levels(one))))
+            for path, one in self.uncertainty.values.items()
+        }
+
+    def spread(self, merit: str, path: str) -> float:
+        """How far one value moves the figure of merit, all others nominal; inf if it fails."""
+        found = [*self.effects(merit)[path], signed([self.nominal], merit)[0]]
+        return float(np.max(found) - np.min(found)) if np.isfinite(found).all() else math.inf
+
+    def linear_effect(self, merit: str, path: str) -> float:
+        """What the local sensitivity makes of the whole interval, low to high; nan without one."""
+        slope = self.local.get(merit, {}).get(path, math.nan)
+        one = self.uncertainty.values[path]
+        if one.low is None or one.high is None:
+            return math.nan
+        if one.scale == "log":
+            return float(slope * value_at(self.scenario, path) * math.log(one.high / one.low))
+        return slope * (one.high - one.low)
+
+    def correlations(self) -> dict[str, dict[str, float]]:
+        """`rank_correlation` over the samples, by figure and path."""
+        return {
+            merit: dict(
+                zip(
+                    self.uncertainty.values,
+                    rank_correlation(self.uncertainty, self.samples, merit).tolist(),
+                    strict=True,
+                )
+            )
+            for merit in self.merits
+        }
+
+    @property
+    def covered(self) -> float:
+        """Share of all plants within the worst sample, with 95 % confidence."""
+        return float((1.0 - CONFIDENCE) ** (1.0 / len(self.samples)))
+
+    def results(self) -> dict[str, Any]:
+        """All numbers as plain data; a figure that is missing because of a failure is null."""
+
+        def listed(visits: Sequence[Visit]) -> list[dict[str, Any]]:
+            return [{"values": dict(v.values), **v.figures} for v in visits]
+
+        def summary(merit: str) -> dict[str, Any]:
+            sets = {"sample": self.samples, "corner": self.corners}
+            return {
+                "nominal": self.nominal.figures[merit],
+                "median": quantile(self.samples, merit, 0.5),
+                "percentile_5": quantile(self.samples, merit, 0.05),
+                "percentile_95": quantile(self.samples, merit, 0.95),
+                **{
+                    f"worst_{name}": {
+                        "value": worst(visits, merit).figures[merit],
+                        "values": dict(worst(visits, merit).values),
+                    }
+                    for name, visits in sets.items()
+                },
+                **{
+                    f"failed_{name}s": int(np.sum(~np.isfinite(signed(visits, merit))))
+                    for name, visits in sets.items()
+                },
+            }
+
+        return {
+            "uncertainty": self.uncertainty.model_dump(mode="json")["values"],
+            "left_out": list(self.left_out),
+            "settings": self.settings.model_dump(),
+            "figures": {merit: summary(merit) for merit in self.merits},
+            "share_within_worst_sample_at_95_percent_confidence": self.covered,
+            "failures": {
+                "samples": failures(self.samples),
+                "corners": failures(self.corners),
+                "one_at_a_time": failures(self.one_at_a_time),
+            },
+            "corners_visited": len(self.corners),
+            "corners_possible": self.corners_possible,
+            "corners_settled": self.corners_settled,
+            "rank_correlation": self.correlations(),
+            "local_sensitivity": self.local,
+            "local_failures": list(self.local_failures),
+            "nominal": self.nominal.figures,
+            "one_at_a_time": listed(self.one_at_a_time),
+            "samples": listed(self.samples),
+            "corners": listed(self.corners),
+        }
+
+
+# ------------------------------------------------------------------------------------- runs
+
+
+def robustness_study(
+    scenario: Scenario = UNCERTAIN_KNEE,
+    uncertainty: UncertaintySet = UNCERTAINTY,
+    settings: RobustnessSettings = RobustnessSettings(),
+    *,
+    workers: int | None = 1,
+    executor: Executor | None = None,
+    checkpoint: Checkpoint | None = None,
+    progress: bool = False,
+) -> RobustnessStudy:
+    """Explore what ``uncertainty`` does to the loop of ``scenario``.
+
+    Uncertain values that the scenario does not have (a load, where there is none) are left out and
+    reported. A reference that is no moving sine has no bandwidth. ``workers``, ``executor``,
+    ``checkpoint``: see `parallel_map`.
+
+    Raises `ParameterError` for uncertain values that no scenario has, that are out of range, and
+    when none of them applies.
+    """
+    if executor is None and workers != 1:
+        with process_pool(workers) as pool:
+            return robustness_study(
+                scenario,
+                uncertainty,
+                settings,
+                executor=pool,
+                checkpoint=checkpoint,
+                progress=progress,
+            )
+    kept, left_out = applicable(scenario, uncertainty)
+    reference = scenario.reference
+    moves = reference.kind == "sine" and reference.amplitude_deg > 0.0
+    judge = partial(
+        assess_plant, scenario, kept, partial(assess, bandwidth=settings.bandwidth and moves)
+    )
+
+    def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Any]:
+        return parallel_map(
+            function,
+            items,
+            executor=executor,
+            description=what if progress else None,
+            checkpoint=checkpoint,
+        )
+
+    def visit(points: Sequence[Values], what: str) -> tuple[Visit, ...]:
+        found = run(judge, points, what)
+        return tuple(map(Visit, points, (missing | figures for figures in found)))
+
+    missing: dict[str, Any] = {}  # figures of a plant that cannot be
+    at_nominal = visit([{}], "nominal")[0]
+    nominal = at_nominal.figures
+    missing |= {name: math.nan for name, value in nominal.items() if isinstance(value, float)}
+    each = [{path: level} for path, one in kept.values.items() for level in levels(one)]
+    singly = visit(each, "one at a time")
+    samples = visit(draw(kept, settings.samples, settings.seed), "samples")
+    merits = [name for name in MERITS if name in nominal]
+    corners, settled = _corners(kept, merits, singly, settings, partial(visit, what="corners"))
+    paths = [p for p, one in kept.values.items() if not one.options and differentiable(scenario, p)]
+    local: dict[str, dict[str, float]] = {}
+    troubles = []
+    if paths:
+        tasks = ["margins", *(["tracking"] if settings.sensitivity_duration_s else [])]
+        function = partial(_local, scenario, tuple(paths), settings.sensitivity_duration_s)
+        for found in run(function, tasks, "sensitivities"):
+            troubles += [found.pop("failure")] if "failure" in found else []
+            local |= found
+    return RobustnessStudy(
+        scenario=scenario,
+        uncertainty=kept,
+        left_out=left_out,
+        settings=settings,
+        nominal=at_nominal,
+        one_at_a_time=singly,
+        samples=samples,
+        corners=corners,
+        corners_possible=math.prod(len(levels(one)) for one in kept.values.values()),
+        corners_settled=settled,
+        local=local,
+        local_failures=tuple(troubles),
+    )
+
+
+def _local(
+    scenario: Scenario, paths: Sequence[str], duration_s: float, task: str
+) -> dict[str, Any]:
+    """Local sensitivities by figure and path; ``failure`` says why there are none."""
+    try:
+        if task == "margins":
+            found = loop_sensitivities(scenario, paths)
+        else:
+            found = tracking_sensitivities(scenario, paths, duration_s=duration_s)
+    except KneexoError as error:
+        return {"failure": f"{task}: {error}"}
+    return {figure: found.of(figure) for figure in found.figures}
+
+
+def _corners(
+    uncertainty: UncertaintySet,
+    merits: Sequence[str],
+    singly: Sequence[Visit],
+    settings: RobustnessSettings,
+    visit: Callable[[Sequence[Values]], tuple[Visit, ...]],
+) -> tuple[tuple[Visit, ...], bool | None]:
+    """Visit all corners, or as many as ``corners_max`` allows; the second value: `RobustnessStudy`.
+
+    For each figure of merit and each combination of options first the corner at whose ends the
+    figure was worse one at a time; then, from the worst corner of each figure on, all that differ
+    in one value, until none is worse; then random ones.
+    """
+    entries = uncertainty.values
+    sizes = [len(levels(one)) for one in entries.values()]
+    visited: dict[Corner, Visit] = {}
+
+    def go(corners: Iterable[Corner]) -> None:
+        new = list(dict.fromkeys(corner for corner in corners if corner not in visited))
+        new = new[: settings.corners_max - len(visited)]
+        points = [
+            {path: levels(one)[i] for (path, one), i in zip(entries.items(), corner, strict=True)}
+            for corner in new
+        ]
+        visited.update(zip(new, visit(points), strict=True))
+
+    if math.prod(sizes) <= settings.corners_max:
+        go(product(*map(range, sizes)))
+        return tuple(visited.values()), None
+    go(_pointed_at(uncertainty, merits, singly))
+    settled = False
+    while len(visited) < settings.corners_max and not settled:
+        worst_ones = dict.fromkeys(_worst_corner(visited, merit) for merit in merits)
+        before = len(visited)
+        go(neighbour for corner in worst_ones for neighbour in _neighbours(corner, sizes))
+        settled = len(visited) == before
+    random = np.random.default_rng((settings.seed, 1))
+    while missing := settings.corners_max - len(visited):
+        go(map(tuple, random.integers(sizes, size=(missing, len(sizes))).tolist()))
+    return tuple(visited.values()), settled
+
+
+def _pointed_at(
+    uncertainty: UncertaintySet, merits: Sequence[str], singly: Sequence[Visit]
+) -> Iterator[Corner]:
+    """Corners at the ends that are worse one at a time, for all options and figures of merit."""
+    one_by_one = iter(singly)
+    own = [list(islice(one_by_one, len(levels(one)))) for one in uncertainty.values.values()]
+    for merit in merits:
+        choices = []
+        for one, visits in zip(uncertainty.values.values(), own, strict=True):
+            bad = MERITS[merit].worse * signed(visits, merit)
+            choices.append(range(len(visits)) if one.options else [int(np.argmax(bad))])
+        yield from product(*choices)
+
+
+def _worst_corner(visited: Mapping[Corner, Visit], merit: str) -> Corner:
+    bad = MERITS[merit].worse * signed(visited.values(), merit)
+    return list(visited)[int(np.argmax(bad))]
+
+
+def _neighbours(corner: Corner, sizes: Sequence[int]) -> Iterator[Corner]:
+    """All corners that differ in one value."""
+    for place, size in enumerate(sizes):
+        for index in range(size):
+            if index != corner[place]:
+                yield (*corner[:place], index, *corner[place + 1 :])
+
+
+# ---------------------------------------------------------------------------------- summary
+
+
+def short_names(paths: Iterable[str]) -> dict[str, str]:
+    """The last name of each path where that is enough to tell them apart, else the whole path."""
+    last = {path: path.rpartition(".")[2] for path in paths}
+    names = list(last.values())
+    return {path: name if names.count(name) == 1 else path for path, name in last.items()}

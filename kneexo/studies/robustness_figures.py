@@ -1,0 +1,250 @@
+"""Figures of a `kneexo.studies.robustness.RobustnessStudy`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
+from kneexo.errors import KneexoError
+from kneexo.studies.robustness import (
+    MERITS,
+    RobustnessStudy,
+    Visit,
+    realize,
+    short_names,
+    signed,
+    worst,
+)
+
+_SHOWN = ("max_error_deg", "bandwidth_hz", "disk_margin")
+
+
+def distribution(r: RobustnessStudy) -> Figure:
+    """Empirical distribution of each figure of merit, with the nominal plant and the worst corner.
+
+    What failed is missing: the curve then ends below one, or begins above zero.
+    """
+    names = [merit for merit in r.merits if merit != "rms_error_deg"]
+    columns = min(3, len(names))
+    rows = math.ceil(len(names) / columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(3.6 * columns, 2.9 * rows), layout="constrained", squeeze=False
+    )
+    for ax, merit in zip(axes.flat, names, strict=False):
+        _plot_distribution(ax, r, merit)
+    for ax in axes.flat[len(names) :]:
+        ax.set_visible(False)
+    for row in axes:
+        row[0].set_ylabel("share of the samples")
+    entries = {
+        label: handle
+        for ax in axes.flat
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _plot_distribution(ax: Axes, r: RobustnessStudy, merit: str) -> None:
+    values = np.sort(signed(r.samples, merit))
+    share = np.arange(1, values.size + 1) / values.size
+    finite = np.isfinite(values)
+    nominal = signed([r.nominal], merit)[0]
+    corner = signed([worst(r.corners, merit)], merit)[0]
+    ax.step(values[finite], share[finite], where="post", color="C0", label="samples")
+    if np.isfinite(nominal):
+        ax.axvline(nominal, color="0.4", ls="--", lw=1, label="nominal")
+    if np.isfinite(corner):
+        ax.axvline(corner, color="C3", ls=":", lw=1.5, label="worst corner")
+    shown_values = np.append(values[finite], [v for v in (nominal, corner) if np.isfinite(v)])
+    if shown_values.size and 0.0 < 20.0 * shown_values.min() < shown_values.max():
+        ax.set_xscale("log")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    failed = int(np.sum(~finite))
+    lost = "fail" if MERITS[merit].worse > 0.0 else "fail or are unstable"
+    ax.set_title(f"{failed} of {values.size} {lost}" if failed else " ", fontsize=8, color="C3")
+    ax.set(xlabel=MERITS[merit].label, ylim=(0.0, 1.02))
+    ax.grid(alpha=0.3)
+
+
+def tornado(r: RobustnessStudy) -> Figure:
+    """What each value alone does to error, bandwidth and disk margin, the largest on top."""
+    merits = [merit for merit in _SHOWN if merit in r.merits]
+    names = short_names(r.uncertainty.values)
+    figure, axes = plt.subplots(
+        1,
+        len(merits),
+        figsize=(5.2 * len(merits), 1.5 + 0.34 * len(names)),
+        layout="constrained",
+        squeeze=False,
+    )
+    for ax, merit in zip(axes[0], merits, strict=True):
+        _plot_tornado(ax, r, merit, names)
+    entries = {"low end": "C0<", "high end": "C1>"}
+    options = max(len(one.options) for one in r.uncertainty.values.values())
+    entries |= {f"option {n + 1}": f"C{n}{'os^Dv'[n % 5]}" for n in range(min(options, 5))}
+    if any(np.isinf(signed(r.one_at_a_time, merit)).any() for merit in merits):
+        entries["fails or is unstable"] = "C3x"
+    handles = [Line2D([], [], color=s[:2], marker=s[2], ls="", ms=5) for s in entries.values()]
+    handles.append(Line2D([], [], color="0.4", ls="--", lw=1))
+    labels = [*entries, "nominal"]
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
+    return figure
+
+
+def _plot_tornado(ax: Axes, r: RobustnessStudy, merit: str, names: dict[str, str]) -> None:
+    effects = r.effects(merit)
+    nominal = float(signed([r.nominal], merit)[0])
+    finite = [v for values in effects.values() for v in [*values, nominal] if math.isfinite(v)]
+    order = sorted(names, key=lambda path: r.spread(merit, path))
+    low, high = (min(finite), max(finite)) if finite else (0.0, 1.0)
+    margin = 0.15 * (high - low) or 0.1 * abs(high) or 1.0
+    failed_at = high + margin if MERITS[merit].worse > 0.0 else low - margin
+    for row, path in enumerate(order):
+        one, values = r.uncertainty.values[path], effects[path]
+        ends = [v for v in [*values, nominal] if math.isfinite(v)]
+        if ends:
+            ax.plot([min(ends), max(ends)], [row, row], color="0.8", lw=7, solid_capstyle="butt")
+        for index, value in enumerate(values):
+            at, colour = (value, f"C{index}") if math.isfinite(value) else (failed_at, "C3")
+            marker = (
+                ("<>"[index] if not one.options else "os^Dv"[index % 5]) if at == value else "x"
+            )
+            ax.plot([at], [row], marker, color=colour, ms=5)
+    if math.isfinite(nominal):
+        ax.axvline(nominal, color="0.4", ls="--", lw=1)
+    ax.set_yticks(range(len(order)), [names[path] for path in order], fontsize=8)
+    ax.set(xlabel=MERITS[merit].label)
+    ax.margins(x=0.08)
+    ax.xaxis.set_major_locator(MaxNLocator(5))
+    ax.grid(axis="x", alpha=0.3)
+
+
+def importance(r: RobustnessStudy) -> Figure:
+    """Rank correlations over the samples, beside the linear effect of each whole interval."""
+    names = short_names(r.uncertainty.values)
+    merits = list(r.merits)
+    correlations = r.correlations()
+    ranks = np.array([[correlations[m][path] for m in merits] for path in names])
+    figure, axes = plt.subplots(
+        1, 2, figsize=(12.0, 1.9 + 0.36 * len(names)), layout="constrained", sharey=True
+    )
+    chosen = np.array([bool(r.uncertainty.values[path].options) for path in names])
+    labels = [
+        name + (" (η)" if own else "") for name, own in zip(names.values(), chosen, strict=True)
+    ]
+    _plot_table(axes[0], ranks, merits, labels, chosen)
+    axes[0].set_title("rank correlation over the samples, ρ or η", fontsize=9)
+    local = [m for m in merits if m in r.local]
+    linear = np.array([[r.linear_effect(m, path) for m in local] for path in names])
+    scale = np.array([abs(r.nominal.figures[m]) for m in local])
+    if local:
+        _plot_table(axes[1], 100.0 * linear / scale, local, labels, chosen, limit=100.0)
+        axes[1].set_title("whole interval by AutoDiff, % of the nominal figure", fontsize=9)
+    else:
+        axes[1].set_visible(False)
+    key = {
+        "C3": "more of the value is worse",
+        "C0": "more of the value is better",
+        "0.5": "options, which have no order: strength alone",
+    }
+    patches = [Patch(color=colour, alpha=0.8, label=label) for colour, label in key.items()]
+    figure.legend(handles=patches, loc="outside lower center", ncols=3, fontsize=8)
+    return figure
+
+
+def _plot_table(
+    ax: Axes, values: Any, merits: list[str], labels: list[str], unsigned: Any, limit: float = 1.0
+) -> None:
+    """Numbers in coloured cells: red where more of the value is worse, blue where it is better.
+
+    Rows that are ``unsigned`` are grey.
+    """
+    signs = np.array([MERITS[merit].worse for merit in merits])
+    rows = np.broadcast_to(unsigned[:, None], values.shape)
+    ax.set_facecolor("0.92")
+    for shades, cmap, low in ((values * signs, "RdBu_r", -limit), (values, "Greys", 0.0)):
+        hidden = ~np.isfinite(values) | (rows == (cmap == "RdBu_r"))
+        ax.imshow(
+            np.ma.masked_array(shades, hidden),
+            cmap=cmap,
+            vmin=low,
+            vmax=limit,
+            aspect="auto",
+            alpha=0.8,
+        )
+    for (row, column), value in np.ndenumerate(values):
+        if math.isfinite(value):
+            ax.text(
+                column,
+                row,
+                f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2f}",
+                ha="center",
+                va="center",
+                fontsize=7,
+                color="w" if abs(value) > 0.7 * limit else "k",
+            )
+    ax.set_xticks(
+        range(len(merits)),
+        [MERITS[merit].label.replace(" (", "\n(") for merit in merits],
+        fontsize=7,
+        rotation=35,
+        ha="right",
+        rotation_mode="anchor",
+    )
+    ax.set_yticks(range(len(labels)), labels, fontsize=8)
+
+
+def nyquist(r: RobustnessStudy) -> Figure:
+    """Loops of the first samples, with the disk that the worst disk margin keeps out."""
+    figure, ax = plt.subplots(figsize=(6.0, 6.0), layout="constrained")
+    visits = [*r.samples, *r.corners, *r.one_at_a_time, r.nominal]
+    stable = [visit for visit in visits if visit.figures["stable"]]
+    loops = [_loop(r, visit) for visit in r.samples[: r.settings.nyquist_loops]]
+    drawn = [loop for loop in loops if loop is not None]
+    for loop in drawn:
+        f = np.geomspace(0.02, 0.5 / loop.sample_time_s, 2000)
+        response = loop.loop_response(f)
+        colour = "0.6" if loop.stable else "C3"
+        ax.plot(response.real, response.imag, color=colour, lw=0.5, alpha=0.6)
+    unstable = sum(visit.figures["stable"] is False for visit in visits)
+    title = f"{len(drawn)} samples"
+    if stable:
+        nearest = _loop(r, worst(stable, "disk_margin"))
+        if nearest is not None:
+            nearest.plot_nyquist(ax)
+            title += ", blue: the smallest disk margin of all stable plants"
+    if unstable:
+        title += f"\n{unstable} of {len(visits)} plants are unstable (red)"
+    ax.set_title(title, fontsize=9)
+    return figure
+
+
+def _loop(r: RobustnessStudy, visit: Visit) -> SampledLoop | None:
+    """The linear loop of a visit, as `kneexo.analysis.assess` takes it; None when there is none."""
+    try:
+        plant = realize(r.scenario, r.uncertainty, visit.values)
+        return linearize_loop(plant, 0.5 * sum(plant.reference.range_deg))
+    except KneexoError:
+        return None
+
+
+def figures(study: RobustnessStudy) -> dict[str, Figure]:
+    """Distributions, tornado, what matters most, and Nyquist plots of the sampled loops."""
+    return {
+        "robustness_distribution": distribution(study),
+        "robustness_tornado": tornado(study),
+        "robustness_importance": importance(study),
+        "robustness_nyquist": nyquist(study),
+    }

@@ -1,0 +1,152 @@
+"""Markdown of `kneexo.studies.sliding`."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from kneexo.parameters import (
+    Scenario,
+)
+from kneexo.studies.markdown import markdown_table, number
+from kneexo.studies.sliding import LAWS, SlidingCase, effective_masses_kg, full_order
+
+if TYPE_CHECKING:
+    pass
+
+from kneexo.studies.sliding import SlidingStudy
+
+
+def report(study: SlidingStudy) -> str:
+    """Markdown: what holds where, and whether the paper's k suffices."""
+    law = study.law
+    condition = "s·ds/dt ≤ −η\\|s\\|"
+    labels = ("load (N)", "k", "η (m/s³)")
+    reached = ("reached after (ms)", "promised (ms)", "outside again (%)")
+    motion = [
+        (
+            *case.labels,
+            *_percents(case, "outside_share", "holding_share", "attracting_share"),
+            *_numbers(case.found["largest_s"], case.found["largest_error_mm"]),
+            "left the range of motion" if case.found["failure"] else "complete",
+        )
+        for case in study.of("motion")
+    ]
+    start = [
+        (
+            *case.labels,
+            *_percents(case, "holding_share"),
+            *_numbers(case.found["worst_rate_m_s3"], *case.reaching_ms),
+            *_percents(case, "left_share"),
+        )
+        for case in study.of("start")
+    ]
+    sampled = [
+        (
+            *case.labels,
+            *_percents(case, "holding_share", "held_share", "mean_share"),
+            *_numbers(*case.reaching_ms),
+            *_percents(case, "left_share"),
+            *_numbers(case.found["largest_error_mm"]),
+        )
+        for case in study.of("sampled")
+    ]
+    outside = ("outside the layer (%)", f"there {condition} (%)", "there s·ds/dt < 0 (%)")
+    share = f"outside: {condition} (%)"
+    held = (f"{share} after an update", "before the next", "on the mean")
+    return "\n".join(
+        [
+            "# Sliding condition",
+            "",
+            "Continuous law, exact states, motor without lag and limit, "
+            f"λ = {law.lambda_per_s:g} 1/s, Φ = {law.phi_m_s2:g} m/s²: inside the layer "
+            f"\\|e\\| ≤ Φ/λ² = {1e3 * law.phi_m_s2 / law.lambda_per_s**2:.3g} mm.",
+            "",
+            "## Along the reference",
+            "",
+            *markdown_table(
+                ("plant", *labels, *outside, "largest \\|s\\|/Φ", "largest error (mm)", "run"),
+                motion,
+            ),
+            "",
+            "## From outside the layer",
+            "",
+            *markdown_table(
+                ("plant", *labels, share, "largest sgn(s)·ds/dt (m/s³)", *reached), start
+            ),
+            "",
+            "## The law at its sample time, with the paper's k",
+            "",
+            *markdown_table(("loop", *labels, *held, *reached, "largest error (mm)"), sampled),
+            "",
+            "## Findings",
+            "",
+            *_findings(study),
+            "",
+        ]
+    )
+
+
+def _findings(study: SlidingStudy) -> list[str]:
+    law, needed = study.law, study.needed
+    ideal = [case for case in study.cases if case.part != "sampled"]
+    derived = [case for case in ideal if case.plant != "full"]
+    kept = [
+        case
+        for case in derived
+        if case.stays and (not case.found["outside_share"] or case.found["holding_share"] == 1.0)
+    ]
+    low, high = effective_masses_kg(full_order(study.scenario))
+    lines = [
+        f"- Reduced order, for which Eq. 27 was derived: it keeps its promise in {len(kept)} "
+        f"of {len(derived)} runs, with the masses at both of its bounds."
+    ]
+    for load in study.settings.loads_n:
+        smallest = study.smallest_eta("paper", load)
+        found = (
+            f"from η = {smallest:.3g} m/s³ on"
+            if math.isfinite(smallest)
+            else "at none of the η tried"
+        )
+        lines.append(
+            f"- Full order, {load:g} N: with the paper's k, s stays in the layer {found}; with "
+            f"the area term from {study.smallest_eta('area', load):.3g} m/s³ on."
+        )
+    lines += [
+        f"- The closed forms ask the paper's k for η ≥ {needed.speed:.3g} m/s³, so that βη "
+        f"covers ω̂²|ΔA/Ā||ẋ_d|; and with P_2 loaded for η ≥ {needed.stability:.3g} m/s³, "
+        f"below which the layer itself is unstable (2λk/Φ < ω̂²(1 − A_2/Ā)). So below that it "
+        f"does not suffice on the full-order plant.",
+        "- The inequality itself, with the η that the law was given, needs more: one chamber's "
+        f"oil is softer than the model's, as if the mass were {low:.2f}…{high:.2f} kg in "
+        f"place of {law.mass_min_kg:g}…{law.mass_max_kg:g} kg. Share of the samples outside in "
+        f"which it holds: " + "; ".join(_shares(study)) + ".",
+        "- Sampled, the promise is out of reach whatever k: in one sample η moves s by ηT, "
+        f"{law.eta_m_s3 * Scenario().controller.sample_time_s / law.phi_m_s2:.0f} times Φ for "
+        f"the default. A motor with lag adds a degree: after a change of sign ds/dt follows "
+        f"only with the motor. The layer is then reached at the speed limit.",
+    ]
+    return lines
+
+
+def _shares(study: SlidingStudy) -> list[str]:
+    """Share of the samples outside, of all full-order runs of a law, that hold."""
+    found = []
+    for name, label in LAWS.items():
+        shares = [
+            case.found["holding_share"]
+            for case in study.cases
+            if case.plant == "full" and case.law == name and case.found["outside_share"] > 0.0
+        ]
+        if shares:
+            low, high = 100.0 * min(shares), 100.0 * max(shares)
+            found.append(f"{label} {low:.0f}…{high:.0f} % of a run")
+    return found
+
+
+def _numbers(*values: float) -> list[str]:
+    return [number(value) for value in values]
+
+
+def _percents(case: SlidingCase, *names: str) -> list[str]:
+    return _numbers(*(100.0 * case.found[name] for name in names))

@@ -1,0 +1,170 @@
+import numpy as np
+import pytest
+
+from kneexo.analysis import simulate
+from kneexo.errors import KneexoError, LinkageError, ParameterError, SimulationError, StiffnessError
+from kneexo.parameters import Scenario, SimulationParameters
+from kneexo.parameters.paths import changed
+from kneexo.simulation import compiled, engines
+from kneexo.simulation.engines import RunRequest, answers
+
+SHORT = Scenario(simulation=SimulationParameters(duration_s=0.2))
+
+
+def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
+    expected = simulate(SHORT, signals=("rod_extension",))
+    original = compiled.simulate_together
+
+    def refusing(scenarios, signals, integrator, *options):
+        if integrator == "exact_hold":
+            return [StiffnessError("the derivatives jump too often")]
+        return original(scenarios, signals, integrator, *options)
+
+    monkeypatch.setattr(compiled, "simulate_together", refusing)
+    run = simulate(SHORT, signals=("rod_extension",))
+    assert (run.settings.integrator, run.settings.step_s) == ("rk4", 2e-5)
+    assert expected.settings.integrator == "exact_hold"
+    # Both are far more accurate than that; the rod moves by 1 mm.
+    np.testing.assert_allclose(run["rod_extension_m"], expected["rod_extension_m"], atol=1e-10)
+
+
+def test_another_failure_is_not_repeated(monkeypatch):
+    calls = []
+
+    def failing(scenarios, *options):
+        calls.append(options)
+        return [SimulationError("left the stroke")]
+
+    monkeypatch.setattr(compiled, "simulate_together", failing)
+    with pytest.raises(SimulationError, match="left the stroke"):
+        simulate(SHORT)
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "radau3"])
+def test_a_run_of_too_many_steps_is_refused(integrator):
+    settings = SimulationParameters(duration_s=1e3, step_s=1e-7, integrator=integrator)
+    with pytest.raises(ParameterError, match=r"duration_s = 1000 s .* 1e\+10 steps, must be at"):
+        simulate(Scenario(simulation=settings), signals=("knee_angle",))
+
+
+@pytest.mark.parametrize("integrator", ["exact_hold", "radau3"])
+def test_progress_ends_at_the_duration(integrator):
+    told = []
+    settings = SimulationParameters(duration_s=0.1, integrator=integrator)
+    simulate(Scenario(simulation=settings), signals=("knee_angle",), progress=told.append)
+    assert told[-1] == pytest.approx(0.1)
+
+
+# ----------------------------------------------------------------------------- many together
+
+
+def varied(count):
+    """Runs of two structures and three durations, one of which fails."""
+    laws = ({"kind": "smc"}, {"kind": "pid"})
+    return [
+        changed(
+            SHORT,
+            {
+                "controller": laws[n % 2],
+                "plant.cylinder.mass_kg": 1.4 + 0.05 * n,
+                "simulation.duration_s": (0.1, 0.2, 0.05)[n % 3],
+                "initial_offset_m": -0.15 if n == 4 else 0.0,
+            },
+        )
+        for n in range(count)
+    ]
+
+
+def together(scenarios, **options):
+    requests = {10 * n: RunRequest(scenario, **options) for n, scenario in enumerate(scenarios)}
+    found = dict(answers(requests))
+    assert set(found) == set(requests)
+    return [found[10 * n] for n in range(len(scenarios))]
+
+
+def assert_same(found, expected):
+    if isinstance(expected, Exception):
+        assert (type(found), str(found)) == (type(expected), str(expected))
+        return
+    assert found.settings == expected.settings
+    assert list(found.data) == list(expected.data)
+    np.testing.assert_array_equal(found.time_s, expected.time_s)
+    for name, values in expected.data.items():
+        np.testing.assert_array_equal(found[name], values)
+
+
+def alone(scenario, **options):
+    try:
+        return simulate(scenario, **options)
+    except KneexoError as error:
+        return error
+
+
+@pytest.mark.parametrize("largest", [64, 3, 1])
+def test_runs_do_not_depend_on_their_company(monkeypatch, largest):
+    monkeypatch.setattr(engines, "LARGEST_BATCH", largest)
+    scenarios = varied(9)
+    scenarios[2] = scenarios[2].with_steps(1e-3)
+    scenarios[5] = scenarios[5].with_engine("drake")
+    expected = [alone(scenario, signals=("knee_angle", "load_pressure")) for scenario in scenarios]
+    assert isinstance(expected[4], ParameterError)
+    integrators = [run.settings.integrator for run in (expected[1], expected[2], expected[5])]
+    assert integrators == ["exact_hold", "rk4", "radau3"]
+    for order in (1, -1):
+        found = together(scenarios[::order], signals=("knee_angle", "load_pressure"))
+        for run, run_alone in zip(found[::order], expected, strict=True):
+            assert_same(run, run_alone)
+
+
+def test_a_structure_is_one_batch_and_a_batch_is_bounded(monkeypatch):
+    sizes = []
+    original = compiled.simulate_together
+
+    def counted(scenarios, *options):
+        durations = [scenario.simulation.duration_s for scenario in scenarios]
+        assert durations == sorted(durations, reverse=True)  # what ends together runs together
+        sizes.append(len(scenarios))
+        return original(scenarios, *options)
+
+    monkeypatch.setattr(compiled, "simulate_together", counted)
+    together(varied(9), signals=("knee_angle",))
+    assert sizes == [5, 4]
+    monkeypatch.setattr(engines, "_LARGEST_RECORD", 210)  # two runs of 0.2 s
+    sizes.clear()
+    together(varied(9), signals=("knee_angle",))
+    assert sizes == [2, 3, 2, 2]  # the shorter the more
+
+
+def test_small_steps_stand_in_for_single_runs_of_a_batch(monkeypatch):
+    original = compiled.simulate_together
+    scenarios = varied(4)
+    expected = [simulate(s, signals=("knee_angle",)) for s in scenarios]
+
+    def refusing(scenarios, signals, integrator, *options):
+        found = original(scenarios, signals, integrator, *options)
+        heavy = [scenario.plant.cylinder.mass_kg > 1.52 for scenario in scenarios]
+        stiff = integrator == "exact_hold"
+        return [
+            StiffnessError("jumps") if stiff and refused else run
+            for run, refused in zip(found, heavy, strict=True)
+        ]
+
+    monkeypatch.setattr(compiled, "simulate_together", refusing)
+    found = together(scenarios, signals=("knee_angle",))
+    assert [run.settings.integrator for run in found] == ["exact_hold"] * 3 + ["rk4"]
+    for run, run_alone in zip(found[:3], expected[:3], strict=True):
+        assert_same(run, run_alone)
+    assert_same(found[3], simulate(scenarios[3].with_steps(2e-5), signals=("knee_angle",)))
+
+
+def test_a_bad_scenario_does_not_spoil_those_of_its_structure(monkeypatch):
+    for name in ("_models", "_diagrams"):
+        monkeypatch.setattr(compiled, name, {})
+    broken = SHORT.plant.linkage.model_copy(update={"a_2_m": 1.0})
+    unknown = changed(SHORT, {"plant.linkage": broken})
+    found = together([unknown, SHORT], signals=("knee_angle",))
+    assert isinstance(found[0], LinkageError)
+    assert_same(found[1], simulate(SHORT, signals=("knee_angle",)))
+    with pytest.raises(ParameterError, match="signal 'no' is unknown"):
+        simulate(SHORT, signals=("no",))

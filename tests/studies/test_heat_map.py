@@ -1,0 +1,77 @@
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.colors import LogNorm, Normalize
+
+from kneexo.studies.heat_map import cell_borders, decimal_ticks, heat_map, plain_ticks
+
+
+@given(st.lists(st.floats(1.1, 10.0), min_size=1, max_size=8), st.floats(1e-3, 1e3))
+def test_borders_enclose_each_value_and_split_the_gaps_by_their_ratio(ratios, first):
+    values = first * np.cumprod(ratios)
+    borders = cell_borders(values)
+    assert np.all(borders[:-1] < values)
+    assert np.all(values < borders[1:])
+    # An inner border is the geometric mean of its neighbours.
+    assert borders[1:-1] == pytest.approx(np.sqrt(values[1:] * values[:-1]))
+
+
+def test_cells_show_values_x_by_y_and_mask_what_is_not_finite():
+    values = np.array([[1.0, np.inf, 3.0], [4.0, np.nan, 600.0]])
+    figure, ax = plt.subplots()
+    heat_map(ax, [1.0, 2.0], [10.0, 20.0, 40.0], values, norm=LogNorm(1.0, 10.0), label="e (deg)")
+    mesh = ax.collections[0]
+    shown = mesh.get_array()
+    assert shown.shape == (3, 2)
+    assert np.array_equal(shown.mask, ~np.isfinite(values.T))
+    assert shown[2, 1] == 600.0
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert ax.get_title(loc="right") == "e (deg)"
+    assert mesh.colorbar.extend == "max"
+    plt.close(figure)
+
+
+def test_a_map_without_any_value_is_grey():
+    figure, ax = plt.subplots()
+    heat_map(ax, [1.0], [1.0], np.array([[np.nan]]), norm=Normalize(0.0, 1.0), label="x")
+    figure.canvas.draw()
+    assert ax.collections[0].colorbar.extend == "neither"
+    plt.close(figure)
+
+
+def test_ticks_are_plain_numbers_at_the_values_alone():
+    figure, ax = plt.subplots()
+    ax.set(xscale="log", xlim=(1.0, 100.0))
+    plain_ticks(ax.xaxis, (5.0, 20.0, 80.0))
+    figure.canvas.draw()
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["5", "20", "80"]
+    assert ax.get_xticks(minor=True).size == 0
+    plt.close(figure)
+
+
+def test_ticks_that_would_overlap_are_left_out():
+    figure, ax = plt.subplots()
+    ax.set(xscale="log", xlim=(300.0, 1400.0))
+    plain_ticks(ax.xaxis, [330.0, 660.0, 690.0, 720.0, 1300.0])
+    assert ax.get_xticks().tolist() == [330.0, 660.0, 1300.0]
+    plt.close(figure)
+
+
+@pytest.mark.parametrize(
+    ("limits", "ticks"),
+    [
+        ((0.9, 11.0), ["1", "2", "5", "10"]),
+        ((0.09, 11.0), ["0.1", "0.3", "1", "3", "10"]),
+        ((0.009, 110.0), ["0.01", "0.1", "1", "10", "100"]),
+    ],
+)
+def test_decimal_ticks_suit_the_decades(limits, ticks):
+    figure, ax = plt.subplots()
+    ax.set(xscale="log", xlim=limits)
+    decimal_ticks(ax.xaxis)
+    low, high = limits
+    shown = [t for t in ax.get_xticks() if low <= t <= high]
+    assert [f"{t:g}" for t in shown] == ticks
+    plt.close(figure)

@@ -1,0 +1,419 @@
+import math
+import multiprocessing
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
+from functools import partial
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kneexo.errors import WorkerError
+from kneexo.interruption import interrupt_later
+from kneexo.simulation.coroutines import coroutine, steps
+from kneexo.sweeps import parallel, parallel_map
+from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
+
+
+class AtOnce(Executor):
+    """Runs what is submitted at once, as another process would: nothing is shared."""
+
+    def __init__(self, most=math.inf):
+        self.units = []
+        self.most = most
+
+    def submit(self, function, *arguments):
+        if len(self.units) >= self.most:
+            raise BrokenExecutor("no worker left\nto speak of")
+        called, given, items = pickle.loads(pickle.dumps((function, *arguments)))
+        future = Future()
+        future.set_result(called(given, items))
+        self.units.append(len(items))
+        return future
+
+
+def test_results_keep_the_order_of_the_items():
+    items = [3.0, 1.0, 2.0]
+    assert parallel_map(math.sqrt, items, weight=lambda x: x) == [math.sqrt(x) for x in items]
+
+
+def test_the_heaviest_item_goes_first():
+    seen = []
+    parallel_map(seen.append, [1, 3, 2], weight=float)
+    assert seen == [3, 2, 1]
+    seen.clear()
+    with ThreadPoolExecutor(1) as executor:
+        parallel_map(seen.append, [1, 3, 2], weight=float, executor=executor)
+    assert seen == [3, 2, 1]
+
+
+def test_no_items_make_no_results():
+    assert parallel_map(math.sqrt, []) == []
+    assert parallel_map(math.sqrt, [], executor=AtOnce()) == []
+
+
+def test_processes_give_the_same_as_this_process():
+    items = list(range(300))
+    assert parallel_map(math.factorial, items, workers=2) == [math.factorial(n) for n in items]
+
+
+def blas_threads(_):
+    return os.environ.get("OPENBLAS_NUM_THREADS")
+
+
+def test_processes_do_not_share_their_cores_with_threads_of_blas(monkeypatch):
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    assert parallel_map(blas_threads, [1, 2], workers=2) == ["1", "1"]
+    assert blas_threads(None) is None
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
+    assert parallel_map(blas_threads, [1, 2], workers=2) == ["3", "3"]
+    assert blas_threads(None) == "3"
+
+
+def test_the_callers_executor_is_used_and_left_running():
+    with ThreadPoolExecutor(1) as executor:
+        assert parallel_map(math.sqrt, [4.0], executor=executor) == [2.0]
+        assert executor.submit(math.sqrt, 9.0).result() == 3.0
+
+
+# ----------------------------------------------------------------------------------- units
+
+
+def test_small_pieces_go_together_and_all_are_done():
+    executor = AtOnce()
+    items = [float(n) for n in range(20_000)]
+    assert parallel_map(math.sqrt, items, executor=executor) == [math.sqrt(x) for x in items]
+    assert sum(executor.units) == len(items)
+    # 1000 single ones are under way at first; the rest goes in units that double.
+    assert executor.units[:1000] == [1] * 1000
+    assert len(executor.units) < 8000
+
+
+def test_pieces_that_take_long_go_one_by_one(monkeypatch):
+    monkeypatch.setattr(parallel, "UNIT_S", 0.0)
+    executor = AtOnce()
+    executor._max_workers = 1
+    seen = []
+    monkeypatch.setattr(threading, "kneexo_seen", seen, raising=False)
+    assert parallel_map(note, list(range(50)), executor=executor) == list(range(50))
+    assert seen == list(range(50))
+    assert executor.units == [1] * 50
+
+
+def note(item):
+    threading.kneexo_seen.append(item)
+    return item
+
+
+@given(
+    durations=st.lists(st.sampled_from([0.0, 0.0, 0.0, 1.0]), max_size=200),
+    workers=st.integers(1, 5),
+)
+def test_whatever_fits_into_a_unit_each_piece_is_done_once(durations, workers):
+    clock = [0.0]
+    executor = AtOnce()
+    executor._max_workers = workers
+    done = []
+
+    def take(item):
+        clock[0] += durations[item]
+        done.append(item)
+        return -item
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parallel.time, "perf_counter", lambda: clock[0])
+        patch.setattr(pickle, "dumps", lambda value: value)  # a local function
+        patch.setattr(pickle, "loads", lambda value: value)
+        found = parallel_map(take, list(range(len(durations))), executor=executor)
+    assert found == [-n for n in range(len(durations))]
+    assert sorted(done) == list(range(len(durations)))
+
+
+class Held(Executor):
+    """Keeps what is submitted until it is told to run."""
+
+    def __init__(self, workers):
+        self._max_workers = workers
+        self.waiting = []
+        self.most = 0
+
+    def submit(self, function, *arguments):
+        future = Future()
+        self.waiting.append((future, function, arguments))
+        self.most = max(self.most, len(self.waiting))
+        threading.Timer(1e-3, self.run).start()
+        return future
+
+    def run(self):
+        future, function, arguments = self.waiting.pop(0)
+        future.set_result(function(*arguments))
+
+
+def test_no_more_is_submitted_than_the_workers_need():
+    executor = Held(workers=3)
+    assert parallel_map(abs, list(range(-200, 0)), executor=executor) == list(range(200, 0, -1))
+    assert 3 <= executor.most <= 12
+
+
+# ------------------------------------------------------------------------------ coroutines
+
+
+def nothing(requests):
+    """An answer to each request: itself."""
+    BATCHES.append(len(requests))
+    yield from requests.items()
+
+
+BATCHES: list[int] = []
+
+
+@pytest.fixture
+def batches():
+    """How many calls went on together, each time."""
+    BATCHES.clear()
+    return BATCHES
+
+
+@coroutine(nothing)
+def square(item):
+    """Asks as often as the last digit says."""
+    total = 0
+    for _ in range(item % 10):
+        total += yield item
+    return item * item + 0 * total
+
+
+@coroutine(nothing)
+def square_below(limit, item):
+    if item >= limit:
+        raise ValueError(f"{item} is too much")
+    return (yield from steps(square, item))
+
+
+@pytest.mark.parametrize("workers", [1, 2, None])
+def test_calls_go_on_together_with_the_results_of_each_alone(batches, workers):
+    items = list(range(700))
+    expected = [n * n for n in items]
+    if workers is None:
+        assert parallel_map(square, items, executor=AtOnce()) == expected
+    else:
+        assert parallel_map(square, items, workers=workers) == expected
+    if workers == 1:
+        assert 64 < max(batches) <= 256
+
+
+@pytest.mark.parametrize("unit_s", [0.0, 0.5])
+def test_units_of_calls_grow_as_others_do(batches, monkeypatch, unit_s):
+    monkeypatch.setattr(parallel, "UNIT_S", unit_s)
+    executor = AtOnce()
+    executor._max_workers = 2
+    items = list(range(1, 1800, 10))
+    assert parallel_map(square, items, executor=executor) == [n * n for n in items]
+    # Eight units of eight are under way at first.
+    assert executor.units[:8] == [8] * 8
+    assert (executor.units[8] == 8) == (unit_s == 0.0)
+
+
+def test_few_calls_are_shared_by_all_workers(batches):
+    executor = AtOnce()
+    executor._max_workers = 8
+    parallel_map(square, list(range(27)), executor=executor)
+    assert executor.units == [1] * 27
+
+
+def test_what_ended_before_an_error_is_kept(tmp_path, batches):
+    path = tmp_path / "checkpoint.jsonl"
+    items = list(range(40))
+    with pytest.raises(ValueError, match="33 is too much"):
+        parallel_map(partial(square_below, 33), items, checkpoint=Checkpoint(path))
+    keys = piece_keys(partial(square_below, 33), items)
+    kept = Checkpoint(path)
+    assert [key in kept for key in keys] == [True] * 33 + [False] * 7
+    with pytest.raises(ValueError, match="33 is too much"):
+        parallel_map(partial(square_below, 33), items, executor=AtOnce(), checkpoint=kept)
+
+
+def test_what_is_kept_is_not_asked_for_again(tmp_path, batches):
+    path = tmp_path / "checkpoint.jsonl"
+    items = list(range(40))
+    parallel_map(square, items[10:20], checkpoint=Checkpoint(path))
+    batches.clear()
+    found = parallel_map(square, items, checkpoint=Checkpoint(path))
+    assert found == [n * n for n in items]
+    assert sum(batches) == 3 * 45  # 0 + 1 + … + 9 for each ten but one
+
+
+# -------------------------------------------------------------------------- errors, deaths
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_in_the_work_is_raised(workers):
+    with pytest.raises(ValueError, match=r"math domain|nonnegative"):
+        parallel_map(math.sqrt, [1.0, -1.0], workers=workers)
+
+
+def test_an_error_ends_what_has_not_begun():
+    begun = []
+
+    def work(item):
+        begun.append(item)
+        time.sleep(0.02)
+        raise ValueError(f"no {item}")
+
+    with ThreadPoolExecutor(1) as executor, pytest.raises(ValueError, match="no 0"):
+        parallel_map(work, list(range(100)), executor=executor)
+    assert len(begun) <= 3
+
+
+def die(_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def square_or_die(item):
+    if item == 30 and (path := os.environ.get("KNEEXO_TEST_CHECKPOINT")):
+        wait_for(lambda: Path(path).read_bytes().count(b"\n") > 1)  # results of others are kept
+        die(item)
+    return item * item
+
+
+def test_a_worker_that_dies_is_one_line():
+    with pytest.raises(WorkerError, match="a worker process died") as caught:
+        parallel_map(die, [1, 2], workers=2)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_was_finished_before_a_worker_died_is_kept(tmp_path, monkeypatch):
+    path = tmp_path / "checkpoint.jsonl"
+    items = list(range(40))
+    monkeypatch.setenv("KNEEXO_TEST_CHECKPOINT", str(path))
+    pool_of = ProcessPoolExecutor(2, multiprocessing.get_context("spawn"))
+    with pool_of as pool, pytest.raises(WorkerError, match="worker process died"):
+        parallel_map(square_or_die, items, executor=pool, checkpoint=Checkpoint(path))
+    kept = Checkpoint(path)
+    assert 1 <= len(kept) < len(items)
+    monkeypatch.delenv("KNEEXO_TEST_CHECKPOINT")
+    found = parallel_map(square_or_die, items, checkpoint=kept)
+    assert found == [n * n for n in items]
+
+
+@pytest.mark.parametrize("most", [0, 1, 7])
+def test_an_executor_that_breaks_is_one_line_and_resumes(tmp_path, most):
+    path = tmp_path / "checkpoint.jsonl"
+    items = list(range(30))
+    executor = AtOnce(most)
+    executor._max_workers = 1
+    with pytest.raises(WorkerError) as caught:
+        parallel_map(abs, items, executor=executor, checkpoint=Checkpoint(path))
+    assert "\n" not in str(caught.value)
+    kept = Checkpoint(path)
+    assert len(kept) == max(most - 3, 0)  # the results of three units were not yet taken
+    assert parallel_map(abs, items, executor=AtOnce(), checkpoint=kept) == items
+
+
+def test_an_executor_that_cancels_the_work_is_one_line():
+    class Cancelling(Executor):
+        def submit(self, function, *arguments):
+            future = Future()
+            future.cancel()
+            return future
+
+    with pytest.raises(WorkerError) as caught:
+        parallel_map(abs, [1, 2], executor=Cancelling())
+    assert "\n" not in str(caught.value)
+
+
+def interrupt_is_held_back(_):
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, set())
+
+
+ORPHANS = """
+import sys
+from pathlib import Path
+from concurrent.futures import wait
+from kneexo.sweeps.parallel import process_pool
+from tests_of_parallel import note_and_wait
+if __name__ == "__main__":
+    with process_pool(2) as pool:
+        wait([pool.submit(note_and_wait, sys.argv[1]) for _ in range(2)])
+"""
+NOTE_AND_WAIT = """
+import os, time
+from pathlib import Path
+def note_and_wait(folder):
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(600)
+"""
+
+
+def wait_for(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(condition)
+        time.sleep(0.01)
+
+
+def is_alive(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(") ")[2][0] != "Z"
+    except OSError:
+        return False
+
+
+def test_workers_die_with_their_parent(tmp_path):
+    (tmp_path / "tests_of_parallel.py").write_text(NOTE_AND_WAIT)
+    (tmp_path / "orphans.py").write_text(ORPHANS)
+    notes = tmp_path / "notes"
+    notes.mkdir()
+    with subprocess.Popen(
+        [sys.executable, str(tmp_path / "orphans.py"), str(notes)], stderr=subprocess.DEVNULL
+    ) as parent:
+        wait_for(lambda: len(list(notes.iterdir())) == 2)
+        parent.kill()
+    workers = [int(file.name) for file in notes.iterdir()]
+    try:
+        wait_for(lambda: not any(map(is_alive, workers)), 5.0)
+    finally:
+        for worker in filter(is_alive, workers):
+            os.kill(worker, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_waits_until_a_unit_is_submitted(number):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    before = signal.signal(number, interrupted)
+    ended = []
+
+    def body():
+        with interrupt_later():
+            signal.raise_signal(number)
+            os.kill(os.getpid(), number)
+            ended.append(True)
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            body()
+        assert signal.getsignal(number) is interrupted
+    finally:
+        signal.signal(number, before)
+    assert ended
+
+
+def test_workers_leave_an_interrupt_to_the_parent():
+    assert parallel_map(interrupt_is_held_back, [1, 2, 3], workers=2) == [True, True, True]
+    assert not interrupt_is_held_back(None)
