@@ -18,7 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kneexo import __version__
+from kneexo import __version__, system
 from kneexo.errors import KneexoError, WorkerError
 from kneexo.interruption import Terminated, sigterm_raises
 
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 Settings = TypeVar("Settings", bound="Parameters")
 
-# Each command imports what it needs: `kneexo --help` and `kneexo params` need no Drake.
+# Each command imports what it needs: `kneexo --help` and these commands need no Drake.
+WITHOUT_DRAKE = ("params", "cache")
 
 EPILOG = """\
 examples:
@@ -90,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 error.__cause__ or error.__context__ if isinstance(error, ImportError) else error
             )
             if not isinstance(cause, KeyboardInterrupt):
-                return _missing_library(error)
+                raise
             what, code = (
                 ("terminated", 143) if isinstance(cause, Terminated) else ("interrupted", 130)
             )
@@ -107,16 +108,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 2
 
 
-def _missing_library(error: BaseException) -> int:
-    """Tell what to install where the system lacks a library; raises every other import error."""
-    library, found, _ = str(error).partition(": cannot open shared object file")
-    if not found:
-        raise error
-    remedy = "apt-get install libglib2.0-0" if "libglib" in library else "install its package"
-    print(f"kneexo: the system library {library} is missing: {remedy}", file=sys.stderr)
-    return 2
-
-
 def _escaped(error: UnicodeError) -> tuple[str, int]:
     """Characters that a stream's encoding lacks, as JSON writes them."""
     if not isinstance(error, UnicodeEncodeError):
@@ -126,6 +117,10 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 
 def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
     _parser().parse_args(arguments, options)
+    # Drake itself would print a page.
+    if options.command not in WITHOUT_DRAKE and (line := system.lacking()):
+        print(f"kneexo: {line}", file=sys.stderr)
+        return 2
     format_before = warnings.formatwarning
     warnings.formatwarning = _one_line
     try:
