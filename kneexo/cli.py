@@ -91,7 +91,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 error.__cause__ or error.__context__ if isinstance(error, ImportError) else error
             )
             if not isinstance(cause, KeyboardInterrupt):
-                raise
+                library, unloaded, _ = str(error).partition(": cannot open shared object file")
+                if not unloaded:
+                    raise
+                line = f"this system lacks {library}; install the package that has it"
+                print(f"kneexo: {line}", file=sys.stderr)
+                return 2
             what, code = (
                 ("terminated", 143) if isinstance(cause, Terminated) else ("interrupted", 130)
             )
