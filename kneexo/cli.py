@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from kneexo import system
 from kneexo.errors import KneexoError, WorkerError
 from kneexo.interruption import Terminated, sigterm_raises
 from kneexo.studies.catalogue import PAPER, STUDIES, Study
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
 
 Settings = TypeVar("Settings", bound="Parameters")
 
-# Each command imports what it needs: `kneexo --help` and `kneexo params` need no Drake.
+# Each command imports what it needs: `kneexo --help` and these commands need no Drake.
+WITHOUT_DRAKE = ("params", "cache")
 
 EPILOG = """\
 examples:
@@ -86,7 +88,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 error.__cause__ or error.__context__ if isinstance(error, ImportError) else error
             )
             if not isinstance(cause, KeyboardInterrupt):
-                return _missing_library(error)
+                library, unloaded, _ = str(error).partition(": cannot open shared object file")
+                if not unloaded:
+                    raise
+                line = f"this system lacks {library}; install the package that has it"
+                print(f"kneexo: {line}", file=sys.stderr)
+                return 2
             what, code = (
                 ("terminated", 143) if isinstance(cause, Terminated) else ("interrupted", 130)
             )
@@ -103,16 +110,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 2
 
 
-def _missing_library(error: BaseException) -> int:
-    """Tell what to install where the system lacks a library; raises every other import error."""
-    library, found, _ = str(error).partition(": cannot open shared object file")
-    if not found:
-        raise error
-    remedy = "apt-get install libglib2.0-0" if "libglib" in library else "install its package"
-    print(f"kneexo: the system library {library} is missing: {remedy}", file=sys.stderr)
-    return 2
-
-
 def _escaped(error: UnicodeError) -> tuple[str, int]:
     """Characters that a stream's encoding lacks, as JSON writes them."""
     if not isinstance(error, UnicodeEncodeError):
@@ -122,6 +119,10 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 
 def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
     _parser().parse_args(arguments, options)
+    # Drake itself would print a page.
+    if options.command not in WITHOUT_DRAKE and (line := system.lacking()):
+        print(f"kneexo: {line}", file=sys.stderr)
+        return 2
     format_before = warnings.formatwarning
     warnings.formatwarning = _one_line
     try:

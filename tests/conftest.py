@@ -2,12 +2,16 @@
 
 import math
 import re
+import signal
 import sys
 from decimal import Decimal, InvalidOperation
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
+# A shell starts `pytest &` with Ctrl-C ignored, and so would every command that a test interrupts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _walk(link, theta_4):

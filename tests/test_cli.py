@@ -785,26 +785,3 @@ def test_changed_leaves_nested_mappings_of_settings_alone():
     assert changed(settings, {path: 5.0}).contestants["SMC"].controller.lambda_per_s == 5.0
     assert settings == ContestSettings()
     assert ContestSettings().contestants["SMC"].controller.lambda_per_s == 20.0
-
-
-@pytest.mark.parametrize(
-    ("library", "remedy"),
-    [("libglib-2.0.so.0", "apt-get install libglib2.0-0"), ("libx.so.1", "install its package")],
-)
-def test_a_missing_system_library_is_one_line(library, remedy, monkeypatch, capsys):
-    def importing(options):
-        raise ImportError(f"{library}: cannot open shared object file: No such file or directory")
-
-    monkeypatch.setattr(cli, "_params", importing)
-    assert main(["params"]) == 2
-    expected = f"kneexo: the system library {library} is missing: {remedy}\n"
-    assert capsys.readouterr().err == expected
-
-
-def test_another_import_error_is_raised(monkeypatch):
-    def importing(options):
-        raise ImportError("cannot import name 'x'")
-
-    monkeypatch.setattr(cli, "_params", importing)
-    with pytest.raises(ImportError, match="name 'x'"):
-        main(["params"])

@@ -32,6 +32,8 @@ _FORMAT = b"kneexo code 1\n"  # raise the number when the layout of the files ch
 _HEADER_BYTES = len(_FORMAT) + hashlib.sha256().digest_size
 _LARGEST_ENTRY_BYTES = 256 * 2**20
 _DEFAULT_LIMIT_MB = 512
+_LARGEST_LIMIT_MB = 10**9
+_LONGEST_WARNING = 400  # characters
 _STALE_S = 3600.0
 _ENTRY = re.compile(r"[0-9a-f]{32}\.kneexo")
 _TEMPORARY = re.compile(r"\.[0-9a-f]{32}\.kneexo\.[0-9a-f]{16}")
@@ -134,10 +136,10 @@ def size_limit() -> int:
         limit_mb = int(text)
     except ValueError:
         limit_mb = -1
-    if limit_mb < 0:
+    if not 0 <= limit_mb <= _LARGEST_LIMIT_MB:
         _warn_once(
-            f"KNEEXO_CACHE_SIZE_MB = {text!r}: must be a whole number, at least 0; "
-            f"the limit is {_DEFAULT_LIMIT_MB} MiB"
+            f"KNEEXO_CACHE_SIZE_MB = {text!r}: must be a whole number of MiB from 0 to "
+            f"{_LARGEST_LIMIT_MB}; the limit is {_DEFAULT_LIMIT_MB} MiB"
         )
         limit_mb = _DEFAULT_LIMIT_MB
     return limit_mb * 2**20
@@ -296,6 +298,9 @@ def _warn_replaced(reason: str) -> None:
 
 
 def _warn_once(message: str) -> None:
+    if len(message) > _LONGEST_WARNING:  # a value or a path of any length
+        half = _LONGEST_WARNING // 2 - 2
+        message = f"{message[:half]} … {message[-half:]}"
     if message not in _warnings_given:
         _warnings_given.add(message)
         warnings.warn(message, stacklevel=3)

@@ -3,7 +3,7 @@
 Values are SI, except where a field's name says otherwise (Table 1 and the knee references are
 in the paper's units). "Table n", "Eq. n" and "Section n" are those of Lee, Lee, Song and Baek,
 "Design and Control of a Polycentric Knee Exoskeleton Using an Electro-Hydraulic Actuator",
-Applied Sciences 2020. "Assumption" marks what the paper does not print, with the reason.
+Sensors 2020, 20(1), 211. "Assumption" marks what the paper does not print, with the reason.
 
 A range is what such hardware and such a task could ever have, with a decade to spare. A quantity
 that divides has a lower limit above zero for the same reason: no value within the ranges takes the
