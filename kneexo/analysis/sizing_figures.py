@@ -93,23 +93,10 @@ def _maps(sizing: Sizing) -> Figure:
         if np.isnan(values).all():
             axis.set(xlim=speed[[0, -1]], ylim=limit[[0, -1]], xscale="log", yscale="log")
             axis.text(0.5, 0.5, "every run fails", transform=axis.transAxes, ha="center")
-            continue
-        norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
-        heat_map(axis, speed, limit, values.T, norm=norm, label=label)
-        decimal_ticks(figure.axes[-1].yaxis)
-        for (row, column), value in np.ndenumerate(values):
-            text = "–" if math.isnan(value) else f"{value:.2g}"
-            dark = math.isnan(value) or norm(value) > 0.6
-            axis.text(
-                speed[column],
-                limit[row],
-                text,
-                ha="center",
-                va="center",
-                fontsize=7,
-                color="k" if dark else "w",
-            )
+        else:
+            _cells(axis, speed, limit, values, label)
         plain_ticks(axis.xaxis, [float(f"{v:.2g}") for v in speed])
+        plain_ticks(axis.yaxis, [float(f"{v:.2g}") for v in limit])
         axis.tick_params(axis="x", rotation=45)
     _regimes(axes[0], sizing)
     _walking_limits(axes[1], sizing)
@@ -118,6 +105,25 @@ def _maps(sizing: Sizing) -> Figure:
     title = f"(b) walking at {design.frequency_hz:.3g} Hz, sized controller"
     axes[1].set_title(title, loc="left", fontsize=10)
     return figure
+
+
+def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) -> None:
+    """Cells with their numbers; rows of ``values`` are acceleration limits, columns speeds."""
+    norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
+    heat_map(axis, speed, limit, values.T, norm=norm, label=label)
+    decimal_ticks(axis.collections[0].colorbar.ax.yaxis)
+    for (row, column), value in np.ndenumerate(values):
+        text = "–" if math.isnan(value) else f"{value:.2g}"
+        dark = math.isnan(value) or norm(value) > 0.6
+        axis.text(
+            speed[column],
+            limit[row],
+            text,
+            ha="center",
+            va="center",
+            fontsize=7,
+            color="k" if dark else "w",
+        )
 
 
 def _regimes(axis: Axes, sizing: Sizing) -> None:
