@@ -684,7 +684,7 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
         for column, merit in enumerate(local)
         for row, value in enumerate(LINEAR[merit])
     }
-    assert [t.get_text() for t in linear.get_xticklabels()] == ["rms error\n(deg)", "disk margin"]
+    assert [t.get_text() for t in linear.get_xticklabels()] == ["rms error", "disk margin"]
     assert len(ranks.get_xticklabels()) == len(MERITS)
 
 
@@ -698,8 +698,8 @@ def test_nyquist_draws_the_loops_of_the_samples(by_hand):
         expected = loop.loop_response(np.geomspace(0.02, 250.0, 2000))
         assert line.get_xdata() == pytest.approx(expected.real)
         assert line.get_ydata() == pytest.approx(expected.imag)
-    assert ax.get_title().startswith("3 samples, blue")
-    assert ax.get_title().endswith("\n1 of 16 plants are unstable (red)")
+    assert [line.get_label() for line in ax.lines[:2]] == ["L of 3 samples", "_child1"]
+    assert ax.get_title().endswith(" of 15 stable plants\n1 of 16 plants are unstable")
     # The disk is that of the stable plant with the least disk margin.
     least = linearize_loop(realize(UNCERTAIN_KNEE, SMALL, by_hand.corners[1].values), 40.0)
     assert ax.patches[0].get_label() == f"disk margin {least.margins().disk_margin:.3g}"
