@@ -231,7 +231,9 @@ def _tracking(sizing: Sizing) -> Figure:
     for sign in (-1, 1):
         lines = [
             axes[1].axhline(sign * bound, color="0.4", ls=":", lw=1, label=f"bound, ±{bound:g}°"),
-            axes[2].axhline(sign * limit, color="k", ls=":", lw=1, label=f"limit, ±{limit:.0f} rpm"),
+            axes[2].axhline(
+                sign * limit, color="k", ls=":", lw=1, label=f"limit, ±{limit:.0f} rpm"
+            ),
         ]
     axes[0].set(ylabel="knee flexion (deg)", title=f"walking at {frequency:.3g} Hz")
     handles = [*axes[0].get_legend_handles_labels()[0], *lines]  # below: each would hide a curve

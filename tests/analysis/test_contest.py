@@ -411,7 +411,8 @@ def test_a_resumed_contest_goes_on_and_gives_the_same(small):
     assert len(lines) == len(checkpoint) == 42
 
     cut = checkpoint.path.with_name("cut.jsonl")
-    cut.write_bytes(header + b"".join(lines[:9]))  # interrupted in the second generation
+    # Interrupted in the second generation of the second search.
+    cut.write_bytes(header + b"".join(lines[:19]))
     resumed = contest(BASE, MASS, SMALL, checkpoint=Checkpoint(cut))
     assert to_json(resumed.results()) == to_json(done.results())
     assert resumed.report() == done.report()

@@ -718,7 +718,7 @@ REAL = changed(
 
 @pytest.fixture(scope="module")
 def real():
-    budget = FEW.model_copy(update={"samples": 6, "corners_max": 4, "sensitivity_duration_s": 0.1})
+    budget = FEW.model_copy(update={"samples": 4, "corners_max": 4, "sensitivity_duration_s": 0.1})
     wide = uncertain(
         plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
         plant__pump__lag_s={"low": 0.0099, "high": 0.0101, "scale": "log"},
@@ -750,7 +750,7 @@ def test_every_figure_can_be_drawn(real):
     assert key[:2] == ["more of the value is worse", "more of the value is better"]
     marks = [text.get_text() for text in drawn["robustness_tornado"].legends[0].get_texts()]
     assert marks == ["low end", "high end", "nominal"]
-    assert "None of the 6 samples fails or is unstable." in real.report()
+    assert "None of the 4 samples fails or is unstable." in real.report()
 
 
 def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
