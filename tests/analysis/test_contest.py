@@ -312,9 +312,8 @@ def test_figures_have_labels_and_name_everybody():
         assert all(ax.get_xlabel() and ax.get_ylabel() for ax in figure.axes)
         plt.close(figure)
     legend = [text.get_text() for text in figures["contest"].legends[0].get_texts()]
-    assert legend == ["SMC", "PID", "SMC, default"]
-    marks = [text.get_text() for text in figures["contest"].axes[2].get_legend().get_texts()]
-    assert marks[:2] == ["tuned here", "not tuned here"]
+    assert legend[:3] == ["SMC", "PID", "SMC, default"]
+    assert legend[3:5] == ["(c) tuned here", "(c) not tuned here"]
 
 
 def test_a_contest_whose_every_run_failed_is_drawn():
