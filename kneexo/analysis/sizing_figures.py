@@ -111,7 +111,6 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
     """Cells with their numbers; rows of ``values`` are acceleration limits, columns speeds."""
     norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
     heat_map(axis, speed, limit, values.T, norm=norm, label=label)
-    decimal_ticks(axis.collections[0].colorbar.ax.yaxis)
     for (row, column), value in np.ndenumerate(values):
         text = "–" if math.isnan(value) else f"{value:.2g}"
         dark = math.isnan(value) or norm(value) > 0.6
