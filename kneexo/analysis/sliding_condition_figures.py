@@ -84,7 +84,7 @@ def error_bound(study: SlidingStudy) -> Figure:
 
 def boundary_layer(study: SlidingStudy) -> Figure:
     """The largest |s|/Φ along the reference over η; marks on top left the range of motion."""
-    figure, ax = plt.subplots(figsize=(6, 4.5), layout="constrained")
+    figure, ax = plt.subplots(figsize=(6.5, 5.0), layout="constrained")
     for style, load in zip(("-", "--", ":", "-."), study.settings.loads_n, strict=False):
         for index, (name, label) in enumerate(LAWS.items()):
             cases = study.of("motion", plant="full", law=name, load_n=load)
@@ -105,5 +105,5 @@ def boundary_layer(study: SlidingStudy) -> Figure:
         text = f" needed for {name}"
         ax.text(value, 0.56, text, rotation=90, transform=ax.get_xaxis_transform())
     ax.set(xlabel="η (m/s³)", ylabel="largest |s|/Φ along the reference")
-    ax.legend(fontsize=8)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8)
     return figure
