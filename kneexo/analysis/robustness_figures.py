@@ -61,12 +61,12 @@ def _plot_distribution(ax: Axes, r: Robustness, merit: str) -> None:
     nominal = signed([r.nominal], merit)[0]
     corner = signed([worst(r.corners, merit)], merit)[0]
     ax.step(values[finite], share[finite], where="post", color="C0", label="samples")
-    for value, style in (
-        (nominal, {"color": "0.4", "ls": "--", "lw": 1.0, "label": "nominal"}),
-        (corner, {"color": "C3", "ls": ":", "lw": 1.5, "label": "worst corner"}),
+    for value, colour, ls, lw, label in (
+        (nominal, "0.4", "--", 1.0, "nominal"),
+        (corner, "C3", ":", 1.5, "worst corner"),
     ):
         if np.isfinite(value):  # a line of points, which the axis keeps clear of its edge
-            ax.plot([value, value], [0.0, 1.02], **style)
+            ax.plot([value, value], [0.0, 1.02], color=colour, ls=ls, lw=lw, label=label)
     shown_values = np.append(values[finite], [v for v in (nominal, corner) if np.isfinite(v)])
     if shown_values.size and 0.0 < 20.0 * shown_values.min() < shown_values.max():
         ax.set_xscale("log")

@@ -115,8 +115,8 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
         text = "–" if math.isnan(value) else f"{value:.2g}"
         dark = math.isnan(value) or norm(value) > 0.6
         axis.text(
-            speed[column],
-            limit[row],
+            float(speed[column]),
+            float(limit[row]),
             text,
             ha="center",
             va="center",
