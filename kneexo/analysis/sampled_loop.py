@@ -381,7 +381,7 @@ class SampledLoop(Result):
         ax.plot(loop.real, loop.imag, "C0", lw=1.2, label="L, f > 0")
         ax.plot(loop.real, -loop.imag, "C0:", lw=0.8, label="L, f < 0")
         circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
-        ax.plot(circle.real, circle.imag, color="0.6", lw=0.8, label="|L| = 1")
+        ax.plot(circle.real, circle.imag, color="0.3", lw=0.8, label="|L| = 1")
         ax.plot([-1.0], [0.0], "C3+", ms=9, mew=1.5, label="−1")
         if disk_margin is None:
             disk_margin = self.margins().disk_margin if self.stable else math.nan

@@ -34,8 +34,7 @@ def outcome(done: ContestStudy) -> Figure:
         ylabel="share of the test plants",
         title=f"(b) {other.amplitude_deg:g}° at {other.frequency_hz:g} Hz",
     )
-    axes[2].axhline(done.settings.least_disk_margin, color="0.4", ls=":", lw=1)
-    axes[2].set(ylabel="disk margin", title="(c) margin; dotted: least of the tuning")
+    axes[2].set(ylabel="disk margin", title="(c) margins at (a), of the stable loops")
     for ax in axes:
         if not np.isfinite(ax.dataLim.minposx):  # every run failed
             ax.set_xlim(0.1, 10.0)
@@ -43,10 +42,12 @@ def outcome(done: ContestStudy) -> Figure:
         decimal_ticks(ax.xaxis)
         ax.grid(alpha=0.3)
     for marker, label in (("o", "tuned here"), ("x", "not tuned here")):
-        axes[2].plot([], [], marker, color="0.3", ms=3.5, mew=0.8, ls="none", label=label)
-    axes[2].legend(fontsize=8)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
+        axes[2].plot([], [], marker, color="0.3", ms=3.5, mew=0.8, ls="none", label=f"(c) {label}")
+    least = done.settings.least_disk_margin
+    label = f"(c) least in the tuning, {least:g}"
+    axes[2].axhline(least, color="0.4", ls=":", lw=1, label=label)
+    handles = [line for ax in (axes[0], axes[2]) for line in ax.get_legend_handles_labels()[0]]
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8)
     return figure
 
 
@@ -71,7 +72,8 @@ def search(done: ContestStudy) -> Figure:
             label=tuning.contestant + ("" if tuning.converged else " (not converged)"),
         )
     ax.set(xlabel="evaluations", ylabel="mean of the largest errors (deg)")
-    ax.grid(alpha=0.3, which="both")
+    decimal_ticks(ax.yaxis)
+    ax.grid(alpha=0.3)
     ax.legend(fontsize=8)
     return figure
 

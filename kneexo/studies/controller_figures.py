@@ -32,7 +32,7 @@ def _map(
     """Heat map of ``values`` (x, y), the unstable loops crossed; a star at the ``default``."""
     heat_map(ax, x, y, values, **style)
     column, row = np.nonzero(stable == 0.0)
-    ax.plot(np.asarray(x)[column], np.asarray(y)[row], "x", color="w", ms=4, mew=1.2)
+    ax.plot(np.asarray(x)[column], np.asarray(y)[row], "x", color="C3", ms=5, mew=1.4)
     ax.plot(*default, zorder=3, **_STAR)
     plain_ticks(ax.xaxis, x[::2])
 

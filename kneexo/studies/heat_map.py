@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 from numpy.typing import ArrayLike
 
@@ -69,5 +70,7 @@ def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, 
     finite = values[np.isfinite(values)]
     below, above = bool(np.any(finite < norm.vmin)), bool(np.any(finite > norm.vmax))
     extend = ("neither", "max", "min", "both")[2 * below + above]
-    ax.figure.colorbar(mesh, ax=ax, extend=extend)
+    bar = ax.figure.colorbar(mesh, ax=ax, extend=extend)
+    if isinstance(norm, LogNorm):
+        decimal_ticks(bar.ax.yaxis)
     ax.set_title(label, fontsize=9, loc="right")

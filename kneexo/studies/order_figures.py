@@ -11,9 +11,11 @@ from kneexo.studies.order import OrderStudy, switching_force_n
 _COLORS = {"reduced": "C0", "full": "C3"}
 _PRESSURES = {
     "load_pressure": ("P_L, reduced", "C0"),
-    "cap": ("P_1", "C1"),
-    "rod_side": ("P_2", "C2"),
+    "cap": ("P_1, full", "C1"),
+    "rod_side": ("P_2, full", "C2"),
 }
+_STYLES = (("-", 5.0, 0.3), ("--", 2.2, 0.6), (":", 1.6, 1.0), ("-.", 0.8, 1.0))
+"""Line, width and opacity for each load."""
 
 
 def tracking(done: OrderStudy) -> Figure:
@@ -63,19 +65,25 @@ def switching(done: OrderStudy) -> Figure:
 
 
 def frequency(done: OrderStudy) -> Figure:
-    """Response of the plant from command to rod velocity, at the middle posture."""
+    """Response of the plant from command to rod velocity, at the middle posture.
+
+    The lines become narrower from load to load, so that those which coincide are all seen.
+    """
     figure, ax = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
     postures = done.settings.postures_deg
     posture = postures[len(postures) // 2]
-    styles = dict(zip(done.settings.disturbances_n, ("-", "--", ":", "-."), strict=False))
+    styles = dict(zip(done.settings.disturbances_n, _STYLES, strict=False))
     for row in done.frequency:
         if row["posture_deg"] == posture and "trace" in row:
             order, force, trace = row["order"], row["disturbance_n"], row["trace"]
+            ls, lw, alpha = styles.get(force, _STYLES[0])
             ax.loglog(
                 trace["frequencies_hz"],
                 1e3 * np.array(trace["plant_gain_m"]),
-                _COLORS[order] + styles.get(force, "-"),
-                lw=1.2,
+                color=_COLORS[order],
+                ls=ls,
+                lw=lw,
+                alpha=alpha,
                 label=f"{order}, {force:g} N",
             )
     nyquist = 0.5 / done.scenario.controller.sample_time_s

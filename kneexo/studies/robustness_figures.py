@@ -61,10 +61,12 @@ def _plot_distribution(ax: Axes, r: RobustnessStudy, merit: str) -> None:
     nominal = signed([r.nominal], merit)[0]
     corner = signed([worst(r.corners, merit)], merit)[0]
     ax.step(values[finite], share[finite], where="post", color="C0", label="samples")
-    if np.isfinite(nominal):
-        ax.axvline(nominal, color="0.4", ls="--", lw=1, label="nominal")
-    if np.isfinite(corner):
-        ax.axvline(corner, color="C3", ls=":", lw=1.5, label="worst corner")
+    for value, colour, ls, lw, label in (
+        (nominal, "0.4", "--", 1.0, "nominal"),
+        (corner, "C3", ":", 1.5, "worst corner"),
+    ):
+        if np.isfinite(value):  # a line of points, which the axis keeps clear of its edge
+            ax.plot([value, value], [0.0, 1.02], color=colour, ls=ls, lw=lw, label=label)
     shown_values = np.append(values[finite], [v for v in (nominal, corner) if np.isfinite(v)])
     if shown_values.size and 0.0 < 20.0 * shown_values.min() < shown_values.max():
         ax.set_xscale("log")
@@ -164,12 +166,18 @@ def importance(r: RobustnessStudy) -> Figure:
     return figure
 
 
+def _cell(value: float) -> str:
+    """A number of a table, without the sign of a rounded zero."""
+    return f"{value:.0f}" if abs(value) >= 10.0 else f"{round(value, 2) + 0.0:.2f}"
+
+
 def _plot_table(
     ax: Axes, values: Any, merits: list[str], labels: list[str], unsigned: Any, limit: float = 1.0
 ) -> None:
     """Numbers in coloured cells: red where more of the value is worse, blue where it is better.
 
-    Rows that are ``unsigned`` are grey.
+    Rows that are ``unsigned`` are grey. The columns are ``merits`` without their units, which the
+    numbers do not have.
     """
     signs = np.array([MERITS[merit].worse for merit in merits])
     rows = np.broadcast_to(unsigned[:, None], values.shape)
@@ -189,7 +197,7 @@ def _plot_table(
             ax.text(
                 column,
                 row,
-                f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2f}",
+                _cell(value),
                 ha="center",
                 va="center",
                 fontsize=7,
@@ -197,7 +205,7 @@ def _plot_table(
             )
     ax.set_xticks(
         range(len(merits)),
-        [MERITS[merit].label.replace(" (", "\n(") for merit in merits],
+        [MERITS[merit].label.split(" (")[0] for merit in merits],
         fontsize=7,
         rotation=35,
         ha="right",
@@ -213,20 +221,23 @@ def nyquist(r: RobustnessStudy) -> Figure:
     stable = [visit for visit in visits if visit.figures["stable"]]
     loops = [_loop(r, visit) for visit in r.samples[: r.settings.nyquist_loops]]
     drawn = [loop for loop in loops if loop is not None]
+    lost = sum(not loop.stable for loop in drawn)
+    labels = {True: f"L of {len(drawn) - lost} samples", False: f"L of {lost} unstable samples"}
     for loop in drawn:
         f = np.geomspace(0.02, 0.5 / loop.sample_time_s, 2000)
         response = loop.loop_response(f)
         colour = "0.6" if loop.stable else "C3"
-        ax.plot(response.real, response.imag, color=colour, lw=0.5, alpha=0.6)
+        label = labels.pop(loop.stable, None)  # once each
+        ax.plot(response.real, response.imag, color=colour, lw=0.5, alpha=0.6, label=label)
     unstable = sum(visit.figures["stable"] is False for visit in visits)
-    title = f"{len(drawn)} samples"
+    title = ""
     if stable:
         nearest = _loop(r, worst(stable, "disk_margin"))
         if nearest is not None:
             nearest.plot_nyquist(ax)
-            title += ", blue: the smallest disk margin of all stable plants"
+            title = f"blue: the smallest disk margin of {len(stable)} stable plants"
     if unstable:
-        title += f"\n{unstable} of {len(visits)} plants are unstable (red)"
+        title += f"\n{unstable} of {len(visits)} plants are unstable"
     ax.set_title(title, fontsize=9)
     return figure
 

@@ -20,6 +20,7 @@ from kneexo.analysis.hardware import (
     DISPLACEMENT,
     HARDWARE,
     ONE_PERCENT_RATIO,
+    SPEED_LIMIT,
 )
 from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
@@ -61,23 +62,22 @@ def _sweeps(sizing: SizeStudy) -> Figure:
         decimal_ticks(axis.yaxis)
         axis.grid(alpha=0.3)
     for path, style, label in (
-        (DISPLACEMENT, "k--", "bound: speed, displacement, gear"),
+        (SPEED_LIMIT, "k-.", "bound: motor speed limit"),
+        (DISPLACEMENT, "k--", "bound: pump displacement"),
         (ACCELERATION_LIMIT, "k:", "bound: acceleration limit"),
     ):
         bound = [one["expected_bandwidth_hz"] for one in sizing.sweeps[path]]
         axes[0].plot(settings.factors, bound, style, lw=1.2, label=label)
-    bound_label = f"bound of the paper, {settings.error_bound_deg:g}°"
+    bound_label = f"(c) bound of the paper, {settings.error_bound_deg:g}°"
     axes[2].axhline(settings.error_bound_deg, color="0.4", ls="--", lw=1, label=bound_label)
-    axes[2].legend(handles=axes[2].get_lines()[-1:], loc="lower left", fontsize=8)
     reference, frequency = require_sine(sizing.scenario), sizing.designs[0].frequency_hz
     low, high = reference.range_deg
     axes[0].set_title(f"(a) {low:g}…{high:g}°, hardware as it is")
     axes[1].set_title(f"(b) {low:g}…{high:g}° at {reference.frequency_hz:g} Hz, hardware as it is")
     axes[2].set_title(f"(c) walking at {frequency:.3g} Hz, sized hardware")
-    axes[2].text(
-        *(0.5, 0.97), "no marker: the run fails", transform=axes[2].transAxes, ha="center", va="top"
-    )
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.suptitle("no marker: the run fails", fontsize=10)
+    handles = [*axes[0].get_legend_handles_labels()[0], axes[2].get_lines()[-1]]
+    figure.legend(handles=handles, loc="outside lower center", ncols=5)
     return figure
 
 
@@ -95,23 +95,10 @@ def _maps(sizing: SizeStudy) -> Figure:
         if np.isnan(values).all():
             axis.set(xlim=speed[[0, -1]], ylim=limit[[0, -1]], xscale="log", yscale="log")
             axis.text(0.5, 0.5, "every run fails", transform=axis.transAxes, ha="center")
-            continue
-        norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
-        heat_map(axis, speed, limit, values.T, norm=norm, label=label)
-        decimal_ticks(figure.axes[-1].yaxis)
-        for (row, column), value in np.ndenumerate(values):
-            text = "–" if math.isnan(value) else f"{value:.2g}"
-            dark = math.isnan(value) or norm(value) > 0.6
-            axis.text(
-                speed[column],
-                limit[row],
-                text,
-                ha="center",
-                va="center",
-                fontsize=7,
-                color="k" if dark else "w",
-            )
+        else:
+            _cells(axis, speed, limit, values, label)
         plain_ticks(axis.xaxis, [float(f"{v:.2g}") for v in speed])
+        plain_ticks(axis.yaxis, [float(f"{v:.3g}") for v in limit])
         axis.tick_params(axis="x", rotation=45)
     _regimes(axes[0], sizing)
     _walking_limits(axes[1], sizing)
@@ -122,6 +109,24 @@ def _maps(sizing: SizeStudy) -> Figure:
     return figure
 
 
+def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) -> None:
+    """Cells with their numbers; rows of ``values`` are acceleration limits, columns speeds."""
+    norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
+    heat_map(axis, speed, limit, values.T, norm=norm, label=label)
+    for (row, column), value in np.ndenumerate(values):
+        text = "–" if math.isnan(value) else f"{value:.2g}"
+        dark = math.isnan(value) or norm(value) > 0.6
+        axis.text(
+            float(speed[column]),
+            float(limit[row]),
+            text,
+            ha="center",
+            va="center",
+            fontsize=7,
+            color="k" if dark else "w",
+        )
+
+
 def _regimes(axis: Axes, sizing: SizeStudy) -> None:
     """Where the acceleration limit begins to count, and below which it alone does."""
     bounds = axis.get_xlim(), axis.get_ylim()
@@ -130,9 +135,13 @@ def _regimes(axis: Axes, sizing: SizeStudy) -> None:
         sizing.scenario.plant.pump.speed_limit_rad_s,
         rod_amplitude_m(sizing.scenario),
     )
-    for ratio, style in ((ONE_PERCENT_RATIO, "--"), (ACCELERATION_ALONE_RATIO, ":")):
+    for ratio, style, below in (
+        (ONE_PERCENT_RATIO, "--", "the acceleration limit counts"),
+        (ACCELERATION_ALONE_RATIO, ":", "it alone counts"),
+    ):
         limit = ratio * motor * 1e-3 * speed / amplitude
-        axis.plot(speed, limit, "C3" + style, lw=1.6, label=f"A = {ratio:.2g} R²/a")
+        label = f"A = {ratio:.2g} R²/a; below, {below}"
+        axis.plot(speed, limit, "C3" + style, lw=1.6, label=label)
     axis.set(xlim=bounds[0], ylim=bounds[1])
     _legend_below(axis)
 
@@ -153,7 +162,7 @@ def _walking_limits(axis: Axes, sizing: SizeStudy) -> None:
 
 
 def _legend_below(axis: Axes) -> None:
-    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, fontsize=9)
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=9)
 
 
 def _gains(sizing: SizeStudy) -> Figure:
@@ -222,13 +231,14 @@ def _tracking(sizing: SizeStudy) -> Figure:
     bound = sizing.settings.error_bound_deg
     for sign in (-1, 1):
         lines = [
-            axes[1].axhline(sign * bound, color="0.4", ls=":", lw=1, label=f"±{bound:g}°"),
-            axes[2].axhline(sign * limit, color="0.4", ls=":", lw=1, label=f"±{limit:.0f} rpm"),
+            axes[1].axhline(sign * bound, color="0.4", ls=":", lw=1, label=f"bound, ±{bound:g}°"),
+            axes[2].axhline(
+                sign * limit, color="k", ls=":", lw=1, label=f"limit, ±{limit:.0f} rpm"
+            ),
         ]
-    for axis, line in zip(axes[1:], lines, strict=True):
-        axis.legend(handles=[line], loc="lower right", fontsize=8)
-    axes[0].set(ylabel="knee flexion (deg)", title=f"walking at {frequency:.3g} Hz", ylim=(-2, 82))
-    axes[0].legend(loc="upper left", ncols=2)
+    axes[0].set(ylabel="knee flexion (deg)", title=f"walking at {frequency:.3g} Hz")
+    handles = [*axes[0].get_legend_handles_labels()[0], *lines]  # below: each would hide a curve
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
     axes[1].set_ylabel("error (deg)\nlogarithmic beyond ±2")
     axes[1].set_yscale("symlog", linthresh=2.0, linscale=1.5)
     axes[1].set_yticks([-50, -10, -2, 0, 2, 10, 50], ["−50", "−10", "−2", "0", "2", "10", "50"])
@@ -254,11 +264,12 @@ def _demand(sizing: SizeStudy) -> Figure:
     needed = [("C0", "needed, moving mass of Eq. 16", sizing.demands[0])]
     needed += [("C1", "needed, inertia of the shank", one) for one in sizing.segment_demands[:1]]
     for color, label, demand in needed:
+        lw = 3.0 if color == "C0" else 1.3  # speed and flow of both coincide
         x = demand.cycle_percent
-        axes[0, 0].plot(x, 1e3 * demand.rod_speed_m_s, color, lw=1.3)
-        axes[0, 1].plot(x, 6e4 * demand.load_flow_m3_s, color, lw=1.3)
-        axes[1, 0].plot(x, 1e-6 * demand.load_pressure_pa, color, lw=1.3, label=label)
-        axes[1, 1].plot(x, demand.shaft_power_w, color, lw=1.3)
+        axes[0, 0].plot(x, 1e3 * demand.rod_speed_m_s, color, lw=lw)
+        axes[0, 1].plot(x, 6e4 * demand.load_flow_m3_s, color, lw=lw)
+        axes[1, 0].plot(x, 1e-6 * demand.load_pressure_pa, color, lw=lw, label=label)
+        axes[1, 1].plot(x, demand.shaft_power_w, color, lw=lw)
     if sizing.traces["sized"]:
         _closed_loop_demand(axes, sizing)
     axes[0, 0].set(ylabel="rod speed (mm/s)", xlim=(0, 100), title="(a)")

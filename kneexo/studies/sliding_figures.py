@@ -53,7 +53,10 @@ def condition(study: SlidingStudy) -> Figure:
 
 
 def error_bound(study: SlidingStudy) -> Figure:
-    """The error over time beside its bound, one axis for each load; a cross ends a failed run."""
+    """The error over time beside its bound, one axis for each load; a cross ends a failed run.
+
+    One legend stands below both: inside, it would hide where an error changes its sign.
+    """
     loads, law = study.settings.loads_n, study.law
     figure, ax = plt.subplots(
         1, len(loads), figsize=(4.5 * len(loads), 4), layout="constrained", squeeze=False
@@ -65,18 +68,23 @@ def error_bound(study: SlidingStudy) -> Figure:
             error = 1e3 * np.abs(np.array(trace["error_m"]))
             axis.semilogy(trace["time_s"], error, color, lw=1.2, label=LAWS[case.law])
             if case.found["failure"]:
-                end = {"ms": 8, "label": "leaves the range of motion"}
-                axis.plot(trace["time_s"][-1], error[-1], f"{color}x", **end)
+                label = f"{LAWS[case.law]}: leaves the range of motion"
+                axis.plot(trace["time_s"][-1], error[-1], f"{color}x", ms=8, label=label)
         axis.axhline(bound, color="k", ls="--", lw=1, label=f"Φ/λ² = {bound:g} mm")
         axis.set(xlabel="time (s)", ylabel="|e| (mm)", title=f"{load:g} N, η = {eta:g} m/s³")
         axis.set_ylim(bottom=1e-3)
-        axis.legend(loc="lower right")
+    entries = {
+        label: handle
+        for axis in ax[0]
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3)
     return figure
 
 
 def boundary_layer(study: SlidingStudy) -> Figure:
-    """The largest |s|/Φ along the reference over η; crosses on top left the range of motion."""
-    figure, ax = plt.subplots(figsize=(6, 4.5), layout="constrained")
+    """The largest |s|/Φ along the reference over η; marks on top left the range of motion."""
+    figure, ax = plt.subplots(figsize=(6.5, 5.0), layout="constrained")
     for style, load in zip(("-", "--", ":", "-."), study.settings.loads_n, strict=False):
         for index, (name, label) in enumerate(LAWS.items()):
             cases = study.of("motion", plant="full", law=name, load_n=load)
@@ -89,15 +97,15 @@ def boundary_layer(study: SlidingStudy) -> Figure:
             )
             off = [case.eta_m_s3 for case in cases if case.found["failure"]]
             text = f"{label}, {load:g} N: left the range" if off else None
-            size = 8 if load < 0.0 else 5
-            ax.plot(off, [_OFF] * len(off), f"C{index}x", ms=size, label=text)
-    ax.axhline(1.0, color="k", lw=1)
+            marker = "x" if load < 0.0 else "+"
+            ax.plot(off, [_OFF] * len(off), f"C{index}{marker}", ms=9, label=text)
+    ax.axhline(1.0, color="k", lw=1, label="edge of the layer")
     for value, name in ((study.needed.speed, "speed"), (study.needed.stability, "stability")):
         ax.axvline(value, color="0.5", ls=":", lw=1)
         text = f" needed for {name}"
         ax.text(value, 0.56, text, rotation=90, transform=ax.get_xaxis_transform())
     ax.set(xlabel="η (m/s³)", ylabel="largest |s|/Φ along the reference")
-    ax.legend(fontsize=8)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8)
     return figure
 
 

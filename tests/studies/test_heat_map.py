@@ -30,6 +30,9 @@ def test_cells_show_values_x_by_y_and_mask_what_is_not_finite():
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
     assert ax.get_title(loc="right") == "e (deg)"
     assert mesh.colorbar.extend == "max"
+    ticks = zip(mesh.colorbar.ax.get_yticks(), mesh.colorbar.ax.get_yticklabels(), strict=True)
+    shown = [text.get_text() for tick, text in ticks if 1.0 <= tick <= 10.0]
+    assert shown == ["1", "2", "5", "10"]
     plt.close(figure)
 
 

@@ -410,7 +410,7 @@ def test_every_line_of_the_figures_is_that_of_its_row(by_hand, curves):
     drawn = figures(by_hand)
     assert set(drawn) == {"order_tracking", "order_switching", "order_frequency"}
     panels = np.reshape(drawn["order_tracking"].axes, (2, 2))
-    pressures = {"P_L, reduced": "load_pressure", "P_1": "cap", "P_2": "rod_side"}
+    pressures = {"P_L, reduced": "load_pressure", "P_1, full": "cap", "P_2, full": "rod_side"}
     for (error, pressure), load in zip(panels, (0.0, 60.0), strict=True):
         assert f" {load:g} N" in error.get_title()
         lines, shown = curves(error), curves(pressure)

@@ -689,7 +689,7 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
         for column, merit in enumerate(local)
         for row, value in enumerate(LINEAR[merit])
     }
-    assert [t.get_text() for t in linear.get_xticklabels()] == ["rms error\n(deg)", "disk margin"]
+    assert [t.get_text() for t in linear.get_xticklabels()] == ["rms error", "disk margin"]
     assert len(ranks.get_xticklabels()) == len(MERITS)
 
 
@@ -703,11 +703,19 @@ def test_nyquist_draws_the_loops_of_the_samples(by_hand):
         expected = loop.loop_response(np.geomspace(0.02, 250.0, 2000))
         assert line.get_xdata() == pytest.approx(expected.real)
         assert line.get_ydata() == pytest.approx(expected.imag)
-    assert ax.get_title().startswith("3 samples, blue")
-    assert ax.get_title().endswith("\n1 of 16 plants are unstable (red)")
+    assert [line.get_label() for line in ax.lines[:2]] == ["L of 3 samples", "_child1"]
+    assert ax.get_title().endswith(" of 15 stable plants\n1 of 16 plants are unstable")
     # The disk is that of the stable plant with the least disk margin.
     least = linearize_loop(realize(UNCERTAIN_KNEE, SMALL, by_hand.corners[1].values), 40.0)
     assert ax.patches[0].get_label() == f"disk margin {least.margins().disk_margin:.3g}"
+
+
+def test_nyquist_names_unstable_loops_in_their_own_colour(by_hand):
+    lost = changed(UNCERTAIN_KNEE, {"controller.lambda_per_s": 200.0})
+    assert not linearize_loop(lost, 40.0).stable
+    (ax,) = dataclasses.replace(by_hand, scenario=lost).figures()["robustness_nyquist"].axes
+    assert [line.get_color() for line in ax.lines[:3]] == ["C3"] * 3
+    assert ax.lines[0].get_label() == "L of 3 unstable samples"
 
 
 # ------------------------------------------------------------------------------- with the loop
@@ -723,7 +731,7 @@ REAL = changed(
 
 @pytest.fixture(scope="module")
 def real():
-    budget = FEW.model_copy(update={"samples": 6, "corners_max": 4, "sensitivity_duration_s": 0.1})
+    budget = FEW.model_copy(update={"samples": 4, "corners_max": 4, "sensitivity_duration_s": 0.1})
     wide = uncertain(
         plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
         plant__pump__lag_s={"low": 0.0099, "high": 0.0101, "scale": "log"},
@@ -755,7 +763,7 @@ def test_every_figure_can_be_drawn(real):
     assert key[:2] == ["more of the value is worse", "more of the value is better"]
     marks = [text.get_text() for text in drawn["robustness_tornado"].legends[0].get_texts()]
     assert marks == ["low end", "high end", "nominal"]
-    assert "None of the 6 samples fails or is unstable." in report(real)
+    assert "None of the 4 samples fails or is unstable." in report(real)
 
 
 def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):

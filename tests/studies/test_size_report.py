@@ -12,6 +12,7 @@ from kneexo.analysis.hardware import (
     ACCELERATION_LIMIT,
     DISPLACEMENT,
     HARDWARE,
+    SPEED_LIMIT,
     scaled,
     tuned,
 )
@@ -454,7 +455,11 @@ def test_sweeps_show_every_row(sized, drawn, curves):
             assert x == pytest.approx(factors)
             assert y == pytest.approx([one[name] for one in sweep], nan_ok=True)
     bounds = curves(axes[0])
-    for path, label in ((DISPLACEMENT, "displacement"), (ACCELERATION_LIMIT, "acceleration")):
+    for path, label in (
+        (SPEED_LIMIT, "motor speed"),
+        (DISPLACEMENT, "displacement"),
+        (ACCELERATION_LIMIT, "acceleration"),
+    ):
         (shown,) = (v for k, v in bounds.items() if k.startswith("bound") and label in k)
         expected = [one["expected_bandwidth_hz"] for one in sized.sweeps[path]]
         assert shown[1] == pytest.approx(expected)
@@ -474,6 +479,10 @@ def test_maps_have_the_flow_across_and_the_acceleration_limit_up(sized, drawn, c
     ):
         speed = SPEED_MM_S * flow * np.array(factors)
         check_heat_map(ax, speed, limit * acceleration * np.array(factors), values.T)
+        limits = limit * acceleration * np.array(factors)
+        for ticks, of in ((ax.get_xticklabels(), speed), (ax.get_yticklabels(), limits)):
+            numbers = [float(tick.get_text()) for tick in ticks]
+            assert all(min(abs(of / number - 1.0)) < 0.05 for number in numbers)
         # Rows of the map are limits, columns flows; so are the numbers written on it.
         written = {t.get_position(): t.get_text() for t in ax.texts}
         for (row, column), value in np.ndenumerate(values):
@@ -532,6 +541,12 @@ def test_tracking_shows_the_last_stride(sized, drawn, curves):
     assert flat == pytest.approx([-5000.0, 5000.0])
     flat = sorted(line.get_ydata()[0] for line in error.lines if np.size(line.get_xdata()) == 2)
     assert flat == pytest.approx([-2.0, 2.0])
+    key = [text.get_text() for text in drawn["walking_tracking"].legends[0].get_texts()]
+    assert [text for text in key if "±2°" in text or "±5000 rpm" in text] == key[-2:]
+    assert "logarithmic beyond ±2" in error.get_ylabel()
+    assert error.yaxis.get_transform().linthresh == 2.0
+    ticks = zip(error.get_yticks(), error.get_yticklabels(), strict=True)
+    assert all(float(t.get_text().replace("−", "-")) == at for at, t in ticks)
 
 
 def test_demand_is_drawn_in_its_units(sized, drawn):

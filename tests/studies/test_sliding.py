@@ -449,8 +449,9 @@ def test_every_line_of_the_figures_is_that_of_its_case(by_hand, curves):
             own = by_hand.of("motion", plant="full", law=law, load_n=load)
             expected = [math.nan if c.found["failure"] else c.found["largest_s"] for c in own]
             assert y == pytest.approx(expected, nan_ok=True)
-    lost = [line for line in ax.lines if line.get_marker() == "x" and len(line.get_xdata())]
-    assert [list(line.get_xdata()) for line in lost] == [[1e4]]
+    lost = {label: list(x) for label, (x, _) in lines.items() if "left" in label}
+    assert lost == {f"{LAWS['paper']}, 60 N: left the range": [1e4]}
+    assert lines["edge of the layer"][1] == pytest.approx(1.0)
     needed = [line.get_xdata()[0] for line in ax.lines if line.get_color() == "0.5"]
     assert needed == [3.3e4, 8.1e4]
     assert {text.get_text().split()[-1]: text.get_position()[0] for text in ax.texts} == {
