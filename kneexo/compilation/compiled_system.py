@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
 
-from kneexo.compilation.model import CompiledModel
 from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, Runner, State
 from kneexo.compilation.time_loop import OK
+
+if TYPE_CHECKING:
+    from kneexo.compilation.model import CompiledModel
 
 
 class CompiledSystem(LeafSystem):

@@ -138,9 +138,9 @@ def _require_this_version(client: Any, address: str) -> None:
     """Refuse workers that would compute something else, and a cluster without any."""
 
     def version() -> str:  # travels as code, because a worker may have no kneexo
-        import kneexo
+        from kneexo.version import __version__
 
-        return kneexo.__version__
+        return __version__
 
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)

@@ -713,7 +713,7 @@ def test_nyquist_draws_the_loops_of_the_samples(by_hand):
 def test_nyquist_names_unstable_loops_in_their_own_colour(by_hand):
     lost = changed(UNCERTAIN_KNEE, {"controller.lambda_per_s": 200.0})
     assert not linearize_loop(lost, 40.0).stable
-    (ax,) = dataclasses.replace(by_hand, scenario=lost).figures()["robustness_nyquist"].axes
+    (ax,) = figures(dataclasses.replace(by_hand, scenario=lost))["robustness_nyquist"].axes
     assert [line.get_color() for line in ax.lines[:3]] == ["C3"] * 3
     assert ax.lines[0].get_label() == "L of 3 unstable samples"
 
