@@ -22,7 +22,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
-from kneexo.analysis.loop_equilibrium import find_rest, held_and_live
+from kneexo.analysis.loop_equilibrium import command_and_live, find_rest
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
@@ -31,6 +31,7 @@ from kneexo.simulation.run import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pydrake.systems.framework import Diagram
 
 _BESIDE_REST = 1e-12
 _BESIDE_REST_RAD_S3 = 1e-3
@@ -450,17 +451,21 @@ def linearize_loop(
     knee_angle_deg: float = MID_RANGE_DEG,
     *,
     output: str = "knee_angle",
+    diagram: Diagram | None = None,
 ) -> SampledLoop:
     """Linearize the sampled-data loop of a scenario where it rests at a constant reference.
 
     Its reference and initial offset are replaced, its quantizer is bypassed. ``output``: the
-    port of the plant whose response is asked for.
+    port of the plant whose response is asked for. ``diagram``: a closed loop of the user's own in
+    place of the scenario's, without a quantizer, with the ports of `make_closed_loop` and an input
+    ``knee_reference`` (``external_reference=True``), which starts at the posture; the scenario then
+    tells the command's limit.
 
     Raises `LinearizationError` when the controller is continuous, when the loop has no rest there,
     when the rest lies outside the boundary layer or at the speed limit (there is no linear loop),
     or for a signum controller, which has none at all.
     """
-    rest = find_rest(scenario, knee_angle_deg)
+    rest = find_rest(scenario, knee_angle_deg, diagram)
     n, m = rest.continuous_states, rest.point.size - rest.continuous_states
     # The absolute values of Eq. 27 have their kinks at rest. A small motion sees the mean of both
     # sides; at the rest itself rounding would choose one.
@@ -472,7 +477,7 @@ def linearize_loop(
         for side in (-1.0, 1.0)
     ]
     gradient = 0.5 * (both[0] + both[1])
-    held, live = held_and_live(gradient, n)
+    held, command, live = command_and_live(gradient, n)
     update = gradient[n:]
     return SampledLoop(
         a=gradient[:n, :n],
@@ -481,8 +486,8 @@ def linearize_loop(
         g_x=update[live, :n],
         g_z=update[live, n : n + m][:, live],
         g_r=update[live, n + m :],
-        c_u=np.eye(m)[[held]][:, live],
-        sample_time_s=scenario.controller.sample_time_s,
+        c_u=command[None, live],
+        sample_time_s=rest.sample_time_s,
         output=output,
         knee_angle_rad=rest.knee_angle_rad,
         scenario=scenario,

@@ -6,6 +6,7 @@ from kneexo.diagrams.closed_loop import (
     columns,
     make_closed_loop,
 )
+from kneexo.diagrams.controller import make_controller
 from kneexo.diagrams.plant import PLANT_OUTPUTS, make_plant
 
 __all__ = [
@@ -14,5 +15,6 @@ __all__ = [
     "available_signals",
     "columns",
     "make_closed_loop",
+    "make_controller",
     "make_plant",
 ]
