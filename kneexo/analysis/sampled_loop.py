@@ -308,7 +308,9 @@ class SampledLoop(Result):
         )
         if not margins.stable:
             return head + f"unstable, largest eigenvalue {largest:.6g}; it has no margins"
-        m = margins
+        m, bandwidth = margins, self.bandwidth_hz()
+        nyquist = 0.5 / self.sample_time_s
+        fall = f"{bandwidth:.4g}" if math.isfinite(bandwidth) else f"none below {nyquist:g}"
         return (
             head + f"stable, largest eigenvalue {largest:.6g}\n"
             f"  gain margin {m.gain_margin:.4g} at {m.gain_margin_frequency_hz:.4g} Hz\n"
@@ -316,7 +318,7 @@ class SampledLoop(Result):
             f"delay margin {1e3 * m.delay_margin_s:.4g} ms\n"
             f"  disk margin {m.disk_margin:.4g} at {m.disk_margin_frequency_hz:.4g} Hz: "
             f"gain {m.disk_gain_margin:.4g}, phase {m.disk_phase_margin_deg:.4g} deg\n"
-            f"  small-signal bandwidth {self.bandwidth_hz():.4g} Hz"
+            f"  small-signal bandwidth {fall} Hz"
         )
 
     def plot(self, ax: Any = None) -> Any:

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from importlib import import_module
 from typing import Any
 
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import DiagramBuilder, System
 
 from kneexo import systems
-from kneexo.diagrams.part import Part, add_parts, connect
+from kneexo.diagrams.part import Part, add_parts
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import (
     CustomControllerParameters,
@@ -25,7 +25,7 @@ from kneexo.systems import (
 )
 
 
-def make_controller(scenario: Scenario = Scenario()) -> System:
+def make_controller(scenario: Scenario = Scenario(), law: System | None = None) -> System:
     """Build the controller of a scenario: what would run on the embedded target.
 
     ===================  ====  ====================  ==============================================
@@ -38,52 +38,70 @@ def make_controller(scenario: Scenario = Scenario()) -> System:
     motor_speed_command  1     rad/s                 motor side, held for a sample
     ===================  ====  ====================  ==============================================
 
-    Subsystems: ``coordinates`` (`KneeCoordinates`), ``rod_reference`` (`RodReference`),
-    ``estimator`` (SMC only, unless the states are exact) and ``law``. More outputs, of what is
-    inside: ``measured_knee_angle``, ``measured_rod_extension``, ``rod_reference`` and, with the
-    SMC, ``sliding_variable`` and ``estimated_state`` (the latter unless the states are exact).
+    Subsystems: ``coordinates`` (`KneeCoordinates`), ``rod_reference`` (`RodReference`), ``law``
+    and, where the law wants an estimated state that is not exact, ``estimator``. More outputs, of
+    what is inside: ``measured_knee_angle``, ``measured_rod_extension``, ``rod_reference``,
+    ``estimated_state`` (of the estimator) and ``sliding_variable`` (of the SMC).
 
-    With ``controller.kind: custom`` this is the user's own: what ``controller.make`` returns, a
-    system with at least the port ``motor_speed_command``. It is given a scenario that has what a
-    controller may know: believed plant, polynomial, encoder, estimator and controller.
+    Parameters
+    ----------
+    scenario
+        With ``controller.kind: custom`` the whole controller is what ``controller.make`` returns: a
+        system with at least the port ``motor_speed_command``. It is given a scenario that has what
+        a controller may know: believed plant, polynomial, encoder, estimator and controller.
+    law
+        A system in place of the scenario's law. It has the output ``motor_speed_command`` and any
+        of the inputs ``rod_extension`` (m), ``rod_reference`` (4), ``estimated_state`` (3),
+        ``knee_angle`` (rad) and ``knee_reference`` (4).
 
-    Raises `ParameterError` when a custom controller cannot be made or lacks a port.
+    Raises `ParameterError` when a custom controller cannot be made or a port is wrong.
     """
-    if isinstance(scenario.controller, CustomControllerParameters):
+    if law is None and isinstance(scenario.controller, CustomControllerParameters):
         return _custom_controller(scenario, scenario.controller)
     builder = DiagramBuilder()
-    part = add_parts(builder, controller_parts(scenario))
-    coordinates, rod_reference, law = (part[k] for k in ("coordinates", "rod_reference", "law"))
+    part = add_parts(builder, _parts(scenario, law))
+    coordinates, rod_reference = part["coordinates"], part["rod_reference"]
+    law = part["law"]
     knee_reference = builder.ExportInput(rod_reference.get_input_port(), "knee_reference")
     builder.ExportInput(coordinates.get_input_port(), "encoder_reading")
-    connect(builder, rod_reference, "rod_reference", law, "rod_reference")
-    outputs = {
-        "motor_speed_command": law.GetOutputPort("motor_speed_command"),
-        "measured_knee_angle": coordinates.GetOutputPort("knee_angle"),
-        "measured_rod_extension": coordinates.GetOutputPort("rod_extension"),
+    sources = {
+        "rod_extension": coordinates.GetOutputPort("rod_extension"),
+        "knee_angle": coordinates.GetOutputPort("knee_angle"),
         "rod_reference": rod_reference.get_output_port(),
     }
+    outputs = {
+        "motor_speed_command": law.GetOutputPort("motor_speed_command"),
+        "measured_knee_angle": sources["knee_angle"],
+        "measured_rod_extension": sources["rod_extension"],
+        "rod_reference": sources["rod_reference"],
+    }
     if "estimator" in part:
-        estimator = part["estimator"]
-        builder.Connect(coordinates.GetOutputPort("rod_extension"), estimator.get_input_port())
-        builder.Connect(estimator.get_output_port(), law.GetInputPort("estimated_state"))
-        outputs["estimated_state"] = estimator.get_output_port()
-    if scenario.controller.kind == "smc":
+        builder.Connect(sources["rod_extension"], part["estimator"].get_input_port())
+        sources["estimated_state"] = part["estimator"].get_output_port()
+        outputs["estimated_state"] = sources["estimated_state"]
+    for name in port_sizes(law, inputs=True):
+        port = law.GetInputPort(name)
+        if name in sources:
+            builder.Connect(sources[name], port)
+        elif name == "knee_reference":
+            builder.ConnectInput(knee_reference, port)
+        else:
+            builder.ExportInput(port, "rod_state")
+    if law.HasOutputPort("sliding_variable"):
         outputs["sliding_variable"] = law.GetOutputPort("sliding_variable")
-        if "estimator" not in part:
-            builder.ExportInput(law.GetInputPort("estimated_state"), "rod_state")
-    else:
-        connect(builder, coordinates, "knee_angle", law, "knee_angle")
-        builder.ConnectInput(knee_reference, law.GetInputPort("knee_reference"))
-    for name, port in outputs.items():
-        builder.ExportOutput(port, name)
+    for name, output in outputs.items():
+        builder.ExportOutput(output, name)
     controller = builder.Build()
     controller.set_name("controller")
     return controller
 
 
 def controller_parts(scenario: Scenario) -> list[Part]:
-    """The leaf systems of `make_controller`, without those of a custom controller."""
+    """The leaf systems of `make_controller`; none of a custom controller."""
+    return _parts(scenario) if scenario.controller.kind != "custom" else []
+
+
+def _parts(scenario: Scenario, own_law: System | None = None) -> list[Part]:
     believed, polynomial = scenario.believed_plant, scenario.polynomial
     law, offset = scenario.controller, encoder_offset_rad(scenario)
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
@@ -100,7 +118,12 @@ def controller_parts(scenario: Scenario) -> list[Part]:
             knee_coordinates.rod_polynomial_values(polynomial),
         ),
     ]
-    if isinstance(law, SlidingModeParameters):
+    if own_law is not None:
+        _require_ports(own_law, _LAW_INPUTS, "law")
+        parts.append(Part("law", lambda: own_law, {}))
+        if own_law.HasInputPort("estimated_state"):
+            parts += _estimator_parts(scenario)
+    elif isinstance(law, SlidingModeParameters):
         parts.append(
             Part(
                 "law",
@@ -188,29 +211,40 @@ def controller_outputs(scenario: Scenario) -> dict[str, int]:
     return _outputs[key]
 
 
-def port_sizes(controller: System) -> dict[str, int]:
-    """Size of each output port."""
-    ports = map(controller.get_output_port, range(controller.num_output_ports()))
+def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
+    """Size of each output port, or of each input port."""
+    if inputs:
+        ports = map(system.get_input_port, range(system.num_input_ports()))
+    else:
+        ports = map(system.get_output_port, range(system.num_output_ports()))
     return {port.get_name(): port.size() for port in ports}
 
 
 _outputs: dict[str, dict[str, int]] = {}
 
 _INPUTS = {"encoder_reading": 1, "knee_reference": 4, "rod_state": 3}
+_LAW_INPUTS = {
+    "rod_extension": 1,
+    "rod_reference": 4,
+    "estimated_state": 3,
+    "knee_angle": 1,
+    "knee_reference": 4,
+}
 
 
 def require_controller(controller: Any, told: str = "controller") -> None:
     """Raise `ParameterError` for what is no system with the ports of `make_controller`."""
-    if not isinstance(controller, Diagram | System):
-        raise ParameterError(f"{told}: {type(controller).__name__} is not a Drake system")
-    for index in range(controller.num_input_ports()):
-        port = controller.get_input_port(index)
-        if _INPUTS.get(port.get_name()) != port.size():
-            expected = ", ".join(f"{name} ({size})" for name, size in _INPUTS.items())
+    _require_ports(controller, _INPUTS, told)
+
+
+def _require_ports(system: Any, inputs: dict[str, int], told: str) -> None:
+    if not isinstance(system, System):
+        raise ParameterError(f"{told}: {type(system).__name__} is not a Drake system")
+    for name, size in port_sizes(system, inputs=True).items():
+        if inputs.get(name) != size:
+            expected = ", ".join(f"{name} ({size})" for name, size in inputs.items())
             raise ParameterError(
-                f"{told}: has an input port {port.get_name()} of size {port.size()}; must be "
-                f"of {expected}"
+                f"{told}: has an input port {name} of size {size}; must be of {expected}"
             )
-    command = "motor_speed_command"
-    if not controller.HasOutputPort(command) or controller.GetOutputPort(command).size() != 1:
-        raise ParameterError(f"{told}: must have an output port {command} of size 1")
+    if port_sizes(system).get("motor_speed_command") != 1:
+        raise ParameterError(f"{told}: must have an output port motor_speed_command of size 1")

@@ -23,6 +23,7 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.parameters.paths import changed
+from kneexo.systems import SlidingModeController
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "backstepping.py"
 spec = importlib.util.spec_from_file_location("backstepping", EXAMPLE)
@@ -47,7 +48,7 @@ def custom(make=ours, sample_time_s=0.002, **values):
     )
 
 
-BACKSTEPPING = custom(backstepping.make_controller, 0.001, k_1=20.0, k_2=60.0)
+BACKSTEPPING = backstepping.BACKSTEPPING
 
 
 # ---------------------------------------------------------------------------- make_controller
@@ -134,6 +135,10 @@ def test_the_example_tracks_and_has_margins():
     assert figures["disk_margin"] == loop.margins().disk_margin
 
 
+def test_a_loop_without_a_crossing_says_so():
+    assert "small-signal bandwidth none below 500 Hz" in str(linearize_loop(BACKSTEPPING))
+
+
 def test_its_values_reach_the_law_and_not_the_code_of_others():
     errors = [
         track(changed(BACKSTEPPING, {"controller.values.k_1": k})).metrics.rms_error_deg
@@ -145,7 +150,7 @@ def test_its_values_reach_the_law_and_not_the_code_of_others():
 def test_a_system_takes_the_place_of_controller_and_reference():
     scenario = changed(Scenario(), {"simulation.duration_s": 1.0})
     known = scenario.model_copy(update={"controller": BACKSTEPPING.controller})
-    loop = make_closed_loop(scenario, controller=backstepping.make_controller(known))
+    loop = make_closed_loop(scenario, controller=backstepping.make(known))
     by_hand = track(scenario, diagram=loop)
     named = track(
         changed(BACKSTEPPING, {"simulation.duration_s": 1.0}),
@@ -167,6 +172,13 @@ def test_a_diagram_is_linearized_in_place_of_the_scenarios_loop():
         assert getattr(found.margins(), name) == pytest.approx(getattr(ours.margins(), name), 1e-6)
     with pytest.raises(LinearizationError, match="has no input port knee_reference"):
         linearize_loop(smooth, diagram=make_closed_loop(smooth))
+
+
+def test_a_law_of_ones_own_gets_estimates():
+    """Our law as somebody's own, between our coordinates and behind our observer."""
+    scenario = changed(Scenario(), {"simulation.duration_s": 0.5})
+    loop = make_closed_loop(scenario, controller=make_controller(scenario, SlidingModeController()))
+    assert track(scenario, diagram=loop).metrics == track(scenario).metrics
 
 
 # ------------------------------------------------------------------------------- bad input
