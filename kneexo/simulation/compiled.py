@@ -33,15 +33,10 @@ from kneexo.compilation.model import (
 )
 from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, State
 from kneexo.compilation.trajectories import input_table
-from kneexo.diagrams.closed_loop import (
-    SIGNALS,
-    chosen_signals,
-    columns,
-    loop_values,
-    make_closed_loop,
-)
+from kneexo.diagrams.closed_loop import loop_values, make_closed_loop
 from kneexo.diagrams.controller import known_to_controller, make_controller
 from kneexo.diagrams.plant import plant_start, start_pressures_pa
+from kneexo.diagrams.signals import SIGNALS, chosen_signals, columns
 from kneexo.errors import KneexoError, SimulationError
 from kneexo.parameters import (
     CustomControllerParameters,
