@@ -310,6 +310,12 @@ def test_a_batch_is_its_runs_one_by_one(default):
         np.testing.assert_array_equal(run["rod_velocity"], expected[: run.time_s.size])
 
 
+def test_a_run_may_record_nothing_but_time(default):
+    model, (parameters, state, _) = default
+    run = model.simulate(parameters, state, 0.01, record_period_s=0.002, outputs=())
+    assert repr(run) == "Simulation(6 records of nothing)"
+
+
 def test_a_batch_over_references(multirate):
     model = compile_diagram(multirate.GetSubsystemByName("inner"), inputs=["u"])
     tables = [InputTable(coefficients=np.array([[[u]]])) for u in (0.1, 0.2)]
