@@ -49,7 +49,7 @@ def test_tables_are_the_functions_of_the_matrix_exponential(size):
 
 
 def test_steps_are_as_small_as_each_run_needs():
-    """x' = k x(1 − x) and y' = −k x y: x grows as the logistic function, y/(1 − x) stays."""
+    """Where x' = k x(1 − x) and y' = −k x y: x grows as the logistic function, y/(1 − x) stays."""
     x, y, k = (Variable(name) for name in "xyk")
     system = SymbolicVectorSystem(
         state=[x, y], parameter=[k], dynamics=[k * x * (1.0 - x), -k * x * y], output=[x, y]

@@ -194,6 +194,19 @@ def test_tracking_row_has_the_pressures_of_its_order():
 # ------------------------------------------------------------------------ the comparison
 
 
+def test_an_executor_gets_every_part(monkeypatch):
+    given = []
+
+    def parallel_map(function, items, *, executor, **_):
+        given.append(executor)
+        return []
+
+    monkeypatch.setattr(module, "parallel_map", parallel_map)
+    order_study(UNCERTAIN_KNEE, executor="cluster")
+    assert len(given) > 1
+    assert set(given) == {"cluster"}
+
+
 @pytest.fixture(scope="module")
 def comparison(tmp_path_factory):
     settings = OrderSettings(postures_deg=(40.0,), switching_forces_n=(6.0, 16.0, 30.0))
