@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from concurrent.futures import Executor
 
 import numpy as np
 import pytest
@@ -194,17 +195,16 @@ def test_tracking_row_has_the_pressures_of_its_order():
 # ------------------------------------------------------------------------ the comparison
 
 
-def test_an_executor_gets_every_part(monkeypatch):
-    given = []
+def test_an_executor_is_used():
+    class AskedError(Exception):
+        pass
 
-    def parallel_map(function, items, *, executor, **_):
-        given.append(executor)
-        return []
+    class Pool(Executor):
+        def submit(self, function, /, *arguments, **named):
+            raise AskedError
 
-    monkeypatch.setattr(module, "parallel_map", parallel_map)
-    order_study(UNCERTAIN_KNEE, executor="cluster")
-    assert len(given) > 1
-    assert set(given) == {"cluster"}
+    with pytest.raises(AskedError):
+        order_study(UNCERTAIN_KNEE, executor=Pool())
 
 
 @pytest.fixture(scope="module")

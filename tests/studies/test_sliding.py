@@ -234,10 +234,10 @@ def test_a_run_that_leaves_the_range_of_motion_is_cut_short_and_says_so():
 
 
 def test_half_of_the_rated_samples_are_the_first_outside_the_layer():
-    scenario = short(2e-4, 1e-5, **START)  # ends outside the layer
+    scenario = short(1e-3, 5e-5, **START | {"initial_offset_m": -0.02})  # ends outside the layer
     found = check_sliding(SlidingSettings(rated_samples=10), scenario)
     # 21 samples: five in a row, then five that are evenly spread to the last one.
-    times = 1e-5 * np.array([0, 1, 2, 3, 4, 5, 8, 12, 16, 20])
+    times = 5e-5 * np.array([0, 1, 2, 3, 4, 5, 8, 12, 16, 20])
     assert found["outside_share"] == 1.0
     assert math.isnan(found["held_share"])  # of a sampled law alone
     assert found["trace"]["outside_time_s"] == pytest.approx(times)
