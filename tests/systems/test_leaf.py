@@ -8,6 +8,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem_, SystemScalarConverter
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from kneexo.systems import bldc_pump
 from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, value_or_zero, where_positive
 
 SOURCE = {"gain": 2.0, "offset": 0.5}
@@ -47,6 +48,12 @@ Sample = Sample_[None]
 
 
 # ------------------------------------------------------------------------------ structure
+
+
+def test_a_name_without_underscore_is_the_system_of_floats():
+    assert isinstance(bldc_pump.BldcPump(), LeafSystem_[float])
+    with pytest.raises(AttributeError, match=r"has no attribute 'BldcPum'"):
+        _ = bldc_pump.BldcPum
 
 
 def test_outputs_depend_on_their_sources_only(leaf):
