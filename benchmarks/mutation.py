@@ -60,6 +60,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "studies/size": ("studies/test_size", "studies/test_size_report"),
     "studies/size_results": ("studies/test_size_report",),
     "systems/_leaf": ("systems/test_leaf",),
+    "systems/cylinder": ("systems/test_reduced_cylinder", "systems/test_full_cylinder"),
 }
 """Tests of the modules that have no file of their own name."""
 

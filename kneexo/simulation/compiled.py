@@ -57,7 +57,7 @@ from kneexo.systems import (
     reduced_cylinder,
     sliding_mode_controller,
 )
-from kneexo.systems.reduced_cylinder import PA_PER_MPA
+from kneexo.systems.cylinder import PA_PER_MPA
 
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (

@@ -53,8 +53,8 @@ from kneexo.simulation.engines import needs_runs, simulate
 from kneexo.simulation.run import Array, Run
 from kneexo.sweeps.checkpoint import Checkpoint
 from kneexo.sweeps.parallel import parallel_map
+from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.systems.knee_coordinates import rod_derivatives
-from kneexo.systems.reduced_cylinder import PA_PER_MPA
 from kneexo.systems.sliding_mode_controller import sliding_variable
 
 if TYPE_CHECKING:
