@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from kneexo.parameters.plant import (
     RPM,
@@ -16,12 +16,7 @@ from kneexo.parameters.quantity import Parameters, choice, quantity
 class EncoderParameters(Parameters):
     """Rotary encoder AMT203-V on link 4."""
 
-    counts_per_revolution: int = Field(
-        default=4096,
-        ge=2,
-        le=2**24,
-        json_schema_extra={"unit": "1", "source": "Section 2: AMT203-V, 12 bit"},
-    )
+    counts_per_revolution: int = quantity(4096, "1", "Section 2: AMT203-V, 12 bit", ge=2, le=2**24)
     quantized: bool = choice(True, "False bypasses the quantizer, as linearization must")
     mounting_error_rad: float = quantity(
         0.0,

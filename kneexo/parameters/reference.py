@@ -195,15 +195,7 @@ class GaitReference(Parameters):
 
     kind: Literal["gait"] = "gait"
     frequency_hz: float = quantity(1.0, "Hz", "assumption: strides per second", gt=0, le=10)
-    cycles: int = Field(
-        default=30,
-        ge=1,
-        le=1000,
-        json_schema_extra={
-            "unit": "1",
-            "source": "assumption: 30 s at 1 Hz, a default run",
-        },
-    )
+    cycles: int = quantity(30, "1", "assumption: 30 s at 1 Hz, a default run", ge=1, le=1000)
 
 
 def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReference:

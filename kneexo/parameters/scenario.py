@@ -80,14 +80,8 @@ class Scenario(Parameters):
     controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")] = (
         SlidingModeParameters()
     )
-    can_delay_samples: int = Field(
-        default=0,
-        ge=0,
-        le=10,
-        json_schema_extra={
-            "unit": "samples",
-            "source": "assumption: latency of the CAN bus from controller to motor",
-        },
+    can_delay_samples: int = quantity(
+        0, "samples", "assumption: latency of the CAN bus from controller to motor", ge=0, le=10
     )
     reference: Reference = SineReference()
     initial_offset_m: float = quantity(
