@@ -195,15 +195,15 @@ def _kind(model: type[BaseModel]) -> object:
 
 def models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
     """The parameter classes that a field may hold."""
-    found: list[type[BaseModel]] = []
+    models: list[type[BaseModel]] = []
     pending: list[Any] = [] if field is None else [field.annotation]
     while pending:
         annotation = pending.pop(0)
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            found.append(annotation)
+            models.append(annotation)
         else:
             pending.extend(getattr(annotation, "__args__", ()))
-    return tuple(found)
+    return tuple(models)
 
 
 def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldInfo | None:

@@ -201,9 +201,9 @@ class GaitReference(Parameters):
 def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReference:
     """The measured knee flexion as a periodic reference, ``cycles`` strides long.
 
-    It starts and ends at the least flexion, where the knee is at rest (`gait_start_percent`), at
-    t = 0. A straight line is taken from the curve that closes it: it moves no sample by more than
-    0.03°, a twentieth of the standard deviation. The loop settles during the first stride.
+    It starts at t = 0 and ends at the least flexion, where the knee is at rest
+    (`gait_start_percent`). Subtracting a straight line closes the curve; it moves no sample by more
+    than 0.03°, a twentieth of the standard deviation. The loop settles during the first stride.
 
     Parameters
     ----------
@@ -231,17 +231,21 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
 
 
 def read_reference(value: Any, directory: Any) -> Any:
-    """References that are named, as the samples that they stand for."""
+    """Samples of a reference that a name or a CSV file stands for; other values unchanged.
+
+    ``directory``: what the name of a CSV file is relative to. Raises `ParameterError` for a faulty
+    file or value, `ValueError` for an unknown name.
+    """
     if isinstance(value, str):
         if value != "gait":
             raise ValueError(f"{value!r} must be gait, or a mapping")
         value = GaitReference()
     if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
-        given = CsvReference if value["kind"] == "csv" else GaitReference
+        cls = CsvReference if value["kind"] == "csv" else GaitReference
         try:
-            value = given(**value)
+            value = cls(**value)
         except ParameterError as error:
-            raise ParameterError(str(error).removeprefix(f"{given.__name__}: ")) from None
+            raise ParameterError(str(error).removeprefix(f"{cls.__name__}: ")) from None
     if isinstance(value, CsvReference):
         return value.samples(directory)
     if isinstance(value, GaitReference):

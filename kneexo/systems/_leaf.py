@@ -20,7 +20,7 @@ from kneexo.errors import SimulationError
 
 if TYPE_CHECKING:
     from pydrake.systems.framework import LeafSystem
-else:  # `leaf_template` adds the one of the scalar
+else:  # `leaf_template` adds Drake's class of the scalar
     LeafSystem = object
 
 
@@ -45,7 +45,7 @@ def values_of(source: Any, *names: str) -> dict[str, float]:
 
 
 def fill(vector: Any, values: Sequence[Any]) -> None:
-    """Set the elements of one of Drake's vectors."""
+    """Set the elements of a vector of Drake."""
     for index, value in enumerate(values):
         vector.SetAtIndex(index, value)
 

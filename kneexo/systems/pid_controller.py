@@ -36,8 +36,8 @@ class PidController(NamedLeaf):
     z⁺ = z + (1 − e^(−T/T_d))(e − z),  I⁺ = I + T(K_i e + (w_u − w)/T_t),
     w = K_p z⁺ + I + K_d (e − z⁺)/T_d,  u = clip(G(−r_0 w + K_v dx_d/dt), ±u_max),
     where w_u is the knee rate that gives the limited command. More flexion means that the rod
-    goes in, hence the minus sign. The filter takes from P and D the counts of the encoder, as
-    the observer does for the sliding-mode controller.
+    goes in, hence the minus sign. The filter smooths the counts of the encoder in P and D,
+    as the observer does for the sliding-mode controller.
 
     ===================  ====  =====================  ===================================
     input port           size  unit

@@ -113,7 +113,7 @@ class SlidingModeController(NamedLeaf):
     ``continuous=True`` there is none and the output follows the inputs (Fig. 9). Context
     parameters by name: λ, Φ, η, the bounds of Eq. 27, m̂ (``mass_estimate_kg``), β
     (``gain_ratio``) and the plant that the controller believes in. Source: Lee et al. 2020,
-    Eq. 20–27, with the errata told in `sliding_mode_command`.
+    Eq. 20–27, with the errata listed in `sliding_mode_command`.
     """
 
     def __init__(
