@@ -33,6 +33,8 @@ ROOT = Path(__file__).parents[1]
 TESTS: dict[str, tuple[str, ...]] = {
     "__init__": ("compilation/test_api",),
     "__main__": ("test_cli",),
+    "commands": ("test_cli", "test_system"),
+    "parameter_list": ("test_cli",),
     "errors": ("test_cli", "test_scenario_file"),
     "interruption": ("test_cli",),
     "version": ("test_citation",),
