@@ -68,23 +68,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             finally:
                 if sys.stdout is not None:  # None when it was closed
                     sys.stdout.flush()
-        except (KeyboardInterrupt, ImportError) as error:
+        except KeyboardInterrupt as interrupt:
+            return _interrupted(interrupt, options)
+        except ImportError as error:
             # An interrupt during the import of Drake arrives as an ImportError that it caused.
-            cause = (
-                error.__cause__ or error.__context__ if isinstance(error, ImportError) else error
-            )
-            if not isinstance(cause, KeyboardInterrupt):
-                library, unloaded, _ = str(error).partition(": cannot open shared object file")
-                if not unloaded:
-                    raise
-                line = f"this system lacks {library}; install the package that has it"
-                print(f"kneexo: {line}", file=sys.stderr)
-                return 2
-            what, code = (
-                ("terminated", 143) if isinstance(cause, Terminated) else ("interrupted", 130)
-            )
-            print(f"kneexo: {what}; {commands.left(options)}", file=sys.stderr)
-            return code
+            cause = error.__cause__ or error.__context__
+            if isinstance(cause, KeyboardInterrupt):
+                return _interrupted(cause, options)
+            library, unloaded, _ = str(error).partition(": cannot open shared object file")
+            if not unloaded:
+                raise
+            return _fail(f"this system lacks {library}; install the package that has it")
         except OSError as error:
             if sys.stdout is not None:  # what it still holds would fail again at exit
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -92,8 +86,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return 0
             with suppress(OSError):
                 where = f"{error.filename}: " if error.filename else ""
-                print(f"kneexo: {where}{error.strerror or error}", file=sys.stderr)
+                _fail(f"{where}{error.strerror or error}")
             return 2
+
+
+def _fail(line: str, code: int = 2) -> int:
+    """Print one line on stderr; returns the exit code."""
+    print(f"kneexo: {line}", file=sys.stderr)
+    return code
+
+
+def _interrupted(interrupt: KeyboardInterrupt, options: argparse.Namespace) -> int:
+    if isinstance(interrupt, Terminated):
+        return _fail(f"terminated; {commands.left(options)}", 143)
+    return _fail(f"interrupted; {commands.left(options)}", 130)
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:
@@ -106,8 +112,7 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
     _parser().parse_args(arguments, options)
     if _needs_drake(options) and (line := system.lacking()):  # Drake itself would print a page
-        print(f"kneexo: {line}", file=sys.stderr)
-        return 2
+        return _fail(line)
     format_before = warnings.formatwarning
     warnings.formatwarning = _one_line
     try:
@@ -116,14 +121,9 @@ def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
         scenario = getattr(options, "scenario", None)
         where = f"{scenario}: " if scenario and scenario not in str(error) else ""
         pieces = commands.kept(options) if isinstance(error, WorkerError) else ""
-        print(f"kneexo: {where}{error}{pieces and f'; {pieces}'}", file=sys.stderr)
-        return 2
+        return _fail(f"{where}{error}{pieces and f'; {pieces}'}")
     except MemoryError:
-        print(
-            "kneexo: out of memory; reduce simulation.duration_s, or the processes with --workers",
-            file=sys.stderr,
-        )
-        return 2
+        return _fail("out of memory; reduce simulation.duration_s, or the processes with --workers")
     finally:
         warnings.formatwarning = format_before
     return 0
@@ -221,7 +221,10 @@ def _parser() -> argparse.ArgumentParser:
 
     def add_values(sub: argparse.ArgumentParser) -> None:
         listed = "`kneexo params SCENARIO.yaml` lists them"
-        what = f"a value of the scenario, by its dotted name, which replaces the file's; {listed}"
+        what = (
+            f"a value of the scenario, such as plant.cylinder.mass_kg=1.7, in place of the file's; "
+            f"{listed}"
+        )
         add_set(sub, what, "values")
 
     def add_sweep(sub: argparse.ArgumentParser, study: Study) -> None:

@@ -86,15 +86,13 @@ def positive_values(default: tuple[float, ...], unit: str, source: str) -> Any:
 
 def allowed_range(field: FieldInfo) -> str:
     """The range of a field, or of its elements, as text, for instance ``>= 0 and <= 150``."""
-    lower = upper = ""
-    for bound in field.metadata:
-        if getattr(bound, "ge", None) is not None:
-            lower = f">= {bound.ge:g}"
-        if getattr(bound, "gt", None) is not None:
-            lower = f"> {bound.gt:g}"
-        if getattr(bound, "le", None) is not None:
-            upper = f"<= {bound.le:g}"
-    return " and ".join(part for part in (lower, upper) if part)
+    bounds = [
+        f"{sign} {getattr(bound, key):g}"
+        for key, sign in (("ge", ">="), ("gt", ">"), ("le", "<="))
+        for bound in field.metadata
+        if getattr(bound, key, None) is not None
+    ]
+    return " and ".join(bounds)
 
 
 def unit_of(field: FieldInfo) -> str:

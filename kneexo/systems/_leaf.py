@@ -72,9 +72,8 @@ class NamedLeaf(LeafSystem):
             system = leaf_template(system)[None]
         return super(NamedLeaf, system).__new__(system)
 
-    def _declare_parameters(self, source: Any, names: Sequence[str] = ()) -> None:
-        """Declare one numeric parameter vector: a mapping, or ``names`` of another object."""
-        values = source if isinstance(source, Mapping) else values_of(source, *names)
+    def _declare_parameters(self, values: Mapping[str, float]) -> None:
+        """Declare one vector of numeric parameters, by name."""
         self._values = _named_values(tuple(values))
         self.DeclareNumericParameter(
             BasicVector_[self._scalar]([float(value) for value in values.values()])

