@@ -33,6 +33,8 @@ ROOT = Path(__file__).parents[1]
 TESTS: dict[str, tuple[str, ...]] = {
     "__init__": ("compilation/test_api",),
     "__main__": ("test_cli",),
+    "commands": ("test_cli", "test_system"),
+    "parameter_list": ("test_cli",),
     "errors": ("test_cli", "test_scenario_file"),
     "interruption": ("test_cli",),
     "version": ("test_citation",),
@@ -62,6 +64,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "studies/size": ("studies/test_size", "studies/test_size_report"),
     "studies/size_results": ("studies/test_size_report",),
     "systems/_leaf": ("systems/test_leaf",),
+    "systems/cylinder": ("systems/test_reduced_cylinder", "systems/test_full_cylinder"),
 }
 """Tests of the modules that have no file of their own name."""
 

@@ -347,6 +347,17 @@ def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> N
             "mass_kg = 'heavy' kg: must be a valid number, >= 0.01 and <= 1000 kg",
         ),
         (
+            RodPolynomialParameters,
+            {"p_mm_deg": (1.0, 2.0, 3.0, 4.0, 5.0, 1e5)},
+            "p_mm_deg.5 = 100000 mm/deg^n is out of range: "
+            "must be finite and >= -10000 and <= 10000 mm/deg^n",
+        ),
+        (
+            BandwidthSettings,
+            {"frequencies_hz": (0.1, 0.2)},
+            "frequencies_hz has 2 values: must have at least 3",
+        ),
+        (
             KneeParameters,
             {"mass_kg": 3.0},
             "mass_kg: unknown name; known here: flexion_max_deg, flexion_min_deg, overshoot_deg",

@@ -5,23 +5,16 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import field_validator, model_validator
 
-from kneexo.parameters.plant import (
-    RPM,
-)
+from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
 
 
 class EncoderParameters(Parameters):
     """Rotary encoder AMT203-V on link 4."""
 
-    counts_per_revolution: int = Field(
-        default=4096,
-        ge=2,
-        le=2**24,
-        json_schema_extra={"unit": "1", "source": "Section 2: AMT203-V, 12 bit"},
-    )
+    counts_per_revolution: int = quantity(4096, "1", "Section 2: AMT203-V, 12 bit", ge=2, le=2**24)
     quantized: bool = choice(True, "False bypasses the quantizer, as linearization must")
     mounting_error_rad: float = quantity(
         0.0,
@@ -69,14 +62,25 @@ class ExactParameters(Parameters):
     kind: Literal["exact"] = "exact"
 
 
-_SAMPLE_TIME = "Table 3: interrupt time"
+def _sample_time() -> Any:
+    return quantity(0.002, "s", "Table 3: interrupt time", ge=1e-5, le=1)
+
+
+def _command_limit() -> Any:
+    return quantity(
+        5000.0 * RPM,
+        "rad/s",
+        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
+        ge=1e-3,
+        le=1e12,
+    )
 
 
 class SlidingModeParameters(Parameters):
     """Sliding-mode controller (Eq. 20–27)."""
 
     kind: Literal["smc"] = "smc"
-    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, ge=1e-5, le=1)
+    sample_time_s: float = _sample_time()
     continuous: bool = choice(
         False, "True: continuous time, as in the ideal simulation of Fig. 9; needs exact states"
     )
@@ -113,13 +117,7 @@ class SlidingModeParameters(Parameters):
         ge=0,
         le=1,
     )
-    command_limit_rad_s: float = quantity(
-        5000.0 * RPM,
-        "rad/s",
-        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
-        ge=1e-3,
-        le=1e12,
-    )
+    command_limit_rad_s: float = _command_limit()
 
     @property
     def mass_estimate_kg(self) -> float:
@@ -145,7 +143,7 @@ class PidParameters(Parameters):
     """PID controller on the knee angle; the output is a motor speed."""
 
     kind: Literal["pid"] = "pid"
-    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, ge=1e-5, le=1)
+    sample_time_s: float = _sample_time()
     proportional_per_s: float = quantity(
         5.0,
         "1/s",
@@ -178,13 +176,7 @@ class PidParameters(Parameters):
         ge=1e-3,
         le=2,
     )
-    command_limit_rad_s: float = quantity(
-        5000.0 * RPM,
-        "rad/s",
-        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
-        ge=1e-3,
-        le=1e12,
-    )
+    command_limit_rad_s: float = _command_limit()
 
     @model_validator(mode="after")
     def _anti_windup_is_stable(self) -> PidParameters:

@@ -48,7 +48,7 @@ from kneexo.simulation.run import Run
 from kneexo.systems import (
     knee_reference,
 )
-from kneexo.systems.reduced_cylinder import PA_PER_MPA
+from kneexo.systems.cylinder import PA_PER_MPA
 
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (
