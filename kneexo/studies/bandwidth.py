@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -27,9 +26,7 @@ from kneexo.analysis.frequency_response import (
     require_sine,
 )
 from kneexo.analysis.plant_linearization import Complex
-from kneexo.analysis.rate_limit import (
-    rate_limit_bandwidth_hz,
-)
+from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import Scenario
@@ -39,11 +36,7 @@ from kneexo.result import Result, data_frame
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class BandwidthSettings(Parameters):
@@ -202,10 +195,6 @@ class BandwidthStudy(Result):
             "failures": list(self.failures),
         }
 
-    # ------------------------------------------------------------------------------ report
-
-    # ----------------------------------------------------------------------------- figures
-
 
 def unwrapped_deg(response: Any) -> Array:
     """Phase in deg of ``response`` (n,), unwrapped over its finite values."""
@@ -259,17 +248,13 @@ def _response(found: list[dict[str, Any]]) -> Complex:
 def bandwidth_study(
     scenario: Scenario = Scenario(),
     settings: BandwidthSettings = BandwidthSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> BandwidthStudy:
     """Measure the closed loop's frequency response at several amplitudes of the knee's sine.
 
     ``scenario`` needs a sinusoidal reference; its amplitude and frequency are replaced. A run that
-    fails leaves its cell nan and goes into ``failures``. ``workers``, ``executor``,
-    ``checkpoint``: see `parallel_map`.
+    fails leaves its cell nan and goes into ``failures``. ``options``: see
+    `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` when the reference is no sine, leaves the range of motion, or has fewer
     than ten samples a period.
@@ -283,15 +268,13 @@ def bandwidth_study(
     small: list[_Item] = [(amplitudes[0], f, False) for f in settings.frequencies_hz if quantized]
     searches: list[_Item] = [(a, None, quantized) for a in amplitudes]
     items = [*cells, *small, *searches]
-    found = parallel_map(
-        partial(_measure, scenario, settings.estimate),
-        items,
-        workers=workers,
-        executor=executor,
-        checkpoint=checkpoint,
-        description="amplitude map" if progress else None,
-        weight=lambda item: 1.0 / (item[1] or 1.0),
-    )
+    with open_sweep(**options) as sweep:
+        found = sweep.map(
+            partial(_measure, scenario, settings.estimate),
+            items,
+            "amplitude map",
+            weight=lambda item: 1.0 / (item[1] or 1.0),
+        )
     grid, searched = found[: len(cells)], found[len(cells) + len(small) :]
     unquantized = found[len(cells) : len(cells) + len(small)] or grid[: frequencies.size]
     limited = _column(unquantized, "speed_limited_share")

@@ -13,10 +13,7 @@ from kneexo.analysis.rate_limit import (
     rate_limited_follower,
     rate_limited_gain,
 )
-from kneexo.studies.bandwidth import (
-    decibel,
-    unwrapped_deg,
-)
+from kneexo.studies.bandwidth import decibel, unwrapped_deg
 from kneexo.studies.heat_map import cell_borders, heat_map, plain_ticks
 
 if TYPE_CHECKING:

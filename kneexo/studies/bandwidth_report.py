@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kneexo.analysis.bandwidth import (
-    rod_limits,
-)
-from kneexo.analysis.frequency_response import (
-    require_sine,
-)
-from kneexo.studies.markdown import number
-
-if TYPE_CHECKING:
-    pass
-
+from kneexo.analysis.bandwidth import rod_limits
+from kneexo.analysis.frequency_response import require_sine
 from kneexo.studies.bandwidth import BandwidthStudy
+from kneexo.studies.markdown import number
 
 _WANDERING_DEG = 1.0
 

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 from pydantic import Field
@@ -42,11 +41,7 @@ from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness import Values, draw, realize
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 _WIDE = "assumption: wide enough that the optimum lies inside"
 
@@ -265,42 +260,25 @@ def contest_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     uncertainty: UncertaintySet = UNCERTAINTY,
     settings: ContestSettings = ContestSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> ContestStudy:
-    """Tune every contestant, then test all; ``workers``, ``executor``: see `parallel_map`.
+    """Tune every contestant, then test all.
 
     The controller of ``scenario`` is replaced, and uncertain values that it does not have are left
-    out. With a ``checkpoint`` every evaluation is kept, and a search that goes on replays what it
-    has. A search that did not converge is no error: `Tuning` says so.
+    out. ``options``: see `kneexo.sweeps.SweepOptions`; a search that goes on replays what the
+    checkpoint has. A search that did not converge is no error: `Tuning` says so.
 
     Raises `ParameterError` for uncertain values that no scenario has, that are out of range, and
     when none of them applies; `SimulationError` when the default SMC fails on a training plant,
     because it then gives no budget.
     """
-    if executor is None and workers != 1:
-        with process_pool(workers) as pool:
-            return contest_study(
-                scenario,
-                uncertainty,
-                settings,
-                executor=pool,
-                checkpoint=checkpoint,
-                progress=progress,
-            )
+    with open_sweep(**options) as sweep:
+        return _contest(scenario, uncertainty, settings, sweep)
 
-    def run(function: Any, items: Sequence[Any], what: str = "") -> list[Any]:
-        return parallel_map(
-            function,
-            items,
-            executor=executor,
-            description=what if progress and what else None,
-            checkpoint=checkpoint,
-        )
 
+def _contest(
+    scenario: Scenario, uncertainty: UncertaintySet, settings: ContestSettings, sweep: Sweep
+) -> ContestStudy:
     uncertainty, left_out = applicable(scenario, uncertainty)
     base = changed(scenario, {"simulation.duration_s": settings.duration_s})
     training = [{}, *draw(uncertainty, settings.training_samples, settings.training_seed)]
@@ -313,7 +291,8 @@ def contest_study(
         name: {"controller": law.model_dump()} for name, law in UNTUNED.items()
     }
     default = plants({"controller": SlidingModeParameters().model_dump()})
-    changes = run(partial(assess, margins=False), default, "budget of chattering")
+    without_margins = partial(assess, margins=False)
+    changes = sweep.map(without_margins, default, "budget of chattering")
     for values in changes:
         if values["tracking_failure"]:
             raise SimulationError(f"the default SMC sets no budget: {values['tracking_failure']}")
@@ -323,12 +302,12 @@ def contest_study(
     def tune(name: str, seed: int) -> Tuning:
         contestant = settings.contestants[name]
         size = settings.population * (settings.generations + 1)
-        with tqdm(total=size, desc=f"{name}, seed {seed}", disable=not progress) as bar:
+        with tqdm(total=size, desc=f"{name}, seed {seed}", disable=not sweep.progress) as bar:
 
             def objective(units: Array) -> Array:
                 items = [plants(_entrant(contestant, _gains(contestant, unit))) for unit in units]
                 bar.update(len(items))
-                return np.array(run(judge, items))
+                return np.array(sweep.map(judge, items))
 
             found, history = search(objective, len(contestant.gains), settings, seed)
         energies = found.population_energies
@@ -360,14 +339,13 @@ def contest_study(
         "simulation.duration_s": settings.other_duration_s,
     }
     test = [plant for entrant in entrants.values() for plant in plants(entrant, samples)]
-    tested = run(assess, test, "test")
-    elsewhere = run(
-        partial(assess, margins=False), [changed(plant, task) for plant in test], "another task"
-    )
+    tested = sweep.map(assess, test, "test")
+    at_task = [changed(plant, task) for plant in test]
+    elsewhere = sweep.map(without_margins, at_task, "another task")
 
-    def by_entrant(found: list[Values]) -> dict[str, list[Values]]:
+    def by_entrant(figures: Sequence[Values]) -> dict[str, Sequence[Values]]:
         n = len(samples)
-        return {name: found[i * n : (i + 1) * n] for i, name in enumerate(entrants)}
+        return {name: figures[i * n : (i + 1) * n] for i, name in enumerate(entrants)}
 
     return ContestStudy(
         scenario,

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from kneexo.parameters import (
-    Uncertainty,
-)
-from kneexo.studies.contest import COLUMNS
+from kneexo.parameters import Uncertainty
+from kneexo.studies.contest import COLUMNS, ContestStudy
 from kneexo.studies.markdown import markdown_table, number
-
-if TYPE_CHECKING:
-    pass
-
-from kneexo.studies.contest import ContestStudy
 
 
 def report(study: ContestStudy) -> str:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any
+from typing import Any, Unpack
 
 import numpy as np
 from pydantic import field_validator
@@ -37,11 +36,7 @@ from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
 from kneexo.studies.markdown import number
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class ControllerSettings(Parameters):
@@ -274,34 +269,16 @@ class ControllerStudy(Result):
 def controller_study(
     scenario: Scenario = Scenario(),
     settings: ControllerSettings = ControllerSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> ControllerStudy:
-    """Run the grid and the trap; ``workers``, ``executor``, ``checkpoint``: see `parallel_map`.
+    """Run the grid and the trap; ``options``: see `kneexo.sweeps.SweepOptions`.
 
     A run of the grid that fails leaves nan and its reason. Raises `ParameterError` when
     ``scenario`` has no sampled sliding-mode controller behind an observer, or when a step or the
     faster sine leaves the range of motion.
     """
     law = observed_smc(scenario)[0]
-    if executor is None and workers != 1:
-        with process_pool(workers) as pool:
-            return controller_study(
-                scenario, settings, executor=pool, checkpoint=checkpoint, progress=progress
-            )
     experiments(scenario, settings)  # a reference out of range is found before the sweep
-
-    def run(what: str, function: Any, items: list[Scenario]) -> list[Any]:
-        return parallel_map(
-            function,
-            items,
-            executor=executor,
-            description=what if progress else None,
-            checkpoint=checkpoint,
-        )
 
     def with_slope(slope: float, time_constant: float, lambda_: float) -> Scenario:
         gains = {"lambda_per_s": lambda_, "slope_per_s": slope, "observer_s": time_constant}
@@ -309,39 +286,29 @@ def controller_study(
 
     axes = (settings.lambdas_per_s, settings.phis_m_s2, settings.etas_m_s3)
     points = list(product(*axes))
-    found = run(
-        "grid of λ, Φ, η",
-        partial(_measure, settings),
-        [_with_law(scenario, *point) for point in points],
-    )
+    grid = [_with_law(scenario, *point) for point in points]
     cases = list(product(settings.trap_lambdas_per_s, TRAP_VARIANTS))
-    trap = run(
-        "trap",
-        partial(_trap, settings),
-        [
-            changed(
-                with_slope(settings.trap_slope_per_s, settings.trap_time_constant_s, lambda_),
-                _variant(variant, settings),
-            )
-            for lambda_, variant in cases
-        ],
-    )
+    trap_slope, trap_time_constant = settings.trap_slope_per_s, settings.trap_time_constant_s
+    traps = [
+        changed(with_slope(trap_slope, trap_time_constant, lambda_), _variant(variant, settings))
+        for lambda_, variant in cases
+    ]
     map_axes = (settings.map_time_constants_s, settings.map_slopes_per_s)
-    mapped = run(
-        "map of T_f, k/Φ",
-        assess,
-        [with_slope(slope, time, law.lambda_per_s) for time, slope in product(*map_axes)],
-    )
+    loops = [with_slope(slope, time, law.lambda_per_s) for time, slope in product(*map_axes)]
+    with open_sweep(**options) as sweep:
+        measured = sweep.map(partial(_measure, settings), grid, "grid of λ, Φ, η")
+        trapped = sweep.map(partial(_trap, settings), traps, "trap")
+        mapped = sweep.map(assess, loops, "map of T_f, k/Φ")
     return ControllerStudy(
         scenario,
         settings,
-        values=_arrays(found, FIGURES, axes),
+        values=_arrays(measured, FIGURES, axes),
         failures={
             point: values["failure"]
-            for point, values in zip(points, found, strict=True)
+            for point, values in zip(points, measured, strict=True)
             if values["failure"]
         },
-        trap=tuple(_trap_case(*case, own) for case, own in zip(cases, trap, strict=True)),
+        trap=tuple(_trap_case(*case, run) for case, run in zip(cases, trapped, strict=True)),
         map_values=_arrays(mapped, MAP_FIGURES, map_axes),
     )
 

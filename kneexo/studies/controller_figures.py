@@ -11,11 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from kneexo.simulation.run import Array
-from kneexo.studies.controller import (
-    ControllerStudy,
-    ideal_settling_time_s,
-    observed_smc,
-)
+from kneexo.studies.controller import ControllerStudy, ideal_settling_time_s, observed_smc
 from kneexo.studies.heat_map import heat_map, plain_ticks
 
 _ERROR = "max error (deg)"

@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from kneexo.parameters import (
-    RPM,
-)
-from kneexo.studies.controller import percent
+from kneexo.parameters import RPM
+from kneexo.studies.controller import ControllerStudy, percent
 from kneexo.studies.markdown import markdown_table, number
-
-if TYPE_CHECKING:
-    pass
-
-from kneexo.studies.controller import ControllerStudy
 
 
 def report(study: ControllerStudy) -> str:

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 from pydantic import Field
@@ -37,11 +36,7 @@ from kneexo.parameters.quantity import Parameters, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class OrderSettings(Parameters):
@@ -321,65 +316,37 @@ def switching_force_n(scenario: Scenario) -> float:
 def order_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     settings: OrderSettings = OrderSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> OrderStudy:
     """Compare both orders of the cylinder under the loads of ``settings``, in time and frequency.
 
     ``scenario`` needs a sinusoidal reference; of its cylinder either order is taken, with its own
     valves and seals where it has them. What fails in frequency is nan, and ``failure`` says why.
-    ``workers``, ``executor``, ``checkpoint``: see `parallel_map`.
+    ``options``: see `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` when the reference is no sine, and what the simulation raises.
     """
     require_sine(scenario)
     loads, forces = settings.disturbances_n, settings.switching_forces_n
-    outer = [force for force in loads if force != 0.0]
-    parts: list[tuple[str, Callable[[Any], dict[str, Any]], list[Any]]] = [
-        (
-            "tracking",
-            partial(tracking_row, scenario),
-            [(order, force) for force in loads for order in ORDERS],
-        ),
-        (
-            "speeds",
-            partial(speed_row, scenario, settings),
-            [(o, force, flexing) for force in outer for o in ORDERS for flexing in (True, False)],
-        ),
-        (
-            "switching",
-            partial(switching_row, scenario, settings),
-            [(force, flexing) for flexing in (True, False) for force in forces],
-        ),
-        (
-            "frequency",
-            partial(frequency_row, scenario),
-            [
-                (order, force, posture)
-                for force in loads
-                for order in ORDERS
-                for posture in settings.postures_deg
-            ],
-        ),
-        (
-            "bandwidth",
-            partial(bandwidth_row, scenario),
-            [(order, force) for force in loads for order in ORDERS],
-        ),
+    orders_and_loads = [(order, force) for force in loads for order in ORDERS]
+    speeds = [
+        (order, force, flexing)
+        for order, force in orders_and_loads
+        if force != 0.0
+        for flexing in (True, False)
     ]
-    found: dict[str, Rows] = {}
-    with process_pool(1 if executor is not None else workers) as pool:
-        for name, piece, items in parts:
-            found[name] = tuple(
-                parallel_map(
-                    piece,
-                    items,
-                    executor=executor or pool,
-                    description=f"orders: {name}" if progress else None,
-                    checkpoint=checkpoint,
-                )
-            )
-    return OrderStudy(scenario=scenario, settings=settings, **found)
+    switching = [(force, flexing) for flexing in (True, False) for force in forces]
+    frequency = [(*case, posture) for case in orders_and_loads for posture in settings.postures_deg]
+    parts: dict[str, tuple[Callable[[Any], dict[str, Any]], list[Any]]] = {
+        "tracking": (partial(tracking_row, scenario), orders_and_loads),
+        "speeds": (partial(speed_row, scenario, settings), speeds),
+        "switching": (partial(switching_row, scenario, settings), switching),
+        "frequency": (partial(frequency_row, scenario), frequency),
+        "bandwidth": (partial(bandwidth_row, scenario), orders_and_loads),
+    }
+    with open_sweep(**options) as sweep:
+        rows: dict[str, Rows] = {
+            name: tuple(sweep.map(piece, items, f"orders: {name}"))
+            for name, (piece, items) in parts.items()
+        }
+    return OrderStudy(scenario=scenario, settings=settings, **rows)

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from kneexo.studies.markdown import markdown_table, number
-from kneexo.studies.order import ORDERS, Rows
+from kneexo.studies.order import ORDERS, OrderStudy, Rows
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
-
-if TYPE_CHECKING:
-    pass
-
-from kneexo.studies.order import OrderStudy
 
 
 def report(study: OrderStudy) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Literal
@@ -40,7 +39,7 @@ from kneexo.studies.paper import (
     FIG_13_SCALING,
     IDEAL_SMC,
 )
-from kneexo.sweeps import parallel_map, process_pool
+from kneexo.sweeps import open_sweep
 
 FIG_5_POINTS = 204
 """Points of the fits of Fig. 5: printed SSE over squared RMSE is 198, six coefficients beside."""
@@ -108,32 +107,25 @@ def reproduce(
         for name, case in cases.items()
     }
     base = Scenario().with_engine(engine)
-    if executor is not None:
-        pool_of: AbstractContextManager[Executor | None] = nullcontext(executor)
-    else:
-        pool_of = process_pool(workers if engine == "drake" else 1)
-    with pool_of as pool:
-        values = parallel_map(
-            _call,
-            list(tasks.values()),
-            executor=pool,
-            description="Fig. 9, Fig. 12, Eq. 27 at 2 ms" if progress else None,
-            weight=_cost,
+    processes = workers if engine == "drake" else 1
+    with open_sweep(workers=processes, executor=executor, progress=progress) as sweep:
+        values = sweep.map(
+            _call, list(tasks.values()), "Fig. 9, Fig. 12, Eq. 27 at 2 ms", weight=_cost
         )
-        response = sinestream(base, settings, executor=pool, progress=progress)
+        measure = partial(sinestream, executor=sweep.executor, progress=progress)
+        response = measure(base, settings)
         scaling = {}
-        for name, (case, own) in FIG_13_SCALING.items():
+        for name, (case, narrow) in FIG_13_SCALING.items():
             scaled = case.with_engine(engine)
-            trials = [nominal_trial(scaled)]
-            scaling[name] = sinestream(scaled, own, trials=trials, executor=pool, progress=progress)
-    done = dict(zip(tasks, values, strict=True))
+            scaling[name] = measure(scaled, narrow, trials=[nominal_trial(scaled)])
+    by_task = dict(zip(tasks, values, strict=True))
 
     def group(key: str) -> dict[str, Any]:
-        return {name: value for (kind, name), value in done.items() if kind == key}
+        return {name: value for (kind, name), value in by_task.items() if kind == key}
 
     return Reproduction(
         fit=fit_polynomials(),
-        fig9=done["fig9", ""],
+        fig9=by_task["fig9", ""],
         fig12=group("fig12"),
         fig13=response,
         scaling=scaling,
@@ -249,11 +241,6 @@ def results(done: Reproduction) -> dict[str, Any]:
         },
     }
 
-
-# ---------------------------------------------------------------------------------- report
-
-
-# --------------------------------------------------------------------------------- figures
 
 FIG_12_TITLES = {
     "smc": "sliding-mode control",

@@ -8,11 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from kneexo.analysis import (
-    FrequencyResponse,
-    Run,
-    TrackingResult,
-)
+from kneexo.analysis import FrequencyResponse, Run, TrackingResult
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
 from kneexo.studies.reproduce import FIG_12_TITLES, Reproduction, rod_error_mm
 

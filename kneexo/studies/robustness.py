@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from pydantic import Field
@@ -34,11 +33,7 @@ from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 
 class RobustnessSettings(Parameters):
@@ -353,31 +348,24 @@ def robustness_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     uncertainty: UncertaintySet = UNCERTAINTY,
     settings: RobustnessSettings = RobustnessSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> RobustnessStudy:
     """Explore what ``uncertainty`` does to the loop of ``scenario``.
 
     Uncertain values that the scenario does not have (a load, where there is none) are left out and
-    reported. A reference that is no moving sine has no bandwidth. ``workers``, ``executor``,
-    ``checkpoint``: see `parallel_map`.
+    reported. A reference that is no moving sine has no bandwidth. ``options``: see
+    `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` for uncertain values that no scenario has, that are out of range, and
     when none of them applies.
     """
-    if executor is None and workers != 1:
-        with process_pool(workers) as pool:
-            return robustness_study(
-                scenario,
-                uncertainty,
-                settings,
-                executor=pool,
-                checkpoint=checkpoint,
-                progress=progress,
-            )
+    with open_sweep(**options) as sweep:
+        return _explore(scenario, uncertainty, settings, sweep)
+
+
+def _explore(
+    scenario: Scenario, uncertainty: UncertaintySet, settings: RobustnessSettings, sweep: Sweep
+) -> RobustnessStudy:
     kept, left_out = applicable(scenario, uncertainty)
     reference = scenario.reference
     moves = reference.kind == "sine" and reference.amplitude_deg > 0.0
@@ -385,18 +373,9 @@ def robustness_study(
         assess_plant, scenario, kept, partial(assess, bandwidth=settings.bandwidth and moves)
     )
 
-    def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Any]:
-        return parallel_map(
-            function,
-            items,
-            executor=executor,
-            description=what if progress else None,
-            checkpoint=checkpoint,
-        )
-
     def visit(points: Sequence[Values], what: str) -> tuple[Visit, ...]:
-        found = run(judge, points, what)
-        return tuple(map(Visit, points, (missing | figures for figures in found)))
+        figures = sweep.map(judge, points, what)
+        return tuple(map(Visit, points, (missing | values for values in figures)))
 
     missing: dict[str, Any] = {}  # figures of a plant that cannot be
     at_nominal = visit([{}], "nominal")[0]
@@ -413,9 +392,9 @@ def robustness_study(
     if paths:
         tasks = ["margins", *(["tracking"] if settings.sensitivity_duration_s else [])]
         function = partial(_local, scenario, tuple(paths), settings.sensitivity_duration_s)
-        for found in run(function, tasks, "sensitivities"):
-            troubles += [found.pop("failure")] if "failure" in found else []
-            local |= found
+        for gradients in sweep.map(function, tasks, "sensitivities"):
+            troubles += [gradients.pop("failure")] if "failure" in gradients else []
+            local |= gradients
     return RobustnessStudy(
         scenario=scenario,
         uncertainty=kept,

@@ -8,20 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from kneexo.analysis.assessment import assess
-from kneexo.analysis.bandwidth import (
-    large_signal_bandwidth_hz,
-)
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.hardware import (
     ACCELERATION_LIMIT,
@@ -58,11 +54,7 @@ from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
 from kneexo.studies import size_results
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class SizeSettings(Parameters):
@@ -324,11 +316,7 @@ class SizeStudy(Result):
 def size_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     settings: SizeSettings = SizeSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> SizeStudy:
     """Sweep the hardware around a scenario's, then size it for walking.
 
@@ -342,7 +330,7 @@ def size_study(
     5. Pressure and power of these designs at a small step, the first design on other plants, and
        what each of its values contributes.
 
-    ``workers``, ``executor``, ``checkpoint``: see `parallel_map`; ``progress`` shows bars.
+    ``options``: see `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` when the scenario's reference is no sine that moves, its controller is
     no sliding mode with an observer, its motor has no limits, or no gains let it walk.
@@ -355,19 +343,11 @@ def size_study(
         )
     if scenario.plant.ideal_motor:
         raise ParameterError("plant.ideal_motor = true: has no limits to size; must be false")
-    pool_of = nullcontext(executor) if executor is not None else process_pool(workers)
-    with pool_of as pool:
+    with open_sweep(**options) as sweep:
 
         def run(function: Callable[[Any], Any], items: Sequence[Any], text: str = "") -> list[Any]:
             once = list(dict.fromkeys(items))
-            found = parallel_map(
-                function,
-                once,
-                executor=pool,
-                checkpoint=checkpoint,
-                description=text if progress and text else None,
-            )
-            by_item = dict(zip(once, found, strict=True))
+            by_item = dict(zip(once, sweep.map(function, once, text), strict=True))
             return [by_item[item] for item in items]
 
         return _sizing(scenario, settings, run)

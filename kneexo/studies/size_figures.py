@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -27,9 +27,6 @@ from kneexo.gait import gait_knee_flexion, gait_start_percent
 from kneexo.simulation.run import Array
 from kneexo.studies.heat_map import decimal_ticks, heat_map, plain_ticks
 from kneexo.studies.size import SizeStudy
-
-if TYPE_CHECKING:
-    pass
 
 _STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
 

@@ -20,10 +20,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 from pydantic import Field
@@ -51,14 +50,10 @@ from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
 from kneexo.simulation.run import Array, Run
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map
+from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.knee_coordinates import rod_derivatives
 from kneexo.systems.reduced_cylinder import PA_PER_MPA
 from kneexo.systems.sliding_mode_controller import sliding_variable
-
-if TYPE_CHECKING:
-    pass
 
 
 class SlidingSettings(Parameters):
@@ -600,17 +595,13 @@ class SlidingStudy(Result):
 def sliding_study(
     scenario: Scenario = SLIDING_LAW,
     settings: SlidingSettings = SlidingSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> SlidingStudy:
     """Check the sliding condition in reduced and full order, with Eq. 27's k and completed ones.
 
     ``scenario``: the continuous law with exact states and a sinusoidal reference; its cylinder is
-    taken in both orders, with the loads of ``settings``. ``workers``, ``executor``,
-    ``checkpoint``: see `parallel_map`. Raises `ParameterError` for a scenario of another kind.
+    taken in both orders, with the loads of ``settings``. ``options``: see
+    `kneexo.sweeps.SweepOptions`. Raises `ParameterError` for a scenario of another kind.
     """
     law = sliding_mode(scenario)
     if not law.continuous or scenario.plant.load.kind != "knee":
@@ -618,19 +609,17 @@ def sliding_study(
             "the study needs controller.continuous = true and plant.load.kind = knee"
         )
     labelled = _cases(scenario, settings)
-    found = parallel_map(
-        partial(check_sliding, settings),
-        [case for _, case in labelled],
-        workers=workers,
-        executor=executor,
-        description="sliding condition" if progress else None,
-        weight=lambda case: case.simulation.duration_s,
-        checkpoint=checkpoint,
-    )
+    with open_sweep(**options) as sweep:
+        outcomes = sweep.map(
+            partial(check_sliding, settings),
+            [case for _, case in labelled],
+            "sliding condition",
+            weight=lambda case: case.simulation.duration_s,
+        )
     return SlidingStudy(
         cases=tuple(
             SlidingCase(*labels, outcome)
-            for (labels, _), outcome in zip(labelled, found, strict=True)
+            for (labels, _), outcome in zip(labelled, outcomes, strict=True)
         ),
         needed=needed_eta(scenario),
         scenario=scenario,

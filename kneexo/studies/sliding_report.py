@@ -3,18 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
-from kneexo.parameters import (
-    Scenario,
-)
+from kneexo.parameters import Scenario
 from kneexo.studies.markdown import markdown_table, number
-from kneexo.studies.sliding import LAWS, SlidingCase, effective_masses_kg, full_order
-
-if TYPE_CHECKING:
-    pass
-
-from kneexo.studies.sliding import SlidingStudy
+from kneexo.studies.sliding import LAWS, SlidingCase, SlidingStudy, effective_masses_kg, full_order
 
 
 def report(study: SlidingStudy) -> str:
