@@ -46,7 +46,7 @@ from kneexo.parameters import (
     UncertaintySet,
     gait_reference,
 )
-from kneexo.parameters.paths import changed
+from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters, allowed_range, source_of, unit_of
 from kneexo.studies.bandwidth import BandwidthSettings
 from kneexo.studies.paper import IDEAL_SMC
@@ -574,3 +574,9 @@ def test_the_gait_curve_has_a_name() -> None:
         Scenario(reference="walk")
     with pytest.raises(ParameterError, match="reference: cycles = 0 is out of range"):
         Scenario(reference={"kind": "gait", "cycles": 0})
+
+
+def test_a_value_is_read_where_it_is_changed():
+    path = "plant.cylinder.mass_kg"
+    assert value_at(changed(Scenario(), {path: 1.7}), path) == 1.7
+    assert value_at(Scenario(), "plant.full_order.dead_volume_m3") is None

@@ -38,12 +38,13 @@ def choice(default: Any, source: str) -> Any:
 
 
 Positive = tuple[Annotated[float, Field(ge=1e-6, le=1e9)], ...]
-"""Type of a field made by `positive_values`."""
+"""Type of a field made by `quantities` whose numbers are above zero."""
 
 
-def positive_values(default: tuple[float, ...], unit: str, source: str) -> Any:
-    """A pydantic field for the numbers above zero that a study tries, with their provenance."""
-    return Field(default=default, min_length=1, json_schema_extra={"unit": unit, "source": source})
+def quantities(default: tuple[float, ...], unit: str, source: str, *, min_length: int = 1) -> Any:
+    """A pydantic field for several numbers, with their unit and provenance."""
+    extra: dict[str, Any] = {"unit": unit, "source": source}
+    return Field(default=default, min_length=min_length, json_schema_extra=extra)
 
 
 def allowed_range(field: FieldInfo) -> str:

@@ -16,18 +16,12 @@ from itertools import islice, product
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
-from pydantic import Field
 
 from kneexo.analysis.assessment import assess
-from kneexo.analysis.sensitivity import (
-    differentiable,
-    loop_sensitivities,
-    tracking_sensitivities,
-    value_at,
-)
+from kneexo.analysis.sensitivity import differentiable, loop_sensitivities, tracking_sensitivities
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
-from kneexo.parameters.paths import applicable, changed
+from kneexo.parameters.paths import applicable, changed, value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
@@ -39,24 +33,16 @@ from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 class RobustnessSettings(Parameters):
     """How uncertainty is explored: ``kneexo robustness``."""
 
-    samples: int = Field(
-        default=500,
+    samples: int = quantity(
+        500,
+        "1",
+        "assumption: the worst of 500 leaves out 0.6 % of all plants at most, with 95 % confidence",
         ge=2,
         le=1_000_000,
-        json_schema_extra={
-            "unit": "1",
-            "source": "assumption: the worst of 500 leaves out 0.6 % of all plants at most, with "
-            "95 % confidence",
-        },
     )
-    seed: int = Field(
-        default=2020, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
-    )
-    corners_max: int = Field(
-        default=1000,
-        ge=1,
-        le=10_000_000,
-        json_schema_extra={"unit": "1", "source": "assumption: as many minutes as the samples"},
+    seed: int = quantity(2020, "1", "assumption: any number", ge=0)
+    corners_max: int = quantity(
+        1000, "1", "assumption: as many minutes as the samples", ge=1, le=10_000_000
     )
     bandwidth: bool = choice(True, "False leaves out the large-signal bandwidth, which costs most")
     sensitivity_duration_s: float = quantity(
@@ -67,11 +53,8 @@ class RobustnessSettings(Parameters):
         ge=0,
         le=1e5,
     )
-    nyquist_loops: int = Field(
-        default=60,
-        ge=0,
-        le=10_000,
-        json_schema_extra={"unit": "1", "source": "assumption: lines that a plot can carry"},
+    nyquist_loops: int = quantity(
+        60, "1", "assumption: lines that a plot can carry", ge=0, le=10_000
     )
 
 

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from kneexo.analysis.frequency_response import require_sine
-from kneexo.analysis.hardware import HARDWARE, sliding_mode, value_at
+from kneexo.analysis.hardware import HARDWARE, sliding_mode
+from kneexo.parameters.paths import value_at
 from kneexo.studies.markdown import markdown_table, number
 from kneexo.studies.size import SizeStudy
 from kneexo.studies.size_results import CHECKED

@@ -17,11 +17,11 @@ from kneexo.analysis.hardware import (
     scaled,
     sliding_mode,
     tuned,
-    value_at,
 )
 from kneexo.analysis.signals import to_rpm
 from kneexo.analysis.walking import WalkingDemand, linear_error_deg
 from kneexo.parameters import Scenario
+from kneexo.parameters.paths import value_at
 
 if TYPE_CHECKING:
     from kneexo.studies.size import SizeStudy, WalkingDesign

@@ -45,7 +45,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
 )
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, quantity
+from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
@@ -59,23 +59,17 @@ from kneexo.systems.sliding_mode_controller import sliding_variable
 class SlidingSettings(Parameters):
     """Which η, loads and gains the check of the sliding condition runs through."""
 
-    etas_m_s3: tuple[Annotated[float, Field(ge=1e-3, le=1e12)], ...] = Field(
-        default=(1e3, 1e4, 3e4, 3.6e4, 7e4, 9e4, 2.8e5),
-        min_length=1,
-        json_schema_extra={
-            "unit": "m/s³",
-            "source": "assumption: from 1/300 of the speed authority to all of it, with two each "
-            "about 3.3e4 and 8.0e4, what the closed forms ask for with P_1 and P_2 loaded",
-        },
+    etas_m_s3: tuple[Annotated[float, Field(ge=1e-3, le=1e12)], ...] = quantities(
+        (1e3, 1e4, 3e4, 3.6e4, 7e4, 9e4, 2.8e5),
+        "m/s³",
+        "assumption: from 1/300 of the speed authority to all of it, with two each "
+        "about 3.3e4 and 8.0e4, what the closed forms ask for with P_1 and P_2 loaded",
     )
-    loads_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
-        default=(60.0, -60.0),
-        min_length=1,
-        json_schema_extra={
-            "unit": "N",
-            "source": "assumption: four times the switching force, so that one chamber carries "
-            "the load throughout, P_1 or P_2",
-        },
+    loads_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = quantities(
+        (60.0, -60.0),
+        "N",
+        "assumption: four times the switching force, so that one chamber carries "
+        "the load throughout, P_1 or P_2",
     )
     start_eta_m_s3: float = quantity(
         1e3,
@@ -110,14 +104,12 @@ class SlidingSettings(Parameters):
         ge=0,
         le=1e3,
     )
-    rated_samples: int = Field(
-        default=2000,
+    rated_samples: int = quantity(
+        2000,
+        "1",
+        "assumption: samples outside the layer at which ds/dt is evaluated, at most",
         ge=10,
         le=1_000_000,
-        json_schema_extra={
-            "unit": "1",
-            "source": "assumption: samples outside the layer at which ds/dt is evaluated, at most",
-        },
     )
 
 
