@@ -35,7 +35,7 @@ from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
-from kneexo.studies.markdown import number
+from kneexo.studies.markdown import number, percent
 from kneexo.sweeps import SweepOptions, open_sweep
 
 
@@ -558,13 +558,5 @@ def _at_slope(slopes: Array, error: Array, slope: float) -> float:
     return float(np.exp(np.interp(math.log(slope), x, y)))
 
 
-# ----------------------------------------------------------------------------------- report
-
-
 def _numbers(values: Any) -> str:
     return ", ".join(map(number, values))
-
-
-def percent(share: float) -> str:
-    """A share in whole percent."""
-    return "–" if math.isnan(share) else f"{100 * share:.0f} %"

@@ -417,16 +417,6 @@ class SlidingCase:
     found: Mapping[str, Any]
 
     @property
-    def labels(self) -> tuple[str, str, str, str]:
-        """Plant, load, k and η as text."""
-        return self.plant, f"{self.load_n:g}", LAWS[self.law], f"{self.eta_m_s3:.3g}"
-
-    @property
-    def reaching_ms(self) -> tuple[float, float]:
-        """When the layer was reached, and when η promised it."""
-        return 1e3 * self.found["reaching_s"], 1e3 * self.found["promised_s"]
-
-    @property
     def stays(self) -> bool:
         """Whether s never left the layer again, and the run reached its end."""
         return not self.found["failure"] and self.found["left_share"] == 0.0
