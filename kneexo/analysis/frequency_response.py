@@ -464,7 +464,7 @@ def cycle_responses(
 
     The ratio of the fundamentals of two columns, complex (n,), and the means, (n,). A cycle need
     not have a whole number of samples. While a motor is at its limits, the mean of the output may
-    wander: the wandering, as fast as the means of the neighbouring cycles tell, is taken out.
+    drift: the linear drift estimated from neighbouring cycle means is removed.
     """
     means, amplitudes = np.empty((cycles, 3)), np.empty((cycles, 3), complex)
     for cycle in range(cycles):

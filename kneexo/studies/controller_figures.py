@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from kneexo.simulation.run import Array
 from kneexo.studies.controller import ControllerStudy, ideal_settling_time_s, observed_smc
-from kneexo.studies.heat_map import heat_map, plain_ticks
+from kneexo.studies.plots import heat_map, plain_ticks
 
 _ERROR = "max error (deg)"
 _CHANGE = "mean command change (rpm/sample)"

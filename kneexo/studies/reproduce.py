@@ -162,12 +162,12 @@ def growth_rate(run: Run) -> float:
     return float(np.polyfit(centre, level, 1)[0])
 
 
-def results(done: Reproduction) -> dict[str, Any]:
+def results(reproduction: Reproduction) -> dict[str, Any]:
     """The content of ``results.json``: plain numbers, units in the names."""
     table = RodPolynomialParameters()
-    fit, error = done.fit, rod_error_mm(done.fig9)
+    fit, error = reproduction.fit, rod_error_mm(reproduction.fig9)
     peak_rpm, saturation_hz = speed_demand()
-    response = done.fig13
+    response = reproduction.fig13
     g4 = fit_polynomials(G4, start_deg=5.0, samples=FIG_5_POINTS)
     return {
         "table1": {
@@ -193,13 +193,13 @@ def results(done: Reproduction) -> dict[str, Any]:
         },
         "fig9": {
             "initial_error_mm": float(abs(error[0])),
-            "error_after_1s_mm": float(abs(np.interp(1.0, done.fig9.time_s, error))),
+            "error_after_1s_mm": float(abs(np.interp(1.0, reproduction.fig9.time_s, error))),
             "final_error_mm": float(abs(error[-1])),
         },
         "fig12": {
             name: asdict(tracked.metrics)
             | {"controller": tracked.scenario.controller.model_dump(exclude_defaults=True)}
-            for name, tracked in done.fig12.items()
+            for name, tracked in reproduction.fig12.items()
         },
         "fig13": {
             "frequencies_hz": response.frequencies_hz,
@@ -216,9 +216,9 @@ def results(done: Reproduction) -> dict[str, Any]:
         "scaling": {
             name: {
                 "bandwidth_hz": scaled.bandwidth_hz,
-                "ratio": scaled.bandwidth_hz / done.scaling["nominal"].bandwidth_hz,
+                "ratio": scaled.bandwidth_hz / reproduction.scaling["nominal"].bandwidth_hz,
             }
-            for name, scaled in done.scaling.items()
+            for name, scaled in reproduction.scaling.items()
         },
         "speed_limit": {
             "peak_command_at_0.1hz_rpm": peak_rpm,
@@ -229,7 +229,7 @@ def results(done: Reproduction) -> dict[str, Any]:
                 "growth_rate_per_s": growth_rate(run),
                 "mean_command_change_rpm": to_rpm(mean_change(run["motor_speed_command_rad_s"])),
             }
-            for name, run in done.eq27_exact.items()
+            for name, run in reproduction.eq27_exact.items()
         },
         "eq27_differences": {
             name: {
@@ -237,7 +237,7 @@ def results(done: Reproduction) -> dict[str, Any]:
                 "rms_error_deg": tracked.metrics.rms_error_deg,
                 "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
             }
-            for name, tracked in done.eq27_differences.items()
+            for name, tracked in reproduction.eq27_differences.items()
         },
     }
 

@@ -109,7 +109,7 @@ def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, A
 
 
 def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> Scenario:
-    """The scenario with those values, whose controller is told of the known ones alone.
+    """The scenario with those values, of which the controller gets the known ones alone.
 
     Raises `ParameterError` for values that do not go together.
     """
@@ -144,7 +144,7 @@ def levels(one: Uncertainty) -> tuple[Any, ...]:
     return one.options or (one.low, one.high)
 
 
-def signed(visits: Iterable[Visit], merit: str) -> Array:
+def merit_values(visits: Iterable[Visit], merit: str) -> Array:
     """A figure of merit at each visit; what failed is infinitely bad."""
     values = np.array([visit.figures[merit] for visit in visits], dtype=float)
     return np.where(np.isnan(values), MERITS[merit].worse * math.inf, values)
@@ -152,12 +152,12 @@ def signed(visits: Iterable[Visit], merit: str) -> Array:
 
 def worst(visits: Sequence[Visit], merit: str) -> Visit:
     """The visit with the worst figure of merit, the first of several."""
-    return visits[int(np.argmax(MERITS[merit].worse * signed(visits, merit)))]
+    return visits[int(np.argmax(MERITS[merit].worse * merit_values(visits, merit)))]
 
 
 def quantile(visits: Sequence[Visit], merit: str, share: float) -> float:
     """Order statistic at ``share``: infinite where that many visits failed."""
-    return float(np.quantile(signed(visits, merit), share, method="inverted_cdf"))
+    return float(np.quantile(merit_values(visits, merit), share, method="inverted_cdf"))
 
 
 def failures(visits: Sequence[Visit]) -> list[dict[str, Any]]:
@@ -180,7 +180,7 @@ def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit
     """
     from scipy.stats import rankdata  # takes half a second, which workers need not wait
 
-    ranks = rankdata(signed(visits, merit)) - 0.5 * (len(visits) + 1)
+    ranks = rankdata(merit_values(visits, merit)) - 0.5 * (len(visits) + 1)
     size = math.sqrt(ranks @ ranks)
     if size == 0.0:
         return np.full(len(uncertainty.values), math.nan)
@@ -235,7 +235,7 @@ class RobustnessStudy(Result):
 
     def effects(self, merit: str) -> dict[str, list[float]]:
         """The figure of merit at each level of one value, all others nominal, by path."""
-        values = iter(signed(self.one_at_a_time, merit).tolist())
+        values = iter(merit_values(self.one_at_a_time, merit).tolist())
         return {
             path: list(islice(values, len(levels(one))))
             for path, one in self.uncertainty.values.items()
@@ -243,7 +243,7 @@ class RobustnessStudy(Result):
 
     def spread(self, merit: str, path: str) -> float:
         """How far one value moves the figure of merit, all others nominal; inf if it fails."""
-        found = [*self.effects(merit)[path], signed([self.nominal], merit)[0]]
+        found = [*self.effects(merit)[path], merit_values([self.nominal], merit)[0]]
         return float(np.max(found) - np.min(found)) if np.isfinite(found).all() else math.inf
 
     def linear_effect(self, merit: str, path: str) -> float:
@@ -295,7 +295,7 @@ class RobustnessStudy(Result):
                     for name, visits in sets.items()
                 },
                 **{
-                    f"failed_{name}s": int(np.sum(~np.isfinite(signed(visits, merit))))
+                    f"failed_{name}s": int(np.sum(~np.isfinite(merit_values(visits, merit))))
                     for name, visits in sets.items()
                 },
             }
@@ -459,13 +459,13 @@ def _pointed_at(
     for merit in merits:
         choices = []
         for one, visits in zip(uncertainty.values.values(), own, strict=True):
-            bad = MERITS[merit].worse * signed(visits, merit)
+            bad = MERITS[merit].worse * merit_values(visits, merit)
             choices.append(range(len(visits)) if one.options else [int(np.argmax(bad))])
         yield from product(*choices)
 
 
 def _worst_corner(visited: Mapping[Corner, Visit], merit: str) -> Corner:
-    bad = MERITS[merit].worse * signed(visited.values(), merit)
+    bad = MERITS[merit].worse * merit_values(visited.values(), merit)
     return list(visited)[int(np.argmax(bad))]
 
 

@@ -15,9 +15,9 @@ from kneexo.studies.robustness import (
     RobustnessStudy,
     chance,
     failures,
+    merit_values,
     quantile,
     short_names,
-    signed,
     worst,
 )
 
@@ -69,7 +69,7 @@ def shown(value: Any) -> str:
 def _distribution_table(study: RobustnessStudy) -> list[str]:
     rows = []
     for merit in study.merits:
-        cells = [float(signed([study.nominal], merit)[0])]
+        cells = [float(merit_values([study.nominal], merit)[0])]
         cells += [quantile(study.samples, merit, share) for share in (0.5, 0.05, 0.95)]
         cells += [_worst_value(study, kind, merit) for kind in ("samples", "corners")]
         rows.append([MERITS[merit].label, *map(shown, cells)])
@@ -79,7 +79,7 @@ def _distribution_table(study: RobustnessStudy) -> list[str]:
 
 def _worst_value(study: RobustnessStudy, kind: str, merit: str) -> float:
     """The worst figure of merit of the ``samples`` or ``corners``; infinite where one fails."""
-    return float(signed([worst(getattr(study, kind), merit)], merit)[0])
+    return float(merit_values([worst(getattr(study, kind), merit)], merit)[0])
 
 
 def _failure_texts(study: RobustnessStudy) -> Iterator[str | list[str]]:
@@ -99,7 +99,7 @@ def _failure_texts(study: RobustnessStudy) -> Iterator[str | list[str]]:
         )
         lines = [f"- {entry['count']} times: {entry['example']}" for entry in failures(visits)]
         unstable = [visit for visit in visits if visit.figures["stable"] is False]
-        errors = signed(unstable, "max_error_deg")
+        errors = merit_values(unstable, "max_error_deg")
         if np.isfinite(errors).any():
             runs = errors[np.isfinite(errors)]
             lines.append(

@@ -181,24 +181,6 @@ def _at_reference(scenario: Scenario) -> Steps[dict[str, Any]]:
     return found | {"failure": "; ".join(failures)}
 
 
-@needs_runs
-def _bandwidth_or_nan(scenario: Scenario) -> Steps[float]:
-    try:
-        return (yield from steps(large_signal_bandwidth_hz, scenario))
-    except KneexoError:
-        return math.nan
-
-
-@needs_runs
-def _walking(cycles: int, item: tuple[Scenario, float]) -> Steps[dict[str, Any]]:
-    return (yield from steps(walking_metrics, *item, cycles))
-
-
-@needs_runs
-def _walking_and_margins(cycles: int, item: tuple[Scenario, float]) -> Steps[dict[str, Any]]:
-    return (yield from steps(_walking, cycles, item)) | assess(item[0], tracking=False)
-
-
 # ---------------------------------------------------------------------------------- search
 
 
@@ -223,9 +205,9 @@ def smallest(
 ) -> Search:
     """Smallest value of ``low`` … ``high`` (> 0) with an error within the bound.
 
-    Bisection of the logarithm down to a relative ``tolerance``; it takes for granted that more
-    never hurts. An error of nan is beyond every bound. Where even ``high`` is not enough, the best
-    of nine values is told, with ``reached`` False.
+    Bisection of the logarithm down to a relative ``tolerance``. Assumes that the error never
+    increases with the value. An error of nan is beyond every bound. Where even ``high`` is not
+    enough, ``reached`` is False and the value is the best of nine.
     """
     at_low, at_high = error_deg(low), error_deg(high)
     if at_low <= bound_deg:
@@ -349,7 +331,8 @@ def size_study(
 
 def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
     frequencies = settings.stride_frequencies_hz
-    walking = partial(_walking, settings.cycles)
+    walking = partial(walking_metrics, cycles=settings.cycles)
+    walking_first = partial(walking, frequency_hz=frequencies[0])
 
     demands = [walking_demand(scenario, f) for f in frequencies]
     segment_demands, torque_demands = [], {}
@@ -365,7 +348,7 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
         "hardware: bandwidth and error",
     )
     bandwidths = run(
-        _bandwidth_or_nan,
+        partial(assess, tracking=False, margins=False, bandwidth=True),
         [scaled(scenario, factors) for factors in _pairs(settings.factors)],
         "flow and acceleration: bandwidth",
     )
@@ -383,19 +366,17 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
         for lambda_ in settings.lambda_per_s
     ]
     hardest = max(frequencies)
-    found = run(
-        partial(_walking_and_margins, settings.cycles),
-        [(tuned(ample, gains), hardest) for gains in tried],
-        "gains for walking",
-    )
-    own_change = (
+    loops = [tuned(ample, gains) for gains in tried]
+    walks = run(partial(walking, frequency_hz=hardest), loops, "gains for walking")
+    margins = run(partial(assess, tracking=False), loops)
+    asked_change = (
         walking_demand(ample, hardest).peaks()["mean_motor_acceleration_rad_s2"]
         * scenario.controller.sample_time_s
     )
-    gains = [
-        one | result | {"meets": _meets(result, settings, to_rpm(own_change))}
-        for one, result in zip(tried, found, strict=True)
-    ]
+    gains = []
+    for values, walk_values, margin_values in zip(tried, walks, margins, strict=True):
+        result = values | walk_values | margin_values
+        gains.append(result | {"meets": _meets(result, settings, to_rpm(asked_change))})
     best = _best(gains)
 
     unchanged = changed(scenario, {p: value_at(scenario, p) * f for p, f in largest.items()})
@@ -405,25 +386,26 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
         "and η, Φ grown with the flow": ample,
         "and λ, k/Φ, T_f for walking": tuned(ample, best),
     }
-    found = run(walking, [(stage, f) for stage in stages.values() for f in frequencies])
-    count = len(frequencies)
-    steps = {name: found[n * count : (n + 1) * count] for n, name in enumerate(stages)}
+    by_frequency = [
+        run(partial(walking, frequency_hz=f), list(stages.values())) for f in frequencies
+    ]
+    steps = dict(zip(stages, map(list, zip(*by_frequency, strict=True)), strict=True))
 
     designs = [_design(scenario, settings, best, f, run) for f in frequencies]
     first = designs[0].scenario
     variations = _variations(first, designs[0].flow.value * settings.margin, settings)
-    results = run(walking, [(other, frequencies[0]) for other in variations.values()])
+    results = run(walking_first, list(variations.values()))
     factors = settings.walking_factors
     around = [*_one_at_a_time(factors), *_pairs(factors)]
-    walks = run(
-        walking, [(scaled(first, values), frequencies[0]) for values in around], "around the design"
-    )
+    walks = run(walking_first, [scaled(first, values) for values in around], "around the design")
     return SizeStudy(
         scenario=scenario,
         settings=settings,
         nominal=nominal,
         sweeps=_by_path(swept, settings.factors),
-        bandwidth_map_hz=np.reshape(bandwidths, (len(settings.factors), -1)),
+        bandwidth_map_hz=np.reshape(
+            [figures["bandwidth_hz"] for figures in bandwidths], (len(settings.factors), -1)
+        ),
         demands=demands,
         segment_demands=segment_demands,
         torque_demands=torque_demands,
@@ -467,9 +449,9 @@ def _pairs(factors: Sequence[float]) -> list[dict[str, float]]:
     return [{ACCELERATION_LIMIT: a, DISPLACEMENT: flow} for a in factors for flow in factors]
 
 
-def _meets(result: Mapping[str, Any], settings: SizeSettings, own_change_rpm: float) -> bool:
+def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: float) -> bool:
     """Whether gains have the disk margin, and walk without chattering."""
-    allowed = settings.command_change_ratio_max * own_change_rpm
+    allowed = settings.command_change_ratio_max * asked_change_rpm
     return bool(
         result["disk_margin"] >= settings.disk_margin_min
         and result["mean_command_change_rpm"] <= allowed
@@ -495,7 +477,7 @@ def _design(
     frequency_hz: float,
     run: Any,
 ) -> WalkingDesign:
-    walking = partial(_walking, settings.cycles)
+    walking = partial(walking_metrics, frequency_hz=frequency_hz, cycles=settings.cycles)
     own_limit = scenario.plant.pump.acceleration_limit_rad_s2
 
     def sized(flow: float, limit: float) -> Scenario:
@@ -503,7 +485,7 @@ def _design(
         return tuned(scaled(scenario, factors), gains)
 
     def error_deg(flow: float, limit: float) -> float:
-        return float(run(walking, [(sized(flow, limit), frequency_hz)])[0]["max_error_deg"])
+        return float(run(walking, [sized(flow, limit)])[0]["max_error_deg"])
 
     low, high = settings.acceleration_limit_min_rad_s2, settings.acceleration_limit_max_rad_s2
     needed = {"bound_deg": settings.error_bound_deg, "tolerance": settings.search_tolerance}
@@ -513,8 +495,7 @@ def _design(
     design = sized(sized_flow, settings.margin * acceleration.value)
     check = settings.check_step_s  # which the oil's mode needs
     solvers = [design, *(design.with_steps(step) for step in (check, 0.5 * check))]
-    found = run(walking, [(other, frequency_hz) for other in solvers])
-    return WalkingDesign(frequency_hz, flow, acceleration, design, *found)
+    return WalkingDesign(frequency_hz, flow, acceleration, design, *run(walking, solvers))
 
 
 def _variations(

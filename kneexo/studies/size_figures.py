@@ -25,7 +25,7 @@ from kneexo.analysis.hardware import (
 from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
 from kneexo.simulation.run import Array
-from kneexo.studies.heat_map import decimal_ticks, heat_map, plain_ticks
+from kneexo.studies.plots import CENTRED, decimal_ticks, heat_map, legend_below, plain_ticks
 from kneexo.studies.size import SizeStudy
 
 _STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
@@ -73,8 +73,7 @@ def _sweeps(sizing: SizeStudy) -> Figure:
     axes[1].set_title(f"(b) {low:g}…{high:g}° at {reference.frequency_hz:g} Hz, hardware as it is")
     axes[2].set_title(f"(c) walking at {frequency:.3g} Hz, sized hardware")
     figure.suptitle("no marker: the run fails", fontsize=10)
-    handles = [*axes[0].get_legend_handles_labels()[0], axes[2].get_lines()[-1]]
-    figure.legend(handles=handles, loc="outside lower center", ncols=5)
+    legend_below(figure, (axes[0], axes[2]), ncols=5)
     return figure
 
 
@@ -113,25 +112,16 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
     for (row, column), value in np.ndenumerate(values):
         text = "–" if math.isnan(value) else f"{value:.2g}"
         dark = math.isnan(value) or norm(value) > 0.6
-        axis.text(
-            float(speed[column]),
-            float(limit[row]),
-            text,
-            ha="center",
-            va="center",
-            fontsize=7,
-            color="k" if dark else "w",
-        )
+        color = "k" if dark else "w"
+        axis.text(float(speed[column]), float(limit[row]), text, fontsize=7, color=color, **CENTRED)
 
 
 def _regimes(axis: Axes, sizing: SizeStudy) -> None:
     """Where the acceleration limit begins to count, and below which it alone does."""
     bounds = axis.get_xlim(), axis.get_ylim()
     speed = np.array(bounds[0])
-    motor, amplitude = (
-        sizing.scenario.plant.pump.speed_limit_rad_s,
-        rod_amplitude_m(sizing.scenario),
-    )
+    motor = sizing.scenario.plant.pump.speed_limit_rad_s
+    amplitude = rod_amplitude_m(sizing.scenario)
     for ratio, style, below in (
         (ONE_PERCENT_RATIO, "--", "the acceleration limit counts"),
         (ACCELERATION_ALONE_RATIO, ":", "it alone counts"),
@@ -183,11 +173,10 @@ def _gains(sizing: SizeStudy) -> Figure:
                 column + 0.5,
                 row + 0.5,
                 "\n".join(lines),
-                ha="center",
-                va="center",
                 fontsize=8,
                 weight="bold" if meets[index, row, column] else "normal",
                 color="k" if math.isnan(error) or norm(error) > 0.6 else "w",
+                **CENTRED,
             )
         axis.set_xticks(np.arange(shape[2]) + 0.5, [f"{v:g}" for v in settings.lambda_per_s])
         axis.set_yticks(np.arange(shape[1]) + 0.5, [f"{v:g}" for v in settings.slope_per_s])
@@ -226,16 +215,14 @@ def _tracking(sizing: SizeStudy) -> Figure:
     axes[0].plot(demand.cycle_percent, demand.knee_angle_deg, "k--", lw=1, label="reference")
     limit = to_rpm(sizing.scenario.plant.pump.speed_limit_rad_s)
     bound = sizing.settings.error_bound_deg
-    for sign in (-1, 1):
-        lines = [
-            axes[1].axhline(sign * bound, color="0.4", ls=":", lw=1, label=f"bound, ±{bound:g}°"),
-            axes[2].axhline(
-                sign * limit, color="k", ls=":", lw=1, label=f"limit, ±{limit:.0f} rpm"
-            ),
-        ]
+    for axis, value, color, label in (
+        (axes[1], bound, "0.4", f"bound, ±{bound:g}°"),
+        (axes[2], limit, "k", f"limit, ±{limit:.0f} rpm"),
+    ):
+        for sign in (-1, 1):
+            axis.axhline(sign * value, color=color, ls=":", lw=1, label=label)
     axes[0].set(ylabel="knee flexion (deg)", title=f"walking at {frequency:.3g} Hz")
-    handles = [*axes[0].get_legend_handles_labels()[0], *lines]  # below: each would hide a curve
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    legend_below(figure, axes, ncols=3)  # inside, each would hide a curve
     axes[1].set_ylabel("error (deg)\nlogarithmic beyond ±2")
     axes[1].set_yscale("symlog", linthresh=2.0, linscale=1.5)
     axes[1].set_yticks([-50, -10, -2, 0, 2, 10, 50], ["−50", "−10", "−2", "0", "2", "10", "50"])

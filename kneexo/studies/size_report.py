@@ -8,14 +8,7 @@ from typing import Any
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.hardware import HARDWARE, sliding_mode
 from kneexo.parameters.paths import value_at
-from kneexo.studies.markdown import (
-    Cell,
-    column_table,
-    document,
-    markdown_table,
-    number,
-    row_table,
-)
+from kneexo.studies.markdown import Cell, column_table, document, markdown_table, number, row_table
 from kneexo.studies.size import SizeStudy
 from kneexo.studies.size_results import CHECKED
 

@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from kneexo.studies.plots import legend_below
 from kneexo.studies.sliding import LAWS, SlidingStudy
 
 _OFF = 40.0
@@ -73,12 +74,7 @@ def error_bound(study: SlidingStudy) -> Figure:
         axis.axhline(bound, color="k", ls="--", lw=1, label=f"Φ/λ² = {bound:g} mm")
         axis.set(xlabel="time (s)", ylabel="|e| (mm)", title=f"{load:g} N, η = {eta:g} m/s³")
         axis.set_ylim(bottom=1e-3)
-    entries = {
-        label: handle
-        for axis in ax[0]
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3)
+    legend_below(figure, ax[0], ncols=3)
     return figure
 
 

@@ -6,13 +6,7 @@ import math
 
 from kneexo.parameters import Scenario
 from kneexo.studies.markdown import Cell, document, number, row_table
-from kneexo.studies.sliding import (
-    LAWS,
-    SlidingCase,
-    SlidingStudy,
-    effective_masses_kg,
-    full_order,
-)
+from kneexo.studies.sliding import LAWS, SlidingCase, SlidingStudy, effective_masses_kg, full_order
 
 
 def report(study: SlidingStudy) -> str:
