@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from difflib import get_close_matches
 from functools import cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -45,6 +46,13 @@ def quantities(default: tuple[float, ...], unit: str, source: str, *, min_length
     """A pydantic field for several numbers, with their unit and provenance."""
     extra: dict[str, Any] = {"unit": unit, "source": source}
     return Field(default=default, min_length=min_length, json_schema_extra=extra)
+
+
+def require_increasing(values: tuple[float, ...]) -> tuple[float, ...]:
+    """The values of a field, each above the one before it; else `ValueError`."""
+    if any(b <= a for a, b in pairwise(values)):
+        raise ValueError("must increase")
+    return values
 
 
 def allowed_range(field: FieldInfo) -> str:

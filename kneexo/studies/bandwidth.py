@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated, Any, Unpack
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator
 
 from kneexo.analysis.bandwidth import (
     acceleration_bound_hz,
@@ -31,7 +31,7 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, quantities
+from kneexo.parameters.quantity import Parameters, quantities, require_increasing
 from kneexo.result import Result, data_frame
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
@@ -58,13 +58,7 @@ class BandwidthSettings(Parameters):
     )
     estimate: SineEstimateSettings = SineEstimateSettings()
 
-    @model_validator(mode="after")
-    def _increasing(self) -> BandwidthSettings:
-        for name in ("amplitudes_deg", "frequencies_hz"):
-            values = getattr(self, name)
-            if any(b <= a for a, b in zip((0.0, *values), values, strict=False)):
-                raise ValueError(f"{name} must be above zero and increase")
-        return self
+    _increasing = field_validator("amplitudes_deg", "frequencies_hz")(require_increasing)
 
 
 _LEAST_GAIN = 1e-12  # as of a sine between two counts of the encoder
@@ -224,20 +218,20 @@ def _measure(
         if frequency is None:
             bandwidth = yield from steps(large_signal_bandwidth_hz, at)
             return {"measured_hz": bandwidth, "failure": ""}
-        found = yield from steps(estimate_sine, at, settings)
+        estimate = yield from steps(estimate_sine, at, settings)
     except SimulationError as error:
         failed = {"measured_hz": math.nan, "response": [math.nan, math.nan]}
         return CELL | failed | {"failure": str(error)}
-    response = [found.response.real, found.response.imag]
-    return {name: getattr(found, name) for name in CELL} | {"response": response, "failure": ""}
+    response = [estimate.response.real, estimate.response.imag]
+    return {name: getattr(estimate, name) for name in CELL} | {"response": response, "failure": ""}
 
 
-def _column(found: list[dict[str, Any]], name: str) -> Any:
-    return np.array([row[name] for row in found])
+def _column(rows: list[dict[str, Any]], name: str) -> Any:
+    return np.array([row[name] for row in rows])
 
 
-def _response(found: list[dict[str, Any]]) -> Complex:
-    return np.asarray(_column(found, "response") @ [1.0, 1.0j], dtype=complex)
+def _response(rows: list[dict[str, Any]]) -> Complex:
+    return np.asarray(_column(rows, "response") @ [1.0, 1.0j], dtype=complex)
 
 
 def bandwidth_study(
@@ -264,14 +258,14 @@ def bandwidth_study(
     searches: list[_Item] = [(a, None, quantized) for a in amplitudes]
     items = [*cells, *small, *searches]
     with open_sweep(**options) as sweep:
-        found = sweep.map(
+        measured = sweep.map(
             partial(_measure, scenario, settings.estimate),
             items,
             "amplitude map",
             weight=lambda item: 1.0 / (item[1] or 1.0),
         )
-    grid, searched = found[: len(cells)], found[len(cells) + len(small) :]
-    unquantized = found[len(cells) : len(cells) + len(small)] or grid[: frequencies.size]
+    grid, searched = measured[: len(cells)], measured[len(cells) + len(small) :]
+    unquantized = measured[len(cells) : len(cells) + len(small)] or grid[: frequencies.size]
     limited = _column(unquantized, "speed_limited_share")
     limited = limited + _column(unquantized, "acceleration_limited_share")
 
@@ -310,7 +304,7 @@ def bandwidth_study(
         unlimited=limited == 0.0,
         failures=tuple(
             f"{a:g} deg, {'−3 dB' if f is None else f'{f:g} Hz'}: {row['failure']}"
-            for (a, f, _), row in zip(items, found, strict=True)
+            for (a, f, _), row in zip(items, measured, strict=True)
             if row["failure"]
         ),
         scenario=scenario,

@@ -17,7 +17,7 @@ from kneexo.analysis.rate_limit import (
     rate_limited_gain,
 )
 from kneexo.studies.bandwidth import BandwidthStudy, decibel, unwrapped_deg
-from kneexo.studies.plots import cell_borders, heat_map, plain_ticks
+from kneexo.studies.plots import heat_map, plain_ticks
 
 _MINUS_3_DB = 20.0 * math.log10(MINUS_3_DB)
 _RATIO_AT_MINUS_3_DB = 1.0 / (math.tau * rate_limit_bandwidth_hz(1.0, 1.0))  # ρ = 0.55539
@@ -63,7 +63,6 @@ def plot_map(study: BandwidthStudy) -> Figure:
     reached = study.bandwidths["speed_limit_reached_hz"]
     axes[1, 0].plot(reached, amplitudes, "C3.-", label="the reference asks for more speed")
     axes[1, 0].legend(loc="lower left", fontsize=8, facecolor="0.75")
-    axes[0, 0].set(xlim=cell_borders(f)[[0, -1]], ylim=cell_borders(amplitudes)[[0, -1]])
     plain_ticks(axes[0, 0].xaxis, _TICKS_HZ)
     plain_ticks(axes[0, 0].yaxis, amplitudes)
     return figure

@@ -199,13 +199,13 @@ class ContestStudy(Result):
 
     def winners(self) -> dict[str, list[str]]:
         """The tuned contestants with the best value of each figure of `summary`."""
-        found, tuned = self.summary(), self.settings.contestants
+        summary, tuned = self.summary(), self.settings.contestants
         best = {
-            figure: (max if "margin" in figure else min)(found[name][figure] for name in tuned)
+            figure: (max if "margin" in figure else min)(summary[name][figure] for name in tuned)
             for figure in COLUMNS
         }
         return {
-            figure: [name for name in tuned if found[name][figure] == value]
+            figure: [name for name in tuned if summary[name][figure] == value]
             for figure, value in best.items()
         }
 
@@ -284,15 +284,15 @@ def _contest(
                 bar.update(len(items))
                 return np.array(sweep.map(judge, items))
 
-            found, history = search(objective, len(contestant.gains), settings, seed)
-        energies = found.population_energies
+            optimum, history = search(objective, len(contestant.gains), settings, seed)
+        energies = optimum.population_energies
         return Tuning(
             name,
             seed,
-            gains=_gains(contestant, found.x),
-            objective_deg=float(found.fun),
-            evaluations=settings.population * (int(found.nit) + 1),
-            converged=bool(found.success) and found.fun < INFEASIBLE_DEG,
+            gains=_gains(contestant, optimum.x),
+            objective_deg=float(optimum.fun),
+            evaluations=settings.population * (int(optimum.nit) + 1),
+            converged=bool(optimum.success) and optimum.fun < INFEASIBLE_DEG,
             spread=float(np.std(energies) / np.mean(energies)),
             history_deg=tuple(history),
         )
@@ -349,7 +349,7 @@ def search(
     def note(intermediate_result: OptimizeResult) -> None:
         history.append(float(intermediate_result.fun))
 
-    found = differential_evolution(
+    optimum = differential_evolution(
         lambda candidates: objective(candidates.T),
         [(0.0, 1.0)] * dimensions,
         init=qmc.LatinHypercube(dimensions, seed=seed).random(settings.population),
@@ -362,7 +362,7 @@ def search(
         vectorized=True,
         callback=note,
     )
-    return found, history
+    return optimum, history
 
 
 @needs_runs
@@ -405,9 +405,9 @@ def _entrant(contestant: Contestant, gains: Values) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------- summary
 
 
-def errors_of(found: Sequence[Values], name: str = "max_error_deg") -> Array:
+def errors_of(figures: Sequence[Values], name: str = "max_error_deg") -> Array:
     """One figure of every plant (n,); inf where the run failed."""
-    return np.array([math.inf if math.isnan(v[name]) else v[name] for v in found])
+    return np.array([math.inf if math.isnan(v[name]) else v[name] for v in figures])
 
 
 def _level(values: Array, share: float) -> float:

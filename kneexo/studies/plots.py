@@ -70,18 +70,20 @@ def decimal_ticks(axis: Any) -> None:
 def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, label: str) -> None:
     """Show ``values`` (x, y) with a colour bar; grey where they are not finite.
 
-    The label stands above the map, clear of the axis of the panel on its right.
+    What is drawn on the map later leaves its limits as they are. The label stands above the map,
+    clear of the axis of the panel on its right.
     """
     ax.set_facecolor("0.8")
+    columns, rows = cell_borders(x), cell_borders(y)
     mesh = ax.pcolormesh(
-        cell_borders(x),
-        cell_borders(y),
+        columns,
+        rows,
         np.ma.masked_invalid(values.T),
         norm=norm,
         cmap="viridis",
         rasterized=True,
     )
-    ax.set(xscale="log", yscale="log")
+    ax.set(xscale="log", yscale="log", xlim=columns[[0, -1]], ylim=rows[[0, -1]])
     finite = values[np.isfinite(values)]
     below, above = bool(np.any(finite < norm.vmin)), bool(np.any(finite > norm.vmax))
     extend = ("neither", "max", "min", "both")[2 * below + above]

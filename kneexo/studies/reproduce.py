@@ -58,20 +58,14 @@ class Reproduction(Result):
     eq27_differences: Mapping[str, TrackingResult]
 
 
-@needs_runs
-def _ideal(scenario: Scenario) -> Steps[Run]:
-    return (yield from steps(simulate, scenario, signals=("rod_reference", "rod_extension")))
-
-
-@needs_runs
-def _hydraulic(scenario: Scenario) -> Steps[Run]:
-    return (yield from steps(simulate, scenario, signals=("load_pressure", "motor_speed_command")))
-
-
 _STUDIES: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...] = (
-    ("fig9", _ideal, {"": IDEAL_SMC}),
+    ("fig9", partial(simulate, signals=("rod_reference", "rod_extension")), {"": IDEAL_SMC}),
     ("fig12", track, FIG_12),
-    ("exact", _hydraulic, EQ_27_EXACT_STATES),
+    (
+        "exact",
+        partial(simulate, signals=("load_pressure", "motor_speed_command")),
+        EQ_27_EXACT_STATES,
+    ),
     ("differences", track, EQ_27_DIFFERENCES),
 )
 

@@ -144,15 +144,26 @@ def levels(one: Uncertainty) -> tuple[Any, ...]:
     return one.options or (one.low, one.high)
 
 
+def merit_value(visit: Visit, merit: str) -> float:
+    """A figure of merit of a visit; what failed is infinitely bad."""
+    value = visit.figures[merit]
+    failed = value is None or math.isnan(value)
+    return MERITS[merit].worse * math.inf if failed else float(value)
+
+
 def merit_values(visits: Iterable[Visit], merit: str) -> Array:
-    """A figure of merit at each visit; what failed is infinitely bad."""
-    values = np.array([visit.figures[merit] for visit in visits], dtype=float)
-    return np.where(np.isnan(values), MERITS[merit].worse * math.inf, values)
+    """`merit_value` of each visit, (n,)."""
+    return np.array([merit_value(visit, merit) for visit in visits], dtype=float)
 
 
 def worst(visits: Sequence[Visit], merit: str) -> Visit:
     """The visit with the worst figure of merit, the first of several."""
     return visits[int(np.argmax(MERITS[merit].worse * merit_values(visits, merit)))]
+
+
+def worst_value(visits: Sequence[Visit], merit: str) -> float:
+    """The figure of merit of the `worst` visit."""
+    return merit_value(worst(visits, merit), merit)
 
 
 def quantile(visits: Sequence[Visit], merit: str, share: float) -> float:
@@ -162,13 +173,13 @@ def quantile(visits: Sequence[Visit], merit: str, share: float) -> float:
 
 def failures(visits: Sequence[Visit]) -> list[dict[str, Any]]:
     """Reasons of failures, alike but for their numbers: how many, and the first one's words."""
-    found: dict[str, dict[str, Any]] = {}
+    kinds: dict[str, dict[str, Any]] = {}
     for visit in visits:
         for text in visit.failures:
             kind = re.sub(r"[-+−]?\d[\d.e+-]*", "#", text)
-            entry = found.setdefault(kind, {"count": 0, "example": text, "values": visit.values})
+            entry = kinds.setdefault(kind, {"count": 0, "example": text, "values": visit.values})
             entry["count"] += 1
-    return sorted(found.values(), key=lambda entry: -entry["count"])
+    return sorted(kinds.values(), key=lambda entry: -entry["count"])
 
 
 def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit: str) -> Array:
@@ -243,8 +254,8 @@ class RobustnessStudy(Result):
 
     def spread(self, merit: str, path: str) -> float:
         """How far one value moves the figure of merit, all others nominal; inf if it fails."""
-        found = [*self.effects(merit)[path], merit_values([self.nominal], merit)[0]]
-        return float(np.max(found) - np.min(found)) if np.isfinite(found).all() else math.inf
+        values = [*self.effects(merit)[path], merit_value(self.nominal, merit)]
+        return float(np.max(values) - np.min(values)) if np.isfinite(values).all() else math.inf
 
     def linear_effect(self, merit: str, path: str) -> float:
         """What the local sensitivity makes of the whole interval, low to high; nan without one."""
@@ -400,12 +411,12 @@ def _local(
     """Local sensitivities by figure and path; ``failure`` says why there are none."""
     try:
         if task == "margins":
-            found = loop_sensitivities(scenario, paths)
+            sensitivities = loop_sensitivities(scenario, paths)
         else:
-            found = tracking_sensitivities(scenario, paths, duration_s=duration_s)
+            sensitivities = tracking_sensitivities(scenario, paths, duration_s=duration_s)
     except KneexoError as error:
         return {"failure": f"{task}: {error}"}
-    return {figure: found.of(figure) for figure in found.figures}
+    return {figure: sensitivities.of(figure) for figure in sensitivities.figures}
 
 
 def _corners(

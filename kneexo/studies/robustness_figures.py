@@ -20,10 +20,12 @@ from kneexo.studies.robustness import (
     MERITS,
     RobustnessStudy,
     Visit,
+    merit_value,
     merit_values,
     realize,
     short_names,
     worst,
+    worst_value,
 )
 
 _SHOWN = ("max_error_deg", "bandwidth_hz", "disk_margin")
@@ -54,8 +56,8 @@ def _plot_distribution(ax: Axes, study: RobustnessStudy, merit: str) -> None:
     values = np.sort(merit_values(study.samples, merit))
     share = np.arange(1, values.size + 1) / values.size
     finite = np.isfinite(values)
-    nominal = merit_values([study.nominal], merit)[0]
-    corner = merit_values([worst(study.corners, merit)], merit)[0]
+    nominal = merit_value(study.nominal, merit)
+    corner = worst_value(study.corners, merit)
     ax.step(values[finite], share[finite], where="post", color="C0", label="samples")
     for value, colour, ls, lw, label in (
         (nominal, "0.4", "--", 1.0, "nominal"),
@@ -103,7 +105,7 @@ def tornado(study: RobustnessStudy) -> Figure:
 
 def _plot_tornado(ax: Axes, study: RobustnessStudy, merit: str, names: dict[str, str]) -> None:
     effects = study.effects(merit)
-    nominal = float(merit_values([study.nominal], merit)[0])
+    nominal = merit_value(study.nominal, merit)
     finite = [v for values in effects.values() for v in [*values, nominal] if math.isfinite(v)]
     order = sorted(names, key=lambda path: study.spread(merit, path))
     low, high = (min(finite), max(finite)) if finite else (0.0, 1.0)

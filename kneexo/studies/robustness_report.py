@@ -15,10 +15,12 @@ from kneexo.studies.robustness import (
     RobustnessStudy,
     chance,
     failures,
+    merit_value,
     merit_values,
     quantile,
     short_names,
     worst,
+    worst_value,
 )
 
 
@@ -69,17 +71,12 @@ def shown(value: Any) -> str:
 def _distribution_table(study: RobustnessStudy) -> list[str]:
     rows = []
     for merit in study.merits:
-        cells = [float(merit_values([study.nominal], merit)[0])]
+        cells = [merit_value(study.nominal, merit)]
         cells += [quantile(study.samples, merit, share) for share in (0.5, 0.05, 0.95)]
-        cells += [_worst_value(study, kind, merit) for kind in ("samples", "corners")]
+        cells += [worst_value(visits, merit) for visits in (study.samples, study.corners)]
         rows.append([MERITS[merit].label, *map(shown, cells)])
     head = ("figure", "nominal", "median", "5 %", "95 %", "worst sample", "worst corner")
     return markdown_table(head, rows)
-
-
-def _worst_value(study: RobustnessStudy, kind: str, merit: str) -> float:
-    """The worst figure of merit of the ``samples`` or ``corners``; infinite where one fails."""
-    return float(merit_values([worst(getattr(study, kind), merit)], merit)[0])
 
 
 def _failure_texts(study: RobustnessStudy) -> Iterator[str | list[str]]:
@@ -129,7 +126,7 @@ def _corner_table(
     study: RobustnessStudy, merits: Sequence[str], names: Mapping[str, str]
 ) -> list[str]:
     corners = [worst(study.corners, merit) for merit in merits]
-    at_worst = [shown(_worst_value(study, "corners", merit)) for merit in merits]
+    at_worst = [shown(worst_value(study.corners, merit)) for merit in merits]
     return markdown_table(
         ("value", *(MERITS[merit].label for merit in merits)),
         [
@@ -144,8 +141,8 @@ def _worse_samples(study: RobustnessStudy) -> str:
     beyond = [
         MERITS[merit].label
         for merit in study.merits
-        if MERITS[merit].worse * _worst_value(study, "samples", merit)
-        > MERITS[merit].worse * _worst_value(study, "corners", merit)
+        if MERITS[merit].worse * worst_value(study.samples, merit)
+        > MERITS[merit].worse * worst_value(study.corners, merit)
     ]
     if not beyond:
         return ""

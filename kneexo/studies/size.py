@@ -10,11 +10,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Annotated, Any, Unpack
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
@@ -47,7 +46,13 @@ from kneexo.parameters import (
     gait_reference,
 )
 from kneexo.parameters.paths import changed, value_at
-from kneexo.parameters.quantity import Parameters, Positive, quantities, quantity
+from kneexo.parameters.quantity import (
+    Parameters,
+    Positive,
+    quantities,
+    quantity,
+    require_increasing,
+)
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
@@ -128,12 +133,10 @@ class SizeSettings(Parameters):
         (-20.0, -10.0, 0.0, 10.0, 20.0), "N·m", "assumption: constant torques of a wearer"
     )
 
+    _increasing = field_validator("factors", "walking_factors")(require_increasing)
+
     @model_validator(mode="after")
     def _ordered(self) -> SizeSettings:
-        for name in ("factors", "walking_factors"):
-            values = getattr(self, name)
-            if any(b <= a for a, b in pairwise(values)):
-                raise ValueError(f"{name} must increase")
         low, high = self.acceleration_limit_min_rad_s2, self.acceleration_limit_max_rad_s2
         if low >= high:
             raise ValueError(
@@ -173,12 +176,12 @@ def _at_reference(scenario: Scenario) -> Steps[dict[str, Any]]:
         metrics = (yield from steps(track, scenario)).metrics
         return [metrics.max_error_deg, metrics.rms_error_deg, metrics.mean_command_change_rpm]
 
-    found = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
-    found |= yield from measured("bandwidth_hz", part=large_signal())
-    found |= yield from measured("small_signal_bandwidth_hz", part=steps(small_signal))
+    figures = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
+    figures |= yield from measured("bandwidth_hz", part=large_signal())
+    figures |= yield from measured("small_signal_bandwidth_hz", part=steps(small_signal))
     names = ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
-    found |= yield from measured(*names, part=tracking())
-    return found | {"failure": "; ".join(failures)}
+    figures |= yield from measured(*names, part=tracking())
+    return figures | {"failure": "; ".join(failures)}
 
 
 # ---------------------------------------------------------------------------------- search
@@ -439,10 +442,10 @@ def _one_at_a_time(factors: Sequence[float]) -> list[dict[str, float]]:
     return [{path: factor} for path in HARDWARE for factor in factors]
 
 
-def _by_path(found: Sequence[Any], factors: Sequence[float]) -> dict[str, Sequence[Any]]:
+def _by_path(results: Sequence[Any], factors: Sequence[float]) -> dict[str, Sequence[Any]]:
     """The results of `_one_at_a_time`."""
     count = len(factors)
-    return {path: found[n * count : (n + 1) * count] for n, path in enumerate(HARDWARE)}
+    return {path: results[n * count : (n + 1) * count] for n, path in enumerate(HARDWARE)}
 
 
 def _pairs(factors: Sequence[float]) -> list[dict[str, float]]:

@@ -118,8 +118,7 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
 
 def _regimes(axis: Axes, sizing: SizeStudy) -> None:
     """Where the acceleration limit begins to count, and below which it alone does."""
-    bounds = axis.get_xlim(), axis.get_ylim()
-    speed = np.array(bounds[0])
+    speed = np.array(axis.get_xlim())
     motor = sizing.scenario.plant.pump.speed_limit_rad_s
     amplitude = rod_amplitude_m(sizing.scenario)
     for ratio, style, below in (
@@ -129,14 +128,12 @@ def _regimes(axis: Axes, sizing: SizeStudy) -> None:
         limit = ratio * motor * 1e-3 * speed / amplitude
         label = f"A = {ratio:.2g} R²/a; below, {below}"
         axis.plot(speed, limit, "C3" + style, lw=1.6, label=label)
-    axis.set(xlim=bounds[0], ylim=bounds[1])
     _legend_below(axis)
 
 
 def _walking_limits(axis: Axes, sizing: SizeStudy) -> None:
     """What the motion itself asks for, and the sized hardware."""
-    bounds = axis.get_xlim(), axis.get_ylim()
-    speed = np.array(bounds[0])
+    speed = np.array(axis.get_xlim())
     peaks, design = sizing.demands[0].peaks(), sizing.designs[0].scenario
     motor = design.plant.pump.speed_limit_rad_s
     needed = peaks["peak_rod_acceleration_m_s2"] * motor / (1e-3 * speed)
@@ -144,7 +141,6 @@ def _walking_limits(axis: Axes, sizing: SizeStudy) -> None:
     axis.axvline(1e3 * peaks["peak_rod_speed_m_s"], color="C3", ls="--", lw=1.6)
     sized = 1e3 * rod_limits(design)[0], design.plant.pump.acceleration_limit_rad_s2
     axis.plot(*sized, "C3s", ms=16, mfc="none", mew=1.6, label="sized")
-    axis.set(xlim=bounds[0], ylim=bounds[1])
     _legend_below(axis)
 
 

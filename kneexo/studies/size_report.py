@@ -30,16 +30,16 @@ _AT_REFERENCE = (
 )
 
 
-def _hardware_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
-    limits = found["limits"]
+def _hardware_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
+    limits = numbers["limits"]
     reference = require_sine(sizing.scenario)
     low, high = reference.range_deg
     # The ends of the sweep and the next to 1; results and figures have them all.
     below = sorted(factor for factor in sizing.settings.factors if factor < 1.0)
     above = sorted(factor for factor in sizing.settings.factors if factor > 1.0)
     shown = {*below[:1], *below[-1:], *above[:1], *above[-1:]}
-    measured = [("hardware as it is", found["nominal"])]
-    for path, sweep in found["sweeps"].items():
+    measured = [("hardware as it is", numbers["nominal"])]
+    for path, sweep in numbers["sweeps"].items():
         label, unit, _ = HARDWARE[path]
         measured += [
             (f"{label} {one['value']:.4g} {unit}".rstrip(), one)
@@ -90,8 +90,8 @@ _DEMANDS: dict[str, Cell] = {
 }
 
 
-def _demand_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
-    by_mass = {"Eq. 16": found["demand"], "shank": found["demand_with_segment_inertia"]}
+def _demand_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
+    by_mass = {"Eq. 16": numbers["demand"], "shank": numbers["demand_with_segment_inertia"]}
     demands = [demand for of_mass in by_mass.values() for demand in of_mass]
     heads = [f"{d['frequency_hz']:.4g} Hz, {mass}" for mass, of in by_mass.items() for d in of]
     blocks: Blocks = [
@@ -102,14 +102,14 @@ def _demand_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
         "inertia of motor and pump.",
         column_table(heads, demands, _DEMANDS),
     ]
-    torques = found["demand_by_wearer_torque_n_m"]
+    torques = numbers["demand_by_wearer_torque_n_m"]
     if not torques:
         return blocks
     cylinder, pump = sizing.scenario.plant.cylinder, sizing.scenario.plant.pump
     return [
         *blocks,
         f"With a constant torque of the wearer (positive flexes) and the shank's inertia, at "
-        f"{found['demand'][0]['frequency_hz']:.4g} Hz; the ratings are "
+        f"{numbers['demand'][0]['frequency_hz']:.4g} Hz; the ratings are "
         f"{1e-6 * cylinder.pressure_rating_pa:g} MPa and {pump.rated_power_w:g} W:",
         row_table(
             [{"torque": torque} | demand for torque, demand in torques.items()],
@@ -130,15 +130,15 @@ _WALKING = {
 }
 
 
-def _walked(found: Mapping[str, Any], names: Sequence[str]) -> list[str]:
-    if found["failure"]:
-        return [f"fails: {found['failure'].split(';')[0]}", *["–"] * (len(names) - 1)]
-    return [number(found[name], _WALKING[name][1]) for name in names]
+def _walked(numbers: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    if numbers["failure"]:
+        return [f"fails: {numbers['failure'].split(';')[0]}", *["–"] * (len(names) - 1)]
+    return [number(numbers[name], _WALKING[name][1]) for name in names]
 
 
-def _controller_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
-    best, settings, own = found["best_gains"], sizing.settings, found["controller"]
-    scenario, as_it_is = sizing.scenario, next(iter(found["steps"].values()))[0]
+def _controller_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
+    best, settings, own = numbers["best_gains"], sizing.settings, numbers["controller"]
+    scenario, as_it_is = sizing.scenario, next(iter(numbers["steps"].values()))[0]
     law = sliding_mode(scenario)
     names = ("max_error_deg", "rms_error_deg")
     errors = [
@@ -159,7 +159,7 @@ def _controller_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
     with_margin = (
         f"disk margin {best['disk_margin']:.2f}, phase margin {best['phase_margin_deg']:.0f}°"
         if best["meets"]
-        else f"** none of the {len(found['gains'])} gains tried has a disk margin of "
+        else f"** none of the {len(numbers['gains'])} gains tried has a disk margin of "
         f"{settings.disk_margin_min:g} without chattering** (this one: "
         f"{number(best['disk_margin'])})"
     )
@@ -173,7 +173,7 @@ def _controller_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
             ["", *errors],
             [
                 [name, *(cell for stride in strides for cell in _walked(stride, names))]
-                for name, strides in found["steps"].items()
+                for name, strides in numbers["steps"].items()
             ],
         ),
         f"The delay τ from command to motor speed asks of βη τ ω̂² |ẍ_d| = "
@@ -194,9 +194,9 @@ def _searched(search: Mapping[str, Any], bound_deg: float) -> str:
     )
 
 
-def _designs_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
-    settings, designs = sizing.settings, found["designs"]
-    flows = " and ".join(number(demand["flow_factor"]) for demand in found["demand"])
+def _designs_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
+    settings, designs = sizing.settings, numbers["designs"]
+    flows = " and ".join(number(demand["flow_factor"]) for demand in numbers["demand"])
     bound = settings.error_bound_deg
 
     def searched(name: str) -> Cell:
@@ -231,15 +231,15 @@ def _designs_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
     ]
 
 
-def _around_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
+def _around_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
     bound = sizing.settings.error_bound_deg
-    at_sine, frequency = found["design_at_reference"], found["designs"][0]["frequency_hz"]
+    at_sine, frequency = numbers["design_at_reference"], numbers["designs"][0]["frequency_hz"]
     reference = require_sine(sizing.scenario)
     low, high = reference.range_deg
     names = ("max_error_deg", "rms_error_deg", "peak_motor_speed_rpm", "peak_pressure_mpa")
     columns = (*names, "peak_shaft_power_w", "delivered_energy_j")
     kept = []
-    for path, sweep in found["walking_sweeps"].items():
+    for path, sweep in numbers["walking_sweeps"].items():
         good = [one["factor"] for one in sweep if one["max_error_deg"] <= bound]
         shown = f"{min(good):g} … {max(good):g}" if good else "none"
         kept.append([HARDWARE[path][0], shown])
@@ -255,7 +255,7 @@ def _around_text(sizing: SizeStudy, found: Mapping[str, Any]) -> Blocks:
         "Walking on plants that the controller does not know of:",
         markdown_table(
             ("plant", *(_WALKING[name][0] for name in columns)),
-            [[name, *_walked(one, columns)] for name, one in found["variations"].items()],
+            [[name, *_walked(one, columns)] for name, one in numbers["variations"].items()],
         ),
         f"Factors on one of its values, of those tried in {min(tried):g} … {max(tried):g}, that "
         f"keep the error within {bound:g}°:",

@@ -261,7 +261,7 @@ def check_sliding(
     What does not exist is nan. ``trace`` holds signals for figures.
     """
     law = sliding_mode(scenario)
-    found: dict[str, Any] = dict.fromkeys(
+    measured: dict[str, Any] = dict.fromkeys(
         (
             *("outside_share", "holding_share", "attracting_share", "worst_rate_m_s3"),
             *("held_share", "mean_share", "reaching_s", "left_share", "largest_s"),
@@ -270,8 +270,8 @@ def check_sliding(
         ),
         math.nan,
     )
-    run, found["failure"] = yield from _longest_run(scenario)
-    found["duration_s"] = float(run.time_s[-1])
+    run, measured["failure"] = yield from _longest_run(scenario)
+    measured["duration_s"] = float(run.time_s[-1])
     command = run["motor_speed_command_rad_s"]
     if not law.continuous:
         command = command[1:]  # logged is what was held up to the sample
@@ -284,29 +284,31 @@ def check_sliding(
     rate = (run["rod_velocity_m_s"] - run["rod_reference_velocity_m_s"])[rows]
     time, phi, lambda_ = run.time_s[rows], law.phi_m_s2, law.lambda_per_s
     outside = np.abs(s) > phi
-    found["outside_share"] = float(np.mean(outside))
-    found["promised_s"] = max(0.0, float(abs(s[0]) - phi)) / law.eta_m_s3 if law.eta_m_s3 else 0.0
+    measured["outside_share"] = float(np.mean(outside))
+    measured["promised_s"] = (
+        max(0.0, float(abs(s[0]) - phi)) / law.eta_m_s3 if law.eta_m_s3 else 0.0
+    )
 
     chosen = _thinned(np.flatnonzero(outside), settings.rated_samples)
     away = np.empty(0)
     if chosen.size:
         eta = law.eta_m_s3 * (1.0 - _ROUNDING)
         away = _away(scenario, run, chosen, command[chosen])
-        found["holding_share"] = float(np.mean(away <= -eta))
-        found["attracting_share"] = float(np.mean(away < 0.0))
-        found["worst_rate_m_s3"] = float(np.max(away))
+        measured["holding_share"] = float(np.mean(away <= -eta))
+        measured["attracting_share"] = float(np.mean(away < 0.0))
+        measured["worst_rate_m_s3"] = float(np.max(away))
         if not law.continuous:
             inner = chosen[chosen < rows.size - 1]
             late = _away(scenario, run, inner + 1, command[inner])
             mean = np.sign(s[inner]) * (s[inner + 1] - s[inner]) / law.sample_time_s
-            found["held_share"] = float(np.mean(late <= -eta))
-            found["mean_share"] = float(np.mean(mean <= -eta))
+            measured["held_share"] = float(np.mean(late <= -eta))
+            measured["mean_share"] = float(np.mean(mean <= -eta))
     bound = np.full(time.size, math.nan)
     if not outside.all():
         reached = int(np.argmin(outside))
-        found["reaching_s"] = float(time[reached])
-        found["left_share"] = float(np.mean(outside[reached:]))
-        found["largest_s"] = float(np.max(np.abs(s[reached:]))) / phi
+        measured["reaching_s"] = float(time[reached])
+        measured["left_share"] = float(np.mean(outside[reached:]))
+        measured["largest_s"] = float(np.max(np.abs(s[reached:]))) / phi
         left = reached + int(np.argmax(outside[reached:])) if outside[reached:].any() else time.size
         inside = slice(reached, left)
         bound[inside], _ = error_bounds(
@@ -317,17 +319,17 @@ def check_sliding(
             phi_m_s2=phi,
         )
         within = np.abs(error[inside]) <= bound[inside] * (1.0 + _ROUNDING)
-        found["bounded_share"] = float(np.mean(within))
+        measured["bounded_share"] = float(np.mean(within))
         late = time >= time[reached] + settings.settling_factor / lambda_
         if late.any():
             acceleration = s[late] - 2.0 * lambda_ * rate[late] - lambda_**2 * error[late]
-            found["largest_error_mm"] = 1e3 * float(np.max(np.abs(error[late])))
-            found["error_share"] = float(np.max(np.abs(error[late]))) * lambda_**2 / phi
-            found["rate_share"] = float(np.max(np.abs(rate[late]))) * lambda_ / (2.0 * phi)
-            found["acceleration_share"] = float(np.max(np.abs(acceleration))) / (4.0 * phi)
+            measured["largest_error_mm"] = 1e3 * float(np.max(np.abs(error[late])))
+            measured["error_share"] = float(np.max(np.abs(error[late]))) * lambda_**2 / phi
+            measured["rate_share"] = float(np.max(np.abs(rate[late]))) * lambda_ / (2.0 * phi)
+            measured["acceleration_share"] = float(np.max(np.abs(acceleration))) / (4.0 * phi)
     points = _thinned(rows, _TRACE_POINTS)
     shown = np.linspace(0, chosen.size - 1, min(chosen.size, _TRACE_POINTS)).astype(int)
-    found["trace"] = {
+    measured["trace"] = {
         "time_s": time[points].tolist(),
         "s_m_s2": s[points].tolist(),
         "error_m": error[points].tolist(),
@@ -335,7 +337,7 @@ def check_sliding(
         "outside_time_s": time[chosen[shown]].tolist(),
         "away_m_s3": away[shown].tolist(),
     }
-    return found
+    return measured
 
 
 def _longest_run(scenario: Scenario) -> Steps[tuple[Run, str]]:
@@ -406,7 +408,7 @@ def _with_law(scenario: Scenario, law: str) -> Scenario:
 
 @dataclass(frozen=True)
 class SlidingCase:
-    """One run of the study and what `check_sliding` found in it."""
+    """One run of the study and what `check_sliding` measured in it."""
 
     part: str
     """motion: along the reference; start: from outside the layer; sampled: at 2 ms."""
@@ -414,12 +416,12 @@ class SlidingCase:
     law: str
     load_n: float
     eta_m_s3: float
-    found: Mapping[str, Any]
+    measured: Mapping[str, Any]
 
     @property
     def stays(self) -> bool:
         """Whether s never left the layer again, and the run reached its end."""
-        return not self.found["failure"] and self.found["left_share"] == 0.0
+        return not self.measured["failure"] and self.measured["left_share"] == 0.0
 
 
 def full_order(scenario: Scenario) -> Scenario:
@@ -567,8 +569,8 @@ class SlidingStudy(Result):
             },
             "effective_mass_kg": effective_masses_kg(full_order(self.scenario)),
             "cases": [
-                {name: value for name, value in asdict(case).items() if name != "found"}
-                | {name: value for name, value in case.found.items() if name != "trace"}
+                {name: value for name, value in asdict(case).items() if name != "measured"}
+                | {name: value for name, value in case.measured.items() if name != "trace"}
                 for case in self.cases
             ],
         }

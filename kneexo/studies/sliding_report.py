@@ -41,7 +41,7 @@ def report(study: SlidingStudy) -> str:
                 "largest \\|s\\|/Φ": _measured("largest_s"),
                 "largest error (mm)": _measured("largest_error_mm"),
                 "run": lambda case: (
-                    "left the range of motion" if case.found["failure"] else "complete"
+                    "left the range of motion" if case.measured["failure"] else "complete"
                 ),
             },
         ),
@@ -78,7 +78,7 @@ def _measured(name: str, factor: float = 1.0) -> Cell:
     """What `check_sliding` measured, times a factor."""
 
     def text(case: SlidingCase) -> str:
-        return number(factor * case.found[name])
+        return number(factor * case.measured[name])
 
     return text
 
@@ -90,7 +90,8 @@ def _findings(study: SlidingStudy) -> list[str]:
     kept = [
         case
         for case in derived
-        if case.stays and (not case.found["outside_share"] or case.found["holding_share"] == 1.0)
+        if case.stays
+        and (not case.measured["outside_share"] or case.measured["holding_share"] == 1.0)
     ]
     low, high = effective_masses_kg(full_order(study.scenario))
     lines = [
@@ -99,13 +100,13 @@ def _findings(study: SlidingStudy) -> list[str]:
     ]
     for load in study.settings.loads_n:
         smallest = study.smallest_eta("paper", load)
-        found = (
+        where = (
             f"from η = {smallest:.3g} m/s³ on"
             if math.isfinite(smallest)
             else "at none of the η tried"
         )
         lines.append(
-            f"- Full order, {load:g} N: with the paper's k, s stays in the layer {found}; with "
+            f"- Full order, {load:g} N: with the paper's k, s stays in the layer {where}; with "
             f"the area term from {study.smallest_eta('area', load):.3g} m/s³ on."
         )
     lines += [
@@ -127,14 +128,14 @@ def _findings(study: SlidingStudy) -> list[str]:
 
 def _shares(study: SlidingStudy) -> list[str]:
     """Share of the samples outside, of all full-order runs of a law, that hold."""
-    found = []
+    texts = []
     for name, label in LAWS.items():
         shares = [
-            case.found["holding_share"]
+            case.measured["holding_share"]
             for case in study.cases
-            if case.plant == "full" and case.law == name and case.found["outside_share"] > 0.0
+            if case.plant == "full" and case.law == name and case.measured["outside_share"] > 0.0
         ]
         if shares:
             low, high = 100.0 * min(shares), 100.0 * max(shares)
-            found.append(f"{label} {low:.0f}…{high:.0f} % of a run")
-    return found
+            texts.append(f"{label} {low:.0f}…{high:.0f} % of a run")
+    return texts

@@ -6,13 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypedDict, TypeVar
+from typing import TypedDict
 
 from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+from kneexo.sweeps.parallel import Item, Result, parallel_map, process_pool
 
 
 class SweepOptions(TypedDict, total=False):

@@ -100,8 +100,8 @@ def test_what_cannot_be_sized_is_refused(scenario, told):
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"factors": (1.0, 1.0)}, "factors must increase"),
-        ({"walking_factors": (2.0, 1.0)}, "walking_factors must increase"),
+        ({"factors": (1.0, 1.0)}, "factors: must increase"),
+        ({"walking_factors": (2.0, 1.0)}, "walking_factors: must increase"),
         ({"factors": ()}, "factors has 0 values: must have at least 1"),
         (
             {"acceleration_limit_min_rad_s2": 1e5},
