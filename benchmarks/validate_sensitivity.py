@@ -21,10 +21,9 @@ from kneexo.analysis.sensitivity import (
     differentiable,
     loop_sensitivities,
     tracking_sensitivities,
-    value_at,
 )
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario
-from kneexo.parameters.paths import changed
+from kneexo.parameters.paths import changed, value_at
 from kneexo.simulation.compiled import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
 

@@ -65,6 +65,13 @@ def _counted(value: Mapping[Any, Any], left: str, right: str) -> str:
     return f"{left}{names}{more}{right}"
 
 
+def axes_or_new(ax: Any, *shape: int, **options: Any) -> Any:
+    """``ax``; where it is None new axes, by what `matplotlib.pyplot.subplots` takes."""
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(*shape, layout="constrained", **options)[1] if ax is None else ax
+
+
 def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
     """A `pandas.DataFrame` of columns by name, each (n,); ``index``: the column that is the index.
 

@@ -35,7 +35,7 @@ from kneexo.analysis.signals import rms
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, Scenario
 from kneexo.parameters.paths import changed
-from kneexo.result import Result
+from kneexo.result import Result, axes_or_new
 from kneexo.simulation.engines import simulate
 from kneexo.simulation.run import Array
 
@@ -168,9 +168,7 @@ class ErrorComparison(Result):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Plot both errors over time."""
-        import matplotlib.pyplot as plt
-
-        ax = plt.subplots(layout="constrained")[1] if ax is None else ax
+        ax = axes_or_new(ax)
         ax.plot(self.time_s, 1e3 * self.simulated_m, "C0", lw=2.5, alpha=0.6, label="simulated")
         ax.plot(self.time_s, 1e3 * self.predicted_m, "k--", lw=1, label="closed form")
         ax.set(xlabel="time (s)", ylabel="error of the rod (mm)")

@@ -23,7 +23,7 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, SineReference
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
-from kneexo.result import Result, data_frame
+from kneexo.result import Result, axes_or_new, data_frame
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
 from kneexo.simulation.run import Array, Run
@@ -237,10 +237,7 @@ class FrequencyResponse(Result):
 
     def plot(self, ax: Any = None) -> Any:
         """Plot magnitude and phase as Fig. 13 does: trials, means and PCHIP; ``ax``: two axes."""
-        import matplotlib.pyplot as plt
-
-        if ax is None:
-            ax = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")[1]
+        ax = axes_or_new(ax, 1, 2, figsize=(10, 4))
         f = self.frequencies_hz
         fine = np.linspace(f[0], f[-1], 400)
         gains, phases = np.abs(self.response), _phase_deg(self.response)
@@ -466,7 +463,7 @@ def cycle_responses(
 
     The ratio of the fundamentals of two columns, complex (n,), and the means, (n,). A cycle need
     not have a whole number of samples. While a motor is at its limits, the mean of the output may
-    wander: the wandering, as fast as the means of the neighbouring cycles tell, is taken out.
+    drift: the linear drift estimated from neighbouring cycle means is removed.
     """
     means, amplitudes = np.empty((cycles, 3)), np.empty((cycles, 3), complex)
     for cycle in range(cycles):

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import reduce
 from typing import Any
 
 from scipy.optimize import brentq
@@ -28,7 +27,7 @@ from kneexo.analysis.bandwidth import acceleration_bound_hz, rod_amplitude_m, ro
 from kneexo.analysis.frequency_response import MINUS_3_DB, require_sine
 from kneexo.errors import ParameterError
 from kneexo.parameters import RPM, Scenario, SlidingModeParameters
-from kneexo.parameters.paths import changed
+from kneexo.parameters.paths import changed, value_at
 
 DISPLACEMENT = "plant.pump.displacement_m3_per_rad"
 ACCELERATION_LIMIT = "plant.pump.acceleration_limit_rad_s2"
@@ -108,11 +107,6 @@ def sliding_mode(scenario: Scenario) -> SlidingModeParameters:
 
 
 # -------------------------------------------------------------------------- other hardware
-
-
-def value_at(scenario: Scenario, path: str) -> Any:
-    """The value at a dotted path."""
-    return reduce(getattr, path.split("."), scenario)
 
 
 def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:

@@ -10,7 +10,7 @@ from numpy.polynomial import Polynomial
 
 from kneexo import linkage
 from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
-from kneexo.result import Result, data_frame
+from kneexo.result import Result, axes_or_new, data_frame
 from kneexo.simulation.run import Array
 
 if TYPE_CHECKING:
@@ -66,10 +66,7 @@ class PolynomialFit(Result):
 
     def plot(self, ax: Any = None) -> Any:
         """Plot both maps as Fig. 5 does: linkage, fit and Table 1; ``ax``: two axes."""
-        import matplotlib.pyplot as plt
-
-        if ax is None:
-            ax = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")[1]
+        ax = axes_or_new(ax, 1, 2, figsize=(9, 3.8))
         table = self.table
         angle, rod = self.angle_deg, self.extension_mm
         self._plot_map(ax[0], angle, rod, self.p_mm_deg, table.p_mm_deg)

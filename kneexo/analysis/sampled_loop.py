@@ -26,7 +26,7 @@ from kneexo.analysis.loop_equilibrium import command_and_live, find_rest
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
-from kneexo.result import Result
+from kneexo.result import Result, axes_or_new
 from kneexo.simulation.run import Array
 
 if TYPE_CHECKING:
@@ -326,10 +326,7 @@ class SampledLoop(Result):
 
         The phase is unwrapped and starts in −270…90°.
         """
-        import matplotlib.pyplot as plt
-
-        if ax is None:
-            ax = plt.subplots(2, 1, sharex=True, figsize=(7, 6), layout="constrained")[1]
+        ax = axes_or_new(ax, 2, 1, sharex=True, figsize=(7, 6))
         nyquist = 0.5 / self.sample_time_s
         f = self._plot_grid(nyquist)
         loop, margins = self.loop_response(f), self.margins()
@@ -376,10 +373,7 @@ class SampledLoop(Result):
         The disk is the balanced one of ``disk_margin``, by default the loop's own: 1 + fL does not
         vanish for any complex factor f from 1/γ to γ, which belong to −γ … −1/γ on the real axis.
         """
-        import matplotlib.pyplot as plt
-
-        if ax is None:
-            ax = plt.subplots(figsize=(5.5, 5.5), layout="constrained")[1]
+        ax = axes_or_new(ax, figsize=(5.5, 5.5))
         loop = self._loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
         ax.plot(loop.real, loop.imag, "C0", lw=1.2, label="L, f > 0")
         ax.plot(loop.real, -loop.imag, "C0:", lw=0.8, label="L, f < 0")
@@ -403,10 +397,7 @@ class SampledLoop(Result):
 
     def plot_poles(self, ax: Axes | None = None) -> Axes:
         """Closed-loop eigenvalues in the z-plane, with the unit circle and lines of damping."""
-        import matplotlib.pyplot as plt
-
-        if ax is None:
-            ax = plt.subplots(figsize=(5.5, 5.5), layout="constrained")[1]
+        ax = axes_or_new(ax, figsize=(5.5, 5.5))
         for damping in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9):
             turn = np.linspace(0.0, np.pi, 200)  # of the damped frequency, up to Nyquist
             line = np.exp((1j - damping / math.sqrt(1.0 - damping**2)) * turn)

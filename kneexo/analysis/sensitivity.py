@@ -29,6 +29,7 @@ from kneexo.analysis.signals import period_s, rms
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.parameters import Scenario
+from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters
 from kneexo.result import Result
 from kneexo.simulation.run import Array
@@ -63,14 +64,6 @@ def differentiable(scenario: Scenario, path: str) -> bool:
     Choices, samples of latency and the linkage, which enters through a fit, are out of reach.
     """
     return path.startswith(_DIFFERENTIABLE) and isinstance(value_at(scenario, path), float)
-
-
-def value_at(scenario: Scenario, path: str) -> Any:
-    """The value at a dotted path; None where there is none."""
-    value: Any = scenario
-    for name in path.split("."):
-        value = getattr(value, name, None)
-    return value
 
 
 def _fixed(scenario: Scenario) -> Scenario:

@@ -12,7 +12,7 @@ import numpy as np
 from kneexo.analysis.signals import period_s, rms, to_rpm
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
-from kneexo.result import Result, data_frame
+from kneexo.result import Result, axes_or_new, data_frame
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
 from kneexo.simulation.run import Array, Run
@@ -203,9 +203,7 @@ class TrackingResult(Result):
 
     def plot_angle(self, ax: Axes | None = None) -> Axes:
         """Plot reference and knee angle over time."""
-        import matplotlib.pyplot as plt
-
-        ax = plt.subplots()[1] if ax is None else ax
+        ax = axes_or_new(ax)
         time = self.run.time_s
         angle, reference = (
             np.degrees(self.run[name]) for name in ("knee_angle_rad", "knee_reference_rad")
@@ -220,9 +218,7 @@ class TrackingResult(Result):
 
     def plot_error(self, ax: Axes | None = None) -> Axes:
         """Plot the tracking error over time."""
-        import matplotlib.pyplot as plt
-
-        ax = plt.subplots()[1] if ax is None else ax
+        ax = axes_or_new(ax)
         ax.plot(self.run.time_s, self.error_deg, "C3", lw=1)
         ax.axhline(0.0, color="0.7", lw=0.8, zorder=0)
         ax.set(xlabel="time (s)", ylabel="tracking error (deg)")
@@ -233,10 +229,7 @@ class TrackingResult(Result):
 
         ``ax``: three axes; made when left out. Returns them.
         """
-        import matplotlib.pyplot as plt
-
-        if ax is None:
-            ax = plt.subplots(3, 1, sharex=True, figsize=(7, 7), layout="constrained")[1]
+        ax = axes_or_new(ax, 3, 1, sharex=True, figsize=(7, 7))
         self.plot_angle(ax[0])
         self.plot_error(ax[1])
         limit = to_rpm(self.scenario.command_limit_rad_s)

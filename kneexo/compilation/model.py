@@ -395,7 +395,7 @@ class CompiledModel:
             leaf = next(leaf for leaf in root.leaves() if leaf.path == path)
             try:
                 # The system itself says best what went wrong.
-                leaf.system._check(leaf.context(context))
+                leaf.system.check(leaf.context(context))
             except SimulationError as error:
                 return error
             except AttributeError:

@@ -16,6 +16,14 @@ from kneexo.parameters.uncertainty import Uncertainty, UncertaintySet
 _Changed = TypeVar("_Changed", bound=Parameters)
 
 
+def value_at(parameters: Parameters, path: str) -> Any:
+    """The value at a dotted path, such as ``plant.cylinder.mass_kg``; None where there is none."""
+    value: Any = parameters
+    for name in path.split("."):
+        value = getattr(value, name, None)
+    return value
+
+
 def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
     """A copy with other values at dotted paths, such as ``plant.cylinder.mass_kg``; validated.
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from pydantic import (
@@ -82,6 +83,13 @@ def choice(default: Any, source: str) -> Any:
 def positive_values(default: tuple[float, ...], unit: str, source: str) -> Any:
     """A pydantic field for the numbers above zero that a study tries, with their provenance."""
     return quantities(default, unit, source, ge=1e-6, le=1e9)
+
+
+def require_increasing(values: tuple[float, ...]) -> tuple[float, ...]:
+    """The values of a field, each above the one before it; else `ValueError`."""
+    if any(b <= a for a, b in pairwise(values)):
+        raise ValueError("must increase")
+    return values
 
 
 def allowed_range(field: FieldInfo) -> str:

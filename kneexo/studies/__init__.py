@@ -1,4 +1,4 @@
-"""Studies: each compares many scenarios and tells what it saw.
+"""Studies: each compares many scenarios.
 
 The module of a study has its settings and its result; ``…_report`` the text, ``…_figures`` the
 pictures.

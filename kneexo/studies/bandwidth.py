@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any, Unpack
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import field_validator
 
 from kneexo.analysis.bandwidth import (
     acceleration_bound_hz,
@@ -27,23 +26,17 @@ from kneexo.analysis.frequency_response import (
     require_sine,
 )
 from kneexo.analysis.plant_linearization import Complex
-from kneexo.analysis.rate_limit import (
-    rate_limit_bandwidth_hz,
-)
+from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, quantities
+from kneexo.parameters.quantity import Parameters, quantities, require_increasing
 from kneexo.result import Result, data_frame
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class BandwidthSettings(Parameters):
@@ -69,13 +62,7 @@ class BandwidthSettings(Parameters):
     )
     estimate: SineEstimateSettings = SineEstimateSettings()
 
-    @model_validator(mode="after")
-    def _increasing(self) -> BandwidthSettings:
-        for name in ("amplitudes_deg", "frequencies_hz"):
-            values = getattr(self, name)
-            if any(b <= a for a, b in zip((0.0, *values), values, strict=False)):
-                raise ValueError(f"{name} must be above zero and increase")
-        return self
+    _increasing = field_validator("amplitudes_deg", "frequencies_hz")(require_increasing)
 
 
 _LEAST_GAIN = 1e-12  # as of a sine between two counts of the encoder
@@ -201,10 +188,6 @@ class BandwidthStudy(Result):
             "failures": list(self.failures),
         }
 
-    # ------------------------------------------------------------------------------ report
-
-    # ----------------------------------------------------------------------------- figures
-
 
 def unwrapped_deg(response: Any) -> Array:
     """Phase in deg of ``response`` (n,), unwrapped over its finite values."""
@@ -239,36 +222,32 @@ def _measure(
         if frequency is None:
             bandwidth = yield from steps(large_signal_bandwidth_hz, at)
             return {"measured_hz": bandwidth, "failure": ""}
-        found = yield from steps(estimate_sine, at, settings)
+        estimate = yield from steps(estimate_sine, at, settings)
     except SimulationError as error:
         failed = {"measured_hz": math.nan, "response": [math.nan, math.nan]}
         return CELL | failed | {"failure": str(error)}
-    response = [found.response.real, found.response.imag]
-    return {name: getattr(found, name) for name in CELL} | {"response": response, "failure": ""}
+    response = [estimate.response.real, estimate.response.imag]
+    return {name: getattr(estimate, name) for name in CELL} | {"response": response, "failure": ""}
 
 
-def _column(found: list[dict[str, Any]], name: str) -> Any:
-    return np.array([row[name] for row in found])
+def _column(rows: list[dict[str, Any]], name: str) -> Any:
+    return np.array([row[name] for row in rows])
 
 
-def _response(found: list[dict[str, Any]]) -> Complex:
-    return np.asarray(_column(found, "response") @ [1.0, 1.0j], dtype=complex)
+def _response(rows: list[dict[str, Any]]) -> Complex:
+    return np.asarray(_column(rows, "response") @ [1.0, 1.0j], dtype=complex)
 
 
 def bandwidth_study(
     scenario: Scenario = Scenario(),
     settings: BandwidthSettings = BandwidthSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> BandwidthStudy:
     """Measure the closed loop's frequency response at several amplitudes of the knee's sine.
 
     ``scenario`` needs a sinusoidal reference; its amplitude and frequency are replaced. A run that
-    fails leaves its cell nan and goes into ``failures``. ``workers``, ``executor``,
-    ``checkpoint``: see `parallel_map`.
+    fails leaves its cell nan and goes into ``failures``. ``options``: see
+    `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` when the reference is no sine, leaves the range of motion, or has fewer
     than ten samples a period.
@@ -282,17 +261,15 @@ def bandwidth_study(
     small: list[_Item] = [(amplitudes[0], f, False) for f in settings.frequencies_hz if quantized]
     searches: list[_Item] = [(a, None, quantized) for a in amplitudes]
     items = [*cells, *small, *searches]
-    found = parallel_map(
-        partial(_measure, scenario, settings.estimate),
-        items,
-        workers=workers,
-        executor=executor,
-        checkpoint=checkpoint,
-        description="amplitude map" if progress else None,
-        weight=lambda item: 1.0 / (item[1] or 1.0),
-    )
-    grid, searched = found[: len(cells)], found[len(cells) + len(small) :]
-    unquantized = found[len(cells) : len(cells) + len(small)] or grid[: frequencies.size]
+    with open_sweep(**options) as sweep:
+        measured = sweep.map(
+            partial(_measure, scenario, settings.estimate),
+            items,
+            "amplitude map",
+            weight=lambda item: 1.0 / (item[1] or 1.0),
+        )
+    grid, searched = measured[: len(cells)], measured[len(cells) + len(small) :]
+    unquantized = measured[len(cells) : len(cells) + len(small)] or grid[: frequencies.size]
     limited = _column(unquantized, "speed_limited_share")
     limited = limited + _column(unquantized, "acceleration_limited_share")
 
@@ -331,7 +308,7 @@ def bandwidth_study(
         unlimited=limited == 0.0,
         failures=tuple(
             f"{a:g} deg, {'−3 dB' if f is None else f'{f:g} Hz'}: {row['failure']}"
-            for (a, f, _), row in zip(items, found, strict=True)
+            for (a, f, _), row in zip(items, measured, strict=True)
             if row["failure"]
         ),
         scenario=scenario,

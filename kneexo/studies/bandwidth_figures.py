@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
 from kneexo.analysis.rate_limit import (
@@ -13,17 +16,8 @@ from kneexo.analysis.rate_limit import (
     rate_limited_follower,
     rate_limited_gain,
 )
-from kneexo.studies.bandwidth import (
-    decibel,
-    unwrapped_deg,
-)
-from kneexo.studies.heat_map import cell_borders, heat_map, plain_ticks
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-from kneexo.studies.bandwidth import BandwidthStudy
+from kneexo.studies.bandwidth import BandwidthStudy, decibel, unwrapped_deg
+from kneexo.studies.plots import heat_map, plain_ticks
 
 _MINUS_3_DB = 20.0 * math.log10(MINUS_3_DB)
 _RATIO_AT_MINUS_3_DB = 1.0 / (math.tau * rate_limit_bandwidth_hz(1.0, 1.0))  # ρ = 0.55539
@@ -41,32 +35,22 @@ def figures(study: BandwidthStudy) -> dict[str, Figure]:
 
 def plot_map(study: BandwidthStudy) -> Figure:
     """Gain, phase and the motor's limits over frequency and amplitude."""
-    import matplotlib.pyplot as plt
-    from matplotlib.colors import Normalize
-
     figure, axes = plt.subplots(
         2, 2, figsize=(11, 7.5), sharex=True, sharey=True, layout="constrained"
     )
     f, amplitudes = study.frequencies_hz, study.amplitudes_deg
     share, phase = Normalize(0.0, 1.0), study.phase_deg
     low, high = np.nanmin(phase, initial=0.0), np.nanmax(phase, initial=0.0)
-    for axis, values, norm, label in zip(
-        axes.flat,
-        (
-            study.gain_db,
-            phase,
-            study.cells["speed_limited_share"],
-            study.cells["acceleration_limited_share"],
-        ),
-        (Normalize(-20.0, 3.0), Normalize(low, high), share, share),
-        (
-            "gain (dB)",
-            "phase (deg)",
-            "share of time at the speed limit",
-            "share of time at the acceleration limit",
-        ),
-        strict=True,
-    ):
+    speed_limited, acceleration_limited = (
+        study.cells[f"{limit}_limited_share"] for limit in ("speed", "acceleration")
+    )
+    panels = (
+        (study.gain_db, Normalize(-20.0, 3.0), "gain (dB)"),
+        (phase, Normalize(low, high), "phase (deg)"),
+        (speed_limited, share, "share of time at the speed limit"),
+        (acceleration_limited, share, "share of time at the acceleration limit"),
+    )
+    for axis, (values, norm, label) in zip(axes.flat, panels, strict=True):
         heat_map(axis, f, amplitudes, values.T, norm=norm, label=label)
     for axis in axes[1]:
         measured = study.bandwidths["measured_hz"]
@@ -79,7 +63,6 @@ def plot_map(study: BandwidthStudy) -> Figure:
     reached = study.bandwidths["speed_limit_reached_hz"]
     axes[1, 0].plot(reached, amplitudes, "C3.-", label="the reference asks for more speed")
     axes[1, 0].legend(loc="lower left", fontsize=8, facecolor="0.75")
-    axes[0, 0].set(xlim=cell_borders(f)[[0, -1]], ylim=cell_borders(amplitudes)[[0, -1]])
     plain_ticks(axes[0, 0].xaxis, _TICKS_HZ)
     plain_ticks(axes[0, 0].yaxis, amplitudes)
     return figure
@@ -111,8 +94,6 @@ def _plot_bandwidths(study: BandwidthStudy, axis: Axes) -> None:
 
 def plot_bode(study: BandwidthStudy) -> Figure:
     """Bode plots by amplitude, over the linear loop and the rate-limited follower."""
-    import matplotlib.pyplot as plt
-
     figure, axes = plt.subplots(2, 1, sharex=True, figsize=(7.5, 7.5), layout="constrained")
     colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, study.amplitudes_deg.size))
     relative = study.relative_uncertainty
@@ -146,8 +127,6 @@ def plot_bode(study: BandwidthStudy) -> Figure:
 
 def plot_rate_limit(study: BandwidthStudy) -> Figure:
     """Rate-limited sines in time; gains of all amplitudes over aω/R, with the closed form."""
-    import matplotlib.pyplot as plt
-
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     time = np.linspace(0.0, 4.0, 4001)
     target, shown = np.sin(math.tau * time), slice(2500, None)

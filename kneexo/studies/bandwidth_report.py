@@ -3,56 +3,49 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kneexo.analysis.bandwidth import (
-    rod_limits,
-)
-from kneexo.analysis.frequency_response import (
-    require_sine,
-)
-from kneexo.studies.markdown import number
-
-if TYPE_CHECKING:
-    pass
-
+from kneexo.analysis.bandwidth import rod_limits
+from kneexo.analysis.frequency_response import require_sine
 from kneexo.studies.bandwidth import BandwidthStudy
+from kneexo.studies.markdown import document, markdown_table, number
 
-_WANDERING_DEG = 1.0
+_DRIFT_DEG = 1.0
+"""Distance of the knee's mean from the reference's that is reported."""
 
 
 def report(study: BandwidthStudy) -> str:
     """The story in Markdown."""
     unsettled = int(np.sum(~study.cells["settled"] & np.isfinite(study.gain_db)))
     worst = 100.0 * np.nanmax(study.relative_uncertainty, initial=0.0)
-    lines = [
+    columns = {
+        "measured_hz": "−3 dB, measured (Hz)",
+        "linear_loop_hz": "linear loop",
+        "acceleration_bound_hz": "acceleration bound",
+        "follower_hz": "speed limit, follower",
+        "rate_limit_hz": "speed limit, closed form",
+    }
+    rows = []
+    for i, amplitude in enumerate(study.amplitudes_deg):
+        name, expected = study.decided_by(i)
+        values = [study.bandwidths[column][i] for column in columns]
+        shown = [number(value, ".4g") for value in [*values, values[0] / expected]]
+        rows.append([f"{amplitude:g}", *shown[:-1], name, shown[-1]])
+    return document(
         "# Frequency response from small to large amplitudes",
-        "",
         f"Sinestream about {require_sine(study.scenario).mean_deg:g}°, {study.response.size} "
         f"sines. Bandwidth is where the gain of the fundamental first falls below 1/√2. "
         f"{unsettled} sines had not settled after {study.settings.estimate.largest_cycles} "
         f"cycles: their scatter is in the uncertainty, which is at most {worst:.2g} % of the "
         f"gain.",
-        "",
-        "| amplitude (deg) | −3 dB, measured (Hz) | linear loop | acceleration bound "
-        "| speed limit, follower | speed limit, closed form | lowest | measured / lowest |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    columns = ("linear_loop_hz", "acceleration_bound_hz", "follower_hz", "rate_limit_hz")
-    for i, amplitude in enumerate(study.amplitudes_deg):
-        name, expected = study.decided_by(i)
-        measured = study.bandwidths["measured_hz"][i]
-        values = [measured, *(study.bandwidths[column][i] for column in columns)]
-        shown = " | ".join(number(value, ".4g") for value in values)
-        lines.append(f"| {amplitude:g} | {shown} | {name} | {number(measured / expected, '.4g')} |")
-    lines += ["", _limits_in_words(study), "", _linear_in_words(study)]
-    if wandering := _wandering_in_words(study):
-        lines += ["", wandering]
-    if study.failures:
-        lines += ["", "Runs that failed:", "", *(f"- {line}" for line in study.failures)]
-    return "\n".join(lines) + "\n"
+        markdown_table(("amplitude (deg)", *columns.values(), "lowest", "measured / lowest"), rows),
+        _limits_in_words(study),
+        _linear_in_words(study),
+        _drift_in_words(study),
+        "Runs that failed:" if study.failures else "",
+        [f"- {line}" for line in study.failures],
+    )
 
 
 def _limits_in_words(study: BandwidthStudy) -> str:
@@ -90,15 +83,15 @@ def _linear_in_words(study: BandwidthStudy) -> str:
     return text + "."
 
 
-def _wandering_in_words(study: BandwidthStudy) -> str:
+def _drift_in_words(study: BandwidthStudy) -> str:
     away = np.abs(study.cells["mean_deg"] - require_sine(study.scenario).mean_deg)
-    count = int(np.sum(away > _WANDERING_DEG))
+    count = int(np.sum(away > _DRIFT_DEG))
     if not count:
         return ""
     i, j = np.unravel_index(np.nanargmax(away), away.shape)
     return (
         f"At {count} sines the mean of the knee leaves the reference's by more than "
-        f"{_WANDERING_DEG:g}°, most ({away[i, j]:.3g}°) at {study.amplitudes_deg[i]:g}° and "
+        f"{_DRIFT_DEG:g}°, most ({away[i, j]:.3g}°) at {study.amplitudes_deg[i]:g}° and "
         f"{study.frequencies_hz[j]:g} Hz: a motor that a fast sine keeps at its limits has "
         f"little authority left to hold the mean."
     )

@@ -40,8 +40,8 @@ class Study:
     @property
     def settings(self) -> type[Parameters]:
         """The class of its settings."""
-        found: type[Parameters] = self._part("", f"{self.name.capitalize()}Settings")
-        return found
+        settings_class: type[Parameters] = self._part("", f"{self.name.capitalize()}Settings")
+        return settings_class
 
     @property
     def compute(self) -> Callable[..., Any]:

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 from pydantic import Field
@@ -42,11 +41,7 @@ from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness import Values, draw, realize
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 _WIDE = "assumption: wide enough that the optimum lies inside"
 
@@ -204,13 +199,13 @@ class ContestStudy(Result):
 
     def winners(self) -> dict[str, list[str]]:
         """The tuned contestants with the best value of each figure of `summary`."""
-        found, tuned = self.summary(), self.settings.contestants
+        summary, tuned = self.summary(), self.settings.contestants
         best = {
-            figure: (max if "margin" in figure else min)(found[name][figure] for name in tuned)
+            figure: (max if "margin" in figure else min)(summary[name][figure] for name in tuned)
             for figure in COLUMNS
         }
         return {
-            figure: [name for name in tuned if found[name][figure] == value]
+            figure: [name for name in tuned if summary[name][figure] == value]
             for figure, value in best.items()
         }
 
@@ -240,42 +235,25 @@ def contest_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     uncertainty: UncertaintySet = UNCERTAINTY,
     settings: ContestSettings = ContestSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> ContestStudy:
-    """Tune every contestant, then test all; ``workers``, ``executor``: see `parallel_map`.
+    """Tune every contestant, then test all.
 
     The controller of ``scenario`` is replaced, and uncertain values that it does not have are left
-    out. With a ``checkpoint`` every evaluation is kept, and a search that goes on replays what it
-    has. A search that did not converge is no error: `Tuning` says so.
+    out. ``options``: see `kneexo.sweeps.SweepOptions`; a search that goes on replays what the
+    checkpoint has. A search that did not converge is no error: `Tuning` says so.
 
     Raises `ParameterError` for uncertain values that no scenario has, that are out of range, and
     when none of them applies; `SimulationError` when the default SMC fails on a training plant,
     because it then gives no budget.
     """
-    if executor is None and workers != 1:
-        with process_pool(workers) as pool:
-            return contest_study(
-                scenario,
-                uncertainty,
-                settings,
-                executor=pool,
-                checkpoint=checkpoint,
-                progress=progress,
-            )
+    with open_sweep(**options) as sweep:
+        return _contest(scenario, uncertainty, settings, sweep)
 
-    def run(function: Any, items: Sequence[Any], what: str = "") -> list[Any]:
-        return parallel_map(
-            function,
-            items,
-            executor=executor,
-            description=what if progress and what else None,
-            checkpoint=checkpoint,
-        )
 
+def _contest(
+    scenario: Scenario, uncertainty: UncertaintySet, settings: ContestSettings, sweep: Sweep
+) -> ContestStudy:
     uncertainty, left_out = applicable(scenario, uncertainty)
     base = changed(scenario, {"simulation.duration_s": settings.duration_s})
     training = [{}, *draw(uncertainty, settings.training_samples, settings.training_seed)]
@@ -288,7 +266,8 @@ def contest_study(
         name: {"controller": law.model_dump()} for name, law in UNTUNED.items()
     }
     default = plants({"controller": SlidingModeParameters().model_dump()})
-    changes = run(partial(assess, margins=False), default, "budget of chattering")
+    without_margins = partial(assess, margins=False)
+    changes = sweep.map(without_margins, default, "budget of chattering")
     for values in changes:
         if values["tracking_failure"]:
             raise SimulationError(f"the default SMC sets no budget: {values['tracking_failure']}")
@@ -298,22 +277,22 @@ def contest_study(
     def tune(name: str, seed: int) -> Tuning:
         contestant = settings.contestants[name]
         size = settings.population * (settings.generations + 1)
-        with tqdm(total=size, desc=f"{name}, seed {seed}", disable=not progress) as bar:
+        with tqdm(total=size, desc=f"{name}, seed {seed}", disable=not sweep.progress) as bar:
 
             def objective(units: Array) -> Array:
                 items = [plants(_entrant(contestant, _gains(contestant, unit))) for unit in units]
                 bar.update(len(items))
-                return np.array(run(judge, items))
+                return np.array(sweep.map(judge, items))
 
-            found, history = search(objective, len(contestant.gains), settings, seed)
-        energies = found.population_energies
+            optimum, history = search(objective, len(contestant.gains), settings, seed)
+        energies = optimum.population_energies
         return Tuning(
             name,
             seed,
-            gains=_gains(contestant, found.x),
-            objective_deg=float(found.fun),
-            evaluations=settings.population * (int(found.nit) + 1),
-            converged=bool(found.success) and found.fun < INFEASIBLE_DEG,
+            gains=_gains(contestant, optimum.x),
+            objective_deg=float(optimum.fun),
+            evaluations=settings.population * (int(optimum.nit) + 1),
+            converged=bool(optimum.success) and optimum.fun < INFEASIBLE_DEG,
             spread=float(np.std(energies) / np.mean(energies)),
             history_deg=tuple(history),
         )
@@ -335,14 +314,13 @@ def contest_study(
         "simulation.duration_s": settings.other_duration_s,
     }
     test = [plant for entrant in entrants.values() for plant in plants(entrant, samples)]
-    tested = run(assess, test, "test")
-    elsewhere = run(
-        partial(assess, margins=False), [changed(plant, task) for plant in test], "another task"
-    )
+    tested = sweep.map(assess, test, "test")
+    at_task = [changed(plant, task) for plant in test]
+    elsewhere = sweep.map(without_margins, at_task, "another task")
 
-    def by_entrant(found: list[Values]) -> dict[str, list[Values]]:
+    def by_entrant(figures: Sequence[Values]) -> dict[str, Sequence[Values]]:
         n = len(samples)
-        return {name: found[i * n : (i + 1) * n] for i, name in enumerate(entrants)}
+        return {name: figures[i * n : (i + 1) * n] for i, name in enumerate(entrants)}
 
     return ContestStudy(
         scenario,
@@ -371,7 +349,7 @@ def search(
     def note(intermediate_result: OptimizeResult) -> None:
         history.append(float(intermediate_result.fun))
 
-    found = differential_evolution(
+    optimum = differential_evolution(
         lambda candidates: objective(candidates.T),
         [(0.0, 1.0)] * dimensions,
         init=qmc.LatinHypercube(dimensions, seed=seed).random(settings.population),
@@ -384,7 +362,7 @@ def search(
         vectorized=True,
         callback=note,
     )
-    return found, history
+    return optimum, history
 
 
 @needs_runs
@@ -427,9 +405,9 @@ def _entrant(contestant: Contestant, gains: Values) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------- summary
 
 
-def errors_of(found: Sequence[Values], name: str = "max_error_deg") -> Array:
+def errors_of(figures: Sequence[Values], name: str = "max_error_deg") -> Array:
     """One figure of every plant (n,); inf where the run failed."""
-    return np.array([math.inf if math.isnan(v[name]) else v[name] for v in found])
+    return np.array([math.inf if math.isnan(v[name]) else v[name] for v in figures])
 
 
 def _level(values: Array, share: float) -> float:

@@ -10,25 +10,25 @@ from matplotlib.figure import Figure
 
 from kneexo.simulation.run import Array
 from kneexo.studies.contest import INFEASIBLE_DEG, ContestStudy, errors_of
-from kneexo.studies.heat_map import decimal_ticks
+from kneexo.studies.plots import decimal_ticks, legend_below
 
 
-def outcome(done: ContestStudy) -> Figure:
+def outcome(study: ContestStudy) -> Figure:
     """Errors over the test plants, at both tasks, and the margin beside them."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
-    share = (np.arange(len(done.samples)) + 1.0) / len(done.samples)
-    for index, name in enumerate(done.entrants):
-        tuned = name in done.settings.contestants
+    share = (np.arange(len(study.samples)) + 1.0) / len(study.samples)
+    for index, name in enumerate(study.entrants):
+        tuned = name in study.settings.contestants
         style: dict[str, Any] = {"color": f"C{index}", "lw": 2.0 if tuned else 1.0}
         style["ls"] = "-" if tuned else "--"
-        errors, elsewhere = (_drawn(errors_of(of[name])) for of in (done.tested, done.elsewhere))
+        errors, elsewhere = (_drawn(errors_of(of[name])) for of in (study.tested, study.elsewhere))
         axes[0].step(np.sort(errors), share, where="post", label=name, **style)
         axes[1].step(np.sort(elsewhere), share, where="post", **style)
-        margins = [values["disk_margin"] for values in done.tested[name]]
+        margins = [values["disk_margin"] for values in study.tested[name]]
         axes[2].plot(
             errors, margins, "o" if tuned else "x", ms=3.5, color=f"C{index}", alpha=0.6, mew=0.8
         )
-    other = done.settings.other_reference
+    other = study.settings.other_reference
     axes[0].set(ylabel="share of the test plants", title="(a) the task of the tuning")
     axes[1].set(
         ylabel="share of the test plants",
@@ -43,11 +43,10 @@ def outcome(done: ContestStudy) -> Figure:
         ax.grid(alpha=0.3)
     for marker, label in (("o", "tuned here"), ("x", "not tuned here")):
         axes[2].plot([], [], marker, color="0.3", ms=3.5, mew=0.8, ls="none", label=f"(c) {label}")
-    least = done.settings.least_disk_margin
+    least = study.settings.least_disk_margin
     label = f"(c) least in the tuning, {least:g}"
     axes[2].axhline(least, color="0.4", ls=":", lw=1, label=label)
-    handles = [line for ax in (axes[0], axes[2]) for line in ax.get_legend_handles_labels()[0]]
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8)
+    legend_below(figure, (axes[0], axes[2]), ncols=5, fontsize=8)
     return figure
 
 
@@ -56,14 +55,14 @@ def _drawn(errors: Array) -> Array:
     return np.where(np.isfinite(errors), errors, np.nan)
 
 
-def search(done: ContestStudy) -> Figure:
+def search(study: ContestStudy) -> Figure:
     """The best objective of each search over its evaluations; the first seed solid."""
     figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
-    names = list(done.settings.contestants)
-    for tuning in done.tunings:
+    names = list(study.settings.contestants)
+    for tuning in study.tunings:
         best = np.array(tuning.history_deg)
-        evaluations = done.settings.population * (np.arange(best.size) + 2)
-        first = tuning.seed == done.settings.optimizer_seeds[0]
+        evaluations = study.settings.population * (np.arange(best.size) + 2)
+        first = tuning.seed == study.settings.optimizer_seeds[0]
         ax.semilogy(
             evaluations,
             np.where(best < INFEASIBLE_DEG, best, np.nan),

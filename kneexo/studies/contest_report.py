@@ -2,60 +2,49 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from itertools import combinations
 
-from kneexo.parameters import (
-    Uncertainty,
-)
-from kneexo.studies.contest import COLUMNS
-from kneexo.studies.markdown import markdown_table, number
-
-if TYPE_CHECKING:
-    pass
-
-from kneexo.studies.contest import ContestStudy
+from kneexo.parameters import Uncertainty
+from kneexo.studies.contest import COLUMNS, ContestStudy, Tuning
+from kneexo.studies.markdown import column_table, document, row_table
 
 
 def report(study: ContestStudy) -> str:
     """The outcome as Markdown."""
-    return "\n".join([*_outcome_report(study), *_tuning_report(study)])
-
-
-def _outcome_report(done: ContestStudy) -> list[str]:
-    found, tuned = done.summary(), list(done.settings.contestants)
-    other = done.settings.other_reference
-    lacking = f"The scenario lacks {', '.join(done.left_out)}." if done.left_out else ""
-    lines = [
+    summary, tuned, settings = study.summary(), list(study.settings.contestants), study.settings
+    other = settings.other_reference
+    lacking = f"The scenario lacks {', '.join(study.left_out)}." if study.left_out else ""
+    best = [
+        f"- {COLUMNS[figure]}: {', '.join(names)}"
+        for figure, names in study.winners().items()
+        if len(names) < len(tuned)
+    ]
+    best += [
+        f"- {first} errs less than {second} on "
+        f"{100 * study.better_share(first, second):.0f} % of the plants"
+        for first, second in combinations(tuned, 2)
+    ]
+    return document(
         "# SMC against PID on uncertain plants",
-        "",
-        f"{len(done.samples)} test plants, none of which anybody was tuned on. A plant's error is "
+        f"{len(study.samples)} test plants, none of which anybody was tuned on. A plant's error is "
         f"the largest after the first period; elsewhere is {other.amplitude_deg:g}° at "
         f"{other.frequency_hz:g} Hz, which nobody was tuned for. A run that failed counts as ∞, an "
         f"unstable loop as no margin. {lacking}",
-        "",
-        *markdown_table(
-            ["", *found],
-            [
-                [label, *(number(own[figure]) for own in found.values())]
-                for figure, label in COLUMNS.items()
-            ],
+        column_table(
+            list(summary),
+            summary.values(),
+            {label: (name, ".3g") for name, label in COLUMNS.items()},
         ),
-        "",
         "Best of the tuned ones:",
-        "",
-    ]
-    lines += [
-        f"- {COLUMNS[figure]}: {', '.join(names)}"
-        for figure, names in done.winners().items()
-        if len(names) < len(tuned)
-    ]
-    lines += [
-        f"- {one} errs less than {other_name} on "
-        f"{100 * done.better_share(one, other_name):.0f} % of the plants"
-        for n, one in enumerate(tuned)
-        for other_name in tuned[n + 1 :]
-    ]
-    return [*lines, ""]
+        best,
+        "## How they were tuned",
+        f"Differential evolution on the logarithm of the gains, at most "
+        f"{settings.population * (settings.generations + 1)} evaluations each; smallest mean of "
+        f"the largest errors on {settings.training_samples + 1} training plants, with at most "
+        f"{study.budget_rpm:.1f} rpm per sample on average (the default SMC's) and a disk margin "
+        f"of {settings.least_disk_margin:g} or more on each.",
+        _tuning_table(study),
+    )
 
 
 def _at_bound(gain: Uncertainty, value: float) -> str:
@@ -64,29 +53,26 @@ def _at_bound(gain: Uncertainty, value: float) -> str:
     return "" if ends[0] < value < ends[1] else " (at its bound)"
 
 
-def _tuning_report(done: ContestStudy) -> list[str]:
-    settings = done.settings
-    lines = [
-        "## How they were tuned",
-        "",
-        f"Differential evolution on the logarithm of the gains, at most "
-        f"{settings.population * (settings.generations + 1)} evaluations each; smallest mean of "
-        f"the largest errors on {settings.training_samples + 1} training plants, with at most "
-        f"{done.budget_rpm:.1f} rpm per sample on average (the default SMC's) and a disk margin "
-        f"of {settings.least_disk_margin:g} or more on each.",
-        "",
-        "| contestant | seed | objective (deg) | evaluations | converged | spread | gains |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for tuning in done.tunings:
-        bounds = settings.contestants[tuning.contestant].gains
-        gains = ", ".join(
+def _tuning_table(study: ContestStudy) -> list[str]:
+    def objective(tuning: Tuning) -> str:
+        return f"{tuning.objective_deg:.4g}" if tuning.feasible else "no feasible gains found"
+
+    def gains(tuning: Tuning) -> str:
+        bounds = study.settings.contestants[tuning.contestant].gains
+        return ", ".join(
             f"{path.split('.')[-1]} = {value:.4g}{_at_bound(bounds[path], value)}"
             for path, value in tuning.gains.items()
         )
-        objective = f"{tuning.objective_deg:.4g}" if tuning.feasible else "no feasible gains found"
-        lines.append(
-            f"| {tuning.contestant} | {tuning.seed} | {objective} | {tuning.evaluations} "
-            f"| {'yes' if tuning.converged else '**no**'} | {tuning.spread:.2g} | {gains} |"
-        )
-    return [*lines, ""]
+
+    return row_table(
+        study.tunings,
+        {
+            "contestant": "contestant",
+            "seed": ("seed", "d"),
+            "objective (deg)": objective,
+            "evaluations": ("evaluations", "d"),
+            "converged": lambda tuning: "yes" if tuning.converged else "**no**",
+            "spread": ("spread", ".2g"),
+            "gains": gains,
+        },
+    )

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from concurrent.futures import Executor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
-from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any
+from itertools import product
+from typing import Any, Unpack
 
 import numpy as np
 from pydantic import field_validator
@@ -31,17 +30,18 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, positive_values, quantity
+from kneexo.parameters.quantity import (
+    Parameters,
+    positive_values,
+    quantity,
+    require_increasing,
+)
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
-from kneexo.studies.markdown import number
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.studies.markdown import number, percent
+from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class ControllerSettings(Parameters):
@@ -131,14 +131,9 @@ class ControllerSettings(Parameters):
         "assumption: k/Φ about its default",
     )
 
-    @field_validator(
+    _increasing = field_validator(
         "lambdas_per_s", "phis_m_s2", "etas_m_s3", "map_time_constants_s", "map_slopes_per_s"
-    )
-    @classmethod
-    def _increasing(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        if any(b <= a for a, b in pairwise(values)):
-            raise ValueError("must increase")
-        return values
+    )(require_increasing)
 
 
 FIGURES = (
@@ -193,19 +188,19 @@ class TrapCase:
     """A loop that is linearly stable and errs by degrees; ``time_s`` and ``error_deg`` (n,).
 
     ``oscillation_at_rest_deg``: peak to peak, at the upper end of the reference. Of a run that
-    failed nothing is left but the reason.
+    failed only the reason is left.
     """
 
     lambda_per_s: float
     variant: str
     stable: bool
     disk_margin: float
-    max_error_deg: float
-    mean_command_change_rpm: float
-    oscillation_at_rest_deg: float
-    time_s: Array
-    error_deg: Array
-    failure: str
+    max_error_deg: float = math.nan
+    mean_command_change_rpm: float = math.nan
+    oscillation_at_rest_deg: float = math.nan
+    time_s: Array = field(default_factory=lambda: np.empty(0))
+    error_deg: Array = field(default_factory=lambda: np.empty(0))
+    failure: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -276,34 +271,16 @@ class ControllerStudy(Result):
 def controller_study(
     scenario: Scenario = Scenario(),
     settings: ControllerSettings = ControllerSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> ControllerStudy:
-    """Run the grid and the trap; ``workers``, ``executor``, ``checkpoint``: see `parallel_map`.
+    """Run the grid and the trap; ``options``: see `kneexo.sweeps.SweepOptions`.
 
     A run of the grid that fails leaves nan and its reason. Raises `ParameterError` when
     ``scenario`` has no sampled sliding-mode controller behind an observer, or when a step or the
     faster sine leaves the range of motion.
     """
     law = observed_smc(scenario)[0]
-    if executor is None and workers != 1:
-        with process_pool(workers) as pool:
-            return controller_study(
-                scenario, settings, executor=pool, checkpoint=checkpoint, progress=progress
-            )
     experiments(scenario, settings)  # a reference out of range is found before the sweep
-
-    def run(what: str, function: Any, items: list[Scenario]) -> list[Any]:
-        return parallel_map(
-            function,
-            items,
-            executor=executor,
-            description=what if progress else None,
-            checkpoint=checkpoint,
-        )
 
     def with_slope(slope: float, time_constant: float, lambda_: float) -> Scenario:
         gains = {"lambda_per_s": lambda_, "slope_per_s": slope, "observer_s": time_constant}
@@ -311,39 +288,29 @@ def controller_study(
 
     axes = (settings.lambdas_per_s, settings.phis_m_s2, settings.etas_m_s3)
     points = list(product(*axes))
-    found = run(
-        "grid of λ, Φ, η",
-        partial(_measure, settings),
-        [_with_law(scenario, *point) for point in points],
-    )
+    grid = [_with_law(scenario, *point) for point in points]
     cases = list(product(settings.trap_lambdas_per_s, TRAP_VARIANTS))
-    trap = run(
-        "trap",
-        partial(_trap, settings),
-        [
-            changed(
-                with_slope(settings.trap_slope_per_s, settings.trap_time_constant_s, lambda_),
-                _variant(variant, settings),
-            )
-            for lambda_, variant in cases
-        ],
-    )
+    trap_slope, trap_time_constant = settings.trap_slope_per_s, settings.trap_time_constant_s
+    traps = [
+        changed(with_slope(trap_slope, trap_time_constant, lambda_), _variant(variant, settings))
+        for lambda_, variant in cases
+    ]
     map_axes = (settings.map_time_constants_s, settings.map_slopes_per_s)
-    mapped = run(
-        "map of T_f, k/Φ",
-        assess,
-        [with_slope(slope, time, law.lambda_per_s) for time, slope in product(*map_axes)],
-    )
+    loops = [with_slope(slope, time, law.lambda_per_s) for time, slope in product(*map_axes)]
+    with open_sweep(**options) as sweep:
+        measured = sweep.map(partial(_measure, settings), grid, "grid of λ, Φ, η")
+        trapped = sweep.map(partial(_trap, settings), traps, "trap")
+        mapped = sweep.map(assess, loops, "map of T_f, k/Φ")
     return ControllerStudy(
         scenario,
         settings,
-        values=_arrays(found, FIGURES, axes),
+        values=_arrays(measured, FIGURES, axes),
         failures={
             point: values["failure"]
-            for point, values in zip(points, found, strict=True)
+            for point, values in zip(points, measured, strict=True)
             if values["failure"]
         },
-        trap=tuple(_trap_case(*case, own) for case, own in zip(cases, trap, strict=True)),
+        trap=tuple(_trap_case(*case, run) for case, run in zip(cases, trapped, strict=True)),
         map_values=_arrays(mapped, MAP_FIGURES, map_axes),
     )
 
@@ -396,44 +363,39 @@ def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
 def _measure(settings: ControllerSettings, scenario: Scenario) -> Steps[dict[str, Any]]:
     """`FIGURES` of one point of the grid, and the first reason of a failure."""
     cases = experiments(scenario, settings)
-    own = yield from steps(assess, scenario)
+    at_reference = yield from steps(assess, scenario)
     fast = yield from steps(assess, cases["fast"], margins=False)
-    found: dict[str, Any] = {name: own[name] for name in FIGURES if name in own}
-    found["fast_max_error_deg"] = fast["max_error_deg"]
-    reasons = [own["tracking_failure"], own["margins_failure"], fast["tracking_failure"]]
+    figures: dict[str, Any] = {name: at_reference[name] for name in FIGURES if name in at_reference}
+    figures["fast_max_error_deg"] = fast["max_error_deg"]
+    reasons = [
+        at_reference["tracking_failure"],
+        at_reference["margins_failure"],
+        fast["tracking_failure"],
+    ]
     for name, key in (("step", "settling_s"), ("large_step", "large_settling_s")):
         try:
             step = yield from steps(track, cases[name])
             band = settings.settled_share * settings.step_deg
-            found[key] = settling_time_s(step.run.time_s, step.error_deg, band)
+            figures[key] = settling_time_s(step.run.time_s, step.error_deg, band)
         except KneexoError as failure:
-            found[key] = math.nan
+            figures[key] = math.nan
             reasons.append(str(failure))
-    found["failure"] = next(filter(None, reasons), "")
-    return found
+    figures["failure"] = next(filter(None, reasons), "")
+    return figures
 
 
 @needs_runs
 def _trap(settings: ControllerSettings, scenario: Scenario) -> Steps[dict[str, Any]]:
     """Fields of a `TrapCase` but for λ and the variant."""
     linear = assess(scenario, tracking=False)
-    found = {
-        "stable": linear["stable"],
-        "disk_margin": linear["disk_margin"],
-        "max_error_deg": math.nan,
-        "mean_command_change_rpm": math.nan,
-        "oscillation_at_rest_deg": math.nan,
-        "time_s": [],
-        "error_deg": [],
-        "failure": "",
-    }
+    margins = {name: linear[name] for name in ("stable", "disk_margin")}
     try:
         tracked = yield from steps(track, scenario)
         hold = yield from steps(track, experiments(scenario, settings)["hold"])
     except KneexoError as failure:
-        return found | {"failure": str(failure)}
+        return margins | {"failure": str(failure)}
     late = hold.run.time_s >= 0.5 * hold.run.time_s[-1]
-    return found | {
+    return margins | {
         "max_error_deg": tracked.metrics.max_error_deg,
         "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
         "oscillation_at_rest_deg": float(np.ptp(hold.error_deg[late])),
@@ -442,9 +404,11 @@ def _trap(settings: ControllerSettings, scenario: Scenario) -> Steps[dict[str, A
     }
 
 
-def _trap_case(lambda_: float, variant: str, own: dict[str, Any]) -> TrapCase:
-    arrays = {name: np.array(own[name]) for name in ("time_s", "error_deg")}
-    return TrapCase(lambda_, variant, **(own | arrays))
+def _trap_case(lambda_: float, variant: str, run: dict[str, Any]) -> TrapCase:
+    arrays: dict[str, Any] = {
+        name: np.array(run[name]) for name in ("time_s", "error_deg") if name in run
+    }
+    return TrapCase(lambda_, variant, **(run | arrays))
 
 
 def _variant(name: str, settings: ControllerSettings) -> dict[str, Any]:
@@ -476,12 +440,12 @@ def _with_law(scenario: Scenario, lambda_: float, phi: float, eta: float) -> Sce
 
 
 def _arrays(
-    found: list[dict[str, Any]], names: tuple[str, ...], axes: tuple[tuple[float, ...], ...]
+    figures: list[dict[str, Any]], names: tuple[str, ...], axes: tuple[tuple[float, ...], ...]
 ) -> dict[str, Array]:
     """Arrays by name over ``axes``; a missing value (None) is nan."""
     shape = [len(axis) for axis in axes]
     return {
-        name: np.array([values[name] for values in found], dtype=float).reshape(shape)
+        name: np.array([values[name] for values in figures], dtype=float).reshape(shape)
         for name in names
     }
 
@@ -593,13 +557,5 @@ def _at_slope(slopes: Array, error: Array, slope: float) -> float:
     return float(np.exp(np.interp(math.log(slope), x, y)))
 
 
-# ----------------------------------------------------------------------------------- report
-
-
 def _numbers(values: Any) -> str:
     return ", ".join(map(number, values))
-
-
-def percent(share: float) -> str:
-    """A share in whole percent."""
-    return "–" if math.isnan(share) else f"{100 * share:.0f} %"

@@ -11,12 +11,8 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from kneexo.simulation.run import Array
-from kneexo.studies.controller import (
-    ControllerStudy,
-    ideal_settling_time_s,
-    observed_smc,
-)
-from kneexo.studies.heat_map import heat_map, plain_ticks
+from kneexo.studies.controller import ControllerStudy, ideal_settling_time_s, observed_smc
+from kneexo.studies.plots import heat_map, plain_ticks
 
 _ERROR = "max error (deg)"
 _CHANGE = "mean command change (rpm/sample)"
@@ -86,13 +82,12 @@ def phi_and_eta(study: ControllerStudy) -> Figure:
     for ax, (name, norm, label) in zip(axes.flat, panels, strict=True):
         values, stable = study.values[name][lambda_], study.values["stable"][lambda_]
         _map(ax, phis, etas, values, stable, (phis[phi], etas[eta]), norm=norm, label=label)
-        limits = {"xlim": ax.get_xlim(), "ylim": ax.get_ylim()}
+        ends = np.array(ax.get_xlim())
         for power in (4, 5, 6):
             ratio = 10.0**power / beta
-            ax.plot(limits["xlim"], ratio * np.array(limits["xlim"]), "w--", lw=1)
-            x = max(limits["xlim"][0] * 1.1, limits["ylim"][0] * 1.7 / ratio)
+            ax.plot(ends, ratio * ends, "w--", lw=1)
+            x = max(ends[0] * 1.1, ax.get_ylim()[0] * 1.7 / ratio)
             ax.text(x, ratio * x, f"10$^{power}$", color="w", fontsize=9, ha="left", va="top")
-        ax.set(**limits)
     plt.setp(axes[1], xlabel="Φ (m/s²)")
     plt.setp(axes[:, 0], ylabel="η (m/s³)")
     figure.suptitle(

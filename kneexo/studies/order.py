@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -36,11 +35,7 @@ from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class OrderSettings(Parameters):
@@ -127,7 +122,7 @@ def tracking_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str,
     if order == "full":
         pressures = {name: run[f"{name}_pressure_pa"] for name in ("cap", "rod_side")}
     every = max(1, run.time_s.size // _TRACE_POINTS)
-    found: dict[str, Any] = {
+    row: dict[str, Any] = {
         "order": order,
         "disturbance_n": force,
         "max_error_deg": metrics.max_error_deg,
@@ -136,23 +131,23 @@ def tracking_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str,
         "saturated_share": metrics.saturated_share,
     }
     for name, values in pressures.items():
-        found |= {
+        row |= {
             f"{name}_min_mpa": 1e-6 * float(values.min()),
             f"{name}_max_mpa": 1e-6 * float(values.max()),
         }
     if order == "full":
         relief = run["cap_relief_flow_m3_s"] + run["rod_side_relief_flow_m3_s"]
-        found["relief_share"] = float(np.mean(relief > 0.0))
+        row["relief_share"] = float(np.mean(relief > 0.0))
         makeup = np.abs(run["cap_makeup_flow_m3_s"] + run["rod_side_makeup_flow_m3_s"])
-        found["peak_makeup_cm3_s"] = 1e6 * float(makeup.max())
-    found["trace"] = {
+        row["peak_makeup_cm3_s"] = 1e6 * float(makeup.max())
+    row["trace"] = {
         "time_s": run.time_s[::every].tolist(),
         "error_deg": tracked.error_deg[::every].tolist(),
         "pressures_mpa": {
             name: (1e-6 * values[::every]).tolist() for name, values in pressures.items()
         },
     }
-    return found
+    return row
 
 
 def _ramp(
@@ -226,47 +221,47 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
     """Poles of the plant and margins of the loop of one order at one posture and load."""
     order, force, posture = case
     at = in_order(scenario, order, force)
-    found: dict[str, Any] = {"order": order, "disturbance_n": force, "posture_deg": posture}
+    row: dict[str, Any] = {"order": order, "disturbance_n": force, "posture_deg": posture}
     names = ("mode_hz", "mode_damping", "rod_force_n", "phase_margin_deg", "gain_margin")
-    found |= dict.fromkeys((*names, "delay_margin_ms", "disk_margin", "bandwidth_hz"), math.nan)
-    found |= {"stable": None, "failure": ""}
+    row |= dict.fromkeys((*names, "delay_margin_ms", "disk_margin", "bandwidth_hz"), math.nan)
+    row |= {"stable": None, "failure": ""}
     try:
         plant = linearize_plant(at.plant, posture, outputs=("rod_velocity",))
-        found["rod_force_n"] = plant.operating_point.rod_force_n
+        row["rod_force_n"] = plant.operating_point.rod_force_n
         mode = plant.poles[np.argmax(plant.poles.imag)]
         if mode.imag > 0.0:
-            found["mode_hz"] = float(abs(mode) / (2.0 * math.pi))
-            found["mode_damping"] = float(-mode.real / abs(mode))
+            row["mode_hz"] = float(abs(mode) / (2.0 * math.pi))
+            row["mode_damping"] = float(-mode.real / abs(mode))
         grid = np.geomspace(1.0, 1000.0, 400)
-        found["trace"] = {
+        row["trace"] = {
             "frequencies_hz": grid.tolist(),
             "plant_gain_m": np.abs(plant.response(grid)).tolist(),
         }
         loop = linearize_loop(at, posture)
-        found["stable"] = loop.stable
+        row["stable"] = loop.stable
         if loop.stable:
             margins = loop.margins()
-            found["phase_margin_deg"] = margins.phase_margin_deg
-            found["gain_margin"] = margins.gain_margin
-            found["delay_margin_ms"] = 1e3 * margins.delay_margin_s
-            found["disk_margin"] = margins.disk_margin
-            found["bandwidth_hz"] = loop.bandwidth_hz()
+            row["phase_margin_deg"] = margins.phase_margin_deg
+            row["gain_margin"] = margins.gain_margin
+            row["delay_margin_ms"] = 1e3 * margins.delay_margin_s
+            row["disk_margin"] = margins.disk_margin
+            row["bandwidth_hz"] = loop.bandwidth_hz()
     except LinearizationError as error:
-        found["failure"] = str(error)
-    return found
+        row["failure"] = str(error)
+    return row
 
 
 @needs_runs
 def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str, Any]]:
     """Large-signal bandwidth of one order under one load."""
     order, force = case
-    found = {"order": order, "disturbance_n": force, "bandwidth_hz": math.nan, "failure": ""}
+    row = {"order": order, "disturbance_n": force, "bandwidth_hz": math.nan, "failure": ""}
     at = in_order(scenario, order, force)
     try:
-        found["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, at)
+        row["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, at)
     except KneexoError as error:
-        found["failure"] = str(error)
-    return found
+        row["failure"] = str(error)
+    return row
 
 
 # -------------------------------------------------------------------------------- result
@@ -316,65 +311,37 @@ def switching_force_n(scenario: Scenario) -> float:
 def order_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     settings: OrderSettings = OrderSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> OrderStudy:
     """Compare both orders of the cylinder under the loads of ``settings``, in time and frequency.
 
     ``scenario`` needs a sinusoidal reference; of its cylinder either order is taken, with its own
     valves and seals where it has them. What fails in frequency is nan, and ``failure`` says why.
-    ``workers``, ``executor``, ``checkpoint``: see `parallel_map`.
+    ``options``: see `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` when the reference is no sine, and what the simulation raises.
     """
     require_sine(scenario)
     loads, forces = settings.disturbances_n, settings.switching_forces_n
-    outer = [force for force in loads if force != 0.0]
-    parts: list[tuple[str, Callable[[Any], dict[str, Any]], list[Any]]] = [
-        (
-            "tracking",
-            partial(tracking_row, scenario),
-            [(order, force) for force in loads for order in ORDERS],
-        ),
-        (
-            "speeds",
-            partial(speed_row, scenario, settings),
-            [(o, force, flexing) for force in outer for o in ORDERS for flexing in (True, False)],
-        ),
-        (
-            "switching",
-            partial(switching_row, scenario, settings),
-            [(force, flexing) for flexing in (True, False) for force in forces],
-        ),
-        (
-            "frequency",
-            partial(frequency_row, scenario),
-            [
-                (order, force, posture)
-                for force in loads
-                for order in ORDERS
-                for posture in settings.postures_deg
-            ],
-        ),
-        (
-            "bandwidth",
-            partial(bandwidth_row, scenario),
-            [(order, force) for force in loads for order in ORDERS],
-        ),
+    orders_and_loads = [(order, force) for force in loads for order in ORDERS]
+    speeds = [
+        (order, force, flexing)
+        for order, force in orders_and_loads
+        if force != 0.0
+        for flexing in (True, False)
     ]
-    found: dict[str, Rows] = {}
-    with process_pool(1 if executor is not None else workers) as pool:
-        for name, piece, items in parts:
-            found[name] = tuple(
-                parallel_map(
-                    piece,
-                    items,
-                    executor=executor or pool,
-                    description=f"orders: {name}" if progress else None,
-                    checkpoint=checkpoint,
-                )
-            )
-    return OrderStudy(scenario=scenario, settings=settings, **found)
+    switching = [(force, flexing) for flexing in (True, False) for force in forces]
+    frequency = [(*case, posture) for case in orders_and_loads for posture in settings.postures_deg]
+    parts: dict[str, tuple[Callable[[Any], dict[str, Any]], list[Any]]] = {
+        "tracking": (partial(tracking_row, scenario), orders_and_loads),
+        "speeds": (partial(speed_row, scenario, settings), speeds),
+        "switching": (partial(switching_row, scenario, settings), switching),
+        "frequency": (partial(frequency_row, scenario), frequency),
+        "bandwidth": (partial(bandwidth_row, scenario), orders_and_loads),
+    }
+    with open_sweep(**options) as sweep:
+        rows: dict[str, Rows] = {
+            name: tuple(sweep.map(piece, items, f"orders: {name}"))
+            for name, (piece, items) in parts.items()
+        }
+    return OrderStudy(scenario=scenario, settings=settings, **rows)

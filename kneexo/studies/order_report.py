@@ -3,135 +3,84 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from kneexo.studies.markdown import markdown_table, number
-from kneexo.studies.order import ORDERS, Rows
+from kneexo.studies.markdown import Cell, document, number, row_table
+from kneexo.studies.order import ORDERS, OrderStudy, Rows
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
-
-if TYPE_CHECKING:
-    pass
-
-from kneexo.studies.order import OrderStudy
 
 
 def report(study: OrderStudy) -> str:
     """Markdown: tables, and what the reduction leaves out in words."""
-    tracking = [
-        (
-            row["order"],
-            f"{row['disturbance_n']:g}",
-            f"{row['rms_error_deg']:.3f}",
-            f"{row['max_error_deg']:.3f}",
-            f"{row['mean_command_change_rpm']:.1f}",
-            *(_range(row, name) for name in ("load_pressure", "cap", "rod_side")),
-        )
-        for row in study.tracking
-    ]
-    speeds = [
-        (
-            row["order"],
-            f"{row['force_n']:g}",
-            row["direction"],
-            f"{row['rod_speed_mm_s']:.2f}",
-            f"{100.0 * row['saturated_share']:.0f}",
-        )
-        for row in study.speeds
-    ]
-    bandwidth = [
-        (row["order"], f"{row['disturbance_n']:g}", number(row["bandwidth_hz"], ".4g"))
-        for row in study.bandwidth
-    ]
-    frequency = [
-        (
-            row["order"],
-            f"{row['disturbance_n']:g}",
-            f"{row['posture_deg']:g}",
-            *(number(row[name]) for name in ("rod_force_n", "mode_hz", "mode_damping")),
-            *(number(row[name]) for name in ("phase_margin_deg", "gain_margin")),
-            *(number(row[name]) for name in ("delay_margin_ms", "disk_margin")),
-            row["failure"] or ("" if row["stable"] else "unstable") or _crossing(row),
-        )
-        for row in study.frequency
-    ]
-    switching = [
-        (
-            f"{row['force_n']:g}",
-            row["direction"],
-            f"{row['velocity_swing_mm_s']:.3g}",
-            f"{row['load_pressure_swing_mpa']:.3g}",
-            f"{row['max_error_deg']:.3f}",
-        )
-        for row in study.switching
-    ]
-    load = "disturbance (N)"
-    return "\n".join(
-        [
-            "# Full against reduced order of the cylinder",
-            "",
-            "The disturbance comes on top of the scenario's load; positive loads P_1.",
-            "",
-            "## Tracking",
-            "",
-            *markdown_table(
-                (
-                    *("order", load, "rms error (deg)", "largest error (deg)"),
-                    *("change of command (rpm/sample)", "P_L (MPa)", "P_1 (MPa)", "P_2 (MPa)"),
-                ),
-                tracking,
-            ),
-            "",
-            "## Rod speed at the limit of the command",
-            "",
-            *markdown_table(
-                ("order", "force (N)", "direction", "rod speed (mm/s)", "saturated (%)"), speeds
-            ),
-            "",
-            "## Large-signal −3 dB",
-            "",
-            *markdown_table(("order", load, "bandwidth (Hz)"), bandwidth),
-            "",
-            "## Linearized: the oil's mode and the sampled loop",
-            "",
-            *markdown_table(
-                (
-                    *("order", load, "posture (deg)", "rod force (N)", "mode (Hz)"),
-                    *("damping ratio", "phase margin (deg)", "gain margin"),
-                    *("delay margin (ms)", "disk margin", "small-signal −3 dB (Hz)"),
-                ),
-                frequency,
-            ),
-            "",
-            f"## Near the switching force, full order, {study.settings.switching_rate_deg_s:g} "
-            "deg/s",
-            "",
-            *markdown_table(
-                (
-                    *("force (N)", "direction", "swing of the rod's velocity (mm/s)"),
-                    *("swing of P_L (MPa)", "largest error (deg)"),
-                ),
-                switching,
-            ),
-            "",
-            "## Findings",
-            "",
-            *_findings(study),
-            "",
-        ]
+    case: dict[str, Cell] = {"order": "order", "disturbance (N)": ("disturbance_n", "g")}
+    ramp: dict[str, Cell] = {"force (N)": ("force_n", "g"), "direction": "direction"}
+    return document(
+        "# Full against reduced order of the cylinder",
+        "The disturbance comes on top of the scenario's load; positive loads P_1.",
+        "## Tracking",
+        row_table(
+            study.tracking,
+            case
+            | {
+                "rms error (deg)": ("rms_error_deg", ".3f"),
+                "largest error (deg)": ("max_error_deg", ".3f"),
+                "change of command (rpm/sample)": ("mean_command_change_rpm", ".1f"),
+                "P_L (MPa)": _range("load_pressure"),
+                "P_1 (MPa)": _range("cap"),
+                "P_2 (MPa)": _range("rod_side"),
+            },
+        ),
+        "## Rod speed at the limit of the command",
+        row_table(
+            study.speeds,
+            {"order": "order"}
+            | ramp
+            | {
+                "rod speed (mm/s)": ("rod_speed_mm_s", ".2f"),
+                "saturated (%)": lambda row: f"{100.0 * row['saturated_share']:.0f}",
+            },
+        ),
+        "## Large-signal −3 dB",
+        row_table(study.bandwidth, case | {"bandwidth (Hz)": ("bandwidth_hz", ".4g")}),
+        "## Linearized: the oil's mode and the sampled loop",
+        row_table(
+            study.frequency,
+            case
+            | {
+                "posture (deg)": ("posture_deg", "g"),
+                "rod force (N)": ("rod_force_n", ".3g"),
+                "mode (Hz)": ("mode_hz", ".3g"),
+                "damping ratio": ("mode_damping", ".3g"),
+                "phase margin (deg)": ("phase_margin_deg", ".3g"),
+                "gain margin": ("gain_margin", ".3g"),
+                "delay margin (ms)": ("delay_margin_ms", ".3g"),
+                "disk margin": ("disk_margin", ".3g"),
+                "small-signal −3 dB (Hz)": _small_signal,
+            },
+        ),
+        f"## Near the switching force, full order, {study.settings.switching_rate_deg_s:g} deg/s",
+        row_table(
+            study.switching,
+            ramp
+            | {
+                "swing of the rod's velocity (mm/s)": ("velocity_swing_mm_s", ".3g"),
+                "swing of P_L (MPa)": ("load_pressure_swing_mpa", ".3g"),
+                "largest error (deg)": ("max_error_deg", ".3f"),
+            },
+        ),
+        "## Findings",
+        _findings(study),
     )
 
 
 def _findings(study: OrderStudy) -> list[str]:
-    def extremes(rows: Rows, name: str, order: str) -> tuple[float, float]:
-        values = [row[name] for row in rows if row["order"] == order]
-        values = [value for value in values if not math.isnan(value)] or [math.nan]
-        return min(values), max(values)
-
     def both(rows: Rows, name: str, form: str) -> str:
         texts = []
         for order in ORDERS:
-            low, high = (number(value, form) for value in extremes(rows, name, order))
+            values = [row[name] for row in rows if row["order"] == order]
+            values = [value for value in values if not math.isnan(value)] or [math.nan]
+            low, high = number(min(values), form), number(max(values), form)
             texts.append(f"{order} {low if low == high else f'{low}…{high}'}")
         return ", ".join(texts)
 
@@ -151,28 +100,39 @@ def _findings(study: OrderStudy) -> list[str]:
     ]
     for direction, words in (("in", "retracts"), ("out", "extends")):
         forces = study.oscillating_n(direction)
-        found = f"at {min(forces):g}…{max(forces):g} N" if forces else "at none of the forces"
-        lines.append(f"- Near the switching force the rod oscillates {found} when it {words}.")
-    inside = [r for r in study.switching if r["oscillates"]]
+        where = f"at {min(forces):g}…{max(forces):g} N" if forces else "at none of the forces"
+        lines.append(f"- Near the switching force the rod oscillates {where} when it {words}.")
+    inside = [row for row in study.switching if row["oscillates"]]
     beside = [r for r in study.switching if not r["oscillates"] and r["direction"] == "in"]
     if inside and beside:
+
+        def largest(name: str, rows: Rows = tuple(inside)) -> float:
+            return max(row[name] for row in rows)
+
         lines.append(
-            f"- There its velocity swings by up to "
-            f"{max(r['velocity_swing_mm_s'] for r in inside):.0f} mm/s and P_L by "
-            f"{max(r['load_pressure_swing_mpa'] for r in inside):.2f} MPa, but the error is at "
-            f"most {max(r['max_error_deg'] for r in inside):.2f} deg, beside the zone "
-            f"{max(r['max_error_deg'] for r in beside):.2f} deg: on average both chambers "
+            f"- There its velocity swings by up to {largest('velocity_swing_mm_s'):.0f} mm/s and "
+            f"P_L by {largest('load_pressure_swing_mpa'):.2f} MPa, but the error is at most "
+            f"{largest('max_error_deg'):.2f} deg, beside the zone "
+            f"{largest('max_error_deg', tuple(beside)):.2f} deg: on average both chambers "
             f"carry, as if with the mean area."
         )
     return lines
 
 
-def _crossing(row: Mapping[str, Any]) -> str:
+def _small_signal(row: Mapping[str, Any]) -> str:
+    """The −3 dB frequency of the linear loop, or why there is none."""
+    if row["failure"] or not row["stable"]:
+        return row["failure"] or "unstable"
     hz = row["bandwidth_hz"]
     return "none below Nyquist" if math.isnan(hz) else number(hz)
 
 
-def _range(row: Mapping[str, Any], name: str) -> str:
-    if f"{name}_min_mpa" not in row:
-        return ""
-    return f"{row[f'{name}_min_mpa']:.3f}…{row[f'{name}_max_mpa']:.3f}"
+def _range(name: str) -> Callable[[Mapping[str, Any]], str]:
+    """Least and largest pressure of a name; empty where the order has none."""
+
+    def text(row: Mapping[str, Any]) -> str:
+        if f"{name}_min_mpa" not in row:
+            return ""
+        return f"{row[f'{name}_min_mpa']:.3f}…{row[f'{name}_max_mpa']:.3f}"
+
+    return text

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Literal
@@ -40,7 +39,7 @@ from kneexo.studies.paper import (
     FIG_13_SCALING,
     IDEAL_SMC,
 )
-from kneexo.sweeps import parallel_map, process_pool
+from kneexo.sweeps import open_sweep
 
 FIG_5_POINTS = 204
 """Points of the fits of Fig. 5: printed SSE over squared RMSE is 198, six coefficients beside."""
@@ -59,20 +58,14 @@ class Reproduction(Result):
     eq27_differences: Mapping[str, TrackingResult]
 
 
-@needs_runs
-def _ideal(scenario: Scenario) -> Steps[Run]:
-    return (yield from steps(simulate, scenario, signals=("rod_reference", "rod_extension")))
-
-
-@needs_runs
-def _hydraulic(scenario: Scenario) -> Steps[Run]:
-    return (yield from steps(simulate, scenario, signals=("load_pressure", "motor_speed_command")))
-
-
 _STUDIES: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...] = (
-    ("fig9", _ideal, {"": IDEAL_SMC}),
+    ("fig9", partial(simulate, signals=("rod_reference", "rod_extension")), {"": IDEAL_SMC}),
     ("fig12", track, FIG_12),
-    ("exact", _hydraulic, EQ_27_EXACT_STATES),
+    (
+        "exact",
+        partial(simulate, signals=("load_pressure", "motor_speed_command")),
+        EQ_27_EXACT_STATES,
+    ),
     ("differences", track, EQ_27_DIFFERENCES),
 )
 
@@ -108,32 +101,25 @@ def reproduce(
         for name, case in cases.items()
     }
     base = Scenario().with_engine(engine)
-    if executor is not None:
-        pool_of: AbstractContextManager[Executor | None] = nullcontext(executor)
-    else:
-        pool_of = process_pool(workers if engine == "drake" else 1)
-    with pool_of as pool:
-        values = parallel_map(
-            _call,
-            list(tasks.values()),
-            executor=pool,
-            description="Fig. 9, Fig. 12, Eq. 27 at 2 ms" if progress else None,
-            weight=_cost,
+    processes = workers if engine == "drake" else 1
+    with open_sweep(workers=processes, executor=executor, progress=progress) as sweep:
+        values = sweep.map(
+            _call, list(tasks.values()), "Fig. 9, Fig. 12, Eq. 27 at 2 ms", weight=_cost
         )
-        response = sinestream(base, settings, executor=pool, progress=progress)
+        measure = partial(sinestream, executor=sweep.executor, progress=progress)
+        response = measure(base, settings)
         scaling = {}
-        for name, (case, own) in FIG_13_SCALING.items():
+        for name, (case, narrow) in FIG_13_SCALING.items():
             scaled = case.with_engine(engine)
-            trials = [nominal_trial(scaled)]
-            scaling[name] = sinestream(scaled, own, trials=trials, executor=pool, progress=progress)
-    done = dict(zip(tasks, values, strict=True))
+            scaling[name] = measure(scaled, narrow, trials=[nominal_trial(scaled)])
+    by_task = dict(zip(tasks, values, strict=True))
 
     def group(key: str) -> dict[str, Any]:
-        return {name: value for (kind, name), value in done.items() if kind == key}
+        return {name: value for (kind, name), value in by_task.items() if kind == key}
 
     return Reproduction(
         fit=fit_polynomials(),
-        fig9=done["fig9", ""],
+        fig9=by_task["fig9", ""],
         fig12=group("fig12"),
         fig13=response,
         scaling=scaling,
@@ -170,12 +156,12 @@ def growth_rate(run: Run) -> float:
     return float(np.polyfit(centre, level, 1)[0])
 
 
-def results(done: Reproduction) -> dict[str, Any]:
+def results(reproduction: Reproduction) -> dict[str, Any]:
     """The content of ``results.json``: plain numbers, units in the names."""
     table = RodPolynomialParameters()
-    fit, error = done.fit, rod_error_mm(done.fig9)
+    fit, error = reproduction.fit, rod_error_mm(reproduction.fig9)
     peak_rpm, saturation_hz = speed_demand()
-    response = done.fig13
+    response = reproduction.fig13
     g4 = fit_polynomials(G4, start_deg=5.0, samples=FIG_5_POINTS)
     return {
         "table1": {
@@ -201,13 +187,13 @@ def results(done: Reproduction) -> dict[str, Any]:
         },
         "fig9": {
             "initial_error_mm": float(abs(error[0])),
-            "error_after_1s_mm": float(abs(np.interp(1.0, done.fig9.time_s, error))),
+            "error_after_1s_mm": float(abs(np.interp(1.0, reproduction.fig9.time_s, error))),
             "final_error_mm": float(abs(error[-1])),
         },
         "fig12": {
             name: asdict(tracked.metrics)
             | {"controller": tracked.scenario.controller.model_dump(exclude_defaults=True)}
-            for name, tracked in done.fig12.items()
+            for name, tracked in reproduction.fig12.items()
         },
         "fig13": {
             "frequencies_hz": response.frequencies_hz,
@@ -224,9 +210,9 @@ def results(done: Reproduction) -> dict[str, Any]:
         "scaling": {
             name: {
                 "bandwidth_hz": scaled.bandwidth_hz,
-                "ratio": scaled.bandwidth_hz / done.scaling["nominal"].bandwidth_hz,
+                "ratio": scaled.bandwidth_hz / reproduction.scaling["nominal"].bandwidth_hz,
             }
-            for name, scaled in done.scaling.items()
+            for name, scaled in reproduction.scaling.items()
         },
         "speed_limit": {
             "peak_command_at_0.1hz_rpm": peak_rpm,
@@ -237,7 +223,7 @@ def results(done: Reproduction) -> dict[str, Any]:
                 "growth_rate_per_s": growth_rate(run),
                 "mean_command_change_rpm": to_rpm(mean_change(run["motor_speed_command_rad_s"])),
             }
-            for name, run in done.eq27_exact.items()
+            for name, run in reproduction.eq27_exact.items()
         },
         "eq27_differences": {
             name: {
@@ -245,15 +231,10 @@ def results(done: Reproduction) -> dict[str, Any]:
                 "rms_error_deg": tracked.metrics.rms_error_deg,
                 "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
             }
-            for name, tracked in done.eq27_differences.items()
+            for name, tracked in reproduction.eq27_differences.items()
         },
     }
 
-
-# ---------------------------------------------------------------------------------- report
-
-
-# --------------------------------------------------------------------------------- figures
 
 FIG_12_TITLES = {
     "smc": "sliding-mode control",

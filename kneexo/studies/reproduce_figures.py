@@ -8,23 +8,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from kneexo.analysis import (
-    FrequencyResponse,
-    Run,
-    TrackingResult,
-)
+from kneexo.analysis import FrequencyResponse, Run, TrackingResult
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
 from kneexo.studies.reproduce import FIG_12_TITLES, Reproduction, rod_error_mm
 
 
-def figures(done: Reproduction) -> dict[str, Figure]:
+def figures(reproduction: Reproduction) -> dict[str, Figure]:
     """The paper's figures by name, in its layout; the caller closes them."""
     return {
-        "fig05_polynomial_fit": done.fit.plot()[0].figure,
-        "fig09_ideal_smc": _plot_fig9(done.fig9),
-        "fig12_tracking": _plot_fig12(done.fig12),
-        "fig13_frequency_response": _plot_fig13(done.fig13),
-        "eq27_at_2ms": _plot_eq27(done),
+        "fig05_polynomial_fit": reproduction.fit.plot()[0].figure,
+        "fig09_ideal_smc": _plot_fig9(reproduction.fig9),
+        "fig12_tracking": _plot_fig12(reproduction.fig12),
+        "fig13_frequency_response": _plot_fig13(reproduction.fig13),
+        "eq27_at_2ms": _plot_eq27(reproduction),
     }
 
 
@@ -64,9 +60,9 @@ def _plot_fig13(response: FrequencyResponse) -> Figure:
     return ax[0].figure
 
 
-def _plot_eq27(done: Reproduction) -> Figure:
+def _plot_eq27(reproduction: Reproduction) -> Figure:
     figure, ax = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
-    for name, run in done.eq27_exact.items():
+    for name, run in reproduction.eq27_exact.items():
         ax[0].semilogy(run.time_s, np.abs(run["load_pressure_pa"]), ".", ms=1.5, label=name)
     ax[0].set(
         xlabel="time (s)",
@@ -74,7 +70,7 @@ def _plot_eq27(done: Reproduction) -> Figure:
         ylim=(1e-2, 1e4),
         title="(a) exact states: sampled hydraulic mode",
     )
-    for name, tracked in done.eq27_differences.items():
+    for name, tracked in reproduction.eq27_differences.items():
         ax[1].plot(tracked.run.time_s, tracked.error_deg, lw=0.8, label=name)
     ax[1].set(
         xlabel="time (s)",

@@ -10,34 +10,24 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
 from kneexo.analysis.assessment import assess
-from kneexo.analysis.sensitivity import (
-    differentiable,
-    loop_sensitivities,
-    tracking_sensitivities,
-    value_at,
-)
+from kneexo.analysis.sensitivity import differentiable, loop_sensitivities, tracking_sensitivities
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
-from kneexo.parameters.paths import applicable, changed
+from kneexo.parameters.paths import applicable, changed, value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 
 class RobustnessSettings(Parameters):
@@ -119,7 +109,7 @@ def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, A
 
 
 def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> Scenario:
-    """The scenario with those values, whose controller is told of the known ones alone.
+    """The scenario with those values, of which the controller gets the known ones alone.
 
     Raises `ParameterError` for values that do not go together.
     """
@@ -154,31 +144,42 @@ def levels(one: Uncertainty) -> tuple[Any, ...]:
     return one.options or (one.low, one.high)
 
 
-def signed(visits: Iterable[Visit], merit: str) -> Array:
-    """A figure of merit at each visit; what failed is infinitely bad."""
-    values = np.array([visit.figures[merit] for visit in visits], dtype=float)
-    return np.where(np.isnan(values), MERITS[merit].worse * math.inf, values)
+def merit_value(visit: Visit, merit: str) -> float:
+    """A figure of merit of a visit; what failed is infinitely bad."""
+    value = visit.figures[merit]
+    failed = value is None or math.isnan(value)
+    return MERITS[merit].worse * math.inf if failed else float(value)
+
+
+def merit_values(visits: Iterable[Visit], merit: str) -> Array:
+    """`merit_value` of each visit, (n,)."""
+    return np.array([merit_value(visit, merit) for visit in visits], dtype=float)
 
 
 def worst(visits: Sequence[Visit], merit: str) -> Visit:
     """The visit with the worst figure of merit, the first of several."""
-    return visits[int(np.argmax(MERITS[merit].worse * signed(visits, merit)))]
+    return visits[int(np.argmax(MERITS[merit].worse * merit_values(visits, merit)))]
+
+
+def worst_value(visits: Sequence[Visit], merit: str) -> float:
+    """The figure of merit of the `worst` visit."""
+    return merit_value(worst(visits, merit), merit)
 
 
 def quantile(visits: Sequence[Visit], merit: str, share: float) -> float:
     """Order statistic at ``share``: infinite where that many visits failed."""
-    return float(np.quantile(signed(visits, merit), share, method="inverted_cdf"))
+    return float(np.quantile(merit_values(visits, merit), share, method="inverted_cdf"))
 
 
 def failures(visits: Sequence[Visit]) -> list[dict[str, Any]]:
     """Reasons of failures, alike but for their numbers: how many, and the first one's words."""
-    found: dict[str, dict[str, Any]] = {}
+    kinds: dict[str, dict[str, Any]] = {}
     for visit in visits:
         for text in visit.failures:
             kind = re.sub(r"[-+−]?\d[\d.e+-]*", "#", text)
-            entry = found.setdefault(kind, {"count": 0, "example": text, "values": visit.values})
+            entry = kinds.setdefault(kind, {"count": 0, "example": text, "values": visit.values})
             entry["count"] += 1
-    return sorted(found.values(), key=lambda entry: -entry["count"])
+    return sorted(kinds.values(), key=lambda entry: -entry["count"])
 
 
 def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit: str) -> Array:
@@ -190,7 +191,7 @@ def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit
     """
     from scipy.stats import rankdata  # takes half a second, which workers need not wait
 
-    ranks = rankdata(signed(visits, merit)) - 0.5 * (len(visits) + 1)
+    ranks = rankdata(merit_values(visits, merit)) - 0.5 * (len(visits) + 1)
     size = math.sqrt(ranks @ ranks)
     if size == 0.0:
         return np.full(len(uncertainty.values), math.nan)
@@ -245,7 +246,7 @@ class RobustnessStudy(Result):
 
     def effects(self, merit: str) -> dict[str, list[float]]:
         """The figure of merit at each level of one value, all others nominal, by path."""
-        values = iter(signed(self.one_at_a_time, merit).tolist())
+        values = iter(merit_values(self.one_at_a_time, merit).tolist())
         return {
             path: list(islice(values, len(levels(one))))
             for path, one in self.uncertainty.values.items()
@@ -253,8 +254,8 @@ class RobustnessStudy(Result):
 
     def spread(self, merit: str, path: str) -> float:
         """How far one value moves the figure of merit, all others nominal; inf if it fails."""
-        found = [*self.effects(merit)[path], signed([self.nominal], merit)[0]]
-        return float(np.max(found) - np.min(found)) if np.isfinite(found).all() else math.inf
+        values = [*self.effects(merit)[path], merit_value(self.nominal, merit)]
+        return float(np.max(values) - np.min(values)) if np.isfinite(values).all() else math.inf
 
     def linear_effect(self, merit: str, path: str) -> float:
         """What the local sensitivity makes of the whole interval, low to high; nan without one."""
@@ -305,7 +306,7 @@ class RobustnessStudy(Result):
                     for name, visits in sets.items()
                 },
                 **{
-                    f"failed_{name}s": int(np.sum(~np.isfinite(signed(visits, merit))))
+                    f"failed_{name}s": int(np.sum(~np.isfinite(merit_values(visits, merit))))
                     for name, visits in sets.items()
                 },
             }
@@ -341,31 +342,24 @@ def robustness_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     uncertainty: UncertaintySet = UNCERTAINTY,
     settings: RobustnessSettings = RobustnessSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> RobustnessStudy:
     """Explore what ``uncertainty`` does to the loop of ``scenario``.
 
     Uncertain values that the scenario does not have (a load, where there is none) are left out and
-    reported. A reference that is no moving sine has no bandwidth. ``workers``, ``executor``,
-    ``checkpoint``: see `parallel_map`.
+    reported. A reference that is no moving sine has no bandwidth. ``options``: see
+    `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` for uncertain values that no scenario has, that are out of range, and
     when none of them applies.
     """
-    if executor is None and workers != 1:
-        with process_pool(workers) as pool:
-            return robustness_study(
-                scenario,
-                uncertainty,
-                settings,
-                executor=pool,
-                checkpoint=checkpoint,
-                progress=progress,
-            )
+    with open_sweep(**options) as sweep:
+        return _explore(scenario, uncertainty, settings, sweep)
+
+
+def _explore(
+    scenario: Scenario, uncertainty: UncertaintySet, settings: RobustnessSettings, sweep: Sweep
+) -> RobustnessStudy:
     kept, left_out = applicable(scenario, uncertainty)
     reference = scenario.reference
     moves = reference.kind == "sine" and reference.amplitude_deg > 0.0
@@ -373,18 +367,9 @@ def robustness_study(
         assess_plant, scenario, kept, partial(assess, bandwidth=settings.bandwidth and moves)
     )
 
-    def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Any]:
-        return parallel_map(
-            function,
-            items,
-            executor=executor,
-            description=what if progress else None,
-            checkpoint=checkpoint,
-        )
-
     def visit(points: Sequence[Values], what: str) -> tuple[Visit, ...]:
-        found = run(judge, points, what)
-        return tuple(map(Visit, points, (missing | figures for figures in found)))
+        figures = sweep.map(judge, points, what)
+        return tuple(map(Visit, points, (missing | values for values in figures)))
 
     missing: dict[str, Any] = {}  # figures of a plant that cannot be
     at_nominal = visit([{}], "nominal")[0]
@@ -401,9 +386,9 @@ def robustness_study(
     if paths:
         tasks = ["margins", *(["tracking"] if settings.sensitivity_duration_s else [])]
         function = partial(_local, scenario, tuple(paths), settings.sensitivity_duration_s)
-        for found in run(function, tasks, "sensitivities"):
-            troubles += [found.pop("failure")] if "failure" in found else []
-            local |= found
+        for gradients in sweep.map(function, tasks, "sensitivities"):
+            troubles += [gradients.pop("failure")] if "failure" in gradients else []
+            local |= gradients
     return RobustnessStudy(
         scenario=scenario,
         uncertainty=kept,
@@ -426,12 +411,12 @@ def _local(
     """Local sensitivities by figure and path; ``failure`` says why there are none."""
     try:
         if task == "margins":
-            found = loop_sensitivities(scenario, paths)
+            sensitivities = loop_sensitivities(scenario, paths)
         else:
-            found = tracking_sensitivities(scenario, paths, duration_s=duration_s)
+            sensitivities = tracking_sensitivities(scenario, paths, duration_s=duration_s)
     except KneexoError as error:
         return {"failure": f"{task}: {error}"}
-    return {figure: found.of(figure) for figure in found.figures}
+    return {figure: sensitivities.of(figure) for figure in sensitivities.figures}
 
 
 def _corners(
@@ -485,13 +470,13 @@ def _pointed_at(
     for merit in merits:
         choices = []
         for one, visits in zip(uncertainty.values.values(), own, strict=True):
-            bad = MERITS[merit].worse * signed(visits, merit)
+            bad = MERITS[merit].worse * merit_values(visits, merit)
             choices.append(range(len(visits)) if one.options else [int(np.argmax(bad))])
         yield from product(*choices)
 
 
 def _worst_corner(visited: Mapping[Corner, Visit], merit: str) -> Corner:
-    bad = MERITS[merit].worse * signed(visited.values(), merit)
+    bad = MERITS[merit].worse * merit_values(visited.values(), merit)
     return list(visited)[int(np.argmax(bad))]
 
 

@@ -15,51 +15,49 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.errors import KneexoError
+from kneexo.studies.plots import CENTRED, legend_below
 from kneexo.studies.robustness import (
     MERITS,
     RobustnessStudy,
     Visit,
+    merit_value,
+    merit_values,
     realize,
     short_names,
-    signed,
     worst,
+    worst_value,
 )
 
 _SHOWN = ("max_error_deg", "bandwidth_hz", "disk_margin")
 
 
-def distribution(r: RobustnessStudy) -> Figure:
+def distribution(study: RobustnessStudy) -> Figure:
     """Empirical distribution of each figure of merit, with the nominal plant and the worst corner.
 
     What failed is missing: the curve then ends below one, or begins above zero.
     """
-    names = [merit for merit in r.merits if merit != "rms_error_deg"]
+    names = [merit for merit in study.merits if merit != "rms_error_deg"]
     columns = min(3, len(names))
     rows = math.ceil(len(names) / columns)
     figure, axes = plt.subplots(
         rows, columns, figsize=(3.6 * columns, 2.9 * rows), layout="constrained", squeeze=False
     )
     for ax, merit in zip(axes.flat, names, strict=False):
-        _plot_distribution(ax, r, merit)
+        _plot_distribution(ax, study, merit)
     for ax in axes.flat[len(names) :]:
         ax.set_visible(False)
     for row in axes:
         row[0].set_ylabel("share of the samples")
-    entries = {
-        label: handle
-        for ax in axes.flat
-        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3)
+    legend_below(figure, axes.flat, ncols=3)
     return figure
 
 
-def _plot_distribution(ax: Axes, r: RobustnessStudy, merit: str) -> None:
-    values = np.sort(signed(r.samples, merit))
+def _plot_distribution(ax: Axes, study: RobustnessStudy, merit: str) -> None:
+    values = np.sort(merit_values(study.samples, merit))
     share = np.arange(1, values.size + 1) / values.size
     finite = np.isfinite(values)
-    nominal = signed([r.nominal], merit)[0]
-    corner = signed([worst(r.corners, merit)], merit)[0]
+    nominal = merit_value(study.nominal, merit)
+    corner = worst_value(study.corners, merit)
     ax.step(values[finite], share[finite], where="post", color="C0", label="samples")
     for value, colour, ls, lw, label in (
         (nominal, "0.4", "--", 1.0, "nominal"),
@@ -80,10 +78,10 @@ def _plot_distribution(ax: Axes, r: RobustnessStudy, merit: str) -> None:
     ax.grid(alpha=0.3)
 
 
-def tornado(r: RobustnessStudy) -> Figure:
+def tornado(study: RobustnessStudy) -> Figure:
     """What each value alone does to error, bandwidth and disk margin, the largest on top."""
-    merits = [merit for merit in _SHOWN if merit in r.merits]
-    names = short_names(r.uncertainty.values)
+    merits = [merit for merit in _SHOWN if merit in study.merits]
+    names = short_names(study.uncertainty.values)
     figure, axes = plt.subplots(
         1,
         len(merits),
@@ -92,11 +90,11 @@ def tornado(r: RobustnessStudy) -> Figure:
         squeeze=False,
     )
     for ax, merit in zip(axes[0], merits, strict=True):
-        _plot_tornado(ax, r, merit, names)
+        _plot_tornado(ax, study, merit, names)
     entries = {"low end": "C0<", "high end": "C1>"}
-    options = max(len(one.options) for one in r.uncertainty.values.values())
+    options = max(len(one.options) for one in study.uncertainty.values.values())
     entries |= {f"option {n + 1}": f"C{n}{'os^Dv'[n % 5]}" for n in range(min(options, 5))}
-    if any(np.isinf(signed(r.one_at_a_time, merit)).any() for merit in merits):
+    if any(np.isinf(merit_values(study.one_at_a_time, merit)).any() for merit in merits):
         entries["fails or is unstable"] = "C3x"
     handles = [Line2D([], [], color=s[:2], marker=s[2], ls="", ms=5) for s in entries.values()]
     handles.append(Line2D([], [], color="0.4", ls="--", lw=1))
@@ -105,16 +103,16 @@ def tornado(r: RobustnessStudy) -> Figure:
     return figure
 
 
-def _plot_tornado(ax: Axes, r: RobustnessStudy, merit: str, names: dict[str, str]) -> None:
-    effects = r.effects(merit)
-    nominal = float(signed([r.nominal], merit)[0])
+def _plot_tornado(ax: Axes, study: RobustnessStudy, merit: str, names: dict[str, str]) -> None:
+    effects = study.effects(merit)
+    nominal = merit_value(study.nominal, merit)
     finite = [v for values in effects.values() for v in [*values, nominal] if math.isfinite(v)]
-    order = sorted(names, key=lambda path: r.spread(merit, path))
+    order = sorted(names, key=lambda path: study.spread(merit, path))
     low, high = (min(finite), max(finite)) if finite else (0.0, 1.0)
     margin = 0.15 * (high - low) or 0.1 * abs(high) or 1.0
     failed_at = high + margin if MERITS[merit].worse > 0.0 else low - margin
     for row, path in enumerate(order):
-        one, values = r.uncertainty.values[path], effects[path]
+        one, values = study.uncertainty.values[path], effects[path]
         ends = [v for v in [*values, nominal] if math.isfinite(v)]
         if ends:
             ax.plot([min(ends), max(ends)], [row, row], color="0.8", lw=7, solid_capstyle="butt")
@@ -133,24 +131,24 @@ def _plot_tornado(ax: Axes, r: RobustnessStudy, merit: str, names: dict[str, str
     ax.grid(axis="x", alpha=0.3)
 
 
-def importance(r: RobustnessStudy) -> Figure:
+def importance(study: RobustnessStudy) -> Figure:
     """Rank correlations over the samples, beside the linear effect of each whole interval."""
-    names = short_names(r.uncertainty.values)
-    merits = list(r.merits)
-    correlations = r.correlations()
+    names = short_names(study.uncertainty.values)
+    merits = list(study.merits)
+    correlations = study.correlations()
     ranks = np.array([[correlations[m][path] for m in merits] for path in names])
     figure, axes = plt.subplots(
         1, 2, figsize=(12.0, 1.9 + 0.36 * len(names)), layout="constrained", sharey=True
     )
-    chosen = np.array([bool(r.uncertainty.values[path].options) for path in names])
+    chosen = np.array([bool(study.uncertainty.values[path].options) for path in names])
     labels = [
         name + (" (η)" if own else "") for name, own in zip(names.values(), chosen, strict=True)
     ]
     _plot_table(axes[0], ranks, merits, labels, chosen)
     axes[0].set_title("rank correlation over the samples, ρ or η", fontsize=9)
-    local = [m for m in merits if m in r.local]
-    linear = np.array([[r.linear_effect(m, path) for m in local] for path in names])
-    scale = np.array([abs(r.nominal.figures[m]) for m in local])
+    local = [m for m in merits if m in study.local]
+    linear = np.array([[study.linear_effect(m, path) for m in local] for path in names])
+    scale = np.array([abs(study.nominal.figures[m]) for m in local])
     if local:
         _plot_table(axes[1], 100.0 * linear / scale, local, labels, chosen, limit=100.0)
         axes[1].set_title("whole interval by AutoDiff, % of the nominal figure", fontsize=9)
@@ -194,15 +192,8 @@ def _plot_table(
         )
     for (row, column), value in np.ndenumerate(values):
         if math.isfinite(value):
-            ax.text(
-                column,
-                row,
-                _cell(value),
-                ha="center",
-                va="center",
-                fontsize=7,
-                color="w" if abs(value) > 0.7 * limit else "k",
-            )
+            color = "w" if abs(value) > 0.7 * limit else "k"
+            ax.text(column, row, _cell(value), fontsize=7, color=color, **CENTRED)
     ax.set_xticks(
         range(len(merits)),
         [MERITS[merit].label.split(" (")[0] for merit in merits],
@@ -214,12 +205,12 @@ def _plot_table(
     ax.set_yticks(range(len(labels)), labels, fontsize=8)
 
 
-def nyquist(r: RobustnessStudy) -> Figure:
+def nyquist(study: RobustnessStudy) -> Figure:
     """Loops of the first samples, with the disk that the worst disk margin keeps out."""
     figure, ax = plt.subplots(figsize=(6.0, 6.0), layout="constrained")
-    visits = [*r.samples, *r.corners, *r.one_at_a_time, r.nominal]
+    visits = [*study.samples, *study.corners, *study.one_at_a_time, study.nominal]
     stable = [visit for visit in visits if visit.figures["stable"]]
-    loops = [_loop(r, visit) for visit in r.samples[: r.settings.nyquist_loops]]
+    loops = [_loop(study, visit) for visit in study.samples[: study.settings.nyquist_loops]]
     drawn = [loop for loop in loops if loop is not None]
     lost = sum(not loop.stable for loop in drawn)
     labels = {True: f"L of {len(drawn) - lost} samples", False: f"L of {lost} unstable samples"}
@@ -232,7 +223,7 @@ def nyquist(r: RobustnessStudy) -> Figure:
     unstable = sum(visit.figures["stable"] is False for visit in visits)
     title = ""
     if stable:
-        nearest = _loop(r, worst(stable, "disk_margin"))
+        nearest = _loop(study, worst(stable, "disk_margin"))
         if nearest is not None:
             nearest.plot_nyquist(ax)
             title = f"blue: the smallest disk margin of {len(stable)} stable plants"
@@ -242,10 +233,10 @@ def nyquist(r: RobustnessStudy) -> Figure:
     return figure
 
 
-def _loop(r: RobustnessStudy, visit: Visit) -> SampledLoop | None:
+def _loop(study: RobustnessStudy, visit: Visit) -> SampledLoop | None:
     """The linear loop of a visit, as `kneexo.analysis.assess` takes it; None when there is none."""
     try:
-        plant = realize(r.scenario, r.uncertainty, visit.values)
+        plant = realize(study.scenario, study.uncertainty, visit.values)
         return linearize_loop(plant, 0.5 * sum(plant.reference.range_deg))
     except KneexoError:
         return None

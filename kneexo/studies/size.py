@@ -8,20 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any, Unpack
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
 from kneexo.analysis.assessment import assess
-from kneexo.analysis.bandwidth import (
-    large_signal_bandwidth_hz,
-)
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.hardware import (
     ACCELERATION_LIMIT,
@@ -30,7 +25,6 @@ from kneexo.analysis.hardware import (
     expected_bandwidth_hz,
     scaled,
     tuned,
-    value_at,
 )
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.signals import to_rpm
@@ -51,18 +45,20 @@ from kneexo.parameters import (
     Scenario,
     gait_reference,
 )
-from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, positive_values, quantities, quantity
+from kneexo.parameters.paths import changed, value_at
+from kneexo.parameters.quantity import (
+    Parameters,
+    positive_values,
+    quantities,
+    quantity,
+    require_increasing,
+)
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
 from kneexo.simulation.run import Array
 from kneexo.studies import size_results
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map, process_pool
-
-if TYPE_CHECKING:
-    pass
+from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class SizeSettings(Parameters):
@@ -145,12 +141,10 @@ class SizeSettings(Parameters):
         le=500,
     )
 
+    _increasing = field_validator("factors", "walking_factors")(require_increasing)
+
     @model_validator(mode="after")
     def _ordered(self) -> SizeSettings:
-        for name in ("factors", "walking_factors"):
-            values = getattr(self, name)
-            if any(b <= a for a, b in pairwise(values)):
-                raise ValueError(f"{name} must increase")
         low, high = self.acceleration_limit_min_rad_s2, self.acceleration_limit_max_rad_s2
         if low >= high:
             raise ValueError(
@@ -190,30 +184,12 @@ def _at_reference(scenario: Scenario) -> Steps[dict[str, Any]]:
         metrics = (yield from steps(track, scenario)).metrics
         return [metrics.max_error_deg, metrics.rms_error_deg, metrics.mean_command_change_rpm]
 
-    found = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
-    found |= yield from measured("bandwidth_hz", part=large_signal())
-    found |= yield from measured("small_signal_bandwidth_hz", part=steps(small_signal))
+    figures = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
+    figures |= yield from measured("bandwidth_hz", part=large_signal())
+    figures |= yield from measured("small_signal_bandwidth_hz", part=steps(small_signal))
     names = ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
-    found |= yield from measured(*names, part=tracking())
-    return found | {"failure": "; ".join(failures)}
-
-
-@needs_runs
-def _bandwidth_or_nan(scenario: Scenario) -> Steps[float]:
-    try:
-        return (yield from steps(large_signal_bandwidth_hz, scenario))
-    except KneexoError:
-        return math.nan
-
-
-@needs_runs
-def _walking(cycles: int, item: tuple[Scenario, float]) -> Steps[dict[str, Any]]:
-    return (yield from steps(walking_metrics, *item, cycles))
-
-
-@needs_runs
-def _walking_and_margins(cycles: int, item: tuple[Scenario, float]) -> Steps[dict[str, Any]]:
-    return (yield from steps(_walking, cycles, item)) | assess(item[0], tracking=False)
+    figures |= yield from measured(*names, part=tracking())
+    return figures | {"failure": "; ".join(failures)}
 
 
 # ---------------------------------------------------------------------------------- search
@@ -240,9 +216,9 @@ def smallest(
 ) -> Search:
     """Smallest value of ``low`` … ``high`` (> 0) with an error within the bound.
 
-    Bisection of the logarithm down to a relative ``tolerance``; it takes for granted that more
-    never hurts. An error of nan is beyond every bound. Where even ``high`` is not enough, the best
-    of nine values is told, with ``reached`` False.
+    Bisection of the logarithm down to a relative ``tolerance``. Assumes that the error never
+    increases with the value. An error of nan is beyond every bound. Where even ``high`` is not
+    enough, ``reached`` is False and the value is the best of nine.
     """
     at_low, at_high = error_deg(low), error_deg(high)
     if at_low <= bound_deg:
@@ -327,11 +303,7 @@ class SizeStudy(Result):
 def size_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     settings: SizeSettings = SizeSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> SizeStudy:
     """Sweep the hardware around a scenario's, then size it for walking.
 
@@ -345,7 +317,7 @@ def size_study(
     5. Pressure and power of these designs at a small step, the first design on other plants, and
        what each of its values contributes.
 
-    ``workers``, ``executor``, ``checkpoint``: see `parallel_map`; ``progress`` shows bars.
+    ``options``: see `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` when the scenario's reference is no sine that moves, its controller is
     no sliding mode with an observer, its motor has no limits, or no gains let it walk.
@@ -358,19 +330,11 @@ def size_study(
         )
     if scenario.plant.ideal_motor:
         raise ParameterError("plant.ideal_motor = true: has no limits to size; must be false")
-    pool_of = nullcontext(executor) if executor is not None else process_pool(workers)
-    with pool_of as pool:
+    with open_sweep(**options) as sweep:
 
         def run(function: Callable[[Any], Any], items: Sequence[Any], text: str = "") -> list[Any]:
             once = list(dict.fromkeys(items))
-            found = parallel_map(
-                function,
-                once,
-                executor=pool,
-                checkpoint=checkpoint,
-                description=text if progress and text else None,
-            )
-            by_item = dict(zip(once, found, strict=True))
+            by_item = dict(zip(once, sweep.map(function, once, text), strict=True))
             return [by_item[item] for item in items]
 
         return _sizing(scenario, settings, run)
@@ -378,7 +342,8 @@ def size_study(
 
 def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
     frequencies = settings.stride_frequencies_hz
-    walking = partial(_walking, settings.cycles)
+    walking = partial(walking_metrics, cycles=settings.cycles)
+    walking_first = partial(walking, frequency_hz=frequencies[0])
 
     demands = [walking_demand(scenario, f) for f in frequencies]
     segment_demands, torque_demands = [], {}
@@ -394,7 +359,7 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
         "hardware: bandwidth and error",
     )
     bandwidths = run(
-        _bandwidth_or_nan,
+        partial(assess, tracking=False, margins=False, bandwidth=True),
         [scaled(scenario, factors) for factors in _pairs(settings.factors)],
         "flow and acceleration: bandwidth",
     )
@@ -412,19 +377,17 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
         for lambda_ in settings.lambda_per_s
     ]
     hardest = max(frequencies)
-    found = run(
-        partial(_walking_and_margins, settings.cycles),
-        [(tuned(ample, gains), hardest) for gains in tried],
-        "gains for walking",
-    )
-    own_change = (
+    loops = [tuned(ample, gains) for gains in tried]
+    walks = run(partial(walking, frequency_hz=hardest), loops, "gains for walking")
+    margins = run(partial(assess, tracking=False), loops)
+    asked_change = (
         walking_demand(ample, hardest).peaks()["mean_motor_acceleration_rad_s2"]
         * scenario.controller.sample_time_s
     )
-    gains = [
-        one | result | {"meets": _meets(result, settings, to_rpm(own_change))}
-        for one, result in zip(tried, found, strict=True)
-    ]
+    gains = []
+    for values, walk_values, margin_values in zip(tried, walks, margins, strict=True):
+        result = values | walk_values | margin_values
+        gains.append(result | {"meets": _meets(result, settings, to_rpm(asked_change))})
     best = _best(gains)
 
     unchanged = changed(scenario, {p: value_at(scenario, p) * f for p, f in largest.items()})
@@ -434,25 +397,26 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
         "and η, Φ grown with the flow": ample,
         "and λ, k/Φ, T_f for walking": tuned(ample, best),
     }
-    found = run(walking, [(stage, f) for stage in stages.values() for f in frequencies])
-    count = len(frequencies)
-    steps = {name: found[n * count : (n + 1) * count] for n, name in enumerate(stages)}
+    by_frequency = [
+        run(partial(walking, frequency_hz=f), list(stages.values())) for f in frequencies
+    ]
+    steps = dict(zip(stages, map(list, zip(*by_frequency, strict=True)), strict=True))
 
     designs = [_design(scenario, settings, best, f, run) for f in frequencies]
     first = designs[0].scenario
     variations = _variations(first, designs[0].flow.value * settings.margin, settings)
-    results = run(walking, [(other, frequencies[0]) for other in variations.values()])
+    results = run(walking_first, list(variations.values()))
     factors = settings.walking_factors
     around = [*_one_at_a_time(factors), *_pairs(factors)]
-    walks = run(
-        walking, [(scaled(first, values), frequencies[0]) for values in around], "around the design"
-    )
+    walks = run(walking_first, [scaled(first, values) for values in around], "around the design")
     return SizeStudy(
         scenario=scenario,
         settings=settings,
         nominal=nominal,
         sweeps=_by_path(swept, settings.factors),
-        bandwidth_map_hz=np.reshape(bandwidths, (len(settings.factors), -1)),
+        bandwidth_map_hz=np.reshape(
+            [figures["bandwidth_hz"] for figures in bandwidths], (len(settings.factors), -1)
+        ),
         demands=demands,
         segment_demands=segment_demands,
         torque_demands=torque_demands,
@@ -486,19 +450,19 @@ def _one_at_a_time(factors: Sequence[float]) -> list[dict[str, float]]:
     return [{path: factor} for path in HARDWARE for factor in factors]
 
 
-def _by_path(found: Sequence[Any], factors: Sequence[float]) -> dict[str, Sequence[Any]]:
+def _by_path(results: Sequence[Any], factors: Sequence[float]) -> dict[str, Sequence[Any]]:
     """The results of `_one_at_a_time`."""
     count = len(factors)
-    return {path: found[n * count : (n + 1) * count] for n, path in enumerate(HARDWARE)}
+    return {path: results[n * count : (n + 1) * count] for n, path in enumerate(HARDWARE)}
 
 
 def _pairs(factors: Sequence[float]) -> list[dict[str, float]]:
     return [{ACCELERATION_LIMIT: a, DISPLACEMENT: flow} for a in factors for flow in factors]
 
 
-def _meets(result: Mapping[str, Any], settings: SizeSettings, own_change_rpm: float) -> bool:
+def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: float) -> bool:
     """Whether gains have the disk margin, and walk without chattering."""
-    allowed = settings.command_change_ratio_max * own_change_rpm
+    allowed = settings.command_change_ratio_max * asked_change_rpm
     return bool(
         result["disk_margin"] >= settings.disk_margin_min
         and result["mean_command_change_rpm"] <= allowed
@@ -524,7 +488,7 @@ def _design(
     frequency_hz: float,
     run: Any,
 ) -> WalkingDesign:
-    walking = partial(_walking, settings.cycles)
+    walking = partial(walking_metrics, frequency_hz=frequency_hz, cycles=settings.cycles)
     own_limit = scenario.plant.pump.acceleration_limit_rad_s2
 
     def sized(flow: float, limit: float) -> Scenario:
@@ -532,7 +496,7 @@ def _design(
         return tuned(scaled(scenario, factors), gains)
 
     def error_deg(flow: float, limit: float) -> float:
-        return float(run(walking, [(sized(flow, limit), frequency_hz)])[0]["max_error_deg"])
+        return float(run(walking, [sized(flow, limit)])[0]["max_error_deg"])
 
     low, high = settings.acceleration_limit_min_rad_s2, settings.acceleration_limit_max_rad_s2
     needed = {"bound_deg": settings.error_bound_deg, "tolerance": settings.search_tolerance}
@@ -542,8 +506,7 @@ def _design(
     design = sized(sized_flow, settings.margin * acceleration.value)
     check = settings.check_step_s  # which the oil's mode needs
     solvers = [design, *(design.with_steps(step) for step in (check, 0.5 * check))]
-    found = run(walking, [(other, frequency_hz) for other in solvers])
-    return WalkingDesign(frequency_hz, flow, acceleration, design, *found)
+    return WalkingDesign(frequency_hz, flow, acceleration, design, *run(walking, solvers))
 
 
 def _variations(

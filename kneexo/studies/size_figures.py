@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -25,11 +25,8 @@ from kneexo.analysis.hardware import (
 from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
 from kneexo.simulation.run import Array
-from kneexo.studies.heat_map import decimal_ticks, heat_map, plain_ticks
+from kneexo.studies.plots import CENTRED, decimal_ticks, heat_map, legend_below, plain_ticks
 from kneexo.studies.size import SizeStudy
-
-if TYPE_CHECKING:
-    pass
 
 _STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
 
@@ -76,8 +73,7 @@ def _sweeps(sizing: SizeStudy) -> Figure:
     axes[1].set_title(f"(b) {low:g}…{high:g}° at {reference.frequency_hz:g} Hz, hardware as it is")
     axes[2].set_title(f"(c) walking at {frequency:.3g} Hz, sized hardware")
     figure.suptitle("no marker: the run fails", fontsize=10)
-    handles = [*axes[0].get_legend_handles_labels()[0], axes[2].get_lines()[-1]]
-    figure.legend(handles=handles, loc="outside lower center", ncols=5)
+    legend_below(figure, (axes[0], axes[2]), ncols=5)
     return figure
 
 
@@ -116,25 +112,15 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
     for (row, column), value in np.ndenumerate(values):
         text = "–" if math.isnan(value) else f"{value:.2g}"
         dark = math.isnan(value) or norm(value) > 0.6
-        axis.text(
-            float(speed[column]),
-            float(limit[row]),
-            text,
-            ha="center",
-            va="center",
-            fontsize=7,
-            color="k" if dark else "w",
-        )
+        color = "k" if dark else "w"
+        axis.text(float(speed[column]), float(limit[row]), text, fontsize=7, color=color, **CENTRED)
 
 
 def _regimes(axis: Axes, sizing: SizeStudy) -> None:
     """Where the acceleration limit begins to count, and below which it alone does."""
-    bounds = axis.get_xlim(), axis.get_ylim()
-    speed = np.array(bounds[0])
-    motor, amplitude = (
-        sizing.scenario.plant.pump.speed_limit_rad_s,
-        rod_amplitude_m(sizing.scenario),
-    )
+    speed = np.array(axis.get_xlim())
+    motor = sizing.scenario.plant.pump.speed_limit_rad_s
+    amplitude = rod_amplitude_m(sizing.scenario)
     for ratio, style, below in (
         (ONE_PERCENT_RATIO, "--", "the acceleration limit counts"),
         (ACCELERATION_ALONE_RATIO, ":", "it alone counts"),
@@ -142,14 +128,12 @@ def _regimes(axis: Axes, sizing: SizeStudy) -> None:
         limit = ratio * motor * 1e-3 * speed / amplitude
         label = f"A = {ratio:.2g} R²/a; below, {below}"
         axis.plot(speed, limit, "C3" + style, lw=1.6, label=label)
-    axis.set(xlim=bounds[0], ylim=bounds[1])
     _legend_below(axis)
 
 
 def _walking_limits(axis: Axes, sizing: SizeStudy) -> None:
     """What the motion itself asks for, and the sized hardware."""
-    bounds = axis.get_xlim(), axis.get_ylim()
-    speed = np.array(bounds[0])
+    speed = np.array(axis.get_xlim())
     peaks, design = sizing.demands[0].peaks(), sizing.designs[0].scenario
     motor = design.plant.pump.speed_limit_rad_s
     needed = peaks["peak_rod_acceleration_m_s2"] * motor / (1e-3 * speed)
@@ -157,7 +141,6 @@ def _walking_limits(axis: Axes, sizing: SizeStudy) -> None:
     axis.axvline(1e3 * peaks["peak_rod_speed_m_s"], color="C3", ls="--", lw=1.6)
     sized = 1e3 * rod_limits(design)[0], design.plant.pump.acceleration_limit_rad_s2
     axis.plot(*sized, "C3s", ms=16, mfc="none", mew=1.6, label="sized")
-    axis.set(xlim=bounds[0], ylim=bounds[1])
     _legend_below(axis)
 
 
@@ -186,11 +169,10 @@ def _gains(sizing: SizeStudy) -> Figure:
                 column + 0.5,
                 row + 0.5,
                 "\n".join(lines),
-                ha="center",
-                va="center",
                 fontsize=8,
                 weight="bold" if meets[index, row, column] else "normal",
                 color="k" if math.isnan(error) or norm(error) > 0.6 else "w",
+                **CENTRED,
             )
         axis.set_xticks(np.arange(shape[2]) + 0.5, [f"{v:g}" for v in settings.lambda_per_s])
         axis.set_yticks(np.arange(shape[1]) + 0.5, [f"{v:g}" for v in settings.slope_per_s])
@@ -229,16 +211,14 @@ def _tracking(sizing: SizeStudy) -> Figure:
     axes[0].plot(demand.cycle_percent, demand.knee_angle_deg, "k--", lw=1, label="reference")
     limit = to_rpm(sizing.scenario.plant.pump.speed_limit_rad_s)
     bound = sizing.settings.error_bound_deg
-    for sign in (-1, 1):
-        lines = [
-            axes[1].axhline(sign * bound, color="0.4", ls=":", lw=1, label=f"bound, ±{bound:g}°"),
-            axes[2].axhline(
-                sign * limit, color="k", ls=":", lw=1, label=f"limit, ±{limit:.0f} rpm"
-            ),
-        ]
+    for axis, value, color, label in (
+        (axes[1], bound, "0.4", f"bound, ±{bound:g}°"),
+        (axes[2], limit, "k", f"limit, ±{limit:.0f} rpm"),
+    ):
+        for sign in (-1, 1):
+            axis.axhline(sign * value, color=color, ls=":", lw=1, label=label)
     axes[0].set(ylabel="knee flexion (deg)", title=f"walking at {frequency:.3g} Hz")
-    handles = [*axes[0].get_legend_handles_labels()[0], *lines]  # below: each would hide a curve
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    legend_below(figure, axes, ncols=3)  # inside, each would hide a curve
     axes[1].set_ylabel("error (deg)\nlogarithmic beyond ±2")
     axes[1].set_yscale("symlog", linthresh=2.0, linscale=1.5)
     axes[1].set_yticks([-50, -10, -2, 0, 2, 10, 50], ["−50", "−10", "−2", "0", "2", "10", "50"])

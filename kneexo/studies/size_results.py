@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +18,11 @@ from kneexo.analysis.hardware import (
     scaled,
     sliding_mode,
     tuned,
-    value_at,
 )
 from kneexo.analysis.signals import to_rpm
 from kneexo.analysis.walking import WalkingDemand, linear_error_deg
 from kneexo.parameters import Scenario
+from kneexo.parameters.paths import value_at
 
 if TYPE_CHECKING:
     from kneexo.studies.size import SizeStudy, WalkingDesign
@@ -31,14 +32,19 @@ CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivere
 
 def results(sizing: SizeStudy) -> dict[str, Any]:
     """Plain data with units in the names."""
-    settings = sizing.settings
+    settings, scenario = sizing.settings, sizing.scenario
+
+    def demands(values: Iterable[WalkingDemand]) -> list[dict[str, float]]:
+        return [_demand(demand, scenario) for demand in values]
+
+    torques = (f"{torque:g}" for torque in sizing.torque_demands)
     return {
-        "limits": _limits(sizing.scenario),
-        "nominal": dict(sizing.nominal),
+        "limits": _limits(scenario),
+        "nominal": sizing.nominal,
         "sweeps": {
             path: [
-                {"factor": factor, "value": _shown(sizing.scenario, path, factor)} | dict(one)
-                for factor, one in zip(settings.factors, sweep, strict=True)
+                {"factor": factor, "value": _shown(scenario, path, factor), **figures}
+                for factor, figures in zip(settings.factors, sweep, strict=True)
             ]
             for path, sweep in sizing.sweeps.items()
         },
@@ -46,25 +52,22 @@ def results(sizing: SizeStudy) -> dict[str, Any]:
             "factors": list(settings.factors),
             "bandwidth_hz": sizing.bandwidth_map_hz.tolist(),
         },
-        "demand": [_demand(demand, sizing.scenario) for demand in sizing.demands],
-        "demand_with_segment_inertia": [
-            _demand(demand, sizing.scenario) for demand in sizing.segment_demands
-        ],
-        "demand_by_wearer_torque_n_m": {
-            f"{torque:g}": _demand(demand, sizing.scenario)
-            for torque, demand in sizing.torque_demands.items()
-        },
+        "demand": demands(sizing.demands),
+        "demand_with_segment_inertia": demands(sizing.segment_demands),
+        "demand_by_wearer_torque_n_m": dict(
+            zip(torques, demands(sizing.torque_demands.values()), strict=True)
+        ),
         "controller": _controller(sizing),
-        "gains": [dict(gains) for gains in sizing.gains],
-        "best_gains": dict(sizing.best_gains),
-        "steps": {name: [dict(one) for one in found] for name, found in sizing.steps.items()},
-        "designs": [_design(design, sizing.scenario) for design in sizing.designs],
-        "design_at_reference": dict(sizing.design_at_reference),
-        "variations": {name: dict(found) for name, found in sizing.variations.items()},
+        "gains": sizing.gains,
+        "best_gains": sizing.best_gains,
+        "steps": sizing.steps,
+        "designs": [_design(design, scenario) for design in sizing.designs],
+        "design_at_reference": sizing.design_at_reference,
+        "variations": sizing.variations,
         "walking_sweeps": {
             path: [
-                {"factor": factor} | dict(one)
-                for factor, one in zip(settings.walking_factors, sweep, strict=True)
+                {"factor": factor, **figures}
+                for factor, figures in zip(settings.walking_factors, sweep, strict=True)
             ]
             for path, sweep in sizing.walking_sweeps.items()
         },

@@ -20,10 +20,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any, Unpack
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
@@ -50,14 +49,10 @@ from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
 from kneexo.simulation.run import Array, Run
-from kneexo.sweeps.checkpoint import Checkpoint
-from kneexo.sweeps.parallel import parallel_map
+from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.systems.knee_coordinates import rod_derivatives
 from kneexo.systems.sliding_mode_controller import sliding_variable
-
-if TYPE_CHECKING:
-    pass
 
 
 class SlidingSettings(Parameters):
@@ -269,7 +264,7 @@ def check_sliding(
     What does not exist is nan. ``trace`` holds signals for figures.
     """
     law = sliding_mode(scenario)
-    found: dict[str, Any] = dict.fromkeys(
+    measured: dict[str, Any] = dict.fromkeys(
         (
             *("outside_share", "holding_share", "attracting_share", "worst_rate_m_s3"),
             *("held_share", "mean_share", "reaching_s", "left_share", "largest_s"),
@@ -278,8 +273,8 @@ def check_sliding(
         ),
         math.nan,
     )
-    run, found["failure"] = yield from _longest_run(scenario)
-    found["duration_s"] = float(run.time_s[-1])
+    run, measured["failure"] = yield from _longest_run(scenario)
+    measured["duration_s"] = float(run.time_s[-1])
     command = run["motor_speed_command_rad_s"]
     if not law.continuous:
         command = command[1:]  # logged is what was held up to the sample
@@ -292,29 +287,31 @@ def check_sliding(
     rate = (run["rod_velocity_m_s"] - run["rod_reference_velocity_m_s"])[rows]
     time, phi, lambda_ = run.time_s[rows], law.phi_m_s2, law.lambda_per_s
     outside = np.abs(s) > phi
-    found["outside_share"] = float(np.mean(outside))
-    found["promised_s"] = max(0.0, float(abs(s[0]) - phi)) / law.eta_m_s3 if law.eta_m_s3 else 0.0
+    measured["outside_share"] = float(np.mean(outside))
+    measured["promised_s"] = (
+        max(0.0, float(abs(s[0]) - phi)) / law.eta_m_s3 if law.eta_m_s3 else 0.0
+    )
 
     chosen = _thinned(np.flatnonzero(outside), settings.rated_samples)
     away = np.empty(0)
     if chosen.size:
         eta = law.eta_m_s3 * (1.0 - _ROUNDING)
         away = _away(scenario, run, chosen, command[chosen])
-        found["holding_share"] = float(np.mean(away <= -eta))
-        found["attracting_share"] = float(np.mean(away < 0.0))
-        found["worst_rate_m_s3"] = float(np.max(away))
+        measured["holding_share"] = float(np.mean(away <= -eta))
+        measured["attracting_share"] = float(np.mean(away < 0.0))
+        measured["worst_rate_m_s3"] = float(np.max(away))
         if not law.continuous:
             inner = chosen[chosen < rows.size - 1]
             late = _away(scenario, run, inner + 1, command[inner])
             mean = np.sign(s[inner]) * (s[inner + 1] - s[inner]) / law.sample_time_s
-            found["held_share"] = float(np.mean(late <= -eta))
-            found["mean_share"] = float(np.mean(mean <= -eta))
+            measured["held_share"] = float(np.mean(late <= -eta))
+            measured["mean_share"] = float(np.mean(mean <= -eta))
     bound = np.full(time.size, math.nan)
     if not outside.all():
         reached = int(np.argmin(outside))
-        found["reaching_s"] = float(time[reached])
-        found["left_share"] = float(np.mean(outside[reached:]))
-        found["largest_s"] = float(np.max(np.abs(s[reached:]))) / phi
+        measured["reaching_s"] = float(time[reached])
+        measured["left_share"] = float(np.mean(outside[reached:]))
+        measured["largest_s"] = float(np.max(np.abs(s[reached:]))) / phi
         left = reached + int(np.argmax(outside[reached:])) if outside[reached:].any() else time.size
         inside = slice(reached, left)
         bound[inside], _ = error_bounds(
@@ -325,17 +322,17 @@ def check_sliding(
             phi_m_s2=phi,
         )
         within = np.abs(error[inside]) <= bound[inside] * (1.0 + _ROUNDING)
-        found["bounded_share"] = float(np.mean(within))
+        measured["bounded_share"] = float(np.mean(within))
         late = time >= time[reached] + settings.settling_factor / lambda_
         if late.any():
             acceleration = s[late] - 2.0 * lambda_ * rate[late] - lambda_**2 * error[late]
-            found["largest_error_mm"] = 1e3 * float(np.max(np.abs(error[late])))
-            found["error_share"] = float(np.max(np.abs(error[late]))) * lambda_**2 / phi
-            found["rate_share"] = float(np.max(np.abs(rate[late]))) * lambda_ / (2.0 * phi)
-            found["acceleration_share"] = float(np.max(np.abs(acceleration))) / (4.0 * phi)
+            measured["largest_error_mm"] = 1e3 * float(np.max(np.abs(error[late])))
+            measured["error_share"] = float(np.max(np.abs(error[late]))) * lambda_**2 / phi
+            measured["rate_share"] = float(np.max(np.abs(rate[late]))) * lambda_ / (2.0 * phi)
+            measured["acceleration_share"] = float(np.max(np.abs(acceleration))) / (4.0 * phi)
     points = _thinned(rows, _TRACE_POINTS)
     shown = np.linspace(0, chosen.size - 1, min(chosen.size, _TRACE_POINTS)).astype(int)
-    found["trace"] = {
+    measured["trace"] = {
         "time_s": time[points].tolist(),
         "s_m_s2": s[points].tolist(),
         "error_m": error[points].tolist(),
@@ -343,7 +340,7 @@ def check_sliding(
         "outside_time_s": time[chosen[shown]].tolist(),
         "away_m_s3": away[shown].tolist(),
     }
-    return found
+    return measured
 
 
 def _longest_run(scenario: Scenario) -> Steps[tuple[Run, str]]:
@@ -414,7 +411,7 @@ def _with_law(scenario: Scenario, law: str) -> Scenario:
 
 @dataclass(frozen=True)
 class SlidingCase:
-    """One run of the study and what `check_sliding` found in it."""
+    """One run of the study and what `check_sliding` measured in it."""
 
     part: str
     """motion: along the reference; start: from outside the layer; sampled: at 2 ms."""
@@ -422,22 +419,12 @@ class SlidingCase:
     law: str
     load_n: float
     eta_m_s3: float
-    found: Mapping[str, Any]
-
-    @property
-    def labels(self) -> tuple[str, str, str, str]:
-        """Plant, load, k and η as text."""
-        return self.plant, f"{self.load_n:g}", LAWS[self.law], f"{self.eta_m_s3:.3g}"
-
-    @property
-    def reaching_ms(self) -> tuple[float, float]:
-        """When the layer was reached, and when η promised it."""
-        return 1e3 * self.found["reaching_s"], 1e3 * self.found["promised_s"]
+    measured: Mapping[str, Any]
 
     @property
     def stays(self) -> bool:
         """Whether s never left the layer again, and the run reached its end."""
-        return not self.found["failure"] and self.found["left_share"] == 0.0
+        return not self.measured["failure"] and self.measured["left_share"] == 0.0
 
 
 def full_order(scenario: Scenario) -> Scenario:
@@ -585,8 +572,8 @@ class SlidingStudy(Result):
             },
             "effective_mass_kg": effective_masses_kg(full_order(self.scenario)),
             "cases": [
-                {name: value for name, value in asdict(case).items() if name != "found"}
-                | {name: value for name, value in case.found.items() if name != "trace"}
+                {name: value for name, value in asdict(case).items() if name != "measured"}
+                | {name: value for name, value in case.measured.items() if name != "trace"}
                 for case in self.cases
             ],
         }
@@ -595,17 +582,13 @@ class SlidingStudy(Result):
 def sliding_study(
     scenario: Scenario = SLIDING_LAW,
     settings: SlidingSettings = SlidingSettings(),
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-    checkpoint: Checkpoint | None = None,
-    progress: bool = False,
+    **options: Unpack[SweepOptions],
 ) -> SlidingStudy:
     """Check the sliding condition in reduced and full order, with Eq. 27's k and completed ones.
 
     ``scenario``: the continuous law with exact states and a sinusoidal reference; its cylinder is
-    taken in both orders, with the loads of ``settings``. ``workers``, ``executor``,
-    ``checkpoint``: see `parallel_map`. Raises `ParameterError` for a scenario of another kind.
+    taken in both orders, with the loads of ``settings``. ``options``: see
+    `kneexo.sweeps.SweepOptions`. Raises `ParameterError` for a scenario of another kind.
     """
     law = sliding_mode(scenario)
     if not law.continuous or scenario.plant.load.kind != "knee":
@@ -613,19 +596,17 @@ def sliding_study(
             "the study needs controller.continuous = true and plant.load.kind = knee"
         )
     labelled = _cases(scenario, settings)
-    found = parallel_map(
-        partial(check_sliding, settings),
-        [case for _, case in labelled],
-        workers=workers,
-        executor=executor,
-        description="sliding condition" if progress else None,
-        weight=lambda case: case.simulation.duration_s,
-        checkpoint=checkpoint,
-    )
+    with open_sweep(**options) as sweep:
+        outcomes = sweep.map(
+            partial(check_sliding, settings),
+            [case for _, case in labelled],
+            "sliding condition",
+            weight=lambda case: case.simulation.duration_s,
+        )
     return SlidingStudy(
         cases=tuple(
             SlidingCase(*labels, outcome)
-            for (labels, _), outcome in zip(labelled, found, strict=True)
+            for (labels, _), outcome in zip(labelled, outcomes, strict=True)
         ),
         needed=needed_eta(scenario),
         scenario=scenario,

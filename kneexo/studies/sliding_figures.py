@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from kneexo.studies.plots import legend_below
 from kneexo.studies.sliding import LAWS, SlidingStudy
 
 _OFF = 40.0
@@ -20,7 +21,7 @@ def _shown_eta(study: SlidingStudy) -> float:
     complete = [
         case.eta_m_s3
         for case in study.of("motion", plant="full", law="paper", load_n=load)
-        if not case.found["failure"]
+        if not case.measured["failure"]
     ]
     return min(complete, default=study.settings.etas_m_s3[0])
 
@@ -34,7 +35,7 @@ def condition(study: SlidingStudy) -> Figure:
         (ax[1], "motion", _shown_eta(study), 1.0),
     ):
         for case in study.of(part, plant="full", load_n=load, eta_m_s3=eta):
-            trace = case.found["trace"]
+            trace = case.measured["trace"]
             if trace["outside_time_s"]:
                 axis.plot(
                     scale * np.array(trace["outside_time_s"]),
@@ -64,21 +65,16 @@ def error_bound(study: SlidingStudy) -> Figure:
     eta, bound = _shown_eta(study), 1e3 * law.phi_m_s2 / law.lambda_per_s**2
     for axis, load in zip(ax[0], loads, strict=True):
         for case in study.of("motion", plant="full", load_n=load, eta_m_s3=eta):
-            trace, color = case.found["trace"], f"C{list(LAWS).index(case.law)}"
+            trace, color = case.measured["trace"], f"C{list(LAWS).index(case.law)}"
             error = 1e3 * np.abs(np.array(trace["error_m"]))
             axis.semilogy(trace["time_s"], error, color, lw=1.2, label=LAWS[case.law])
-            if case.found["failure"]:
+            if case.measured["failure"]:
                 label = f"{LAWS[case.law]}: leaves the range of motion"
                 axis.plot(trace["time_s"][-1], error[-1], f"{color}x", ms=8, label=label)
         axis.axhline(bound, color="k", ls="--", lw=1, label=f"Φ/λ² = {bound:g} mm")
         axis.set(xlabel="time (s)", ylabel="|e| (mm)", title=f"{load:g} N, η = {eta:g} m/s³")
         axis.set_ylim(bottom=1e-3)
-    entries = {
-        label: handle
-        for axis in ax[0]
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3)
+    legend_below(figure, ax[0], ncols=3)
     return figure
 
 
@@ -90,12 +86,12 @@ def boundary_layer(study: SlidingStudy) -> Figure:
             cases = study.of("motion", plant="full", law=name, load_n=load)
             ax.loglog(
                 [case.eta_m_s3 for case in cases],
-                [math.nan if c.found["failure"] else c.found["largest_s"] for c in cases],
+                [math.nan if c.measured["failure"] else c.measured["largest_s"] for c in cases],
                 f"C{index}{style}o",
                 ms=3,
                 label=f"{label}, {load:g} N",
             )
-            off = [case.eta_m_s3 for case in cases if case.found["failure"]]
+            off = [case.eta_m_s3 for case in cases if case.measured["failure"]]
             text = f"{label}, {load:g} N: left the range" if off else None
             marker = "x" if load < 0.0 else "+"
             ax.plot(off, [_OFF] * len(off), f"C{index}{marker}", ms=9, label=text)

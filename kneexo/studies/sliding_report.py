@@ -3,88 +3,84 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
-from kneexo.parameters import (
-    Scenario,
-)
-from kneexo.studies.markdown import markdown_table, number
-from kneexo.studies.sliding import LAWS, SlidingCase, effective_masses_kg, full_order
-
-if TYPE_CHECKING:
-    pass
-
-from kneexo.studies.sliding import SlidingStudy
+from kneexo.parameters import Scenario
+from kneexo.studies.markdown import Cell, document, number, row_table
+from kneexo.studies.sliding import LAWS, SlidingCase, SlidingStudy, effective_masses_kg, full_order
 
 
 def report(study: SlidingStudy) -> str:
     """Markdown: what holds where, and whether the paper's k suffices."""
     law = study.law
+    labels: dict[str, Cell] = {
+        "load (N)": ("load_n", "g"),
+        "k": lambda case: LAWS[case.law],
+        "η (m/s³)": ("eta_m_s3", ".3g"),
+    }
+    reaching: dict[str, Cell] = {
+        "reached after (ms)": _measured("reaching_s", 1e3),
+        "promised (ms)": _measured("promised_s", 1e3),
+        "outside again (%)": _measured("left_share", 100.0),
+    }
     condition = "s·ds/dt ≤ −η\\|s\\|"
-    labels = ("load (N)", "k", "η (m/s³)")
-    reached = ("reached after (ms)", "promised (ms)", "outside again (%)")
-    motion = [
-        (
-            *case.labels,
-            *_percents(case, "outside_share", "holding_share", "attracting_share"),
-            *_numbers(case.found["largest_s"], case.found["largest_error_mm"]),
-            "left the range of motion" if case.found["failure"] else "complete",
-        )
-        for case in study.of("motion")
-    ]
-    start = [
-        (
-            *case.labels,
-            *_percents(case, "holding_share"),
-            *_numbers(case.found["worst_rate_m_s3"], *case.reaching_ms),
-            *_percents(case, "left_share"),
-        )
-        for case in study.of("start")
-    ]
-    sampled = [
-        (
-            *case.labels,
-            *_percents(case, "holding_share", "held_share", "mean_share"),
-            *_numbers(*case.reaching_ms),
-            *_percents(case, "left_share"),
-            *_numbers(case.found["largest_error_mm"]),
-        )
-        for case in study.of("sampled")
-    ]
-    outside = ("outside the layer (%)", f"there {condition} (%)", "there s·ds/dt < 0 (%)")
-    share = f"outside: {condition} (%)"
-    held = (f"{share} after an update", "before the next", "on the mean")
-    return "\n".join(
-        [
-            "# Sliding condition",
-            "",
-            "Continuous law, exact states, motor without lag and limit, "
-            f"λ = {law.lambda_per_s:g} 1/s, Φ = {law.phi_m_s2:g} m/s²: inside the layer "
-            f"\\|e\\| ≤ Φ/λ² = {1e3 * law.phi_m_s2 / law.lambda_per_s**2:.3g} mm.",
-            "",
-            "## Along the reference",
-            "",
-            *markdown_table(
-                ("plant", *labels, *outside, "largest \\|s\\|/Φ", "largest error (mm)", "run"),
-                motion,
-            ),
-            "",
-            "## From outside the layer",
-            "",
-            *markdown_table(
-                ("plant", *labels, share, "largest sgn(s)·ds/dt (m/s³)", *reached), start
-            ),
-            "",
-            "## The law at its sample time, with the paper's k",
-            "",
-            *markdown_table(("loop", *labels, *held, *reached, "largest error (mm)"), sampled),
-            "",
-            "## Findings",
-            "",
-            *_findings(study),
-            "",
-        ]
+    holding = f"outside: {condition} (%)"
+    return document(
+        "# Sliding condition",
+        "Continuous law, exact states, motor without lag and limit, "
+        f"λ = {law.lambda_per_s:g} 1/s, Φ = {law.phi_m_s2:g} m/s²: inside the layer "
+        f"\\|e\\| ≤ Φ/λ² = {1e3 * law.phi_m_s2 / law.lambda_per_s**2:.3g} mm.",
+        "## Along the reference",
+        row_table(
+            study.of("motion"),
+            {
+                "plant": "plant",
+                **labels,
+                "outside the layer (%)": _measured("outside_share", 100.0),
+                f"there {condition} (%)": _measured("holding_share", 100.0),
+                "there s·ds/dt < 0 (%)": _measured("attracting_share", 100.0),
+                "largest \\|s\\|/Φ": _measured("largest_s"),
+                "largest error (mm)": _measured("largest_error_mm"),
+                "run": lambda case: (
+                    "left the range of motion" if case.measured["failure"] else "complete"
+                ),
+            },
+        ),
+        "## From outside the layer",
+        row_table(
+            study.of("start"),
+            {
+                "plant": "plant",
+                **labels,
+                holding: _measured("holding_share", 100.0),
+                "largest sgn(s)·ds/dt (m/s³)": _measured("worst_rate_m_s3"),
+                **reaching,
+            },
+        ),
+        "## The law at its sample time, with the paper's k",
+        row_table(
+            study.of("sampled"),
+            {
+                "loop": "plant",
+                **labels,
+                f"{holding} after an update": _measured("holding_share", 100.0),
+                "before the next": _measured("held_share", 100.0),
+                "on the mean": _measured("mean_share", 100.0),
+                **reaching,
+                "largest error (mm)": _measured("largest_error_mm"),
+            },
+        ),
+        "## Findings",
+        _findings(study),
     )
+
+
+def _measured(name: str, factor: float = 1.0) -> Cell:
+    """What `check_sliding` measured, times a factor."""
+
+    def text(case: SlidingCase) -> str:
+        return number(factor * case.measured[name])
+
+    return text
 
 
 def _findings(study: SlidingStudy) -> list[str]:
@@ -94,7 +90,8 @@ def _findings(study: SlidingStudy) -> list[str]:
     kept = [
         case
         for case in derived
-        if case.stays and (not case.found["outside_share"] or case.found["holding_share"] == 1.0)
+        if case.stays
+        and (not case.measured["outside_share"] or case.measured["holding_share"] == 1.0)
     ]
     low, high = effective_masses_kg(full_order(study.scenario))
     lines = [
@@ -103,13 +100,13 @@ def _findings(study: SlidingStudy) -> list[str]:
     ]
     for load in study.settings.loads_n:
         smallest = study.smallest_eta("paper", load)
-        found = (
+        where = (
             f"from η = {smallest:.3g} m/s³ on"
             if math.isfinite(smallest)
             else "at none of the η tried"
         )
         lines.append(
-            f"- Full order, {load:g} N: with the paper's k, s stays in the layer {found}; with "
+            f"- Full order, {load:g} N: with the paper's k, s stays in the layer {where}; with "
             f"the area term from {study.smallest_eta('area', load):.3g} m/s³ on."
         )
     lines += [
@@ -131,22 +128,14 @@ def _findings(study: SlidingStudy) -> list[str]:
 
 def _shares(study: SlidingStudy) -> list[str]:
     """Share of the samples outside, of all full-order runs of a law, that hold."""
-    found = []
+    texts = []
     for name, label in LAWS.items():
         shares = [
-            case.found["holding_share"]
+            case.measured["holding_share"]
             for case in study.cases
-            if case.plant == "full" and case.law == name and case.found["outside_share"] > 0.0
+            if case.plant == "full" and case.law == name and case.measured["outside_share"] > 0.0
         ]
         if shares:
             low, high = 100.0 * min(shares), 100.0 * max(shares)
-            found.append(f"{label} {low:.0f}…{high:.0f} % of a run")
-    return found
-
-
-def _numbers(*values: float) -> list[str]:
-    return [number(value) for value in values]
-
-
-def _percents(case: SlidingCase, *names: str) -> list[str]:
-    return _numbers(*(100.0 * case.found[name] for name in names))
+            texts.append(f"{label} {low:.0f}…{high:.0f} % of a run")
+    return texts

@@ -196,7 +196,7 @@ def _text(value: Any) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON does not know, by what it knows."""
+    """Plain data for a value that JSON lacks."""
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]
     if isinstance(value, partial):

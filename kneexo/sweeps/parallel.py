@@ -50,12 +50,17 @@ _WORKERS = 250  # of an executor that does not say how many it has
 
 
 @contextmanager
-def process_pool(workers: int | None) -> Iterator[Executor | None]:
+def process_pool(
+    workers: int | None, executor: Executor | None = None
+) -> Iterator[Executor | None]:
     """An executor of spawned processes, which die at once when the body fails or is interrupted.
 
     ``workers``: their number, None for all cores of this process; with 1 there is none, and
-    `parallel_map` works in this process.
+    `parallel_map` works in this process. An ``executor`` of the caller's replaces them.
     """
+    if executor is not None:
+        yield executor
+        return
     count = available_cores() if workers is None else workers
     if count == 1:
         yield None
@@ -193,16 +198,6 @@ def parallel_map(
 
     Raises `WorkerError` when a worker process dies.
     """
-    if executor is None and workers != 1:
-        with process_pool(workers) as pool:
-            return parallel_map(
-                function,
-                items,
-                executor=pool,
-                description=description,
-                weight=weight,
-                checkpoint=checkpoint,
-            )
     keys = [] if checkpoint is None else piece_keys(function, items)
     results: dict[int, Result] = {}
 
@@ -214,20 +209,23 @@ def parallel_map(
         bar.update(min(weight(items[index]), whole - bar.n))  # rounding must not pass the end
 
     whole = round(sum(weight(item) for item in items), 6)
-    with tqdm(
-        total=whole,
-        desc=description,
-        disable=description is None,
-        mininterval=0.5,
-        bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
-    ) as bar:
+    with (
+        process_pool(workers, executor) as pool,
+        tqdm(
+            total=whole,
+            desc=description,
+            disable=description is None,
+            mininterval=0.5,
+            bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
+        ) as bar,
+    ):
         if checkpoint is not None:
             for index in (n for n, key in enumerate(keys) if key in checkpoint):
                 results[index] = checkpoint[keys[index]]
                 advance(index)
         order = sorted(set(range(len(items))) - set(results), key=lambda n: (-weight(items[n]), n))
-        if executor is not None:
-            _by_executor(function, items, order, executor, done)
+        if pool is not None:
+            _by_executor(function, items, order, pool, done)
         elif is_coroutine(function):
             units = _Units(order, _first_unit(function, len(order), 1))
             while unit := units.take(LARGEST_LOT):

@@ -64,6 +64,7 @@ class NamedLeaf(LeafSystem):
 
     _scalar: Any = None
     _values: Any = _named_values(())
+    check: Callable[[Any], None]
 
     def __new__(cls, *_: Any, **__: Any) -> Self:
         """Drake's leaf system of float, where no scalar is chosen."""
@@ -107,7 +108,11 @@ class NamedLeaf(LeafSystem):
         )
 
     def _declare_check(self, check: Callable[[Any], None]) -> None:
-        """Call ``check(context)`` after each step of a simulation in floats."""
+        """Call ``check(context)`` after each step of a simulation in floats.
+
+        As the method ``check`` it also explains a compiled run that ends outside the limits.
+        """
+        self.check = check
         if self._scalar is float:
             self.DeclarePerStepPublishEvent(check)
 

@@ -2,7 +2,14 @@ import math
 
 import pytest
 
-from kneexo.studies.markdown import markdown_table, number
+from kneexo.studies.markdown import (
+    column_table,
+    document,
+    markdown_table,
+    number,
+    percent,
+    row_table,
+)
 
 
 @pytest.mark.parametrize(
@@ -25,3 +32,38 @@ def test_a_table_has_a_head_a_rule_and_its_rows():
         "| SMC | 0.2 |",
         "| PID | ∞ |",
     ]
+
+
+CELLS = {"who": "name", "error": ("error_deg", ".1f"), "fails": lambda row: row["failure"] or "no"}
+ROWS = [
+    {"name": "SMC", "error_deg": 0.25, "failure": ""},
+    {"name": "PID", "error_deg": math.nan, "failure": "yes"},
+]
+
+
+def test_rows_are_shown_by_key_by_form_or_by_function():
+    assert row_table(ROWS, CELLS)[2:] == ["| SMC | 0.2 | no |", "| PID | – | yes |"]
+    assert row_table(ROWS, CELLS)[0] == "| who | error | fails |"
+
+
+def test_a_row_may_be_an_object():
+    assert row_table([3 + 4j], {"x": ("real", "g"), "y": "imag"})[2:] == ["| 3 | 4.0 |"]
+
+
+def test_columns_are_the_same_the_other_way_round():
+    assert column_table(["a", "b"], ROWS, CELLS) == [
+        "|  | a | b |",
+        "| --- | --- | --- |",
+        "| who | SMC | PID |",
+        "| error | 0.2 | – |",
+        "| fails | no | yes |",
+    ]
+
+
+def test_a_document_has_an_empty_line_between_what_it_has():
+    assert document("# Title", ["- a", "- b"], "", [], "End.") == "# Title\n\n- a\n- b\n\nEnd.\n"
+
+
+def test_a_share_is_in_whole_percent():
+    assert percent(0.255) == "26 %"
+    assert percent(math.nan) == "–"

@@ -102,8 +102,8 @@ def test_what_cannot_be_sized_is_refused(scenario, told):
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"factors": (1.0, 1.0)}, "factors must increase"),
-        ({"walking_factors": (2.0, 1.0)}, "walking_factors must increase"),
+        ({"factors": (1.0, 1.0)}, "factors: must increase"),
+        ({"walking_factors": (2.0, 1.0)}, "walking_factors: must increase"),
         ({"factors": ()}, "factors has 0 values: must have at least 1"),
         (
             {"acceleration_limit_min_rad_s2": 1e5},
@@ -139,7 +139,7 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
 
     monkeypatch.setattr(size, "walking_metrics", walking)
     monkeypatch.setattr(size, "walk", lambda scenario, f, cycles: {"error": error(scenario, f)})
-    monkeypatch.setattr(size, "assess", lambda scenario, tracking: {"disk_margin": 0.6})
+    monkeypatch.setattr(size, "assess", lambda scenario, **_: {"disk_margin": 0.6})
     for name in ("large_signal_bandwidth_hz", "linearize_loop", "track"):
         monkeypatch.setattr(size, name, fail)
     settings = changed(SMALL, {"stride_frequencies_hz": (0.5, 1.0), "search_tolerance": 1e-3})

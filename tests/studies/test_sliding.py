@@ -320,7 +320,7 @@ def by_hand():
                 stays = {"left_share": 0.0} if eta > 1e4 or law != "paper" else {}
                 case("motion", "full", law, load, eta, **stays)
             case("start", "full", law, load, 2e4)
-    cases[0].found["failure"] = "left the range"
+    cases[0].measured["failure"] = "left the range"
     for eta in (1e4, 2e4):
         case("motion", "reduced, 1.4 kg", "paper", 60.0, eta, left_share=0.0, outside_share=0.0)
     case("start", "reduced, 1.4 kg", "paper", 60.0, 2e4, left_share=0.0, holding_share=1.0)
@@ -349,7 +349,7 @@ def test_results_are_the_cases_without_their_traces(by_hand, flat, check_rules):
         "cases": [
             {"part": c.part, "plant": c.plant, "law": c.law, "load_n": c.load_n}
             | {"eta_m_s3": c.eta_m_s3}
-            | {name: value for name, value in c.found.items() if name != "trace"}
+            | {name: value for name, value in c.measured.items() if name != "trace"}
             for c in by_hand.cases
         ],
     }
@@ -363,10 +363,10 @@ def test_every_cell_of_the_report_is_in_the_cases(by_hand, tables, check_cells):
         return [case.plant, case.load_n, LAWS[case.law], case.eta_m_s3]
 
     def percent(case, *names):
-        return [100.0 * case.found[name] for name in names]
+        return [100.0 * case.measured[name] for name in names]
 
     def in_ms(case):
-        return [1e3 * case.found[name] for name in ("reaching_s", "promised_s")]
+        return [1e3 * case.measured[name] for name in ("reaching_s", "promised_s")]
 
     check_cells(
         motion,
@@ -374,8 +374,8 @@ def test_every_cell_of_the_report_is_in_the_cases(by_hand, tables, check_cells):
             [
                 *labels(c),
                 *percent(c, "outside_share", "holding_share", "attracting_share"),
-                *(c.found[name] for name in ("largest_s", "largest_error_mm")),
-                "left the range of motion" if c.found["failure"] else "complete",
+                *(c.measured[name] for name in ("largest_s", "largest_error_mm")),
+                "left the range of motion" if c.measured["failure"] else "complete",
             ]
             for c in by_hand.of("motion")
         ],
@@ -386,7 +386,7 @@ def test_every_cell_of_the_report_is_in_the_cases(by_hand, tables, check_cells):
             [
                 *labels(c),
                 *percent(c, "holding_share"),
-                c.found["worst_rate_m_s3"],
+                c.measured["worst_rate_m_s3"],
                 *in_ms(c),
                 *percent(c, "left_share"),
             ]
@@ -401,7 +401,7 @@ def test_every_cell_of_the_report_is_in_the_cases(by_hand, tables, check_cells):
                 *percent(c, "holding_share", "held_share", "mean_share"),
                 *in_ms(c),
                 *percent(c, "left_share"),
-                c.found["largest_error_mm"],
+                c.measured["largest_error_mm"],
             ]
             for c in by_hand.of("sampled")
         ],
@@ -414,7 +414,7 @@ def test_the_findings_have_the_numbers_of_the_results(by_hand):
     text = report(by_hand)
     full = [c for c in by_hand.cases if c.plant == "full"]
     shares = {
-        name: [100.0 * c.found["holding_share"] for c in full if c.law == name] for name in LAWS
+        name: [100.0 * c.measured["holding_share"] for c in full if c.law == name] for name in LAWS
     }
     for said in (
         "λ = 20 1/s, Φ = 3.2 m/s²",
@@ -437,8 +437,8 @@ def test_every_line_of_the_figures_is_that_of_its_case(by_hand, curves):
         lines = curves(ax)
         for c in by_hand.of(part, plant="full", load_n=60.0, eta_m_s3=2e4):
             x, y = lines[LAWS[c.law]]
-            assert x == pytest.approx([scale * t for t in c.found["trace"]["outside_time_s"]])
-            assert y == pytest.approx(c.found["trace"]["away_m_s3"])
+            assert x == pytest.approx([scale * t for t in c.measured["trace"]["outside_time_s"]])
+            assert y == pytest.approx(c.measured["trace"]["away_m_s3"])
         (promised,) = (y for label, (_, y) in lines.items() if label.startswith("−η"))
         assert promised == pytest.approx(-2e4)
         assert ax.get_xlabel() == ("time (ms)" if part == "start" else "time (s)")
@@ -446,8 +446,8 @@ def test_every_line_of_the_figures_is_that_of_its_case(by_hand, curves):
         lines = curves(ax)
         for c in by_hand.of("motion", plant="full", load_n=load, eta_m_s3=2e4):
             x, y = lines[LAWS[c.law]]
-            assert x == pytest.approx(c.found["trace"]["time_s"])
-            assert y == pytest.approx([1e3 * abs(e) for e in c.found["trace"]["error_m"]])
+            assert x == pytest.approx(c.measured["trace"]["time_s"])
+            assert y == pytest.approx([1e3 * abs(e) for e in c.measured["trace"]["error_m"]])
         assert lines["Φ/λ² = 8 mm"][1] == pytest.approx(8.0)
         assert ax.get_title().startswith(f"{load:g} N")
     (ax,) = drawn["boundary_layer"].axes
@@ -457,7 +457,7 @@ def test_every_line_of_the_figures_is_that_of_its_case(by_hand, curves):
             x, y = lines[f"{label}, {load:g} N"]
             assert x == pytest.approx([1e4, 2e4])
             own = by_hand.of("motion", plant="full", law=law, load_n=load)
-            expected = [math.nan if c.found["failure"] else c.found["largest_s"] for c in own]
+            expected = [math.nan if c.measured["failure"] else c.measured["largest_s"] for c in own]
             assert y == pytest.approx(expected, nan_ok=True)
     lost = {label: list(x) for label, (x, _) in lines.items() if "left" in label}
     assert lost == {f"{LAWS['paper']}, 60 N: left the range": [1e4]}
@@ -482,11 +482,11 @@ def test_paper_s_k_suffices_from_the_closed_forms_on():
         assert study.smallest_eta(law, 60.0) == study.smallest_eta(law, -60.0) == 3e4
     for case in study.of("motion", plant="reduced, 1.8 kg"):
         assert case.stays
-        assert case.found["error_share"] < 0.05
+        assert case.measured["error_share"] < 0.05
     # At 2 ms no mean rate keeps the promise, and the layer is reached by speed alone.
     for case in study.of("sampled"):
-        assert case.found["mean_share"] == 0.0
-        assert case.found["reaching_s"] > 50.0 * case.found["promised_s"]
+        assert case.measured["mean_share"] == 0.0
+        assert case.measured["reaching_s"] > 50.0 * case.measured["promised_s"]
     default = study.of("sampled", plant="full, motor, encoder, observer")
     assert all(case.stays for case in default)
 

@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later
 from kneexo.simulation.coroutines import coroutine, steps
-from kneexo.sweeps import parallel, parallel_map
+from kneexo.sweeps import open_sweep, parallel, parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
 
 
@@ -417,3 +417,29 @@ def test_an_interrupt_waits_until_a_unit_is_submitted(number):
 def test_workers_leave_an_interrupt_to_the_parent():
     assert parallel_map(interrupt_is_held_back, [1, 2, 3], workers=2) == [True, True, True]
     assert not interrupt_is_held_back(None)
+
+
+# ------------------------------------------------------------------------------------- sweep
+
+
+def test_a_sweep_maps_with_its_workers_and_its_checkpoint(tmp_path):
+    executor, checkpoint = AtOnce(), Checkpoint(tmp_path / "pieces.jsonl")
+    with open_sweep(workers=3, executor=executor, checkpoint=checkpoint) as sweep:
+        assert sweep.map(math.sqrt, [4.0, 9.0]) == [2.0, 3.0]
+        assert sweep.map(math.factorial, [3]) == [6]
+    assert sum(executor.units) == len(checkpoint) == 3
+    with open_sweep(executor=AtOnce(most=0), checkpoint=checkpoint) as sweep:
+        assert sweep.map(math.sqrt, [9.0, 4.0]) == [3.0, 2.0]
+
+
+@pytest.mark.parametrize("progress", [False, True])
+def test_a_sweep_shows_the_bars_that_have_a_description(capsys, progress):
+    with open_sweep(progress=progress) as sweep:
+        sweep.map(math.sqrt, [4.0], "roots")
+        sweep.map(math.sqrt, [4.0])
+    assert ("roots: 100%" in capsys.readouterr().err) == progress
+
+
+def test_a_sweep_has_no_other_options():
+    with pytest.raises(TypeError, match="'worker'"), open_sweep(worker=2):
+        pass

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import LogNorm, Normalize
 
-from kneexo.studies.heat_map import cell_borders, decimal_ticks, heat_map, plain_ticks
+from kneexo.studies.plots import cell_borders, decimal_ticks, heat_map, plain_ticks
 
 
 @given(st.lists(st.floats(1.1, 10.0), min_size=1, max_size=8), st.floats(1e-3, 1e3))

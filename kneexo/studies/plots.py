@@ -1,19 +1,34 @@
-"""Values over two logarithmic axes as colours."""
+"""What the figures of several studies have: heat maps, plain ticks, one legend for all axes."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 from numpy.typing import ArrayLike
 
 from kneexo.simulation.run import Array
 
+CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
+"""Style of a text about its point."""
+
 _CLOSEST = 0.065  # share of an axis that a number needs
+
+
+def legend_below(figure: Figure, axes: Iterable[Axes], ncols: int, **style: Any) -> None:
+    """A legend below the figure with each label of ``axes`` once."""
+    entries = {
+        label: handle
+        for ax in axes
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(entries.values(), entries, loc="outside lower center", ncols=ncols, **style)
 
 
 def cell_borders(values: ArrayLike) -> Array:
@@ -55,18 +70,20 @@ def decimal_ticks(axis: Any) -> None:
 def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, label: str) -> None:
     """Show ``values`` (x, y) with a colour bar; grey where they are not finite.
 
-    The label stands above the map, clear of the axis of the panel on its right.
+    What is drawn on the map later leaves its limits as they are. The label stands above the map,
+    clear of the axis of the panel on its right.
     """
     ax.set_facecolor("0.8")
+    columns, rows = cell_borders(x), cell_borders(y)
     mesh = ax.pcolormesh(
-        cell_borders(x),
-        cell_borders(y),
+        columns,
+        rows,
         np.ma.masked_invalid(values.T),
         norm=norm,
         cmap="viridis",
         rasterized=True,
     )
-    ax.set(xscale="log", yscale="log")
+    ax.set(xscale="log", yscale="log", xlim=columns[[0, -1]], ylim=rows[[0, -1]])
     finite = values[np.isfinite(values)]
     below, above = bool(np.any(finite < norm.vmin)), bool(np.any(finite > norm.vmax))
     extend = ("neither", "max", "min", "both")[2 * below + above]
