@@ -46,6 +46,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compilation/machine_code": ("compilation/test_cache", "compilation/test_model"),
     "compilation/native": ("compilation/test_cache", "compilation/test_time_loop"),
     "compilation/runner": ("compilation/test_time_loop", "compilation/test_model"),
+    "diagrams/part": ("diagrams/test_plant", "diagrams/test_controller"),
+    "diagrams/signals": ("diagrams/test_closed_loop",),
     "diagrams/plant": ("diagrams/test_plant", "diagrams/test_full_order_plant"),
     "parameters/control": ("test_parameters", "systems/test_sliding_mode_controller"),
     "parameters/linkages": ("test_parameters", "test_linkage"),

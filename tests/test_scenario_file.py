@@ -498,6 +498,8 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
         return st.none()
     if annotation is bool:
         return st.booleans()
+    if annotation is str:
+        return st.just("my.laws:make_law")
     if annotation is int:
         return st.integers(bounds["ge"], bounds["le"])
     if annotation is float:
@@ -506,6 +508,9 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
     origin = typing.get_origin(annotation)
     if origin is typing.Literal:
         return st.sampled_from(arguments)
+    if origin is dict:
+        names = st.from_regex(r"[a-z0-9_]{1,6}", fullmatch=True)
+        return st.dictionaries(names, st.floats(allow_nan=False, allow_infinity=False), max_size=3)
     if origin is tuple:
         number = st.floats(-1e4, 1e4)  # the coefficients of Table 1
         return st.tuples(*[number for _ in arguments])
@@ -580,7 +585,7 @@ def test_small_and_large_floats_are_floats_in_yaml_1_1(file: File) -> None:
 def test_dump_is_documented() -> None:
     lines = dump_scenario(Scenario()).splitlines()
     assert "    mass_kg: 1.6  # kg, >= 0.01 and <= 1000" in lines
-    assert "controller:  # kind: smc, pid" in lines
+    assert "controller:  # kind: smc, pid, custom" in lines
     assert "  rod_map: linkage  # linkage, polynomial" in lines
     assert "nominal: null" in lines
     assert "  ideal_motor: false" in lines

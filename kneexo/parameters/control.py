@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
@@ -186,3 +186,39 @@ class PidParameters(Parameters):
                 f"{self.sample_time_s:g} s"
             )
         return self
+
+
+class CustomControllerParameters(Parameters):
+    """A controller of the user's own: a Drake system in place of ours.
+
+    ``make`` names a function as ``module:function``; a function itself is accepted too. It gets
+    what a controller may know of the scenario, and returns a system with the ports of
+    `kneexo.diagrams.make_controller`. ``values`` are numbers for it, which ``--set``, uncertainty
+    sets and the contest reach as ``controller.values.NAME``.
+    """
+
+    kind: Literal["custom"] = "custom"
+    make: str = choice(..., "given by the user: module:function that makes the controller")
+    values: dict[str, float] = choice({}, "given by the user: numbers for the controller, by name")
+    sample_time_s: float = quantity(
+        0.002, "s", "given by the user: the controller's period, that of the log", ge=1e-5, le=1
+    )
+    command_limit_rad_s: float = _command_limit()
+
+    def __hash__(self) -> int:
+        values = frozenset(self.values.items())
+        return hash((self.make, values, self.sample_time_s, self.command_limit_rad_s))
+
+    @field_validator("make", mode="before")
+    @classmethod
+    def _named(cls, make: Any) -> Any:
+        """A function by its name."""
+        return f"{make.__module__}:{make.__qualname__}" if callable(make) else make
+
+    @field_validator("make")
+    @classmethod
+    def _has_both_names(cls, make: str) -> str:
+        module, _, function = make.partition(":")
+        if not module or not all(name.isidentifier() for name in function.split(".")):
+            raise ValueError(f"{make!r}: must be module:function")
+        return make

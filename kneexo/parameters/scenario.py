@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kneexo.parameters.control import (
+    CustomControllerParameters,
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
@@ -70,9 +71,10 @@ class Scenario(Parameters):
     estimator: Annotated[
         ObserverParameters | DifferenceParameters | ExactParameters, Field(discriminator="kind")
     ] = ObserverParameters()
-    controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")] = (
-        SlidingModeParameters()
-    )
+    controller: Annotated[
+        SlidingModeParameters | PidParameters | CustomControllerParameters,
+        Field(discriminator="kind"),
+    ] = SlidingModeParameters()
     can_delay_samples: int = quantity(
         0, "samples", "assumption: latency of the CAN bus from controller to motor", ge=0, le=10
     )
