@@ -184,7 +184,7 @@ def reproduce(options: argparse.Namespace) -> None:
     settings = _with_values(SinestreamSettings(), options.settings)
     with _executor(options) as executor, _results(options) as directory:
         reproduction = study.reproduce(
-            settings,
+            settings=settings,
             engine=options.engine,
             workers=options.workers,
             executor=executor,

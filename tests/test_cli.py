@@ -156,6 +156,19 @@ def test_params_of_a_scenario_needs_neither_drake_nor_scipy(arguments, scenario_
     subprocess.run([sys.executable, "-c", code, *words], capture_output=True, check=True)
 
 
+def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenario_file):
+    listed = []
+    for arguments in ([], [scenario_file("controller: {kind: pid}")]):
+        assert main(["params", *arguments, "--json"]) == 0
+        rows = json.loads(capsys.readouterr().out)["parameters"]
+        listed.append({row["parameter"] for row in rows})
+    everything, own = listed
+    assert "controller(pid).integral_per_s2" in everything
+    assert "bandwidth: amplitudes_deg" in everything
+    assert "controller.integral_per_s2" in own
+    assert not any("(" in name or ":" in name for name in own)
+
+
 def test_params_prints_a_json_schema(capsys):
     assert main(["params", "--schema"]) == 0
     assert "plant" in json.loads(capsys.readouterr().out)["properties"]
@@ -654,6 +667,26 @@ def test_an_interrupt_after_the_files_are_written_says_so(capsys, tmp_path, monk
     assert capsys.readouterr().err == f"kneexo: interrupted; the results are in {tmp_path}\n"
 
 
+def test_reproduce_is_wired(capsys, tmp_path, monkeypatch):
+    asked = {}
+
+    def stand_in(**options):
+        asked.update(options)
+        return 21
+
+    monkeypatch.setattr("kneexo.studies.reproduce.reproduce", stand_in)
+    monkeypatch.setattr("kneexo.studies.reproduce.results", lambda done: {"number": 2 * done})
+    monkeypatch.setattr(
+        "kneexo.studies.reproduce_report.report", lambda numbers: f"it is {numbers['number']}\n"
+    )
+    monkeypatch.setattr("kneexo.studies.reproduce_figures.figures", lambda done: {})
+    assert main(["reproduce", "--workers", "1", "--out", str(tmp_path)]) == 0
+    assert asked["workers"] == 1
+    assert json.loads((tmp_path / "results.json").read_text())["number"] == 42
+    assert (tmp_path / "report.md").read_text() == "it is 42\n"
+    assert "it is 42" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
 def test_each_study_is_wired(capsys, tmp_path, monkeypatch, study):
     seen = {}
@@ -693,7 +726,7 @@ def test_the_catalogue_is_true(study):
         (["--set", "estimate={largest_cycles: 3}"], "too few cycles"),
         (["--set", "amplitudes_deg"], "--set amplitudes_deg: must be NAME=VALUE"),
         (["--set", "amplitude_deg=[1.0]"], "amplitude_deg: unknown name"),
-        (["--set", "amplitudes_deg=[1.0"], "YAML syntax"),
+        (["--set", "amplitudes_deg=[1.0"], "--set amplitudes_deg:1: YAML"),
         (["--workers", "0"], "--workers = 0: must be at least 1"),
     ],
 )

@@ -13,7 +13,9 @@ import pytest
 
 from kneexo import output
 from kneexo.errors import OutputError
-from kneexo.output import output_directory, save_figure, to_json
+from kneexo.output import output_directory, save_figure, to_json, write_csv
+from kneexo.parameters import SimulationParameters
+from kneexo.simulation.run import Run
 
 
 def test_files_appear_when_the_body_ends(tmp_path):
@@ -190,3 +192,13 @@ def test_equal_figures_are_equal_files(tmp_path):
     for kind in ("png", "pdf"):
         first, second = ((tmp_path / name / f"f.{kind}").read_bytes() for name in "ab")
         assert first == second
+
+
+def test_a_run_is_written_with_its_time_first(tmp_path):
+    data = {"angle_rad": np.array([3.0, 4.0]), "force_n": np.array([-5.0, 1.0 / 3.0])}
+    write_csv(tmp_path / "run.csv", Run(np.array([0.0, 0.002]), data, SimulationParameters()))
+    assert (tmp_path / "run.csv").read_text().splitlines() == [
+        "time_s,angle_rad,force_n",
+        "0,3,-5",
+        "0.002,4,0.3333333333",
+    ]

@@ -589,3 +589,10 @@ def test_the_gait_curve_has_a_name() -> None:
         Scenario(reference="walk")
     with pytest.raises(ParameterError, match="reference: cycles = 0 is out of range"):
         Scenario(reference={"kind": "gait", "cycles": 0})
+
+
+def test_proportional_action_alone_errs_as_fig_12_shows():
+    # The error feeds the speed: 30° at 0.1 Hz is at most 18.8 deg/s; Fig. 12 shows some 4°.
+    pid = PidParameters()
+    assert (pid.integral_per_s2, pid.derivative) == (0.0, 0.0)
+    assert 30.0 * math.tau * 0.1 / pid.proportional_per_s == pytest.approx(4.0, abs=0.5)

@@ -64,6 +64,11 @@ def test_notebooks_get_a_table_with_a_row_a_field():
     assert "<b>" not in escaped._repr_html_()
 
 
+@pytest.mark.parametrize(("count", "shown"), [(3, "{a, b, c}"), (4, "{a, b, c, … 4 names}")])
+def test_the_first_three_names_of_a_mapping_are_shown(count, shown):
+    assert short(dict.fromkeys("abcd"[:count], 0.0)) == shown
+
+
 def test_results_of_a_run_are_short(tracked):
     assert len(repr(tracked.run)) < 200
     assert len(repr(tracked)) < 400

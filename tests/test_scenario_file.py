@@ -498,8 +498,8 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
         return st.none()
     if annotation is bool:
         return st.booleans()
-    if annotation is str:
-        return st.just("my.laws:make_law")
+    if annotation is str:  # of a custom controller
+        return st.just("module:function")
     if annotation is int:
         return st.integers(bounds["ge"], bounds["le"])
     if annotation is float:

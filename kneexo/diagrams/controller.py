@@ -184,7 +184,9 @@ def _custom_controller(scenario: Scenario, parameters: CustomControllerParameter
         for name in path.split("."):
             make = getattr(make, name)
     except (ImportError, AttributeError) as error:
-        raise ParameterError(f"{told}: {error}; must be module:function") from None
+        raise ParameterError(
+            f"{told}: {error}; must be module:function on the Python path"
+        ) from None
     try:
         controller = make(known_to_controller(scenario))
     except KneexoError:

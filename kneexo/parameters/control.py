@@ -206,7 +206,8 @@ class CustomControllerParameters(Parameters):
     command_limit_rad_s: float = _command_limit()
 
     def __hash__(self) -> int:
-        values = frozenset(self.values.items())
+        """Of all values; a mapping has no hash of its own."""
+        values = tuple(sorted(self.values.items()))
         return hash((self.make, values, self.sample_time_s, self.command_limit_rad_s))
 
     @field_validator("make", mode="before")

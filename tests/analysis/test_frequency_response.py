@@ -17,6 +17,7 @@ from kneexo.analysis import (
 )
 from kneexo.analysis.frequency_response import (
     MINUS_3_DB,
+    FrequencyResponse,
     SineEstimateSettings,
     SinestreamSettings,
     cycle_responses,
@@ -153,6 +154,30 @@ def test_a_small_sine_within_the_speed_limit_is_followed():
     assert np.abs(result.response - 1.0).max() < 0.04
     assert math.isnan(result.bandwidth_hz)
     assert len(result.plot()) == 2
+
+
+def test_the_plot_marks_3_db_and_has_plain_ticks():
+    f = np.array([0.2, 0.4, 0.8])
+    response = np.array([[1.0, 0.8, 0.4]], complex)
+    plotted = FrequencyResponse(f, response, 0.5, -40.0, (), Scenario(), SinestreamSettings())
+    magnitude, phase = plotted.plot()
+    (level,) = (line for line in magnitude.lines if len(set(line.get_ydata())) == 1)
+    assert level.get_ydata()[0] == pytest.approx(-10.0 * math.log10(2.0))
+    for axis in (magnitude, phase):
+        assert list(axis.get_xticks()) == [0.2, 0.3, 0.5]
+        assert [label.get_text() for label in axis.get_xticklabels()] == ["0.2", "0.3", "0.5"]
+
+
+def test_harmonics_of_the_knee_stay_out_of_a_sinestream(monkeypatch):
+    def simulate(scenario, *, signals):
+        time = np.arange(round(scenario.simulation.duration_s / 0.002) + 1) * 0.002
+        phase = 2 * np.pi * scenario.reference.frequency_hz * time
+        return columns_run(time, 3 + np.sin(phase) + 0.5 * np.cos(2 * phase), np.sin(phase))
+
+    monkeypatch.setattr(frequency_response, "simulate", simulate)
+    # Orthogonal to the fundamental over whole periods, of 1000, 500 and 250 samples, alone.
+    found = sinestream(settings=SinestreamSettings(frequencies_hz=(0.5, 1.0, 2.0), trials=1))
+    assert found.response == pytest.approx(np.ones((1, 3)), abs=1e-9)
 
 
 def test_the_bandwidth_is_that_of_a_rate_limited_follower_and_scales_with_flow_over_amplitude():

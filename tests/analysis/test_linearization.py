@@ -961,12 +961,18 @@ def test_a_loop_prints_its_margins_and_plots(loops):
     assert "knee at 40 deg, T = 0.002 s: stable" in text
     for number in (m.gain_margin, m.phase_margin_deg, 1e3 * m.delay_margin_s, m.disk_margin):
         assert f"{number:.4g}" in text
+    assert f"gain {m.disk_gain_margin:.4g}, phase {m.disk_phase_margin_deg:.4g} deg" in text
     assert f"bandwidth {loop.bandwidth_hz():.4g} Hz" in text
     magnitude, phase = loop.plot()
     line = magnitude.lines[0]
     at_1_hz = np.interp(0.0, np.log10(line.get_xdata()), line.get_ydata())
     assert at_1_hz == pytest.approx(20.0 * math.log10(abs(loop.loop_response(1.0)[0])), abs=0.01)
     assert phase.get_ylabel() == "loop phase (deg)"
+    (margin,) = (line for line in magnitude.lines if line.get_label().startswith("gain margin"))
+    f, ends = margin.get_data()
+    assert f == pytest.approx([m.gain_margin_frequency_hz] * 2)
+    assert 10.0 ** (-ends / 20.0) == pytest.approx([m.gain_margin, 1.0])
+    assert f"({-ends[0]:.3g} dB)" in margin.get_label()
 
 
 def test_the_phase_of_a_bode_plot_is_unwrapped_also_through_a_resonance(loops):

@@ -11,8 +11,11 @@ import warnings
 from pathlib import Path
 
 import pytest
+from pydrake.symbolic import Variable
+from pydrake.systems.primitives import SymbolicVectorSystem
 
-from kneexo.compilation import cache
+import kneexo
+from kneexo.compilation import State, cache
 from kneexo.errors import OutputError
 
 HOUR_S = 3600.0
@@ -153,6 +156,15 @@ def test_a_link_is_not_followed_and_then_replaced(tmp_path):
     assert elsewhere.read_bytes().endswith(b"code")
 
 
+def test_clear_deletes_a_link_to_a_directory_and_not_the_directory(tmp_path):
+    path = entry_path("key")
+    path.unlink()
+    path.symlink_to(tmp_path)
+    assert cache.clear() == 1
+    assert not path.is_symlink()
+    assert tmp_path.is_dir()
+
+
 def test_a_pipe_is_refused_without_waiting():
     path = entry_path("key")
     sound = path.read_bytes()
@@ -258,7 +270,8 @@ def test_the_next_store_removes_stale_temporary_files_of_the_cache_alone(directo
 
 WORKER = """
 import random, sys, time
-from kneexo.compilation import cache
+import kneexo
+from kneexo.compilation import State, cache
 
 assert not {"numpy", "pydrake", "llvmlite", "numba"} & set(sys.modules)
 source = random.Random(int(sys.argv[1]))
@@ -534,3 +547,19 @@ def test_clear_says_what_it_cannot_delete(monkeypatch):
         with pytest.raises(OutputError, match=rf"^{path}: cannot be deleted \(Permission denied\)"):
             cache.clear()
     assert cache.clear() == 1
+
+
+def test_code_for_one_run_and_for_lanes_are_two_entries_and_loaded_once():
+    x = Variable("x")
+
+    def simulate(count):
+        system = SymbolicVectorSystem(state=[x], dynamics=[-1.2345 * x], output=[x])
+        model = kneexo.compile(system)
+        parameters, states = [model.parameters()] * count, State([1.0], [])
+        model.simulate_batch(parameters, states, 0.1, record_period_s=0.1)
+        return len(cache.entries())
+
+    alone = simulate(1)
+    assert simulate(8) == alone + 1
+    cache.clear()
+    assert simulate(1) == simulate(8) == 0  # this process has them

@@ -7,7 +7,7 @@ import pydrake.math as drake_math
 import pytest
 from pydrake.examples import AcrobotPlant, PendulumGeometry, PendulumPlant
 from pydrake.geometry import SceneGraph
-from pydrake.symbolic import Expression
+from pydrake.symbolic import Expression, Variable, if_then_else
 from pydrake.systems.framework import (
     DiagramBuilder,
     EventStatus,
@@ -23,9 +23,12 @@ from pydrake.systems.primitives import (
     LogVectorOutput,
     Saturation,
     Sine,
+    SymbolicVectorSystem,
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+import kneexo
+from kneexo.compilation import State
 from kneexo.compilation.equations import read_equations
 from kneexo.errors import CompilationError
 
@@ -312,3 +315,14 @@ def test_a_loop_through_the_ports_of_two_leaves_is_no_algebraic_loop():
     for _ in range(4):
         node = graph.multiply(graph.constant(2.0), node)
     assert equations.outputs["out"] == [node]
+
+
+def test_a_case_distinction_takes_its_branch():
+    x = Variable("x")
+    rate = if_then_else(Expression(x) > 1.0, -2.0 * x, Expression(3.0))
+    system = SymbolicVectorSystem(state=[x], dynamics=[rate], output=[2.0 * x])
+    model = kneexo.compile(system)
+    for start, slope in ((0.0, 3.0), (0.5, 3.0), (4.0, -8.0)):
+        run = model.simulate(model.parameters(), State([start], []), 1e-6, record_period_s=1e-6)
+        first, last = run["y0"][:, 0]
+        assert (last - first) / 2e-6 == pytest.approx(slope, rel=1e-5)

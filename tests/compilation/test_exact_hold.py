@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 import scipy.linalg
+from pydrake.symbolic import Variable
+from pydrake.systems.primitives import SymbolicVectorSystem
 
+import kneexo
+from kneexo.compilation import State
 from kneexo.compilation.exact_hold import FINEST, define_fill_tables
 from kneexo.compilation.ir import DOUBLE, POINTER, Array, Module
 from kneexo.compilation.native import Library, compile_text
@@ -42,3 +46,20 @@ def test_tables_are_the_functions_of_the_matrix_exponential(size):
             tables[level], (h * phi_1, h * phi_2, h * (phi_2 - 4.0 * phi_3)), strict=True
         ):
             np.testing.assert_allclose(ours, exact, rtol=0, atol=1e-11 * np.abs(exact).max())
+
+
+def test_steps_are_as_small_as_each_run_needs():
+    """Where x' = k x(1 − x) and y' = −k x y: x grows as the logistic function, y/(1 − x) stays."""
+    x, y, k = (Variable(name) for name in "xyk")
+    system = SymbolicVectorSystem(
+        state=[x, y], parameter=[k], dynamics=[k * x * (1.0 - x), -k * x * y], output=[x, y]
+    )
+    model = kneexo.compile(system)
+    rates, starts = np.geomspace(1.0, 3e3, 9), np.geomspace(1e-6, 0.5, 9)[::-1]
+    states = [State([start, 2.0], []) for start in starts]
+    # One tick is from a hundredth to thirty times the time constant.
+    runs = model.simulate_batch(rates[:, None], states, 0.1, record_period_s=0.01, threads=1)
+    for rate, start, run in zip(rates, starts, runs, strict=True):
+        grown = 1.0 / (1.0 + (1.0 / start - 1.0) * np.exp(-rate * run.time_s))
+        exact = np.column_stack([grown, 2.0 * (1.0 - grown) / (1.0 - start)])
+        np.testing.assert_allclose(run["y0"], exact, rtol=0, atol=1e-5)

@@ -52,6 +52,13 @@ def test_derivative_of_a_product_with_a_repeated_factor_and_a_quotient(interpret
     )
 
 
+def test_a_node_of_whole_numbers_has_no_gradient():
+    graph = Graph()
+    a, b = (graph.source("state", i) for i in range(2))
+    (gradient,) = graph.gradients([graph.add(graph.unary("floor", a), graph.multiply(b, b))])
+    assert list(gradient) == [1]
+
+
 def test_equal_operations_are_one_node():
     graph = Graph()
     a = graph.source("state", 0)

@@ -4,9 +4,11 @@ import sys
 
 import numpy as np
 import pydrake.math as drake_math
+import pydrake.symbolic as symbolic
 import pytest
 from pydrake.common import RandomDistribution
 from pydrake.common.value import Value
+from pydrake.symbolic import Expression, Variable
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import (
     DiagramBuilder,
@@ -20,6 +22,7 @@ from pydrake.systems.primitives import (
     Integrator,
     RandomSource,
     Sine,
+    SymbolicVectorSystem,
     ZeroOrderHold,
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
@@ -310,6 +313,12 @@ def test_a_batch_is_its_runs_one_by_one(default):
         np.testing.assert_array_equal(run["rod_velocity"], expected[: run.time_s.size])
 
 
+def test_a_run_may_record_nothing_but_time(default):
+    model, (parameters, state, _) = default
+    run = model.simulate(parameters, state, 0.01, record_period_s=0.002, outputs=())
+    assert repr(run) == "Simulation(6 records of nothing)"
+
+
 def test_a_batch_over_references(multirate):
     model = compile_diagram(multirate.GetSubsystemByName("inner"), inputs=["u"])
     tables = [InputTable(coefficients=np.array([[[u]]])) for u in (0.1, 0.2)]
@@ -415,6 +424,25 @@ def test_quotients_of_whole_numbers_are_those_of_drake():
     model = compile_diagram(diagram_of(("counter", simple_leaf("Counter_", construct))))
     run = model.simulate(model.parameters(), model.state(), 10.0)
     np.testing.assert_array_equal(run["out"][:, 0], np.arange(101) // 49)
+
+
+def test_a_table_of_whole_numbers_in_a_model_without_samples():
+    x = Variable("x")
+    level = symbolic.floor(10.0 * x)
+    for _ in range(4):
+        level = symbolic.cos(symbolic.sin(symbolic.tanh(level)))
+    model = compile_diagram(
+        SymbolicVectorSystem(state=[x], dynamics=[Expression(1.0)], output=[level])
+    )
+    starts = 0.005 + 0.1 * np.arange(8)
+    runs = model.simulate_batch(
+        np.empty((8, 0)), [State([x_0], []) for x_0 in starts], 1.0, record_period_s=0.01
+    )
+    for x_0, run in zip(starts, runs, strict=True):
+        exact = np.floor(10.0 * (x_0 + run.time_s))
+        for _ in range(4):
+            exact = np.cos(np.sin(np.tanh(exact)))
+        np.testing.assert_allclose(run["y0"][:, 0], exact, rtol=1e-12)
 
 
 def test_a_root_at_zero_has_no_slope_and_yet_a_solution():

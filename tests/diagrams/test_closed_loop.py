@@ -111,6 +111,14 @@ def test_subsystems_and_exported_ports_are_named(case):
     assert set(available_signals(scenario)) == set(outputs)
 
 
+def test_an_external_reference_is_an_input():
+    diagram = make_closed_loop(external_reference=True)
+    assert not diagram.HasSubsystemNamed("reference")
+    context = diagram.CreateDefaultContext()
+    diagram.GetInputPort("knee_reference").FixValue(context, [0.7, 0.1, 0.2, 0.3])
+    assert list(diagram.GetOutputPort("knee_reference").Eval(context)) == [0.7, 0.1, 0.2, 0.3]
+
+
 @pytest.mark.parametrize("case", STRUCTURES)
 def test_log_holds_the_columns_of_the_available_signals_in_order(case, fixed_step):
     scenario, *_ = STRUCTURES[case]

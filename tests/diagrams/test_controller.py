@@ -199,8 +199,8 @@ def no_system(scenario):
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        ("nowhere:make", "No module named 'nowhere'; must be module:function"),
-        ("math:nothing", "has no attribute 'nothing'; must be module:function"),
+        ("nowhere:make", "No module named 'nowhere'; must be module:function on the Python path"),
+        ("math:nothing", "has no attribute 'nothing'; must be module:function on the Python path"),
         (failing, "ZeroDivisionError: by hand"),
         (no_system, "int is not a Drake system"),
         (without_command, "has an input port u of size 1; must be of encoder_reading (1)"),

@@ -48,6 +48,15 @@ def test_a_run_of_too_many_steps_is_refused(integrator):
         simulate(Scenario(simulation=settings), signals=("knee_angle",))
 
 
+def test_a_run_that_would_not_fit_into_memory_is_refused_by_its_size(monkeypatch):
+    # 0.2 s/2 ms = 100 samples of 8 bytes.
+    monkeypatch.setattr(engines, "LARGEST_RUN_BYTES", 799)
+    with pytest.raises(ParameterError, match=r"100 samples of 1 columns take 7\.45e-07 GiB"):
+        simulate(SHORT, signals=("knee_angle",))
+    monkeypatch.setattr(engines, "LARGEST_RUN_BYTES", 800)
+    assert simulate(SHORT, signals=("knee_angle",)).time_s[-1] == pytest.approx(0.2)
+
+
 @pytest.mark.parametrize("integrator", ["exact_hold", "radau3"])
 def test_progress_ends_at_the_duration(integrator):
     told = []

@@ -405,6 +405,7 @@ def test_the_budget_is_what_the_default_smc_uses(small):
 def test_a_search_without_enough_generations_is_flagged(small):
     for tuning in small[0].tunings:
         assert tuning.evaluations == 10
+        assert tuning.history_deg == (tuning.objective_deg,)  # one generation
         assert not tuning.converged
         assert tuning.spread > SMALL.tolerance
     assert "**no**" in report(small[0])

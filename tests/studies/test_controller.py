@@ -388,6 +388,10 @@ def test_the_words_have_the_largest_error_of_a_stable_loop(by_hand):
         "30 points; 1 of them have a run that failed",
         f"mean change is {demand:.2g} times",
         "errs by up to 0.33° (T_f = 20 ms, k/Φ = 1e+04 1/s)",
+        f"The step of {GRID.large_step_deg:g}° takes",
+        "λ, at Φ (m/s²) = 3.2, η (m/s³) = 280000\n",
+        "Φ, at λ (1/s) = 20, η (m/s³) = 280000\n",
+        "η, at λ (1/s) = 20, Φ (m/s²) = 3.2\n",
     ):
         assert said in text
 

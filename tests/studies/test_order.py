@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from concurrent.futures import Executor
 
 import numpy as np
 import pytest
@@ -192,6 +193,18 @@ def test_tracking_row_has_the_pressures_of_its_order():
 
 
 # ------------------------------------------------------------------------ the comparison
+
+
+def test_an_executor_is_used():
+    class AskedError(Exception):
+        pass
+
+    class Pool(Executor):
+        def submit(self, function, /, *arguments, **named):
+            raise AskedError
+
+    with pytest.raises(AskedError):
+        order_study(UNCERTAIN_KNEE, executor=Pool())
 
 
 @pytest.fixture(scope="module")

@@ -622,6 +622,14 @@ def test_the_words_count_as_the_results_do(by_hand):
     assert "left out: plant.load.knee_torque_n_m." in text
 
 
+def test_failures_are_told_as_a_share(by_hand):
+    two = tuple(
+        dataclasses.replace(one, figures=by_hand.samples[3].figures) for one in by_hand.samples[:2]
+    )
+    text = report(dataclasses.replace(by_hand, samples=two + by_hand.samples[2:3] * 8))
+    assert "2 of the 10 samples (20 %) fail in part" in text
+
+
 def test_distributions_rise_by_one_share_for_each_sample(by_hand, curves):
     axes = figures(by_hand)["robustness_distribution"].axes
     shown = {ax.get_xlabel(): ax for ax in axes if ax.get_visible()}
@@ -690,6 +698,16 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
         for row, value in enumerate(LINEAR[merit])
     }
     assert [t.get_text() for t in linear.get_xticklabels()] == ["rms error", "disk margin"]
+    shown_ranks, shown_linear = (axes.images[0].get_array() for axes in (ranks, linear))
+    # Red, above zero, where more of the value is worse: more error, less margin.
+    for column, (merit, sign) in enumerate((("rms_error_deg", 1.0), ("disk_margin", -1.0))):
+        percents = [100.0 * value / UNITS[merit] for value in LINEAR[merit]]
+        assert np.asarray(shown_linear[:2, column]) == pytest.approx(sign * np.array(percents))
+    for column, merit in enumerate(correlations):
+        more_is_worse = merit in ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
+        sign = 1.0 if more_is_worse else -1.0
+        own = np.array([correlations[merit][path] for path in rows[:2]])
+        assert np.asarray(shown_ranks[:2, column]) == pytest.approx(sign * own)
     assert len(ranks.get_xticklabels()) == len(MERITS)
 
 

@@ -22,9 +22,11 @@ from kneexo.analysis.hardware import (
     tuned,
 )
 from kneexo.analysis.walking import walking_metrics
-from kneexo.errors import ParameterError
+from kneexo.errors import ParameterError, SimulationError
 from kneexo.output import to_json
 from kneexo.parameters import UNCERTAIN_KNEE, PlantParameters, RampReference, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.studies import size
 from kneexo.studies.paper import PID_TUNED
 from kneexo.studies.size import SizeSettings, size_study, smallest
 from kneexo.studies.size_figures import figures
@@ -117,6 +119,48 @@ def test_settings_that_contradict_themselves_are_refused(values, told):
 
 
 # ------------------------------------------------------------------------------ whole study
+
+
+def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypatch):
+    """At f Hz with λ = 80 1/s, 10 f times the flow and 2e4 f rad/s² leave an error of 2°."""
+    own = UNCERTAIN_KNEE.plant.pump.displacement_m3_per_rad
+
+    def error(scenario, frequency_hz):
+        pump = scenario.plant.pump
+        short = max(10.0 * own / pump.displacement_m3_per_rad, 2e4 / pump.acceleration_limit_rad_s2)
+        return 2.0 * frequency_hz * short * 80.0 / scenario.controller.lambda_per_s
+
+    def walking(scenario, frequency_hz, cycles):
+        numbers = {"max_error_deg": error(scenario, frequency_hz), "failure": ""}
+        return numbers | {"mean_command_change_rpm": 0.0}
+
+    def fail(*_):
+        raise SimulationError("not asked for here")
+
+    monkeypatch.setattr(size, "walking_metrics", walking)
+    monkeypatch.setattr(size, "walk", lambda scenario, f, cycles: {"error": error(scenario, f)})
+    monkeypatch.setattr(size, "assess", lambda scenario, tracking: {"disk_margin": 0.6})
+    for name in ("large_signal_bandwidth_hz", "linearize_loop", "track"):
+        monkeypatch.setattr(size, name, fail)
+    settings = changed(SMALL, {"stride_frequencies_hz": (0.5, 1.0), "search_tolerance": 1e-3})
+    found = size_study(settings=settings)
+
+    # Ample: 25 times the flow and 1e5 rad/s²; the hardest stride is that of 1 Hz.
+    assert found.best_gains["lambda_per_s"] == 80.0
+    assert found.best_gains["max_error_deg"] == pytest.approx(2.0 * 10.0 / 25.0)
+    assert [one["meets"] for one in found.gains] == [True, True]
+    for frequency, design in zip((0.5, 1.0), found.designs, strict=True):
+        assert design.flow.value == pytest.approx(10.0 * frequency, rel=1e-3)
+        assert design.acceleration.value == pytest.approx(2e4 * frequency, rel=1e-3)
+        assert design.walking["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
+    # What follows is about 0.5 Hz.
+    for one in found.variations.values():
+        assert one["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
+    factors = np.array(settings.walking_factors)
+    worst = 2.0 / 1.1 / np.minimum(*np.meshgrid(factors, factors))
+    assert found.walking_map_deg == pytest.approx(worst, rel=1e-3)
+    assert found.traces["nominal"]["error"] == pytest.approx(0.5 * 2.0 * 10.0 * 4.0)
+    assert found.traces["sized"]["error"] == pytest.approx(2.0 / 1.1, rel=1e-3)
 
 
 @pytest.fixture(scope="module")

@@ -233,6 +233,16 @@ def test_a_run_that_leaves_the_range_of_motion_is_cut_short_and_says_so():
     assert found["worst_rate_m_s3"] > 2e4
 
 
+def test_half_of_the_rated_samples_are_the_first_outside_the_layer():
+    scenario = short(1e-3, 5e-5, **START | {"initial_offset_m": -0.02})  # ends outside the layer
+    found = check_sliding(SlidingSettings(rated_samples=10), scenario)
+    # 21 samples: five in a row, then five that are evenly spread to the last one.
+    times = 5e-5 * np.array([0, 1, 2, 3, 4, 5, 8, 12, 16, 20])
+    assert found["outside_share"] == 1.0
+    assert math.isnan(found["held_share"])  # of a sampled law alone
+    assert found["trace"]["outside_time_s"] == pytest.approx(times)
+
+
 def test_needed_eta_and_effective_masses_by_hand():
     needed = needed_eta(SLIDING_LAW)
     # 4094 rpm at the peak of 10…70 deg at 0.1 Hz is 33.1 mm/s.

@@ -8,6 +8,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo.errors import LinkageError, ParameterError, SimulationError
+from kneexo.linkage import rod_extension
 from kneexo.parameters import (
     G1,
     G2,
@@ -215,6 +216,16 @@ def test_leaving_the_range_of_motion_raises_with_time_and_signal(end, limit):
     # One step of 10 ms at 85 mm/s is 0.85 mm, at most 1.4 deg.
     assert 0.5 < abs(angle - limit) < 1.9
     assert (angle > limit) == (limit > 0.0)
+
+
+@pytest.mark.parametrize(("angle_deg", "rest_deg"), [(15.0, 5.0), (65.0, 5.0), (71.0, -1.0)])
+def test_the_margin_is_the_way_to_the_nearer_end_and_its_overshoot(angle_deg, rest_deg):
+    system = FourBarKnee(G1, KneeParameters(flexion_min_deg=10.0, flexion_max_deg=70.0))
+    overshoot = KneeParameters().overshoot_deg
+    extension = float(rod_extension(G1, math.radians(angle_deg)))
+    context = system.CreateDefaultContext()
+    system.GetInputPort("rod_extension").FixValue(context, extension)
+    assert math.degrees(system.margin(context)) == pytest.approx(rest_deg + overshoot, abs=1e-6)
 
 
 def test_range_of_motion_is_a_context_parameter():

@@ -409,3 +409,18 @@ def test_input_that_is_not_finite_raises_instead_of_hanging(values):
     system.set_name("cylinder")
     with pytest.raises(SimulationError, match=r"^t = 0 s: cylinder: .* is not finite; [^\n]*$"):
         Simulator(system, at(system, **values)).AdvanceTo(0.1)
+
+
+@pytest.mark.parametrize(
+    ("leak", "rate"),
+    [
+        ("cap_external_leakage_m3_per_s_pa", "cap_pressure_rate"),
+        ("rod_side_external_leakage_m3_per_s_pa", "rod_side_pressure_rate"),
+    ],
+)
+def test_the_rate_that_is_not_finite_is_named(leak, rate):
+    system = full_system()  # starts above the pressure of the reservoir
+    context = at(system)
+    system.set_parameter(context, leak, 1e305)
+    with pytest.raises(SimulationError, match=rf"{rate} = -?inf .*is not finite"):
+        system.EvalTimeDerivatives(context)
