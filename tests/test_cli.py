@@ -145,17 +145,6 @@ def test_params_prints_a_scenario_file_that_loads(capsys, tmp_path):
     assert load_scenario(path) == Scenario()
 
 
-@pytest.mark.parametrize("arguments", [["--yaml"], ["--schema"], ["SCENARIO"]])
-def test_params_of_a_scenario_needs_neither_drake_nor_scipy(arguments, scenario_file):
-    words = [scenario_file(SHORT) if word == "SCENARIO" else word for word in arguments]
-    code = (
-        "import sys, kneexo.cli\n"
-        "assert kneexo.cli.main(['params', *sys.argv[1:]]) == 0\n"
-        "assert not {'pydrake', 'scipy', 'matplotlib', 'llvmlite'} & set(sys.modules)\n"
-    )
-    subprocess.run([sys.executable, "-c", code, *words], capture_output=True, check=True)
-
-
 def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenario_file):
     listed = []
     for arguments in ([], [scenario_file("controller: {kind: pid}")]):
@@ -167,6 +156,17 @@ def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenar
     assert "bandwidth: amplitudes_deg" in everything
     assert "controller.integral_per_s2" in own
     assert not any("(" in name or ":" in name for name in own)
+
+
+@pytest.mark.parametrize("arguments", [["--yaml"], ["--schema"], ["SCENARIO"]])
+def test_params_of_a_scenario_needs_neither_drake_nor_scipy(arguments, scenario_file):
+    words = [scenario_file(SHORT) if word == "SCENARIO" else word for word in arguments]
+    code = (
+        "import sys, kneexo.cli\n"
+        "assert kneexo.cli.main(['params', *sys.argv[1:]]) == 0\n"
+        "assert not {'pydrake', 'scipy', 'matplotlib', 'llvmlite'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, *words], capture_output=True, check=True)
 
 
 def test_params_prints_a_json_schema(capsys):

@@ -203,7 +203,13 @@ class CustomControllerParameters(Parameters):
     sample_time_s: float = quantity(
         0.002, "s", "given by the user: the controller's period, that of the log", ge=1e-5, le=1
     )
-    command_limit_rad_s: float = _command_limit()
+    command_limit_rad_s: float = quantity(
+        5000.0 * RPM,
+        "rad/s",
+        "given by the user; by default as that of the other controllers",
+        ge=1e-3,
+        le=1e12,
+    )
 
     def __hash__(self) -> int:
         """Of all values; a mapping has no hash of its own."""
