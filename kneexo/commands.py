@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -183,7 +184,7 @@ def reproduce(options: argparse.Namespace) -> None:
     settings = _with_values(SinestreamSettings(), options.settings)
     with _executor(options) as executor, _results(options) as directory:
         reproduction = study.reproduce(
-            settings,
+            settings=settings,
             engine=options.engine,
             workers=options.workers,
             executor=executor,
@@ -201,8 +202,6 @@ def reproduce(options: argparse.Namespace) -> None:
 def simulate(options: argparse.Namespace) -> None:
     """Run one scenario, and write its signals, metrics and plot."""
     scenario = _scenario(options)
-    from dataclasses import asdict
-
     from kneexo.analysis import track
     from kneexo.output import to_json, write_csv
     from kneexo.scenario_file import dump_scenario
@@ -244,8 +243,6 @@ def _track_with_bar(scenario: Scenario) -> TrackingResult:
 def linearize(options: argparse.Namespace) -> None:
     """Linearize plant and sampled loop at a posture, and write poles, margins and plots."""
     scenario = _scenario(options)
-    from dataclasses import asdict
-
     from kneexo.analysis import linearize_loop, linearize_plant
     from kneexo.output import to_json
 

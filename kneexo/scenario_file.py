@@ -241,8 +241,16 @@ def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
             yield f"{indent}{name}:{comment}"
             yield from _dumped(value, indent + "  ")
         else:
-            number = re.sub(r"(?<![.\d])(\d+)e", r"\1.0e", json.dumps(value))  # as YAML 1.1 wants
-            yield f"{indent}{name}: {value if isinstance(value, str) else number}{comment}"
+            yield f"{indent}{name}: {_text_of(value)}{comment}"
+
+
+def _text_of(value: Any) -> str:
+    """A value in YAML, floats with the point that YAML 1.1 wants."""
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{json.dumps(k)}: {_text_of(v)}' for k, v in value.items())}}}"
+    if isinstance(value, str):
+        return value
+    return re.sub(r"(?<![.\d])(\d+)e", r"\1.0e", json.dumps(value))
 
 
 def _note(field: FieldInfo) -> str:

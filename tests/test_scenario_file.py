@@ -500,8 +500,6 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
         return st.booleans()
     if annotation is str:  # of a custom controller
         return st.just("module:function")
-    if typing.get_origin(annotation) is dict:
-        return st.dictionaries(st.sampled_from(("a", "b_1")), st.floats(-1e300, 1e300))
     if annotation is int:
         return st.integers(bounds["ge"], bounds["le"])
     if annotation is float:
@@ -510,6 +508,9 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
     origin = typing.get_origin(annotation)
     if origin is typing.Literal:
         return st.sampled_from(arguments)
+    if origin is dict:
+        names = st.from_regex(r"[a-z0-9_]{1,6}", fullmatch=True)
+        return st.dictionaries(names, st.floats(allow_nan=False, allow_infinity=False), max_size=3)
     if origin is tuple:
         number = st.floats(-1e4, 1e4)  # the coefficients of Table 1
         return st.tuples(*[number for _ in arguments])

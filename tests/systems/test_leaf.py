@@ -7,7 +7,6 @@ from pydrake.symbolic import Expression, Variable
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem_
 
-from kneexo.systems import bldc_pump
 from kneexo.systems._leaf import (
     NamedLeaf,
     clip,
@@ -43,12 +42,6 @@ class Sample(NamedLeaf):
 
 
 # ------------------------------------------------------------------------------ structure
-
-
-def test_a_name_without_underscore_is_the_system_of_floats():
-    assert isinstance(bldc_pump.BldcPump(), LeafSystem_[float])
-    with pytest.raises(AttributeError, match=r"has no attribute 'BldcPum'"):
-        _ = bldc_pump.BldcPum
 
 
 def test_outputs_depend_on_their_sources_only(leaf):
