@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import kneexo
+import kneexo.__main__ as command_line
 from kneexo import cli
 from kneexo.analysis import TrackingMetrics
 from kneexo.cli import _parameter_rows, main
@@ -376,6 +377,16 @@ def test_an_interrupt_of_an_import_is_one_true_line(tmp_path, module, told):
     line = f"finished pieces are kept in {kept}; the same command goes on from them"
     assert done.stderr == f"kneexo: {told.replace('KEPT', line)}\n"
     assert done.returncode == 130
+
+
+def test_an_interrupt_after_the_command_ends_python_at_once(monkeypatch):
+    monkeypatch.setattr(cli, "main", lambda: 7)
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        assert command_line.main() == 7
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp_path):
