@@ -33,6 +33,8 @@ ROOT = Path(__file__).parents[1]
 TESTS: dict[str, tuple[str, ...]] = {
     "__init__": ("compilation/test_api",),
     "__main__": ("test_cli",),
+    "commands": ("test_cli", "test_system"),
+    "parameter_list": ("test_cli",),
     "errors": ("test_cli", "test_scenario_file"),
     "interruption": ("test_cli",),
     "version": ("test_citation",),
@@ -44,6 +46,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compilation/machine_code": ("compilation/test_cache", "compilation/test_model"),
     "compilation/native": ("compilation/test_cache", "compilation/test_time_loop"),
     "compilation/runner": ("compilation/test_time_loop", "compilation/test_model"),
+    "diagrams/part": ("diagrams/test_plant", "diagrams/test_controller"),
+    "diagrams/signals": ("diagrams/test_closed_loop",),
     "diagrams/plant": ("diagrams/test_plant", "diagrams/test_full_order_plant"),
     "parameters/control": ("test_parameters", "systems/test_sliding_mode_controller"),
     "parameters/linkages": ("test_parameters", "test_linkage"),
@@ -60,6 +64,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "studies/size": ("studies/test_size", "studies/test_size_report"),
     "studies/size_results": ("studies/test_size_report",),
     "systems/_leaf": ("systems/test_leaf",),
+    "systems/cylinder": ("systems/test_reduced_cylinder", "systems/test_full_cylinder"),
 }
 """Tests of the modules that have no file of their own name."""
 

@@ -22,13 +22,7 @@ from yaml.reader import ReaderError
 from kneexo.errors import ParameterError, ScenarioError
 from kneexo.parameters import UNCERTAIN_KNEE, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import require_applicable
-from kneexo.parameters.quantity import (
-    Parameters,
-    allowed_range,
-    one_line,
-    shortened,
-    unit_of,
-)
+from kneexo.parameters.quantity import Parameters, allowed_range, one_line, shortened, unit_of
 
 _Path = tuple[str | int, ...]
 _TAG = "tag:yaml.org,2002:"
@@ -83,21 +77,21 @@ def load_uncertainty(
     data, lines = _read(name, _text(name))
     if not data:
         raise _fault(name, None, "has no uncertain values")
-    found = {}
-    for own, value in data.items():
+    values = {}
+    for place, value in data.items():
         if not isinstance(value, dict):
-            raise _fault(name, lines[own,], f"{own}: must have low and high, or options")
+            raise _fault(name, lines[place,], f"{place}: must have low and high, or options")
         try:
-            found[own] = Uncertainty.model_validate(value)
-            require_applicable(scenario, own, found[own], data)
+            values[place] = Uncertainty.model_validate(value)
+            require_applicable(scenario, place, values[place], data)
         except ValidationError as error:
             location, message = one_line(Uncertainty, error)
             separator = "." if location else ": "
-            line = _line(lines, (own, *location))
-            raise _fault(name, line, f"{own}{separator}{message}") from None
+            line = _line(lines, (place, *location))
+            raise _fault(name, line, f"{place}{separator}{message}") from None
         except ParameterError as error:
-            raise _fault(name, lines[own,], str(error)) from None
-    return UncertaintySet(values=found)
+            raise _fault(name, lines[place,], str(error)) from None
+    return UncertaintySet(values=values)
 
 
 def dump_scenario(scenario: Scenario) -> str:
@@ -234,8 +228,8 @@ def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
     if root is None or (data := loader.plain(root, ())) is None:
         return {}, loader.lines
     if not isinstance(data, dict):
-        found = "a list" if isinstance(data, tuple) else "a single value"
-        raise _fault(name, loader.lines[()], f"the top level must be a mapping, not {found}")
+        kind = "a list" if isinstance(data, tuple) else "a single value"
+        raise _fault(name, loader.lines[()], f"the top level must be a mapping, not {kind}")
     return data, loader.lines
 
 

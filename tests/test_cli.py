@@ -18,10 +18,12 @@ import pytest
 
 import kneexo
 import kneexo.__main__ as command_line
-from kneexo import cli
-from kneexo.analysis import TrackingMetrics
-from kneexo.cli import _parameter_rows, main
+from kneexo import cli, commands
+from kneexo.analysis import TrackingMetrics, track
+from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.cli import main
 from kneexo.compilation import cache
+from kneexo.parameter_list import parameter_rows
 from kneexo.parameters import PlantParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.scenario_file import load_scenario
@@ -99,7 +101,7 @@ def test_too_little_memory_is_a_line(capsys, monkeypatch, tmp_path):
     def refuse(options):
         raise MemoryError
 
-    monkeypatch.setattr(cli, "_simulate", refuse)
+    monkeypatch.setattr(commands, "simulate", refuse)
     assert main(["simulate", "--out", str(tmp_path)]) == 2
     assert "simulation.duration_s" in capsys.readouterr().err
 
@@ -155,6 +157,17 @@ def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenar
     assert "bandwidth: amplitudes_deg" in everything
     assert "controller.integral_per_s2" in own
     assert not any("(" in name or ":" in name for name in own)
+
+
+@pytest.mark.parametrize("arguments", [["--yaml"], ["--schema"], ["SCENARIO"]])
+def test_params_of_a_scenario_needs_neither_drake_nor_scipy(arguments, scenario_file):
+    words = [scenario_file(SHORT) if word == "SCENARIO" else word for word in arguments]
+    code = (
+        "import sys, kneexo.cli\n"
+        "assert kneexo.cli.main(['params', *sys.argv[1:]]) == 0\n"
+        "assert not {'pydrake', 'scipy', 'matplotlib', 'llvmlite'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, *words], capture_output=True, check=True)
 
 
 def test_params_prints_a_json_schema(capsys):
@@ -668,7 +681,7 @@ def test_an_interrupt_after_the_files_are_written_says_so(capsys, tmp_path, monk
 def test_reproduce_is_wired(capsys, tmp_path, monkeypatch):
     asked = {}
 
-    def stand_in(**options):
+    def stand_in(*settings, **options):
         asked.update(options)
         return 21
 
@@ -817,11 +830,98 @@ def test_faults_of_nested_settings_name_their_path(capsys, tmp_path, text, told)
 
 def test_every_listed_setting_can_be_set():
     """`kneexo params` lists a setting under the name that ``--set`` takes."""
-    for study in STUDIES.values():
-        settings = study.settings()
-        for row in _parameter_rows(settings, f"{study.command}: "):
-            name = row["parameter"].removeprefix(f"{study.command}: ")
-            assert changed(settings, {name: row["value"]}) == settings, name
+    for cls in (Scenario, SinestreamSettings, *(study.settings for study in STUDIES.values())):
+        for row in parameter_rows(cls()):
+            name = row["parameter"]
+            assert changed(cls(), {name: row["value"]}) == cls(), name
+
+
+def test_values_of_the_scenario_win_over_the_file(capsys, scenario_file, tmp_path):
+    path, out = scenario_file(SHORT), tmp_path / "out"
+    texts = ["plant.cylinder.mass_kg=1.7", "reference.frequency_hz=2", "plant.linkage=G3"]
+    command = ["simulate", path, *(word for text in texts for word in ("--set", text))]
+    assert main([*command, "--out", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    values = {"plant.cylinder.mass_kg": 1.7, "reference.frequency_hz": 2, "plant.linkage": "G3"}
+    expected = changed(load_scenario(path), values)
+    assert changed(Scenario(), printed["scenario"]) == expected
+    assert load_scenario(out / "scenario.yaml") == expected
+    assert expected.reference.amplitude_deg == 2.0  # of the file
+    metrics = track(expected).metrics
+    assert printed["max_error_deg"] == metrics.max_error_deg
+    assert printed["max_error_deg"] != track(load_scenario(path)).metrics.max_error_deg
+
+
+def test_the_engine_wins_over_the_values(capsys, scenario_file, tmp_path):
+    command = ["simulate", scenario_file(SHORT), "--set", "simulation.integrator=radau1"]
+    arguments = [*command, "--set", "simulation.duration_s=1.1", "--engine", "compiled"]
+    assert main([*arguments, "--out", str(tmp_path / "out"), "--json"]) == 0
+    simulation = json.loads(capsys.readouterr().out)["scenario"]["simulation"]
+    assert (simulation["integrator"], simulation["duration_s"]) == ("exact_hold", 1.1)
+
+
+def test_linearize_takes_values_of_the_scenario(capsys, tmp_path):
+    command = ["linearize", "--set", "plant.cylinder.mass_kg=0.4", "--out", str(tmp_path / "out")]
+    assert main([*command, "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["scenario"]["plant"]["cylinder"]["mass_kg"] == 0.4
+    oil = PlantParameters().cylinder
+    softness = 4.0 * oil.bulk_modulus_pa * oil.mean_area_m2**2 / oil.total_volume_m3
+    omega = math.sqrt(softness / 0.4)  # Eq. 15 and 16 with hardly any leakage
+    assert max(printed["plant_frequencies_rad_s"]) == pytest.approx(omega, rel=1e-4)
+
+
+def test_reproduce_takes_settings_of_fig_13(capsys, tmp_path, monkeypatch):
+    seen = []
+    reproduction = "kneexo.studies.reproduce"
+    monkeypatch.setattr(f"{reproduction}.reproduce", lambda settings, **_: seen.append(settings))
+    monkeypatch.setattr(f"{reproduction}.results", lambda _: {})
+    monkeypatch.setattr(f"{reproduction}_report.report", lambda _: "")
+    monkeypatch.setattr(f"{reproduction}_figures.figures", lambda _: {})
+    command = ["reproduce", "--set", "trials=2", "--set", "frequencies_hz=[0.2, 0.21, 0.3]"]
+    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert seen == [SinestreamSettings(trials=2, frequencies_hz=(0.2, 0.21, 0.3))]
+    assert printed["settings"] == seen[0].model_dump(mode="json")
+
+
+@pytest.mark.parametrize("command", ["simulate", "linearize"])
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("plant.cylinder.mass_kg", "--set plant.cylinder.mass_kg: must be NAME=VALUE"),
+        ("plant.cylinder.mass_kg=-1", "plant.cylinder.mass_kg = -1 kg is out of range"),
+        ("plant.cylinder.mas_kg=1", "plant.cylinder.mas_kg: unknown name"),
+        ("plant.cylindr.mass_kg=1", "this scenario has no plant.cylindr"),
+        ("plant.full_order.entrained_air=0", "this scenario has no plant.full_order"),
+        ("plant.linkage=G9", "'G9' must be one of G1"),
+        ("plant.linkage=[", "--set plant.linkage:1: YAML syntax"),
+        ("controller.mass_min_kg=2", "must not exceed mass_max_kg"),
+    ],
+)
+def test_bad_values_of_the_scenario_are_one_line(capsys, tmp_path, command, text, told):
+    out = tmp_path / "out"
+    assert main([command, "--set", text, "--out", str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("kneexo: ")
+    assert told in line
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("trials=0", "trials = 0 is out of range: must be finite and >= 1"),
+        ("trial=1", "trial: unknown name; known here: acceleration_limit_max_rad_s2"),
+        ("frequencies_hz=[0.1, 0.2]", "frequencies_hz has 2 values: must have at least 3"),
+        ("mass_min_kg=1.9", "mass_min_kg = 1.9 must not exceed mass_max_kg = 1.8"),
+    ],
+)
+def test_bad_settings_of_fig_13_are_one_line(capsys, tmp_path, text, told):
+    assert main(["reproduce", "--set", text, "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_scalar_is_a_list_of_one(capsys, tmp_path, undrawn):

@@ -498,6 +498,10 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
         return st.none()
     if annotation is bool:
         return st.booleans()
+    if annotation is str:  # of a custom controller
+        return st.just("module:function")
+    if typing.get_origin(annotation) is dict:
+        return st.dictionaries(st.sampled_from(("a", "b_1")), st.floats(-1e300, 1e300))
     if annotation is int:
         return st.integers(bounds["ge"], bounds["le"])
     if annotation is float:
@@ -580,7 +584,7 @@ def test_small_and_large_floats_are_floats_in_yaml_1_1(file: File) -> None:
 def test_dump_is_documented() -> None:
     lines = dump_scenario(Scenario()).splitlines()
     assert "    mass_kg: 1.6  # kg, >= 0.01 and <= 1000" in lines
-    assert "controller:  # kind: smc, pid" in lines
+    assert "controller:  # kind: smc, pid, custom" in lines
     assert "  rod_map: linkage  # linkage, polynomial" in lines
     assert "nominal: null" in lines
     assert "  ideal_motor: false" in lines

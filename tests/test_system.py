@@ -31,10 +31,17 @@ def test_this_system_lacks_nothing():
 
 @pytest.mark.usefixtures("bare")
 @pytest.mark.parametrize(
-    "arguments", [["reproduce"], ["simulate"], ["study", "contest"], ["diagram"]]
+    "arguments",
+    [
+        ["params"],
+        *([*c, "--out", "out"] for c in (["reproduce"], ["study", "contest"], ["diagram"])),
+    ],
 )
-def test_a_missing_library_is_one_line_and_nothing_is_written(arguments, tmp_path, capsys):
-    assert main([*arguments, "--out", str(tmp_path / "out")]) == 2
+def test_a_missing_library_is_one_line_and_nothing_is_written(
+    arguments, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
     assert capsys.readouterr() == (
         "",
         f"kneexo: this system lacks libnot-there.so.0; {REMEDY} libnot-there0\n",
@@ -44,8 +51,8 @@ def test_a_missing_library_is_one_line_and_nothing_is_written(arguments, tmp_pat
 
 @pytest.mark.usefixtures("bare")
 def test_what_needs_no_drake_works_without_its_library(capsys):
-    assert main(["params"]) == 0
-    assert main(["cache"]) == 0
+    for arguments in (["params", "--yaml"], ["params", "--schema"], ["cache"]):
+        assert main(arguments) == 0
     assert capsys.readouterr().err == ""
 
 
@@ -61,14 +68,14 @@ def test_an_installation_lacks_venv_as_well(monkeypatch, capsys):
 
 def test_a_library_that_we_do_not_know_is_one_line_too(monkeypatch, capsys):
     text = "libx.so.1: cannot open shared object file: No such file or directory"
-    monkeypatch.setattr("kneexo.cli._params", Mock(side_effect=ImportError(text)))
+    monkeypatch.setattr("kneexo.commands.params", Mock(side_effect=ImportError(text)))
     assert main(["params"]) == 2
     told = "kneexo: this system lacks libx.so.1; install the package that has it\n"
     assert capsys.readouterr().err == told
 
 
 def test_another_import_error_is_raised(monkeypatch):
-    monkeypatch.setattr("kneexo.cli._params", Mock(side_effect=ImportError("no name 'x'")))
+    monkeypatch.setattr("kneexo.commands.params", Mock(side_effect=ImportError("no name 'x'")))
     with pytest.raises(ImportError, match="name 'x'"):
         main(["params"])
 

@@ -12,17 +12,17 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.optimize import brentq
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, SineReference
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, quantity
+from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result, data_frame
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
@@ -35,38 +35,23 @@ _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the pape
 class SinestreamSettings(Parameters):
     """Frequency response with one sine after another, and what differs between repetitions."""
 
-    frequencies_hz: tuple[Annotated[float, Field(ge=1e-5, le=250)], ...] = Field(
-        default=(
+    frequencies_hz: tuple[float, ...] = quantities(
+        (
             *(0.05, 0.07, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2),
             *(0.21, 0.22, 0.23, 0.24, 0.27, 0.31, 0.38, 0.5),
         ),
+        "Hz",
+        "assumption: Fig. 13 spans the neighbourhood of its 0.21 Hz",
+        ge=1e-5,
+        le=250,
         min_length=3,
-        json_schema_extra={
-            "unit": "Hz",
-            "source": "assumption: Fig. 13 spans the neighbourhood of its 0.21 Hz",
-        },
     )
-    transient_cycles: int = Field(
-        default=1,
-        ge=0,
-        le=1000,
-        json_schema_extra={"unit": "cycles", "source": "assumption: discarded before measuring"},
+    transient_cycles: int = quantity(
+        1, "cycles", "assumption: discarded before measuring", ge=0, le=1000
     )
-    measured_cycles: int = Field(
-        default=3,
-        ge=1,
-        le=1000,
-        json_schema_extra={"unit": "cycles", "source": "Section 5: more than three cycles"},
-    )
-    trials: int = Field(
-        default=5,
-        ge=1,
-        le=10_000,
-        json_schema_extra={"unit": "1", "source": "Section 5: five times for each frequency"},
-    )
-    seed: int = Field(
-        default=2020, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
-    )
+    measured_cycles: int = quantity(3, "cycles", "Section 5: more than three cycles", ge=1, le=1000)
+    trials: int = quantity(5, "1", "Section 5: five times for each frequency", ge=1, le=10_000)
+    seed: int = quantity(2020, "1", "assumption: any number", ge=0)
     internal_leakage_min_m3_per_s_pa: float = quantity(
         2e-14, "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
     )
@@ -117,20 +102,15 @@ class SineEstimateSettings(Parameters):
         ge=1e-6,
         le=0.5,
     )
-    averaged_cycles: int = Field(
-        default=3,
+    averaged_cycles: int = quantity(
+        3,
+        "cycles",
+        "Section 5: more than three cycles, of which the ramp is the first",
         ge=2,
         le=1000,
-        json_schema_extra={
-            "unit": "cycles",
-            "source": "Section 5: more than three cycles, of which the ramp is the first",
-        },
     )
-    largest_cycles: int = Field(
-        default=24,
-        ge=3,
-        le=10_000,
-        json_schema_extra={"unit": "cycles", "source": "assumption: then it has not settled"},
+    largest_cycles: int = quantity(
+        24, "cycles", "assumption: then it has not settled", ge=3, le=10_000
     )
 
     @model_validator(mode="after")

@@ -17,9 +17,11 @@ from pydrake.systems.analysis import Simulator
 
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG, NEWTON_STEPS
 from kneexo.diagrams import make_closed_loop
+from kneexo.diagrams.closed_loop import loop_values
+from kneexo.diagrams.controller import known_to_controller
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario, StepReference
-from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
+from kneexo.simulation.compiled import scenario_start, structure_key
 from kneexo.simulation.run import Array
 
 
@@ -36,6 +38,7 @@ class Rest:
     point: Array
     continuous_states: int
     reference: Array
+    sample_time_s: float
     knee_angle_rad: float = math.nan
 
     def autodiff_context(self, state: Any, reference: Any) -> Any:
@@ -67,6 +70,8 @@ _built: dict[str, tuple[Any, Any]] = {}
 def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
     """Diagrams in float and AutoDiffXd for all loops of the scenario's structure."""
     key = structure_key(scenario)
+    if scenario.controller.kind == "custom":  # its parameters cannot be set by their names
+        key += known_to_controller(scenario).model_dump_json()
     if key not in _built:
         diagram = make_closed_loop(scenario, signals=(), external_reference=True)
         _built[key] = diagram, diagram.ToAutoDiffXd()
@@ -76,21 +81,20 @@ def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
 def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
     """Set the Context parameters of a closed loop to those of a scenario of its structure.
 
-    Those of systems that ``diagram`` does not have (reference, quantizer) are passed over.
+    Those of systems that ``diagram`` does not have (reference, quantizer) are passed over, and so
+    are those of a custom controller.
     """
-    systems: dict[str, Any] = {}
-    for key, value in scenario_values(scenario).items():
-        path, _, name = key.partition(".")
-        if path not in systems:
-            systems[path] = _system(diagram, path)
-        if systems[path] is None:
+    for path, values in loop_values(scenario):
+        system = _system(diagram, path)
+        if system is None:
             continue
-        own = systems[path].GetMyMutableContextFromRoot(context)
-        if group := re.fullmatch(r"(\d+)\[(\d+)\]", name):
-            vector = own.get_mutable_numeric_parameter(int(group[1]))
-            vector.SetAtIndex(int(group[2]), value)
-        else:
-            systems[path].set_parameter(own, name, value)
+        own = system.GetMyMutableContextFromRoot(context)
+        for name, value in values.items():
+            if group := re.fullmatch(r"(\d+)\[(\d+)\]", name):
+                vector = own.get_mutable_numeric_parameter(int(group[1]))
+                vector.SetAtIndex(int(group[2]), value)
+            else:
+                system.set_parameter(own, name, value)
 
 
 def _system(diagram: Any, path: str) -> Any:
@@ -101,13 +105,14 @@ def _system(diagram: Any, path: str) -> Any:
     return diagram if hasattr(diagram, "set_parameter") else None
 
 
-def start_state(scenario: Scenario) -> list[Any]:
-    """Continuous state in which the closed loop starts, in the units of its Context."""
-    motor = [] if scenario.plant.ideal_motor else [0.0]
-    cylinder = [0.0] * (3 if scenario.plant.full_order is None else 4)
+def start_state(scenario: Scenario, size: int) -> list[Any]:
+    """The ``size`` continuous states with which the closed loop starts, as in its Context."""
+    state: list[Any] = [0.0] * size
+    motor = 0 if scenario.plant.ideal_motor else 1
     for key, value in scenario_start(scenario).items():
-        cylinder[int(key.removeprefix("plant/cylinder.x[").removesuffix("]"))] = value
-    return motor + cylinder
+        if index := re.fullmatch(r"plant/cylinder\.x\[(\d+)\]", key):
+            state[motor + int(index[1])] = value
+    return state
 
 
 def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -> None:
@@ -120,10 +125,13 @@ def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -
     diagram.GetInputPort("knee_reference").FixValue(context, reference)
 
 
-def find_rest(scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG) -> Rest:
+def find_rest(
+    scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG, diagram: Any = None
+) -> Rest:
     """Find where the sampled loop of a scenario rests, by Newton's method.
 
-    Its reference and initial offset are replaced, its quantizer is bypassed. Raises
+    Its reference and initial offset are replaced, its quantizer is bypassed. ``diagram``: see
+    `kneexo.analysis.linearize_loop`. Raises
     `LinearizationError` when it does not rest there, at the speed limit, outside the boundary
     layer, and when there is no sampled loop that could be linearized.
     """
@@ -139,12 +147,20 @@ def find_rest(scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG) -> Rest
         }
     )
     fixed.plant.knee.require_in_range(*fixed.reference.range_deg)
-    diagram, automatic = _diagrams(fixed)
     reference = np.array([math.radians(knee_angle_deg), 0.0, 0.0, 0.0])
-    context = diagram.CreateDefaultContext()
-    set_loop_parameters(diagram, context, fixed)
-    x = np.array(start_state(fixed))
-    context.SetContinuousState(x)
+    if diagram is None:
+        diagram, automatic = _diagrams(fixed)
+        context = diagram.CreateDefaultContext()
+        set_loop_parameters(diagram, context, fixed)
+        context.SetContinuousState(start_state(fixed, context.num_continuous_states()))
+    else:
+        if not diagram.HasInputPort("knee_reference"):
+            raise LinearizationError(
+                f"{diagram.get_name()}: has no input port knee_reference; leave the reference open"
+            )
+        automatic, context = diagram.ToAutoDiffXd(), diagram.CreateDefaultContext()
+    period_s = _sample_time_s(diagram)
+    x = context.get_continuous_state_vector().CopyToVector()
     diagram.GetInputPort("knee_reference").FixValue(context, reference)
     Simulator(diagram, context).Initialize()  # starts the controller's states as a run does
     groups = range(context.num_discrete_state_groups())
@@ -152,7 +168,7 @@ def find_rest(scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG) -> Rest
     n, m = x.size, z.size
     point = np.concatenate([x, z])
     residual = math.inf
-    rest = Rest(automatic, context, point, n, reference)
+    rest = Rest(automatic, context, point, n, reference, period_s)
     for _ in range(NEWTON_STEPS):
         values, gradient, _ = rest.gradients(point, reference, "knee_angle")
         values = np.concatenate([values[:n], values[n:] - point[n:]])
@@ -177,6 +193,16 @@ def find_rest(scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG) -> Rest
     return replace(rest, point=point, knee_angle_rad=angle)
 
 
+def _sample_time_s(diagram: Any) -> float:
+    """Period of the discrete updates; `LinearizationError` when there is no single one."""
+    timing = diagram.GetUniquePeriodicDiscreteUpdateAttribute()
+    if timing is None:
+        raise LinearizationError(
+            f"{diagram.get_name()}: has no single sample time: there is no linear sampled-data loop"
+        )
+    return float(timing.period_sec())
+
+
 def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
     """Refuse a rest at the speed limit or outside the boundary layer."""
     command = abs(float(diagram.GetOutputPort("motor_speed_command").Eval(context)[0]))
@@ -186,7 +212,7 @@ def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
             f"motor_speed_command = {command:.4g} rad/s is at its limit of {limit:.4g} rad/s: "
             f"there is no linear loop; reduce the load"
         )
-    if scenario.controller.kind == "smc":
+    if scenario.controller.kind == "smc" and diagram.HasOutputPort("sliding_variable"):
         s = abs(float(diagram.GetOutputPort("sliding_variable").Eval(context)[0]))
         if s >= scenario.controller.phi_m_s2:
             raise LinearizationError(
@@ -195,14 +221,18 @@ def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
             )
 
 
-def held_and_live(gradient: Array, n: int) -> tuple[int, Any]:
-    """Which state of the controller is the held command, and which of them ever change.
+def command_and_live(gradient: Array, n: int) -> tuple[int, Array, Any]:
+    """How the command follows from the controller's states, and which of these ever change.
 
-    ``gradient`` of dx/dt (the first n rows) and z⁺ in x, z and perhaps more. The plant sees z
-    through the held command alone.
+    ``gradient`` of dx/dt (the first n rows) and z⁺ in x, z (m) and perhaps more. The plant sees z
+    through the command k z alone, a state that is held or a sum of such. Returns the index of the
+    state with the most influence, k (m,) relative to it, and the mask of live states.
     """
     m = gradient.shape[0] - n
-    held = int(np.argmax(np.max(np.abs(gradient[:n, n : n + m]), axis=0)))
+    influence = gradient[:n, n : n + m]
+    held = int(np.argmax(np.max(np.abs(influence), axis=0)))
+    row = int(np.argmax(np.abs(influence[:, held])))
     identity = np.eye(m, gradient.shape[1], k=n)
     # Not merely identical: rounding leaves 1e-16 in the integral of a PID that has no K_i.
-    return held, np.any(np.abs(gradient[n:] - identity) > 1e-12, axis=1)
+    live = np.any(np.abs(gradient[n:] - identity) > 1e-12, axis=1)
+    return held, influence[row] / influence[row, held], live

@@ -22,7 +22,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
-from kneexo.analysis.loop_equilibrium import find_rest, held_and_live
+from kneexo.analysis.loop_equilibrium import command_and_live, find_rest
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
@@ -31,6 +31,7 @@ from kneexo.simulation.run import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pydrake.systems.framework import Diagram
 
 _BESIDE_REST = 1e-12
 _BESIDE_REST_RAD_S3 = 1e-3
@@ -307,7 +308,9 @@ class SampledLoop(Result):
         )
         if not margins.stable:
             return head + f"unstable, largest eigenvalue {largest:.6g}; it has no margins"
-        m = margins
+        m, bandwidth = margins, self.bandwidth_hz()
+        nyquist = 0.5 / self.sample_time_s
+        fall = f"{bandwidth:.4g}" if math.isfinite(bandwidth) else f"none below {nyquist:g}"
         return (
             head + f"stable, largest eigenvalue {largest:.6g}\n"
             f"  gain margin {m.gain_margin:.4g} at {m.gain_margin_frequency_hz:.4g} Hz\n"
@@ -315,7 +318,7 @@ class SampledLoop(Result):
             f"delay margin {1e3 * m.delay_margin_s:.4g} ms\n"
             f"  disk margin {m.disk_margin:.4g} at {m.disk_margin_frequency_hz:.4g} Hz: "
             f"gain {m.disk_gain_margin:.4g}, phase {m.disk_phase_margin_deg:.4g} deg\n"
-            f"  small-signal bandwidth {self.bandwidth_hz():.4g} Hz"
+            f"  small-signal bandwidth {fall} Hz"
         )
 
     def plot(self, ax: Any = None) -> Any:
@@ -450,17 +453,21 @@ def linearize_loop(
     knee_angle_deg: float = MID_RANGE_DEG,
     *,
     output: str = "knee_angle",
+    diagram: Diagram | None = None,
 ) -> SampledLoop:
     """Linearize the sampled-data loop of a scenario where it rests at a constant reference.
 
     Its reference and initial offset are replaced, its quantizer is bypassed. ``output``: the
-    port of the plant whose response is asked for.
+    port of the plant whose response is asked for. ``diagram``: a closed loop of the user's own in
+    place of the scenario's, without a quantizer, with the ports of `make_closed_loop` and an input
+    ``knee_reference`` (``external_reference=True``), which starts at the posture; the scenario then
+    tells the command's limit.
 
     Raises `LinearizationError` when the controller is continuous, when the loop has no rest there,
     when the rest lies outside the boundary layer or at the speed limit (there is no linear loop),
     or for a signum controller, which has none at all.
     """
-    rest = find_rest(scenario, knee_angle_deg)
+    rest = find_rest(scenario, knee_angle_deg, diagram)
     n, m = rest.continuous_states, rest.point.size - rest.continuous_states
     # The absolute values of Eq. 27 have their kinks at rest. A small motion sees the mean of both
     # sides; at the rest itself rounding would choose one.
@@ -472,7 +479,7 @@ def linearize_loop(
         for side in (-1.0, 1.0)
     ]
     gradient = 0.5 * (both[0] + both[1])
-    held, live = held_and_live(gradient, n)
+    held, command, live = command_and_live(gradient, n)
     update = gradient[n:]
     return SampledLoop(
         a=gradient[:n, :n],
@@ -481,8 +488,8 @@ def linearize_loop(
         g_x=update[live, :n],
         g_z=update[live, n : n + m][:, live],
         g_r=update[live, n + m :],
-        c_u=np.eye(m)[[held]][:, live],
-        sample_time_s=scenario.controller.sample_time_s,
+        c_u=command[None, live],
+        sample_time_s=rest.sample_time_s,
         output=output,
         knee_angle_rad=rest.knee_angle_rad,
         scenario=scenario,

@@ -19,15 +19,15 @@ from scipy.linalg import eig, expm_frechet
 
 from kneexo.analysis.assessment import MARGIN_FIGURES
 from kneexo.analysis.loop_equilibrium import (
+    command_and_live,
     find_rest,
-    held_and_live,
     set_loop_parameters,
     start_state,
 )
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.signals import period_s, rms
 from kneexo.diagrams import make_closed_loop
-from kneexo.errors import ParameterError, SimulationError
+from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.quantity import Parameters
 from kneexo.result import Result
@@ -138,7 +138,8 @@ def tracking_sensitivities(
     simulator = Simulator_[AutoDiffXd](diagram)
     context = simulator.get_mutable_context()
     set_loop_parameters(diagram, context, seeded)
-    context.SetContinuousState(np.array([AutoDiffXd(0.0) + v for v in start_state(seeded)]))
+    start = start_state(seeded, context.num_continuous_states())
+    context.SetContinuousState(np.array([AutoDiffXd(0.0) + value for value in start]))
     if step_s is None:
         step_s = 5e-4 if scenario.plant.full_order is None else 5e-5
     ApplySimulatorConfig(
@@ -220,7 +221,9 @@ def loop_sensitivities(
             above, below = (rates(end, count, moves, seeded) for end in ends)
             change[:, index] += weight * (above - below) / (2.0 * steps * step)
     loop = linearize_loop(fixed, knee_angle_deg)
-    held, live = held_and_live(joint[:, :size], n)
+    held, command, live = command_and_live(joint[:, :size], n)
+    if np.count_nonzero(command) > 1:
+        raise LinearizationError("controller: must hold its command in one discrete state")
     figures = {"largest_eigenvalue": float(abs(loop.eigenvalues[0]))}
     if loop.stable:
         margins = loop.margins()

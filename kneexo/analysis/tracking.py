@@ -19,6 +19,7 @@ from kneexo.simulation.run import Array, Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pydrake.systems.framework import Diagram
 
 TRACKING_SIGNALS = (
     "knee_reference",
@@ -258,14 +259,16 @@ def track(
     *,
     all_signals: bool = False,
     progress: Callable[[float], Any] | None = None,
+    diagram: Diagram | None = None,
 ) -> Steps[TrackingResult]:
     """Simulate a scenario and measure how it tracks.
 
-    ``all_signals`` logs every signal, not only those of the metrics. Raises what
+    ``all_signals`` logs every signal, not only those of the metrics. ``diagram``: see
+    `kneexo.simulation.simulate`; the scenario tells period, limits and ratings too. Raises what
     `kneexo.analysis.simulate` raises.
     """
     signals = None if all_signals else TRACKING_SIGNALS
-    run = yield from steps(simulate, scenario, signals=signals, progress=progress)
+    run = yield from steps(simulate, scenario, signals=signals, progress=progress, diagram=diagram)
     metrics = tracking_metrics(
         run.time_s,
         run["knee_reference_rad"] - run["knee_angle_rad"],

@@ -9,6 +9,7 @@ from typing import Any
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import linkage, systems
+from kneexo.diagrams.part import Part, add_parts, connect
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     KneeLoadParameters,
@@ -16,6 +17,13 @@ from kneexo.parameters import (
     PlantParameters,
     RodPolynomialParameters,
     SineReference,
+)
+from kneexo.systems import (
+    bldc_pump,
+    four_bar_knee,
+    full_cylinder,
+    knee_load,
+    reduced_cylinder,
 )
 from kneexo.systems.four_bar_knee import knee_kinematics
 from kneexo.systems.full_cylinder import holding_pressures
@@ -56,27 +64,22 @@ def make_plant(
     when the linkage cannot be assembled. Without load the derivatives do
     not depend on the knee, so its kinematics cost nothing between outputs.
     """
-    extension, force = plant_start(parameters, initial_knee_angle_rad, initial_offset_m, table_1)
     builder = DiagramBuilder()
-    motor = builder.AddNamedSystem(
-        "motor", systems.BldcPump(parameters.pump, parameters.ideal_motor)
+    part = add_parts(
+        builder, plant_parts(parameters, initial_knee_angle_rad, initial_offset_m, table_1)
     )
-    cylinder = builder.AddNamedSystem("cylinder", _cylinder(parameters, extension, force))
-    knee = builder.AddNamedSystem(
-        "knee",
-        systems.FourBarKnee(parameters.linkage, parameters.knee, _rod_map(parameters, table_1)),
-    )
-    _connect(builder, motor, "load_flow", cylinder, "load_flow")
-    _connect(builder, cylinder, "load_pressure", motor, "load_pressure")
-    _connect(builder, cylinder, "rod_extension", knee, "rod_extension")
+    motor, cylinder, knee = (part[name] for name in ("motor", "cylinder", "knee"))
+    connect(builder, motor, "load_flow", cylinder, "load_flow")
+    connect(builder, cylinder, "load_pressure", motor, "load_pressure")
+    connect(builder, cylinder, "rod_extension", knee, "rod_extension")
     builder.ExportInput(motor.GetInputPort("motor_speed_command"), "motor_speed_command")
-    if isinstance(parameters.load, KneeLoadParameters):
-        knee_load = builder.AddNamedSystem("load", systems.KneeLoad(parameters.load))
-        _connect(builder, knee, "knee_angle", knee_load, "knee_angle")
-        _connect(builder, knee, "moment_arm", knee_load, "moment_arm")
-        _connect(builder, knee_load, "load_force", cylinder, "load_force")
+    if "load" in part:
+        load = part["load"]
+        connect(builder, knee, "knee_angle", load, "knee_angle")
+        connect(builder, knee, "moment_arm", load, "moment_arm")
+        connect(builder, load, "load_force", cylinder, "load_force")
         for name in ("disturbance_force", "knee_torque"):
-            builder.ExportInput(knee_load.GetInputPort(name), name)
+            builder.ExportInput(load.GetInputPort(name), name)
     else:
         builder.ExportInput(cylinder.GetInputPort("load_force"), "disturbance_force")
     for system in (knee, cylinder, motor):
@@ -87,6 +90,65 @@ def make_plant(
     plant = builder.Build()
     plant.set_name("plant")
     return plant
+
+
+def plant_parts(
+    parameters: PlantParameters,
+    initial_knee_angle_rad: float,
+    initial_offset_m: float,
+    table_1: RodPolynomialParameters,
+) -> list[Part]:
+    """The leaf systems of `make_plant`."""
+    cylinder, full_order, load = parameters.cylinder, parameters.full_order, parameters.load
+    rod_map = _rod_map(parameters, table_1)
+    fit = linkage.fit_rod_inverse(parameters.linkage, rod_map)
+    external_leakage = parameters.pump.external_leakage_m3_per_s_pa
+
+    def make_cylinder() -> Any:
+        """The cylinder at rest, its pressures holding load and spring."""
+        extension, force = plant_start(
+            parameters, initial_knee_angle_rad, initial_offset_m, table_1
+        )
+        pressures = start_pressures_pa(parameters, force)
+        if full_order is None:
+            return systems.ReducedCylinder(cylinder, extension, *pressures)
+        return systems.FullCylinder(cylinder, full_order, extension, pressures, external_leakage)
+
+    parts = [
+        Part(
+            "motor",
+            lambda: systems.BldcPump(parameters.pump, parameters.ideal_motor),
+            bldc_pump.context_values(parameters.pump),
+        ),
+        Part(
+            "cylinder",
+            make_cylinder,
+            reduced_cylinder.context_values(cylinder)
+            if full_order is None
+            else full_cylinder.context_values(cylinder, full_order, external_leakage),
+        ),
+        Part(
+            "knee",
+            lambda: systems.FourBarKnee(parameters.linkage, parameters.knee, rod_map),
+            four_bar_knee.context_values(parameters.linkage, parameters.knee, fit)
+            | _polynomial_values(fit),
+        ),
+    ]
+    if isinstance(load, KneeLoadParameters):
+        values = knee_load.context_values(load)
+        parts.append(Part("load", lambda: systems.KneeLoad(load), values))
+    return parts
+
+
+@lru_cache(maxsize=64)
+def _polynomial_values(fit: linkage.RodInverse) -> dict[str, float]:
+    """The vectors of Context parameters that follow the first one of `FourBarKnee`."""
+    vectors = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
+    return {
+        f"{group}[{i}]": value
+        for group, vector in enumerate(vectors, 1)
+        for i, value in enumerate(vector)
+    }
 
 
 def _rod_map(
@@ -143,18 +205,3 @@ def start_pressures_pa(parameters: PlantParameters, force: float) -> tuple[float
         rod_side_area=cylinder.rod_side_area_m2,
         reservoir=full_order.reservoir_pressure_pa,
     )
-
-
-def _cylinder(parameters: PlantParameters, extension: float, force: float) -> Any:
-    """The cylinder at rest at ``extension`` (m), its pressures holding ``force`` (N)."""
-    cylinder, full_order = parameters.cylinder, parameters.full_order
-    pressures = start_pressures_pa(parameters, force)
-    if full_order is None:
-        return systems.ReducedCylinder(cylinder, extension, *pressures)
-    return systems.FullCylinder(
-        cylinder, full_order, extension, pressures, parameters.pump.external_leakage_m3_per_s_pa
-    )
-
-
-def _connect(builder: Any, source: Any, output: str, target: Any, input_: str) -> None:
-    builder.Connect(source.GetOutputPort(output), target.GetInputPort(input_))

@@ -14,6 +14,7 @@ one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
 """
 
 from kneexo.parameters.control import (
+    CustomControllerParameters,
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
@@ -62,6 +63,7 @@ __all__ = [
     "UNCERTAIN_KNEE",
     "BldcPumpParameters",
     "CsvReference",
+    "CustomControllerParameters",
     "CylinderParameters",
     "DifferenceParameters",
     "EncoderParameters",

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import field_validator, model_validator
 
-from kneexo.parameters.plant import (
-    RPM,
-)
+from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
 
 
 class EncoderParameters(Parameters):
     """Rotary encoder AMT203-V on link 4."""
 
-    counts_per_revolution: int = Field(
-        default=4096,
-        ge=2,
-        le=2**24,
-        json_schema_extra={"unit": "1", "source": "Section 2: AMT203-V, 12 bit"},
-    )
+    counts_per_revolution: int = quantity(4096, "1", "Section 2: AMT203-V, 12 bit", ge=2, le=2**24)
     quantized: bool = choice(True, "False bypasses the quantizer, as linearization must")
     mounting_error_rad: float = quantity(
         0.0,
@@ -69,14 +62,25 @@ class ExactParameters(Parameters):
     kind: Literal["exact"] = "exact"
 
 
-_SAMPLE_TIME = "Table 3: interrupt time"
+def _sample_time() -> Any:
+    return quantity(0.002, "s", "Table 3: interrupt time", ge=1e-5, le=1)
+
+
+def _command_limit() -> Any:
+    return quantity(
+        5000.0 * RPM,
+        "rad/s",
+        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
+        ge=1e-3,
+        le=1e12,
+    )
 
 
 class SlidingModeParameters(Parameters):
     """Sliding-mode controller (Eq. 20–27)."""
 
     kind: Literal["smc"] = "smc"
-    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, ge=1e-5, le=1)
+    sample_time_s: float = _sample_time()
     continuous: bool = choice(
         False, "True: continuous time, as in the ideal simulation of Fig. 9; needs exact states"
     )
@@ -113,13 +117,7 @@ class SlidingModeParameters(Parameters):
         ge=0,
         le=1,
     )
-    command_limit_rad_s: float = quantity(
-        5000.0 * RPM,
-        "rad/s",
-        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
-        ge=1e-3,
-        le=1e12,
-    )
+    command_limit_rad_s: float = _command_limit()
 
     @property
     def mass_estimate_kg(self) -> float:
@@ -145,7 +143,7 @@ class PidParameters(Parameters):
     """PID controller on the knee angle; the output is a motor speed."""
 
     kind: Literal["pid"] = "pid"
-    sample_time_s: float = quantity(0.002, "s", _SAMPLE_TIME, ge=1e-5, le=1)
+    sample_time_s: float = _sample_time()
     proportional_per_s: float = quantity(
         5.0,
         "1/s",
@@ -178,13 +176,7 @@ class PidParameters(Parameters):
         ge=1e-3,
         le=2,
     )
-    command_limit_rad_s: float = quantity(
-        5000.0 * RPM,
-        "rad/s",
-        "Table 2: u <= 5000 rpm; the motor's own limit holds where it is lower",
-        ge=1e-3,
-        le=1e12,
-    )
+    command_limit_rad_s: float = _command_limit()
 
     @model_validator(mode="after")
     def _anti_windup_is_stable(self) -> PidParameters:
@@ -194,3 +186,46 @@ class PidParameters(Parameters):
                 f"{self.sample_time_s:g} s"
             )
         return self
+
+
+class CustomControllerParameters(Parameters):
+    """A controller of the user's own: a Drake system in place of ours.
+
+    ``make`` names a function as ``module:function``; a function itself is accepted too. It gets
+    what a controller may know of the scenario, and returns a system with the ports of
+    `kneexo.diagrams.make_controller`. ``values`` are numbers for it, which ``--set``, uncertainty
+    sets and the contest reach as ``controller.values.NAME``.
+    """
+
+    kind: Literal["custom"] = "custom"
+    make: str = choice(..., "given by the user: module:function that makes the controller")
+    values: dict[str, float] = choice({}, "given by the user: numbers for the controller, by name")
+    sample_time_s: float = quantity(
+        0.002, "s", "given by the user: the controller's period, that of the log", ge=1e-5, le=1
+    )
+    command_limit_rad_s: float = quantity(
+        5000.0 * RPM,
+        "rad/s",
+        "given by the user; by default as that of the other controllers",
+        ge=1e-3,
+        le=1e12,
+    )
+
+    def __hash__(self) -> int:
+        """Of all values; a mapping has no hash of its own."""
+        values = tuple(sorted(self.values.items()))
+        return hash((self.make, values, self.sample_time_s, self.command_limit_rad_s))
+
+    @field_validator("make", mode="before")
+    @classmethod
+    def _named(cls, make: Any) -> Any:
+        """A function by its name."""
+        return f"{make.__module__}:{make.__qualname__}" if callable(make) else make
+
+    @field_validator("make")
+    @classmethod
+    def _has_both_names(cls, make: str) -> str:
+        module, _, function = make.partition(":")
+        if not module or not all(name.isidentifier() for name in function.split(".")):
+            raise ValueError(f"{make!r}: must be module:function")
+        return make

@@ -9,10 +9,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from kneexo.errors import ParameterError
-from kneexo.parameters.quantity import (
-    Parameters,
-    models_of,
-)
+from kneexo.parameters.quantity import Parameters, models_of
 from kneexo.parameters.scenario import Scenario
 from kneexo.parameters.uncertainty import Uncertainty, UncertaintySet
 
@@ -38,7 +35,7 @@ def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
             holder = part
             if not isinstance(holder, dict):
                 break
-        # A wrong name in an existing mapping is found by the validation below.
+        # The validation below reports a wrong name in an existing mapping.
         if not isinstance(holder, dict):
             what = "this scenario has" if isinstance(scenario, Scenario) else "there is"
             raise ParameterError(f"{path}: {what} no {path.rpartition('.')[0]}")
@@ -57,7 +54,9 @@ def applicable(
     """
     values = uncertainty.values
     kept = {
-        path: one for path, one in values.items() if require_applicable(scenario, path, one, values)
+        path: value
+        for path, value in values.items()
+        if require_applicable(scenario, path, value, values)
     }
     if not kept:
         raise ParameterError(
@@ -67,16 +66,19 @@ def applicable(
 
 
 def require_applicable(
-    scenario: Scenario, path: str, one: Uncertainty, paths: Iterable[str]
+    scenario: Scenario, path: str, uncertainty: Uncertainty, paths: Iterable[str]
 ) -> bool:
-    """Whether the scenario has that uncertain value; raises what `applicable` raises."""
+    """Whether the scenario has that uncertain value; raises what `applicable` raises.
+
+    ``paths``: those of the whole set, of which none may lie within another.
+    """
     if within := next((other for other in paths if path.startswith(f"{other}.")), None):
         raise ParameterError(f"{path}: lies within {within}, which is uncertain too")
-    if one.known and not path.startswith("plant."):
+    if uncertainty.known and not path.startswith("plant."):
         raise ParameterError(f"{path}: known is for values of the plant")
     if not _has(scenario, path) and _known(path):
         return False
-    for value in one.options or (one.low, one.high):
+    for value in uncertainty.options or (uncertainty.low, uncertainty.high):
         try:
             changed(scenario, {path: value})
         except ParameterError as error:

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.parameters.linkages import G1, LINKAGES, LinkageParameters
-from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
 
 RPM = 2.0 * math.pi / 60.0
 """One revolution per minute in rad/s."""
@@ -240,23 +240,25 @@ class KneeParameters(Parameters):
         return self
 
 
-_Coefficient = Annotated[float, Field(ge=-1e4, le=1e4)]
+_Six = tuple[float, float, float, float, float, float]
+
+
+def _coefficients(default: _Six, unit: str, source: str) -> Any:
+    return quantities(default, unit, source, ge=-1e4, le=1e4, min_length=None)
 
 
 class RodPolynomialParameters(Parameters):
     """Eq. 10 and 11 with Table 1: the controller's map from knee angle (deg) to rod (mm)."""
 
-    p_mm_deg: tuple[
-        _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient
-    ] = Field(
-        default=(1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0),
-        json_schema_extra={"unit": "mm/deg^n", "source": "Table 1: p_1 … p_6 of Eq. 10"},
+    p_mm_deg: _Six = _coefficients(
+        (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0),
+        "mm/deg^n",
+        "Table 1: p_1 … p_6 of Eq. 10",
     )
-    q_deg_mm: tuple[
-        _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient
-    ] = Field(
-        default=(-1.807e-9, 5.788e-7, -7.285e-5, 0.004161, -0.6389, 91.73),
-        json_schema_extra={"unit": "deg/mm^n", "source": "Table 1: q_1 … q_6 of Eq. 11"},
+    q_deg_mm: _Six = _coefficients(
+        (-1.807e-9, 5.788e-7, -7.285e-5, 0.004161, -0.6389, 91.73),
+        "deg/mm^n",
+        "Table 1: q_1 … q_6 of Eq. 11",
     )
 
     @property

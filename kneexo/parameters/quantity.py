@@ -7,11 +7,19 @@ one line.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+from typing import TYPE_CHECKING, Any, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationError,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 
 from kneexo.errors import ParameterError
@@ -26,10 +34,44 @@ def quantity(
     gt: float | None = None,
     le: float | None = None,
 ) -> Any:
-    """A pydantic field for one physical number, with its unit, range and provenance."""
+    """A pydantic field for one number, real or integer, with its unit, range and provenance."""
     return Field(
         default=default, ge=ge, gt=gt, le=le, json_schema_extra={"unit": unit, "source": source}
     )
+
+
+def quantities(
+    default: tuple[float, ...],
+    unit: str,
+    source: str,
+    *,
+    ge: float | None = None,
+    le: float | None = None,
+    min_length: int | None = 1,
+) -> Any:
+    """A pydantic field for a tuple of physical numbers; ``ge`` and ``le`` hold for each of them.
+
+    ``min_length`` is None where the annotation fixes the length.
+    """
+    field: Any = Field(
+        default=default, min_length=min_length, json_schema_extra={"unit": unit, "source": source}
+    )
+    field.metadata.append(_ElementRange(ge, le))
+    return field
+
+
+@dataclass(frozen=True)
+class _ElementRange:
+    """The range of each number of a tuple, where pydantic's own bounds are those of the tuple."""
+
+    ge: float | None
+    le: float | None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        schema: Any = handler(source)
+        bounds = {key: bound for key, bound in vars(self).items() if bound is not None}
+        items = [number | bounds for number in schema["items_schema"]]
+        return schema | {"items_schema": items}
 
 
 def choice(default: Any, source: str) -> Any:
@@ -37,29 +79,20 @@ def choice(default: Any, source: str) -> Any:
     return Field(default=default, json_schema_extra={"unit": "", "source": source})
 
 
-Positive = tuple[Annotated[float, Field(ge=1e-6, le=1e9)], ...]
-"""Type of a field made by `positive_values`."""
-
-
 def positive_values(default: tuple[float, ...], unit: str, source: str) -> Any:
     """A pydantic field for the numbers above zero that a study tries, with their provenance."""
-    return Field(default=default, min_length=1, json_schema_extra={"unit": unit, "source": source})
+    return quantities(default, unit, source, ge=1e-6, le=1e9)
 
 
 def allowed_range(field: FieldInfo) -> str:
     """The range of a field, or of its elements, as text, for instance ``>= 0 and <= 150``."""
-    lower = upper = ""
-    elements = get_args(field.annotation)[:1]
-    # Annotated[float, Field(…)] has the field in its __metadata__.
-    of_elements = [b for e in elements for f in getattr(e, "__metadata__", ()) for b in f.metadata]
-    for bound in (*of_elements, *field.metadata):
-        if getattr(bound, "ge", None) is not None:
-            lower = f">= {bound.ge:g}"
-        if getattr(bound, "gt", None) is not None:
-            lower = f"> {bound.gt:g}"
-        if getattr(bound, "le", None) is not None:
-            upper = f"<= {bound.le:g}"
-    return " and ".join(part for part in (lower, upper) if part)
+    bounds = [
+        f"{sign} {getattr(bound, key):g}"
+        for key, sign in (("ge", ">="), ("gt", ">"), ("le", "<="))
+        for bound in field.metadata
+        if getattr(bound, key, None) is not None
+    ]
+    return " and ".join(bounds)
 
 
 def unit_of(field: FieldInfo) -> str:
@@ -160,15 +193,15 @@ def _kind(model: type[BaseModel]) -> object:
 
 def models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
     """The parameter classes that a field may hold."""
-    found: list[type[BaseModel]] = []
+    models: list[type[BaseModel]] = []
     pending: list[Any] = [] if field is None else [field.annotation]
     while pending:
         annotation = pending.pop(0)
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            found.append(annotation)
+            models.append(annotation)
         else:
             pending.extend(getattr(annotation, "__args__", ()))
-    return tuple(found)
+    return tuple(models)
 
 
 def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldInfo | None:

@@ -195,23 +195,15 @@ class GaitReference(Parameters):
 
     kind: Literal["gait"] = "gait"
     frequency_hz: float = quantity(1.0, "Hz", "assumption: strides per second", gt=0, le=10)
-    cycles: int = Field(
-        default=30,
-        ge=1,
-        le=1000,
-        json_schema_extra={
-            "unit": "1",
-            "source": "assumption: 30 s at 1 Hz, a default run",
-        },
-    )
+    cycles: int = quantity(30, "1", "assumption: 30 s at 1 Hz, a default run", ge=1, le=1000)
 
 
 def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReference:
     """The measured knee flexion as a periodic reference, ``cycles`` strides long.
 
-    It starts and ends at the least flexion, where the knee is at rest (`gait_start_percent`), at
-    t = 0. A straight line is taken from the curve that closes it: it moves no sample by more than
-    0.03°, a twentieth of the standard deviation. The loop settles during the first stride.
+    It starts at t = 0 and ends at the least flexion, where the knee is at rest
+    (`gait_start_percent`). Subtracting a straight line closes the curve; it moves no sample by more
+    than 0.03°, a twentieth of the standard deviation. The loop settles during the first stride.
 
     Parameters
     ----------
@@ -239,17 +231,21 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
 
 
 def read_reference(value: Any, directory: Any) -> Any:
-    """References that are named, as the samples that they stand for."""
+    """Samples of a reference that a name or a CSV file stands for; other values unchanged.
+
+    ``directory``: what the name of a CSV file is relative to. Raises `ParameterError` for a faulty
+    file or value, `ValueError` for an unknown name.
+    """
     if isinstance(value, str):
         if value != "gait":
             raise ValueError(f"{value!r} must be gait, or a mapping")
         value = GaitReference()
     if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
-        given = CsvReference if value["kind"] == "csv" else GaitReference
+        cls = CsvReference if value["kind"] == "csv" else GaitReference
         try:
-            value = given(**value)
+            value = cls(**value)
         except ParameterError as error:
-            raise ParameterError(str(error).removeprefix(f"{given.__name__}: ")) from None
+            raise ParameterError(str(error).removeprefix(f"{cls.__name__}: ")) from None
     if isinstance(value, CsvReference):
         return value.samples(directory)
     if isinstance(value, GaitReference):

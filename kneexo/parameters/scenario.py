@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kneexo.parameters.control import (
+    CustomControllerParameters,
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
@@ -14,16 +15,9 @@ from kneexo.parameters.control import (
     PidParameters,
     SlidingModeParameters,
 )
-from kneexo.parameters.plant import (
-    PlantParameters,
-    RodPolynomialParameters,
-)
+from kneexo.parameters.plant import PlantParameters, RodPolynomialParameters
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.reference import (
-    Reference,
-    SineReference,
-    read_reference,
-)
+from kneexo.parameters.reference import Reference, SineReference, read_reference
 
 
 class SimulationParameters(Parameters):
@@ -60,7 +54,7 @@ class SimulationParameters(Parameters):
         return self.integrator in ("exact_hold", "rk4")
 
     def with_drake(self) -> SimulationParameters:
-        """The same for Drake's Simulator: with radau3 if the integrator is not one of Drake's."""
+        """The same for Drake's Simulator: radau3 replaces an integrator that Drake lacks."""
         return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
 
 
@@ -77,17 +71,12 @@ class Scenario(Parameters):
     estimator: Annotated[
         ObserverParameters | DifferenceParameters | ExactParameters, Field(discriminator="kind")
     ] = ObserverParameters()
-    controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")] = (
-        SlidingModeParameters()
-    )
-    can_delay_samples: int = Field(
-        default=0,
-        ge=0,
-        le=10,
-        json_schema_extra={
-            "unit": "samples",
-            "source": "assumption: latency of the CAN bus from controller to motor",
-        },
+    controller: Annotated[
+        SlidingModeParameters | PidParameters | CustomControllerParameters,
+        Field(discriminator="kind"),
+    ] = SlidingModeParameters()
+    can_delay_samples: int = quantity(
+        0, "samples", "assumption: latency of the CAN bus from controller to motor", ge=0, le=10
     )
     reference: Reference = SineReference()
     initial_offset_m: float = quantity(
@@ -96,7 +85,7 @@ class Scenario(Parameters):
     simulation: SimulationParameters = SimulationParameters()
 
     def with_engine(self, engine: Literal["compiled", "drake"] | None) -> Scenario:
-        """The same run by the compiled engine or Drake's Simulator; None: by what it asks for."""
+        """The same run by the compiled engine or Drake's Simulator; unchanged for None."""
         if engine is None or (engine == "compiled") == self.simulation.compiled:
             return self
         integrator = "exact_hold" if engine == "compiled" else "radau3"
@@ -112,9 +101,8 @@ class Scenario(Parameters):
     @property
     def command_limit_rad_s(self) -> float:
         """Limit of the command: the controller's, or the believed motor's where that is lower."""
-        pump = self.believed_plant
-        own = self.controller.command_limit_rad_s
-        return own if pump.ideal_motor else min(own, pump.pump.speed_limit_rad_s)
+        limit, plant = self.controller.command_limit_rad_s, self.believed_plant
+        return limit if plant.ideal_motor else min(limit, plant.pump.speed_limit_rad_s)
 
     @property
     def believed_plant(self) -> PlantParameters:

@@ -7,10 +7,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kneexo.parameters.plant import (
-    KneeLoadParameters,
-    PlantParameters,
-)
+from kneexo.parameters.plant import KneeLoadParameters, PlantParameters
 from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.scenario import Scenario
 
@@ -104,7 +101,7 @@ UNCERTAINTY = UncertaintySet(
         ),
     }
 )
-"""The uncertainty that a controller of this knee must survive: ``kneexo robustness``."""
+"""Default uncertainty of ``kneexo robustness`` and ``kneexo study contest``."""
 
 UNCERTAIN_KNEE = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
 """The paper's setup under the weight of the shank: what `UNCERTAINTY` varies."""

@@ -16,48 +16,39 @@ from functools import cache, lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
-from typing import Any, get_origin
+from typing import Any, NamedTuple, get_origin
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kneexo import linkage
 from kneexo.compilation.equations import Equations, Node, read_equations
-from kneexo.compilation.machine_code import MachineCode
-from kneexo.compilation.model import CompiledModel, Simulation, set_parameters
+from kneexo.compilation.machine_code import MachineCode, equations_key
+from kneexo.compilation.model import (
+    CompiledModel,
+    Simulation,
+    parameters_of,
+    set_parameters,
+    state_of,
+)
 from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, State
 from kneexo.compilation.trajectories import input_table
-from kneexo.diagrams.closed_loop import (
-    SIGNALS,
-    chosen_signals,
-    columns,
-    encoder_offset_rad,
-    make_closed_loop,
-)
+from kneexo.diagrams.closed_loop import loop_values, make_closed_loop
+from kneexo.diagrams.controller import known_to_controller, make_controller
 from kneexo.diagrams.plant import plant_start, start_pressures_pa
+from kneexo.diagrams.signals import SIGNALS, chosen_signals, columns
 from kneexo.errors import KneexoError, SimulationError
 from kneexo.parameters import (
-    KneeLoadParameters,
-    ObserverParameters,
+    CustomControllerParameters,
     SampledReference,
     Scenario,
-    SlidingModeParameters,
 )
 from kneexo.parameters.quantity import Parameters, models_of
 from kneexo.simulation.run import Run
 from kneexo.systems import (
-    bldc_pump,
-    four_bar_knee,
-    full_cylinder,
-    knee_coordinates,
-    knee_load,
     knee_reference,
-    pid_controller,
-    reduced_cylinder,
-    sliding_mode_controller,
 )
-from kneexo.systems.reduced_cylinder import PA_PER_MPA
+from kneexo.systems.cylinder import PA_PER_MPA
 
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (
@@ -113,6 +104,9 @@ def structure_key(scenario: Scenario) -> str:
     kept.pop("simulation", None)  # says how to run, not what
     if isinstance(scenario.reference, SampledReference):
         kept["reference"] = scenario.reference.kind  # an input, however it is interpolated
+    if isinstance(scenario.controller, CustomControllerParameters):
+        # Its numbers may be anywhere in its equations.
+        kept["controller"] = scenario.controller.sample_time_s, _custom(scenario).key
     return _key(tuple(kept.items()))
 
 
@@ -182,19 +176,62 @@ def _equations(key: str, scenario: Scenario) -> Equations:
     return read_equations(_diagram(key, scenario), inputs)
 
 
+class _Custom(NamedTuple):
+    """What a compiled loop needs of a custom controller."""
+
+    key: str
+    """Of its equations."""
+    values: dict[str, float]
+    """Context parameters, by their names in the closed loop."""
+    state: dict[str, float]
+    """Default continuous and discrete states, in the same way."""
+
+
+_customs: dict[str, _Custom] = {}
+
+
+def _custom(scenario: Scenario) -> _Custom:
+    key = known_to_controller(scenario).model_dump_json()
+    with _lock:
+        if key not in _customs:
+            controller = make_controller(scenario)
+            ports = map(controller.get_input_port, range(controller.num_input_ports()))
+            equations = read_equations(controller, tuple(port.get_name() for port in ports))
+            root, context = Node(controller), controller.CreateDefaultContext()
+
+            def named(names: Sequence[str], values: Array) -> dict[str, float]:
+                paths = (n if n.startswith(".") else f"/{n}" for n in names)  # a leaf has no path
+                return dict(zip((f"controller{p}" for p in paths), values.tolist(), strict=True))
+
+            state = state_of(root, context)
+            _customs[key] = _Custom(
+                equations_key(equations),
+                named(equations.parameters, parameters_of(root, context)),
+                named(equations.states, state.continuous) | named(equations.held, state.held),
+            )
+        return _customs[key]
+
+
 # --------------------------------------------------------------- parameters, state, inputs
 
 
 def scenario_values(scenario: Scenario) -> dict[str, float]:
     """Every Context parameter of the closed loop, by its name in the compiled model."""
-    return {
-        f"{path}{name}": value for path, named in _values(scenario) for name, value in named.items()
+    values = {
+        f"{path}.{name}": value
+        for path, values in loop_values(scenario)
+        for name, value in values.items()
     }
+    if isinstance(scenario.controller, CustomControllerParameters):
+        values |= _custom(scenario).values
+    return values
 
 
 def _parameters(scenario: Scenario, model: CompiledModel) -> Array:
     """`scenario_values` in the order of the model's parameters."""
-    groups = [named.values() for _, named in _values(scenario)]
+    groups = [values.values() for _, values in loop_values(scenario)]
+    if isinstance(scenario.controller, CustomControllerParameters):
+        groups.append(_custom(scenario).values.values())
     values = np.array([value for group in groups for value in group], dtype=float)
     if model not in _orders:  # a model has one structure, and so one order of the values
         place = {name: n for n, name in enumerate(scenario_values(scenario))}
@@ -205,57 +242,8 @@ def _parameters(scenario: Scenario, model: CompiledModel) -> Array:
 _orders: WeakKeyDictionary[CompiledModel, NDArray[np.intp]] = WeakKeyDictionary()
 
 
-def _values(scenario: Scenario) -> list[tuple[str, dict[str, float]]]:
-    """Values by name, for each prefix of names."""
-    plant, believed = scenario.plant, scenario.believed_plant
-    table_1 = scenario.polynomial if plant.rod_map == "polynomial" else None
-    fit = linkage.fit_rod_inverse(plant.linkage, table_1)
-    systems = {
-        "plant/motor": bldc_pump.context_values(plant.pump),
-        "plant/knee": four_bar_knee.context_values(plant.linkage, plant.knee, fit),
-        "rod_reference": knee_coordinates.rod_polynomial_values(scenario.polynomial),
-        "coordinates": knee_coordinates.context_values(
-            believed.linkage,
-            scenario.polynomial,
-            encoder_offset_rad(scenario),
-        ),
-    }
-    if plant.full_order is None:
-        systems["plant/cylinder"] = reduced_cylinder.context_values(plant.cylinder)
-    else:
-        systems["plant/cylinder"] = full_cylinder.context_values(
-            plant.cylinder, plant.full_order, plant.pump.external_leakage_m3_per_s_pa
-        )
-    if isinstance(plant.load, KneeLoadParameters):
-        systems["plant/load"] = knee_load.context_values(plant.load)
-    law, limit = scenario.controller, scenario.command_limit_rad_s
-    if limit != law.command_limit_rad_s:
-        law = law.model_copy(update={"command_limit_rad_s": limit})
-    if isinstance(law, SlidingModeParameters):
-        systems["controller"] = sliding_mode_controller.context_values(law, believed)
-    else:
-        systems["controller"] = pid_controller.context_values(law, believed)
-    if isinstance(scenario.estimator, ObserverParameters):
-        systems["estimator"] = {"time_constant_s": scenario.estimator.time_constant_s}
-    if not isinstance(scenario.reference, SampledReference):
-        systems["reference"] = knee_reference.context_values(scenario.reference)
-
-    fitted = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
-    return [
-        *((f"{path}.", named) for path, named in systems.items()),
-        *(("plant/knee.", _numbered(group, values)) for group, values in enumerate(fitted, 1)),
-        # The second is Drake's calibration offset.
-        ("", {"encoder_phase.0[0]": -scenario.encoder.phase_rad, "encoder.0[0]": 0.0}),
-    ]
-
-
-@lru_cache(maxsize=64)
-def _numbered(group: int, values: tuple[float, ...]) -> dict[str, float]:
-    return {f"{group}[{i}]": value for i, value in enumerate(values)}
-
-
 def scenario_start(scenario: Scenario) -> dict[str, float]:
-    """The continuous states that do not start at zero, by name.
+    """The states that do not start at zero, by name.
 
     Raises `ParameterError` as `make_plant` does.
     """
@@ -266,9 +254,12 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
         scenario.polynomial,
     )
     pressures = start_pressures_pa(scenario.plant, force)
-    return {"plant/cylinder.x[0]": extension} | {
+    start = {"plant/cylinder.x[0]": extension} | {
         f"plant/cylinder.x[{2 + i}]": pressure / PA_PER_MPA for i, pressure in enumerate(pressures)
     }
+    if isinstance(scenario.controller, CustomControllerParameters):
+        start |= _custom(scenario).state
+    return start
 
 
 _NO_INPUTS = InputTable()
@@ -294,7 +285,7 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     parameters, start = _parameters(scenario, model), scenario_start(scenario)
     state = State(
         np.array([start.get(name, 0.0) for name in model.state_names]),
-        np.zeros(len(model.held_names)),
+        np.array([start.get(name, 0.0) for name in model.held_names]),
     )
     inputs = reference_table(reference) if isinstance(reference, SampledReference) else _NO_INPUTS
     return parameters, model.initialized(parameters, state, inputs), inputs

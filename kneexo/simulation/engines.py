@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
+import numpy as np
+from pydrake.systems.framework import Diagram
+
+from kneexo.compilation.model import DiagramModel, compile_diagram
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.errors import KneexoError, ParameterError, StiffnessError
 from kneexo.parameters import Scenario
@@ -21,6 +26,7 @@ class RunRequest:
     scenario: Scenario
     signals: Sequence[str] | None = None
     progress: Callable[[float], Any] | None = None
+    diagram: Diagram | None = None
 
 
 LARGEST_BATCH = 32
@@ -48,6 +54,8 @@ def answers(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | Kne
         settings = request.scenario.simulation
         if fault := _too_large(request):
             yield index, fault
+        elif request.diagram is not None:
+            yield index, _diagram_run(request, request.diagram)
         elif settings.compiled:
             signals = None if request.signals is None else tuple(request.signals)
             way = (settings.integrator, settings.step_s, settings.tolerance)
@@ -113,6 +121,44 @@ def _drake_run(request: RunRequest) -> Run | KneexoError:
         return error
 
 
+def _diagram_run(request: RunRequest, diagram: Diagram) -> Run | KneexoError:
+    """Run a closed loop of the user's own, compiled; without names all its `SIGNALS`."""
+    settings, names = request.scenario.simulation, request.signals
+    if names is None:
+        names = [name for name in SIGNALS if diagram.HasOutputPort(name)]
+    try:
+        for name in names:
+            if name not in SIGNALS or not diagram.HasOutputPort(name):
+                raise ParameterError(f"{diagram.get_name()}: has no output port {name!r}")
+        if not settings.compiled:
+            raise ParameterError(
+                f"simulation.integrator = {settings.integrator}: a diagram is run compiled, must "
+                f"be exact_hold or rk4; simulate_diagram runs it through Drake"
+            )
+        if diagram not in _models:
+            _models[diagram] = compile_diagram(diagram)
+        model = _models[diagram]
+        parameters = model.parameters()
+        run = model.simulate(
+            parameters,
+            model.initialized(parameters, model.state()),
+            settings.duration_s,
+            outputs=names,
+            record_period_s=request.scenario.controller.sample_time_s,
+            integrator=settings.integrator,
+            step_s=settings.step_s,
+            tolerance=settings.tolerance,
+        )
+    except KneexoError as error:
+        return error
+    values = np.column_stack([run[name] for name in names])
+    data = dict(zip(columns(names), values.T, strict=True))
+    return Run(run.time_s, data, settings)
+
+
+_models: WeakKeyDictionary[Diagram, DiagramModel] = WeakKeyDictionary()
+
+
 def _compiled_runs(
     requests: Mapping[int, RunRequest], indices: Sequence[int], signals: Any, way: Any
 ) -> Iterator[tuple[int, Run | KneexoError]]:
@@ -153,11 +199,15 @@ def simulate(
     *,
     signals: Sequence[str] | None = None,
     progress: Callable[[float], Any] | None = None,
+    diagram: Diagram | None = None,
 ) -> Steps[Run]:
     """Run the closed loop of ``scenario``; all available signals by default.
+
+    ``diagram``: a closed loop of the user's own, with output ports of `kneexo.diagrams.SIGNALS`, in
+    place of the scenario's, which then only tells sample time of the log and integrator.
 
     ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator.
     Where the exact hold cannot follow, RK4 with steps of 20 µs goes on in its place (the run's
     ``settings`` say so). Raises what `make_closed_loop` and `simulate_diagram` raise.
     """
-    return (yield RunRequest(scenario, signals, progress))
+    return (yield RunRequest(scenario, signals, progress, diagram))

@@ -6,10 +6,10 @@ import math
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from kneexo.analysis.bandwidth import (
     acceleration_bound_hz,
@@ -34,7 +34,7 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters
+from kneexo.parameters.quantity import Parameters, quantities
 from kneexo.result import Result, data_frame
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
@@ -49,24 +49,23 @@ if TYPE_CHECKING:
 class BandwidthSettings(Parameters):
     """Frequency response over amplitude and frequency: ``kneexo bandwidth``."""
 
-    amplitudes_deg: tuple[Annotated[float, Field(ge=1e-6, le=46)], ...] = Field(
-        default=(0.1, 0.3, 1.0, 3.0, 10.0, 30.0),
-        min_length=1,
-        json_schema_extra={
-            "unit": "deg",
-            "source": "assumption: from about one count of the encoder to Section 5's 10…70°",
-        },
+    amplitudes_deg: tuple[float, ...] = quantities(
+        (0.1, 0.3, 1.0, 3.0, 10.0, 30.0),
+        "deg",
+        "assumption: from about one count of the encoder to Section 5's 10…70°",
+        ge=1e-6,
+        le=46,
     )
-    frequencies_hz: tuple[Annotated[float, Field(ge=1e-5, le=250)], ...] = Field(
-        default=(
+    frequencies_hz: tuple[float, ...] = quantities(
+        (
             *(0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.315, 0.4, 0.5, 0.63, 0.8),
             *(1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5, 16.0, 20.0),
         ),
+        "Hz",
+        "assumption: preferred numbers (R 10) about the bandwidths of all amplitudes",
+        ge=1e-5,
+        le=250,
         min_length=3,
-        json_schema_extra={
-            "unit": "Hz",
-            "source": "assumption: preferred numbers (R 10) about the bandwidths of all amplitudes",
-        },
     )
     estimate: SineEstimateSettings = SineEstimateSettings()
 

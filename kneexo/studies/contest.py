@@ -35,7 +35,7 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.parameters.paths import applicable, changed
-from kneexo.parameters.quantity import Parameters, quantity
+from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
@@ -100,50 +100,25 @@ class ContestSettings(Parameters):
     """Tuning under one budget, and the test of what it finds."""
 
     contestants: dict[str, Contestant] = Field(default=CONTESTANTS, min_length=1)
-    training_samples: int = Field(
-        default=6,
+    training_samples: int = quantity(
+        6,
+        "1",
+        "assumption: of the uncertainty, beside the nominal plant; each costs a run "
+        "in every evaluation",
         ge=1,
         le=10_000,
-        json_schema_extra={
-            "unit": "1",
-            "source": "assumption: of the uncertainty, beside the nominal plant; each costs a run "
-            "in every evaluation",
-        },
     )
-    training_seed: int = Field(
-        default=1, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
+    training_seed: int = quantity(1, "1", "assumption: any number", ge=0)
+    test_samples: int = quantity(
+        200, "1", "assumption: the 95 % level then stands on ten samples", ge=1, le=100_000
     )
-    test_samples: int = Field(
-        default=200,
-        ge=1,
-        le=100_000,
-        json_schema_extra={
-            "unit": "1",
-            "source": "assumption: the 95 % level then stands on ten samples",
-        },
+    test_seed: int = quantity(2, "1", "assumption: any other number", ge=0)
+    optimizer_seeds: tuple[int, ...] = quantities(
+        (1, 2), "1", "assumption: two searches that end alike have converged", ge=0
     )
-    test_seed: int = Field(
-        default=2, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any other number"}
-    )
-    optimizer_seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(
-        default=(1, 2),
-        min_length=1,
-        json_schema_extra={
-            "unit": "1",
-            "source": "assumption: two searches that end alike have converged",
-        },
-    )
-    population: int = Field(
-        default=32,
-        ge=5,
-        le=10_000,
-        json_schema_extra={"unit": "1", "source": "assumption: eight for each gain"},
-    )
-    generations: int = Field(
-        default=60,
-        ge=1,
-        le=100_000,
-        json_schema_extra={"unit": "1", "source": "assumption: the most; the budget of each"},
+    population: int = quantity(32, "1", "assumption: eight for each gain", ge=5, le=10_000)
+    generations: int = quantity(
+        60, "1", "assumption: the most; the budget of each", ge=1, le=100_000
     )
     tolerance: float = quantity(
         0.05,

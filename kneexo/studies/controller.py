@@ -31,7 +31,7 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, Positive, positive_values, quantity
+from kneexo.parameters.quantity import Parameters, positive_values, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
@@ -47,17 +47,17 @@ if TYPE_CHECKING:
 class ControllerSettings(Parameters):
     """Grid over λ, Φ and η, and the experiments made at each of its points: ``kneexo study``."""
 
-    lambdas_per_s: Positive = positive_values(
+    lambdas_per_s: tuple[float, ...] = positive_values(
         (5.0, 7.1, 10.0, 14.1, 20.0, 28.3, 40.0, 56.6, 80.0),
         "1/s",
         "assumption: the default times powers of √2",
     )
-    phis_m_s2: Positive = positive_values(
+    phis_m_s2: tuple[float, ...] = positive_values(
         (0.32, 0.57, 1.0, 1.8, 3.2, 5.7, 10.0, 18.0, 32.0, 57.0, 100.0),
         "m/s²",
         "assumption: the default times powers of 10^(1/4)",
     )
-    etas_m_s3: Positive = positive_values(
+    etas_m_s3: tuple[float, ...] = positive_values(
         (8.9e3, 2.8e4, 8.9e4, 2.8e5, 8.9e5, 2.8e6),
         "m/s³",
         "assumption: the default times powers of √10",
@@ -111,19 +111,21 @@ class ControllerSettings(Parameters):
         le=1,
     )
     trap_slope_per_s: float = quantity(1e4, "1/s", "assumption: k/Φ of the same", ge=1e-3, le=1e12)
-    trap_lambdas_per_s: Positive = positive_values((20.0, 10.0), "1/s", "assumption: λ of the same")
+    trap_lambdas_per_s: tuple[float, ...] = positive_values(
+        (20.0, 10.0), "1/s", "assumption: λ of the same"
+    )
     hold_duration_s: float = quantity(
         20.0, "s", "assumption: long enough for an oscillation at rest to settle", ge=0.01, le=1e4
     )
     unlimited_acceleration_rad_s2: float = quantity(
         1e7, "rad/s²", "assumption: a thousand times the default limit", ge=1, le=1e7
     )
-    map_time_constants_s: Positive = positive_values(
+    map_time_constants_s: tuple[float, ...] = positive_values(
         (0.003, 0.004, 0.006, 0.008, 0.012, 0.016, 0.020, 0.028, 0.040),
         "s",
         "assumption: T_f about its default",
     )
-    map_slopes_per_s: Positive = positive_values(
+    map_slopes_per_s: tuple[float, ...] = positive_values(
         (5.6e3, 1e4, 1.8e4, 3.2e4, 5.6e4, 1e5, 1.8e5, 3.2e5, 5.6e5, 1e6),
         "1/s",
         "assumption: k/Φ about its default",

@@ -13,10 +13,9 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.frequency_response import require_sine
@@ -33,7 +32,7 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, quantity
+from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
@@ -47,29 +46,25 @@ if TYPE_CHECKING:
 class OrderSettings(Parameters):
     """What the full order is compared with the reduced one in."""
 
-    disturbances_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
-        default=(0.0, 60.0, -60.0),
-        min_length=1,
-        json_schema_extra={
-            "unit": "N",
-            "source": "assumption: none, and enough for P_1 or P_2 to carry the load throughout",
-        },
+    disturbances_n: tuple[float, ...] = quantities(
+        (0.0, 60.0, -60.0),
+        "N",
+        "assumption: none, and enough for P_1 or P_2 to carry the load throughout",
+        ge=-1e4,
+        le=1e4,
     )
-    postures_deg: tuple[Annotated[float, Field(ge=0, le=90)], ...] = Field(
-        default=(10.0, 40.0, 70.0),
-        min_length=1,
-        json_schema_extra={"unit": "deg", "source": "Section 5: ends and middle of 10…70°"},
+    postures_deg: tuple[float, ...] = quantities(
+        (10.0, 40.0, 70.0), "deg", "Section 5: ends and middle of 10…70°", ge=0, le=90
     )
     speed_rate_deg_s: float = quantity(
         60.0, "deg/s", "assumption: beyond the speed limit at every posture", ge=1e-3, le=1e4
     )
-    switching_forces_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
-        default=tuple(float(force) for force in range(0, 41, 2)),
-        min_length=1,
-        json_schema_extra={
-            "unit": "N",
-            "source": "assumption: about the switching force P_r (A_1 − A_2) = 15.7 N",
-        },
+    switching_forces_n: tuple[float, ...] = quantities(
+        tuple(float(force) for force in range(0, 41, 2)),
+        "N",
+        "assumption: about the switching force P_r (A_1 − A_2) = 15.7 N",
+        ge=-1e4,
+        le=1e4,
     )
     switching_rate_deg_s: float = quantity(
         15.0, "deg/s", "assumption: two thirds of what the speed limit allows", ge=1e-3, le=1e4

@@ -150,7 +150,7 @@ def report(numbers: Mapping[str, Any]) -> str:
             PAPER_BANDWIDTH_HZ,
             fig13["bandwidth_hz"],
             "{:.4f}",
-            "fundamental, 1/√2, five trials, nothing fitted",
+            f"fundamental, 1/√2, {len(fig13['trials'])} trials, nothing fitted",
         ),
         (
             "phase there (Fig. 13)",

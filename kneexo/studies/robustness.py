@@ -17,7 +17,6 @@ from itertools import islice, product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.sensitivity import (
@@ -44,24 +43,16 @@ if TYPE_CHECKING:
 class RobustnessSettings(Parameters):
     """How uncertainty is explored: ``kneexo robustness``."""
 
-    samples: int = Field(
-        default=500,
+    samples: int = quantity(
+        500,
+        "1",
+        "assumption: the worst of 500 leaves out 0.6 % of all plants at most, with 95 % confidence",
         ge=2,
         le=1_000_000,
-        json_schema_extra={
-            "unit": "1",
-            "source": "assumption: the worst of 500 leaves out 0.6 % of all plants at most, with "
-            "95 % confidence",
-        },
     )
-    seed: int = Field(
-        default=2020, ge=0, json_schema_extra={"unit": "1", "source": "assumption: any number"}
-    )
-    corners_max: int = Field(
-        default=1000,
-        ge=1,
-        le=10_000_000,
-        json_schema_extra={"unit": "1", "source": "assumption: as many minutes as the samples"},
+    seed: int = quantity(2020, "1", "assumption: any number", ge=0)
+    corners_max: int = quantity(
+        1000, "1", "assumption: as many minutes as the samples", ge=1, le=10_000_000
     )
     bandwidth: bool = choice(True, "False leaves out the large-signal bandwidth, which costs most")
     sensitivity_duration_s: float = quantity(
@@ -72,11 +63,8 @@ class RobustnessSettings(Parameters):
         ge=0,
         le=1e5,
     )
-    nyquist_loops: int = Field(
-        default=60,
-        ge=0,
-        le=10_000,
-        json_schema_extra={"unit": "1", "source": "assumption: lines that a plot can carry"},
+    nyquist_loops: int = quantity(
+        60, "1", "assumption: lines that a plot can carry", ge=0, le=10_000
     )
 
 

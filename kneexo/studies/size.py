@@ -13,10 +13,10 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.bandwidth import (
@@ -52,7 +52,7 @@ from kneexo.parameters import (
     gait_reference,
 )
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, Positive, positive_values, quantity
+from kneexo.parameters.quantity import Parameters, positive_values, quantities, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs
@@ -68,25 +68,24 @@ if TYPE_CHECKING:
 class SizeSettings(Parameters):
     """Hardware and gains that `kneexo.studies.size` tries, and what walking must reach."""
 
-    factors: Positive = positive_values(
+    factors: tuple[float, ...] = positive_values(
         (0.125, 0.25, 0.5, 0.707, 1.0, 1.414, 2.0, 4.0, 8.0),
         "1",
         "assumption: what each value of the scenario's hardware is multiplied by",
     )
-    walking_factors: Positive = positive_values(
+    walking_factors: tuple[float, ...] = positive_values(
         (0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0),
         "1",
         "assumption: the same for the hardware that was sized for walking",
     )
-    stride_frequencies_hz: tuple[Annotated[float, Field(ge=1e-5, le=10)], ...] = positive_values(
-        (1.0, 1.0 / GAIT_STRIDE_S), "Hz", "assumption: walking at 1 Hz; the measured stride"
+    stride_frequencies_hz: tuple[float, ...] = quantities(
+        (1.0, 1.0 / GAIT_STRIDE_S),
+        "Hz",
+        "assumption: walking at 1 Hz; the measured stride",
+        ge=1e-5,
+        le=10,
     )
-    cycles: int = Field(
-        default=3,
-        ge=2,
-        le=1000,
-        json_schema_extra={"unit": "1", "source": "assumption: strides; the first is discarded"},
-    )
+    cycles: int = quantity(3, "1", "assumption: strides; the first is discarded", ge=2, le=1000)
     error_bound_deg: float = quantity(
         2.0, "deg", "Section 5: the error was less than 2° with the SMC", ge=1e-3, le=90
     )
@@ -110,13 +109,13 @@ class SizeSettings(Parameters):
     margin: float = quantity(
         1.1, "1", "assumption: sized flow and acceleration limit over the smallest", ge=1, le=10
     )
-    lambda_per_s: Positive = positive_values(
+    lambda_per_s: tuple[float, ...] = positive_values(
         (20.0, 40.0, 60.0, 80.0, 100.0, 120.0), "1/s", "assumption: λ to try"
     )
-    slope_per_s: Positive = positive_values(
+    slope_per_s: tuple[float, ...] = positive_values(
         (2.5e4, 3.5e4, 5e4, 7e4, 1e5, 1.4e5), "1/s", "assumption: k/Φ to try, with k = β·η"
     )
-    observer_s: Positive = positive_values((0.010, 0.020), "s", "assumption: T_f to try")
+    observer_s: tuple[float, ...] = positive_values((0.010, 0.020), "s", "assumption: T_f to try")
     disk_margin_min: float = quantity(
         0.5, "1", "assumption: 28° of phase and a gain of 1.67 at the same time", ge=1e-3, le=2
     )
@@ -138,8 +137,12 @@ class SizeSettings(Parameters):
     seal_friction_n: float = quantity(
         40.0, "N", "assumption: as in UNCERTAINTY; a sized design must bear it", ge=0, le=1e5
     )
-    wearer_torques_n_m: tuple[Annotated[float, Field(ge=-500, le=500)], ...] = positive_values(
-        (-20.0, -10.0, 0.0, 10.0, 20.0), "N·m", "assumption: constant torques of a wearer"
+    wearer_torques_n_m: tuple[float, ...] = quantities(
+        (-20.0, -10.0, 0.0, 10.0, 20.0),
+        "N·m",
+        "assumption: constant torques of a wearer",
+        ge=-500,
+        le=500,
     )
 
     @model_validator(mode="after")

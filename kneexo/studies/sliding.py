@@ -23,10 +23,9 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field
 from pydrake.autodiffutils import AutoDiffXd
 
 from kneexo.analysis.bandwidth import rod_of
@@ -46,15 +45,15 @@ from kneexo.parameters import (
     SlidingModeParameters,
 )
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, quantity
+from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
 from kneexo.simulation.coroutines import Steps, steps
 from kneexo.simulation.engines import needs_runs, simulate
 from kneexo.simulation.run import Array, Run
 from kneexo.sweeps.checkpoint import Checkpoint
 from kneexo.sweeps.parallel import parallel_map
+from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.systems.knee_coordinates import rod_derivatives
-from kneexo.systems.reduced_cylinder import PA_PER_MPA
 from kneexo.systems.sliding_mode_controller import sliding_variable
 
 if TYPE_CHECKING:
@@ -64,23 +63,21 @@ if TYPE_CHECKING:
 class SlidingSettings(Parameters):
     """Which η, loads and gains the check of the sliding condition runs through."""
 
-    etas_m_s3: tuple[Annotated[float, Field(ge=1e-3, le=1e12)], ...] = Field(
-        default=(1e3, 1e4, 3e4, 3.6e4, 7e4, 9e4, 2.8e5),
-        min_length=1,
-        json_schema_extra={
-            "unit": "m/s³",
-            "source": "assumption: from 1/300 of the speed authority to all of it, with two each "
-            "about 3.3e4 and 8.0e4, what the closed forms ask for with P_1 and P_2 loaded",
-        },
+    etas_m_s3: tuple[float, ...] = quantities(
+        (1e3, 1e4, 3e4, 3.6e4, 7e4, 9e4, 2.8e5),
+        "m/s³",
+        "assumption: from 1/300 of the speed authority to all of it, with two each "
+        "about 3.3e4 and 8.0e4, what the closed forms ask for with P_1 and P_2 loaded",
+        ge=1e-3,
+        le=1e12,
     )
-    loads_n: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
-        default=(60.0, -60.0),
-        min_length=1,
-        json_schema_extra={
-            "unit": "N",
-            "source": "assumption: four times the switching force, so that one chamber carries "
-            "the load throughout, P_1 or P_2",
-        },
+    loads_n: tuple[float, ...] = quantities(
+        (60.0, -60.0),
+        "N",
+        "assumption: four times the switching force, so that one chamber carries "
+        "the load throughout, P_1 or P_2",
+        ge=-1e4,
+        le=1e4,
     )
     start_eta_m_s3: float = quantity(
         1e3,
@@ -115,14 +112,12 @@ class SlidingSettings(Parameters):
         ge=0,
         le=1e3,
     )
-    rated_samples: int = Field(
-        default=2000,
+    rated_samples: int = quantity(
+        2000,
+        "1",
+        "assumption: samples outside the layer at which ds/dt is evaluated, at most",
         ge=10,
         le=1_000_000,
-        json_schema_extra={
-            "unit": "1",
-            "source": "assumption: samples outside the layer at which ds/dt is evaluated, at most",
-        },
     )
 
 

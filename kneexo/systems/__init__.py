@@ -1,32 +1,37 @@
 """Leaf systems of the polycentric knee exoskeleton, one component of the paper a file.
 
 Every system has a default configuration (the paper's), named ports in SI units, numeric Context
-parameters, and converts to AutoDiffXd and symbolic Expression. The ``…_`` names are the templates
-by scalar type. The encoder is Drake's own `RotaryEncoders`.
+parameters, and converts to AutoDiffXd and symbolic Expression. ``BldcPump(…)`` is a system for
+float, `BldcPump_` the template by scalar type, as in Drake. The encoder is Drake's own
+`RotaryEncoders`.
 """
 
-from kneexo.systems._leaf import instances_of_float
-from kneexo.systems.bldc_pump import BldcPump_
-from kneexo.systems.four_bar_knee import FourBarKnee_
-from kneexo.systems.full_cylinder import FullCylinder_
+from kneexo.systems.bldc_pump import BldcPump, BldcPump_
+from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
+from kneexo.systems.full_cylinder import FullCylinder, FullCylinder_
 from kneexo.systems.knee_coordinates import (
+    KneeCoordinates,
     KneeCoordinates_,
+    RodReference,
     RodReference_,
 )
-from kneexo.systems.knee_load import KneeLoad_
+from kneexo.systems.knee_load import KneeLoad, KneeLoad_
 from kneexo.systems.knee_reference import (
+    RampKneeReference,
     RampKneeReference_,
+    SineKneeReference,
     SineKneeReference_,
+    StepKneeReference,
     StepKneeReference_,
     make_knee_reference,
 )
-from kneexo.systems.pid_controller import PidController_
-from kneexo.systems.reduced_cylinder import ReducedCylinder_
-from kneexo.systems.sliding_mode_controller import (
-    SlidingModeController_,
-)
+from kneexo.systems.pid_controller import PidController, PidController_
+from kneexo.systems.reduced_cylinder import ReducedCylinder, ReducedCylinder_
+from kneexo.systems.sliding_mode_controller import SlidingModeController, SlidingModeController_
 from kneexo.systems.state_estimator import (
+    BackwardDifference,
     BackwardDifference_,
+    TrackingObserver,
     TrackingObserver_,
 )
 
@@ -61,5 +66,3 @@ __all__ = [
     "TrackingObserver_",
     "make_knee_reference",
 ]
-
-__getattr__ = instances_of_float(__name__)

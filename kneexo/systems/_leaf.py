@@ -1,4 +1,4 @@
-"""What every leaf system of kneexo shares: named Context parameters and three-scalar helpers."""
+"""What every leaf system shares: all scalars of Drake, and Context parameters by name."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import math
 import sys
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from numbers import Real
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 from pydrake.math import max as _max
 from pydrake.math import min as _min
@@ -17,25 +18,10 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import SimulationError
 
-
-def leaf_template(module: str, name: str) -> Any:
-    """Drake's decorator for a leaf system of all scalars, told where it is: looking takes 40 ms."""
-    return TemplateSystem.define(name, scope=sys.modules[module])
-
-
-def instances_of_float(module: str) -> Callable[[str], Any]:
-    """Module ``__getattr__`` that makes ``Name`` from ``Name_`` when it is first asked for.
-
-    Drake takes 0.1 s for each instance, and what runs compiled needs none.
-    """
-
-    def instance(name: str) -> Any:
-        template = vars(sys.modules[module]).get(f"{name}_")
-        if not isinstance(template, TemplateSystem):
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        return template[None]
-
-    return instance
+if TYPE_CHECKING:
+    from pydrake.systems.framework import LeafSystem
+else:  # `leaf_template` adds Drake's class of the scalar
+    LeafSystem = object
 
 
 def clip(value: Any, lower: Any, upper: Any) -> Any:
@@ -58,72 +44,78 @@ def values_of(source: Any, *names: str) -> dict[str, float]:
     return {name: getattr(source, name) for name in names}
 
 
+def fill(vector: Any, values: Sequence[Any]) -> None:
+    """Set the elements of a vector of Drake."""
+    for index, value in enumerate(values):
+        vector.SetAtIndex(index, value)
+
+
 def _named_values(names: Sequence[str]) -> Any:
     return namedtuple("Values", names)
 
 
-class NamedLeaf:
-    """Mixin for ``LeafSystem_[T]``: scalar conversion and Context parameters by name."""
+class NamedLeaf(LeafSystem):
+    """Base of a component: a leaf system for all scalars of Drake, with named Context parameters.
 
-    def _begin(self: Any, scalar: Any, converter: Any, *arguments: Any) -> None:
-        """Initialize the LeafSystem; ``arguments`` are kept for the conversion to other scalars."""
-        LeafSystem_[scalar].__init__(self, converter)
-        self._scalar = scalar
-        self._values = _named_values(())
-        self._arguments = arguments
+    A subclass declares ports, state and Context parameters in ``__init__``. ``Component(…)`` makes
+    its system for float, which converts to AutoDiffXd and Expression: `leaf_template` has the class
+    for each scalar. All these systems are instances of ``Component``.
+    """
 
-    def _declare_parameters(self: Any, source: Any, names: Sequence[str] = ()) -> None:
-        """Declare one numeric parameter vector: a mapping, or ``names`` of another object."""
-        values = source if isinstance(source, Mapping) else values_of(source, *names)
+    _scalar: Any = None
+    _values: Any = _named_values(())
+
+    def __new__(cls, *_: Any, **__: Any) -> Self:
+        """Drake's leaf system of float, where no scalar is chosen."""
+        system: Any = cls
+        if cls._scalar is None:
+            system = leaf_template(system)[None]
+        return super(NamedLeaf, system).__new__(system)
+
+    def _declare_parameters(self, values: Mapping[str, float]) -> None:
+        """Declare one vector of numeric parameters, by name."""
         self._values = _named_values(tuple(values))
         self.DeclareNumericParameter(
             BasicVector_[self._scalar]([float(value) for value in values.values()])
         )
 
     def _declare_output(
-        self: Any,
-        name: str,
-        size: int,
-        calc: Callable[[Any], Sequence[Any]],
-        *sources: Any,
+        self, name: str, size: int, calc: Callable[[Any], Sequence[Any]], *sources: Any
     ) -> Any:
         """Declare an output of ``calc(context)`` that reads ``sources``: ports or tickets."""
-
-        def copy(context: Any, out: Any) -> None:
-            for index, value in enumerate(calc(context)):
-                out.SetAtIndex(index, value)
-
         tickets = {s.ticket() if hasattr(s, "ticket") else s for s in sources}
-        return self.DeclareVectorOutputPort(name, size, copy, tickets or {self.nothing_ticket()})
+        return self.DeclareVectorOutputPort(
+            name,
+            size,
+            lambda context, output: fill(output, calc(context)),
+            tickets or {self.nothing_ticket()},
+        )
 
     def _declare_update(
-        self: Any, period: float, size: int, update: Callable[[Any], Sequence[Any]]
+        self, period: float, size: int, update: Callable[[Any], Sequence[Any]]
     ) -> None:
         """Declare one discrete state of ``size`` with x⁺ = ``update(context)`` every ``period``."""
-
-        def copy(context: Any, discrete_state: Any) -> None:
-            vector = discrete_state.get_mutable_vector(0)
-            for index, value in enumerate(update(context)):
-                vector.SetAtIndex(index, value)
-
         self.DeclareDiscreteState(size)
-        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, copy)
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            period, 0.0, lambda context, state: fill(state.get_mutable_vector(0), update(context))
+        )
 
-    def _declare_initialization(self: Any, initialize: Callable[[Any], Sequence[Any]]) -> None:
+    def _declare_initialization(self, initialize: Callable[[Any], Sequence[Any]]) -> None:
         """Declare x = ``initialize(context)``, which ``Simulator.Initialize()`` applies once."""
+        self.DeclareInitializationDiscreteUpdateEvent(
+            lambda context, state: fill(state.get_mutable_vector(0), initialize(context))
+        )
 
-        def copy(context: Any, discrete_state: Any) -> None:
-            vector = discrete_state.get_mutable_vector(0)
-            for index, value in enumerate(initialize(context)):
-                vector.SetAtIndex(index, value)
+    def _declare_check(self, check: Callable[[Any], None]) -> None:
+        """Call ``check(context)`` after each step of a simulation in floats."""
+        if self._scalar is float:
+            self.DeclarePerStepPublishEvent(check)
 
-        self.DeclareInitializationDiscreteUpdateEvent(copy)
-
-    def parameters(self: Any, context: Any) -> Any:
+    def parameters(self, context: Any) -> Any:
         """All named Context parameters of this system, as a named tuple of scalars."""
         return self._values._make(context.get_numeric_parameter(0).CopyToVector().tolist())
 
-    def set_parameter(self: Any, context: Any, name: str, value: Any) -> None:
+    def set_parameter(self, context: Any, name: str, value: Any) -> None:
         """Set one Context parameter by its name.
 
         Raises `ValueError` for an unknown name or a number that is not finite.
@@ -136,6 +128,34 @@ class NamedLeaf:
         if isinstance(value, Real) and not math.isfinite(value):
             raise ValueError(f"{self.get_name()}: {name} = {value}: must be finite")
         context.get_mutable_numeric_parameter(0).SetAtIndex(names.index(name), value)
+
+
+@cache
+def leaf_template(component: type[NamedLeaf]) -> Any:
+    """Drake's template of a component: its leaf system for each scalar, made when asked for.
+
+    Each takes Drake some milliseconds, and what runs compiled needs none. An explicit scope avoids
+    40 ms of stack inspection.
+    """
+
+    @TemplateSystem.define(f"{component.__name__}_", scope=sys.modules[component.__module__])
+    def template(scalar: Any) -> Any:
+        class Impl(component, LeafSystem_[scalar]):  # type: ignore[misc, valid-type]
+            __doc__ = component.__doc__
+            _scalar = scalar
+
+            def _construct(self, *values: Any, converter: Any = None, **named: Any) -> None:
+                LeafSystem_[scalar].__init__(self, converter)
+                self._arguments = values, named
+                component.__init__(self, *values, **named)
+
+            def _construct_copy(self, other: Any, converter: Any = None) -> None:
+                values, named = other._arguments
+                Impl._construct(self, *values, converter=converter, **named)
+
+        return Impl
+
+    return template
 
 
 def require_finite(system: Any, context: Any, **values: Any) -> None:

@@ -4,17 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.framework import BasicVector_
 
 from kneexo.parameters import BldcPumpParameters
-from kneexo.systems._leaf import (
-    NamedLeaf,
-    clip,
-    instances_of_float,
-    leaf_template,
-    require_finite,
-    values_of,
-)
+from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, require_finite, values_of
 
 
 def motor_acceleration(
@@ -46,111 +39,88 @@ def context_values(parameters: BldcPumpParameters) -> dict[str, float]:
     )
 
 
-@leaf_template(__name__, "BldcPump_")
-def BldcPump_(T: Any) -> Any:
-    """BLDC motor and pump for the scalar ``T``."""
+class BldcPump(NamedLeaf):
+    """Speed-controlled BLDC motor with gear and axial-piston pump.
 
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """Speed-controlled BLDC motor with gear and axial-piston pump.
+    dω_m/dt = clip((clip(ω_cmd, ±ω_max) − ω_m)/τ_m, ±α_max),
+    Q_L = D_m ω_m/gear − (C_im + C_em/2) P_L.
 
-        dω_m/dt = clip((clip(ω_cmd, ±ω_max) − ω_m)/τ_m, ±α_max),
-        Q_L = D_m ω_m/gear − (C_im + C_em/2) P_L.
+    ===================  ====  =======  ==============================================
+    input port           size  unit
+    ===================  ====  =======  ==============================================
+    motor_speed_command  1     rad/s    motor side of the gear
+    load_pressure        1     Pa       P_L = P_1 − P_2
+    **output port**
+    motor_speed          1     rad/s    motor side; positive drives the rod out
+    load_flow            1     m³/s     Q_L
+    shaft_torque         1     N·m      motor side, D_m P_L/gear (lossless pump)
+    shaft_power          1     W        torque times motor speed
+    hydraulic_power      1     W        Q_L P_L, after leakage
+    ===================  ====  =======  ==============================================
 
-        ===================  ====  =======  ==============================================
-        input port           size  unit
-        ===================  ====  =======  ==============================================
-        motor_speed_command  1     rad/s    motor side of the gear
-        load_pressure        1     Pa       P_L = P_1 − P_2
-        **output port**
-        motor_speed          1     rad/s    motor side; positive drives the rod out
-        load_flow            1     m³/s     Q_L
-        shaft_torque         1     N·m      motor side, D_m P_L/gear (lossless pump)
-        shaft_power          1     W        torque times motor speed
-        hydraulic_power      1     W        Q_L P_L, after leakage
-        ===================  ====  =======  ==============================================
+    State: motor speed in krad/s (order one). With ``ideal=True`` there is none: the speed is
+    the command, without limit, as in Eq. 17. Context parameters by name: ``speed_limit_rad_s,
+    lag_s, acceleration_limit_rad_s2, gear_ratio, displacement_m3_per_rad,
+    leakage_m3_per_s_pa`` (C_im + C_em/2). Raises `SimulationError` when the acceleration is not
+    finite. Source: Lee et al. 2020, Eq. 12, 13; lag and acceleration limit are assumptions.
+    """
 
-        State: motor speed in krad/s (order one). With ``ideal=True`` there is none: the speed is
-        the command, without limit, as in Eq. 17. Context parameters by name: ``speed_limit_rad_s,
-        lag_s, acceleration_limit_rad_s2, gear_ratio, displacement_m3_per_rad,
-        leakage_m3_per_s_pa`` (C_im + C_em/2). Raises
-        `SimulationError` when the acceleration is not finite. Source: Lee et al. 2020, Eq. 12, 13;
-        lag and acceleration limit are assumptions.
-        """
+    def __init__(
+        self, parameters: BldcPumpParameters = BldcPumpParameters(), ideal: bool = False
+    ) -> None:
+        self._declare_parameters(context_values(parameters))
+        self._ideal = ideal
+        self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
+        self._pressure = self.DeclareVectorInputPort("load_pressure", 1)
+        if not ideal:
+            self.DeclareContinuousState(BasicVector_[self._scalar]([0.0]))
+        speed = self._command if ideal else self.xc_ticket()
+        given = self.all_parameters_ticket()
+        everything = (speed, self._pressure, given)
+        declare = self._declare_output
+        declare("motor_speed", 1, lambda c: [self._speed(c)], speed)
+        declare("load_flow", 1, lambda c: [self._flow(c)], *everything)
+        declare("shaft_torque", 1, lambda c: [self._torque(c)], self._pressure, given)
+        declare("shaft_power", 1, lambda c: [self._torque(c) * self._speed(c)], *everything)
+        declare("hydraulic_power", 1, self._hydraulic_power, *everything)
 
-        def _construct(
-            self,
-            parameters: BldcPumpParameters = BldcPumpParameters(),
-            ideal: bool = False,
-            *,
-            converter: Any = None,
-        ) -> None:
-            self._begin(T, converter, parameters, ideal)
-            self._declare_parameters(context_values(parameters))
-            self._ideal = ideal
-            self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
-            self._pressure = self.DeclareVectorInputPort("load_pressure", 1)
-            if not ideal:
-                self.DeclareContinuousState(BasicVector_[T]([0.0]))
-            speed = self._command if ideal else self.xc_ticket()
-            given = self.all_parameters_ticket()
-            declare = self._declare_output
-            declare("motor_speed", 1, lambda c: [self._speed(c)], speed)
-            declare("load_flow", 1, lambda c: [self._flow(c)], speed, self._pressure, given)
-            declare("shaft_torque", 1, lambda c: [self._torque(c)], self._pressure, given)
-            declare(
-                "shaft_power",
-                1,
-                lambda c: [self._torque(c) * self._speed(c)],
-                speed,
-                self._pressure,
-                given,
-            )
-            declare(
-                "hydraulic_power",
-                1,
-                lambda c: [self._flow(c) * self._pressure.Eval(c)[0]],
-                speed,
-                self._pressure,
-                given,
-            )
+    def _speed(self, context: Any) -> Any:
+        if self._ideal:
+            return self._command.Eval(context)[0]
+        return 1e3 * context.get_continuous_state_vector().GetAtIndex(0)
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
+    def _flow(self, context: Any) -> Any:
+        p = self.parameters(context)
+        return load_flow(
+            self._speed(context),
+            self._pressure.Eval(context)[0],
+            p.displacement_m3_per_rad,
+            p.gear_ratio,
+            p.leakage_m3_per_s_pa,
+        )
 
-        def _speed(self, context: Any) -> Any:
-            if self._ideal:
-                return self._command.Eval(context)[0]
-            return 1e3 * context.get_continuous_state_vector().GetAtIndex(0)
+    def _torque(self, context: Any) -> Any:
+        p = self.parameters(context)
+        return p.displacement_m3_per_rad * self._pressure.Eval(context)[0] / p.gear_ratio
 
-        def _flow(self, context: Any) -> Any:
-            p = self.parameters(context)
-            return load_flow(
-                self._speed(context),
-                self._pressure.Eval(context)[0],
-                p.displacement_m3_per_rad,
-                p.gear_ratio,
-                p.leakage_m3_per_s_pa,
-            )
+    def _hydraulic_power(self, context: Any) -> list[Any]:
+        return [self._flow(context) * self._pressure.Eval(context)[0]]
 
-        def _torque(self, context: Any) -> Any:
-            p = self.parameters(context)
-            return p.displacement_m3_per_rad * self._pressure.Eval(context)[0] / p.gear_ratio
-
-        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-            if self._ideal:
-                return
-            p = self.parameters(context)
-            acceleration = motor_acceleration(
-                self._command.Eval(context)[0],
-                self._speed(context),
-                p.lag_s,
-                p.speed_limit_rad_s,
-                p.acceleration_limit_rad_s2,
-            )
-            require_finite(self, context, motor_acceleration=acceleration)
-            derivatives.get_mutable_vector().SetAtIndex(0, 1e-3 * acceleration)
-
-    return Impl
+    def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+        """Set the motor's acceleration, which must be finite."""
+        if self._ideal:
+            return
+        p = self.parameters(context)
+        acceleration = motor_acceleration(
+            self._command.Eval(context)[0],
+            self._speed(context),
+            p.lag_s,
+            p.speed_limit_rad_s,
+            p.acceleration_limit_rad_s2,
+        )
+        require_finite(self, context, motor_acceleration=acceleration)
+        derivatives.get_mutable_vector().SetAtIndex(0, 1e-3 * acceleration)
 
 
-__getattr__ = instances_of_float(__name__)
+BldcPump_ = leaf_template(BldcPump)
+"""`BldcPump` by scalar type."""

@@ -8,14 +8,12 @@ from functools import partial
 from typing import Any
 
 import pydrake.math as drake_math
-from pydrake.autodiffutils import AutoDiffXd
-from pydrake.symbolic import Expression
-from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.framework import BasicVector_
 
 from kneexo.errors import SimulationError
 from kneexo.linkage import RodInverse, fit_rod_inverse, icr, polynomial
 from kneexo.parameters import KneeParameters, LinkageParameters, RodPolynomialParameters
-from kneexo.systems._leaf import NamedLeaf, instances_of_float, leaf_template, values_of
+from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 
 
 def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[Any]:
@@ -45,104 +43,92 @@ def context_values(
     }
 
 
-@leaf_template(__name__, "FourBarKnee_")
-def FourBarKnee_(T: Any) -> Any:
-    """Four-bar knee for the scalar ``T``."""
+class FourBarKnee(NamedLeaf):
+    """Four-bar knee: from the rod to the knee, exactly and without iteration.
 
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """Four-bar knee: from the rod to the knee, exactly and without iteration.
+    θ_p, θ_4 and r are polynomials of degree 25 in √(x_dc − x), fitted once to the closed-form
+    linkage; x_dc is the rod's dead centre (see `kneexo.linkage.RodInverse`).
 
-        θ_p, θ_4 and r are polynomials of degree 25 in √(x_dc − x), fitted once to the closed-form
-        linkage; x_dc is the rod's dead centre (see `kneexo.linkage.RodInverse`).
+    ===============  ====  ==========  =================================================
+    input port       size  unit
+    ===============  ====  ==========  =================================================
+    rod_extension    1     m           x
+    **output port**
+    knee_kinematics  3     rad,rad,m   θ_p, θ_4, r in one (cached) evaluation
+    knee_angle       1     rad         θ_p, 0 = full extension, positive = flexion
+    encoder_angle    1     rad         θ_4, what the encoder reads
+    moment_arm       1     m           r = −dx/dθ_p
+    icr              2     m           instantaneous centre of rotation, ground frame
+    ===============  ====  ==========  =================================================
 
-        ===============  ====  ==========  =================================================
-        input port       size  unit
-        ===============  ====  ==========  =================================================
-        rod_extension    1     m           x
-        **output port**
-        knee_kinematics  3     rad,rad,m   θ_p, θ_4, r in one (cached) evaluation
-        knee_angle       1     rad         θ_p, 0 = full extension, positive = flexion
-        encoder_angle    1     rad         θ_4, what the encoder reads
-        moment_arm       1     m           r = −dx/dθ_p
-        icr              2     m           instantaneous centre of rotation, ground frame
-        ===============  ====  ==========  =================================================
+    Stateless. Context parameters: 0 the links and the scaling of the fit by name; 1, 2, 3 the
+    coefficients for θ_p, θ_4 and r, highest power first. They belong together: for another
+    geometry build another system. With ``table_1`` the rod follows Eq. 10 instead of Eq. 8, 9
+    (the paper's controller side), θ_4 still the linkage.
 
-        Stateless. Context parameters: 0 the links and the scaling of the fit by name; 1, 2, 3 the
-        coefficients for θ_p, θ_4 and r, highest power first. They belong together: for another
-        geometry build another system. With ``table_1`` the rod follows Eq. 10 instead of Eq. 8, 9
-        (the paper's controller side), θ_4 still the linkage.
+    Raises `LinkageError` on construction when the linkage cannot be assembled, and
+    `SimulationError` at the end of a step that leaves the range of motion by more than
+    ``overshoot_deg``: the end stops are an error, not a force. Source: Lee et al. 2020,
+    Eq. 1–9.
+    """
 
-        Raises `LinkageError` on construction when the linkage cannot be assembled, and
-        `SimulationError` at the end of a step that leaves the range of motion by more than
-        ``overshoot_deg``: the end stops are an error, not a force. Source: Lee et al. 2020,
-        Eq. 1–9.
-        """
+    def __init__(
+        self,
+        parameters: LinkageParameters = LinkageParameters(),
+        knee: KneeParameters = KneeParameters(),
+        table_1: RodPolynomialParameters | None = None,
+    ) -> None:
+        fit = fit_rod_inverse(parameters, table_1)
+        self._declare_parameters(context_values(parameters, knee, fit))
+        for coefficients in (fit.knee_angle, fit.encoder_angle, fit.moment_arm):
+            self.DeclareNumericParameter(BasicVector_[self._scalar](list(coefficients)))
+        self._extension = self.DeclareVectorInputPort("rod_extension", 1)
+        given = self.all_parameters_ticket()
+        declare = self._declare_output
+        self._kinematics = declare(
+            "knee_kinematics", 3, self._calc_kinematics, self._extension, given
+        )
+        for index, name in enumerate(("knee_angle", "encoder_angle", "moment_arm")):
+            declare(name, 1, partial(self._element, index), self._extension, given)
+        declare("icr", 2, self._calc_icr, self._extension, given)
+        self._declare_check(self._require_in_range)
 
-        def _construct(
-            self,
-            parameters: LinkageParameters = LinkageParameters(),
-            knee: KneeParameters = KneeParameters(),
-            table_1: RodPolynomialParameters | None = None,
-            *,
-            converter: Any = None,
-        ) -> None:
-            self._begin(T, converter, parameters, knee, table_1)
-            fit = fit_rod_inverse(parameters, table_1)
-            self._declare_parameters(context_values(parameters, knee, fit))
-            for coefficients in (fit.knee_angle, fit.encoder_angle, fit.moment_arm):
-                self.DeclareNumericParameter(BasicVector_[T](list(coefficients)))
-            self._extension = self.DeclareVectorInputPort("rod_extension", 1)
-            given = self.all_parameters_ticket()
-            declare = self._declare_output
-            self._kinematics = declare(
-                "knee_kinematics", 3, self._calc_kinematics, self._extension, given
-            )
-            for index, name in enumerate(("knee_angle", "encoder_angle", "moment_arm")):
-                declare(name, 1, partial(self._element, index), self._extension, given)
-            declare("icr", 2, self._calc_icr, self._extension, given)
-            if T not in (AutoDiffXd, Expression):
-                self.DeclarePerStepPublishEvent(self._check)
+    def _calc_kinematics(self, context: Any) -> list[Any]:
+        p = self.parameters(context)
+        x = self._extension.Eval(context)[0]
+        return knee_kinematics(
+            p, (context.get_numeric_parameter(i).CopyToVector().tolist() for i in (1, 2, 3)), x
+        )
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
+    def _pose(self, context: Any) -> Any:
+        return self._kinematics.Eval(context)
 
-        def _calc_kinematics(self, context: Any) -> list[Any]:
-            p = self.parameters(context)
-            x = self._extension.Eval(context)[0]
-            return knee_kinematics(
-                p, (context.get_numeric_parameter(i).CopyToVector().tolist() for i in (1, 2, 3)), x
-            )
+    def _element(self, index: int, context: Any) -> list[Any]:
+        return [self._pose(context)[index]]
 
-        def _pose(self, context: Any) -> Any:
-            return self._kinematics.Eval(context)
+    def _calc_icr(self, context: Any) -> Any:
+        p = self.parameters(context)
+        theta_p, theta_4, _ = self._pose(context)
+        return icr(p, theta_p - p.phi_rad, theta_4, xp=drake_math)
 
-        def _element(self, index: int, context: Any) -> list[Any]:
-            return [self._pose(context)[index]]
+    def margin(self, context: Any) -> Any:
+        """Rest of the range of motion and its overshoot in rad; a run stops below zero."""
+        p = self.parameters(context)
+        angle = self._pose(context)[0]
+        inside = drake_math.min(angle - p.flexion_min_rad, p.flexion_max_rad - angle)
+        return inside + p.overshoot_rad
 
-        def _calc_icr(self, context: Any) -> Any:
-            p = self.parameters(context)
-            theta_p, theta_4, _ = self._pose(context)
-            return icr(p, theta_p - p.phi_rad, theta_4, xp=drake_math)
-
-        def margin(self, context: Any) -> Any:
-            """Rest of the range of motion and its overshoot in rad; a run stops below zero."""
+    def _require_in_range(self, context: Any) -> None:
+        if not self.margin(context) >= 0.0:
             p = self.parameters(context)
             angle = self._pose(context)[0]
-            inside = drake_math.min(angle - p.flexion_min_rad, p.flexion_max_rad - angle)
-            return inside + p.overshoot_rad
-
-        def _check(self, context: Any) -> None:
-            if not self.margin(context) >= 0.0:
-                p = self.parameters(context)
-                angle = self._pose(context)[0]
-                raise SimulationError(
-                    f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle = "
-                    f"{math.degrees(angle):.6g} deg left the range of motion "
-                    f"{math.degrees(p.flexion_min_rad):g} … {math.degrees(p.flexion_max_rad):g} "
-                    f"deg; reduce the motion, the load or the step"
-                )
-
-    return Impl
+            raise SimulationError(
+                f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle = "
+                f"{math.degrees(angle):.6g} deg left the range of motion "
+                f"{math.degrees(p.flexion_min_rad):g} … {math.degrees(p.flexion_max_rad):g} "
+                f"deg; reduce the motion, the load or the step"
+            )
 
 
-__getattr__ = instances_of_float(__name__)
+FourBarKnee_ = leaf_template(FourBarKnee)
+"""`FourBarKnee` by scalar type."""

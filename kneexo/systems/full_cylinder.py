@@ -11,9 +11,6 @@ import math
 from typing import Any
 
 import pydrake.math as drake_math
-from pydrake.autodiffutils import AutoDiffXd
-from pydrake.symbolic import Expression
-from pydrake.systems.framework import BasicVector_, LeafSystem_
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
@@ -22,21 +19,8 @@ from kneexo.parameters import (
     CylinderParameters,
     FullCylinderParameters,
 )
-from kneexo.systems._leaf import (
-    NamedLeaf,
-    clip,
-    instances_of_float,
-    leaf_template,
-    require_finite,
-    value_or_zero,
-    values_of,
-)
-from kneexo.systems.reduced_cylinder import (
-    PA_PER_MPA,
-    require_in_stroke,
-    start_extension,
-    stroke_margin,
-)
+from kneexo.systems._leaf import clip, leaf_template
+from kneexo.systems.cylinder import Cylinder, cylinder_values, start_extension
 
 _LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus of air is not continued below
 
@@ -109,229 +93,156 @@ def context_values(
 ) -> dict[str, float]:
     """Context parameters of `FullCylinder`."""
     return {
-        **values_of(
-            parameters,
-            "cap_area_m2",
-            "rod_side_area_m2",
-            "bulk_modulus_pa",
-            "leakage_m3_per_s_pa",
-            "mass_kg",
-            "damping_n_s_per_m",
-            "stiffness_n_per_m",
-            "stroke_m",
-        ),
+        **cylinder_values(parameters, "cap_area_m2", "rod_side_area_m2"),
         "pump_external_leakage_m3_per_s_pa": pump_external_leakage_m3_per_s_pa,
         **dict(full_order),
     }
 
 
-@leaf_template(__name__, "FullCylinder_")
-def FullCylinder_(T: Any) -> Any:
-    """Full-order cylinder for the scalar ``T``."""
+class FullCylinder(Cylinder):
+    """Full-order cylinder with its valves and the mass that it moves.
 
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """Full-order cylinder with its valves and the mass that it moves.
+    V_1/β_e dP_1/dt = Q_1 − A_1 v − C_im' P_L − C_em1' (P_1 − P_r) + Q_m1 − Q_r1,
+    V_2/β_e dP_2/dt = A_2 v − Q_2 + C_im' P_L − C_em2' (P_2 − P_r) + Q_m2 − Q_r2,
+    m dv/dt = P_1 A_1 − P_2 A_2 − F_f(v) − B v − K x − F_L,
+    V_1 = V_d + A_1 x, V_2 = V_d + A_2 (stroke − x), P_L = P_1 − P_2.
 
-        V_1/β_e dP_1/dt = Q_1 − A_1 v − C_im' P_L − C_em1' (P_1 − P_r) + Q_m1 − Q_r1,
-        V_2/β_e dP_2/dt = A_2 v − Q_2 + C_im' P_L − C_em2' (P_2 − P_r) + Q_m2 − Q_r2,
-        m dv/dt = P_1 A_1 − P_2 A_2 − F_f(v) − B v − K x − F_L,
-        V_1 = V_d + A_1 x, V_2 = V_d + A_2 (stroke − x), P_L = P_1 − P_2.
+    Eq. 12 gives Q_1, Q_2 = Q_L ∓ C_em/2 ((P_1 − P_r) + (P_2 − P_r)): the pump's external
+    leakage returns to the reservoir. Q_m ties the line with the lower pressure to the
+    reservoir (`makeup_flow`), Q_r relieves both lines (`relief_flow`). The rod speed therefore
+    follows the loaded chamber, not the direction: Q/A_1 with P_1 loaded, which takes
+    F_L > P_r (A_1 − A_2), and Q/A_2 otherwise. Within a few newtons of that switching force
+    a retracting rod oscillates between the two (by default at 12…23 N; Coulomb friction moves
+    that zone by itself), and runs with radau3 then take ten times as long.
 
-        Eq. 12 gives Q_1, Q_2 = Q_L ∓ C_em/2 ((P_1 − P_r) + (P_2 − P_r)): the pump's external
-        leakage returns to the reservoir. Q_m ties the line with the lower pressure to the
-        reservoir (`makeup_flow`), Q_r relieves both lines (`relief_flow`). The rod speed therefore
-        follows the loaded chamber, not the direction: Q/A_1 with P_1 loaded, which takes
-        F_L > P_r (A_1 − A_2), and Q/A_2 otherwise. Within a few newtons of that switching force
-        a retracting rod oscillates between the two (by default at 12…23 N; Coulomb friction moves
-        that zone by itself), and runs with radau3 then take ten times as long.
+    =================  ====  ===========  ===============================================
+    input port         size  unit
+    =================  ====  ===========  ===============================================
+    load_flow          1     m³/s         Q_L, positive drives the rod out
+    load_force         1     N            F_L, positive opposes extension; 0 if unconnected
+    **output port**
+    rod_extension      1     m            x, grows as the rod leaves the cylinder
+    rod_velocity       1     m/s          v
+    load_pressure      1     Pa           P_L = P_1 − P_2
+    rod_force          1     N            load cell: m dv/dt + F_L
+    rod_state          3     m, m/s, …    x, v and the acceleration
+    chamber_pressures  2     Pa           P_1 (cap side) and P_2 (rod side)
+    makeup_flow        2     m³/s         Q_m1 and Q_m2, positive out of the reservoir
+    relief_flow        2     m³/s         Q_r1 and Q_r2, positive into the reservoir
+    =================  ====  ===========  ===============================================
 
-        =================  ====  ===========  ===============================================
-        input port         size  unit
-        =================  ====  ===========  ===============================================
-        load_flow          1     m³/s         Q_L, positive drives the rod out
-        load_force         1     N            F_L, positive opposes extension; 0 if unconnected
-        **output port**
-        rod_extension      1     m            x, grows as the rod leaves the cylinder
-        rod_velocity       1     m/s          v
-        load_pressure      1     Pa           P_L = P_1 − P_2
-        rod_force          1     N            load cell: m dv/dt + F_L
-        rod_state          3     m, m/s, …    x, v and the acceleration
-        chamber_pressures  2     Pa           P_1 (cap side) and P_2 (rod side)
-        makeup_flow        2     m³/s         Q_m1 and Q_m2, positive out of the reservoir
-        relief_flow        2     m³/s         Q_r1 and Q_r2, positive into the reservoir
-        =================  ====  ===========  ===============================================
+    State: x in m, v in m/s, P_1 and P_2 in MPa (order one); it starts at rest, without
+    ``initial_pressures_pa`` holding no load. Context parameters by name: the two areas
+    (``cap_area_m2, rod_side_area_m2``), those of `ReducedCylinder` but ``mean_area_m2`` and
+    ``total_volume_m3``, those of `FullCylinderParameters` and
+    ``pump_external_leakage_m3_per_s_pa``, C_em of the pump; ``leakage_m3_per_s_pa`` is C_im'.
 
-        State: x in m, v in m/s, P_1 and P_2 in MPa (order one); it starts at rest, without
-        ``initial_pressures_pa`` holding no load. Context parameters by name: the two areas
-        (``cap_area_m2, rod_side_area_m2``), those of `ReducedCylinder` but ``mean_area_m2`` and
-        ``total_volume_m3``, those of `FullCylinderParameters` and
-        ``pump_external_leakage_m3_per_s_pa``, C_em of the pump; ``leakage_m3_per_s_pa`` is C_im'.
+    Raises `ParameterError` when it would start outside the stroke; `SimulationError` at the
+    end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
+    al. 2020, Eq. 12, 14 with the signs of Eq. 14 corrected; valves, air and friction are
+    assumptions. At V_1 = V_2, with equal external leakages and idle valves, dP_L/dt is Eq. 15
+    with V_t = V_1 + V_2 and C_L = C_im' + C_em'/2, whatever the areas.
+    """
 
-        Raises `ParameterError` when it would start outside the stroke; `SimulationError` at the
-        end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
-        al. 2020, Eq. 12, 14 with the signs of Eq. 14 corrected; valves, air and friction are
-        assumptions. At V_1 = V_2, with equal external leakages and idle valves, dP_L/dt is Eq. 15
-        with V_t = V_1 + V_2 and C_L = C_im' + C_em'/2, whatever the areas.
-        """
-
-        def _construct(
-            self,
-            parameters: CylinderParameters = CylinderParameters(),
-            full_order: FullCylinderParameters = FullCylinderParameters(),
-            initial_extension_m: float | None = None,
-            initial_pressures_pa: tuple[float, float] | None = None,
-            pump_external_leakage_m3_per_s_pa: float = 0.0,
-            *,
-            converter: Any = None,
-        ) -> None:
-            self._begin(
-                T,
-                converter,
-                parameters,
-                full_order,
-                initial_extension_m,
-                initial_pressures_pa,
-                pump_external_leakage_m3_per_s_pa,
+    def __init__(
+        self,
+        parameters: CylinderParameters = CylinderParameters(),
+        full_order: FullCylinderParameters = FullCylinderParameters(),
+        initial_extension_m: float | None = None,
+        initial_pressures_pa: tuple[float, ...] | None = None,
+        pump_external_leakage_m3_per_s_pa: float = 0.0,
+    ) -> None:
+        self._declare_parameters(
+            context_values(parameters, full_order, pump_external_leakage_m3_per_s_pa)
+        )
+        extension = start_extension(parameters, initial_extension_m)
+        if initial_pressures_pa is None:
+            initial_pressures_pa = holding_pressures(
+                parameters.stiffness_n_per_m * extension,
+                cap_area=parameters.cap_area_m2,
+                rod_side_area=parameters.rod_side_area_m2,
+                reservoir=full_order.reservoir_pressure_pa,
             )
-            self._declare_parameters(
-                context_values(parameters, full_order, pump_external_leakage_m3_per_s_pa)
+        if not all(map(math.isfinite, initial_pressures_pa)):
+            raise ParameterError(
+                f"initial_pressures_pa = {initial_pressures_pa} Pa: must be finite"
             )
-            extension = start_extension(parameters, initial_extension_m)
-            if initial_pressures_pa is None:
-                initial_pressures_pa = holding_pressures(
-                    parameters.stiffness_n_per_m * extension,
-                    cap_area=parameters.cap_area_m2,
-                    rod_side_area=parameters.rod_side_area_m2,
-                    reservoir=full_order.reservoir_pressure_pa,
-                )
-            if not all(map(math.isfinite, initial_pressures_pa)):
-                raise ParameterError(
-                    f"initial_pressures_pa = {initial_pressures_pa} Pa: must be finite"
-                )
-            self._flow = self.DeclareVectorInputPort("load_flow", 1)
-            self._force = self.DeclareVectorInputPort("load_force", 1)
-            pressures = [pressure / PA_PER_MPA for pressure in initial_pressures_pa]
-            self.DeclareContinuousState(BasicVector_[T]([extension, 0.0, *pressures]))
-            state, given = self.xc_ticket(), self.all_parameters_ticket()
-            declare = self._declare_output
-            declare("rod_extension", 1, lambda c: self._state(c)[:1], state)
-            declare("rod_velocity", 1, lambda c: self._state(c)[1:2], state)
-            declare("load_pressure", 1, self._load_pressure, state)
-            declare("rod_force", 1, lambda c: [self._rod_force(c)], state, given)
-            declare("rod_state", 3, self._motion, state, given, self._force)
-            declare("chamber_pressures", 2, lambda c: self._state(c)[2:], state)
-            declare("makeup_flow", 2, lambda c: self._valve_flows(c)[0], state, given)
-            declare("relief_flow", 2, lambda c: self._valve_flows(c)[1], state, given)
-            if T not in (AutoDiffXd, Expression):
-                self.DeclarePerStepPublishEvent(self._check)
+        self._declare_rod(extension, initial_pressures_pa)
+        state, given = self.xc_ticket(), self.all_parameters_ticket()
+        declare = self._declare_output
+        declare("chamber_pressures", 2, lambda c: self._state(c)[2:], state)
+        declare("makeup_flow", 2, lambda c: self._valve_flows(c)[0], state, given)
+        declare("relief_flow", 2, lambda c: self._valve_flows(c)[1], state, given)
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
+    def _load_pressure(self, context: Any) -> Any:
+        _, _, cap, rod_side = self._state(context)
+        return cap - rod_side
 
-        def _state(self, context: Any) -> list[Any]:
-            """X in m, v in m/s, P_1 and P_2 in Pa."""
-            x, v, cap, rod_side = context.get_continuous_state_vector().CopyToVector().tolist()
-            return [x, v, PA_PER_MPA * cap, PA_PER_MPA * rod_side]
+    def _rod_force(self, context: Any) -> Any:
+        p = self.parameters(context)
+        x, v, cap, rod_side = self._state(context)
+        friction = seal_friction(
+            v,
+            coulomb=p.coulomb_friction_n,
+            stribeck=p.stribeck_friction_n,
+            stribeck_speed=p.stribeck_speed_m_s,
+            band=p.friction_band_m_s,
+        )
+        pressure_force = cap * p.cap_area_m2 - rod_side * p.rod_side_area_m2
+        return pressure_force - friction - p.damping_n_s_per_m * v - p.stiffness_n_per_m * x
 
-        def _load_pressure(self, context: Any) -> list[Any]:
-            _, _, cap, rod_side = self._state(context)
-            return [cap - rod_side]
-
-        def _rod_force(self, context: Any) -> Any:
-            p = self.parameters(context)
-            x, v, cap, rod_side = self._state(context)
-            friction = seal_friction(
-                v,
-                coulomb=p.coulomb_friction_n,
-                stribeck=p.stribeck_friction_n,
-                stribeck_speed=p.stribeck_speed_m_s,
-                band=p.friction_band_m_s,
+    def _valve_flows(self, context: Any) -> tuple[list[Any], list[Any]]:
+        """Make-up and relief flows of both lines."""
+        p = self.parameters(context)
+        _, _, cap, rod_side = self._state(context)
+        makeup = [
+            makeup_flow(
+                pressure,
+                pilot,
+                reservoir=p.reservoir_pressure_pa,
+                conductance=p.makeup_conductance_m3_per_s_pa,
+                pilot_band=p.makeup_band_pa,
+                band=p.valve_band_pa,
             )
-            pressure_force = cap * p.cap_area_m2 - rod_side * p.rod_side_area_m2
-            return pressure_force - friction - p.damping_n_s_per_m * v - p.stiffness_n_per_m * x
-
-        def _motion(self, context: Any) -> list[Any]:
-            x, v, *_ = self._state(context)
-            force = self._rod_force(context) - value_or_zero(self._force, context)
-            return [x, v, force / self.parameters(context).mass_kg]
-
-        def _valve_flows(self, context: Any) -> tuple[list[Any], list[Any]]:
-            """Make-up and relief flows of both lines."""
-            p = self.parameters(context)
-            _, _, cap, rod_side = self._state(context)
-            makeup = [
-                makeup_flow(
-                    pressure,
-                    pilot,
-                    reservoir=p.reservoir_pressure_pa,
-                    conductance=p.makeup_conductance_m3_per_s_pa,
-                    pilot_band=p.makeup_band_pa,
-                    band=p.valve_band_pa,
-                )
-                for pressure, pilot in ((cap, rod_side), (rod_side, cap))
-            ]
-            relief = [
-                relief_flow(
-                    pressure,
-                    limit=p.relief_pressure_pa,
-                    conductance=p.relief_conductance_m3_per_s_pa,
-                    band=p.valve_band_pa,
-                )
-                for pressure in (cap, rod_side)
-            ]
-            return makeup, relief
-
-        def _pressure_rates(self, context: Any) -> list[Any]:
-            """dP_1/dt and dP_2/dt in Pa/s."""
-            p = self.parameters(context)
-            x, v, cap, rod_side = self._state(context)
-            flow = self._flow.Eval(context)[0]
-            (makeup_1, makeup_2), (relief_1, relief_2) = self._valve_flows(context)
-            above_1, above_2 = cap - p.reservoir_pressure_pa, rod_side - p.reservoir_pressure_pa
-            pump_loss = 0.5 * p.pump_external_leakage_m3_per_s_pa * (above_1 + above_2)
-            across = p.leakage_m3_per_s_pa * (cap - rod_side)
-            into_1 = (flow - pump_loss) - p.cap_area_m2 * v - across
-            into_1 += makeup_1 - relief_1 - p.cap_external_leakage_m3_per_s_pa * above_1
-            into_2 = p.rod_side_area_m2 * v - (flow + pump_loss) + across
-            into_2 += makeup_2 - relief_2 - p.rod_side_external_leakage_m3_per_s_pa * above_2
-            volume_1 = p.dead_volume_m3 + p.cap_area_m2 * x
-            volume_2 = p.dead_volume_m3 + p.rod_side_area_m2 * (p.stroke_m - x)
-            return [
-                into
-                / volume
-                * effective_bulk_modulus(
-                    pressure, bulk_modulus=p.bulk_modulus_pa, entrained_air=p.entrained_air
-                )
-                for into, volume, pressure in (
-                    (into_1, volume_1, cap),
-                    (into_2, volume_2, rod_side),
-                )
-            ]
-
-        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-            _, v, acceleration = self._motion(context)
-            rate_1, rate_2 = self._pressure_rates(context)
-            require_finite(
-                self,
-                context,
-                rod_acceleration=acceleration,
-                cap_pressure_rate=rate_1,
-                rod_side_pressure_rate=rate_2,
+            for pressure, pilot in ((cap, rod_side), (rod_side, cap))
+        ]
+        relief = [
+            relief_flow(
+                pressure,
+                limit=p.relief_pressure_pa,
+                conductance=p.relief_conductance_m3_per_s_pa,
+                band=p.valve_band_pa,
             )
-            rates = (v, acceleration, rate_1 / PA_PER_MPA, rate_2 / PA_PER_MPA)
-            vector = derivatives.get_mutable_vector()
-            for index, rate in enumerate(rates):
-                vector.SetAtIndex(index, rate)
+            for pressure in (cap, rod_side)
+        ]
+        return makeup, relief
 
-        def margin(self, context: Any) -> Any:
-            """Distance to the nearer end of the stroke in m; a compiled run stops below zero."""
-            return stroke_margin(self._state(context)[0], self.parameters(context).stroke_m)
+    def _pressure_rates(self, context: Any) -> dict[str, Any]:
+        p = self.parameters(context)
+        x, v, cap, rod_side = self._state(context)
+        flow = self._flow.Eval(context)[0]
+        (makeup_1, makeup_2), (relief_1, relief_2) = self._valve_flows(context)
+        above_1, above_2 = cap - p.reservoir_pressure_pa, rod_side - p.reservoir_pressure_pa
+        pump_loss = 0.5 * p.pump_external_leakage_m3_per_s_pa * (above_1 + above_2)
+        across = p.leakage_m3_per_s_pa * (cap - rod_side)
+        into_1 = (flow - pump_loss) - p.cap_area_m2 * v - across
+        into_1 += makeup_1 - relief_1 - p.cap_external_leakage_m3_per_s_pa * above_1
+        into_2 = p.rod_side_area_m2 * v - (flow + pump_loss) + across
+        into_2 += makeup_2 - relief_2 - p.rod_side_external_leakage_m3_per_s_pa * above_2
+        volume_1 = p.dead_volume_m3 + p.cap_area_m2 * x
+        volume_2 = p.dead_volume_m3 + p.rod_side_area_m2 * (p.stroke_m - x)
+        return {
+            name: into
+            / volume
+            * effective_bulk_modulus(
+                pressure, bulk_modulus=p.bulk_modulus_pa, entrained_air=p.entrained_air
+            )
+            for name, into, volume, pressure in (
+                ("cap_pressure_rate", into_1, volume_1, cap),
+                ("rod_side_pressure_rate", into_2, volume_2, rod_side),
+            )
+        }
 
-        def _check(self, context: Any) -> None:
-            stroke = self.parameters(context).stroke_m
-            require_in_stroke(self, context, self._state(context)[0], stroke)
 
-    return Impl
-
-
-__getattr__ = instances_of_float(__name__)
+FullCylinder_ = leaf_template(FullCylinder)
+"""`FullCylinder` by scalar type."""

@@ -6,11 +6,10 @@ from functools import lru_cache
 from typing import Any
 
 import pydrake.math as drake_math
-from pydrake.systems.framework import LeafSystem_
 
 from kneexo.linkage import eq6_sign, knee_angle_from_encoder, polynomial, polynomial_derivative
 from kneexo.parameters import LinkageParameters, RodPolynomialParameters
-from kneexo.systems._leaf import NamedLeaf, instances_of_float, leaf_template, values_of
+from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 
 
 def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
@@ -55,100 +54,77 @@ def context_values(
     }
 
 
-@leaf_template(__name__, "KneeCoordinates_")
-def KneeCoordinates_(T: Any) -> Any:
-    """Measured coordinates for the scalar ``T``."""
+class KneeCoordinates(NamedLeaf):
+    """What the microcontroller makes of the encoder: knee angle, then rod by Table 1.
 
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """What the microcontroller makes of the encoder: knee angle, then rod by Table 1.
+    θ_4 = reading + offset; θ_p by Eq. 3–7; x = p_1 θ_p⁵ + … + p_6 (Eq. 10).
 
-        θ_4 = reading + offset; θ_p by Eq. 3–7; x = p_1 θ_p⁵ + … + p_6 (Eq. 10).
+    ===============  ====  ====  =========================================================
+    input port       size  unit
+    ===============  ====  ====  =========================================================
+    encoder_reading  1     rad   θ_4 as the encoder reports it
+    **output port**
+    knee_angle       1     rad   measured θ_p
+    rod_extension    1     m     measured x
+    ===============  ====  ====  =========================================================
 
-        ===============  ====  ====  =========================================================
-        input port       size  unit
-        ===============  ====  ====  =========================================================
-        encoder_reading  1     rad   θ_4 as the encoder reports it
-        **output port**
-        knee_angle       1     rad   measured θ_p
-        rod_extension    1     m     measured x
-        ===============  ====  ====  =========================================================
+    Stateless. Context parameters by name: the links, ``eq6_sign``, ``offset_rad`` (zero of
+    the encoder plus half a count, because the encoder rounds down), and p_1 … p_6 of Eq. 10 in
+    SI. Raises `LinkageError` on construction when the linkage is not one-to-one.
+    """
 
-        Stateless. Context parameters by name: the links, ``eq6_sign``, ``offset_rad`` (zero of
-        the encoder plus half a count, because the encoder rounds down), and p_1 … p_6 of Eq. 10 in
-        SI. Raises `LinkageError` on construction when the linkage is not
-        one-to-one.
-        """
+    def __init__(
+        self,
+        parameters: LinkageParameters = LinkageParameters(),
+        table_1: RodPolynomialParameters = RodPolynomialParameters(),
+        offset_rad: float = 0.0,
+    ) -> None:
+        self._declare_parameters(context_values(parameters, table_1, offset_rad))
+        self._reading = self.DeclareVectorInputPort("encoder_reading", 1)
+        given = self.all_parameters_ticket()
+        self._knee_angle = self._declare_output(
+            "knee_angle", 1, self._calc_knee_angle, self._reading, given
+        )
+        self._declare_output("rod_extension", 1, self._calc_rod_extension, self._reading, given)
 
-        def _construct(
-            self,
-            parameters: LinkageParameters = LinkageParameters(),
-            table_1: RodPolynomialParameters = RodPolynomialParameters(),
-            offset_rad: float = 0.0,
-            *,
-            converter: Any = None,
-        ) -> None:
-            self._begin(T, converter, parameters, table_1, offset_rad)
-            self._declare_parameters(context_values(parameters, table_1, offset_rad))
-            self._reading = self.DeclareVectorInputPort("encoder_reading", 1)
-            given = self.all_parameters_ticket()
-            self._knee_angle = self._declare_output(
-                "knee_angle", 1, self._calc_knee_angle, self._reading, given
-            )
-            self._declare_output("rod_extension", 1, self._calc_rod_extension, self._reading, given)
+    def _calc_knee_angle(self, context: Any) -> list[Any]:
+        p = self.parameters(context)
+        theta_4 = self._reading.Eval(context)[0] + p.offset_rad
+        return [knee_angle_from_encoder(p, theta_4, p.eq6_sign, xp=drake_math)]
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-        def _calc_knee_angle(self, context: Any) -> list[Any]:
-            p = self.parameters(context)
-            theta_4 = self._reading.Eval(context)[0] + p.offset_rad
-            return [knee_angle_from_encoder(p, theta_4, p.eq6_sign, xp=drake_math)]
-
-        def _calc_rod_extension(self, context: Any) -> list[Any]:
-            coefficients = self.parameters(context)[-len(_COEFFICIENTS) :]
-            return [polynomial(coefficients, self._knee_angle.Eval(context)[0])]
-
-    return Impl
+    def _calc_rod_extension(self, context: Any) -> list[Any]:
+        coefficients = self.parameters(context)[-len(_COEFFICIENTS) :]
+        return [polynomial(coefficients, self._knee_angle.Eval(context)[0])]
 
 
-@leaf_template(__name__, "RodReference_")
-def RodReference_(T: Any) -> Any:
-    """Rod reference for the scalar ``T``."""
-
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """Reference of the rod from that of the knee, by Eq. 10 and the chain rule.
-
-        ==============  ====  ===========================  ===================================
-        input port      size  unit
-        ==============  ====  ===========================  ===================================
-        knee_reference  4     rad, rad/s, rad/s², rad/s³   θ_d and derivatives to the third
-        **output port**
-        rod_reference   4     m, m/s, m/s², m/s³           x_d and derivatives to the third
-        ==============  ====  ===========================  ===================================
-
-        Stateless. Context parameters by name: ``p_1`` … ``p_6`` of Eq. 10 in SI.
-        """
-
-        def _construct(
-            self,
-            table_1: RodPolynomialParameters = RodPolynomialParameters(),
-            *,
-            converter: Any = None,
-        ) -> None:
-            self._begin(T, converter, table_1)
-            self._declare_parameters(rod_polynomial_values(table_1))
-            self._knee = self.DeclareVectorInputPort("knee_reference", 4)
-            self._declare_output(
-                "rod_reference", 4, self._calc, self._knee, self.all_parameters_ticket()
-            )
-
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-        def _calc(self, context: Any) -> list[Any]:
-            return rod_derivatives(self.parameters(context), self._knee.Eval(context))
-
-    return Impl
+KneeCoordinates_ = leaf_template(KneeCoordinates)
+"""`KneeCoordinates` by scalar type."""
 
 
-__getattr__ = instances_of_float(__name__)
+class RodReference(NamedLeaf):
+    """Reference of the rod from that of the knee, by Eq. 10 and the chain rule.
+
+    ==============  ====  ===========================  ===================================
+    input port      size  unit
+    ==============  ====  ===========================  ===================================
+    knee_reference  4     rad, rad/s, rad/s², rad/s³   θ_d and derivatives to the third
+    **output port**
+    rod_reference   4     m, m/s, m/s², m/s³           x_d and derivatives to the third
+    ==============  ====  ===========================  ===================================
+
+    Stateless. Context parameters by name: ``p_1`` … ``p_6`` of Eq. 10 in SI.
+    """
+
+    def __init__(self, table_1: RodPolynomialParameters = RodPolynomialParameters()) -> None:
+        self._declare_parameters(rod_polynomial_values(table_1))
+        self._knee = self.DeclareVectorInputPort("knee_reference", 4)
+        self._declare_output(
+            "rod_reference", 4, self._calc, self._knee, self.all_parameters_ticket()
+        )
+
+    def _calc(self, context: Any) -> list[Any]:
+        return rod_derivatives(self.parameters(context), self._knee.Eval(context))
+
+
+RodReference_ = leaf_template(RodReference)
+"""`RodReference` by scalar type."""

@@ -6,16 +6,9 @@ import math
 from typing import Any
 
 import pydrake.math as drake_math
-from pydrake.systems.framework import LeafSystem_
 
 from kneexo.parameters import KneeLoadParameters
-from kneexo.systems._leaf import (
-    NamedLeaf,
-    instances_of_float,
-    leaf_template,
-    value_or_zero,
-    values_of,
-)
+from kneexo.systems._leaf import NamedLeaf, leaf_template, value_or_zero
 
 
 def weight_torque(
@@ -53,82 +46,53 @@ def load_force(
 
 def context_values(parameters: KneeLoadParameters) -> dict[str, float]:
     """Context parameters of `KneeLoad`."""
-    return values_of(
-        parameters,
-        "segment_mass_kg",
-        "centre_of_mass_m",
-        "thigh_inclination_rad",
-        "gravity_m_s2",
-        "knee_torque_n_m",
-        "disturbance_n",
-        "disturbance_amplitude_n",
-        "disturbance_frequency_hz",
-    )
+    return {name: value for name, value in parameters if name != "kind"}
 
 
-@leaf_template(__name__, "KneeLoad_")
-def KneeLoad_(T: Any) -> Any:
-    """Load of the rod for the scalar ``T``."""
+class KneeLoad(NamedLeaf):
+    """Force that the leg exerts on the rod.
 
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """Force that the leg exerts on the rod.
+    F_L = (m g l sin(α − θ_p) + τ_0 + τ)/r + F_0 + F_1 sin(2πft) + F.
 
-        F_L = (m g l sin(α − θ_p) + τ_0 + τ)/r + F_0 + F_1 sin(2πft) + F.
+    =================  ====  ====  ======================================================
+    input port         size  unit
+    =================  ====  ====  ======================================================
+    knee_angle         1     rad   θ_p
+    moment_arm         1     m     r = −dx/dθ_p
+    knee_torque        1     N·m   τ of the wearer, positive flexes; 0 if unconnected
+    disturbance_force  1     N     F, positive opposes extension; 0 if unconnected
+    **output port**
+    load_force         1     N     F_L, positive opposes extension of the rod
+    =================  ====  ====  ======================================================
 
-        =================  ====  ====  ======================================================
-        input port         size  unit
-        =================  ====  ====  ======================================================
-        knee_angle         1     rad   θ_p
-        moment_arm         1     m     r = −dx/dθ_p
-        knee_torque        1     N·m   τ of the wearer, positive flexes; 0 if unconnected
-        disturbance_force  1     N     F, positive opposes extension; 0 if unconnected
-        **output port**
-        load_force         1     N     F_L, positive opposes extension of the rod
-        =================  ====  ====  ======================================================
+    Stateless. Context parameters: those of `KneeLoadParameters`, by name. A torque that
+    flexes the knee pushes the rod in, so F_L = τ/r (from −F_L dx/dt = τ dθ_p/dt); a hanging
+    thigh (α = 0) lets the weight help extension. Source: F_L of Lee et al. 2020, Eq. 16,
+    which the paper leaves open.
+    """
 
-        Stateless. Context parameters: those of `KneeLoadParameters`, by name. A torque that
-        flexes the knee pushes the rod in, so F_L = τ/r (from −F_L dx/dt = τ dθ_p/dt); a hanging
-        thigh (α = 0) lets the weight help extension. Source: F_L of Lee et al. 2020, Eq. 16,
-        which the paper leaves open.
-        """
+    def __init__(self, parameters: KneeLoadParameters = KneeLoadParameters()) -> None:
+        self._declare_parameters(context_values(parameters))
+        self._angle = self.DeclareVectorInputPort("knee_angle", 1)
+        self._arm = self.DeclareVectorInputPort("moment_arm", 1)
+        self._torque = self.DeclareVectorInputPort("knee_torque", 1)
+        self._disturbance = self.DeclareVectorInputPort("disturbance_force", 1)
+        inputs = (self._angle, self._arm, self._torque, self._disturbance)
+        given = self.all_parameters_ticket()
+        self._declare_output("load_force", 1, self._calc, *inputs, self.time_ticket(), given)
 
-        def _construct(
-            self, parameters: KneeLoadParameters = KneeLoadParameters(), *, converter: Any = None
-        ) -> None:
-            self._begin(T, converter, parameters)
-            self._declare_parameters(context_values(parameters))
-            self._angle = self.DeclareVectorInputPort("knee_angle", 1)
-            self._arm = self.DeclareVectorInputPort("moment_arm", 1)
-            self._torque = self.DeclareVectorInputPort("knee_torque", 1)
-            self._disturbance = self.DeclareVectorInputPort("disturbance_force", 1)
-            self._declare_output(
-                "load_force",
-                1,
-                self._calc,
-                self._angle,
-                self._arm,
-                self._torque,
-                self._disturbance,
-                self.time_ticket(),
-                self.all_parameters_ticket(),
+    def _calc(self, context: Any) -> list[Any]:
+        return [
+            load_force(
+                self.parameters(context),
+                self._angle.Eval(context)[0],
+                self._arm.Eval(context)[0],
+                context.get_time(),
+                torque=value_or_zero(self._torque, context),
+                disturbance=value_or_zero(self._disturbance, context),
             )
-
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-        def _calc(self, context: Any) -> list[Any]:
-            return [
-                load_force(
-                    self.parameters(context),
-                    self._angle.Eval(context)[0],
-                    self._arm.Eval(context)[0],
-                    context.get_time(),
-                    torque=value_or_zero(self._torque, context),
-                    disturbance=value_or_zero(self._disturbance, context),
-                )
-            ]
-
-    return Impl
+        ]
 
 
-__getattr__ = instances_of_float(__name__)
+KneeLoad_ = leaf_template(KneeLoad)
+"""`KneeLoad` by scalar type."""

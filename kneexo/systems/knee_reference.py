@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import pydrake.math as drake_math
-from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
@@ -27,20 +26,23 @@ from kneexo.linkage import polynomial, polynomial_derivative
 from kneexo.parameters import (
     KneeParameters,
     RampReference,
+    Reference,
     SampledReference,
     SineReference,
     StepReference,
 )
-from kneexo.systems._leaf import NamedLeaf, clip, instances_of_float, leaf_template, where_positive
+from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, where_positive
 
 
 class _KneeReference(NamedLeaf):
     """One output that depends on time and on the named Context parameters."""
 
     def _declare(
-        self: Any, values: dict[str, float], evaluate: Callable[[Any, Any], list[Any]]
+        self,
+        parameters: SineReference | StepReference | RampReference,
+        evaluate: Callable[[Any, Any], list[Any]],
     ) -> None:
-        self._declare_parameters(values)
+        self._declare_parameters(context_values(parameters))
         self._declare_output(
             "knee_reference",
             4,
@@ -100,108 +102,70 @@ def ramp(time: Any, p: Any) -> list[Any]:
 
 
 def context_values(parameters: SineReference | StepReference | RampReference) -> dict[str, float]:
-    """Context parameters of the reference system of a parameter class."""
-    if isinstance(parameters, SineReference):
-        return {
-            "mean_rad": math.radians(parameters.mean_deg),
-            "amplitude_rad": math.radians(parameters.amplitude_deg),
-            "frequency_hz": parameters.frequency_hz,
-            "ramp_s": parameters.ramp_s,
-        }
-    values = {
-        "start_rad": math.radians(parameters.start_deg),
-        "end_rad": math.radians(parameters.end_deg),
-        "time_s": parameters.time_s,
+    """Context parameters of a reference system: the values of its parameters, angles in rad."""
+    return {
+        name.replace("_deg", "_rad"): math.radians(value) if "_deg" in name else value
+        for name, value in parameters
+        if name != "kind"
     }
-    if isinstance(parameters, RampReference):
-        values["rate_rad_s"] = math.radians(parameters.rate_deg_s)
-    return values
 
 
-@leaf_template(__name__, "SineKneeReference_")
-def SineKneeReference_(T: Any) -> Any:
-    """Sinusoidal reference for the scalar ``T``."""
+class SineKneeReference(_KneeReference):
+    """θ_d = mean − w(t)·amplitude·cos(2πft), with three derivatives.
 
-    class Impl(_KneeReference, LeafSystem_[T]):
-        """θ_d = mean − w(t)·amplitude·cos(2πft), with three derivatives.
+    w rises from 0 to 1 over the ramp, with three continuous derivatives; without ramp it is 1.
+    Context parameters by name: ``mean_rad``, ``amplitude_rad``, ``frequency_hz``, ``ramp_s``.
+    """
 
-        w rises from 0 to 1 over the ramp, with three continuous derivatives; without ramp it is 1.
-        Context parameters by name: ``mean_rad``, ``amplitude_rad``, ``frequency_hz``, ``ramp_s``.
-        """
-
-        def _construct(
-            self, parameters: SineReference = SineReference(), *, converter: Any = None
-        ) -> None:
-            self._begin(T, converter, parameters)
-            self._declare(context_values(parameters), sine)
-
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-    return Impl
+    def __init__(self, parameters: SineReference = SineReference()) -> None:
+        self._declare(parameters, sine)
 
 
-@leaf_template(__name__, "StepKneeReference_")
-def StepKneeReference_(T: Any) -> Any:
-    """Step reference for the scalar ``T``."""
-
-    class Impl(_KneeReference, LeafSystem_[T]):
-        """θ_d jumps from start to end just after a given time; its derivatives are zero.
-
-        Context parameters by name: ``start_rad``, ``end_rad``, ``time_s``.
-        """
-
-        def _construct(
-            self, parameters: StepReference = StepReference(), *, converter: Any = None
-        ) -> None:
-            self._begin(T, converter, parameters)
-            self._declare(context_values(parameters), step)
-
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-    return Impl
+SineKneeReference_ = leaf_template(SineKneeReference)
+"""`SineKneeReference` by scalar type."""
 
 
-@leaf_template(__name__, "RampKneeReference_")
-def RampKneeReference_(T: Any) -> Any:
-    """Ramp reference for the scalar ``T``."""
+class StepKneeReference(_KneeReference):
+    """θ_d jumps from start to end just after a given time; its derivatives are zero.
 
-    class Impl(_KneeReference, LeafSystem_[T]):
-        """θ_d moves from start to end at a constant rate, from a given time on.
+    Context parameters by name: ``start_rad``, ``end_rad``, ``time_s``.
+    """
 
-        Context parameters by name: ``start_rad``, ``end_rad``, ``time_s``, ``rate_rad_s`` (> 0).
-        """
-
-        def _construct(
-            self, parameters: RampReference = RampReference(), *, converter: Any = None
-        ) -> None:
-            self._begin(T, converter, parameters)
-            self._declare(context_values(parameters), ramp)
-
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-    return Impl
+    def __init__(self, parameters: StepReference = StepReference()) -> None:
+        self._declare(parameters, step)
 
 
-def make_knee_reference(
-    parameters: SineReference | StepReference | RampReference | SampledReference,
-) -> Any:
+StepKneeReference_ = leaf_template(StepKneeReference)
+"""`StepKneeReference` by scalar type."""
+
+
+class RampKneeReference(_KneeReference):
+    """θ_d moves from start to end at a constant rate, from a given time on.
+
+    Context parameters by name: ``start_rad``, ``end_rad``, ``time_s``, ``rate_rad_s`` (> 0).
+    """
+
+    def __init__(self, parameters: RampReference = RampReference()) -> None:
+        self._declare(parameters, ramp)
+
+
+RampKneeReference_ = leaf_template(RampKneeReference)
+"""`RampKneeReference` by scalar type."""
+
+
+def make_knee_reference(parameters: Reference) -> Any:
     """The reference system of a parameter class.
 
-    Samples are joined as their ``interpolation`` says; the first and last angle hold outside. That
-    one is a `TrajectorySource`, which has no symbolic form.
+    Samples become a `TrajectorySource`, which has no symbolic form: they are joined as their
+    ``interpolation`` says, and the first and last angle hold outside.
     """
-    if isinstance(parameters, SineReference):
-        return SineKneeReference_[None](parameters)
-    if isinstance(parameters, StepReference):
-        return StepKneeReference_[None](parameters)
-    if isinstance(parameters, RampReference):
-        return RampKneeReference_[None](parameters)
-    return TrajectorySource(
-        sampled_spline(parameters), output_derivative_order=3, zero_derivatives_beyond_limits=True
-    )
+    if isinstance(parameters, SampledReference):
+        spline = sampled_spline(parameters)
+        return TrajectorySource(
+            spline, output_derivative_order=3, zero_derivatives_beyond_limits=True
+        )
+    systems = {"sine": SineKneeReference, "step": StepKneeReference, "ramp": RampKneeReference}
+    return systems[parameters.kind](parameters)
 
 
 @lru_cache(maxsize=64)
@@ -216,9 +180,7 @@ def sampled_spline(parameters: SampledReference) -> Any:
 
 
 @lru_cache(maxsize=64)
-def start_angle_rad(
-    parameters: SineReference | StepReference | RampReference | SampledReference,
-) -> float:
+def start_angle_rad(parameters: Reference) -> float:
     """θ_d at t = 0."""
     if isinstance(parameters, SampledReference):
         return float(sampled_spline(parameters).value(0.0)[0, 0])
@@ -227,9 +189,7 @@ def start_angle_rad(
 
 
 @lru_cache(maxsize=64)
-def reference_range_deg(
-    parameters: SineReference | StepReference | RampReference | SampledReference,
-) -> tuple[float, float]:
+def reference_range_deg(parameters: Reference) -> tuple[float, float]:
     """Smallest and largest knee angle of a reference in deg; for a spline, between samples too."""
     if not isinstance(parameters, SampledReference):
         return parameters.range_deg
@@ -244,10 +204,7 @@ def reference_range_deg(
     return float(angles.min()), float(angles.max())
 
 
-def require_reference_in_range(
-    parameters: SineReference | StepReference | RampReference | SampledReference,
-    knee: KneeParameters,
-) -> None:
+def require_reference_in_range(parameters: Reference, knee: KneeParameters) -> None:
     """`ParameterError` when a reference leaves the range of motion.
 
     Samples must lie within it; the curve between them may pass it by ``knee.overshoot_deg``.
@@ -264,6 +221,3 @@ def require_reference_in_range(
             f"{knee.flexion_max_deg:g} deg by more than overshoot_deg = {knee.overshoot_deg:g} "
             f"deg; take interpolation: pchip, or reduce the reference"
         )
-
-
-__getattr__ = instances_of_float(__name__)

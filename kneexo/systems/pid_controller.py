@@ -5,17 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pydrake.math as drake_math
-from pydrake.systems.framework import LeafSystem_
 
 from kneexo.parameters import PidParameters, PlantParameters
-from kneexo.systems._leaf import (
-    NamedLeaf,
-    clip,
-    discrete_state,
-    instances_of_float,
-    leaf_template,
-    values_of,
-)
+from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template, values_of
 
 
 def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[str, float]:
@@ -37,86 +29,71 @@ def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[st
     }
 
 
-@leaf_template(__name__, "PidController_")
-def PidController_(T: Any) -> Any:
-    """PID controller for the scalar ``T``."""
+class PidController(NamedLeaf):
+    """PID on the knee angle with filtered error and back-calculated anti-windup.
 
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """PID on the knee angle with filtered error and back-calculated anti-windup.
+    With e = θ_d − θ_p, its first-order filter z and G = gear·Ā/D_m (motor per rod speed):
+    z⁺ = z + (1 − e^(−T/T_d))(e − z),  I⁺ = I + T(K_i e + (w_u − w)/T_t),
+    w = K_p z⁺ + I + K_d (e − z⁺)/T_d,  u = clip(G(−r_0 w + K_v dx_d/dt), ±u_max),
+    where w_u is the knee rate that gives the limited command. More flexion means that the rod
+    goes in, hence the minus sign. The filter smooths the counts of the encoder in P and D,
+    as the observer does for the sliding-mode controller.
 
-        With e = θ_d − θ_p, its first-order filter z and G = gear·Ā/D_m (motor per rod speed):
-        z⁺ = z + (1 − e^(−T/T_d))(e − z),  I⁺ = I + T(K_i e + (w_u − w)/T_t),
-        w = K_p z⁺ + I + K_d (e − z⁺)/T_d,  u = clip(G(−r_0 w + K_v dx_d/dt), ±u_max),
-        where w_u is the knee rate that gives the limited command. More flexion means that the rod
-        goes in, hence the minus sign. The filter takes from P and D the counts of the encoder, as
-        the observer does for the sliding-mode controller.
+    ===================  ====  =====================  ===================================
+    input port           size  unit
+    ===================  ====  =====================  ===================================
+    knee_angle           1     rad                    measured θ_p
+    knee_reference       4     rad, rad/s, …          θ_d and derivatives (θ_d is used)
+    rod_reference        4     m, m/s, …              x_d and derivatives (dx_d/dt is used)
+    **output port**
+    motor_speed_command  1     rad/s                  within ±``command_limit_rad_s``
+    ===================  ====  =====================  ===================================
 
-        ===================  ====  =====================  ===================================
-        input port           size  unit
-        ===================  ====  =====================  ===================================
-        knee_angle           1     rad                    measured θ_p
-        knee_reference       4     rad, rad/s, …          θ_d and derivatives (θ_d is used)
-        rod_reference        4     m, m/s, …              x_d and derivatives (dx_d/dt is used)
-        **output port**
-        motor_speed_command  1     rad/s                  within ±``command_limit_rad_s``
-        ===================  ====  =====================  ===================================
+    Discrete state, every ``sample_time_s``: the command (held by the output port), I, z;
+    ``Simulator.Initialize()`` sets z to e, so that an initial error gives no derivative kick.
+    Context parameters by name: the gains of `PidParameters` and ``speed_gain_rad_per_m`` (G).
+    """
 
-        Discrete state, every ``sample_time_s``: the command (held by the output port), I, z;
-        ``Simulator.Initialize()`` sets z to e, so that an initial error gives no derivative kick.
-        Context parameters by name: the gains of `PidParameters` and ``speed_gain_rad_per_m`` (G).
-        """
+    def __init__(
+        self,
+        parameters: PidParameters = PidParameters(),
+        plant: PlantParameters = PlantParameters(),
+    ) -> None:
+        self._declare_parameters(context_values(parameters, plant))
+        self._sample_time = parameters.sample_time_s
+        self._knee_angle = self.DeclareVectorInputPort("knee_angle", 1)
+        self._knee_reference = self.DeclareVectorInputPort("knee_reference", 4)
+        self._rod_reference = self.DeclareVectorInputPort("rod_reference", 4)
+        self._declare_update(parameters.sample_time_s, 3, self._update)
+        self._declare_initialization(lambda c: [0.0, 0.0, self._error(c)])
+        self._declare_output(
+            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
+        )
 
-        def _construct(
-            self,
-            parameters: PidParameters = PidParameters(),
-            plant: PlantParameters = PlantParameters(),
-            *,
-            converter: Any = None,
-        ) -> None:
-            self._begin(T, converter, parameters, plant)
-            self._declare_parameters(context_values(parameters, plant))
-            self._sample_time = parameters.sample_time_s
-            self._knee_angle = self.DeclareVectorInputPort("knee_angle", 1)
-            self._knee_reference = self.DeclareVectorInputPort("knee_reference", 4)
-            self._rod_reference = self.DeclareVectorInputPort("rod_reference", 4)
-            self._declare_update(parameters.sample_time_s, 3, self._update)
-            self._declare_initialization(lambda c: [0.0, 0.0, self._error(c)])
-            self._declare_output(
-                "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
-            )
+    def _error(self, context: Any) -> Any:
+        return self._knee_reference.Eval(context)[0] - self._knee_angle.Eval(context)[0]
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-        def _error(self, context: Any) -> Any:
-            return self._knee_reference.Eval(context)[0] - self._knee_angle.Eval(context)[0]
-
-        def _update(self, context: Any) -> list[Any]:
-            p = self.parameters(context)
-            _, integral, filtered = discrete_state(context)
-            error = self._error(context)
-            dt = self._sample_time
-            share = 1.0 - drake_math.exp(-dt / p.filter_s)
-            filtered = filtered + share * (error - filtered)
-            slope = (error - filtered) / p.filter_s
-            rate = p.proportional_per_s * filtered + integral + p.derivative * slope
-            per_rate = -p.speed_gain_rad_per_m * p.moment_arm_m
-            feedforward = (
-                p.speed_gain_rad_per_m
-                * p.velocity_feedforward
-                * self._rod_reference.Eval(context)[1]
-            )
-            command = clip(
-                per_rate * rate + feedforward, -p.command_limit_rad_s, p.command_limit_rad_s
-            )
-            excess = (command - feedforward) / per_rate - rate
-            return [
-                command,
-                integral + dt * (p.integral_per_s2 * error + excess / p.anti_windup_s),
-                filtered,
-            ]
-
-    return Impl
+    def _update(self, context: Any) -> list[Any]:
+        p = self.parameters(context)
+        _, integral, filtered = discrete_state(context)
+        error = self._error(context)
+        dt = self._sample_time
+        share = 1.0 - drake_math.exp(-dt / p.filter_s)
+        filtered = filtered + share * (error - filtered)
+        slope = (error - filtered) / p.filter_s
+        rate = p.proportional_per_s * filtered + integral + p.derivative * slope
+        per_rate = -p.speed_gain_rad_per_m * p.moment_arm_m
+        feedforward = (
+            p.speed_gain_rad_per_m * p.velocity_feedforward * self._rod_reference.Eval(context)[1]
+        )
+        command = clip(per_rate * rate + feedforward, -p.command_limit_rad_s, p.command_limit_rad_s)
+        excess = (command - feedforward) / per_rate - rate
+        return [
+            command,
+            integral + dt * (p.integral_per_s2 * error + excess / p.anti_windup_s),
+            filtered,
+        ]
 
 
-__getattr__ = instances_of_float(__name__)
+PidController_ = leaf_template(PidController)
+"""`PidController` by scalar type."""

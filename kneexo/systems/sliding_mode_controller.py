@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pydrake.math as drake_math
-from pydrake.systems.framework import LeafSystem_
 
 from kneexo.parameters import PlantParameters, SlidingModeParameters
 from kneexo.systems._leaf import (
     NamedLeaf,
     clip,
     discrete_state,
-    instances_of_float,
     leaf_template,
     values_of,
     where_positive,
@@ -98,72 +96,61 @@ def context_values(parameters: SlidingModeParameters, plant: PlantParameters) ->
     }
 
 
-@leaf_template(__name__, "SlidingModeController_")
-def SlidingModeController_(T: Any) -> Any:
-    """Sliding-mode controller for the scalar ``T``."""
+class SlidingModeController(NamedLeaf):
+    """Sliding-mode control of the rod (Eq. 27; see `sliding_mode_command`).
 
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """Sliding-mode control of the rod (Eq. 27; see `sliding_mode_command`).
+    ===================  ====  ===================  =======================================
+    input port           size  unit
+    ===================  ====  ===================  =======================================
+    estimated_state      3     m, m/s, m/s²         x, v, a
+    rod_reference        4     m, m/s, m/s², m/s³   x_d and derivatives to the third
+    **output port**
+    motor_speed_command  1     rad/s                within ±``command_limit_rad_s``
+    sliding_variable     1     m/s²                 s, of the present inputs
+    ===================  ====  ===================  =======================================
 
-        ===================  ====  ===================  =======================================
-        input port           size  unit
-        ===================  ====  ===================  =======================================
-        estimated_state      3     m, m/s, m/s²         x, v, a
-        rod_reference        4     m, m/s, m/s², m/s³   x_d and derivatives to the third
-        **output port**
-        motor_speed_command  1     rad/s                within ±``command_limit_rad_s``
-        sliding_variable     1     m/s²                 s, of the present inputs
-        ===================  ====  ===================  =======================================
+    Discrete state, every ``sample_time_s``: the command, which the output port holds. With
+    ``continuous=True`` there is none and the output follows the inputs (Fig. 9). Context
+    parameters by name: λ, Φ, η, the bounds of Eq. 27, m̂ (``mass_estimate_kg``), β
+    (``gain_ratio``) and the plant that the controller believes in. Source: Lee et al. 2020,
+    Eq. 20–27, with the errata listed in `sliding_mode_command`.
+    """
 
-        Discrete state, every ``sample_time_s``: the command, which the output port holds. With
-        ``continuous=True`` there is none and the output follows the inputs (Fig. 9). Context
-        parameters by name: λ, Φ, η, the bounds of Eq. 27, m̂ (``mass_estimate_kg``), β
-        (``gain_ratio``) and the plant that the controller believes in. Source: Lee et al. 2020,
-        Eq. 20–27, with the errata told in `sliding_mode_command`.
-        """
+    def __init__(
+        self,
+        parameters: SlidingModeParameters = SlidingModeParameters(),
+        plant: PlantParameters = PlantParameters(),
+    ) -> None:
+        self._declare_parameters(context_values(parameters, plant))
+        self._signum = parameters.switching == "signum"
+        self._state = self.DeclareVectorInputPort("estimated_state", 3)
+        self._reference = self.DeclareVectorInputPort("rod_reference", 4)
+        given = self.all_parameters_ticket()
+        inputs = (self._state, self._reference, given)
+        declare = self._declare_output
+        if parameters.continuous:
+            declare("motor_speed_command", 1, self._command, *inputs)
+        else:
+            self._declare_update(parameters.sample_time_s, 1, self._command)
+            declare("motor_speed_command", 1, discrete_state, self.xd_ticket())
+        declare("sliding_variable", 1, self._calc_sliding_variable, *inputs)
 
-        def _construct(
-            self,
-            parameters: SlidingModeParameters = SlidingModeParameters(),
-            plant: PlantParameters = PlantParameters(),
-            *,
-            converter: Any = None,
-        ) -> None:
-            self._begin(T, converter, parameters, plant)
-            self._declare_parameters(context_values(parameters, plant))
-            self._signum = parameters.switching == "signum"
-            self._state = self.DeclareVectorInputPort("estimated_state", 3)
-            self._reference = self.DeclareVectorInputPort("rod_reference", 4)
-            given = self.all_parameters_ticket()
-            inputs = (self._state, self._reference, given)
-            declare = self._declare_output
-            if parameters.continuous:
-                declare("motor_speed_command", 1, self._command, *inputs)
-            else:
-                self._declare_update(parameters.sample_time_s, 1, self._command)
-                declare("motor_speed_command", 1, discrete_state, self.xd_ticket())
-            declare("sliding_variable", 1, self._calc_sliding_variable, *inputs)
+    def _command(self, context: Any) -> list[Any]:
+        p = self.parameters(context)
+        command = sliding_mode_command(
+            self._state.Eval(context), self._reference.Eval(context), p, self._signum
+        )
+        return [clip(command, -p.command_limit_rad_s, p.command_limit_rad_s)]
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-        def _command(self, context: Any) -> list[Any]:
-            p = self.parameters(context)
-            command = sliding_mode_command(
-                self._state.Eval(context), self._reference.Eval(context), p, self._signum
+    def _calc_sliding_variable(self, context: Any) -> list[Any]:
+        return [
+            sliding_variable(
+                self._state.Eval(context),
+                self._reference.Eval(context),
+                self.parameters(context).lambda_per_s,
             )
-            return [clip(command, -p.command_limit_rad_s, p.command_limit_rad_s)]
-
-        def _calc_sliding_variable(self, context: Any) -> list[Any]:
-            return [
-                sliding_variable(
-                    self._state.Eval(context),
-                    self._reference.Eval(context),
-                    self.parameters(context).lambda_per_s,
-                )
-            ]
-
-    return Impl
+        ]
 
 
-__getattr__ = instances_of_float(__name__)
+SlidingModeController_ = leaf_template(SlidingModeController)
+"""`SlidingModeController` by scalar type."""

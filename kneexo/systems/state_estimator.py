@@ -11,17 +11,10 @@ import math
 from typing import Any
 
 import pydrake.math as drake_math
-from pydrake.systems.framework import LeafSystem_
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import ObserverParameters, SlidingModeParameters
-from kneexo.systems._leaf import (
-    NamedLeaf,
-    discrete_state,
-    instances_of_float,
-    leaf_template,
-    values_of,
-)
+from kneexo.systems._leaf import NamedLeaf, discrete_state, leaf_template, values_of
 
 _SAMPLE_TIME_S = SlidingModeParameters().sample_time_s
 
@@ -45,103 +38,78 @@ def _checked(sample_time_s: float) -> float:
     return sample_time_s
 
 
-@leaf_template(__name__, "TrackingObserver_")
-def TrackingObserver_(T: Any) -> Any:
-    """Tracking observer for the scalar ``T``."""
+class TrackingObserver(NamedLeaf):
+    """Discrete third-order tracking observer (α-β-γ filter with a triple pole).
 
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """Discrete third-order tracking observer (α-β-γ filter with a triple pole).
+    Correct with the innovation y − x̂⁻ and the gains of `tracking_gains`, use the corrected
+    estimate at once, then predict with constant acceleration over the sample time.
 
-        Correct with the innovation y − x̂⁻ and the gains of `tracking_gains`, use the corrected
-        estimate at once, then predict with constant acceleration over the sample time.
+    =================  ====  ===============  ============================================
+    input port         size  unit
+    =================  ====  ===============  ============================================
+    measured_position  1     m                y
+    **output port**
+    estimated_state    3     m, m/s, m/s²     x̂, v̂, â, corrected by the present y
+    =================  ====  ===============  ============================================
 
-        =================  ====  ===============  ============================================
-        input port         size  unit
-        =================  ====  ===============  ============================================
-        measured_position  1     m                y
-        **output port**
-        estimated_state    3     m, m/s, m/s²     x̂, v̂, â, corrected by the present y
-        =================  ====  ===============  ============================================
+    Discrete state, every ``sample_time_s``: the prediction x̂⁻, v̂⁻, â⁻.
+    ``Simulator.Initialize()`` sets it to y at rest. Context parameter: ``time_constant_s``
+    (T_f), by name. Raises `ParameterError` for a sample time that is not positive.
+    """
 
-        Discrete state, every ``sample_time_s``: the prediction x̂⁻, v̂⁻, â⁻.
-        ``Simulator.Initialize()`` sets it to y at rest. Context parameter: ``time_constant_s``
-        (T_f), by name. Raises `ParameterError` for a sample time that is not positive.
-        """
+    def __init__(
+        self,
+        parameters: ObserverParameters = ObserverParameters(),
+        sample_time_s: float = _SAMPLE_TIME_S,
+    ) -> None:
+        self._declare_parameters(values_of(parameters, "time_constant_s"))
+        self._sample_time = _checked(sample_time_s)
+        self._position = self.DeclareVectorInputPort("measured_position", 1)
+        sources = (self._position, self.xd_ticket(), self.all_parameters_ticket())
+        self._estimate = self._declare_output("estimated_state", 3, self._correct, *sources)
+        self._declare_update(sample_time_s, 3, self._predict)
+        self._declare_initialization(lambda c: [self._position.Eval(c)[0], 0.0, 0.0])
 
-        def _construct(
-            self,
-            parameters: ObserverParameters = ObserverParameters(),
-            sample_time_s: float = _SAMPLE_TIME_S,
-            *,
-            converter: Any = None,
-        ) -> None:
-            self._begin(T, converter, parameters, sample_time_s)
-            self._declare_parameters(values_of(parameters, "time_constant_s"))
-            self._sample_time = _checked(sample_time_s)
-            self._position = self.DeclareVectorInputPort("measured_position", 1)
-            self._estimate = self._declare_output(
-                "estimated_state",
-                3,
-                self._correct,
-                self._position,
-                self.xd_ticket(),
-                self.all_parameters_ticket(),
-            )
-            self._declare_update(sample_time_s, 3, self._predict)
-            self._declare_initialization(lambda c: [self._position.Eval(c)[0], 0.0, 0.0])
+    def _correct(self, context: Any) -> list[Any]:
+        gains = tracking_gains(self.parameters(context).time_constant_s, self._sample_time)
+        predicted = discrete_state(context)
+        innovation = self._position.Eval(context)[0] - predicted[0]
+        return [p + gain * innovation for p, gain in zip(predicted, gains, strict=True)]
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-        def _correct(self, context: Any) -> list[Any]:
-            gains = tracking_gains(self.parameters(context).time_constant_s, self._sample_time)
-            predicted = discrete_state(context)
-            innovation = self._position.Eval(context)[0] - predicted[0]
-            return [p + gain * innovation for p, gain in zip(predicted, gains, strict=True)]
-
-        def _predict(self, context: Any) -> list[Any]:
-            x, v, a = self._estimate.Eval(context)
-            dt = self._sample_time
-            return [x + dt * v + 0.5 * dt * dt * a, v + dt * a, a]
-
-    return Impl
+    def _predict(self, context: Any) -> list[Any]:
+        x, v, a = self._estimate.Eval(context)
+        dt = self._sample_time
+        return [x + dt * v + 0.5 * dt * dt * a, v + dt * a, a]
 
 
-@leaf_template(__name__, "BackwardDifference_")
-def BackwardDifference_(T: Any) -> Any:
-    """Backward differences for the scalar ``T``."""
-
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """Velocity and acceleration by plain backward differences.
-
-        v_k = (y_k − y_{k−1})/T, a_k = (v_k − v_{k−1})/T.
-
-        Ports as of `TrackingObserver`. Discrete state, every ``sample_time_s``: y_{k−1}, v_{k−1};
-        ``Simulator.Initialize()`` sets it to y at rest. No Context parameters.
-        """
-
-        def _construct(
-            self, sample_time_s: float = _SAMPLE_TIME_S, *, converter: Any = None
-        ) -> None:
-            self._begin(T, converter, sample_time_s)
-            self._sample_time = _checked(sample_time_s)
-            self._position = self.DeclareVectorInputPort("measured_position", 1)
-            self._estimate = self._declare_output(
-                "estimated_state", 3, self._differences, self._position, self.xd_ticket()
-            )
-            self._declare_update(sample_time_s, 2, lambda c: self._estimate.Eval(c)[:2])
-            self._declare_initialization(lambda c: [self._position.Eval(c)[0], 0.0])
-
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._arguments, converter=converter)
-
-        def _differences(self, context: Any) -> list[Any]:
-            previous_y, previous_v = discrete_state(context)
-            y = self._position.Eval(context)[0]
-            v = (y - previous_y) / self._sample_time
-            return [y, v, (v - previous_v) / self._sample_time]
-
-    return Impl
+TrackingObserver_ = leaf_template(TrackingObserver)
+"""`TrackingObserver` by scalar type."""
 
 
-__getattr__ = instances_of_float(__name__)
+class BackwardDifference(NamedLeaf):
+    """Velocity and acceleration by plain backward differences.
+
+    v_k = (y_k − y_{k−1})/T, a_k = (v_k − v_{k−1})/T.
+
+    Ports as of `TrackingObserver`. Discrete state, every ``sample_time_s``: y_{k−1}, v_{k−1};
+    ``Simulator.Initialize()`` sets it to y at rest. No Context parameters.
+    """
+
+    def __init__(self, sample_time_s: float = _SAMPLE_TIME_S) -> None:
+        self._sample_time = _checked(sample_time_s)
+        self._position = self.DeclareVectorInputPort("measured_position", 1)
+        self._estimate = self._declare_output(
+            "estimated_state", 3, self._differences, self._position, self.xd_ticket()
+        )
+        self._declare_update(sample_time_s, 2, lambda c: self._estimate.Eval(c)[:2])
+        self._declare_initialization(lambda c: [self._position.Eval(c)[0], 0.0])
+
+    def _differences(self, context: Any) -> list[Any]:
+        previous_y, previous_v = discrete_state(context)
+        y = self._position.Eval(context)[0]
+        v = (y - previous_y) / self._sample_time
+        return [y, v, (v - previous_v) / self._sample_time]
+
+
+BackwardDifference_ = leaf_template(BackwardDifference)
+"""`BackwardDifference` by scalar type."""

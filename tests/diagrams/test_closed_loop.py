@@ -93,10 +93,12 @@ FULL_ORDER_OUTPUTS = {"chamber_pressures": 2, "makeup_flow": 2, "relief_flow": 2
 def test_subsystems_and_exported_ports_are_named(case):
     scenario, systems, inputs = STRUCTURES[case]
     diagram = make_closed_loop(scenario)
-    always = {"plant", "encoder", "coordinates", "reference", "rod_reference", "controller"}
+    always = {"plant", "encoder", "reference", "controller"}
     names = {system.get_name() for system in diagram.GetSystems()}
+    inside = {system.get_name() for system in diagram.GetSubsystemByName("controller").GetSystems()}
+    assert inside == {"coordinates", "rod_reference", "law"} | systems & {"estimator"}
     counting = {"encoder_phase", "encoder_mounting"} if scenario.encoder.quantized else set()
-    assert names == always | counting | {"signals", "log"} | systems
+    assert names == always | counting | {"signals", "log"} | systems - {"estimator"}
     ports = [diagram.get_input_port(i) for i in range(diagram.num_input_ports())]
     assert {port.get_name() for port in ports} == {"disturbance_force"} | inputs
     outputs = dict(OUTPUTS)
@@ -628,8 +630,8 @@ def test_changed_context_parameters_are_carried_over(convert, fixed_step):
     before = all_values(diagram, context)
     cylinder = diagram.GetSubsystemByName("plant").GetSubsystemByName("cylinder")
     cylinder.set_parameter(cylinder.GetMyMutableContextFromRoot(context), "mass_kg", 3.4)
-    controller = diagram.GetSubsystemByName("controller")
-    controller.set_parameter(controller.GetMyMutableContextFromRoot(context), "lambda_per_s", 31.0)
+    law = diagram.GetSubsystemByName("controller").GetSubsystemByName("law")
+    law.set_parameter(law.GetMyMutableContextFromRoot(context), "lambda_per_s", 31.0)
     after = all_values(diagram, context)
     # Twice the mass, half the acceleration, exactly.
     np.testing.assert_allclose(after["derivatives"][2], 0.5 * before["derivatives"][2], rtol=1e-14)

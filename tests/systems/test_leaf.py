@@ -5,46 +5,41 @@ import pytest
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import LeafSystem_, SystemScalarConverter
-from pydrake.systems.scalar_conversion import TemplateSystem
+from pydrake.systems.framework import LeafSystem_
 
 from kneexo.systems import bldc_pump
-from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, value_or_zero, where_positive
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    clip,
+    discrete_state,
+    leaf_template,
+    value_or_zero,
+    where_positive,
+)
 
 SOURCE = {"gain": 2.0, "offset": 0.5}
 
 
-@TemplateSystem.define("Sample_")
-def Sample_(T):
-    class Impl(NamedLeaf, LeafSystem_[T]):
-        """y = gain·u + offset; x⁺ = [x_1 + u, x_0]; starts at [u, −1]."""
+class Sample(NamedLeaf):
+    """y = gain·u + offset; x⁺ = [x_1 + u, x_0]; starts at [u, −1]."""
 
-        def _construct(self, source=SOURCE, period=0.25, *, converter=None):
-            self._begin(T, converter, source, period)
-            self._declare_parameters(source, ("gain", "offset"))
-            self._u = self.DeclareVectorInputPort("u", 1)
-            self._declare_update(period, 2, self._update)
-            self._declare_initialization(lambda c: [value_or_zero(self._u, c), -1.0])
-            given = self.all_parameters_ticket()
-            self._declare_output("y", 1, self._calc, self._u, given)
-            self._declare_output("held", 2, discrete_state, self.xd_ticket())
-            self._declare_output("constant", 2, lambda c: [3.0, 4.0])
+    def __init__(self, source=SOURCE, period=0.25):
+        self._declare_parameters(source)
+        self._u = self.DeclareVectorInputPort("u", 1)
+        self._declare_update(period, 2, self._update)
+        self._declare_initialization(lambda c: [value_or_zero(self._u, c), -1.0])
+        given = self.all_parameters_ticket()
+        self._declare_output("y", 1, self._calc, self._u, given)
+        self._declare_output("held", 2, discrete_state, self.xd_ticket())
+        self._declare_output("constant", 2, lambda c: [3.0, 4.0])
 
-        def _construct_copy(self, other, converter=None):
-            Impl._construct(self, *other._arguments, converter=converter)
+    def _calc(self, context):
+        p = self.parameters(context)
+        return [p.gain * value_or_zero(self._u, context) + p.offset]
 
-        def _calc(self, context):
-            p = self.parameters(context)
-            return [p.gain * value_or_zero(self._u, context) + p.offset]
-
-        def _update(self, context):
-            x_0, x_1 = discrete_state(context)
-            return [x_1 + value_or_zero(self._u, context), x_0]
-
-    return Impl
-
-
-Sample = Sample_[None]
+    def _update(self, context):
+        x_0, x_1 = discrete_state(context)
+        return [x_1 + value_or_zero(self._u, context), x_0]
 
 
 # ------------------------------------------------------------------------------ structure
@@ -67,9 +62,8 @@ def test_outputs_depend_on_their_sources_only(leaf):
 def test_output_without_sources_is_computed_once():
     calls = []
 
-    class Constant(NamedLeaf, LeafSystem_[float]):
+    class Constant(NamedLeaf):
         def __init__(self):
-            self._begin(float, SystemScalarConverter())
             self.DeclareVectorInputPort("u", 1)
             self._declare_output("y", 1, lambda c: calls.append(c) or [3.0])
 
@@ -108,22 +102,32 @@ def test_conversions_agree_and_keep_arguments(leaf):
     assert probe.largest_tree() < 10
 
 
+def test_a_component_is_a_leaf_system_of_float_and_has_a_class_for_each_scalar():
+    system, template = Sample(), leaf_template(Sample)
+    assert type(system) is template[None] is template[float]
+    for scalar, same in ((float, system), (AutoDiffXd, system.ToAutoDiffXd())):
+        assert isinstance(same, LeafSystem_[scalar])
+        assert isinstance(same, Sample)
+        assert type(same) is template[scalar]
+    assert template[float].__doc__ == Sample.__doc__
+    assert "test_leaf.Sample_" in repr(system)
+
+
+def test_a_subclass_of_a_component_converts_to_itself():
+    class Twice(Sample):
+        def __init__(self, *, gain):
+            super().__init__(SOURCE | {"gain": 2.0 * gain})
+
+    converted = Twice(gain=3.0).ToAutoDiffXd()
+    assert isinstance(converted, Twice)
+    assert converted.parameters(converted.CreateDefaultContext()).gain.value() == 6.0
+
+
 def test_conversions_keep_the_period():
     system = Sample(SOURCE, 0.125)
     for converted in (system, system.ToAutoDiffXd(), system.ToSymbolic()):
         timing = converted.GetUniquePeriodicDiscreteUpdateAttribute()
         assert (timing.period_sec(), timing.offset_sec()) == (0.125, 0.0)
-
-
-def test_source_may_be_an_object_with_attributes():
-    class Source:
-        gain, offset, unused = 6.0, 7.0, 8.0
-
-    system = Sample(Source)
-    assert system.parameters(system.CreateDefaultContext())._asdict() == {
-        "gain": 6.0,
-        "offset": 7.0,
-    }
 
 
 # -------------------------------------------------------------------------------- helpers

@@ -1,0 +1,381 @@
+"""What each command of ``kneexo`` does with its parsed options.
+
+Each imports what it needs: ``kneexo --help``, ``kneexo cache`` and, but for its list of settings,
+``kneexo params`` need no Drake.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from kneexo.errors import ParameterError
+from kneexo.studies.catalogue import Study
+from kneexo.version import __version__
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from matplotlib.figure import Figure
+
+    from kneexo.analysis import TrackingResult
+    from kneexo.parameters import Scenario
+    from kneexo.parameters.quantity import Parameters
+
+_P = TypeVar("_P", bound="Parameters")
+
+# ------------------------------------------------------------------- shared by the commands
+
+
+def _with_values(parameters: _P, texts: Sequence[str]) -> _P:
+    """The parameters with what ``--set`` changes, texts NAME=VALUE."""
+    from kneexo.parameters.paths import changed
+    from kneexo.scenario_file import read_value
+
+    values = {}
+    for text in texts:
+        name, separator, value = text.partition("=")
+        if not separator:
+            raise ParameterError(f"--set {text}: must be NAME=VALUE")
+        values[name] = read_value(f"--set {name}", value)
+    return changed(parameters, values)
+
+
+def _scenario(options: argparse.Namespace, default: Scenario | None = None) -> Scenario:
+    """The scenario of the file or the default, with ``--set`` and then ``--engine`` applied."""
+    from kneexo.parameters import Scenario
+    from kneexo.scenario_file import load_scenario
+
+    if options.scenario is None:
+        scenario = default or Scenario()
+    else:
+        scenario = load_scenario(options.scenario)
+    scenario = _with_values(scenario, getattr(options, "values", ()))
+    return scenario.with_engine(getattr(options, "engine", None))
+
+
+def _executor(options: argparse.Namespace) -> AbstractContextManager[Executor | None]:
+    """The Dask cluster that was asked for; None leaves the choice to ``--workers``."""
+    if options.workers is not None and options.workers < 1:
+        raise ParameterError(f"--workers = {options.workers}: must be at least 1")
+    if options.dask is None:
+        return nullcontext()
+    from kneexo.sweeps.parallel import dask_cluster
+
+    return dask_cluster(options.dask)
+
+
+def _results(options: argparse.Namespace) -> AbstractContextManager[Path]:
+    """The directory for the results; notes when they are in ``--out``."""
+    from kneexo.output import output_directory
+
+    return output_directory(options.out, partial(setattr, options, "written", True))
+
+
+def _origin(scenario: Scenario, settings: Parameters | None = None) -> dict[str, Any]:
+    """What every JSON result begins with: version of kneexo, scenario and settings."""
+    given = {} if settings is None else {"settings": settings.model_dump(mode="json")}
+    return {"kneexo": __version__, "scenario": scenario.model_dump(mode="json")} | given
+
+
+def _write(directory: Path, texts: Mapping[str, str], figures: Mapping[str, Figure]) -> None:
+    """Write texts by file name, and figures by name as PNG and PDF; the figures are closed."""
+    import matplotlib.pyplot as plt
+
+    from kneexo.output import save_figure
+
+    for name, text in texts.items():
+        (directory / name).write_text(text, encoding="utf-8")
+    for name, figure in figures.items():
+        save_figure(directory, name, figure)
+        plt.close(figure)
+
+
+def _checkpoint_path(options: argparse.Namespace) -> Path:
+    """Where a sweep keeps its finished pieces."""
+    return Path(options.out, f"{options.command}.checkpoint.jsonl")
+
+
+_AGAIN = "the same command goes on from them"
+
+
+def kept(options: argparse.Namespace) -> str:
+    """What an unfinished sweep has left; empty where it kept nothing."""
+    checkpoint = getattr(options, "checkpoint", None)
+    if checkpoint is not None:
+        count = len(checkpoint)
+        return f"{count} finished pieces are kept in {checkpoint.path}; {_AGAIN}" if count else ""
+    if hasattr(options, "restart") and _checkpoint_path(options).exists():
+        return f"finished pieces are kept in {_checkpoint_path(options)}; {_AGAIN}"
+    return ""
+
+
+def left(options: argparse.Namespace) -> str:
+    """What an interrupted command has left."""
+    if getattr(options, "written", False):
+        return f"the results are in {options.out}"
+    return kept(options) or "nothing was written"
+
+
+# -------------------------------------------------------------------------------- commands
+
+
+def sweep(study: Study, options: argparse.Namespace) -> None:
+    """Run a study whose finished pieces are kept, and write results, report and figures."""
+    scenario = _scenario(options, study.scenario)
+    settings = _with_values(study.settings(), options.settings)
+    compute = study.compute
+    if study.uncertain and options.uncertainty is not None:
+        from kneexo.scenario_file import load_uncertainty
+
+        compute = partial(compute, uncertainty=load_uncertainty(options.uncertainty, scenario))
+    import matplotlib.pyplot  # noqa: F401  (where it cannot be imported, no work is lost)
+
+    from kneexo.output import to_json
+    from kneexo.sweeps.checkpoint import Checkpoint
+
+    with _executor(options) as executor, _results(options) as directory:
+        checkpoint = Checkpoint(_checkpoint_path(options), resume=not options.restart)
+        options.checkpoint = checkpoint
+        try:
+            result = compute(
+                scenario,
+                settings=settings,
+                workers=options.workers,
+                executor=executor,
+                checkpoint=checkpoint,
+                progress=True,
+            )
+            document = to_json(_origin(scenario, settings) | result.results())
+            report = study.report(result)
+            texts = {f"{study.name}.json": document, f"{study.name}.md": report}
+            _write(directory, texts, study.figures(result))
+            files = ", ".join(sorted(file.name for file in directory.iterdir()))
+        except BaseException:  # KeyboardInterrupt too: the next process may have the file
+            checkpoint.close()
+            raise
+    if others := checkpoint.remove():
+        print(
+            f"kneexo: {others} finished pieces of other settings stay in {checkpoint.path}; "
+            f"--restart deletes them",
+            file=sys.stderr,
+        )
+    print(document if options.json else f"{report}\nIn {options.out}: {files}\n", end="")
+
+
+def reproduce(options: argparse.Namespace) -> None:
+    """Compute the paper's figures and numbers, and write them with a report."""
+    from kneexo.analysis.frequency_response import SinestreamSettings
+    from kneexo.output import to_json
+    from kneexo.parameters import Scenario
+    from kneexo.studies import reproduce as study
+    from kneexo.studies.reproduce_figures import figures
+    from kneexo.studies.reproduce_report import report
+
+    settings = _with_values(SinestreamSettings(), options.settings)
+    with _executor(options) as executor, _results(options) as directory:
+        reproduction = study.reproduce(
+            settings,
+            engine=options.engine,
+            workers=options.workers,
+            executor=executor,
+            progress=True,
+        )
+        numbers = study.results(reproduction)
+        origin = _origin(Scenario().with_engine(options.engine), settings)
+        document, text = to_json(origin | numbers), report(numbers)
+        texts = {"results.json": document, "report.md": text}
+        _write(directory, texts, figures(reproduction))
+    files = "the figures, results.json, report.md"
+    print(document if options.json else f"{text}\nIn {options.out}: {files}\n", end="")
+
+
+def simulate(options: argparse.Namespace) -> None:
+    """Run one scenario, and write its signals, metrics and plot."""
+    scenario = _scenario(options)
+    from dataclasses import asdict
+
+    from kneexo.analysis import track
+    from kneexo.output import to_json, write_csv
+    from kneexo.scenario_file import dump_scenario
+    from kneexo.studies.markdown import number
+
+    with _results(options) as directory:
+        if scenario.simulation.compiled:
+            result = track(scenario, all_signals=True)
+        else:
+            result = _track_with_bar(scenario)
+        document = to_json(_origin(scenario) | asdict(result.metrics))
+        write_csv(directory / "signals.csv", result.run)
+        texts = {"metrics.json": document, "scenario.yaml": dump_scenario(scenario)}
+        _write(directory, texts, {"tracking": result.plot()[0].figure})
+    if options.json:
+        print(document, end="")
+        return
+    for name, value in asdict(result.metrics).items():
+        print(f"{name:28s} {number(value, '.6g')}")
+    print(f"In {options.out}: signals.csv, metrics.json, scenario.yaml, tracking.png, tracking.pdf")
+
+
+def _track_with_bar(scenario: Scenario) -> TrackingResult:
+    from tqdm import tqdm
+
+    from kneexo.analysis import track
+    from kneexo.diagrams import make_closed_loop
+
+    make_closed_loop(scenario)  # its faults are shown before the progress bar
+    with tqdm(
+        total=scenario.simulation.duration_s,
+        desc="simulated time",
+        mininterval=0.5,
+        bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
+    ) as bar:
+        return track(scenario, all_signals=True, progress=lambda time: bar.update(time - bar.n))
+
+
+def linearize(options: argparse.Namespace) -> None:
+    """Linearize plant and sampled loop at a posture, and write poles, margins and plots."""
+    scenario = _scenario(options)
+    from dataclasses import asdict
+
+    from kneexo.analysis import linearize_loop, linearize_plant
+    from kneexo.output import to_json
+
+    with _results(options) as directory:
+        plant = linearize_plant(scenario.plant, options.knee_angle)
+        loop = linearize_loop(scenario, options.knee_angle)
+        frequency, damping = plant.damping
+        document = to_json(
+            {
+                **_origin(scenario),
+                "settings": {"knee_angle_deg": options.knee_angle},
+                "operating_point": asdict(plant.operating_point),
+                "plant_poles_per_s": [[p.real, p.imag] for p in plant.poles],
+                "plant_frequencies_rad_s": frequency,
+                "plant_damping_ratios": damping,
+                "plant_velocity_gain": plant.velocity_gain,
+                "loop_eigenvalues": [[z.real, z.imag] for z in loop.eigenvalues],
+                "margins": asdict(loop.margins()),
+                "bandwidth_hz": loop.bandwidth_hz() if loop.stable else None,
+            }
+        )
+        axes = {"loop": loop.plot()[0], "nyquist": loop.plot_nyquist(), "poles": loop.plot_poles()}
+        figures = {name: ax.figure for name, ax in axes.items()}
+        _write(directory, {"linearization.json": document}, figures)
+    if options.json:
+        print(document, end="")
+        return
+    print(f"plant: {plant}\nloop: {loop}")
+    print(f"In {options.out}: linearization.json; loop, nyquist and poles as PNG and PDF")
+
+
+def params(options: argparse.Namespace) -> None:
+    """List the parameters, or print a scenario file or the schema of such files."""
+    scenario = _scenario(options)
+    if options.yaml:
+        from kneexo.scenario_file import dump_scenario
+
+        print(dump_scenario(scenario), end="")
+        return
+    if options.schema:
+        from kneexo.schema import json_schema
+
+        print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+        return
+    from kneexo.parameter_list import parameter_rows, setting_rows, uncertainty_rows
+
+    rows = list(parameter_rows(scenario, all_kinds=options.scenario is None))
+    if options.scenario is None:
+        rows += [*setting_rows(), *uncertainty_rows()]
+    if options.json:
+        document = {**_origin(scenario), "parameters": rows}
+        print(json.dumps(document, indent=2, ensure_ascii=False))
+        return
+    for row in rows:
+        bounds = f"  [{row['range']}]" if row["range"] else ""
+        unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
+        value = f"{row['value']:.10g}" if isinstance(row["value"], float) else row["value"]
+        print(f"{row['parameter']} = {value}{unit}{bounds}\n    {row['provenance']}")
+
+
+def diagram(options: argparse.Namespace) -> None:
+    """Write the block diagram as a Graphviz file, and as pictures where Graphviz is installed."""
+    scenario = _scenario(options)
+    from kneexo.diagrams import make_closed_loop
+
+    text = make_closed_loop(scenario).GetGraphvizString()
+    graphviz = shutil.which("dot")
+    with _results(options) as directory:
+        source = directory / "closed_loop.dot"
+        source.write_text(text, encoding="utf-8")
+        for kind in ("svg", "png") if graphviz else ():
+            picture = source.with_suffix(f".{kind}")
+            command = [str(graphviz), f"-T{kind}", str(source), "-o", str(picture)]
+            process = subprocess.run(command, capture_output=True, text=True)
+            if process.returncode:
+                picture.unlink(missing_ok=True)
+                reason = (process.stderr.splitlines() or ["no message"])[0]
+                print(f"kneexo: Graphviz could not draw the {kind}: {reason}", file=sys.stderr)
+        files = sorted(file.name for file in directory.iterdir())
+    if options.json:
+        print(json.dumps({**_origin(scenario), "directory": str(options.out), "files": files}))
+        return
+    print(f"{', '.join(files)} {'are' if len(files) > 1 else 'is'} in {options.out}")
+    if not graphviz:
+        print(
+            "For a picture install Graphviz (Debian, Ubuntu: apt-get install graphviz) and run "
+            "this again.",
+            file=sys.stderr,
+        )
+
+
+def cache(options: argparse.Namespace) -> None:
+    """Show or delete the compiled models that are kept on disk."""
+    import time
+
+    from kneexo.compilation import cache as models
+
+    directory = models.cache_directory()
+    if options.clear:
+        count = models.clear()
+        if options.json:
+            document = {"kneexo": __version__, "directory": str(directory), "deleted": count}
+            print(json.dumps(document))
+        else:
+            print(f"{directory}: {count} {'entry' if count == 1 else 'entries'} deleted")
+        return
+    entries, limit_bytes = models.entries(), models.size_limit()
+    size_bytes = sum(entry.size_bytes for entry in entries)
+    if options.json:
+        summary = {
+            "kneexo": __version__,
+            "directory": str(directory),
+            "size_bytes": size_bytes,
+            "limit_bytes": limit_bytes,
+            "entries": [
+                {
+                    "name": entry.path.name,
+                    "size_bytes": entry.size_bytes,
+                    "last_use_s": entry.last_use_s,
+                }
+                for entry in entries
+            ],
+        }
+        print(json.dumps(summary, indent=2))
+        return
+    print(f"directory  {directory}")
+    print(f"entries    {len(entries)}")
+    print(f"size       {size_bytes / 2**20:.1f} of at most {limit_bytes / 2**20:.0f} MiB")
+    if entries:
+        print("used last")
+    for entry in entries[:5]:
+        last_use = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.last_use_s))
+        print(f"  {last_use}  {entry.size_bytes / 2**10:8.1f} KiB  {entry.path.name}")

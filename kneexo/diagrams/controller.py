@@ -1,0 +1,252 @@
+"""The controller: everything that runs on the embedded target, as one diagram."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib import import_module
+from typing import Any
+
+from pydrake.systems.framework import DiagramBuilder, System
+
+from kneexo import systems
+from kneexo.diagrams.part import Part, add_parts
+from kneexo.errors import KneexoError, ParameterError
+from kneexo.parameters import (
+    CustomControllerParameters,
+    ObserverParameters,
+    PidParameters,
+    Scenario,
+    SlidingModeParameters,
+)
+from kneexo.systems import (
+    knee_coordinates,
+    pid_controller,
+    sliding_mode_controller,
+)
+
+
+def make_controller(scenario: Scenario = Scenario(), law: System | None = None) -> System:
+    """Build the controller of a scenario: what would run on the embedded target.
+
+    ===================  ====  ====================  ==============================================
+    input port           size  unit
+    ===================  ====  ====================  ==============================================
+    encoder_reading      1     rad                   θ_4 as the encoder tells it
+    knee_reference       4     rad, rad/s, …         θ_d and its derivatives to the third
+    rod_state            3     m, m/s, m/s²          only with the estimator ``exact``
+    **output port**
+    motor_speed_command  1     rad/s                 motor side, held for a sample
+    ===================  ====  ====================  ==============================================
+
+    Subsystems: ``coordinates`` (`KneeCoordinates`), ``rod_reference`` (`RodReference`), ``law``
+    and, where the law wants an estimated state that is not exact, ``estimator``. More outputs, of
+    what is inside: ``measured_knee_angle``, ``measured_rod_extension``, ``rod_reference``,
+    ``estimated_state`` (of the estimator) and ``sliding_variable`` (of the SMC).
+
+    Parameters
+    ----------
+    scenario
+        With ``controller.kind: custom`` the whole controller is what ``controller.make`` returns: a
+        system with at least the port ``motor_speed_command``. It is given a scenario that has what
+        a controller may know: believed plant, polynomial, encoder, estimator and controller.
+    law
+        A system in place of the scenario's law. It has the output ``motor_speed_command`` and any
+        of the inputs ``rod_extension`` (m), ``rod_reference`` (4), ``estimated_state`` (3),
+        ``knee_angle`` (rad) and ``knee_reference`` (4).
+
+    Raises `ParameterError` when a custom controller cannot be made or a port is wrong.
+    """
+    if law is None and isinstance(scenario.controller, CustomControllerParameters):
+        return _custom_controller(scenario, scenario.controller)
+    builder = DiagramBuilder()
+    part = add_parts(builder, _parts(scenario, law))
+    coordinates, rod_reference = part["coordinates"], part["rod_reference"]
+    law = part["law"]
+    knee_reference = builder.ExportInput(rod_reference.get_input_port(), "knee_reference")
+    builder.ExportInput(coordinates.get_input_port(), "encoder_reading")
+    sources = {
+        "rod_extension": coordinates.GetOutputPort("rod_extension"),
+        "knee_angle": coordinates.GetOutputPort("knee_angle"),
+        "rod_reference": rod_reference.get_output_port(),
+    }
+    outputs = {
+        "motor_speed_command": law.GetOutputPort("motor_speed_command"),
+        "measured_knee_angle": sources["knee_angle"],
+        "measured_rod_extension": sources["rod_extension"],
+        "rod_reference": sources["rod_reference"],
+    }
+    if "estimator" in part:
+        builder.Connect(sources["rod_extension"], part["estimator"].get_input_port())
+        sources["estimated_state"] = part["estimator"].get_output_port()
+        outputs["estimated_state"] = sources["estimated_state"]
+    for name in port_sizes(law, inputs=True):
+        port = law.GetInputPort(name)
+        if name in sources:
+            builder.Connect(sources[name], port)
+        elif name == "knee_reference":
+            builder.ConnectInput(knee_reference, port)
+        else:
+            builder.ExportInput(port, "rod_state")
+    if law.HasOutputPort("sliding_variable"):
+        outputs["sliding_variable"] = law.GetOutputPort("sliding_variable")
+    for name, output in outputs.items():
+        builder.ExportOutput(output, name)
+    controller = builder.Build()
+    controller.set_name("controller")
+    return controller
+
+
+def controller_parts(scenario: Scenario) -> list[Part]:
+    """The leaf systems of `make_controller`; none of a custom controller."""
+    return _parts(scenario) if scenario.controller.kind != "custom" else []
+
+
+def _parts(scenario: Scenario, own_law: System | None = None) -> list[Part]:
+    believed, polynomial = scenario.believed_plant, scenario.polynomial
+    law, offset = scenario.controller, encoder_offset_rad(scenario)
+    if law.command_limit_rad_s != scenario.command_limit_rad_s:
+        law = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
+    parts = [
+        Part(
+            "coordinates",
+            lambda: systems.KneeCoordinates(believed.linkage, polynomial, offset),
+            knee_coordinates.context_values(believed.linkage, polynomial, offset),
+        ),
+        Part(
+            "rod_reference",
+            lambda: systems.RodReference(polynomial),
+            knee_coordinates.rod_polynomial_values(polynomial),
+        ),
+    ]
+    if own_law is not None:
+        _require_ports(own_law, _LAW_INPUTS, "law")
+        parts.append(Part("law", lambda: own_law, {}))
+        if own_law.HasInputPort("estimated_state"):
+            parts += _estimator_parts(scenario)
+    elif isinstance(law, SlidingModeParameters):
+        parts.append(
+            Part(
+                "law",
+                lambda: systems.SlidingModeController(law, believed),
+                sliding_mode_controller.context_values(law, believed),
+            )
+        )
+        parts += _estimator_parts(scenario)
+    elif isinstance(law, PidParameters):
+        parts.append(
+            Part(
+                "law",
+                lambda: systems.PidController(law, believed),
+                pid_controller.context_values(law, believed),
+            )
+        )
+    return parts
+
+
+def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
+    estimator, sample_time = scenario.estimator, scenario.controller.sample_time_s
+    if isinstance(estimator, ObserverParameters):
+        yield Part(
+            "estimator",
+            lambda: systems.TrackingObserver(estimator, sample_time),
+            {"time_constant_s": estimator.time_constant_s},
+        )
+    elif estimator.kind == "difference":
+        yield Part("estimator", lambda: systems.BackwardDifference(sample_time), {})
+
+
+def encoder_offset_rad(scenario: Scenario) -> float:
+    """What the controller adds to a reading: phase and half a count, less the mounting error."""
+    encoder = scenario.encoder
+    phase = encoder.phase_rad if encoder.quantized else 0.0
+    return phase + 0.5 * encoder.resolution_rad - encoder.mounting_error_rad
+
+
+# ------------------------------------------------------------------------ custom controllers
+
+
+def known_to_controller(scenario: Scenario) -> Scenario:
+    """What a controller may know of a scenario; everything else has its default."""
+    return Scenario(
+        plant=scenario.believed_plant,
+        polynomial=scenario.polynomial,
+        encoder=scenario.encoder,
+        estimator=scenario.estimator,
+        controller=scenario.controller,
+    )
+
+
+def _custom_controller(scenario: Scenario, parameters: CustomControllerParameters) -> System:
+    told = f"controller.make = {parameters.make!r}"
+    module, _, path = parameters.make.partition(":")
+    try:
+        make: Any = import_module(module)
+        for name in path.split("."):
+            make = getattr(make, name)
+    except (ImportError, AttributeError) as error:
+        raise ParameterError(
+            f"{told}: {error}; must be module:function on the Python path"
+        ) from None
+    try:
+        controller = make(known_to_controller(scenario))
+    except KneexoError:
+        raise
+    except Exception as error:
+        reason = str(error).partition("\n")[0]
+        raise ParameterError(f"{told}: {type(error).__name__}: {reason}") from error
+    require_controller(controller, told)
+    timing = controller.GetUniquePeriodicDiscreteUpdateAttribute()
+    if timing is not None and timing.period_sec() != parameters.sample_time_s:
+        raise ParameterError(
+            f"controller.sample_time_s = {parameters.sample_time_s:g} s: must be "
+            f"{timing.period_sec():g} s, at which the controller updates"
+        )
+    controller.set_name("controller")
+    return controller
+
+
+def controller_outputs(scenario: Scenario) -> dict[str, int]:
+    """Size of each output port of a custom controller."""
+    key = known_to_controller(scenario).model_dump_json()
+    if key not in _outputs:
+        _outputs[key] = port_sizes(make_controller(scenario))
+    return _outputs[key]
+
+
+def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
+    """Size of each output port, or of each input port."""
+    if inputs:
+        ports = map(system.get_input_port, range(system.num_input_ports()))
+    else:
+        ports = map(system.get_output_port, range(system.num_output_ports()))
+    return {port.get_name(): port.size() for port in ports}
+
+
+_outputs: dict[str, dict[str, int]] = {}
+
+_INPUTS = {"encoder_reading": 1, "knee_reference": 4, "rod_state": 3}
+_LAW_INPUTS = {
+    "rod_extension": 1,
+    "rod_reference": 4,
+    "estimated_state": 3,
+    "knee_angle": 1,
+    "knee_reference": 4,
+}
+
+
+def require_controller(controller: Any, told: str = "controller") -> None:
+    """Raise `ParameterError` for what is no system with the ports of `make_controller`."""
+    _require_ports(controller, _INPUTS, told)
+
+
+def _require_ports(system: Any, inputs: dict[str, int], told: str) -> None:
+    if not isinstance(system, System):
+        raise ParameterError(f"{told}: {type(system).__name__} is not a Drake system")
+    for name, size in port_sizes(system, inputs=True).items():
+        if inputs.get(name) != size:
+            expected = ", ".join(f"{name} ({size})" for name, size in inputs.items())
+            raise ParameterError(
+                f"{told}: has an input port {name} of size {size}; must be of {expected}"
+            )
+    if port_sizes(system).get("motor_speed_command") != 1:
+        raise ParameterError(f"{told}: must have an output port motor_speed_command of size 1")

@@ -1,0 +1,112 @@
+"""What both orders of the single-rod cylinder share: its rod, the mass on it and the stroke."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pydrake.math as drake_math
+from pydrake.systems.framework import BasicVector_
+
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import CylinderParameters
+from kneexo.systems._leaf import NamedLeaf, fill, require_finite, value_or_zero, values_of
+
+PA_PER_MPA = 1e6
+
+
+def start_extension(parameters: CylinderParameters, initial_extension_m: float | None) -> float:
+    """Rod extension at the start in m, by default half the stroke.
+
+    Raises `ParameterError` outside the stroke.
+    """
+    if initial_extension_m is None:
+        return 0.5 * parameters.stroke_m
+    if not 0.0 <= initial_extension_m <= parameters.stroke_m:
+        raise ParameterError(
+            f"initial_extension_m = {initial_extension_m:g} m is outside the stroke "
+            f"0 … {parameters.stroke_m:g} m"
+        )
+    return initial_extension_m
+
+
+def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, float]:
+    """Context parameters of a `Cylinder`: the ``others``, then those of both orders."""
+    return values_of(
+        parameters,
+        *others,
+        "bulk_modulus_pa",
+        "leakage_m3_per_s_pa",
+        "mass_kg",
+        "damping_n_s_per_m",
+        "stiffness_n_per_m",
+        "stroke_m",
+    )
+
+
+class Cylinder(NamedLeaf):
+    """Base of the cylinders: m dv/dt = F_rod − F_L, with the ports that both orders have.
+
+    State: x in m, v in m/s and the pressures in MPa (order one). A subclass has the load pressure,
+    the force of the rod and the rates of the pressures. Raises `SimulationError` at the end of a
+    step that leaves the stroke, and when a derivative is not finite.
+    """
+
+    def _declare_rod(self, extension: float, pressures_pa: Sequence[float]) -> None:
+        """Declare the common ports, and the state at rest at that extension in m."""
+        self._flow = self.DeclareVectorInputPort("load_flow", 1)
+        self._force = self.DeclareVectorInputPort("load_force", 1)
+        pressures = [pressure / PA_PER_MPA for pressure in pressures_pa]
+        self.DeclareContinuousState(BasicVector_[self._scalar]([extension, 0.0, *pressures]))
+        state, given = self.xc_ticket(), self.all_parameters_ticket()
+        declare = self._declare_output
+        declare("rod_extension", 1, lambda c: self._state(c)[:1], state)
+        declare("rod_velocity", 1, lambda c: self._state(c)[1:2], state)
+        declare("load_pressure", 1, lambda c: [self._load_pressure(c)], state)
+        declare("rod_force", 1, lambda c: [self._rod_force(c)], state, given)
+        declare("rod_state", 3, self._motion, state, given, self._force)
+        self._declare_check(self._require_in_stroke)
+
+    def _load_pressure(self, context: Any) -> Any:
+        """P_L in Pa."""
+        raise NotImplementedError
+
+    def _rod_force(self, context: Any) -> Any:
+        """Force of the rod on its load in N; positive pushes."""
+        raise NotImplementedError
+
+    def _pressure_rates(self, context: Any) -> dict[str, Any]:
+        """Rate of each pressure of the state in Pa/s, by its name."""
+        raise NotImplementedError
+
+    def _state(self, context: Any) -> list[Any]:
+        """X in m, v in m/s, pressures in Pa."""
+        x, v, *pressures = context.get_continuous_state_vector().CopyToVector().tolist()
+        return [x, v, *(PA_PER_MPA * pressure for pressure in pressures)]
+
+    def _motion(self, context: Any) -> list[Any]:
+        """X, v and dv/dt."""
+        x, v, *_ = self._state(context)
+        force = self._rod_force(context) - value_or_zero(self._force, context)
+        return [x, v, force / self.parameters(context).mass_kg]
+
+    def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+        """Set dx/dt, dv/dt and the rates of the pressures, which must be finite."""
+        _, v, acceleration = self._motion(context)
+        rates = self._pressure_rates(context)
+        require_finite(self, context, rod_acceleration=acceleration, **rates)
+        scaled = (rate / PA_PER_MPA for rate in rates.values())
+        fill(derivatives.get_mutable_vector(), (v, acceleration, *scaled))
+
+    def margin(self, context: Any) -> Any:
+        """Distance to the nearer end of the stroke in m; a compiled run stops below zero."""
+        x, *_ = self._state(context)
+        return drake_math.min(x, self.parameters(context).stroke_m - x)
+
+    def _require_in_stroke(self, context: Any) -> None:
+        if not self.margin(context) >= 0.0:
+            raise SimulationError(
+                f"t = {context.get_time():.6g} s: {self.get_name()}: rod_extension = "
+                f"{self._state(context)[0]:.6g} m left the stroke 0 … "
+                f"{self.parameters(context).stroke_m:g} m; reduce the motion, the load or the step"
+            )
