@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 
 import kneexo
-from kneexo import commands
+import kneexo.__main__ as command_line
+from kneexo import cli, commands
 from kneexo.analysis import TrackingMetrics, track
 from kneexo.analysis.frequency_response import SinestreamSettings
 from kneexo.cli import main
@@ -391,6 +392,16 @@ def test_an_interrupt_of_an_import_is_one_true_line(tmp_path, module, told):
     assert done.returncode == 130
 
 
+def test_an_interrupt_after_the_command_ends_python_at_once(monkeypatch):
+    monkeypatch.setattr(cli, "main", lambda: 7)
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        assert command_line.main() == 7
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp_path):
     assert main(["simulate", str(tmp_path / "no.yaml"), "--out", str(tmp_path / "o")]) == 2
     assert "no.yaml" in capsys.readouterr().err
@@ -670,7 +681,7 @@ def test_an_interrupt_after_the_files_are_written_says_so(capsys, tmp_path, monk
 def test_reproduce_is_wired(capsys, tmp_path, monkeypatch):
     asked = {}
 
-    def stand_in(**options):
+    def stand_in(*settings, **options):
         asked.update(options)
         return 21
 

@@ -78,6 +78,8 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
         "plant: {linkage: {a_2_m: 0}}",
         "plant: {cylinder: {mass: 1}}",
         "polynomial: {p_mm_deg: [1, 2]}",
+        "polynomial: {p_mm_deg: [1, 2, 3, 4, 5, many]}",
+        "polynomial: {p_mm_deg: [1, 2, 3, 4, 5, 1e9]}",
         "controller: {proportional_per_s: 10}",
         "controller: {kind: pid, lambda_per_s: 10}",
         "reference: walk",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from pydrake.symbolic import Variable
-from pydrake.systems.primitives import SymbolicVectorSystem
+from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
 
 import kneexo
 from kneexo.compilation import State
@@ -63,3 +63,15 @@ def test_steps_are_as_small_as_each_run_needs():
         grown = 1.0 / (1.0 + (1.0 / start - 1.0) * np.exp(-rate * run.time_s))
         exact = np.column_stack([grown, 2.0 * (1.0 - grown) / (1.0 - start)])
         np.testing.assert_allclose(run["y0"], exact, rtol=0, atol=1e-5)
+
+
+def test_a_linear_system_of_many_states_is_the_matrix_exponential():
+    size = 12  # more than are unrolled
+    rng = np.random.default_rng(7)
+    a = rng.normal(size=(size, size)) - 10.0 * np.eye(size)
+    nothing = np.zeros((size, 0))
+    model = kneexo.compile(LinearSystem(a, nothing, np.eye(size), nothing, 0.0))
+    start = rng.normal(size=size)
+    run = model.simulate(model.parameters(), State(start, []), 0.3, record_period_s=0.1)
+    for time, row in zip(run.time_s, run["y0"], strict=True):
+        np.testing.assert_allclose(row, scipy.linalg.expm(a * time) @ start, rtol=0, atol=1e-9)

@@ -515,6 +515,9 @@ def test_gains_lie_with_lambda_across_and_the_slope_up(drawn):
     (ax, *_) = drawn["walking_gains"].axes
     drawn_errors = np.asarray(ax.collections[0].get_array(), dtype=float).reshape(2, 3)
     np.testing.assert_array_equal(drawn_errors, [[1.0, 2.0, 3.0], [11.0, 12.0, 13.0]])
+    colours = ax.collections[0].norm
+    assert colours.vmin <= 1.0
+    assert colours.vmax > 13.0  # above it also where all gains err alike
     assert [t.get_text() for t in ax.get_xticklabels()] == ["20", "80", "100"]
     assert [t.get_text() for t in ax.get_yticklabels()] == ["50000", "70000"]
     written = {t.get_position(): (t.get_text(), t.get_weight()) for t in ax.texts}

@@ -249,3 +249,12 @@ def test_unknown_or_nan_context_parameter_is_refused():
         system.set_parameter(context, "mass", 1.6)
     with pytest.raises(ValueError, match="mass_kg = nan: must be finite"):
         system.set_parameter(context, "mass_kg", math.nan)
+
+
+@pytest.mark.parametrize("extension", [0.0, 0.15])
+def test_the_rod_may_start_at_either_end_of_its_stroke(extension):
+    context = ReducedCylinder(initial_extension_m=extension).CreateDefaultContext()
+    assert context.get_continuous_state_vector().GetAtIndex(0) == extension
+    for beyond in (np.nextafter(0.0, -1.0), np.nextafter(0.15, 1.0)):
+        with pytest.raises(ParameterError):
+            ReducedCylinder(initial_extension_m=beyond)
