@@ -105,8 +105,8 @@ def error_model(
 ) -> ErrorModel:
     """The closed form of a scenario with the sliding-mode controller.
 
-    The full order needs to be told which chamber carries the load. ``rod_speed_m_s`` counts where
-    k grows with the speed. The share |1 − β||x⃛_d − 2λë − λ²ė| of k is left out.
+    The full order needs the chamber that carries the load. ``rod_speed_m_s`` counts where k grows
+    with the speed. The share |1 − β||x⃛_d − 2λë − λ²ė| of k is left out.
 
     Raises `ParameterError` for another controller, and for the full order without its chamber.
     """

@@ -410,8 +410,8 @@ class SineEstimate(Result):
 
     ``uncertainty`` is an absolute error of the complex response: the standard error of that mean
     (the cycles' scatter over the root of their number) plus the distance between the means of
-    their first and second half (what still drifts). It knows nothing of errors that are the same
-    in every cycle. ``settled``: each of the averaged cycles agrees with the one before within the
+    their first and second half (what still drifts). It leaves out errors that are the same in
+    every cycle. ``settled``: each of the averaged cycles agrees with the one before within the
     tolerance; otherwise they are the second half of the largest number of cycles.
     ``speed_limited_share`` and ``acceleration_limited_share`` are the shares of their samples in
     which the motor is within 1 % of its limit.

@@ -1,8 +1,8 @@
 """What λ, Φ and η of the sliding-mode controller do: the discussion of Lee et al. 2020, counted.
 
 Every point of a grid over λ, Φ and η gets the scenario's own reference, a faster sine, a small and
-a large step, and the margins of its sampled loop. Inside the boundary layer the law knows Φ and η
-only by the slope k/Φ = βη/Φ.
+a large step, and the margins of its sampled loop. Inside the boundary layer the law depends on
+Φ and η only through the slope k/Φ = βη/Φ.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ def reproduce(
 ) -> Reproduction:
     """Run every study of the paper.
 
-    ``engine``: see `Scenario.with_engine`. ``workers`` (see `kneexo.analysis.parallel_map`) share
+    ``engine``: see `Scenario.with_engine`. ``workers`` (see `kneexo.sweeps.SweepOptions`) share
     the work of Drake's Simulator; compiled equations take a second without them. An ``executor``
     gets everything.
     """

@@ -264,7 +264,7 @@ class WalkingDesign:
 
 @dataclass(frozen=True, repr=False)
 class SizeStudy(Result):
-    """Everything that `sizing` finds; see `results`, `report` and `figures`."""
+    """What `size_study` finds."""
 
     scenario: Scenario
     settings: SizeSettings

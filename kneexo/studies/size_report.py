@@ -1,4 +1,4 @@
-"""The numbers and the text of `kneexo.studies.size.SizeStudy`."""
+"""Markdown of `kneexo.studies.size`."""
 
 from __future__ import annotations
 

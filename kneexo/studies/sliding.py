@@ -532,7 +532,7 @@ def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
 
 @dataclass(frozen=True, repr=False)
 class SlidingStudy(Result):
-    """What `sliding_study` found; ``needed`` is what the closed forms ask for."""
+    """What `sliding_study` measures; ``needed`` is what the closed forms ask for."""
 
     cases: tuple[SlidingCase, ...]
     needed: NeededEta
