@@ -134,12 +134,15 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
         numbers = {"max_error_deg": error(scenario, frequency_hz), "failure": ""}
         return numbers | {"mean_command_change_rpm": 0.0}
 
+    def judge(scenario, **_):
+        return {"disk_margin": 0.6, "bandwidth_hz": np.nan}
+
     def fail(*_):
         raise SimulationError("not asked for here")
 
     monkeypatch.setattr(size, "walking_metrics", walking)
     monkeypatch.setattr(size, "walk", lambda scenario, f, cycles: {"error": error(scenario, f)})
-    monkeypatch.setattr(size, "assess", lambda scenario, **_: {"disk_margin": 0.6})
+    monkeypatch.setattr(size, "assess", judge)
     for name in ("large_signal_bandwidth_hz", "linearize_loop", "track"):
         monkeypatch.setattr(size, name, fail)
     settings = changed(SMALL, {"stride_frequencies_hz": (0.5, 1.0), "search_tolerance": 1e-3})
