@@ -39,6 +39,12 @@ Parameters = namedtuple("Parameters", [name for name, _ in MEMBERS])
 """The C struct as a named tuple: floats, and arrays for the polynomials."""
 
 
+def _member(path: str) -> str:
+    """Name in the C struct of a Context parameter."""
+    name = path.removeprefix("plant/").replace("controller/law.", "controller.")
+    return name.removeprefix("controller/").replace(".", "_")
+
+
 def parameters_of(scenario: Scenario) -> Parameters:
     """What the hand-written loops take, from the scenario's Context parameters; nan: not there.
 
@@ -60,9 +66,7 @@ def parameters_of(scenario: Scenario) -> Parameters:
         raise ValueError(f"not written by hand: {', '.join(left_out)}")
     context = scenario_values(scenario)
     start = scenario_start(scenario)
-    values: dict[str, Any] = {
-        path.removeprefix("plant/").replace(".", "_"): value for path, value in context.items()
-    } | {
+    values: dict[str, Any] = {_member(path): value for path, value in context.items()} | {
         "sample_time_s": controller.sample_time_s,
         "cylinder_start_m": start["plant/cylinder.x[0]"],
         "cylinder_start_pa": 1e6 * start["plant/cylinder.x[2]"],

@@ -66,6 +66,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "studies/reproduce": ("studies/test_reproduce", "test_cluster"),
     "studies/size": ("studies/test_size", "studies/test_size_report"),
     "studies/size_results": ("studies/test_size_report",),
+    "sweeps/sweep": ("sweeps/test_parallel",),
     "systems/_leaf": ("systems/test_leaf",),
     "systems/cylinder": ("systems/test_reduced_cylinder", "systems/test_full_cylinder"),
 }

@@ -271,7 +271,7 @@ def test_the_next_store_removes_stale_temporary_files_of_the_cache_alone(directo
 WORKER = """
 import random, sys, time
 import kneexo
-from kneexo.compilation import State, cache
+from kneexo.compilation import cache
 
 assert not {"numpy", "pydrake", "llvmlite", "numba"} & set(sys.modules)
 source = random.Random(int(sys.argv[1]))
