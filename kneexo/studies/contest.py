@@ -18,7 +18,6 @@ from typing import Annotated, Any, Unpack
 import numpy as np
 from pydantic import Field
 from scipy.optimize import OptimizeResult, differential_evolution
-from scipy.stats import qmc
 from tqdm import tqdm
 
 from kneexo.analysis.assessment import assess
@@ -344,6 +343,8 @@ def search(
     ``objective`` maps candidates (n, dimensions) to (n,). It has converged (``success``) when the
     population's objectives spread by less than ``settings.tolerance`` of their mean.
     """
+    from scipy.stats import qmc  # takes half a second, which `kneexo params` need not wait
+
     history: list[float] = []
 
     def note(intermediate_result: OptimizeResult) -> None:
