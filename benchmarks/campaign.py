@@ -206,13 +206,15 @@ def _kill(
     part.require(results(out) in ({}, expected), label, "not all files or none")
     if number == signal.SIGKILL or ended.code == 0:
         return
-    # Python itself had not yet begun, or has already ended.
-    outside = ended.code == -number and "kneexo" not in ended.error
+    # Python itself had not yet begun, or has already ended: there is nothing, or everything.
+    outside = ended.code == -number and (results(out) == expected or not list(out.glob("*")))
     part.counts["before or after Python code"] += outside
     part.require(not list(out.glob(".kneexo-*")), label, "a temporary directory is left")
     if outside:
         return
-    part.require(ended.code == SIGNALS[number], label, f"exit code {ended.code}")
+    part.require(
+        ended.code == SIGNALS[number], label, f"exit code {ended.code}: {last_line(ended)}"
+    )
     part.require("Traceback" not in ended.error, label, f"traceback: {ended.error[-1500:]}")
     line = last_line(ended)
     part.require(line.startswith("kneexo: "), label, f"said {line!r}")

@@ -140,10 +140,14 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
         compute = partial(compute, uncertainty=load_uncertainty(options.uncertainty, scenario))
     import matplotlib.pyplot  # noqa: F401  (where it cannot be imported, no work is lost)
 
-    from kneexo.output import to_json
+    from kneexo.output import output_directory, to_json
     from kneexo.sweeps.checkpoint import Checkpoint
 
-    with _executor(options) as executor, _results(options) as directory:
+    def finish() -> None:
+        options.written = True
+        options.others = checkpoint.remove()
+
+    with _executor(options) as executor, output_directory(options.out, finish) as directory:
         checkpoint = Checkpoint(_checkpoint_path(options), resume=not options.restart)
         options.checkpoint = checkpoint
         try:
@@ -163,10 +167,10 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
         except BaseException:  # KeyboardInterrupt too: the next process may have the file
             checkpoint.close()
             raise
-    if others := checkpoint.remove():
+    if options.others:
         print(
-            f"kneexo: {others} finished pieces of other settings stay in {checkpoint.path}; "
-            f"--restart deletes them",
+            f"kneexo: {options.others} finished pieces of other settings stay in "
+            f"{checkpoint.path}; --restart deletes them",
             file=sys.stderr,
         )
     print(document if options.json else f"{report}\nIn {options.out}: {files}\n", end="")

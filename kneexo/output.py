@@ -59,9 +59,10 @@ def output_directory(
             raise
         raise _output_error(target, error) from None
     finally:
-        _delete(workspace)
-        os.close(lock)
-        _remove_empty(made)
+        with interrupt_later():
+            _delete(workspace)
+            os.close(lock)
+            _remove_empty(made)
 
 
 def _workspace(target: Path) -> tuple[Path, int]:
