@@ -42,6 +42,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "analysis/plant_linearization": ("analysis/test_linearization",),
     "analysis/sampled_loop": ("analysis/test_linearization",),
     "analysis/signals": ("analysis/test_tracking", "analysis/test_walking"),
+    "compilation/equations": ("compilation/test_equations", "simulation/test_compiled"),
+    "compilation/ir": ("compilation/test_ir", "compilation/test_printer"),
     "compilation/exact_hold": ("compilation/test_exact_hold", "compilation/test_time_loop"),
     "compilation/integrators": ("compilation/test_time_loop", "compilation/test_model"),
     "compilation/machine_code": ("compilation/test_cache", "compilation/test_model"),

@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from functools import cache
 from importlib.metadata import version
 from multiprocessing import parent_process
@@ -129,16 +130,6 @@ def _sources() -> str:
 
 def equations_key(equations: Equations) -> str:
     """Key of equations by their content."""
-    content = (
-        equations.graph.nodes,
-        equations.parameters,
-        equations.states,
-        equations.held,
-        equations.inputs,
-        equations.derivatives,
-        equations.initial_held,
-        equations.updates,
-        equations.outputs,
-        equations.limits,
-    )
+    named = [(field.name, getattr(equations, field.name)) for field in fields(equations)]
+    content = [value.nodes if name == "graph" else value for name, value in named]
     return hashlib.sha256(repr((version("drake"), content)).encode()).hexdigest()

@@ -1,5 +1,6 @@
 """The cache of machine code: sealed files, safe directories, bounded size."""
 
+import dataclasses
 import errno
 import os
 import random
@@ -16,6 +17,9 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 
 import kneexo
 from kneexo.compilation import State, cache
+from kneexo.compilation.equations import Equations, Limit, Update
+from kneexo.compilation.graph import Graph
+from kneexo.compilation.machine_code import equations_key
 from kneexo.errors import OutputError
 
 HOUR_S = 3600.0
@@ -79,6 +83,19 @@ def test_keys_that_differ_only_in_their_end_are_different():
     assert cache.load(start + "a") == b"a"
     assert cache.load(start + "b") == b"b"
     assert cache.load(start) is None
+
+
+def test_every_part_of_equations_is_in_their_key():
+    graph = Graph()
+    x = graph.source("state", 0)
+    base = Equations(graph=graph, states=["x"], derivatives=[x], outputs={"y": [x]})
+    assert equations_key(base) == equations_key(dataclasses.replace(base))
+    others = {"parameters": ["p"], "states": ["z"], "held": ["d"], "inputs": {"u": 1}}
+    others |= {"derivatives": [], "initial_held": [x], "outputs": {}, "limits": [Limit("a", x)]}
+    others |= {"updates": [Update(0.1, 0.0, ())], "graph": Graph()}
+    assert set(others) == {field.name for field in dataclasses.fields(Equations)}
+    keys = [equations_key(dataclasses.replace(base, **{k: v})) for k, v in others.items()]
+    assert len({equations_key(base), *keys}) == 1 + len(others)
 
 
 def test_an_entry_of_another_key_is_refused(monkeypatch):
