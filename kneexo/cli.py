@@ -71,9 +71,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt as interrupt:
             return _interrupted(interrupt, options)
         except ImportError as error:
-            # An interrupt during the import of Drake arrives as an ImportError that it caused.
-            cause = error.__cause__ or error.__context__
-            if isinstance(cause, KeyboardInterrupt):
+            # An interrupt during the import of Drake arrives as ImportErrors that it caused.
+            cause: BaseException | None = error
+            while cause is not None and not isinstance(cause, KeyboardInterrupt):
+                cause = cause.__cause__ or cause.__context__
+            if cause is not None:
                 return _interrupted(cause, options)
             library, unloaded, _ = str(error).partition(": cannot open shared object file")
             if not unloaded:
