@@ -41,14 +41,12 @@ def output_directory(
     """
     target = Path(path)
     made = [folder for folder in (target, *target.parents) if not folder.exists()]
+    workspace, lock = None, None
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        _delete_leftovers(target)
-        workspace, lock = _workspace(target)
-    except OSError as error:
-        _remove_empty(made)
-        raise _output_error(target, error) from None
-    try:
+        with interrupt_later():
+            target.mkdir(parents=True, exist_ok=True)
+            _delete_leftovers(target)
+            workspace, lock = _workspace(target)
         yield workspace / "new"
         with interrupt_later():
             _replace(target, workspace)
@@ -60,8 +58,9 @@ def output_directory(
         raise _output_error(target, error) from None
     finally:
         with interrupt_later():
-            _delete(workspace)
-            os.close(lock)
+            if workspace is not None and lock is not None:
+                _delete(workspace)
+                os.close(lock)
             _remove_empty(made)
 
 
@@ -78,7 +77,7 @@ def _workspace(target: Path) -> tuple[Path, int]:
                 _lock(lock)
                 (workspace / "old").mkdir()
                 (workspace / "new").mkdir()
-            except BaseException:  # KeyboardInterrupt too: an open lock keeps the leftover
+            except OSError:  # an open lock would keep the leftover
                 os.close(lock)
                 raise
             return workspace, lock
