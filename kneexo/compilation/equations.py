@@ -76,6 +76,17 @@ class Limit:
     margin: int
 
 
+@dataclass(frozen=True)
+class Section:
+    """What one leaf system computes, for who reads the equations."""
+
+    where: str
+    """Path of the leaf, and which of its outputs, or its update."""
+    equation: str
+    """Class of the leaf and the first line of its documentation."""
+    nodes: tuple[int, ...]
+
+
 @dataclass
 class Equations:
     """All equations of a diagram as nodes of one graph."""
@@ -92,6 +103,8 @@ class Equations:
     updates: list[Update] = field(default_factory=list)
     outputs: dict[str, list[int]] = field(default_factory=dict)
     limits: list[Limit] = field(default_factory=list)
+    sections: list[Section] = field(default_factory=list)
+    """All that was read, in an order of evaluation."""
 
 
 # ------------------------------------------------------------------------- tree of systems
@@ -334,7 +347,9 @@ class _Reader:
                     f"input_table(trajectory)"
                 )
             values = _symbolic(where, lambda: port.Eval(leaf.context))
-            leaf.outputs[index] = yield self._nodes(where, leaf, values)
+            nodes = yield self._nodes(where, leaf, values)
+            leaf.outputs[index] = nodes
+            self._note(where, leaf, nodes)
         result = leaf.outputs[index]
         if result is None:
             raise CompilationError(f"{where}: depends on itself (algebraic loop)")
@@ -391,7 +406,12 @@ class _Reader:
     # ------------------------------------------------------------------- trees to nodes
 
     def _convert(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> list[int]:
-        return _completed(self._nodes(where, leaf, values))
+        nodes = _completed(self._nodes(where, leaf, values))
+        self._note(where, leaf, nodes)
+        return nodes
+
+    def _note(self, where: str, leaf: _Leaf, nodes: Sequence[int]) -> None:
+        self.equations.sections.append(Section(where, _equation(leaf.node), tuple(nodes)))
 
     def _nodes(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> Steps[list[int]]:
         nodes = []
@@ -472,6 +492,16 @@ class _Reader:
 def _label(system: Any, number: int) -> str:
     """A system's name; the address in that of a nameless one becomes its number in the diagram."""
     return re.sub("@[0-9a-f]{16}$", f"_{number}", str(system.get_name()))
+
+
+def _equation(leaf: Node) -> str:
+    """Class of a leaf, and the first line of its documentation unless Drake wrote it."""
+    kinds = [
+        kind for kind in type(leaf.system).__mro__ if not kind.__module__.startswith("pydrake")
+    ]
+    lines = [(vars(kind).get("__doc__") or "").strip() for kind in kinds]
+    first = next((line.splitlines()[0].strip() for line in lines if line), "")
+    return f"{leaf.type_name}: {first}" if first else f"{leaf.type_name}."
 
 
 def _has_state_or_margin(system: Any) -> bool:

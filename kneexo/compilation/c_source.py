@@ -1,0 +1,603 @@
+"""A model as C99: header, source and parameter values, of any diagram that compiles.
+
+``NAME_init`` computes what depends on parameters alone and the discrete state after
+initialization. ``NAME_step`` goes over one tick, from t to t + T: the updates at t, with the inputs
+of the call; fixed steps of the classical fourth-order Runge-Kutta method for continuous states; and
+the outputs as they are just before the next updates. So the output of a held controller is the
+command that follows from the inputs of the same call.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import resources
+
+from kneexo.compilation.c_printer import (
+    PRECISIONS,
+    CPrinter,
+    Precision,
+    comment_lines,
+    literal,
+)
+from kneexo.compilation.equations import Equations, Update
+from kneexo.compilation.runner import STEP_S, Array, State, timing
+from kneexo.errors import CompilationError
+
+_KEYWORDS = frozenset(
+    [
+        *("auto", "bool", "break", "case", "char", "const", "continue", "default", "do", "double"),
+        *("else", "enum", "extern", "false", "float", "for", "goto", "if", "inline", "int", "long"),
+        *("register", "restrict", "return", "short", "signed", "sizeof", "static", "struct"),
+        *("switch", "true", "typedef", "union", "unsigned", "void", "volatile", "while"),
+        *("class", "delete", "namespace", "new", "operator", "private", "template", "this"),
+    ]
+)
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+_LONGEST_CYCLE = 2**31
+
+
+@dataclass(frozen=True)
+class Interface:
+    """How ports look in C.
+
+    ``fields``: of a port, the names of its elements, which should end in the unit; by default the
+    name of the port, and the number of the element where it has more than one. ``integers``: ports
+    that are int32_t, such as encoder counts. ``ranges``: lowest and highest value of an input.
+    """
+
+    fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    integers: frozenset[str] = frozenset()
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def names(self, ports: Mapping[str, int]) -> list[tuple[str, str]]:
+        """Port and field of each element of some ports."""
+        pairs = []
+        for port, size in ports.items():
+            default = [port] if size == 1 else [f"{port}_{i}" for i in range(size)]
+            names = self.fields.get(port, default)
+            if len(names) != size:
+                raise CompilationError(
+                    f"{port}: has {len(names)} names in C; must be {size}, one an element"
+                )
+            pairs += [(port, c_name(name)) for name in names]
+        return pairs
+
+
+@dataclass(frozen=True)
+class CSource:
+    """Text of a model in C, and what is known of it.
+
+    Parameters
+    ----------
+    equations
+        Of the diagram: `read_equations`.
+    name
+        Beginning of all names and files, a C identifier of up to 31 characters.
+    parameters, state
+        Values of the Context parameters, and the state before the initialization events.
+    precision
+        ``double`` or ``float``.
+    outputs
+        Output ports that are exported; all by default.
+    interface
+        How the ports look in C.
+    tick_s
+        Time that a step takes, for a diagram without a sample time; else it follows from those.
+    step_s
+        Largest step of the Runge-Kutta method.
+    told
+        First line of each file.
+
+    Raises `CompilationError` for a name that is no identifier, for a number that the precision
+    cannot hold, and for a diagram without a sample time where ``tick_s`` is missing.
+    """
+
+    equations: Equations
+    name: str
+    parameters: Array
+    state: State
+    precision: str = "double"
+    outputs: Sequence[str] | None = None
+    interface: Interface = Interface()
+    tick_s: float | None = None
+    step_s: float = STEP_S
+    told: str = "Made from a Drake diagram."
+
+    def __post_init__(self) -> None:
+        """Check name, precision, outputs and times."""
+        if not _IDENTIFIER.fullmatch(self.name) or self.name in _KEYWORDS:
+            raise CompilationError(
+                f"name = {self.name!r}: must be a C identifier of at most 31 letters, digits and _"
+            )
+        if self.precision not in PRECISIONS:
+            raise CompilationError(
+                f"precision = {self.precision!r}: must be one of {', '.join(PRECISIONS)}"
+            )
+        for port in self.outputs or ():
+            if port not in self.equations.outputs:
+                raise CompilationError(
+                    f"output {port!r} is unknown; known: {', '.join(self.equations.outputs)}"
+                )
+        if not self.equations.updates and self.tick_s is None:
+            raise CompilationError(f"{self.name}: tick_s is needed, for it has no sample time")
+        if not 0.0 < self.step_s < math.inf:
+            raise CompilationError(f"step_s = {self.step_s} s: must be finite and > 0")
+        for port in self.interface.integers:
+            if port not in self.equations.inputs:
+                raise CompilationError(f"{port}: is no input; only inputs may be int32_t")
+        for fields in (self.input_fields, self.output_fields):
+            _require_unique([name for _, name in fields])
+        if self.cycle[1] >= _LONGEST_CYCLE:
+            raise CompilationError(f"{self.name}: sample times repeat only after 2^31 ticks")
+
+    # ---------------------------------------------------------------------------- figures
+
+    @property
+    def real(self) -> Precision:
+        """The floating-point type."""
+        return PRECISIONS[self.precision]
+
+    @cached_property
+    def input_fields(self) -> list[tuple[str, str]]:
+        """Port and name in C of each element of the inputs."""
+        return self.interface.names(self.equations.inputs)
+
+    @cached_property
+    def output_fields(self) -> list[tuple[str, str]]:
+        """Port and name in C of each element of the outputs."""
+        sizes = {port: len(self.equations.outputs[port]) for port in self._output_ports}
+        return self.interface.names(sizes)
+
+    @property
+    def _output_ports(self) -> Sequence[str]:
+        return tuple(self.equations.outputs) if self.outputs is None else self.outputs
+
+    @property
+    def output_nodes(self) -> list[int]:
+        """Nodes of all elements of the outputs."""
+        return [node for port in self._output_ports for node in self.equations.outputs[port]]
+
+    @cached_property
+    def parameter_fields(self) -> list[str]:
+        """Name in C of each Context parameter: ``leaf.parameter`` or ``leaf.group_1[2]``."""
+        fields = []
+        for name in self.equations.parameters:
+            path, _, parameter = name.rpartition(".")
+            leaf = c_name(path or self.name)
+            group = re.fullmatch(r"(\d+)\[(\d+)\]", parameter)
+            fields.append(
+                f"{leaf}.group_{group[1]}[{group[2]}]" if group else f"{leaf}.{c_name(parameter)}"
+            )
+        _require_unique(fields)
+        return fields
+
+    @cached_property
+    def timing(self) -> tuple[float, list[int], list[int]]:
+        """The tick in s; periods and offsets in ticks."""
+        updates = self.equations.updates
+        if not updates:
+            assert self.tick_s is not None
+            return self.tick_s, [], []
+        times = timing(tuple((u.period_s, u.offset_s) for u in updates), self.tick_s)
+        return times.tick, times.periods.tolist(), times.offsets.tolist()
+
+    @property
+    def sample_time_s(self) -> float:
+        """What a step takes."""
+        return self.timing[0]
+
+    @property
+    def steps(self) -> int:
+        """Runge-Kutta steps in a tick."""
+        return max(1, math.ceil(self.sample_time_s / self.step_s - 1e-9))
+
+    @property
+    def counts_ticks(self) -> bool:
+        """Whether some update is not due at each tick."""
+        _, periods, offsets = self.timing
+        return any(offsets) or any(period > 1 for period in periods)
+
+    @property
+    def cycle(self) -> tuple[int, int]:
+        """First and last tick of the cycle in which the sample times repeat."""
+        _, periods, offsets = self.timing
+        first = max(offsets, default=0)
+        return first, first + math.lcm(1, *periods)
+
+    @cached_property
+    def needs_time(self) -> bool:
+        """Whether the equations depend on the time."""
+        graph = self.equations.graph
+        return any("time" in graph.depends[node] for node in self.roots())
+
+    def roots(self) -> list[int]:
+        """All nodes that a step computes."""
+        equations = self.equations
+        updates = [node for update in equations.updates for _, node in update.values]
+        limits = [limit.margin for limit in equations.limits]
+        return [*updates, *limits, *equations.derivatives, *self.output_nodes]
+
+    @cached_property
+    def accumulators(self) -> dict[int, tuple[int, ...]]:
+        """In single precision: discrete states that a sum changes, and what is added to each.
+
+        A float loses what is far smaller than the sum, so that an integrator drifts. What is lost
+        is kept and added at the next step (Kahan's compensated summation).
+        """
+        if self.precision != "float":
+            return {}
+        graph, sums = self.equations.graph, {}
+        for update in self.equations.updates:
+            for state, node in update.values:
+                kind, *terms = graph.nodes[node]
+                held = graph.source("held", state)
+                if kind == "add" and terms.count(held) == 1:
+                    sums[state] = tuple(term for term in terms if term != held)
+        return sums
+
+    # ------------------------------------------------------------------------------- texts
+
+    @cached_property
+    def functions(self) -> Functions:
+        """What the source file computes."""
+        return Functions(self)
+
+    @property
+    def operations(self) -> Counter[str]:
+        """Operators and library functions of one step, as often as they are computed."""
+        return self.functions.operations
+
+    def files(self) -> dict[str, str]:
+        """Name and text of each file: header, source, parameters."""
+        texts = {
+            f"{self.name}.h": self._filled("model.h"),
+            f"{self.name}.c": self._filled("model.c"),
+            f"{self.name}_params.c": "\n".join(self._parameter_values()),
+        }
+        told = "\n".join(comment_lines(self.told))
+        return {name: f"{told}\n{text.rstrip()}\n" for name, text in texts.items()}
+
+    def _filled(self, template: str) -> str:
+        equations, real, functions = self.equations, self.real, self.functions
+        step = self.sample_time_s / self.steps
+        sizes = {
+            "STATES": len(equations.states),
+            "HELD": len(equations.held),
+            "LOST": len(self.accumulators),
+            "CONSTANTS": len(functions.printer.fixed),
+            "LIMITS": len(equations.limits),
+            "STEPS": self.steps,
+        }
+        memory = {"c": "CONSTANTS", "x": "STATES", "d": "HELD"}
+        numbers = {
+            "largest": real.largest,
+            "zero": 0.0,
+            "two": 2.0,
+            "step": step,
+            "half_step": 0.5 * step,
+            "sixth_step": step / 6.0,
+            "sample_time": self.sample_time_s,
+        }
+        first, last = self.cycle
+        words = {
+            **{name: literal(value, real, name) for name, value in numbers.items()},
+            **{name: f"state->{name}" if sizes[of] else "0" for name, of in memory.items()},
+            "first_tick": str(first),
+            "last_tick": str(last),
+            "tick_meaning": "steps so far"
+            if self.needs_time
+            else "steps in the cycle of the sample times",
+            "update_arguments": "tick, " * self.counts_ticks + "lost, " * bool(sizes["LOST"]),
+        }
+        nothing = [f"    {self.name}_real_t none; /* nothing here */"]
+        blocks = {
+            "parameters": self._parameter_members() or nothing,
+            "inputs": self._input_members() or nothing,
+            "outputs": [f"    {self.name}_real_t {of};" for _, of in self.output_fields] or nothing,
+            "state": self._state_members(),
+            "input_checks": self._input_checks(),
+            "output_checks": _all_of(
+                "out", [f"is_finite(out->{of})" for _, of in self.output_fields]
+            ),
+            "functions": functions.lines,
+        }
+        conditions = {
+            "double": self.precision == "double",
+            "states": sizes["STATES"],
+            "held": sizes["HELD"],
+            "arrays": sizes["STATES"] + sizes["HELD"] + sizes["CONSTANTS"],
+            "accumulators": sizes["LOST"],
+            "constants": sizes["CONSTANTS"],
+            "limits": sizes["LIMITS"],
+            "outputs": self.output_fields,
+            "time": self.needs_time,
+            "ticks": self.needs_time or self.counts_ticks,
+            "wraps": self.counts_ticks and not self.needs_time,
+            "minimum": any("minimum(" in line for line in functions.lines),
+            "maximum": any("maximum(" in line for line in functions.lines),
+        }
+        names = {"NAME": self.name, "UPPER": self.name.upper(), "REAL": self.precision}
+        names |= {name: str(size) for name, size in sizes.items()}
+        return filled(template, names, words, blocks, {k for k, v in conditions.items() if v})
+
+    def _input_checks(self) -> list[str]:
+        checks = []
+        for port, of in self.input_fields:
+            limits = self.interface.ranges.get(port)
+            if limits is not None and port in self.interface.integers:
+                texts = [str(math.ceil(limits[0])), str(math.floor(limits[1]))]
+            elif limits is not None:
+                texts = [literal(limit, self.real, port) for limit in limits]
+            elif port in self.interface.integers:
+                continue
+            else:
+                checks.append(f"is_finite(in->{of})")
+                continue
+            checks.append(f"(in->{of} >= {texts[0]}) && (in->{of} <= {texts[1]})")
+        return _all_of("in", checks)
+
+    def _parameter_values(self) -> list[str]:
+        name = self.name
+        values = [
+            literal(value, self.real, told)
+            for told, value in zip(self.equations.parameters, self.parameters.tolist(), strict=True)
+        ]
+        rows = []
+        for leaf, members in self._by_leaf().items():
+            rows.append(f"    {{ /* {leaf} */")
+            for (member, array), indices in members.items():
+                text = ", ".join(values[i] for i in indices)
+                rows.append(f"        {f'{{{text}}}' if array else text}, /* {member} */")
+            rows.append("    },")
+        for told, start in self._start():
+            texts = (literal(value, self.real, f"initial {told}") for value in start.tolist())
+            rows.append(f"    {{{', '.join(texts)}}} /* initial_{told} */,")
+        return [
+            f'#include "{name}.h"',
+            "",
+            f"const {name}_params_t {name}_params = {{",
+            *(rows or ["    0"]),
+            "};",
+        ]
+
+    def _start(self) -> list[tuple[str, Array]]:
+        """Name in C and start values of continuous and discrete states, where there are any."""
+        pairs = (("x", self.state.continuous), ("d", self.state.held))
+        return [(told, start) for told, start in pairs if start.size]
+
+    def _by_leaf(self) -> dict[str, dict[tuple[str, bool], list[int]]]:
+        """Members of the parameters' struct: leaf; member and whether it is an array; indices."""
+        leaves: dict[str, dict[tuple[str, bool], list[int]]] = {}
+        for index, text in enumerate(self.parameter_fields):
+            leaf, _, member = text.partition(".")
+            name, bracket, _ = member.partition("[")
+            leaves.setdefault(leaf, {}).setdefault((name, bool(bracket)), []).append(index)
+        return leaves
+
+    def _parameter_members(self) -> list[str]:
+        lines = []
+        for leaf, members in self._by_leaf().items():
+            lines.append("    struct {")
+            for (member, array), indices in members.items():
+                size = f"[{len(indices)}]" if array else ""
+                lines.append(f"        {self.name}_real_t {member}{size};")
+            lines.append(f"    }} {leaf};")
+        for told, start in self._start():
+            lines.append(f"    {self.name}_real_t initial_{told}[{start.size}];")
+        return lines
+
+    def _input_members(self) -> list[str]:
+        lines = []
+        for port, of in self.input_fields:
+            kind = "int32_t" if port in self.interface.integers else f"{self.name}_real_t"
+            limits = self.interface.ranges.get(port)
+            told = f" /* {limits[0]:.9g} ... {limits[1]:.9g} */" if limits else ""
+            lines.append(f"    {kind} {of};{told}")
+        return lines
+
+    def _state_members(self) -> list[str]:
+        equations, real = self.equations, f"{self.name}_real_t"
+        lost, fixed = len(self.accumulators), len(self.functions.printer.fixed)
+        rows = [
+            ("x", len(equations.states), f"continuous: {', '.join(equations.states)}"),
+            ("d", len(equations.held), f"discrete: {', '.join(equations.held)}"),
+            ("lost", lost, "what the sums among d have lost by rounding"),
+            ("c", fixed, "what depends on parameters alone"),
+        ]
+        lines = []
+        for member, size, told in rows:
+            if size:
+                lines += [*comment_lines(told, "    "), f"    {real} {member}[{size}];"]
+        return lines
+
+
+Lines = list[str]
+
+_MEMORY = {"constant": "c", "state": "x", "held": "d"}
+_INSTANT = {
+    "p": "const NAME_params_t *",
+    "in": "const NAME_inputs_t *",
+    "c": "const real *",
+    "x": "const real *",
+    "d": "const real *",
+    "t": "const real ",
+}
+
+
+class Functions:
+    """The source file: each function, and how often a step computes what."""
+
+    def __init__(self, model: CSource) -> None:
+        self.model, self.equations = model, model.equations
+        self.printer = CPrinter(self.equations.graph, model.real, self.equations.sections)
+        self.printer.collect_fixed([*model.roots(), *self.equations.initial_held])
+        self.operations: Counter[str] = Counter()
+        self.lines = self._lines()
+
+    # ------------------------------------------------------------------------- equations
+
+    def _load(self, kind: str, index: int) -> str:
+        model = self.model
+        if kind == "parameter":
+            return f"p->{model.parameter_fields[index]}"
+        if kind == "input":
+            port, of = model.input_fields[index]
+            return f"(real)in->{of}" if port in model.interface.integers else f"in->{of}"
+        if kind == "time":
+            return "t"
+        return f"{_MEMORY[kind]}[{index}]"
+
+    def _block(self, targets: Sequence[tuple[str, int]], times: int = 1, depth: int = 1) -> Lines:
+        """Statements; ``times``: how often a step executes them."""
+        self.printer.operations.clear()
+        lines = self.printer.block(targets, self._load, indent="    " * depth)
+        for operation, count in self.printer.operations.items():
+            self.operations[operation] += times * count
+        return lines
+
+    def _updates(self) -> Lines:
+        """Statements that put the next values of discrete states into ``next``."""
+        _, periods, offsets = self.model.timing
+        lines = []
+        for update, period, offset in zip(self.equations.updates, periods, offsets, strict=True):
+            if period == 1 and offset == 0:
+                lines += self._update(update, 1)
+                continue
+            due = f"((tick - {offset}U) % {period}U) == 0U"
+            if offset:
+                due = f"(tick >= {offset}U) && ({due})"
+            lines += [f"    if ({due}) {{", *self._update(update, 2), "    }"]
+        return lines
+
+    def _update(self, update: Update, depth: int) -> Lines:
+        accumulators = self.model.accumulators
+        order = {state: number for number, state in enumerate(accumulators)}
+        targets, after = [], []
+        indent = "    " * depth
+        for state, node in update.values:
+            if state not in accumulators:
+                targets.append((f"next[{state}]", node))
+                continue
+            number = order[state]
+            targets.append((f"next[{state}]", self.equations.graph.add(*accumulators[state])))
+            after.append(
+                f"{indent}next[{state}] = sum(d[{state}], next[{state}], &lost[{number}]);"
+            )
+            self.operations["+"] += 4
+        return [*self._block(targets, depth=depth), *after]
+
+    # ------------------------------------------------------------------------- functions
+
+    def _lines(self) -> Lines:
+        model, equations, name = self.model, self.equations, self.model.name
+        constants = [(f"c[{number}]", node) for node, number in self.printer.fixed.items()]
+        initial = [(f"next[{i}]", node) for i, node in enumerate(equations.initial_held)]
+        rates = [(f"rate[{i}]", node) for i, node in enumerate(equations.derivatives)]
+        margins = [(f"margin[{i}]", limit.margin) for i, limit in enumerate(equations.limits)]
+        fields = (f"out->{of}" for _, of in model.output_fields)
+        outputs = list(zip(fields, model.output_nodes, strict=True))
+        lost = ", real *lost" if model.accumulators else ""
+        ticks = ", uint32_t tick" if model.counts_ticks else ""
+        lines: Lines = []
+        if constants:
+            block = self.printer.block(constants, self._load, fixed={})
+            unused = [] if "p->" in "".join(block) else ["    (void)p;"]
+            head = f"static void constants_of(const {name}_params_t *p, real *c)"
+            lines += [head, "{", *unused, *block, "}", ""]
+        if rates:
+            lines += self._function("rate_at", ", real *rate", self._block(rates, 4 * model.steps))
+        if margins:
+            lines += self._function("margins_at", ", real *margin", self._block(margins))
+        if initial:
+            block = self.printer.block(initial, self._load)
+            lines += self._function("initial_at", ", real *next", block)
+        if equations.held:
+            lines += self._function("update_at", f"{ticks}{lost}, real *next", self._updates())
+        if outputs:
+            lines += self._function("outputs_at", f", {name}_outputs_t *out", self._block(outputs))
+        return lines
+
+    def _function(self, called: str, arguments: str, block: Lines) -> Lines:
+        """A function of an instant."""
+        text = "\n".join(block)
+        name = self.model.name
+        locals_ = [
+            f"    {kind.replace('NAME', name)}{of} = at->{of};"
+            for of, kind in _INSTANT.items()
+            if re.search(rf"(?<![\w>.]){of}\b", text)
+        ]
+        return [
+            f"static void {called}(const instant *at{arguments})",
+            "{",
+            *(locals_ or ["    (void)at;"]),
+            "",
+            *block,
+            "}",
+            "",
+        ]
+
+
+def c_name(text: str) -> str:
+    """Text as a C identifier."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    if not name or name[0].isdigit():
+        name = f"_{name}" if not name else f"n{name}"
+    return f"{name}_" if name in _KEYWORDS else name
+
+
+def _require_unique(names: Sequence[str]) -> None:
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise CompilationError(f"{name}: {count} values have this name in C; rename a system")
+
+
+def _all_of(argument: str, checks: Sequence[str]) -> list[str]:
+    """The body of a function that says whether all checks hold."""
+    if not checks:
+        return [f"    (void){argument};", "    return true;"]
+    lines = [f"        && {check}" for check in checks]
+    return (
+        [f"    return {checks[0]}", *lines[1:-1], f"{lines[-1]};"]
+        if len(checks) > 1
+        else [f"    return {checks[0]};"]
+    )
+
+
+def filled(
+    template: str,
+    names: Mapping[str, str],
+    words: Mapping[str, str],
+    blocks: Mapping[str, Sequence[str]],
+    conditions: Collection[str],
+) -> str:
+    """A file of ``templates``.
+
+    ``names`` replace the words in capitals, alone or as the beginning of an identifier. ``words``
+    replace ``@{word}``, ``blocks`` the lines ``@block``. Lines between ``@if`` and ``@end`` (or
+    ``@else``) stay where the condition holds.
+    """
+    text = resources.files(__package__).joinpath("templates", template).read_text("utf-8")
+    pattern = re.compile(rf"(?<![A-Za-z_])({'|'.join(names)})(?=[U_]?\b|_)")
+    lines: Lines = []
+    kept = [True]
+    for line in text.splitlines():
+        mark, _, condition = line.partition(" ")
+        if mark == "@if":
+            kept.append(condition in conditions)
+        elif mark == "@else":
+            kept[-1] = not kept[-1]
+        elif mark == "@end":
+            kept.pop()
+        elif not all(kept):
+            continue
+        elif line.startswith("@"):
+            lines += blocks[line[1:]]
+        else:
+            line = pattern.sub(lambda match: names[match[1]], line)
+            lines.append(re.sub(r"@\{(\w+)\}", lambda match: words[match[1]], line))
+    return "\n".join(lines)

@@ -1,0 +1,72 @@
+#ifndef UPPER_H
+#define UPPER_H
+
+#include <float.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+@if double
+#if DBL_MANT_DIG < 53
+#error "double has fewer than 53 bits here: export single precision"
+#endif
+
+@end
+typedef REAL NAME_real_t;
+
+#define UPPER_SAMPLE_TIME_S @{sample_time}
+
+/* Status of a call: 0, or the sum of what went wrong. After a failure the state is as it was
+ * before, and the outputs are the last ones that were right. */
+#define UPPER_OK 0U
+#define UPPER_BAD_INPUT 1U /* an input is not finite, or out of its range */
+#define UPPER_BAD_RESULT 2U /* a result is not finite */
+@if limits
+#define UPPER_OUT_OF_LIMITS 4U /* a leaf system left its limits */
+@end
+
+/* Context parameters of the leaf systems, in SI units, and the start. */
+typedef struct {
+@parameters
+} NAME_params_t;
+
+typedef struct {
+@inputs
+} NAME_inputs_t;
+
+typedef struct {
+@outputs
+} NAME_outputs_t;
+
+typedef struct {
+@state
+    NAME_outputs_t last; /* the last outputs that were right */
+@if ticks
+    uint32_t tick; /* @{tick_meaning} */
+@end
+} NAME_state_t;
+
+extern const NAME_params_t NAME_params;
+
+/* Start anew; the inputs are those of the first step. */
+uint16_t NAME_init(NAME_state_t *state, const NAME_params_t *params,
+    const NAME_inputs_t *inputs);
+
+/* To be called when a parameter has changed; the state is kept. */
+uint16_t NAME_update_parameters(NAME_state_t *state, const NAME_params_t *params);
+
+/* Go over one sample time. */
+uint16_t NAME_step(const NAME_params_t *params, NAME_state_t *state,
+    const NAME_inputs_t *inputs, NAME_outputs_t *outputs);
+
+/* The outputs at the present state and these inputs, without a step. */
+uint16_t NAME_outputs(const NAME_params_t *params, const NAME_state_t *state,
+    const NAME_inputs_t *inputs, NAME_outputs_t *outputs);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
