@@ -165,10 +165,11 @@ class CSource:
     @cached_property
     def parameter_fields(self) -> list[str]:
         """Name in C of each Context parameter: ``leaf.parameter`` or ``leaf.group_1[2]``."""
+        pairs = [name.rpartition(".")[::2] for name in self.equations.parameters]
+        leaves = _short_names({path for path, _ in pairs})
         fields = []
-        for name in self.equations.parameters:
-            path, _, parameter = name.rpartition(".")
-            leaf = c_name(path or self.name)
+        for path, parameter in pairs:
+            leaf = c_name(leaves[path] or self.name)
             group = re.fullmatch(r"(\d+)\[(\d+)\]", parameter)
             fields.append(
                 f"{leaf}.group_{group[1]}[{group[2]}]" if group else f"{leaf}.{c_name(parameter)}"
@@ -548,6 +549,18 @@ def c_name(text: str) -> str:
     if not name or name[0].isdigit():
         name = f"_{name}" if not name else f"n{name}"
     return f"{name}_" if name in _KEYWORDS else name
+
+
+def _short_names(paths: Collection[str]) -> dict[str, str]:
+    """Of each path of a system its last name, or more of them where that is not unique."""
+    short = {}
+    for path in paths:
+        names = path.split("/")
+        ends = ("/".join(names[first:]) for first in reversed(range(len(names))))
+        short[path] = next(
+            end for end in ends if sum(f"/{other}".endswith(f"/{end}") for other in paths) == 1
+        )
+    return short
 
 
 def _require_unique(names: Sequence[str]) -> None:

@@ -77,8 +77,8 @@ def make_closed_loop(
         outputs = port_sizes(controller)
     names = chosen_signals(scenario, signals, outputs)
     builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("plant", make_plant(scenario.plant, **_plant_start(scenario)))
-    encoder = _encoder(builder, scenario, plant.GetOutputPort("encoder_angle"))
+    plant = builder.AddNamedSystem("plant", plant_of(scenario))
+    encoder = add_encoder(builder, scenario, plant.GetOutputPort("encoder_angle"))
     if external_reference:
         source = builder.AddNamedSystem("knee_reference", PassThrough(4))
         builder.ExportInput(source.get_input_port(), "knee_reference")
@@ -157,6 +157,11 @@ def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
             yield f"controller/{part.name}", part.values
 
 
+def plant_of(scenario: Scenario) -> Diagram:
+    """The plant of a scenario, where the scenario starts."""
+    return make_plant(scenario.plant, **_plant_start(scenario))
+
+
 def _plant_start(scenario: Scenario) -> dict[str, Any]:
     """Where `make_plant` and `plant_start` put the rod of a scenario."""
     return {
@@ -166,7 +171,7 @@ def _plant_start(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def _encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
+def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
     """Add the encoder that reads the port ``angle`` (θ_4), less its phase; returns the system."""
     from pydrake.systems.sensors import RotaryEncoders  # with cameras and geometry: 0.05 s
 
