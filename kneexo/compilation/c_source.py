@@ -150,17 +150,18 @@ class CSource:
     @cached_property
     def output_fields(self) -> list[tuple[str, str]]:
         """Port and name in C of each element of the outputs."""
-        sizes = {port: len(self.equations.outputs[port]) for port in self._output_ports}
+        sizes = {port: len(self.equations.outputs[port]) for port in self.output_ports}
         return self.interface.names(sizes)
 
     @property
-    def _output_ports(self) -> Sequence[str]:
+    def output_ports(self) -> Sequence[str]:
+        """Output ports that are exported."""
         return tuple(self.equations.outputs) if self.outputs is None else self.outputs
 
     @property
     def output_nodes(self) -> list[int]:
         """Nodes of all elements of the outputs."""
-        return [node for port in self._output_ports for node in self.equations.outputs[port]]
+        return [node for port in self.output_ports for node in self.equations.outputs[port]]
 
     @cached_property
     def parameter_fields(self) -> list[str]:
@@ -260,8 +261,12 @@ class CSource:
             f"{self.name}.c": self._filled("model.c"),
             f"{self.name}_params.c": "\n".join(self._parameter_values()),
         }
-        told = "\n".join(comment_lines(self.told))
-        return {name: f"{told}\n{text.rstrip()}\n" for name, text in texts.items()}
+        return {name: f"{self.head}\n{text.rstrip()}\n" for name, text in texts.items()}
+
+    @property
+    def head(self) -> str:
+        """The comment that each file begins with."""
+        return "\n".join(comment_lines(self.told))
 
     def _filled(self, template: str) -> str:
         equations, real, functions = self.equations, self.real, self.functions
