@@ -6,9 +6,6 @@ The test vectors are steps of the compiled model: what the C code must give for 
 from __future__ import annotations
 
 import os
-import re
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import DiagramBuilder, System
+from pydrake.systems.primitives import ZeroOrderHold
 
 from kneexo.compilation.c_printer import literal
-from kneexo.compilation.c_source import CSource, Interface, filled
-from kneexo.compilation.model import CompiledModel, DiagramModel, compile_diagram
-from kneexo.compilation.runner import STEP_S, Array, InputTable
+from kneexo.compilation.c_source import MARK, CSource, filled
+from kneexo.compilation.model import DiagramModel, compile_diagram
+from kneexo.compilation.runner import Array, InputTable, State
 from kneexo.errors import CompilationError, OutputError
 
 TOLERANCES = {"double": 1e-9, "float": 1e-3}
@@ -37,39 +36,56 @@ class Vectors:
     outputs: Array
 
 
-def recorded_vectors(model: CompiledModel, source: CSource, inputs: Array) -> Vectors:
-    """What the compiled model makes of the inputs of each step (steps, input elements).
+def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors:
+    """What the compiled diagram makes of the inputs of each step (steps, input elements).
 
-    The outputs are those just before the next updates, with the inputs of the step. The integrator
-    is RK4 with the steps of the source.
+    Inputs are held over a step; the outputs are those just before the next one. The integrator is
+    RK4 with the steps of the source.
     """
-    tick = source.sample_time_s
-    steps = len(inputs)
-    table = model.no_inputs
-    if source.input_fields:
-        breaks = tick * np.arange(1, steps + 1)
-        table = InputTable(breaks, np.concatenate([inputs, inputs[-1:]])[:, :, None])
-    state = model.initialized(source.parameters, source.state, table)
-    ends = tick * np.arange(1, steps + 1)
-    names = source.output_ports
-    columns = []
-    # At the end of a step an output that follows an input at once would see the next input.
-    for times, direct in ((ends, False), (ends - 1e-6 * tick, True)):
-        ports = [name for name in names if (name in model.feedthrough) == direct]
-        if ports:
-            run = model.simulate(
-                source.parameters,
-                state,
-                steps * tick,
-                outputs=ports,
-                record_times_s=times,
-                inputs=table,
-                integrator="rk4",
-                step_s=source.step_s,
+    tick, steps = source.sample_time_s, len(inputs)
+    ends: Array = tick * np.arange(1.0, steps + 1.0)
+    equations, ports = source.equations, tuple(source.equations.inputs)
+    state = source.state
+    if equations.states and ports:
+        # The stages of RK4 at the end of a step would see the next input.
+        if equations.updates and np.ptp(inputs, axis=0).any():
+            raise CompilationError(
+                f"{source.name}: has continuous states, sample times and inputs; test vectors need "
+                f"inputs that are constant"
             )
-            columns += [(name, run[name]) for name in ports]
-    by_name = dict(columns)
-    return Vectors(inputs, np.hstack([by_name[name] for name in names]))
+        if not equations.updates:
+            diagram = _with_holds(diagram, ports, tick)
+            state = State(state.continuous, np.concatenate([state.held, inputs[0]]))
+    model = compile_diagram(diagram, inputs=ports)
+    table = model.no_inputs
+    if ports:
+        table = InputTable(ends, np.concatenate([inputs, inputs[-1:]])[:, :, None])
+    options: dict[str, Any] = {"inputs": table, "integrator": "rk4", "step_s": source.step_s}
+    options |= {"outputs": source.output_ports}
+    state = model.initialized(source.parameters, state, table)
+    if equations.states:
+        options |= {"record_period_s": tick}
+    else:
+        # At the end of a step an output that follows an input at once would see the next input.
+        options |= {"record_times_s": ends - 1e-6 * tick}
+    run = model.simulate(source.parameters, state, steps * tick, **options)
+    outputs = np.hstack([run[name] for name in source.output_ports])
+    return Vectors(inputs, outputs[-steps:])
+
+
+def _with_holds(diagram: System, ports: Sequence[str], tick_s: float) -> System:
+    """The same with a zero-order hold before each of its inputs."""
+    builder = DiagramBuilder()
+    model = builder.AddNamedSystem("model", diagram.Clone())
+    for name in ports:
+        port = model.GetInputPort(name)
+        hold = builder.AddNamedSystem(f"hold_{name}", ZeroOrderHold(tick_s, port.size()))
+        builder.Connect(hold.get_output_port(), port)
+        builder.ExportInput(hold.get_input_port(), name)
+    for index in range(model.num_output_ports()):
+        port = model.get_output_port(index)
+        builder.ExportOutput(port, port.get_name())
+    return builder.Build()
 
 
 def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
@@ -93,7 +109,7 @@ def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
     def text(template: str, comment: str) -> str:
         return f"{comment}\n{filled(template, names, words, blocks, ())}\n"
 
-    hashed = f"# {source.told}"
+    hashed = f"# {source.first_line}"
     return {
         **source.files(),
         f"{name}_vectors.h": text("vectors.h", told),
@@ -123,3 +139,93 @@ def _vectors_text(source: CSource, vectors: Vectors) -> str:
 def _normal(value: float, source: CSource) -> float:
     """A number that the precision holds: what is smaller than all normal ones is zero."""
     return value if abs(value) >= source.real.smallest else 0.0
+
+
+# ----------------------------------------------------------------------------------- folders
+
+
+def export_c(
+    diagram: System,
+    directory: str | os.PathLike[str],
+    *,
+    name: str,
+    inputs: Iterable[str] = (),
+    samples: Array | Sequence[Sequence[float]] | None = None,
+    steps: int = 1000,
+    context: Any = None,
+    **options: Any,
+) -> CSource:
+    """Write a diagram as C99 into a folder, with test vectors, harness and build files.
+
+    Parameters
+    ----------
+    diagram
+        What `compile_diagram` takes.
+    directory
+        Made when it is missing. Files in it are replaced when an export wrote them.
+    name
+        Beginning of all names and files.
+    inputs
+        Input ports that stay open.
+    samples
+        Inputs of each step of the test vectors (steps, elements of all inputs); zeros by default.
+    steps
+        Number of test vectors, without ``samples``.
+    context
+        Values of parameters and states; the default Context by default.
+    options
+        Of `CSource`: ``precision``, ``outputs``, ``interface``, ``tick_s``, ``step_s``, ``told``.
+
+    Raises
+    ------
+    CompilationError
+        The diagram has no equations to print; an option is wrong.
+    OutputError
+        The folder has files that no export wrote, or cannot be written.
+    """
+    model = compile_diagram(diagram, inputs=inputs)
+    source = source_of(model, name, context, **options)
+    sizes = sum(source.equations.inputs.values())
+    rows = np.zeros((steps, sizes)) if samples is None else np.array(samples, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] != sizes or not len(rows):
+        raise CompilationError(f"samples has the shape {rows.shape}: must be (steps, {sizes})")
+    write_folder(directory, files_of(source, recorded_vectors(diagram, source, rows)))
+    return source
+
+
+def source_of(model: DiagramModel, name: str, context: Any = None, **options: Any) -> CSource:
+    """The C source of a compiled diagram; ``options`` are those of `CSource`."""
+    equations = model.code.program.equations
+    return CSource(equations, name, model.parameters(context), model.state(context), **options)
+
+
+def write_folder(directory: str | os.PathLike[str], files: Mapping[str, str]) -> None:
+    """Write files into a folder, all or none; `OutputError` where others lie there."""
+    folder = Path(directory)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in sorted(folder.iterdir()):
+            if file.name == _BUILD or _is_export(file):
+                continue
+            raise OutputError(
+                f"--out {folder}: {file.name} is not of an export; choose another directory"
+            )
+        with tempfile.TemporaryDirectory(dir=folder, prefix=f"{_BUILD}-") as new:
+            for name, text in files.items():
+                (Path(new) / name).write_text(text)
+            for file in folder.iterdir():
+                if file.is_file():
+                    file.unlink()
+            for name in files:
+                os.replace(Path(new) / name, folder / name)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"--out {folder}: cannot write there ({reason})") from None
+
+
+def _is_export(file: Path) -> bool:
+    """Whether an export wrote this file: its first line says so."""
+    if not file.is_file():
+        return False
+    with file.open(encoding="utf-8", errors="replace") as stream:
+        return MARK in stream.readline(200)

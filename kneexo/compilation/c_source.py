@@ -37,6 +37,9 @@ _KEYWORDS = frozenset(
         *("class", "delete", "namespace", "new", "operator", "private", "template", "this"),
     ]
 )
+MARK = "Made by kneexo from a Drake diagram."
+"""In the first line of each file."""
+
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 _LONGEST_CYCLE = 2**31
 
@@ -91,7 +94,7 @@ class CSource:
     step_s
         Largest step of the Runge-Kutta method.
     told
-        First line of each file.
+        Of what this is an export, in the first line of each file.
 
     Raises `CompilationError` for a name that is no identifier, for a number that the precision
     cannot hold, and for a diagram without a sample time where ``tick_s`` is missing.
@@ -106,7 +109,7 @@ class CSource:
     interface: Interface = Interface()
     tick_s: float | None = None
     step_s: float = STEP_S
-    told: str = "Made from a Drake diagram."
+    told: str = ""
 
     def __post_init__(self) -> None:
         """Check name, precision, outputs and times."""
@@ -266,7 +269,12 @@ class CSource:
     @property
     def head(self) -> str:
         """The comment that each file begins with."""
-        return "\n".join(comment_lines(self.told))
+        return "\n".join(comment_lines(self.first_line))
+
+    @property
+    def first_line(self) -> str:
+        """What each file begins with."""
+        return f"{MARK} {self.told}".rstrip()
 
     def _filled(self, template: str) -> str:
         equations, real, functions = self.equations, self.real, self.functions

@@ -68,6 +68,11 @@ def target(scenario: Scenario, what: str, *, counts: bool = False) -> Target:
 
 
 def _controller(scenario: Scenario, counts: bool) -> Target:
+    law = scenario.controller
+    if law.kind == "smc" and law.continuous:
+        raise ParameterError(
+            "controller.continuous = true: has no sample time; must be false to be exported"
+        )
     controller = make_controller(scenario)
     inputs = [controller.get_input_port(i).get_name() for i in range(controller.num_input_ports())]
     ranges = {}
