@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,10 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import ZeroOrderHold
 
+from kneexo.compilation.c_build import code_sizes, replay
 from kneexo.compilation.c_printer import literal
-from kneexo.compilation.c_source import MARK, CSource, filled
+from kneexo.compilation.c_source import MARK, CSource
+from kneexo.compilation.c_template import filled
 from kneexo.compilation.model import DiagramModel, compile_diagram
 from kneexo.compilation.runner import Array, InputTable, State
 from kneexo.errors import CompilationError, OutputError
@@ -89,7 +91,16 @@ def _with_holds(diagram: System, ports: Sequence[str], tick_s: float) -> System:
 
 
 def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
-    """Name and text of each file of the folder."""
+    """Name and text of each file of the folder.
+
+    The README has differences and sizes where this machine has compilers for them.
+    """
+    files = _sources(source, vectors)
+    files["README.md"] = _readme(source, vectors, files)
+    return files
+
+
+def _sources(source: CSource, vectors: Vectors) -> dict[str, str]:
     name = source.name
     fields = [field for _, field in source.output_fields]
     words = {
@@ -103,21 +114,69 @@ def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
             f"    values[{i}] = (double)outputs->{field};" for i, field in enumerate(fields)
         ],
     }
-    names = {"NAME": name, "UPPER": name.upper()}
-    told = source.head
 
     def text(template: str, comment: str) -> str:
-        return f"{comment}\n{filled(template, names, words, blocks, ())}\n"
+        return f"{comment}\n{filled(template, source.names, words, blocks, ())}\n"
 
-    hashed = f"# {source.first_line}"
+    script = f"# {source.first_line}"
     return {
         **source.files(),
-        f"{name}_vectors.h": text("vectors.h", told),
+        f"{name}_vectors.h": text("vectors.h", source.head),
         f"{name}_vectors.c": _vectors_text(source, vectors),
-        f"{name}_test.c": text("test.c", told),
-        "Makefile": text("Makefile", hashed),
-        "CMakeLists.txt": text("CMakeLists.txt", hashed),
+        f"{name}_test.c": text("test.c", source.head),
+        "Makefile": text("Makefile", script),
+        "CMakeLists.txt": text("CMakeLists.txt", script),
     }
+
+
+def _readme(source: CSource, vectors: Vectors, files: Mapping[str, str]) -> str:
+    integers = source.interface.integers
+    rows = []
+    for port, field in source.input_fields:
+        kind = "int32_t" if port in integers else source.precision
+        limits = ranges.get(port)
+        allowed = f"{limits[0]:.6g} … {limits[1]:.6g}" if limits else "finite"
+        rows.append(
+            f"| `{field}` | {kind} | {'all' if port in integers and not limits else allowed} |"
+        )
+    operators = ("+", "*", "/", "compare", "choose", "min", "max")
+    functions = sorted(set(source.operations) - {*operators})
+    words = {
+        "told": f"{source.first_line}",
+        "vectors": str(len(vectors.inputs)),
+        "sample_time": f"{source.sample_time_s:g}",
+        "rate": f"{1.0 / source.sample_time_s:g}",
+        "functions": ", ".join(f"`{function}`" for function in functions) or "no function",
+        "kahan": ", and the compensation of rounding errors" if source.accumulators else "",
+    }
+    blocks = {
+        "example": [f"    inputs.{field} = ...;" for _, field in source.input_fields],
+        "send": [f"    /* use outputs.{field} */" for _, field in source.output_fields[:1]],
+        "inputs": rows,
+        "outputs": [f"| `{field}` | {port} |" for port, field in source.output_fields],
+        "numbers": [f"| {what} | {value} |" for what, value in _numbers(source, files)],
+    }
+    return f"{filled('README.md', source.names, words, blocks, ())}\n"
+
+
+def _numbers(source: CSource, files: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Rows of the README: operations, memory, differences, size on targets."""
+    counts = ", ".join(f"{count} {operation}" for operation, count in source.operations.items())
+    yield "operations in a step", f"{source.operations.total()}: {counts}"
+    yield "RAM of `" + source.name + "_state_t`", f"{source.state_bytes} bytes"
+    replayed = replay(source.name, files)
+    if replayed is None:
+        yield "differences", "not measured: this machine has no C compiler (cc, gcc or clang)"
+    else:
+        for field, difference in replayed.difference.items():
+            largest = replayed.largest[field]
+            yield f"difference of `{field}`", f"{difference:.3g}, where it goes up to {largest:.6g}"
+    sizes = code_sizes(source.name, files)
+    for target, size in sizes.items():
+        yield f"{target}: flash, code and parameters", f"{size.flash} bytes"
+        yield f"{target}: stack of a step", f"{size.stack} bytes"
+    if not sizes:
+        yield "flash and stack", "not measured: this machine has no arm-none-eabi-gcc"
 
 
 def _vectors_text(source: CSource, vectors: Vectors) -> str:
