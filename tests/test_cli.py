@@ -170,6 +170,15 @@ def test_params_of_a_scenario_needs_neither_drake_nor_scipy(arguments, scenario_
     subprocess.run([sys.executable, "-c", code, *words], capture_output=True, check=True)
 
 
+def test_the_list_of_all_settings_needs_no_solver_of_scipy():
+    code = (
+        "import sys, kneexo.cli\n"
+        "assert kneexo.cli.main(['params']) == 0\n"
+        "assert not {'scipy.optimize', 'scipy.linalg', 'matplotlib'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+
+
 def test_params_prints_a_json_schema(capsys):
     assert main(["params", "--schema"]) == 0
     assert "plant" in json.loads(capsys.readouterr().out)["properties"]

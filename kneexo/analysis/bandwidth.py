@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from kneexo import linkage
 from kneexo.analysis.frequency_response import (
@@ -115,7 +115,7 @@ def follower_bandwidth_hz(scenario: Scenario) -> float:
     def excess(log_frequency: float) -> float:
         return abs(follower_response(scenario, math.exp(log_frequency))) - MINUS_3_DB
 
-    return math.exp(float(brentq(excess, guess - 1.5, guess + 1.5, xtol=1e-6)))
+    return math.exp(float(scipy.optimize.brentq(excess, guess - 1.5, guess + 1.5, xtol=1e-6)))
 
 
 # ------------------------------------------------------------------- large-signal bandwidth
@@ -166,7 +166,7 @@ def _first_fall_hz(
         if high == top:
             return math.nan
         low, high = high, min(high + step, top)
-    return math.exp(float(brentq(excess, low, high, xtol=1e-3)))
+    return math.exp(float(scipy.optimize.brentq(excess, low, high, xtol=1e-3)))
 
 
 def _expected_hz(scenario: Scenario) -> float:

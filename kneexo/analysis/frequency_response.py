@@ -15,9 +15,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy
 from pydantic import model_validator
 from pydrake.trajectories import PiecewisePolynomial
-from scipy.optimize import brentq
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, SineReference
@@ -306,7 +306,7 @@ def crossing(frequencies_hz: Array, gain: Array, threshold: float = MINUS_3_DB) 
         return math.nan
     curve = _pchip(frequencies_hz, gain)
     return float(
-        brentq(
+        scipy.optimize.brentq(
             lambda f: curve.value(f)[0, 0] - threshold,
             frequencies_hz[below[0]],
             frequencies_hz[below[0] + 1],

@@ -21,7 +21,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from scipy.optimize import brentq
+import scipy
 
 from kneexo.analysis.bandwidth import acceleration_bound_hz, rod_amplitude_m, rod_limits
 from kneexo.analysis.frequency_response import MINUS_3_DB, require_sine
@@ -87,7 +87,7 @@ def limited_bandwidth_hz(
     def excess(frequency: float) -> float:
         return limited_gain(frequency, **values) - MINUS_3_DB
 
-    return float(brentq(excess, low, high, xtol=1e-13 * low, rtol=1e-13))
+    return float(scipy.optimize.brentq(excess, low, high, xtol=1e-13 * low, rtol=1e-13))
 
 
 def expected_bandwidth_hz(scenario: Scenario) -> float:

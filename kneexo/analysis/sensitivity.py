@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, SimulatorConfig
-from scipy.linalg import eig, expm_frechet
 
 from kneexo.analysis.assessment import MARGIN_FIGURES
 from kneexo.analysis.loop_equilibrium import (
@@ -236,14 +236,14 @@ def _figure_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> d
     block[:n, :n], block[:n, n:] = loop.a, loop.b
     change_of_block[:n, :n], change_of_block[:n, n] = change[:n, :n], change[:n, n + held]
     dt = loop.sample_time_s
-    step = expm_frechet(block * dt, change_of_block * dt, compute_expm=False)
+    step = scipy.linalg.expm_frechet(block * dt, change_of_block * dt, compute_expm=False)
     update = change[n:][live]
     feedback = np.hstack([update[:, :n], update[:, n:][:, live]])
     a, b, c = (np.zeros_like(matrix) for matrix in loop.loop_matrices)
     a[:n, :n], b[:n], a[n:] = step[:n, :n], step[:n, n:], feedback
     c[:] = -loop.c_u @ feedback
     opened, drive, row = loop.loop_matrices
-    values, left, right = eig(loop.monodromy, left=True)
+    values, left, right = scipy.linalg.eig(loop.monodromy, left=True)
     largest = int(np.argmax(np.abs(values)))
     value, w, v = values[largest], left[:, largest].conj(), right[:, largest]
     # The closed loop is A − b c.

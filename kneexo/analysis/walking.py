@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from kneexo import systems
 from kneexo.analysis.bandwidth import rod_of
@@ -119,7 +119,9 @@ def walking_demand(
     cylinder, pump, load = plant.cylinder, plant.pump, plant.load
     reference = gait_reference(frequency_hz, 1)
     plant.knee.require_in_range(*reference.range_deg)
-    knee = CubicSpline(reference.times_s, np.radians(reference.angles_deg), bc_type="periodic")
+    knee = scipy.interpolate.CubicSpline(
+        reference.times_s, np.radians(reference.angles_deg), bc_type="periodic"
+    )
     period = 1.0 / frequency_hz
     # From heel contact on; the reference starts later.
     time = np.linspace(0.0, period, _SAMPLES + 1)
@@ -192,7 +194,7 @@ def moment_arm_m(scenario: Scenario, knee_angle_rad: Array) -> Array:
 def _rate(time: Array, periodic: Array) -> Array:
     """Derivative of a periodic signal over one period."""
     closed = np.append(periodic[:-1], periodic[0])
-    return np.asarray(CubicSpline(time, closed, bc_type="periodic")(time, 1))
+    return np.asarray(scipy.interpolate.CubicSpline(time, closed, bc_type="periodic")(time, 1))
 
 
 def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Array:

@@ -16,8 +16,8 @@ from functools import partial
 from typing import Annotated, Any, Unpack
 
 import numpy as np
+import scipy
 from pydantic import Field
-from scipy.optimize import OptimizeResult, differential_evolution
 from tqdm import tqdm
 
 from kneexo.analysis.assessment import assess
@@ -337,7 +337,7 @@ def _contest(
 
 def search(
     objective: Callable[[Array], Array], dimensions: int, settings: ContestSettings, seed: int
-) -> tuple[OptimizeResult, list[float]]:
+) -> tuple[scipy.optimize.OptimizeResult, list[float]]:
     """Differential evolution over the unit cube; its result and the best of each generation.
 
     ``objective`` maps candidates (n, dimensions) to (n,). It has converged (``success``) when the
@@ -347,10 +347,10 @@ def search(
 
     history: list[float] = []
 
-    def note(intermediate_result: OptimizeResult) -> None:
+    def note(intermediate_result: scipy.optimize.OptimizeResult) -> None:
         history.append(float(intermediate_result.fun))
 
-    optimum = differential_evolution(
+    optimum = scipy.optimize.differential_evolution(
         lambda candidates: objective(candidates.T),
         [(0.0, 1.0)] * dimensions,
         init=qmc.LatinHypercube(dimensions, seed=seed).random(settings.population),

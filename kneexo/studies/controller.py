@@ -15,8 +15,8 @@ from itertools import product
 from typing import Any, Unpack
 
 import numpy as np
+import scipy
 from pydantic import field_validator
-from scipy.optimize import brentq
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.hardware import tuned
@@ -356,7 +356,10 @@ def settling_time_s(time_s: Array, error: Array, band: float) -> float:
 
 def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
     """Time in s in which (d/dt + λ)² e = 0 brings e, at rest, to ``share``: a step from s = 0."""
-    return float(brentq(lambda y: (1.0 + y) * math.exp(-y) - share, 0.0, 100.0)) / lambda_per_s
+    return (
+        float(scipy.optimize.brentq(lambda y: (1.0 + y) * math.exp(-y) - share, 0.0, 100.0))
+        / lambda_per_s
+    )
 
 
 @needs_runs
