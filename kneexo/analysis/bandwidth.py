@@ -144,12 +144,16 @@ def large_signal_bandwidth_hz(
         frequency = min(math.exp(log_frequency), highest)
         at = changed(scenario, {"reference.frequency_hz": frequency})
         estimate = yield from steps(estimate_sine, at, settings)
-        found = math.log(max(estimate.gain, _NO_GAIN) / MINUS_3_DB)
-        return found if abs(found) > _GAIN_TOLERANCE else 0.0
+        log_gain = math.log(max(estimate.gain, _NO_GAIN) / MINUS_3_DB)
+        return log_gain if abs(log_gain) > _GAIN_TOLERANCE else 0.0
 
     bottom, top = math.log(LOWEST_HZ), math.log(highest)
     start = min(max(bottom, math.log(0.8 * _expected_hz(scenario))), top)
-    return (yield from evaluated(lambda known: _first_fall_hz(known, bottom, start, top), excess))
+    return (
+        yield from evaluated(
+            lambda excess_at: _first_fall_hz(excess_at, bottom, start, top), excess
+        )
+    )
 
 
 def _first_fall_hz(

@@ -120,8 +120,8 @@ def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
         value = value_at(scenario, path) * factor
         values[path] = round(value) if path == "encoder.counts_per_revolution" else value
         if scenario.nominal is not None and path.startswith("plant."):
-            own = path.replace("plant", "nominal", 1)
-            values[own] = value_at(scenario, own) * factor
+            nominal_path = path.replace("plant", "nominal", 1)
+            values[nominal_path] = value_at(scenario, nominal_path) * factor
         if path == SPEED_LIMIT:
             values["controller.command_limit_rad_s"] = scenario.command_limit_rad_s * factor
     other = changed(scenario, values)

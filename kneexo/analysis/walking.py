@@ -81,12 +81,12 @@ class WalkingDemand(Result):
     def peaks(self) -> dict[str, float]:
         """Largest absolute value of each signal, mean motor acceleration, energy per cycle."""
         time = self.cycle_percent / (100.0 * self.frequency_hz)
-        found = {
+        peaks = {
             f"peak_{field.name}": float(np.max(np.abs(getattr(self, field.name))))
             for field in fields(self)
             if field.name not in ("frequency_hz", "segment_inertia", "cycle_percent")
         }
-        return found | {
+        return peaks | {
             "mean_motor_acceleration_rad_s2": float(
                 np.mean(np.abs(self.motor_acceleration_rad_s2))
             ),
@@ -240,26 +240,26 @@ def walking_metrics(
     """
     limits, pump = scenario.plant.cylinder, scenario.plant.pump
     try:
-        found = yield from steps(walk, scenario, frequency_hz, cycles)
+        signals = yield from steps(walk, scenario, frequency_hz, cycles)
     except KneexoError as error:
         return dict.fromkeys(WALKING_FIGURES, math.nan) | {"failure": str(error)}
-    time, power, speed = found["time_s"], found["shaft_power_w"], found["motor_speed_rad_s"]
+    time, power, speed = signals["time_s"], signals["shaft_power_w"], signals["motor_speed_rad_s"]
     metrics = tracking_metrics(
         time,
-        found["knee_reference_rad"] - found["knee_angle_rad"],
-        found["motor_speed_command_rad_s"],
-        found["load_pressure_pa"],
+        signals["knee_reference_rad"] - signals["knee_angle_rad"],
+        signals["motor_speed_command_rad_s"],
+        signals["load_pressure_pa"],
         power,
-        found["hydraulic_power_w"],
+        signals["hydraulic_power_w"],
         settled_s=0.0,
         command_limit_rad_s=scenario.command_limit_rad_s,
         pressure_rating_pa=limits.pressure_rating_pa,
         power_rating_w=pump.rated_power_w,
     )
-    own = {
+    walking = {
         "peak_motor_speed_rpm": to_rpm(float(np.max(np.abs(speed)))),
         "peak_motor_acceleration_rad_s2": float(np.max(np.abs(np.diff(speed) / np.diff(time)))),
         **_energies(time, power, cycles - 1),
     }
-    values = asdict(metrics) | own
+    values = asdict(metrics) | walking
     return {name: values[name] for name in WALKING_FIGURES} | {"failure": ""}

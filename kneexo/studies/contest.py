@@ -191,10 +191,9 @@ class ContestStudy(Result):
         """Figures of each entrant over the test plants."""
         return {name: _summary(self.tested[name], self.elsewhere[name]) for name in self.entrants}
 
-    def better_share(self, one: str, other: str) -> float:
-        """Share of the test plants on which ``one`` has the smaller largest error."""
-        first, second = (errors_of(self.tested[name]) for name in (one, other))
-        return float(np.mean(first < second))
+    def better_share(self, name: str, other: str) -> float:
+        """Share of the test plants on which entrant ``name`` has the smaller largest error."""
+        return float(np.mean(errors_of(self.tested[name]) < errors_of(self.tested[other])))
 
     def winners(self) -> dict[str, list[str]]:
         """The tuned contestants with the best value of each figure of `summary`."""
@@ -394,8 +393,8 @@ def _judge(budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenari
 def _gains(contestant: Contestant, unit: Array) -> dict[str, float]:
     """Gains at a point of the unit cube."""
     return {
-        path: float(one.at(float(x)))
-        for (path, one), x in zip(contestant.gains.items(), unit, strict=True)
+        path: float(span.at(float(x)))
+        for (path, span), x in zip(contestant.gains.items(), unit, strict=True)
     }
 
 

@@ -526,9 +526,9 @@ def _adherence(study: ControllerStudy) -> Claim:
     grid, error = study.settings, study.values["max_error_deg"]
     sound = study.values["disk_margin"] >= grid.sound_disk_margin
     free = (study.values["stable"] == 1.0) & (study.values["saturated_share"] < _SATURATED)
-    known = np.isfinite(error[..., :-1]) & np.isfinite(error[..., 1:])
+    finite = np.isfinite(error[..., :-1]) & np.isfinite(error[..., 1:])
     falls = error[..., 1:] < error[..., :-1]
-    beyond = known & ~free[..., 1:]
+    beyond = finite & ~free[..., 1:]
     lambda_, phi, eta = study.centre
     slope = float(study.slope_per_s[phi, eta])
     same = [
@@ -541,7 +541,7 @@ def _adherence(study: ControllerStudy) -> Claim:
         case="two neighbouring η at equal λ and Φ, the larger one with a stable loop and less "
         f"than {100 * _SATURATED:g} % of its samples saturated; holds when its largest error is "
         f"smaller",
-        **_counted(falls, known & free[..., 1:], sound[..., 1:] & sound[..., :-1]),
+        **_counted(falls, finite & free[..., 1:], sound[..., 1:] & sound[..., :-1]),
         finding=f"Where the larger η saturates or is unstable the error falls in "
         f"{percent(_share(falls[beyond]))} of {np.count_nonzero(beyond)} cases. η = "
         f"{_numbers(grid.etas_m_s3)} m/s³ at the default λ and Φ: error "

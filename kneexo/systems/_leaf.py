@@ -145,6 +145,7 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
 
     @TemplateSystem.define(f"{component.__name__}_", scope=sys.modules[component.__module__])
     def template(scalar: Any) -> Any:
+        # mypy knows no base class that is a value.
         class Impl(component, LeafSystem_[scalar]):  # type: ignore[misc, valid-type]
             __doc__ = component.__doc__
             _scalar = scalar
