@@ -3,59 +3,41 @@
 `kneexo.studies` compares many scenarios. Runs themselves are in `kneexo.simulation`.
 """
 
-from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz as large_signal_bandwidth_hz
 from kneexo.analysis.frequency_response import (
-    FrequencyResponse,
-    SineEstimate,
-    Trial,
-    crossing,
-    draw_trials,
-    estimate_sine,
-    fundamental,
-    nominal_trial,
-    sinestream,
+    FrequencyResponse as FrequencyResponse,
+    SineEstimate as SineEstimate,
+    Trial as Trial,
+    crossing as crossing,
+    draw_trials as draw_trials,
+    estimate_sine as estimate_sine,
+    fundamental as fundamental,
+    nominal_trial as nominal_trial,
+    sinestream as sinestream,
 )
 from kneexo.analysis.plant_linearization import (
-    OperatingPoint,
-    PlantLinearization,
-    find_operating_point,
-    linearize_plant,
+    OperatingPoint as OperatingPoint,
+    PlantLinearization as PlantLinearization,
+    find_operating_point as find_operating_point,
+    linearize_plant as linearize_plant,
 )
-from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
-from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
-from kneexo.analysis.sampled_loop import Margins, SampledLoop, linearize_loop
-from kneexo.analysis.tracking import TrackingMetrics, TrackingResult, track, tracking_metrics
-from kneexo.simulation.drake import simulate_diagram
-from kneexo.simulation.engines import simulate
-from kneexo.simulation.run import Run
-
-__all__ = [
-    "FrequencyResponse",
-    "Margins",
-    "OperatingPoint",
-    "PlantLinearization",
-    "PolynomialFit",
-    "Run",
-    "SampledLoop",
-    "SineEstimate",
-    "TrackingMetrics",
-    "TrackingResult",
-    "Trial",
-    "crossing",
-    "draw_trials",
-    "estimate_sine",
-    "find_operating_point",
-    "fit_polynomials",
-    "fundamental",
-    "large_signal_bandwidth_hz",
-    "linearize_loop",
-    "linearize_plant",
-    "nominal_trial",
-    "rate_limit_bandwidth_hz",
-    "rate_limited_gain",
-    "simulate",
-    "simulate_diagram",
-    "sinestream",
-    "track",
-    "tracking_metrics",
-]
+from kneexo.analysis.polynomial_fit import (
+    PolynomialFit as PolynomialFit,
+    fit_polynomials as fit_polynomials,
+)
+from kneexo.analysis.rate_limit import (
+    rate_limit_bandwidth_hz as rate_limit_bandwidth_hz,
+    rate_limited_gain as rate_limited_gain,
+)
+from kneexo.analysis.sampled_loop import (
+    Margins as Margins,
+    SampledLoop as SampledLoop,
+    linearize_loop as linearize_loop,
+)
+from kneexo.analysis.tracking import (
+    TrackingMetrics as TrackingMetrics,
+    TrackingResult as TrackingResult,
+    track as track,
+    tracking_metrics as tracking_metrics,
+)
+from kneexo.simulation import Run as Run, simulate as simulate, simulate_diagram as simulate_diagram

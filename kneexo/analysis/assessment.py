@@ -10,8 +10,7 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import TRACKING_FIGURES, track_figures
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
+from kneexo.simulation import Steps, needs_runs, steps
 
 MARGIN_FIGURES = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
 """Figures of `kneexo.analysis.Margins` that an assessment quotes."""

@@ -33,9 +33,7 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.simulation.coroutines import Steps, evaluated, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, evaluated, needs_runs, steps
 
 LOWEST_HZ = 0.02
 """Where a search for a bandwidth ends, downwards."""

@@ -24,9 +24,7 @@ from kneexo.parameters import Scenario, SineReference
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result, axes_or_new, data_frame
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs, simulate
-from kneexo.simulation.run import Array, Run
+from kneexo.simulation import Array, Run, Steps, needs_runs, simulate, steps
 from kneexo.sweeps.parallel import parallel_map
 
 _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the paper does not describe"

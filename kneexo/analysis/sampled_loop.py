@@ -26,7 +26,7 @@ from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.result import Result, axes_or_new
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -32,7 +32,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters
 from kneexo.result import Result
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array
 
 _DIFFERENTIABLE = (
     "plant.pump.",

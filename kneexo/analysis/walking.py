@@ -25,9 +25,7 @@ from kneexo.gait import gait_start_percent
 from kneexo.parameters import KneeLoadParameters, Scenario, gait_reference
 from kneexo.parameters.paths import changed
 from kneexo.result import Result, data_frame
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs, simulate
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, simulate, steps
 
 WALKING_FIGURES = (
     "max_error_deg",

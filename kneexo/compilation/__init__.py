@@ -28,14 +28,17 @@ _MODULE_OF = {
 
 if TYPE_CHECKING:  # for mypy, which would accept every name of a visible __getattr__, and editors
     from kneexo.compilation.cache import cache_directory as cache_directory
-    from kneexo.compilation.model import CompiledModel as CompiledModel
-    from kneexo.compilation.model import DiagramModel as DiagramModel
-    from kneexo.compilation.model import Simulation as Simulation
-    from kneexo.compilation.model import compile_diagram as compile_diagram
-    from kneexo.compilation.runner import InputTable as InputTable
-    from kneexo.compilation.runner import State as State
-    from kneexo.compilation.trajectories import input_table as input_table
-    from kneexo.compilation.trajectories import stack_tables as stack_tables
+    from kneexo.compilation.model import (
+        CompiledModel as CompiledModel,
+        DiagramModel as DiagramModel,
+        Simulation as Simulation,
+        compile_diagram as compile_diagram,
+    )
+    from kneexo.compilation.runner import InputTable as InputTable, State as State
+    from kneexo.compilation.trajectories import (
+        input_table as input_table,
+        stack_tables as stack_tables,
+    )
 else:
     __all__ = sorted(_MODULE_OF)
 

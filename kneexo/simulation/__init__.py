@@ -4,16 +4,12 @@
 `drake` runs a diagram; `engines` chooses between both; `run` is the result of either.
 """
 
-from kneexo.simulation.compiled import compile_scenario, scenario_run, simulate_compiled
-from kneexo.simulation.drake import simulate_diagram
-from kneexo.simulation.engines import simulate
-from kneexo.simulation.run import Run
-
-__all__ = [
-    "Run",
-    "compile_scenario",
-    "scenario_run",
-    "simulate",
-    "simulate_compiled",
-    "simulate_diagram",
-]
+from kneexo.simulation.compiled import (
+    compile_scenario as compile_scenario,
+    scenario_run as scenario_run,
+    simulate_compiled as simulate_compiled,
+)
+from kneexo.simulation.coroutines import Steps as Steps, evaluated as evaluated, steps as steps
+from kneexo.simulation.drake import simulate_diagram as simulate_diagram
+from kneexo.simulation.engines import needs_runs as needs_runs, simulate as simulate
+from kneexo.simulation.run import Array as Array, Run as Run

@@ -35,9 +35,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import applicable, changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness import Values, draw, realize
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep

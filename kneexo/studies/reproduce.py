@@ -29,9 +29,7 @@ from kneexo.analysis.tracking import mean_change
 from kneexo.parameters import G4, RodPolynomialParameters, Scenario, SineReference
 from kneexo.parameters.paths import changed
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.studies.paper import (
     EQ_27_DIFFERENCES,
     EQ_27_EXACT_STATES,

@@ -25,9 +25,7 @@ from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty
 from kneexo.parameters.paths import applicable, changed, value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 

@@ -54,9 +54,7 @@ from kneexo.parameters.quantity import (
     require_increasing,
 )
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.studies import size_results
 from kneexo.sweeps import SweepOptions, open_sweep
 
