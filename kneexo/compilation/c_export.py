@@ -134,11 +134,8 @@ def _readme(source: CSource, vectors: Vectors, files: Mapping[str, str]) -> str:
     rows = []
     for port, field in source.input_fields:
         kind = "int32_t" if port in integers else source.precision
-        limits = ranges.get(port)
-        allowed = f"{limits[0]:.6g} … {limits[1]:.6g}" if limits else "finite"
-        rows.append(
-            f"| `{field}` | {kind} | {'all' if port in integers and not limits else allowed} |"
-        )
+        allowed = " … ".join(source.limits(port) or ["all" if port in integers else "finite"])
+        rows.append(f"| `{field}` | {kind} | {allowed} |")
     operators = ("+", "*", "/", "compare", "choose", "min", "max")
     functions = sorted(set(source.operations) - {*operators})
     words = {
