@@ -159,6 +159,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_studies(subparsers, [reproduction])
     _add_single_runs(subparsers)
     _add_studies(subparsers, studies)
+    _add_exports(subparsers)
     _add_utilities(subparsers)
     return parser
 
@@ -221,6 +222,40 @@ def _add_single_runs(subparsers: Any) -> None:
         "--knee-angle", type=float, default=40.0, metavar="DEG", help="posture, knee angle in deg"
     )
     _add_out(sub, "linearization.json; loop, nyquist and poles as PNG and PDF")
+
+
+def _add_exports(subparsers: Any) -> None:
+    what = "write the controller, the plant or the closed loop for use outside Python"
+    group = subparsers.add_parser("export", help=what, formatter_class=_HelpFormatter)
+    forms = group.add_subparsers(title="forms", required=True, metavar="FORM")
+    sub = _command(
+        forms,
+        "c",
+        commands.export_c,
+        "write C99 for a microcontroller",
+        "With the parameters as one struct, test vectors from the compiled closed loop, a harness "
+        "that replays them, Makefile, CMakeLists.txt and a README that shows how to call it.",
+    )
+    _add_target(sub)
+    sub.add_argument(
+        "--precision", choices=("double", "float"), default="double", help="type of all numbers"
+    )
+    sub.add_argument(
+        "--vectors-s", type=float, metavar="S", help="time of the test vectors in s; left out: 2"
+    )
+    _add_out(sub, "the files, which no other files may share")
+
+
+def _add_target(sub: argparse.ArgumentParser) -> None:
+    _add_scenario(sub)
+    _add_values(sub)
+    sub.add_argument(
+        "--what",
+        choices=("controller", "plant", "loop"),
+        default="controller",
+        help="the controller, from encoder count and knee reference to motor speed command; the "
+        "plant with its encoder; or both as closed loop",
+    )
 
 
 def _add_utilities(subparsers: Any) -> None:

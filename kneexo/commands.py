@@ -316,6 +316,35 @@ def diagram(options: argparse.Namespace) -> None:
         )
 
 
+def export_c(options: argparse.Namespace) -> None:
+    """``kneexo export c``."""
+    from kneexo.export.firmware import export_firmware
+    from kneexo.output import to_json
+
+    scenario = _scenario(options)
+    measured = export_firmware(
+        scenario,
+        options.out,
+        options.what,
+        precision=options.precision,
+        vectors_s=options.vectors_s,
+    )
+    if options.json:
+        print(to_json(_origin(scenario) | asdict(measured)), end="")
+        return
+    print(f"{options.what} in {options.precision} precision: {options.out}")
+    print(f"  {sum(measured.operations.values())} operations a step")
+    print(f"  {measured.state_bytes} bytes of state")
+    if measured.replay is None:
+        print("  no C compiler (cc, gcc or clang): the code was not tried")
+    else:
+        for field, difference in measured.replay.difference.items():
+            largest = measured.replay.largest[field]
+            print(f"  {field}: difference {difference:.3g} (largest value {largest:.6g})")
+    for target, size in measured.code_sizes.items():
+        print(f"  {target}: {size.flash} bytes of flash, {size.stack} bytes of stack")
+
+
 def cache(options: argparse.Namespace) -> None:
     """Show or delete the compiled models that are kept on disk."""
     import time

@@ -16,7 +16,7 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import ZeroOrderHold
 
-from kneexo.compilation.c_build import code_sizes, replay
+from kneexo.compilation.c_build import CodeSize, Replay, code_sizes, replay
 from kneexo.compilation.c_printer import literal
 from kneexo.compilation.c_source import MARK, CSource
 from kneexo.compilation.c_template import filled
@@ -90,14 +90,29 @@ def _with_holds(diagram: System, ports: Sequence[str], tick_s: float) -> System:
     return builder.Build()
 
 
-def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
-    """Name and text of each file of the folder.
+@dataclass(frozen=True)
+class Measurement:
+    """What is known of exported code, and what the compilers of this machine say."""
 
-    The README has differences and sizes where this machine has compilers for them.
-    """
+    operations: dict[str, int]
+    """Operators and library functions of one step, as often as they are computed."""
+    state_bytes: int
+    replay: Replay | None
+    """None without a C compiler."""
+    code_sizes: dict[str, CodeSize]
+    """Of each of `TARGETS`; empty without arm-none-eabi-gcc."""
+
+
+def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measurement]:
+    """Name and text of each file of the folder, and its measurement."""
     files = _sources(source, vectors)
-    files["README.md"] = _readme(source, vectors, files)
-    return files
+    measurement = Measurement(
+        dict(source.operations),
+        source.state_bytes,
+        replay(source.name, files),
+        code_sizes(source.name, files),
+    )
+    return files | {"README.md": _readme(source, vectors, measurement)}, measurement
 
 
 def _sources(source: CSource, vectors: Vectors) -> dict[str, str]:
@@ -129,7 +144,7 @@ def _sources(source: CSource, vectors: Vectors) -> dict[str, str]:
     }
 
 
-def _readme(source: CSource, vectors: Vectors, files: Mapping[str, str]) -> str:
+def _readme(source: CSource, vectors: Vectors, measurement: Measurement) -> str:
     integers = source.interface.integers
     rows = []
     for port, field in source.input_fields:
@@ -139,7 +154,8 @@ def _readme(source: CSource, vectors: Vectors, files: Mapping[str, str]) -> str:
     operators = ("+", "*", "/", "compare", "choose", "min", "max")
     functions = sorted(set(source.operations) - {*operators})
     words = {
-        "told": f"{source.first_line}",
+        "told": source.first_line,
+        "what": f"{source.precision.capitalize()} precision, from a Drake diagram.",
         "vectors": str(len(vectors.inputs)),
         "sample_time": f"{source.sample_time_s:g}",
         "rate": f"{1.0 / source.sample_time_s:g}",
@@ -151,28 +167,27 @@ def _readme(source: CSource, vectors: Vectors, files: Mapping[str, str]) -> str:
         "send": [f"    /* use outputs.{field} */" for _, field in source.output_fields[:1]],
         "inputs": rows,
         "outputs": [f"| `{field}` | {port} |" for port, field in source.output_fields],
-        "numbers": [f"| {what} | {value} |" for what, value in _numbers(source, files)],
+        "numbers": [f"| {what} | {value} |" for what, value in _numbers(source.name, measurement)],
     }
     return f"{filled('README.md', source.names, words, blocks, ())}\n"
 
 
-def _numbers(source: CSource, files: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+def _numbers(name: str, measurement: Measurement) -> Iterator[tuple[str, str]]:
     """Rows of the README: operations, memory, differences, size on targets."""
-    counts = ", ".join(f"{count} {operation}" for operation, count in source.operations.items())
-    yield "operations in a step", f"{source.operations.total()}: {counts}"
-    yield "RAM of `" + source.name + "_state_t`", f"{source.state_bytes} bytes"
-    replayed = replay(source.name, files)
-    if replayed is None:
+    operations = measurement.operations
+    counts = ", ".join(f"{count} {operation}" for operation, count in operations.items())
+    yield "operations in a step", f"{sum(operations.values())}: {counts}"
+    yield f"RAM of `{name}_state_t`", f"{measurement.state_bytes} bytes"
+    if measurement.replay is None:
         yield "differences", "not measured: this machine has no C compiler (cc, gcc or clang)"
     else:
-        for field, difference in replayed.difference.items():
-            largest = replayed.largest[field]
+        for field, difference in measurement.replay.difference.items():
+            largest = measurement.replay.largest[field]
             yield f"difference of `{field}`", f"{difference:.3g}, where it goes up to {largest:.6g}"
-    sizes = code_sizes(source.name, files)
-    for target, size in sizes.items():
+    for target, size in measurement.code_sizes.items():
         yield f"{target}: flash, code and parameters", f"{size.flash} bytes"
         yield f"{target}: stack of a step", f"{size.stack} bytes"
-    if not sizes:
+    if not measurement.code_sizes:
         yield "flash and stack", "not measured: this machine has no arm-none-eabi-gcc"
 
 
@@ -210,7 +225,7 @@ def export_c(
     steps: int = 1000,
     context: Any = None,
     **options: Any,
-) -> CSource:
+) -> Measurement:
     """Write a diagram as C99 into a folder, with test vectors, harness and build files.
 
     Parameters
@@ -245,8 +260,9 @@ def export_c(
     rows = np.zeros((steps, sizes)) if samples is None else np.array(samples, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != sizes or not len(rows):
         raise CompilationError(f"samples has the shape {rows.shape}: must be (steps, {sizes})")
-    write_folder(directory, files_of(source, recorded_vectors(diagram, source, rows)))
-    return source
+    files, measurement = exported(source, recorded_vectors(diagram, source, rows))
+    write_folder(directory, files)
+    return measurement
 
 
 def source_of(model: DiagramModel, name: str, context: Any = None, **options: Any) -> CSource:
@@ -274,6 +290,8 @@ def write_folder(directory: str | os.PathLike[str], files: Mapping[str, str]) ->
                     file.unlink()
             for name in files:
                 os.replace(Path(new) / name, folder / name)
+    except OutputError:
+        raise
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"--out {folder}: cannot write there ({reason})") from None
