@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,7 +118,7 @@ def test_export_c_prints_what_it_measured(tmp_path, short, capsys):
 @pytest.mark.parametrize("what", ["plant", "loop"])
 def test_export_c_takes_set_and_what(tmp_path, short, what):
     out = tmp_path / "out"
-    options = ["export", "c", short, "--out", str(out), "--what", what]
+    options = ["export", "c", short, "--out", str(out), "--what", what, "--vectors-s", "0.01"]
     assert main([*options, "--set", "plant.cylinder.mass_kg=1.75"]) == 0
     assert "1.75, /* mass_kg */" in (out / f"{what}_params.c").read_text()
 
@@ -136,6 +137,19 @@ def test_bad_options_leave_nothing_behind(tmp_path, short, capsys, options, line
     assert line in error
     assert error.count("\n") == 1
     assert not out.exists()
+
+
+def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
+    law = (
+        "{kind: custom, make: backstepping:make, values: {k_1: 20, k_2: 60}, sample_time_s: 0.001}"
+    )
+    out = tmp_path / "out"
+    options = ["--out", str(out), "--set", f"controller={law}", "--vectors-s", "0.2"]
+    assert main(["export", "c", *options, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["replay"]["difference"]["motor_speed_command_rad_s"] < 1e-12 * 523.6
+    assert "timer interrupt at 1000 Hz" in (out / "README.md").read_text()
 
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path, short, capsys):
