@@ -38,6 +38,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "errors": ("test_cli", "test_scenario_file"),
     "interruption": ("test_cli",),
     "version": ("test_citation",),
+    "view/legs": ("view/test_page",),
     "analysis/loop_equilibrium": ("analysis/test_linearization",),
     "analysis/plant_linearization": ("analysis/test_linearization",),
     "analysis/sampled_loop": ("analysis/test_linearization",),

@@ -159,6 +159,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_studies(subparsers, [reproduction])
     _add_single_runs(subparsers)
     _add_studies(subparsers, studies)
+    _add_view(subparsers)
     _add_exports(subparsers)
     _add_utilities(subparsers)
     return parser
@@ -222,6 +223,32 @@ def _add_single_runs(subparsers: Any) -> None:
         "--knee-angle", type=float, default=40.0, metavar="DEG", help="posture, knee angle in deg"
     )
     _add_out(sub, "linearization.json; loop, nyquist and poles as PNG and PDF")
+
+
+def _add_view(subparsers: Any) -> None:
+    sub = _command(
+        subparsers,
+        "view",
+        commands.view,
+        "show runs in three dimensions: an HTML page with a time slider",
+        "The page is one file that any browser opens, without network. Several runs stand beside "
+        "each other. The cylinder's colour is its pressure, the grey shank is the reference.",
+    )
+    sub.add_argument(
+        "runs",
+        nargs="*",
+        metavar="RUN",
+        help=f"scenario files to run, or directories that `kneexo simulate` wrote; left out: "
+        f"{PAPER}",
+    )
+    _add_values(sub)
+    sub.add_argument(
+        "--out",
+        metavar="FILE.html",
+        type=Path,
+        required=True,
+        help="the page; replaces a page of an earlier view",
+    )
 
 
 def _add_exports(subparsers: Any) -> None:

@@ -316,6 +316,32 @@ def diagram(options: argparse.Namespace) -> None:
         )
 
 
+def view(options: argparse.Namespace) -> None:
+    """``kneexo view``."""
+    from kneexo.output import to_json
+    from kneexo.view.legs import leg_of_results, leg_of_scenario
+    from kneexo.view.page import require_page, view_page, write_page
+
+    require_page(options.out)
+    legs = []
+    for run in options.runs or [None]:
+        if run is not None and Path(run).is_dir():
+            legs.append(leg_of_results(Path(run)))
+            continue
+        options.scenario = run
+        name = "the paper's setup" if run is None else Path(run).stem
+        leg, failure = leg_of_scenario(name, _scenario(options))
+        if failure:
+            print(f"kneexo: {name}: {failure}; shown up to there", file=sys.stderr)
+        legs.append(leg)
+    write_page(options.out, view_page(legs))
+    names = [leg.name for leg in legs]
+    if options.json:
+        print(to_json({"kneexo": __version__, "page": str(options.out), "runs": names}), end="")
+    else:
+        print(f"{options.out}: {', '.join(names)}; open it in a browser")
+
+
 def export_c(options: argparse.Namespace) -> None:
     """``kneexo export c``."""
     from kneexo.export.firmware import export_firmware

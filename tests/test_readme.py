@@ -66,6 +66,13 @@ def test_the_example_of_the_engine_runs():
     assert 0.0 < float(spread) < 1e-3
 
 
+@pytest.mark.slow
+def test_the_example_of_the_live_view_runs():
+    code = block("python", (ROOT / "docs/view.md").read_text(encoding="utf-8"))
+    command = [sys.executable, "-c", code.replace("AdvanceTo(1.0)", "AdvanceTo(0.02)")]
+    subprocess.run(command, check=True, capture_output=True)
+
+
 SCENARIO_FILES = (ROOT / "docs/scenario_files.md").read_text(encoding="utf-8")
 
 

@@ -1,0 +1,69 @@
+"""Bars and points of the view: rigid, and where the linkage is."""
+
+import numpy as np
+import pytest
+
+from kneexo.linkage import rod_extension
+from kneexo.parameters.linkages import LINKAGES
+from kneexo.view.mechanism import BARS, PINS, SHANK_M, THIGH_M, points
+
+ANGLES = np.radians(np.linspace(0.0, 90.0, 181))
+
+
+@pytest.fixture(params=sorted(LINKAGES))
+def link(request):
+    return LINKAGES[request.param]
+
+
+def test_bars_do_not_change_their_length(link):
+    at = points(link, ANGLES)
+    for name, bar in BARS.items():
+        length = np.abs(at[bar.end] - at[bar.start])
+        np.testing.assert_allclose(length, length[0], rtol=0, atol=1e-12, err_msg=name)
+        assert length[0] > 0.0
+    assert {*PINS, "icr"} <= set(at)
+
+
+def test_the_thigh_stands_still_and_the_shank_turns_back_by_the_knee_angle(link):
+    at = points(link, ANGLES)
+    for name, bar in BARS.items():
+        moves = max(np.abs(np.diff(at[point])).max() for point in (bar.start, bar.end))
+        assert (moves < 1e-12) == bar.fixed, name
+    assert at["hip"][0] == pytest.approx(1j * THIGH_M, abs=1e-12)
+    shank = at["ankle"] - at["shank_start"]
+    np.testing.assert_allclose(shank, -1j * SHANK_M * np.exp(-1j * ANGLES), atol=1e-12)
+    assert at["toe"][0].real > at["ankle"][0].real  # the foot points forward
+
+
+def test_cylinder_and_rod_slide_by_the_rod_extension(link):
+    at = points(link, ANGLES)
+    length = np.abs(at["rod_pin"] - at["cylinder_pin"])
+    np.testing.assert_allclose(length, link.rod_length_m + rod_extension(link, ANGLES), rtol=1e-12)
+    direction = (at["rod_pin"] - at["cylinder_pin"]) / length
+    for start, end in (("cylinder_pin", "cylinder_end"), ("rod_start", "rod_pin")):
+        np.testing.assert_allclose((at[end] - at[start]) / link.rod_length_m, direction, atol=1e-12)
+
+
+def test_links_have_their_lengths(link):
+    at = points(link, ANGLES)
+    for (start, end), length in {
+        ("o_a", "a"): link.a_2_m,
+        ("a", "b"): link.a_3_m,
+        ("o_b", "b"): link.a_4_m,
+    }.items():
+        np.testing.assert_allclose(np.abs(at[end] - at[start]), length, rtol=1e-12)
+
+
+def test_the_shank_turns_about_the_instantaneous_centre(link):
+    """Its point at the centre does not move: by central differences of the shank's pose."""
+    angle, step = np.radians(40.0), 1e-5
+    before, now, after = (points(link, angle + s) for s in (-step, 0.0, step))
+
+    def carried(at):
+        """Where the point of the shank that is at the centre now is in another pose."""
+        axis = (at["ankle"] - at["shank_start"]) / (now["ankle"] - now["shank_start"])
+        return at["shank_start"] + axis * (now["icr"] - now["shank_start"])
+
+    moved = abs(carried(after) - carried(before))[0]
+    of_ankle = abs(after["ankle"] - before["ankle"])[0]
+    assert moved < 1e-6 * of_ankle

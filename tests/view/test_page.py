@@ -1,0 +1,151 @@
+"""Pages of runs: content, files, and what a browser shows."""
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from kneexo.cli import main
+from kneexo.errors import OutputError, ScenarioError, SimulationError
+from kneexo.parameters import Scenario
+from kneexo.simulation import simulate
+from kneexo.view.legs import leg_of_results, leg_of_scenario
+from kneexo.view.page import MARK, Leg, bar_pose, view_page, write_page
+
+SHORT = {"simulation": {"duration_s": 0.5}}
+
+
+def scenario_of(**fields):
+    return Scenario.model_validate(SHORT | fields)
+
+
+def test_a_bar_lies_between_its_points():
+    pose = bar_pose(0.1 + 0.2j, 0.4 + 0.6j, 0.3)
+    half = 0.25
+    for sign, point in ((-1.0, 0.1 + 0.2j), (1.0, 0.4 + 0.6j)):
+        end = pose.multiply(np.array([0.0, 0.0, sign * half]))
+        np.testing.assert_allclose(end, [point.real, 0.3, point.imag], atol=1e-12)
+
+
+def test_a_page_tells_its_runs_in_safe_html():
+    time = np.linspace(0.0, 1.0, 11)
+    leg = Leg(
+        "<b>mine</b>", Scenario().plant.linkage, time, 0.5 + 0 * time, 0.6 + 0 * time, -2e6 * time
+    )
+    page = view_page([leg])
+    assert MARK in page
+    assert "&lt;b&gt;mine&lt;/b&gt;" in page
+    assert "−2 MPa … red 2 MPa" in page
+    assert len(page) < 8e6
+
+
+def test_a_leg_has_the_signals_of_its_run():
+    scenario = scenario_of()
+    leg, failure = leg_of_scenario("mine", scenario)
+    run = simulate(scenario)
+    assert (leg.name, failure) == ("mine", "")
+    np.testing.assert_array_equal(leg.time_s, run.time_s)
+    np.testing.assert_array_equal(leg.knee_angle_rad, run["knee_angle_rad"])
+    np.testing.assert_array_equal(leg.reference_rad, run["knee_reference_rad"])
+    np.testing.assert_array_equal(leg.pressure_pa, run["load_pressure_pa"])
+
+
+FAILING = scenario_of(
+    controller={
+        "kind": "pid",
+        "proportional_per_s": 0.0,
+        "integral_per_s2": 0.0,
+        "velocity_feedforward": 2.0,
+    },
+    reference={"kind": "sine", "mean_deg": 45.0, "amplitude_deg": 44.0, "frequency_hz": 0.1},
+    simulation={"duration_s": 8.0},
+)
+
+
+def test_a_run_that_fails_is_shown_up_to_there():
+    with pytest.raises(SimulationError) as error:
+        simulate(FAILING)
+    leg, failure = leg_of_scenario("failing", FAILING)
+    assert failure == str(error.value)
+    told = float(failure.partition("t = ")[2].partition(" ")[0])
+    assert told - 0.005 < leg.time_s[-1] < told
+    assert np.isfinite(leg.knee_angle_rad).all()
+
+
+def test_results_of_simulate_are_a_leg(tmp_path, capsys):
+    scenario = tmp_path / "g3.yaml"
+    scenario.write_text("plant: {linkage: G3}\nsimulation: {duration_s: 0.5}\n")
+    out = tmp_path / "run"
+    assert main(["simulate", str(scenario), "--out", str(out)]) == 0
+    read = leg_of_results(out)
+    run, _ = leg_of_scenario("run", scenario_of(plant={"linkage": "G3"}))
+    assert read.name == "run"
+    assert read.linkage == run.linkage
+    for column in ("time_s", "knee_angle_rad", "reference_rad", "pressure_pa"):
+        expected = getattr(run, column)
+        np.testing.assert_allclose(getattr(read, column), expected, rtol=1e-9, atol=1e-12)
+    signals = out / "signals.csv"
+    head = "time_s,knee_angle_rad,knee_reference_rad,load_pressure_pa\n"
+    for text, match in (
+        ("time_s,knee_angle_rad\n0,1\n", "has no column knee_reference_rad"),
+        (f"{head}0,1,2,x\n", "is not a table of numbers"),
+        (head, "has no rows"),
+        (f"{head}0,1,2,nan\n", "not finite"),
+    ):
+        signals.write_text(text)
+        with pytest.raises(ScenarioError, match=match):
+            leg_of_results(out)
+    signals.unlink()
+    with pytest.raises(ScenarioError, match="cannot be read"):
+        leg_of_results(out)
+
+
+def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):
+    page = tmp_path / "knee.html"
+    short = ["--set", "simulation.duration_s=0.5"]
+    assert main(["view", "--out", str(page), *short, "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["runs"] == ["the paper's setup"]
+    assert not printed.err
+    assert MARK in page.read_text()
+    assert main(["view", "--out", str(page), *short]) == 0  # its own page may be replaced
+    other = tmp_path / "other.html"
+    other.write_text("mine")
+    for path in (other, tmp_path):
+        assert main(["view", "--out", str(path), *short]) == 2
+        assert "is no page of kneexo view" in capsys.readouterr().err
+    assert other.read_text() == "mine"
+    assert {file.name for file in tmp_path.iterdir()} == {"knee.html", "other.html"}
+
+
+def test_a_page_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot write there"):
+        write_page(tmp_path / "file" / "knee.html", "page")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs the browser chromium")
+def test_a_browser_shows_a_knee_that_moves(tmp_path):
+    slow = {"kind": "sine", "frequency_hz": 0.1}
+    leg, _ = leg_of_scenario("mine", Scenario.model_validate({"reference": slow}))
+    page = tmp_path / "knee.html"
+    write_page(page, view_page([leg]))
+    options = ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader")
+    options += ("--enable-logging=stderr", "--window-size=800,600")
+    pictures = []
+    for budget_ms in (2000, 6000):
+        picture, profile = tmp_path / f"{budget_ms}.png", tmp_path / f"profile{budget_ms}"
+        one_time = (f"--virtual-time-budget={budget_ms}", f"--user-data-dir={profile}")
+        command = ["chromium", *options, *one_time, f"--screenshot={picture}", page.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+        assert not [line for line in console if "rror" in line or "Uncaught" in line]
+        pictures.append(imread(picture)[..., :3])
+    for picture in pictures:  # a leg on white ground
+        assert 0.005 < (picture.min(axis=2) < 0.9).mean() < 0.5
+    moved = np.abs(pictures[0] - pictures[1]).max(axis=2) > 0.1
+    assert moved[150:].sum() > 300  # below the caption
