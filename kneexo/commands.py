@@ -319,6 +319,7 @@ def diagram(options: argparse.Namespace) -> None:
 def view(options: argparse.Namespace) -> None:
     """``kneexo view``."""
     from kneexo.output import to_json
+    from kneexo.scenario_file import load_scenario
     from kneexo.view.legs import leg_of_results, leg_of_scenario
     from kneexo.view.page import require_page, view_page, write_page
 
@@ -326,7 +327,8 @@ def view(options: argparse.Namespace) -> None:
     legs = []
     for run in options.runs or [None]:
         if run is not None and Path(run).is_dir():
-            legs.append(leg_of_results(Path(run)))
+            scenario = load_scenario(Path(run, "scenario.yaml"))
+            legs.append(leg_of_results(Path(run), scenario))
             continue
         options.scenario = run
         name = "the paper's setup" if run is None else Path(run).stem

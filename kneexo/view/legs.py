@@ -9,7 +9,6 @@ import numpy as np
 
 from kneexo.errors import ScenarioError, SimulationError
 from kneexo.parameters import Scenario
-from kneexo.scenario_file import load_scenario
 from kneexo.simulation import Run, simulate
 from kneexo.view.page import Leg
 
@@ -48,12 +47,11 @@ def _leg(name: str, scenario: Scenario, run: Run) -> Leg:
     return Leg(name, scenario.plant.linkage, run.time_s, *columns)
 
 
-def leg_of_results(directory: Path) -> Leg:
-    """The run in a directory that ``kneexo simulate`` wrote: signals.csv and scenario.yaml.
+def leg_of_results(directory: Path, scenario: Scenario) -> Leg:
+    """The run in a directory that ``kneexo simulate`` wrote: signals.csv of the scenario.
 
-    Raises `ScenarioError` where they are missing or not of such a run.
+    Raises `ScenarioError` where it is missing or not of such a run.
     """
-    scenario = load_scenario(directory / "scenario.yaml")
     path = directory / "signals.csv"
     try:
         with path.open(encoding="utf-8") as file:

@@ -145,7 +145,8 @@ def _bar(
 ) -> None:
     start, end = at[bar.start], at[bar.end]
     colour = Rgba(0.35, 0.35, 0.35, 0.35) if ghost else Rgba(*bar.colour)
-    meshcat.SetObject(path, Cylinder(bar.radius_m, float(np.abs(end[0] - start[0]))), colour)
+    radius = bar.radius_m * (0.85 if ghost else 1.0)  # hidden within what it agrees with
+    meshcat.SetObject(path, Cylinder(radius, float(np.abs(end[0] - start[0]))), colour)
     count = 1 if bar.fixed else times.size
     for time, first, last in zip(times[:count].tolist(), start, end, strict=False):
         meshcat.SetTransform(
@@ -167,6 +168,8 @@ def _world(point: complex, depth: float) -> Array:
 
 def _caption(legs: Sequence[Leg], largest: float) -> str:
     names = "".join(f"<li>{html.escape(leg.name)}</li>" for leg in legs)
+    if len(legs) > 1:
+        names = names.replace("</li>", " (nearest)</li>", 1)
     return (
         '<div style="position:absolute;left:12px;top:8px;font:14px sans-serif;color:#222;'
         'background:rgba(255,255,255,0.8);padding:6px 10px">'

@@ -11,6 +11,7 @@ from matplotlib.image import imread
 from kneexo.cli import main
 from kneexo.errors import OutputError, ScenarioError, SimulationError
 from kneexo.parameters import Scenario
+from kneexo.scenario_file import load_scenario
 from kneexo.simulation import simulate
 from kneexo.view.legs import leg_of_results, leg_of_scenario
 from kneexo.view.page import MARK, Leg, bar_pose, view_page, write_page
@@ -80,7 +81,8 @@ def test_results_of_simulate_are_a_leg(tmp_path, capsys):
     scenario.write_text("plant: {linkage: G3}\nsimulation: {duration_s: 0.5}\n")
     out = tmp_path / "run"
     assert main(["simulate", str(scenario), "--out", str(out)]) == 0
-    read = leg_of_results(out)
+    written = load_scenario(out / "scenario.yaml")
+    read = leg_of_results(out, written)
     run, _ = leg_of_scenario("run", scenario_of(plant={"linkage": "G3"}))
     assert read.name == "run"
     assert read.linkage == run.linkage
@@ -97,10 +99,10 @@ def test_results_of_simulate_are_a_leg(tmp_path, capsys):
     ):
         signals.write_text(text)
         with pytest.raises(ScenarioError, match=match):
-            leg_of_results(out)
+            leg_of_results(out, written)
     signals.unlink()
     with pytest.raises(ScenarioError, match="cannot be read"):
-        leg_of_results(out)
+        leg_of_results(out, written)
 
 
 def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):
