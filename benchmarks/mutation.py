@@ -52,6 +52,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "diagrams/part": ("diagrams/test_plant", "diagrams/test_controller"),
     "diagrams/signals": ("diagrams/test_closed_loop",),
     "diagrams/plant": ("diagrams/test_plant", "diagrams/test_full_order_plant"),
+    "parameters/bus": ("systems/test_drive", "test_parameters"),
     "parameters/control": ("test_parameters", "systems/test_sliding_mode_controller"),
     "parameters/linkages": ("test_parameters", "test_linkage"),
     "parameters/paths": ("test_scenario_file", "test_uncertainty"),

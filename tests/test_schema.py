@@ -85,7 +85,7 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
         "reference: walk",
         "reference: {kind: csv}",
         "reference: {kind: samples, times_s: [0, 1], angles_deg: [3, 4]}",
-        "can_delay_samples: 11",
+        "bus: {latency_samples: 11}",
     ],
 )
 def test_schema_refuses_what_does_not_load(schema, text, tmp_path):

@@ -67,9 +67,9 @@ def differentiable(scenario: Scenario, path: str) -> bool:
 
 
 def _fixed(scenario: Scenario) -> Scenario:
-    """The scenario without quantizer, whose controller keeps its beliefs."""
-    encoder = scenario.encoder.model_copy(update={"quantized": False})
-    return scenario.model_copy(update={"encoder": encoder, "nominal": scenario.believed_plant})
+    """The scenario without quantizers, whose controller keeps its beliefs."""
+    nominal = {"nominal": scenario.believed_plant}
+    return scenario.without_quantizers().model_copy(update=nominal)
 
 
 def _seeded(scenario: Scenario, paths: Sequence[str], columns: int, first: int) -> Scenario:

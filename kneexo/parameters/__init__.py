@@ -13,6 +13,7 @@ All classes are frozen and validated on construction; a bad value raises `Parame
 one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
 """
 
+from kneexo.parameters.bus import Cia402Parameters, NoBus
 from kneexo.parameters.control import (
     CustomControllerParameters,
     DifferenceParameters,
@@ -62,6 +63,7 @@ __all__ = [
     "UNCERTAINTY",
     "UNCERTAIN_KNEE",
     "BldcPumpParameters",
+    "Cia402Parameters",
     "CsvReference",
     "CustomControllerParameters",
     "CylinderParameters",
@@ -74,6 +76,7 @@ __all__ = [
     "KneeLoadParameters",
     "KneeParameters",
     "LinkageParameters",
+    "NoBus",
     "NoLoad",
     "ObserverParameters",
     "PidParameters",

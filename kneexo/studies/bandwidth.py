@@ -214,10 +214,10 @@ def _measure(
 ) -> Steps[dict[str, Any]]:
     """One piece of the map as plain data."""
     amplitude, frequency, quantized = item
-    values = {"reference.amplitude_deg": amplitude, "encoder.quantized": quantized}
+    values = {"reference.amplitude_deg": amplitude}
     if frequency is not None:
         values["reference.frequency_hz"] = frequency
-    at = changed(scenario, values)
+    at = changed(scenario if quantized else scenario.without_quantizers(), values)
     try:
         if frequency is None:
             bandwidth = yield from steps(large_signal_bandwidth_hz, at)
@@ -256,7 +256,7 @@ def bandwidth_study(
     mean_deg = require_sine(scenario).mean_deg
     require_sampled(frequencies[-1], scenario)
     at = [changed(scenario, {"reference.amplitude_deg": a}) for a in amplitudes]  # checks them
-    quantized = scenario.encoder.quantized
+    quantized = scenario.quantized
     cells: list[_Item] = [(a, f, quantized) for a in amplitudes for f in settings.frequencies_hz]
     small: list[_Item] = [(amplitudes[0], f, False) for f in settings.frequencies_hz if quantized]
     searches: list[_Item] = [(a, None, quantized) for a in amplitudes]

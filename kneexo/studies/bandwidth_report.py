@@ -78,7 +78,7 @@ def _linear_in_words(study: BandwidthStudy) -> str:
         f"differs from that of the linear loop by at most {100 * free:.2g} % without the "
         f"encoder's counts"
     )
-    if study.scenario.encoder.quantized and not math.isnan(counted):
+    if study.scenario.quantized and not math.isnan(counted):
         text += f", {100 * counted:.2g} % with them"
     return text + "."
 

@@ -7,6 +7,7 @@ float, `BldcPump_` the template by scalar type, as in Drake. The encoder is Drak
 """
 
 from kneexo.systems.bldc_pump import BldcPump, BldcPump_
+from kneexo.systems.drive import Cia402Drive, Cia402Drive_
 from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
 from kneexo.systems.full_cylinder import FullCylinder, FullCylinder_
 from kneexo.systems.knee_coordinates import (
@@ -40,6 +41,8 @@ __all__ = [
     "BackwardDifference_",
     "BldcPump",
     "BldcPump_",
+    "Cia402Drive",
+    "Cia402Drive_",
     "FourBarKnee",
     "FourBarKnee_",
     "FullCylinder",
