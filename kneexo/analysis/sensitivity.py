@@ -1,7 +1,7 @@
 """Local sensitivities of tracking error and stability margins by AutoDiff, at one scenario.
 
-The plant changes and the controller keeps believing in what it is designed for. The quantizer of
-the encoder, whose derivative is zero, is bypassed. The largest error has no derivative where it
+The plant changes and the controller keeps believing in what it is designed for. The
+quantizers of encoder and bus, whose derivative is zero, are bypassed. The largest error has no derivative where it
 jumps from one peak to another; the root mean square has.
 """
 

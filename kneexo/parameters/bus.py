@@ -38,8 +38,8 @@ class Cia402Parameters(Parameters):
     velocity_unit_rpm: Literal[1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6] = quantity(  # type: ignore[valid-type]
         1.0,
         "rpm",
-        "assumption: SI unit velocity (0x60A9) of maxon's EPOS4, whose default is 1 rpm; the paper "
-        "says CAN and Maxon, no more",
+        "assumption: SI unit velocity (0x60A9), as maxon's EPOS4 offers it: 1 rpm, its default, or "
+        "0.1, 0.01, … 1e-6 rpm; the paper says CAN and Maxon, no more",
     )
     latency_samples: int = _latency(
         1,

@@ -96,7 +96,7 @@ class BandwidthStudy(Result):
     ``speed_limit_reached_hz`` is where the reference begins to ask for more speed.
 
     ``linear`` (n,) is the response of the linear loop, ``follower`` (m, n) that of the follower.
-    ``unquantized`` (n,) is measured at the smallest amplitude without the encoder's counts, and
+    ``unquantized`` (n,) is measured at the smallest amplitude without any quantizer, and
     ``unlimited`` (n,) says where the motor was off its limits then.
     """
 
@@ -205,7 +205,7 @@ def decibel(response: Any) -> Any:
 # ---------------------------------------------------------------------------------- measurement
 
 _Item = tuple[float, float | None, bool]
-"""Amplitude (deg), frequency (Hz; None: where is −3 dB?), with the encoder's counts."""
+"""Amplitude (deg), frequency (Hz; None: where is −3 dB?), with quantizers."""
 
 
 @needs_runs

@@ -194,7 +194,7 @@ def test_every_cell_of_the_report_is_in_the_map(by_hand, tables, check_cells):
         "the linear loop at 1°; the speed limit at 30°",
         f"at most {1e3 * speed:.3g} mm/s and {acceleration:.3g} m/s²",
         f"below {1e3 * speed**2 / acceleration:.2g} mm of rod",
-        "by at most 2 % without the encoder's counts, 2.1 % with them",
+        "by at most 2 % without quantizers, 2.1 % with them",
         "- 30 deg, 9 Hz: left the range",
     ):
         assert said in text
