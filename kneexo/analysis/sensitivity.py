@@ -1,8 +1,8 @@
 """Local sensitivities of tracking error and stability margins by AutoDiff, at one scenario.
 
-The plant changes and the controller keeps believing in what it is designed for. The
-quantizers of encoder and bus, whose derivative is zero, are bypassed. The largest error has no derivative where it
-jumps from one peak to another; the root mean square has.
+The plant changes and the controller keeps believing in what it is designed for. The quantizers of
+encoder and bus, whose derivative is zero, are bypassed. The largest error has no derivative where
+it jumps from one peak to another; the root mean square has.
 """
 
 from __future__ import annotations

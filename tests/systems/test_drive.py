@@ -197,6 +197,24 @@ def test_a_fault_is_one_line(bus, line):
 
 
 @pytest.mark.parametrize(
+    ("counts", "bus", "quantized"),
+    [
+        (True, {"latency_samples": 3}, True),
+        (False, {"kind": "cia402", "latency_samples": 3}, True),
+        (False, {"latency_samples": 3}, False),
+    ],
+)
+def test_linear_analysis_keeps_the_latency_and_no_quantizer(counts, bus, quantized):
+    scenario = Scenario(encoder={"quantized": counts, "mounting_error_rad": 0.01}, bus=bus)
+    assert scenario.quantized == quantized
+    free = Scenario(
+        encoder={"quantized": False, "mounting_error_rad": 0.01}, bus={"latency_samples": 3}
+    )
+    assert scenario.without_quantizers() == free
+    assert not free.quantized
+
+
+@pytest.mark.parametrize(
     ("limit_rpm", "bus", "expected_rpm"),
     [
         (4774.648, {}, 4774.648),
