@@ -59,7 +59,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "parameters/plant": ("test_parameters",),
     "parameters/quantity": ("test_parameters", "test_scenario_file"),
     "parameters/reference": ("test_parameters", "test_gait", "test_scenario_file"),
-    "parameters/scenario": ("test_parameters", "test_scenario_file"),
+    "parameters/scenario": ("systems/test_drive", "test_parameters", "test_scenario_file"),
     "parameters/uncertainty": ("test_uncertainty",),
     "simulation/drake": ("simulation/test_engines", "test_engines"),
     "simulation/run": ("simulation/test_engines", "test_result"),
