@@ -3,10 +3,11 @@
 import math
 import struct
 from decimal import ROUND_HALF_UP, Decimal
+from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
@@ -29,6 +30,7 @@ def sent(system, command):
     return [system.GetOutputPort(name).Eval(context)[0] for name in names]
 
 
+@cache
 def drive(unit_rpm):
     return Cia402Drive(Cia402Parameters(velocity_unit_rpm=unit_rpm))
 
@@ -81,6 +83,7 @@ def test_halves_are_rounded_away_from_zero_in_every_scalar(value, integer):
 
 
 @units
+@settings(deadline=None)
 @given(rpm=st.floats(-6000.0, 6000.0))
 @example(rpm=5000.0)
 @example(rpm=-0.5)
