@@ -60,11 +60,11 @@ BUILT_IN = (
     changed(UNCERTAIN_KNEE, {"plant.full_order": {}, "plant.linkage": "G2"}),
     changed(Scenario(), {"reference": {"kind": "step"}, "nominal": {"linkage": "G3"}}),
     changed(Scenario(), {"reference": {"kind": "ramp"}, "estimator": {"kind": "difference"}}),
-    changed(Scenario(), {"reference": SAMPLES, "can_delay_samples": 2}),
+    changed(Scenario(), {"reference": SAMPLES, "bus.latency_samples": 2}),
 )
 
-CHOSEN = ("sample_time_s", "duration_s", "step_s")
-"""Numbers that structures and lengths of runs decide."""
+CHOSEN = ("sample_time_s", "duration_s", "step_s", "velocity_unit_rpm")
+"""Numbers that structures and lengths of runs decide, or that have a few values alone."""
 
 # ---------------------------------------------------------------------------------- files
 
@@ -197,7 +197,10 @@ def structure(rng: random.Random) -> Scenario:
         "encoder.counts_per_revolution": rng.choice((4096, 4096, 2, 2**24)),
         "estimator": {"kind": estimator},
         "controller": controller,
-        "can_delay_samples": 0 if controller.get("continuous") else rng.choice((0, 0, 1, 10)),
+        "bus": {
+            "kind": "none" if controller.get("continuous") else rng.choice(("none", "cia402")),
+            "latency_samples": 0 if controller.get("continuous") else rng.choice((0, 0, 1, 10)),
+        },
         "reference": SAMPLES if kind == "samples" else {"kind": kind},
         "simulation.integrator": rng.choice(("exact_hold",) * 10 + ("rk4",) * 3 + ("radau3",)),
     }

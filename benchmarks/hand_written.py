@@ -54,7 +54,8 @@ def parameters_of(scenario: Scenario) -> Parameters:
     missing = {
         "ramp of the reference": scenario.reference.kind != "sine" or scenario.reference.ramp_s,
         "shifted counts": scenario.encoder.phase_rad,
-        "latency": scenario.can_delay_samples,
+        "latency": scenario.bus.latency_samples,
+        "rounded commands": scenario.bus.kind != "none",
         "full order": plant.full_order is not None,
         "ideal motor": plant.ideal_motor,
         "feedforward": controller.kind == "pid" and controller.velocity_feedforward,

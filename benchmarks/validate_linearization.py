@@ -50,8 +50,8 @@ SCENARIOS = {
             proportional_per_s=11.89, integral_per_s2=380.5, derivative=0.02, filter_s=0.01915
         )
     ),
-    "SMC, CAN 1 sample": Scenario(can_delay_samples=1),
-    "SMC, CAN 2 samples": Scenario(can_delay_samples=2),
+    "SMC, CAN 1 sample": Scenario(bus={"latency_samples": 1}),
+    "SMC, CAN 2 samples": Scenario(bus={"latency_samples": 2}),
     "SMC, differences": Scenario(estimator=DifferenceParameters()),
     "SMC, exact states": Scenario(
         estimator=ExactParameters(), controller=EQ_27_EXACT_STATES["10000"].controller
@@ -171,7 +171,7 @@ def monodromy(scenario: Scenario) -> NDArray:
     else:
         estimator = {"observer": [1e-7, 1e-5, 1e-3], "difference": [1e-7, 1e-5], "exact": []}
         steps = [1e-4, 1e-7, 1e-5, 1e-3, 1e-2, *estimator[scenario.estimator.kind]]
-    steps += [1e-2] * scenario.can_delay_samples
+    steps += [1e-2] * scenario.bus.latency_samples
     rest = state()
     columns = [
         (sample(rest + step) - sample(rest - step)) / (2.0 * step.sum()) for step in np.diag(steps)

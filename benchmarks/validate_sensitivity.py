@@ -54,7 +54,7 @@ LEAKY = changed(
 
 SCENARIOS = {
     "SMC": LEAKY,
-    "SMC, two samples of latency": changed(LEAKY, {"can_delay_samples": 2}),
+    "SMC, two samples of latency": changed(LEAKY, {"bus.latency_samples": 2}),
     "PID": changed(LEAKY, {"controller": PID_TUNED.model_dump()}),
     "SMC, full order": changed(
         LEAKY,

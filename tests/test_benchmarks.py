@@ -113,7 +113,7 @@ def test_functions_of_the_peers_agree_with_the_compiled_model(load):
     ("values", "part"),
     [
         ({"reference.ramp_s": 1.0}, "ramp"),
-        ({"can_delay_samples": 1}, "latency"),
+        ({"bus.latency_samples": 1}, "latency"),
         ({"plant.full_order": {}}, "full order"),
         ({"controller.switching": "signum"}, "signum"),
         ({"estimator": {"kind": "exact"}}, "estimator"),

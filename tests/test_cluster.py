@@ -43,7 +43,7 @@ REDUCED = UncertaintySet(
 FEW = UncertaintySet(
     values={
         path: UNCERTAINTY.values[path]
-        for path in ("plant.cylinder.mass_kg", "plant.pump.lag_s", "can_delay_samples")
+        for path in ("plant.cylinder.mass_kg", "plant.pump.lag_s", "bus.latency_samples")
     }
 )
 

@@ -414,9 +414,9 @@ def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> N
             {
                 "controller": SlidingModeParameters(continuous=True),
                 "estimator": ExactParameters(),
-                "can_delay_samples": 1,
+                "bus": {"latency_samples": 1},
             },
-            "can_delay_samples = 1 needs a discrete controller",
+            "bus.kind = none with latency_samples = 1 needs a discrete controller",
         ),
         (
             BldcPumpParameters,
@@ -456,7 +456,7 @@ def test_scenario_is_hashable_and_picklable(scenario: Scenario) -> None:
     copy = pickle.loads(pickle.dumps(scenario))
     assert copy == scenario
     assert hash(copy) == hash(scenario)
-    assert len({scenario, copy, Scenario(can_delay_samples=3)}) == 2
+    assert len({scenario, copy, Scenario(bus={"latency_samples": 3})}) == 2
 
 
 def test_integers_become_floats() -> None:

@@ -1,5 +1,6 @@
 """What README.md shows must run."""
 
+import math
 import re
 import subprocess
 import sys
@@ -7,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from kneexo.analysis import linearize_plant
 from kneexo.cli import main
+from kneexo.parameters import Cia402Parameters, Scenario
 from kneexo.scenario_file import load_scenario
 
 ROOT = Path(__file__).parents[1]
@@ -71,6 +74,37 @@ def test_the_example_of_the_live_view_runs():
     code = block("python", (ROOT / "docs/view.md").read_text(encoding="utf-8"))
     command = [sys.executable, "-c", code.replace("AdvanceTo(1.0)", "AdvanceTo(0.02)")]
     subprocess.run(command, check=True, capture_output=True)
+
+
+DRIVE = (ROOT / "docs/drive.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_table_of_the_drive_is_what_its_example_prints(tables):
+    command = [sys.executable, "-c", block("python", DRIVE)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    (printed,) = tables(done.stdout)
+    shown = next(table[1:] for table in tables(DRIVE) if table[0][0] == "controller")
+    assert [row[:3] for row in shown] == [row[:3] for row in printed]
+    assert len(shown) == 15
+    # All digits are the same where these were printed; other processors may round otherwise.
+    numbers = [[float(cell) for cell in row[3:]] for row in printed]
+    assert [[float(cell) for cell in row[3:]] for row in shown] == [
+        pytest.approx(row, rel=0.02) for row in numbers
+    ]
+
+
+def test_the_codes_and_the_step_of_the_drive_are_those_of_the_model(tables):
+    units, codes = next(table for table in tables(DRIVE) if table[0][0] == "unit (rpm)")
+    for unit, code in zip(units[1:], codes[1:], strict=True):
+        drive = Cia402Parameters(velocity_unit_rpm=float(unit))
+        assert drive.si_unit_velocity == int(code, 16)
+    gain = abs(linearize_plant().velocity_gain)  # rad/s of the knee per rad/s
+    turn_deg = math.degrees(gain * math.radians(6.0) * 0.002)  # at 1 rpm, for a sample
+    assert f"by {turn_deg:.1e}°".replace("e-0", "e-") in DRIVE
+    finest = Cia402Parameters(velocity_unit_rpm=1e-6)
+    limit_rpm = math.degrees(Scenario(bus=finest).command_limit_rad_s) / 6.0
+    assert f"that is {limit_rpm:.2f} rpm" in DRIVE
 
 
 SCENARIO_FILES = (ROOT / "docs/scenario_files.md").read_text(encoding="utf-8")

@@ -79,8 +79,8 @@ def test_empty_file_is_the_default_scenario(file: File, text: str) -> None:
 
 
 def test_path_may_be_text(file: File) -> None:
-    file.load("can_delay_samples: 2")
-    assert load_scenario(str(file.path)).can_delay_samples == 2
+    file.load("bus: {latency_samples: 2}")
+    assert load_scenario(str(file.path)).bus.latency_samples == 2
 
 
 EVERY_SECTION = """
@@ -226,12 +226,12 @@ KNOWN = ", ".join(sorted(Scenario.model_fields))
             ">= 0.01 and <= 1000 kg",
         ),
         (
-            "can_delay_samples: 1\nencoder:\n  quantized: 1\n",
+            "bus: {latency_samples: 1}\nencoder:\n  quantized: 1\n",
             "3: encoder.quantized = 1: must be a valid boolean",
         ),
         (
-            "can_delay_samples: 1.5\n",
-            "1: can_delay_samples = 1.5 samples: must be a valid integer, >= 0 and <= 10 samples",
+            "bus: {latency_samples: 1.5}\n",
+            "1: bus.latency_samples = 1.5 samples: must be a valid integer, >= 0 and <= 10 samples",
         ),
         (
             "simulation:\n  integrator: euler\n",
@@ -602,7 +602,7 @@ def test_changed_gives_a_validated_copy() -> None:
             "plant.linkage": "G2",
             "plant.full_order": {"coulomb_friction_n": 40.0},
             "plant.load.knee_torque_n_m": 3.0,
-            "can_delay_samples": 2,
+            "bus.latency_samples": 2,
         },
     )
     assert copy.plant.cylinder == CylinderParameters(mass_kg=1.8)
@@ -610,7 +610,7 @@ def test_changed_gives_a_validated_copy() -> None:
     assert copy.plant.full_order is not None
     assert copy.plant.full_order.coulomb_friction_n == 40.0
     assert copy.plant.load == KneeLoadParameters(knee_torque_n_m=3.0)
-    assert copy.can_delay_samples == 2
+    assert copy.bus.latency_samples == 2
     assert base == Scenario(plant=PlantParameters(load=KneeLoadParameters()))
     assert changed(base, {}) == base
 
@@ -652,7 +652,7 @@ def test_changed_leaves_its_argument_alone() -> None:
         ("plant.full_order.dead_volume_m3", 1e-6, "this scenario has no plant.full_order"),
         ("plant.pump.lg_s", 0.01, "plant.pump.lg_s: unknown name"),
         ("plant.pump.lag_s", -1.0, "plant.pump.lag_s = -1 s is out of range"),
-        ("can_delay_samples", 1.5, "can_delay_samples = 1.5 samples: must be a valid integer"),
+        ("bus.latency_samples", 1.5, "bus.latency_samples = 1.5 samples: must be a valid integer"),
         ("reference.mean_deg", 80.0, "leaves the range of motion"),
     ],
 )

@@ -60,6 +60,9 @@ VALID = [
     "reference: {kind: gait, cycles: 3}",
     "reference: {kind: samples, times_s: [0, 1, 2], angles_deg: [3, 4, 5], interpolation: pchip}",
     "estimator: {}",
+    "bus: {latency_samples: 2}",
+    "bus: {kind: cia402, velocity_unit_rpm: 1, latency_samples: 1}",
+    "bus: {kind: cia402, velocity_unit_rpm: 0.1}",
 ]
 
 
@@ -85,7 +88,9 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
         "reference: walk",
         "reference: {kind: csv}",
         "reference: {kind: samples, times_s: [0, 1], angles_deg: [3, 4]}",
-        "can_delay_samples: 11",
+        "bus: {latency_samples: 11}",
+        "bus: {velocity_unit_rpm: 1}",
+        "bus: {kind: cia402, velocity_unit_rpm: 0.5}",
     ],
 )
 def test_schema_refuses_what_does_not_load(schema, text, tmp_path):

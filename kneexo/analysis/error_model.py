@@ -34,7 +34,6 @@ from kneexo.analysis.plant_linearization import Complex
 from kneexo.analysis.signals import rms
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, Scenario
-from kneexo.parameters.paths import changed
 from kneexo.result import Result, axes_or_new
 from kneexo.simulation import Array, simulate
 
@@ -121,7 +120,7 @@ def error_model(
     speed_ratio = area / oil.mean_area_m2
     speed_ratio *= pump.gear_ratio / believed_pump.gear_ratio
     speed_ratio *= believed_pump.displacement_m3_per_rad / pump.displacement_m3_per_rad
-    held = 0.0 if law.continuous else (0.5 + scenario.can_delay_samples) * law.sample_time_s
+    held = 0.0 if law.continuous else (0.5 + scenario.bus.latency_samples) * law.sample_time_s
     return ErrorModel(
         lambda_per_s=law.lambda_per_s,
         slope_per_s=k / law.phi_m_s2,
@@ -181,14 +180,14 @@ def compare_error(
     loaded_chamber: Chamber | None = None,
     settled_s: float = 0.0,
 ) -> ErrorComparison:
-    """Simulate a scenario, without its quantizer, and hold its error against the closed form.
+    """Simulate a scenario, without its quantizers, and hold its error against the closed form.
 
     Compared from ``settled_s`` on, as the controller sees the rod (Eq. 10). Raises what
     `error_model` and the simulation raise.
     """
     model = error_model(scenario, loaded_chamber=loaded_chamber)
     run = simulate(
-        changed(scenario, {"encoder.quantized": False}),
+        scenario.without_quantizers(),
         signals=("measured_rod_extension", "rod_reference", "load_pressure"),
     )
     late = run.time_s >= settled_s - 1e-9

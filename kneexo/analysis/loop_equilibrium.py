@@ -81,7 +81,7 @@ def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
 def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
     """Set the Context parameters of a closed loop to those of a scenario of its structure.
 
-    Those of systems that ``diagram`` does not have (reference, quantizer) are passed over, and so
+    Those of systems that ``diagram`` does not have (reference, quantizers) are passed over, and so
     are those of a custom controller.
     """
     for path, values in loop_values(scenario):
@@ -130,7 +130,7 @@ def find_rest(
 ) -> Rest:
     """Find where the sampled loop of a scenario rests, by Newton's method.
 
-    Its reference and initial offset are replaced, its quantizer is bypassed. ``diagram``: see
+    Its reference and initial offset are replaced, its quantizers are bypassed. ``diagram``: see
     `kneexo.analysis.linearize_loop`. Raises
     `LinearizationError` when it does not rest there, at the speed limit, outside the boundary
     layer, and when there is no sampled loop that could be linearized.
@@ -139,9 +139,8 @@ def find_rest(
     if controller.kind == "smc" and (controller.continuous or controller.switching == "signum"):
         what = "continuous = true" if controller.continuous else "switching = signum"
         raise LinearizationError(f"controller.{what}: there is no linear sampled-data loop")
-    fixed = scenario.model_copy(
+    fixed = scenario.without_quantizers().model_copy(
         update={
-            "encoder": scenario.encoder.model_copy(update={"quantized": False}),
             "reference": StepReference(start_deg=knee_angle_deg, end_deg=knee_angle_deg),
             "initial_offset_m": 0.0,
         }

@@ -2,9 +2,9 @@
 
 Drake's `Linearize` refuses a diagram that mixes continuous and discrete state. Here the two are
 taken apart and put together again without approximation: the plant by AutoDiff and its exact
-zero-order hold, the controller by AutoDiff through its own discrete update. The quantizer of the
-encoder is bypassed (its derivative is zero) and the loop is the one inside the boundary layer and
-the speed limit; where there is none, the functions say so.
+zero-order hold, the controller by AutoDiff through its own discrete update. The quantizers of
+encoder and bus are bypassed (their derivative is zero) and the loop is the one inside the boundary
+layer and the speed limit; where there is none, the functions say so.
 """
 
 from __future__ import annotations
@@ -447,7 +447,7 @@ def linearize_loop(
 ) -> SampledLoop:
     """Linearize the sampled-data loop of a scenario where it rests at a constant reference.
 
-    Its reference and initial offset are replaced, its quantizer is bypassed. ``output``: the
+    Its reference and initial offset are replaced, its quantizers are bypassed. ``output``: the
     port of the plant whose response is asked for. ``diagram``: a closed loop of the user's own in
     place of the scenario's, without a quantizer, with the ports of `make_closed_loop` and an input
     ``knee_reference`` (``external_reference=True``), which starts at the posture; the scenario then

@@ -1,8 +1,8 @@
 """Local sensitivities of tracking error and stability margins by AutoDiff, at one scenario.
 
-The plant changes and the controller keeps believing in what it is designed for. The quantizer of
-the encoder, whose derivative is zero, is bypassed. The largest error has no derivative where it
-jumps from one peak to another; the root mean square has.
+The plant changes and the controller keeps believing in what it is designed for. The quantizers of
+encoder and bus, whose derivative is zero, are bypassed. The largest error has no derivative where
+it jumps from one peak to another; the root mean square has.
 """
 
 from __future__ import annotations
@@ -67,9 +67,9 @@ def differentiable(scenario: Scenario, path: str) -> bool:
 
 
 def _fixed(scenario: Scenario) -> Scenario:
-    """The scenario without quantizer, whose controller keeps its beliefs."""
-    encoder = scenario.encoder.model_copy(update={"quantized": False})
-    return scenario.model_copy(update={"encoder": encoder, "nominal": scenario.believed_plant})
+    """The scenario without quantizers, whose controller keeps its beliefs."""
+    nominal = {"nominal": scenario.believed_plant}
+    return scenario.without_quantizers().model_copy(update=nominal)
 
 
 def _seeded(scenario: Scenario, paths: Sequence[str], columns: int, first: int) -> Scenario:

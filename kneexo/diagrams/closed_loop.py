@@ -25,8 +25,13 @@ from kneexo.diagrams.controller import (
 from kneexo.diagrams.plant import make_plant, plant_parts
 from kneexo.diagrams.signals import OF_CONTROLLER, SIGNALS, available_signals, chosen_signals
 from kneexo.errors import ParameterError
-from kneexo.parameters import CustomControllerParameters, SampledReference, Scenario
-from kneexo.systems import knee_reference
+from kneexo.parameters import (
+    Cia402Parameters,
+    CustomControllerParameters,
+    SampledReference,
+    Scenario,
+)
+from kneexo.systems import drive, knee_reference
 from kneexo.systems.knee_reference import require_reference_in_range
 
 
@@ -42,7 +47,8 @@ def make_closed_loop(
 
     Subsystems: ``plant``, ``encoder`` (Drake's `RotaryEncoders`, behind ``encoder_phase`` and
     ``encoder_mounting``, or a `PassThrough` when it is not quantized), ``reference``,
-    ``controller`` (see `make_controller`), ``can_bus`` (only with latency), ``signals`` and ``log``
+    ``controller`` (see `make_controller`), ``drive`` (`Cia402Drive`, only on such a bus),
+    ``can_bus`` (`DiscreteTimeDelay`, only with latency), ``signals`` and ``log``
     (a `VectorLogSink` at the control period with the columns ``columns(signals)``; all available
     signals by default, none with ``signals=()``). Inputs: ``disturbance_force`` and, with a load,
     ``knee_torque``; both may stay unconnected. Outputs: each of `available_signals`.
@@ -106,13 +112,18 @@ def make_closed_loop(
         if controller.HasOutputPort(name)
     }
     command = controller.GetOutputPort("motor_speed_command")
-    if scenario.can_delay_samples:
+    if isinstance(scenario.bus, Cia402Parameters):
+        coding = builder.AddNamedSystem("drive", systems.Cia402Drive(scenario.bus))
+        builder.Connect(command, coding.get_input_port())
+        ports["target_velocity"] = coding.GetOutputPort("target_velocity")
+        command = coding.GetOutputPort("motor_speed_command")
+    if scenario.bus.latency_samples:
         # The controller's output is held already, so n − 1 steps here make n samples of latency.
         bus = builder.AddNamedSystem(
             "can_bus",
             DiscreteTimeDelay(
                 update_sec=scenario.controller.sample_time_s,
-                delay_time_steps=scenario.can_delay_samples - 1,
+                delay_time_steps=scenario.bus.latency_samples - 1,
                 vector_size=1,
             ),
         )
@@ -155,6 +166,8 @@ def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
     if not isinstance(scenario.controller, CustomControllerParameters):
         for part in controller_parts(scenario):
             yield f"controller/{part.name}", part.values
+    if isinstance(scenario.bus, Cia402Parameters):
+        yield "drive", drive.context_values(scenario.bus)
 
 
 def plant_of(scenario: Scenario) -> Diagram:

@@ -34,6 +34,7 @@ SIGNALS = {
         "estimated_rod_acceleration_m_s2",
     ),
     "sliding_variable": ("sliding_variable_m_s2",),
+    "target_velocity": ("target_velocity_units",),
     "motor_speed_command": ("motor_speed_command_rad_s",),
     "motor_speed": ("motor_speed_rad_s",),
     "load_flow": ("load_flow_m3_s",),
@@ -72,6 +73,8 @@ def available_signals(
         missing |= {name for name in OF_CONTROLLER if outputs.get(name) != len(SIGNALS[name])}
     elif scenario.controller.kind != "smc":
         missing |= {"estimated_state", "sliding_variable"}
+    if scenario.bus.kind != "cia402":
+        missing.add("target_velocity")
     if scenario.plant.full_order is None:
         missing |= set(FULL_ORDER_OUTPUTS)
     return tuple(name for name in SIGNALS if name not in missing)

@@ -13,6 +13,7 @@ All classes are frozen and validated on construction; a bad value raises `Parame
 one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
 """
 
+from kneexo.parameters.bus import Cia402Parameters as Cia402Parameters, NoBus as NoBus
 from kneexo.parameters.control import (
     CustomControllerParameters as CustomControllerParameters,
     DifferenceParameters as DifferenceParameters,

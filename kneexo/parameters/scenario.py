@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from kneexo.parameters.bus import INT32_MAX, Cia402Parameters, NoBus
 from kneexo.parameters.control import (
     CustomControllerParameters,
     DifferenceParameters,
@@ -59,7 +61,7 @@ class SimulationParameters(Parameters):
 
 
 class Scenario(Parameters):
-    """One closed-loop run: plant, measurement, controller, reference and simulation.
+    """One closed-loop run: plant, measurement, controller, bus, reference and simulation.
 
     ``nominal`` is the plant that the controller believes in; left out, it is ``plant``.
     """
@@ -75,9 +77,7 @@ class Scenario(Parameters):
         SlidingModeParameters | PidParameters | CustomControllerParameters,
         Field(discriminator="kind"),
     ] = SlidingModeParameters()
-    can_delay_samples: int = quantity(
-        0, "samples", "assumption: latency of the CAN bus from controller to motor", ge=0, le=10
-    )
+    bus: Annotated[NoBus | Cia402Parameters, Field(discriminator="kind")] = NoBus()
     reference: Reference = SineReference()
     initial_offset_m: float = quantity(
         0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15
@@ -98,11 +98,33 @@ class Scenario(Parameters):
         steps = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
         return self.model_copy(update={"simulation": self.simulation.model_copy(update=steps)})
 
+    def without_quantizers(self) -> Scenario:
+        """The same for linear analysis: an encoder without counts, a command that is not rounded.
+
+        The latency of the bus stays.
+        """
+        encoder = self.encoder.model_copy(update={"quantized": False})
+        bus = NoBus(latency_samples=self.bus.latency_samples)
+        return self.model_copy(update={"encoder": encoder, "bus": bus})
+
+    @property
+    def quantized(self) -> bool:
+        """Whether the encoder has counts or the bus rounds the command."""
+        return self.encoder.quantized or self.bus.velocity_unit_rad_s > 0.0
+
     @property
     def command_limit_rad_s(self) -> float:
-        """Limit of the command: the controller's, or the believed motor's where that is lower."""
+        """Limit of the command: the controller's, or the believed motor's where that is lower.
+
+        A bus lowers it to a whole number of its velocity units, of which int32 has 2³¹ − 1.
+        """
         limit, plant = self.controller.command_limit_rad_s, self.believed_plant
-        return limit if plant.ideal_motor else min(limit, plant.pump.speed_limit_rad_s)
+        if not plant.ideal_motor:
+            limit = min(limit, plant.pump.speed_limit_rad_s)
+        if unit := self.bus.velocity_unit_rad_s:
+            units = math.floor(limit / unit * (1.0 + 1e-12))  # a whole number may divide to below
+            limit = unit * min(units, INT32_MAX)
+        return limit
 
     @property
     def believed_plant(self) -> PlantParameters:
@@ -123,8 +145,9 @@ class Scenario(Parameters):
                 f"controller.continuous = true needs estimator.kind = exact, "
                 f"not {self.estimator.kind}"
             )
-        if continuous and self.can_delay_samples:
+        if continuous and self.bus != NoBus():
             raise ValueError(
-                f"can_delay_samples = {self.can_delay_samples} needs a discrete controller"
+                f"bus.kind = {self.bus.kind} with latency_samples = {self.bus.latency_samples} "
+                f"needs a discrete controller"
             )
         return self

@@ -94,7 +94,7 @@ UNCERTAINTY = UncertaintySet(
         "encoder.mounting_error_rad": Uncertainty(
             low=-2.0 * math.pi / 4096, high=2.0 * math.pi / 4096, source="assumption: one count"
         ),
-        "can_delay_samples": Uncertainty(
+        "bus.latency_samples": Uncertainty(
             options=(0, 1, 2), source="assumption: latency of the CAN bus"
         ),
         "plant.linkage": Uncertainty(

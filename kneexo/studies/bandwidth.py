@@ -94,7 +94,7 @@ class BandwidthStudy(Result):
     ``speed_limit_reached_hz`` is where the reference begins to ask for more speed.
 
     ``linear`` (n,) is the response of the linear loop, ``follower`` (m, n) that of the follower.
-    ``unquantized`` (n,) is measured at the smallest amplitude without the encoder's counts, and
+    ``unquantized`` (n,) is measured at the smallest amplitude without any quantizer, and
     ``unlimited`` (n,) says where the motor was off its limits then.
     """
 
@@ -203,7 +203,7 @@ def decibel(response: Any) -> Any:
 # ---------------------------------------------------------------------------------- measurement
 
 _Item = tuple[float, float | None, bool]
-"""Amplitude (deg), frequency (Hz; None: where is −3 dB?), with the encoder's counts."""
+"""Amplitude (deg), frequency (Hz; None: where is −3 dB?), with quantizers."""
 
 
 @needs_runs
@@ -212,10 +212,10 @@ def _measure(
 ) -> Steps[dict[str, Any]]:
     """One piece of the map as plain data."""
     amplitude, frequency, quantized = item
-    values = {"reference.amplitude_deg": amplitude, "encoder.quantized": quantized}
+    values = {"reference.amplitude_deg": amplitude}
     if frequency is not None:
         values["reference.frequency_hz"] = frequency
-    at = changed(scenario, values)
+    at = changed(scenario if quantized else scenario.without_quantizers(), values)
     try:
         if frequency is None:
             bandwidth = yield from steps(large_signal_bandwidth_hz, at)
@@ -254,7 +254,7 @@ def bandwidth_study(
     mean_deg = require_sine(scenario).mean_deg
     require_sampled(frequencies[-1], scenario)
     at = [changed(scenario, {"reference.amplitude_deg": a}) for a in amplitudes]  # checks them
-    quantized = scenario.encoder.quantized
+    quantized = scenario.quantized
     cells: list[_Item] = [(a, f, quantized) for a in amplitudes for f in settings.frequencies_hz]
     small: list[_Item] = [(amplitudes[0], f, False) for f in settings.frequencies_hz if quantized]
     searches: list[_Item] = [(a, None, quantized) for a in amplitudes]

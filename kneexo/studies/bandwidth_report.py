@@ -75,10 +75,10 @@ def _linear_in_words(study: BandwidthStudy) -> str:
         )
     text = (
         f"Where the motor stays off its limits, the response at {study.amplitudes_deg[0]:g}° "
-        f"differs from that of the linear loop by at most {100 * free:.2g} % without the "
-        f"encoder's counts"
+        f"differs from that of the linear loop by at most {100 * free:.2g} % without "
+        f"quantizers"
     )
-    if study.scenario.encoder.quantized and not math.isnan(counted):
+    if study.scenario.quantized and not math.isnan(counted):
         text += f", {100 * counted:.2g} % with them"
     return text + "."
 

@@ -7,6 +7,7 @@ float, `BldcPump_` the template by scalar type, as in Drake. The encoder is Drak
 """
 
 from kneexo.systems.bldc_pump import BldcPump as BldcPump, BldcPump_ as BldcPump_
+from kneexo.systems.drive import Cia402Drive as Cia402Drive, Cia402Drive_ as Cia402Drive_
 from kneexo.systems.four_bar_knee import FourBarKnee as FourBarKnee, FourBarKnee_ as FourBarKnee_
 from kneexo.systems.full_cylinder import (
     FullCylinder as FullCylinder,

@@ -78,7 +78,9 @@ def test_default_gains_give_the_known_delays():
 
 def test_each_part_of_the_model_is_where_it_belongs():
     base = error_model(loop())
-    assert error_model(loop(can_delay_samples=2)).delay_s - base.delay_s == pytest.approx(0.004)
+    assert error_model(loop(bus={"latency_samples": 2})).delay_s - base.delay_s == pytest.approx(
+        0.004
+    )
     ideal = loop(
         estimator={"kind": "exact"},
         **{"plant.ideal_motor": True, "controller.continuous": True},

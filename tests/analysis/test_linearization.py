@@ -38,6 +38,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
+from kneexo.parameters.paths import changed
 from kneexo.studies.paper import EQ_27_EXACT_STATES, IDEAL_SMC
 
 T = 0.002
@@ -390,8 +391,8 @@ SCENARIOS = {
     "smc": Scenario(),
     "pid": Scenario(controller=PidParameters()),
     "pid_tuned": Scenario(controller=PI),
-    "can_1": Scenario(can_delay_samples=1),
-    "can_2": Scenario(can_delay_samples=2),
+    "can_1": Scenario(bus={"latency_samples": 1}),
+    "can_2": Scenario(bus={"latency_samples": 2}),
     "difference": Scenario(estimator=DifferenceParameters()),
     "exact": Scenario(
         estimator=ExactParameters(), controller=SlidingModeParameters(phi_m_s2=31.75)
@@ -567,7 +568,7 @@ def perturbations(scenario):
     else:
         estimator = {"observer": [1e-7, 1e-5, 1e-3], "difference": [1e-7, 1e-5], "exact": []}
         controller = [1e-2, *estimator[scenario.estimator.kind]]  # rad/s; m, m/s, m/s²
-    return np.diag([*plant, *controller, *[1e-2] * scenario.can_delay_samples])
+    return np.diag([*plant, *controller, *[1e-2] * scenario.bus.latency_samples])
 
 
 def monodromy_by_differences(scenario, angle_deg=40.0, step=4e-5):
@@ -859,7 +860,7 @@ def test_the_delay_margin_is_what_the_can_bus_may_take(margins, name):
     samples = margins[name].delay_margin_s / T
     assert 1.0 < samples < 10.0
     below, above = (
-        linearize_loop(SCENARIOS[name].model_copy(update={"can_delay_samples": n}))
+        linearize_loop(changed(SCENARIOS[name], {"bus.latency_samples": n}))
         for n in (math.floor(samples), math.ceil(samples))
     )
     assert below.stable
@@ -872,6 +873,20 @@ def test_can_delay_is_a_delay_of_the_loop(loops):
     for name, n in (("can_1", 1), ("can_2", 2)):
         expected = loops["smc"].loop_response(f) / z**n
         assert loops[name].loop_response(f) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("unit_rpm", [1.0, 0.001])
+@pytest.mark.parametrize(("latency", "same"), [(0, "smc"), (1, "can_1"), (2, "can_2")])
+def test_the_loop_of_a_drive_is_the_one_without_rounding(loops, margins, unit_rpm, latency, same):
+    bus = {"kind": "cia402", "velocity_unit_rpm": unit_rpm, "latency_samples": latency}
+    loop = linearize_loop(Scenario(bus=bus))
+    np.testing.assert_array_equal(loop.monodromy, loops[same].monodromy)
+    # A delay in the loop takes itself from the delay margin, and nothing from the crossover.
+    m, immediate = loop.margins(), margins["smc"]
+    assert m.delay_margin_s == pytest.approx(immediate.delay_margin_s - latency * T, rel=1e-6)
+    assert m.delay_margin_frequency_hz == pytest.approx(
+        immediate.delay_margin_frequency_hz, rel=1e-9
+    )
 
 
 # ------------------------------------------------------------------------------ responses

@@ -88,7 +88,7 @@ FULL_ORDER = {
 }
 LOOPS = {
     "smc": LEAKY,
-    "can_2": changed(LEAKY, {"can_delay_samples": 2}),
+    "can_2": changed(LEAKY, {"bus.latency_samples": 2}),
     "difference": changed(
         LEAKY, {"estimator": {"kind": "difference"}, "plant.cylinder.bulk_modulus_pa": 1.72e9}
     ),
@@ -248,7 +248,7 @@ def test_a_limit_that_is_not_reached_has_no_influence():
         "plant.linkage.a_2_m",
         "plant.load.kind",
         "plant.full_order.dead_volume_m3",
-        "can_delay_samples",
+        "bus.latency_samples",
         "controller.phi_m_s2",
         "plant.pump.no_such_value",
         "",

@@ -17,6 +17,7 @@ from kneexo.diagrams import (
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     BldcPumpParameters,
+    Cia402Parameters,
     CylinderParameters,
     DifferenceParameters,
     EncoderParameters,
@@ -28,10 +29,13 @@ from kneexo.parameters import (
     PlantParameters,
     RampReference,
     Scenario,
+    SimulationParameters,
     SineReference,
     SlidingModeParameters,
     StepReference,
 )
+from kneexo.parameters.paths import changed
+from kneexo.simulation import simulate
 from kneexo.studies.paper import IDEAL_SMC
 
 PERIOD = 0.002
@@ -60,8 +64,13 @@ STRUCTURES = {
     "exact": (Scenario(estimator=ExactParameters()), set(), set()),
     "continuous": (IDEAL_SMC, set(), set()),
     "pid": (Scenario(controller=PidParameters()), set(), set()),
-    "smc, can": (Scenario(can_delay_samples=1), {"estimator", "can_bus"}, set()),
-    "pid, can": (Scenario(controller=PidParameters(), can_delay_samples=2), {"can_bus"}, set()),
+    "smc, can": (Scenario(bus={"latency_samples": 1}), {"estimator", "can_bus"}, set()),
+    "pid, can": (
+        Scenario(controller=PidParameters(), bus={"latency_samples": 2}),
+        {"can_bus"},
+        set(),
+    ),
+    "smc, cia402": (Scenario(bus={"kind": "cia402"}), {"estimator", "drive", "can_bus"}, set()),
     "full order": (Scenario(plant=FULL_ORDER), {"estimator"}, set()),
 }
 OUTPUTS = {
@@ -106,6 +115,8 @@ def test_subsystems_and_exported_ports_are_named(case):
         del outputs["estimated_state"], outputs["sliding_variable"]
     if scenario.plant.full_order is not None:
         outputs |= FULL_ORDER_OUTPUTS
+    if "drive" in systems:
+        outputs["target_velocity"] = 1
     ports = [diagram.get_output_port(i) for i in range(diagram.num_output_ports())]
     assert {port.get_name(): port.size() for port in ports} == outputs
     assert set(available_signals(scenario)) == set(outputs)
@@ -393,7 +404,7 @@ def both_loops(four_bar, fixed_step, loop, samples, step, *, quantized, delay=0)
     scenario = Scenario(
         encoder=EncoderParameters(quantized=quantized),
         reference=REFERENCE,
-        can_delay_samples=delay,
+        bus={"latency_samples": delay},
         **settings,
     )
     diagram = make_closed_loop(scenario)
@@ -476,7 +487,7 @@ def test_each_sample_of_can_delay_brings_the_first_command_one_sample_later(cont
             plant=PlantParameters(rod_map="polynomial"),
             encoder=UNQUANTIZED,
             controller=controller,
-            can_delay_samples=delay,
+            bus={"latency_samples": delay},
             reference=StepReference(start_deg=30.0, end_deg=31.0, time_s=0.0195),
         )
         diagram = make_closed_loop(scenario)
@@ -490,7 +501,7 @@ def test_each_sample_of_can_delay_brings_the_first_command_one_sample_later(cont
 
 @pytest.mark.parametrize("delay", [1, 2])
 def test_plant_receives_the_command_of_n_samples_ago(delay, fixed_step):
-    diagram = make_closed_loop(Scenario(can_delay_samples=delay))
+    diagram = make_closed_loop(Scenario(bus={"latency_samples": delay}))
     simulator = fixed_step(diagram, "radau3", 0.5 * PERIOD)
     controller = diagram.GetSubsystemByName("controller")
     port = controller.GetOutputPort("motor_speed_command")
@@ -503,6 +514,67 @@ def test_plant_receives_the_command_of_n_samples_ago(delay, fixed_step):
     assert received[:delay] == [0.0] * delay
     assert received[delay:] == made[:-delay]
     assert len(set(made)) > 20
+
+
+# ------------------------------------------------------------------------ CiA 402 drive
+
+
+@pytest.mark.parametrize("unit_rpm", [1.0, 0.1])
+@pytest.mark.parametrize("delay", [0, 1, 2])
+@pytest.mark.parametrize(
+    "controller", [SlidingModeParameters(), PidParameters()], ids=["smc", "pid"]
+)
+def test_the_motor_receives_the_rounded_command_of_n_samples_ago(
+    controller, delay, unit_rpm, fixed_step
+):
+    bus = {"kind": "cia402", "velocity_unit_rpm": unit_rpm, "latency_samples": delay}
+    diagram = make_closed_loop(Scenario(controller=controller, bus=bus))
+    simulator = fixed_step(diagram, "radau3", 0.5 * PERIOD)
+    law, plant = (diagram.GetSubsystemByName(name) for name in ("controller", "plant"))
+    made, sent, received = [], [], []
+    for sample in range(60):
+        simulator.AdvanceTo((sample + 0.5) * PERIOD)
+        context = simulator.get_context()
+        command = law.GetOutputPort("motor_speed_command").Eval(law.GetMyContextFromRoot(context))
+        motor = plant.GetInputPort("motor_speed_command").Eval(plant.GetMyContextFromRoot(context))
+        made.append(command[0])
+        sent.append(diagram.GetOutputPort("target_velocity").Eval(context)[0])
+        received.append(motor[0])
+        assert motor[0] == diagram.GetOutputPort("motor_speed_command").Eval(context)[0]
+    in_units = np.array(made) * 30.0 / math.pi / unit_rpm
+    np.testing.assert_array_equal(sent, np.round(in_units))
+    assert len(set(sent)) > 20
+    np.testing.assert_array_equal(received[:delay], 0.0)
+    np.testing.assert_allclose(
+        received[delay:], np.array(sent)[: 60 - delay] * unit_rpm * math.pi / 30.0, rtol=1e-14
+    )
+
+
+@pytest.mark.parametrize("controller", ["smc", "pid"])
+def test_a_fine_unit_gives_the_loop_without_rounding(controller):
+    scenario = Scenario(
+        controller={"kind": controller},
+        encoder=UNQUANTIZED,
+        simulation=SimulationParameters(duration_s=0.4),
+    )
+    ideal = simulate(scenario)
+    errors = {}
+    for unit_rpm in (1.0, 0.001):
+        bus = {"kind": "cia402", "velocity_unit_rpm": unit_rpm, "latency_samples": 0}
+        run = simulate(scenario.model_copy(update={"bus": Cia402Parameters(**bus)}))
+        unit = unit_rpm * math.pi / 30.0
+        units = run["motor_speed_command_rad_s"] / unit
+        np.testing.assert_allclose(units, run["target_velocity_units"], rtol=1e-12)
+        np.testing.assert_array_equal(run["target_velocity_units"] % 1.0, 0.0)
+        errors[unit_rpm] = np.max(np.abs(run["knee_angle_rad"] - ideal["knee_angle_rad"]))
+    # The knee turns 1e-6 rad a unit and sample: rounding shows at 1 rpm, and a thousandth of it.
+    assert errors[1.0] > 1e-7
+    assert errors[0.001] < 0.01 * errors[1.0]
+
+
+def test_a_drive_needs_a_discrete_controller():
+    with pytest.raises(ParameterError, match=r"bus\.kind = cia402 with latency_samples = 0 needs"):
+        changed(IDEAL_SMC, {"bus": {"kind": "cia402", "latency_samples": 0}})
 
 
 # -------------------------------------------------------------- conversion to other scalars
@@ -522,12 +594,13 @@ RAMP = RampReference(start_deg=30.0, end_deg=33.0, time_s=0.01, rate_deg_s=5.0)
 CONVERTED = {
     "smc": {"controller": sliding_mode(), "estimator": OBSERVER},
     "smc, signum": {"controller": SlidingModeParameters(switching="signum")},
-    "smc, step, can": {"reference": STEP, "can_delay_samples": 1},
+    "smc, cia402": {"controller": sliding_mode(), "bus": {"kind": "cia402"}},
+    "smc, step, can": {"reference": STEP, "bus": {"latency_samples": 1}},
     "difference": {"controller": sliding_mode(500.0), "estimator": DifferenceParameters()},
     "exact, ramp": {"controller": sliding_mode(80.0), "estimator": ExactParameters()}
     | {"reference": RAMP},
     "pid": {"controller": PID},
-    "pid, ramp, can": {"controller": PID, "reference": RAMP, "can_delay_samples": 3},
+    "pid, ramp, can": {"controller": PID, "reference": RAMP, "bus": {"latency_samples": 3}},
     "continuous": {
         "controller": SlidingModeParameters(continuous=True, lambda_per_s=11.0),
         "estimator": ExactParameters(),
@@ -667,8 +740,8 @@ def next_of(diagram, context, state):
     )
 
 
-@pytest.mark.parametrize(  # signum and the continuous controller have no such derivative
-    "case", [name for name in CONVERTED if name not in {"continuous", "smc, signum"}]
+@pytest.mark.parametrize(  # signum, rounding and the continuous controller have no such derivative
+    "case", [name for name in CONVERTED if name not in {"continuous", "smc, signum", "smc, cia402"}]
 )
 def test_autodiff_of_the_discrete_update_equals_central_differences(case, fixed_step):
     scenario = Scenario(**{"plant": VARIED, "encoder": UNQUANTIZED} | CONVERTED[case])
@@ -893,9 +966,9 @@ def test_encoder_phase_means_nothing_without_the_quantizer():
             lambda: Scenario(
                 controller=SlidingModeParameters(continuous=True),
                 estimator=ExactParameters(),
-                can_delay_samples=1,
+                bus={"latency_samples": 1},
             ),
-            r"can_delay_samples = 1 needs a discrete controller",
+            r"bus.kind = none with latency_samples = 1 needs a discrete controller",
         ),
     ],
     ids=["sine", "step", "unknown", "not of the pid", "continuous", "continuous can"],

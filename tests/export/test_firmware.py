@@ -24,7 +24,11 @@ def scenario_of(**fields):
 
 @pytest.mark.parametrize(
     "fields",
-    [{}, {"controller": {"kind": "pid"}}, {"estimator": {"kind": "exact"}, "can_delay_samples": 0}],
+    [
+        {},
+        {"controller": {"kind": "pid"}},
+        {"estimator": {"kind": "exact"}, "bus": {"latency_samples": 0}},
+    ],
 )
 def test_vectors_of_a_controller_are_the_commands_of_the_loop(fields):
     scenario = scenario_of(**fields)

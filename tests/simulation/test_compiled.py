@@ -76,13 +76,21 @@ STRUCTURES = {
         controller=SlidingModeParameters(switching="signum"),
     ),
     "can 2, ramp": Scenario(
-        encoder=FREE, can_delay_samples=2, reference=RampReference(time_s=0.01, rate_deg_s=200.0)
+        encoder=FREE,
+        bus={"latency_samples": 2},
+        reference=RampReference(time_s=0.01, rate_deg_s=200.0),
     ),
     "pid": Scenario(encoder=FREE, controller=PID_TUNED),
+    "cia402": Scenario(bus={"kind": "cia402", "latency_samples": 0}),
+    "pid, cia402, 2 samples": Scenario(
+        encoder=FREE,
+        controller=PID_TUNED,
+        bus={"kind": "cia402", "velocity_unit_rpm": 0.1, "latency_samples": 2},
+    ),
     "pid, can 1, samples": Scenario(
         encoder=FREE,
         controller=PID_FEEDFORWARD,
-        can_delay_samples=1,
+        bus={"latency_samples": 1},
         reference=SampledReference(times_s=(0.02, 0.05, 0.07, 0.1), angles_deg=(30, 31, 29, 30)),
     ),
     "full order": Scenario(
@@ -166,6 +174,7 @@ EVERYTHING = {
     "step": Scenario(reference=StepReference(), estimator=STRUCTURES["smc"].estimator),
     "ramp": STRUCTURES["can 2, ramp"],
     "samples": STRUCTURES["pid, can 1, samples"],
+    "cia402": STRUCTURES["cia402"],
 }
 
 
@@ -260,7 +269,7 @@ def test_choices_change_the_structure():
     keys = {structure_key(scenario) for scenario in STRUCTURES.values()}
     assert len(keys) == len(STRUCTURES)
     for path, value in (
-        (("can_delay_samples",), 1),
+        (("bus", "latency_samples"), 1),
         (("encoder", "counts_per_revolution"), 512),
         (("encoder", "quantized"), False),
         (("controller", "switching"), "signum"),

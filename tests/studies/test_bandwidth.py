@@ -67,6 +67,19 @@ def test_the_map_shows_where_the_limits_take_over(mapped):
         assert np.all(gain <= 1.05 * bound / rod_amplitude_m(sine(amplitude)))
 
 
+def test_a_bus_that_rounds_is_a_quantizer_of_the_map():
+    settings = changed(SMALL_MAP, {"amplitudes_deg": (0.3,)})
+    free = {"encoder.quantized": False}
+    bus = {"bus": {"kind": "cia402", "latency_samples": 0}}
+    rounded, exact = (
+        bandwidth_study(changed(Scenario(), values), settings) for values in (free | bus, free)
+    )
+    np.testing.assert_array_equal(rounded.unquantized, exact.response[0])
+    assert np.all(rounded.response != exact.response)
+    assert "% with them" in report(rounded)
+    assert "% with them" not in report(exact)
+
+
 def test_a_map_without_a_sine_to_compare_with_the_linear_loop_says_so(mapped):
     limited = replace(mapped[0], unlimited=np.zeros(3, dtype=bool))
     assert "nothing to compare with the linear loop" in report(limited)
@@ -194,7 +207,7 @@ def test_every_cell_of_the_report_is_in_the_map(by_hand, tables, check_cells):
         "the linear loop at 1°; the speed limit at 30°",
         f"at most {1e3 * speed:.3g} mm/s and {acceleration:.3g} m/s²",
         f"below {1e3 * speed**2 / acceleration:.2g} mm of rod",
-        "by at most 2 % without the encoder's counts, 2.1 % with them",
+        "by at most 2 % without quantizers, 2.1 % with them",
         "- 30 deg, 9 Hz: left the range",
     ):
         assert said in text

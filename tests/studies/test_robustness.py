@@ -68,7 +68,7 @@ def uncertain(**values):
 SMALL = uncertain(
     plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
     plant__pump__lag_s={"low": 0.005, "high": 0.02, "scale": "log"},
-    can_delay_samples={"options": (0, 1, 2)},
+    bus__latency_samples={"options": (0, 1, 2)},
 )
 
 
@@ -108,13 +108,13 @@ def test_the_controller_keeps_its_beliefs_but_for_what_it_knows():
         "plant.cylinder.mass_kg": 1.8,
         "plant.linkage": "G3",
         "plant.full_order": {"coulomb_friction_n": 40.0},
-        "can_delay_samples": 2,
+        "bus.latency_samples": 2,
     }
     found = realize(UNCERTAIN_KNEE, UNCERTAINTY, values)
     assert found.plant.cylinder.mass_kg == 1.8
     assert found.plant.linkage == LINKAGES["G3"]
     assert found.plant.full_order == FullCylinderParameters(coulomb_friction_n=40.0)
-    assert found.can_delay_samples == 2
+    assert found.bus.latency_samples == 2
     believed = UNCERTAIN_KNEE.plant.model_copy(update={"linkage": LINKAGES["G3"]})
     assert found.believed_plant == believed
 
@@ -177,12 +177,12 @@ def test_one_at_a_time_changes_one_value(formula):
         {"plant.cylinder.mass_kg": 1.8},
         {"plant.pump.lag_s": 0.005},
         {"plant.pump.lag_s": 0.02},
-        {"can_delay_samples": 0},
-        {"can_delay_samples": 1},
-        {"can_delay_samples": 2},
+        {"bus.latency_samples": 0},
+        {"bus.latency_samples": 1},
+        {"bus.latency_samples": 2},
     ]
     assert found.effects("max_error_deg")["plant.pump.lag_s"] == [0.005, 0.02]
-    assert found.effects("max_error_deg")["can_delay_samples"] == [0.01] * 3
+    assert found.effects("max_error_deg")["bus.latency_samples"] == [0.01] * 3
     assert found.spread("max_error_deg", "plant.pump.lag_s") == pytest.approx(0.015)
     assert found.spread("max_error_deg", "plant.cylinder.mass_kg") == 0.0
     assert found.nominal.figures["max_error_deg"] == 0.01
@@ -291,7 +291,7 @@ REFUSED = {
     "nonsense": ({"low": 1.0, "high": 2.0}, ": unknown name; .*"),
     "plant.cylinder.mass_kg": ({"low": -1.0, "high": 2.0}, " = -1 kg is out of range: .*"),
     "plant.linkage": ({"options": ("G1", "G9")}, ": 'G9' must be one of .*"),
-    "can_delay_samples": ({"options": (1,), "known": True}, ": known is for values of the plant"),
+    "bus.latency_samples": ({"options": (1,), "known": True}, ": known is for values of the plant"),
     "plant.pump.lag_s": ({"low": 0.01, "high": 0.02}, ": lies within plant.pump, .*"),
 }
 
@@ -457,7 +457,7 @@ def visit(number, mass, lag, delay, **changes):
     values = {
         "plant.cylinder.mass_kg": mass,
         "plant.pump.lag_s": lag,
-        "can_delay_samples": delay,
+        "bus.latency_samples": delay,
     }
     kept = {path: value for path, value in values.items() if value is not None}
     found = {name: round(number * size, 6) for name, size in UNITS.items()}
@@ -582,7 +582,7 @@ def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells)
         [
             ["mass_kg", 1.4, 1.8, 1.8],
             ["lag_s", 0.005, 0.02, 0.02],
-            ["can_delay_samples", 0.0, 1.0, 1.0],
+            ["latency_samples", 0.0, 1.0, 1.0],
             ["**the figure there**", 2.3, 0.6 * 0.3, 0.6 * 0.7],
         ],
     )
@@ -590,7 +590,7 @@ def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells)
     alone = {
         "mass_kg": (1.1, 0.8),
         "lag_s": (0.7, 1.6),
-        "can_delay_samples": (1.0, 1.2, 1.25),
+        "latency_samples": (1.0, 1.2, 1.25),
     }
     correlations = by_hand.results()["rank_correlation"]
     for table, merit in zip(effects, ("rms_error_deg", *merits[1:]), strict=True):
@@ -651,12 +651,12 @@ def test_the_tornado_has_each_level_at_its_figure(by_hand):
     alone = {
         "mass_kg": ((1.1, "<"), (0.8, ">")),
         "lag_s": ((0.7, "<"), (1.6, ">")),
-        "can_delay_samples": ((1.0, "o"), (1.2, "s"), (1.25, "^")),
+        "latency_samples": ((1.0, "o"), (1.2, "s"), (1.25, "^")),
     }
     for ax, merit in zip(axes, merits, strict=True):
         assert ax.get_xlabel() == MERITS[merit].label
         rows = [tick.get_text() for tick in ax.get_yticklabels()]
-        assert rows == ["can_delay_samples", "mass_kg", "lag_s"]  # the largest effect on top
+        assert rows == ["latency_samples", "mass_kg", "lag_s"]  # the largest effect on top
         marks = {
             (rows[round(line.get_ydata()[0])], line.get_marker()): line.get_xdata()[0]
             for line in ax.lines
@@ -821,7 +821,7 @@ BLIND = changed(Scenario(), {"plant.knee.flexion_max_deg": 70.0, "simulation.dur
 MISMOUNTED = uncertain(
     plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
     encoder__mounting_error_rad={"low": -0.02, "high": 0.02},
-    can_delay_samples={"options": (0, 1)},
+    bus__latency_samples={"options": (0, 1)},
     plant__cylinder__rod_diameter_m={"low": 0.010, "high": 0.0205},
 )
 

@@ -231,7 +231,7 @@ def test_the_key_depends_on_function_and_every_number():
         update={"plant": Scenario().plant.model_copy(update={"cylinder": CylinderParameters()})}
     )
     assert len(set(piece_keys(square, [Scenario(), heavy]))) == 1
-    items = [Scenario(), Scenario(can_delay_samples=1), Point(1.0), Point(2.0), (1.0, "a")]
+    items = [Scenario(), Scenario(bus={"latency_samples": 1}), Point(1.0), Point(2.0), (1.0, "a")]
     keys = [
         key
         for function in (square, partial(stop_at, 1.0), partial(stop_at, 2.0))
@@ -316,7 +316,7 @@ def test_keys_tell_apart_what_json_does_not_know():
         {"a": 1.5},
         MappingProxyType({"a": 2.0}),
         [Scenario(), {"a": 1.0}],
-        [Scenario(can_delay_samples=1), {"a": 1.0}],
+        [Scenario(bus={"latency_samples": 1}), {"a": 1.0}],
         partial(square, 1.0),
         partial(square, 2.0),
         square,

@@ -1,0 +1,236 @@
+"""The drive's rounding against `decimal` arithmetic, Drake's `RotaryEncoders` and the frame."""
+
+import math
+import struct
+from decimal import ROUND_HALF_UP, Decimal
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings, strategies as st
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression
+from pydrake.systems.sensors import RotaryEncoders
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import Cia402Parameters, NoBus, PlantParameters, Scenario
+from kneexo.systems import Cia402Drive
+from kneexo.systems.drive import nearest_integer
+
+units = pytest.mark.parametrize("unit_rpm", [1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6])
+BELOW_HALF = math.nextafter(0.5, 0.0)
+
+
+def sent(system, command):
+    """Integer and speed of a command in rad/s."""
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, [command])
+    names = ("target_velocity", "motor_speed_command")
+    return [system.GetOutputPort(name).Eval(context)[0] for name in names]
+
+
+@cache
+def drive(unit_rpm):
+    return Cia402Drive(Cia402Parameters(velocity_unit_rpm=unit_rpm))
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def test_the_drive_is_stateless_and_fed_through(leaf):
+    found = leaf.structure(Cia402Drive())
+    assert found.inputs == {"motor_speed_command": 1}
+    assert found.outputs == {"target_velocity": 1, "motor_speed_command": 1}
+    assert (found.continuous, found.discrete) == (0, [])
+    assert found.feedthrough == {
+        ("motor_speed_command", "target_velocity"),
+        ("motor_speed_command", "motor_speed_command"),
+    }
+
+
+def test_conversions_agree_and_have_no_derivative_but_that_of_the_unit(leaf):
+    # 40…42 units: far from a half, where the differences of the check would jump.
+    probe = leaf.Probe(drive(0.1), {"motor_speed_command": [(0.4295, 0.4297)]}, spread=1e-4)
+    probe.check_conversions()
+    probe.check_outputs_follow_every_source()
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("velocity_unit_rad_s", 0.02)
+    assert probe.largest_tree() < leaf.tree_limit
+    system = drive(1.0).ToAutoDiffXd()
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, [AutoDiffXd(1.3, [1.0])])
+    (speed,) = system.GetOutputPort("motor_speed_command").Eval(context)
+    assert speed.value() == pytest.approx(12 * math.pi / 30.0, rel=1e-15)
+    assert not np.any(speed.derivatives())
+
+
+# --------------------------------------------------------------------------------- rounding
+
+
+@pytest.mark.parametrize(
+    ("value", "integer"),
+    [
+        *((0.0, 0), (0.5, 1), (1.5, 2), (2.5, 3), (-0.5, -1), (-1.5, -2), (-2.5, -3)),
+        *((BELOW_HALF, 0), (-BELOW_HALF, 0), (math.nextafter(0.5, 1.0), 1)),
+        *((2147483646.5, 2147483647), (-4999.4999999, -4999), (14.51, 15)),
+    ],
+)
+def test_halves_are_rounded_away_from_zero_in_every_scalar(value, integer):
+    assert nearest_integer(value) == integer
+    assert nearest_integer(AutoDiffXd(value, [1.0])) == integer
+    assert nearest_integer(Expression(value)).Evaluate() == integer
+
+
+@units
+@settings(deadline=None)
+@given(rpm=st.floats(-6000.0, 6000.0))
+@example(rpm=5000.0)
+@example(rpm=-0.5)
+def test_the_integer_is_the_nearest_and_the_speed_half_a_unit_off_at_most(unit_rpm, rpm):
+    integer, speed = sent(drive(unit_rpm), rpm * math.pi / 30.0)
+    exact = Decimal(rpm) / Decimal(f"{unit_rpm:g}")
+    nearest = int(exact.to_integral_value(ROUND_HALF_UP))  # halves away from zero
+    expected = max(-(2**31), min(nearest, 2**31 - 1))
+    rest = abs(exact - nearest)
+    # The command in units has the relative rounding of two operations.
+    if abs(rest - Decimal("0.5")) > abs(exact) * Decimal("1e-15"):
+        assert integer == expected
+    else:
+        assert abs(integer - expected) <= 1
+    assert speed == pytest.approx(integer * unit_rpm * math.pi / 30.0, rel=1e-14, abs=0.0)
+    if expected == nearest:
+        error_rpm = abs(speed * 30.0 / math.pi - rpm)
+        assert error_rpm <= 0.5 * unit_rpm + 1e-14 * abs(rpm)
+
+
+@pytest.mark.parametrize("unit_rpm", [1.0, 0.1, 0.01])
+def test_the_speed_is_that_of_drakes_encoder_with_as_many_counts_a_minute(unit_rpm):
+    # An encoder of 60/unit counts a turn rounds down to multiples of 2π unit/60.
+    encoder = RotaryEncoders([round(60.0 / unit_rpm)])
+    context = encoder.CreateDefaultContext()
+    system = drive(unit_rpm)
+    for command in np.random.default_rng(5).uniform(-500.0, 500.0, 300):
+        encoder.get_input_port().FixValue(context, [command + 0.5 * unit_rpm * math.pi / 30.0])
+        expected = encoder.get_output_port().Eval(context)[0]
+        assert sent(system, command)[1] == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("rpm", "integer"),
+    [
+        (2147.483647, 2**31 - 1),
+        (2147.483646, 2**31 - 2),
+        (5000.0, 2**31 - 1),
+        (-2147.483648, -(2**31)),
+        (-2147.483647, -(2**31) + 1),
+        (-5000.0, -(2**31)),
+    ],
+)
+def test_the_integer_fits_an_int32_at_a_millionth_of_a_rpm(rpm, integer):
+    sent_integer, speed = sent(drive(1e-6), rpm * math.pi / 30.0)
+    assert sent_integer == integer
+    assert struct.unpack("<i", struct.pack("<i", int(sent_integer))) == (integer,)
+    assert speed == pytest.approx(1e-6 * integer * math.pi / 30.0, rel=1e-15)
+
+
+def test_a_command_that_is_no_number_stays_none():
+    assert all(math.isnan(value) for value in sent(Cia402Drive(), math.nan))
+
+
+# ------------------------------------------------------------------------------- parameters
+
+
+@pytest.mark.parametrize(
+    ("unit_rpm", "code"),
+    [
+        (1.0, 0x00B44700),
+        (0.1, 0xFFB44700),
+        (0.01, 0xFEB44700),
+        (1e-3, 0xFDB44700),
+        (1e-4, 0xFCB44700),
+        (1e-5, 0xFBB44700),
+        (1e-6, 0xFAB44700),
+    ],
+)
+def test_the_code_of_the_velocity_unit_is_that_of_0x60a9(unit_rpm, code):
+    assert Cia402Parameters(velocity_unit_rpm=unit_rpm).si_unit_velocity == code
+
+
+def test_units_are_rpm_outside_and_rad_s_inside():
+    assert Cia402Parameters(velocity_unit_rpm=0.1).velocity_unit_rad_s == pytest.approx(
+        0.1 * 2.0 * math.pi / 60.0, rel=1e-15
+    )
+    assert NoBus().velocity_unit_rad_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("bus", "line"),
+    [
+        (
+            {"kind": "cia402", "velocity_unit_rpm": 0.5},
+            "bus.velocity_unit_rpm = 0.5 rpm: "
+            "must be 1.0, 0.1, 0.01, 0.001, 0.0001, 1e-05 or 1e-06",
+        ),
+        (
+            {"kind": "cia402", "velocity_unit_rpm": 10},
+            "bus.velocity_unit_rpm = 10 rpm: must be 1.0, 0.1, 0.01, 0.001, 0.0001, 1e-05 or 1e-06",
+        ),
+        (
+            {"kind": "cia402", "latency_samples": 11},
+            "bus.latency_samples = 11 samples is out of range: "
+            "must be finite and >= 0 and <= 10 samples",
+        ),
+        (
+            {"latency_samples": -1},
+            "bus.latency_samples = -1 samples is out of range: "
+            "must be finite and >= 0 and <= 10 samples",
+        ),
+        (
+            {"velocity_unit_rpm": 1},
+            "bus.velocity_unit_rpm: unknown name; known here: kind, latency_samples",
+        ),
+        ({"kind": "can"}, "bus.kind = 'can': must be 'none', 'cia402'"),
+    ],
+)
+def test_a_fault_is_one_line(bus, line):
+    with pytest.raises(ParameterError) as error:
+        Scenario(bus=bus)
+    assert str(error.value) == f"Scenario: {line}"
+
+
+@pytest.mark.parametrize(
+    ("counts", "bus", "quantized"),
+    [
+        (True, {"latency_samples": 3}, True),
+        (False, {"kind": "cia402", "latency_samples": 3}, True),
+        (False, {"latency_samples": 3}, False),
+    ],
+)
+def test_linear_analysis_keeps_the_latency_and_no_quantizer(counts, bus, quantized):
+    scenario = Scenario(encoder={"quantized": counts, "mounting_error_rad": 0.01}, bus=bus)
+    assert scenario.quantized == quantized
+    free = Scenario(
+        encoder={"quantized": False, "mounting_error_rad": 0.01}, bus={"latency_samples": 3}
+    )
+    assert scenario.without_quantizers() == free
+    assert not free.quantized
+
+
+@pytest.mark.parametrize(
+    ("limit_rpm", "bus", "expected_rpm"),
+    [
+        (4774.648, {}, 4774.648),
+        (4774.648, {"kind": "cia402"}, 4774.0),
+        (4774.648, {"kind": "cia402", "velocity_unit_rpm": 0.1}, 4774.6),
+        (4774.648, {"kind": "cia402", "velocity_unit_rpm": 0.001}, 4774.648),
+        (5000.0, {"kind": "cia402", "velocity_unit_rpm": 0.1}, 5000.0),
+        (5000.0, {"kind": "cia402", "velocity_unit_rpm": 1e-6}, 2147.483647),
+    ],
+)
+def test_the_limit_of_the_command_is_a_whole_number_of_units(limit_rpm, bus, expected_rpm):
+    pump = {"speed_limit_rad_s": limit_rpm * math.pi / 30.0}
+    scenario = Scenario(plant=PlantParameters(pump=pump), bus=bus)
+    limit = scenario.command_limit_rad_s
+    assert limit * 30.0 / math.pi == pytest.approx(expected_rpm, rel=1e-12)
+    if scenario.bus.kind == "cia402":
+        assert sent(Cia402Drive(scenario.bus), limit)[1] == pytest.approx(limit, rel=1e-15)
