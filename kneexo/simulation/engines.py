@@ -149,11 +149,11 @@ def _diagram_run(request: RunRequest, diagram: Diagram) -> Run | KneexoError:
             step_s=settings.step_s,
             tolerance=settings.tolerance,
         )
+        values = np.column_stack([run[name] for name in names])
+        data = dict(zip(columns(names), values.T, strict=True))
+        return Run(run.time_s, data, settings)
     except KneexoError as error:
         return error
-    values = np.column_stack([run[name] for name in names])
-    data = dict(zip(columns(names), values.T, strict=True))
-    return Run(run.time_s, data, settings)
 
 
 _models: WeakKeyDictionary[Diagram, DiagramModel] = WeakKeyDictionary()

@@ -1,5 +1,8 @@
 import numpy as np
 import pytest
+from pydrake.symbolic import Variable, sqrt
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import SymbolicVectorSystem
 
 from kneexo.analysis import simulate
 from kneexo.errors import KneexoError, LinkageError, ParameterError, SimulationError, StiffnessError
@@ -7,6 +10,7 @@ from kneexo.parameters import Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
 from kneexo.simulation import compiled, engines
 from kneexo.simulation.engines import RunRequest, answers
+from kneexo.simulation.run import Run
 
 SHORT = Scenario(simulation=SimulationParameters(duration_s=0.2))
 
@@ -63,6 +67,26 @@ def test_progress_ends_at_the_duration(integrator):
     settings = SimulationParameters(duration_s=0.1, integrator=integrator)
     simulate(Scenario(simulation=settings), signals=("knee_angle",), progress=told.append)
     assert told[-1] == pytest.approx(0.1)
+
+
+def test_the_first_value_that_is_not_finite_is_told():
+    time = np.array([0.0, 0.5, 1.0, 1.5])
+    good = np.full(4, 1e308)  # finite, unlike its sum
+    late = np.array([0.0, 1.0, np.nan, np.nan])
+    early = np.array([0.0, -np.inf, np.inf, 0.0])
+    assert Run(time, {"force_n": good}, SHORT.simulation)["force_n"] is good
+    with pytest.raises(SimulationError, match=r"\At = 0\.5 s: angle_rad is not finite; reduce "):
+        Run(time, {"force_n": good, "speed": late, "angle_rad": early}, SHORT.simulation)
+
+
+def test_an_output_of_a_users_diagram_that_is_not_finite_ends_the_run():
+    t = Variable("t")
+    builder = DiagramBuilder()
+    system = SymbolicVectorSystem(time=t, output=[sqrt(0.05 - t)])
+    root = builder.AddNamedSystem("root", system)
+    builder.ExportOutput(root.get_output_port(), "knee_angle")
+    with pytest.raises(SimulationError, match=r"\At = 0\.052 s: knee_angle_rad is not finite"):
+        simulate(SHORT, signals=("knee_angle",), diagram=builder.Build())
 
 
 # ----------------------------------------------------------------------------- many together

@@ -175,7 +175,7 @@ def test_what_counts_is_the_slope():
 
 BASE = Scenario(
     reference=SineReference(amplitude_deg=1.0, frequency_hz=4.0),
-    simulation=SimulationParameters(duration_s=0.5, integrator="radau3"),  # nothing to compile
+    simulation=SimulationParameters(duration_s=0.5),
 )
 SMALL = ControllerSettings(
     lambdas_per_s=(20.0, 40.0),

@@ -741,7 +741,7 @@ REAL = changed(
     UNCERTAIN_KNEE,
     {
         "reference": {"kind": "sine", "amplitude_deg": 2.0, "frequency_hz": 4.0},
-        "simulation": {"duration_s": 0.3, "integrator": "radau3", "step_s": 0.002},
+        "simulation.duration_s": 0.3,
     },
 )
 
