@@ -156,6 +156,7 @@ def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenar
     everything, own = listed
     assert "controller(pid).integral_per_s2" in everything
     assert "bandwidth: amplitudes_deg" in everything
+    assert "reproduce, Fig. 13: trials" in everything
     assert "controller.integral_per_s2" in own
     assert not any("(" in name or ":" in name for name in own)
 
