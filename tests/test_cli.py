@@ -910,7 +910,7 @@ def test_bad_values_of_the_scenario_are_one_line(capsys, tmp_path, command, text
         ("trials=0", "trials = 0 is out of range: must be finite and >= 1"),
         ("trial=1", "trial: unknown name; known here: acceleration_limit_max_rad_s2"),
         ("frequencies_hz=[0.1, 0.2]", "frequencies_hz has 2 values: must have at least 3"),
-        ("mass_min_kg=1.9", "mass_min_kg = 1.9 must not exceed mass_max_kg = 1.8"),
+        ("mass_min_kg=1.9", "mass_min_kg = 1.9 kg must not exceed mass_max_kg = 1.8 kg"),
     ],
 )
 def test_bad_settings_of_fig_13_are_one_line(capsys, tmp_path, text, told):

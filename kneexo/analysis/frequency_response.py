@@ -22,7 +22,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, SineReference
 from kneexo.parameters.paths import changed, value_at
-from kneexo.parameters.quantity import Parameters, quantities, quantity
+from kneexo.parameters.quantity import Parameters, ordered_limits, quantities, quantity
 from kneexo.result import Result, axes_or_new, data_frame
 from kneexo.simulation import Array, Run, Steps, needs_runs, simulate, steps
 from kneexo.sweeps.parallel import parallel_map
@@ -63,16 +63,10 @@ class SinestreamSettings(Parameters):
     mass_min_kg: float = quantity(1.4, "kg", "Table 2", ge=0.01, le=1000)
     mass_max_kg: float = quantity(1.8, "kg", "Table 2", ge=0.01, le=1000)
 
+    _ordered = ordered_limits()
+
     @model_validator(mode="after")
-    def _ordered(self) -> SinestreamSettings:
-        for name in type(self).model_fields:
-            if "_min_" in name:
-                low, high = getattr(self, name), getattr(self, name.replace("_min_", "_max_"))
-                if low > high:
-                    raise ValueError(
-                        f"{name} = {low:g} must not exceed "
-                        f"{name.replace('_min_', '_max_')} = {high:g}"
-                    )
+    def _different(self) -> SinestreamSettings:
         if len(set(self.frequencies_hz)) < len(self.frequencies_hz):
             raise ValueError("frequencies_hz must not repeat a value")
         return self
