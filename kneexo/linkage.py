@@ -246,36 +246,6 @@ def icr(link: Any, theta_3: Any, theta_4: Any, xp: Any = np) -> tuple[Any, Any]:
     return link.o_b_x_m + t * cos_4, link.o_b_y_m + t * sin_4
 
 
-def transmission_angles(link: LinkageParameters, knee_angle: ArrayLike) -> tuple[Array, Array]:
-    """Acute angles of the coupler with link 2 and with link 4, in rad, 0…π/2."""
-    at = pose(link, knee_angle)
-    return _acute(at.theta_3 - at.theta_2), _acute(at.theta_4 - at.theta_3)
-
-
-def _acute(angle: Array) -> Array:
-    return np.asarray(np.arcsin(np.abs(np.sin(angle))))
-
-
-def link_lengths(link: LinkageParameters) -> tuple[float, float, float, float]:
-    """Lengths a_1 … a_4 in m; a_1 = |O_B − O_A| is the ground."""
-    o_a, o_b = _ground(link)
-    return abs(o_b - o_a), link.a_2_m, link.a_3_m, link.a_4_m
-
-
-def grashof_class(link: LinkageParameters) -> str:
-    """Grashof class: by s + l <= p + q and by which link is the shortest."""
-    lengths = link_lengths(link)
-    shortest, p, q, longest = sorted(lengths)
-    excess = shortest + longest - p - q
-    if abs(excess) < 1e-9 * longest:
-        return "change point"
-    if excess > 0.0:
-        return "triple rocker (non-Grashof)"
-    return ("drag link (double crank)", "crank rocker", "double rocker", "crank rocker")[
-        lengths.index(shortest)
-    ]
-
-
 # -------------------------------------------------------------------- Table 1 (Eq. 10, 11)
 
 

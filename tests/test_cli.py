@@ -168,6 +168,7 @@ def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenar
     everything, own = listed
     assert "controller(pid).integral_per_s2" in everything
     assert "bandwidth: amplitudes_deg" in everything
+    assert "reproduce, Fig. 13: trials" in everything
     assert "controller.integral_per_s2" in own
     assert not any("(" in name or ":" in name for name in own)
 
@@ -937,7 +938,7 @@ def test_bad_values_of_the_scenario_are_one_line(capsys, tmp_path, command, text
         ("trials=0", "trials = 0 is out of range: must be finite and >= 1"),
         ("trial=1", "trial: unknown name; known here: acceleration_limit_max_rad_s2"),
         ("frequencies_hz=[0.1, 0.2]", "frequencies_hz has 2 values: must have at least 3"),
-        ("mass_min_kg=1.9", "mass_min_kg = 1.9 must not exceed mass_max_kg = 1.8"),
+        ("mass_min_kg=1.9", "mass_min_kg = 1.9 kg must not exceed mass_max_kg = 1.8 kg"),
     ],
 )
 def test_bad_settings_of_fig_13_are_one_line(capsys, tmp_path, text, told):

@@ -147,11 +147,7 @@ def large_signal_bandwidth_hz(
 
     bottom, top = math.log(LOWEST_HZ), math.log(highest)
     start = min(max(bottom, math.log(0.8 * _expected_hz(scenario))), top)
-    return (
-        yield from evaluated(
-            lambda excess_at: _first_fall_hz(excess_at, bottom, start, top), excess
-        )
-    )
+    return (yield from evaluated(lambda value: _first_fall_hz(value, bottom, start, top), excess))
 
 
 def _first_fall_hz(

@@ -21,8 +21,8 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, SineReference
-from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, quantities, quantity
+from kneexo.parameters.paths import changed, value_at
+from kneexo.parameters.quantity import Parameters, ordered_limits, quantities, quantity
 from kneexo.result import Result, axes_or_new, data_frame
 from kneexo.simulation import Array, Run, Steps, needs_runs, simulate, steps
 from kneexo.sweeps.parallel import parallel_map
@@ -63,16 +63,10 @@ class SinestreamSettings(Parameters):
     mass_min_kg: float = quantity(1.4, "kg", "Table 2", ge=0.01, le=1000)
     mass_max_kg: float = quantity(1.8, "kg", "Table 2", ge=0.01, le=1000)
 
+    _ordered = ordered_limits()
+
     @model_validator(mode="after")
-    def _ordered(self) -> SinestreamSettings:
-        for name in type(self).model_fields:
-            if "_min_" in name:
-                low, high = getattr(self, name), getattr(self, name.replace("_min_", "_max_"))
-                if low > high:
-                    raise ValueError(
-                        f"{name} = {low:g} must not exceed "
-                        f"{name.replace('_min_', '_max_')} = {high:g}"
-                    )
+    def _different(self) -> SinestreamSettings:
         if len(set(self.frequencies_hz)) < len(self.frequencies_hz):
             raise ValueError("frequencies_hz must not repeat a value")
         return self
@@ -128,6 +122,16 @@ MINUS_3_DB = 1.0 / math.sqrt(2.0)
 _TICKS_HZ = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
+_TRIAL_PATHS = {
+    "internal_leakage_m3_per_s_pa": "plant.pump.internal_leakage_m3_per_s_pa",
+    "acceleration_limit_rad_s2": "plant.pump.acceleration_limit_rad_s2",
+    "bulk_modulus_pa": "plant.cylinder.bulk_modulus_pa",
+    "mass_kg": "plant.cylinder.mass_kg",
+    "encoder_phase_rad": "encoder.phase_rad",
+}
+"""Where a scenario has the values of a `Trial`."""
+
+
 @dataclass(frozen=True)
 class Trial:
     """What differs between the repetitions of the experiment; SI units."""
@@ -140,17 +144,8 @@ class Trial:
 
     def applied(self, scenario: Scenario) -> Scenario:
         """The scenario in this trial; its controller believes in the same plant as before."""
-        return changed(
-            scenario,
-            {
-                "nominal": scenario.believed_plant,
-                "plant.pump.internal_leakage_m3_per_s_pa": self.internal_leakage_m3_per_s_pa,
-                "plant.pump.acceleration_limit_rad_s2": self.acceleration_limit_rad_s2,
-                "plant.cylinder.bulk_modulus_pa": self.bulk_modulus_pa,
-                "plant.cylinder.mass_kg": self.mass_kg,
-                "encoder.phase_rad": self.encoder_phase_rad,
-            },
-        )
+        values = {path: getattr(self, name) for name, path in _TRIAL_PATHS.items()}
+        return changed(scenario, {"nominal": scenario.believed_plant} | values)
 
 
 def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> tuple[Trial, ...]:
@@ -183,13 +178,7 @@ def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> tuple[Trial
 
 def nominal_trial(scenario: Scenario) -> Trial:
     """The trial that changes nothing."""
-    return Trial(
-        internal_leakage_m3_per_s_pa=scenario.plant.pump.internal_leakage_m3_per_s_pa,
-        acceleration_limit_rad_s2=scenario.plant.pump.acceleration_limit_rad_s2,
-        bulk_modulus_pa=scenario.plant.cylinder.bulk_modulus_pa,
-        mass_kg=scenario.plant.cylinder.mass_kg,
-        encoder_phase_rad=scenario.encoder.phase_rad,
-    )
+    return Trial(**{name: value_at(scenario, path) for name, path in _TRIAL_PATHS.items()})
 
 
 @dataclass(frozen=True, repr=False)
@@ -294,18 +283,18 @@ def _pchip(x: Array, y: Array) -> PiecewisePolynomial:
     return PiecewisePolynomial.CubicShapePreserving(x, y[None, :])
 
 
-def crossing(frequencies_hz: Array, gain: Array, threshold: float = MINUS_3_DB) -> float:
-    """First frequency in Hz where the PCHIP through ``gain`` (n,) falls to ``threshold``.
+def crossing(frequencies_hz: Array, gain: Array) -> float:
+    """First frequency in Hz where the PCHIP through ``gain`` (n,) falls to −3 dB.
 
     nan when it does not within ``frequencies_hz`` (n,), which must be increasing.
     """
-    below = np.flatnonzero((gain[:-1] >= threshold) & (gain[1:] < threshold))
+    below = np.flatnonzero((gain[:-1] >= MINUS_3_DB) & (gain[1:] < MINUS_3_DB))
     if below.size == 0:
         return math.nan
     curve = _pchip(frequencies_hz, gain)
     return float(
         scipy.optimize.brentq(
-            lambda f: curve.value(f)[0, 0] - threshold,
+            lambda f: curve.value(f)[0, 0] - MINUS_3_DB,
             frequencies_hz[below[0]],
             frequencies_hz[below[0] + 1],
             xtol=1e-14,

@@ -88,13 +88,13 @@ def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
         system = _system(diagram, path)
         if system is None:
             continue
-        part = system.GetMyMutableContextFromRoot(context)
+        subcontext = system.GetMyMutableContextFromRoot(context)
         for name, value in values.items():
             if group := re.fullmatch(r"(\d+)\[(\d+)\]", name):
-                vector = part.get_mutable_numeric_parameter(int(group[1]))
+                vector = subcontext.get_mutable_numeric_parameter(int(group[1]))
                 vector.SetAtIndex(int(group[2]), value)
             else:
-                system.set_parameter(part, name, value)
+                system.set_parameter(subcontext, name, value)
 
 
 def _system(diagram: Any, path: str) -> Any:

@@ -366,11 +366,11 @@ class SampledLoop(Result):
         grid = np.concatenate([np.geomspace(0.02, nyquist, 2000), near.ravel()])
         return np.unique(grid[(grid >= 0.02) & (grid <= nyquist)])
 
-    def plot_nyquist(self, ax: Axes | None = None, *, disk_margin: float | None = None) -> Axes:
+    def plot_nyquist(self, ax: Axes | None = None) -> Axes:
         """Nyquist plot of the loop around −1, with the unit circle and the disk that it keeps out.
 
-        The disk is the balanced one of ``disk_margin``, by default the loop's own: 1 + fL does not
-        vanish for any complex factor f from 1/γ to γ, which belong to −γ … −1/γ on the real axis.
+        The disk is the balanced one of the disk margin: 1 + fL does not vanish for any complex
+        factor f from 1/γ to γ, which belong to −γ … −1/γ on the real axis.
         """
         ax = axes_or_new(ax, figsize=(5.5, 5.5))
         loop = self._loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
@@ -379,9 +379,7 @@ class SampledLoop(Result):
         circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
         ax.plot(circle.real, circle.imag, color="0.3", lw=0.8, label="|L| = 1")
         ax.plot([-1.0], [0.0], "C3+", ms=9, mew=1.5, label="−1")
-        if disk_margin is None:
-            disk_margin = self.margins().disk_margin if self.stable else math.nan
-        reach = 0.5 * disk_margin
+        reach = 0.5 * self.margins().disk_margin if self.stable else math.nan
         if reach < 1.0:  # else no circle; nor for an unstable loop, which has no margin
             gain = (1.0 + reach) / (1.0 - reach)
             disk = -0.5 * (gain + 1.0 / gain) + 0.5 * (gain - 1.0 / gain) * circle

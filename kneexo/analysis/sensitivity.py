@@ -8,7 +8,7 @@ it jumps from one peak to another; the root mean square has.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,7 +111,6 @@ def tracking_sensitivities(
     *,
     duration_s: float | None = None,
     step_s: float | None = None,
-    progress: Callable[[float], Any] | None = None,
 ) -> Sensitivities:
     """Gradient of ``rms_error_deg`` by simulating with AutoDiffXd.
 
@@ -120,7 +119,6 @@ def tracking_sensitivities(
     ``step_s``, by default 0.5 ms, or 0.05 ms for the stiff valves of ``full_order`` (Newton's
     method in the implicit integrators loses the derivative). ``duration_s``: by default that of
     the scenario. One simulated second takes 1.5 s of computation, with ``full_order`` 25 s.
-    ``progress``: see `kneexo.analysis.simulate`.
 
     Raises `ParameterError` for a path that has no derivative, `SimulationError` when the run
     leaves the range of motion.
@@ -144,8 +142,6 @@ def tracking_sensitivities(
     end = scenario.simulation.duration_s if duration_s is None else duration_s
     for time in np.append(np.arange(0.25, end, 0.25), end):
         simulator.AdvanceTo(AutoDiffXd(time))
-        if progress is not None:
-            progress(float(time))
     data = diagram.GetSubsystemByName("log").FindLog(context).data()
     settled = round(period_s(scenario) / scenario.controller.sample_time_s)
     reference, angle = data[0], data[4]
@@ -169,14 +165,12 @@ def tracking_sensitivities(
     )
 
 
-def loop_sensitivities(
-    scenario: Scenario, paths: Sequence[str], knee_angle_deg: float | None = None
-) -> Sensitivities:
+def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivities:
     """Gradients of the sampled loop's largest eigenvalue and, if it is stable, of its margins.
 
     Figures: ``largest_eigenvalue`` (its magnitude), ``gain_margin``, ``phase_margin_deg``,
     ``delay_margin_s``, ``disk_margin``; the gradient of a margin that does not exist is nan.
-    ``knee_angle_deg`` is by default the middle of the reference's range.
+    The posture is the middle of the reference's range.
 
     The rest moves with the values, by the implicit function theorem. AutoDiff gives the gradient
     of dx/dt and of the controller's update in the values on both sides of the rest; the difference
@@ -186,8 +180,7 @@ def loop_sensitivities(
     Raises `ParameterError` for a path that has no derivative, and what `linearize_loop` raises.
     """
     fixed = _fixed(scenario)
-    if knee_angle_deg is None:
-        knee_angle_deg = scenario.reference.middle_deg
+    knee_angle_deg = scenario.reference.middle_deg
     rest = find_rest(fixed, knee_angle_deg)
     n, size, count = rest.continuous_states, rest.point.size, len(paths)
     reference = rest.reference

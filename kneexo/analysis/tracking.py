@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -164,6 +164,24 @@ def tracking_metrics(
     )
 
 
+def run_metrics(
+    scenario: Scenario, time_s: Array, signals: Mapping[str, Array], *, settled_s: float
+) -> TrackingMetrics:
+    """`tracking_metrics` of a run of ``scenario``: its columns by name, each (n,)."""
+    return tracking_metrics(
+        time_s,
+        signals["knee_reference_rad"] - signals["knee_angle_rad"],
+        signals["motor_speed_command_rad_s"],
+        signals["load_pressure_pa"],
+        signals["shaft_power_w"],
+        signals["hydraulic_power_w"],
+        settled_s=settled_s,
+        command_limit_rad_s=scenario.command_limit_rad_s,
+        pressure_rating_pa=scenario.plant.cylinder.pressure_rating_pa,
+        power_rating_w=scenario.plant.pump.rated_power_w,
+    )
+
+
 @needs_runs
 def track_figures(scenario: Scenario) -> Steps[dict[str, float]]:
     """The `TRACKING_FIGURES` of `track`, from a run that logs no more than they need."""
@@ -260,16 +278,5 @@ def track(
     """
     signals = None if all_signals else TRACKING_SIGNALS
     run = yield from steps(simulate, scenario, signals=signals, progress=progress, diagram=diagram)
-    metrics = tracking_metrics(
-        run.time_s,
-        run["knee_reference_rad"] - run["knee_angle_rad"],
-        run["motor_speed_command_rad_s"],
-        run["load_pressure_pa"],
-        run["shaft_power_w"],
-        run["hydraulic_power_w"],
-        settled_s=period_s(scenario),
-        command_limit_rad_s=scenario.command_limit_rad_s,
-        pressure_rating_pa=scenario.plant.cylinder.pressure_rating_pa,
-        power_rating_w=scenario.plant.pump.rated_power_w,
-    )
+    metrics = run_metrics(scenario, run.time_s, run.data, settled_s=period_s(scenario))
     return TrackingResult(scenario, run, metrics)

@@ -19,7 +19,7 @@ from kneexo import systems
 from kneexo.analysis.bandwidth import rod_of
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.signals import to_rpm
-from kneexo.analysis.tracking import TRACKING_SIGNALS, tracking_metrics
+from kneexo.analysis.tracking import TRACKING_SIGNALS, run_metrics
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.gait import gait_start_percent
 from kneexo.parameters import KneeLoadParameters, Scenario, gait_reference
@@ -236,24 +236,12 @@ def walking_metrics(
 
     `WALKING_FIGURES`, and ``failure``: a run that fails has nan for each, and one line says why.
     """
-    limits, pump = scenario.plant.cylinder, scenario.plant.pump
     try:
         signals = yield from steps(walk, scenario, frequency_hz, cycles)
     except KneexoError as error:
         return dict.fromkeys(WALKING_FIGURES, math.nan) | {"failure": str(error)}
     time, power, speed = signals["time_s"], signals["shaft_power_w"], signals["motor_speed_rad_s"]
-    metrics = tracking_metrics(
-        time,
-        signals["knee_reference_rad"] - signals["knee_angle_rad"],
-        signals["motor_speed_command_rad_s"],
-        signals["load_pressure_pa"],
-        power,
-        signals["hydraulic_power_w"],
-        settled_s=0.0,
-        command_limit_rad_s=scenario.command_limit_rad_s,
-        pressure_rating_pa=limits.pressure_rating_pa,
-        power_rating_w=pump.rated_power_w,
-    )
+    metrics = run_metrics(scenario, time, signals, settled_s=0.0)
     walking = {
         "peak_motor_speed_rpm": to_rpm(float(np.max(np.abs(speed)))),
         "peak_motor_acceleration_rad_s2": float(np.max(np.abs(np.diff(speed) / np.diff(time)))),

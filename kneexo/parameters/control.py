@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import field_validator, model_validator
 
 from kneexo.parameters.plant import RPM
-from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.parameters.quantity import Parameters, choice, ordered_limits, quantity
 
 
 class EncoderParameters(Parameters):
@@ -119,6 +119,8 @@ class SlidingModeParameters(Parameters):
     )
     command_limit_rad_s: float = _command_limit()
 
+    _ordered = ordered_limits()
+
     @property
     def mass_estimate_kg(self) -> float:
         """Geometric mean of the mass bounds, m̂ = √(m_min m_max) (Table 2), in kg."""
@@ -128,15 +130,6 @@ class SlidingModeParameters(Parameters):
     def gain_ratio(self) -> float:
         """β = √(b_max/b_min) = √(m_max/m_min); Eq. 23 prints its inverse."""
         return math.sqrt(self.mass_max_kg / self.mass_min_kg)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> SlidingModeParameters:
-        if self.mass_min_kg > self.mass_max_kg:
-            raise ValueError(
-                f"mass_min_kg = {self.mass_min_kg:g} kg must not exceed "
-                f"mass_max_kg = {self.mass_max_kg:g} kg"
-            )
-        return self
 
 
 class PidParameters(Parameters):

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.parameters.linkages import G1, LINKAGES, LinkageParameters
-from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
+from kneexo.parameters.quantity import Parameters, choice, ordered_limits, quantities, quantity
 
 RPM = 2.0 * math.pi / 60.0
 """One revolution per minute in rad/s."""
@@ -222,6 +222,8 @@ class KneeParameters(Parameters):
         le=1,
     )
 
+    _ordered = ordered_limits(strict=True)
+
     def require_in_range(self, low_deg: float, high_deg: float) -> None:
         """`ParameterError` when a reference of that range, in deg, leaves the range of motion."""
         if low_deg < self.flexion_min_deg or high_deg > self.flexion_max_deg:
@@ -229,15 +231,6 @@ class KneeParameters(Parameters):
                 f"reference = {low_deg:.4g} … {high_deg:.4g} deg leaves the range of motion "
                 f"{self.flexion_min_deg:g} … {self.flexion_max_deg:g} deg; reduce it"
             )
-
-    @model_validator(mode="after")
-    def _ordered(self) -> KneeParameters:
-        if self.flexion_min_deg >= self.flexion_max_deg:
-            raise ValueError(
-                f"flexion_min_deg = {self.flexion_min_deg:g} deg must be below "
-                f"flexion_max_deg = {self.flexion_max_deg:g} deg"
-            )
-        return self
 
 
 _Six = tuple[float, float, float, float, float, float]

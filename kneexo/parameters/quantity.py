@@ -92,6 +92,23 @@ def require_increasing(values: tuple[float, ...]) -> tuple[float, ...]:
     return values
 
 
+def ordered_limits(*, strict: bool = False) -> Any:
+    """A validator of a class: no ``…_min_…`` exceeds its ``…_max_…``, nor, if strict, equals it."""
+
+    def check(parameters: Parameters) -> Parameters:
+        for name, field in type(parameters).model_fields.items():
+            other = name.replace("_min_", "_max_")
+            low, high = getattr(parameters, name), getattr(parameters, other)
+            if other != name and (low > high or (strict and low == high)):
+                unit, relation = unit_of(field), "be below" if strict else "not exceed"
+                raise ValueError(
+                    f"{name} = {low:g} {unit} must {relation} {other} = {high:g} {unit}"
+                )
+        return parameters
+
+    return model_validator(mode="after")(check)
+
+
 def allowed_range(field: FieldInfo) -> str:
     """The range of a field, or of its elements, as text, for instance ``>= 0 and <= 150``."""
     bounds = [

@@ -340,8 +340,6 @@ def search(
     ``objective`` maps candidates (n, dimensions) to (n,). It has converged (``success``) when the
     population's objectives spread by less than ``settings.tolerance`` of their mean.
     """
-    from scipy.stats import qmc  # takes half a second, which `kneexo params` need not wait
-
     history: list[float] = []
 
     def note(intermediate_result: scipy.optimize.OptimizeResult) -> None:
@@ -350,7 +348,7 @@ def search(
     optimum = scipy.optimize.differential_evolution(
         lambda candidates: objective(candidates.T),
         [(0.0, 1.0)] * dimensions,
-        init=qmc.LatinHypercube(dimensions, seed=seed).random(settings.population),
+        init=scipy.stats.qmc.LatinHypercube(dimensions, seed=seed).random(settings.population),
         seed=seed,
         maxiter=settings.generations,
         tol=settings.tolerance,

@@ -315,8 +315,7 @@ def controller_study(
 
 def experiments(scenario: Scenario, settings: ControllerSettings) -> dict[str, Scenario]:
     """The faster sine, both steps and the hold, about the middle of the scenario's reference."""
-    low, high = scenario.reference.range_deg
-    middle = 0.5 * (low + high)
+    high, middle = scenario.reference.range_deg[1], scenario.reference.middle_deg
 
     def step(start: float, end: float, duration: float) -> Scenario:
         reference = StepReference(start_deg=start, end_deg=end, time_s=0.0)

@@ -83,8 +83,6 @@ class OrderSettings(Parameters):
 
 ORDERS = ("reduced", "full")
 
-"""Measured by Lee et al. 2020 (Fig. 13)."""
-
 _TRACE_POINTS = 800
 _START_S = 0.5
 """Of a ramp, before anything is measured."""

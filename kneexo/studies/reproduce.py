@@ -73,8 +73,8 @@ class Reproduction(Result):
                 "linkage_max_mm": float(np.max(np.abs(fit.table_p_error_mm))),
                 "refit_p_mm_deg": fit.p_mm_deg,
                 "refit_p_rmse_mm": rms(fit.p_error_mm),
-                "refit_p_sse_mm2": float(np.sum(fit.p_error_mm**2)),
-                "refit_q_sse_deg2": float(np.sum(fit.q_error_deg**2)),
+                "refit_p_sse_mm2": fit.p_sse_mm2,
+                "refit_q_sse_deg2": fit.q_sse_deg2,
                 "strokes_per_period_mm": 2.0
                 * float(np.polyval(table.p_mm_deg, 10.0) - np.polyval(table.p_mm_deg, 70.0)),
                 "refit_q_deg_mm": fit.q_deg_mm,

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import field_validator
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
@@ -48,6 +48,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import (
     Parameters,
+    ordered_limits,
     positive_values,
     quantities,
     quantity,
@@ -140,16 +141,7 @@ class SizeSettings(Parameters):
     )
 
     _increasing = field_validator("factors", "walking_factors")(require_increasing)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> SizeSettings:
-        low, high = self.acceleration_limit_min_rad_s2, self.acceleration_limit_max_rad_s2
-        if low >= high:
-            raise ValueError(
-                f"acceleration_limit_min_rad_s2 = {low:g} rad/s² must be below "
-                f"acceleration_limit_max_rad_s2 = {high:g} rad/s²"
-            )
-        return self
+    _ordered = ordered_limits(strict=True)
 
 
 _IMPLICIT_STEP_S = 1e-3

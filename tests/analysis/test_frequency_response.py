@@ -115,7 +115,7 @@ def test_the_default_frequencies_hold_those_of_the_paper():
 
 def test_ranges_that_cross_are_refused():
     with pytest.raises(
-        ParameterError, match=r"mass_min_kg = 1.7 must not exceed mass_max_kg = 1.6"
+        ParameterError, match=r"mass_min_kg = 1.7 kg must not exceed mass_max_kg = 1.6 kg"
     ):
         SinestreamSettings(mass_min_kg=1.7, mass_max_kg=1.6)
 

@@ -14,6 +14,8 @@ from kneexo.analysis.tracking import (
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     BldcPumpParameters,
+    CylinderParameters,
+    KneeLoadParameters,
     PlantParameters,
     RampReference,
     Scenario,
@@ -150,6 +152,31 @@ def test_tracking_a_fast_small_sine_gives_settings_signals_and_a_plot():
         "tracking error (deg)",
         "motor speed command (rpm)",
     ]
+
+
+def test_the_metrics_of_a_run_are_those_of_its_columns_limits_and_ratings():
+    scenario = Scenario(
+        plant=PlantParameters(
+            pump=BldcPumpParameters(rated_power_w=0.3),
+            cylinder=CylinderParameters(pressure_rating_pa=7.3e4),
+            load=KneeLoadParameters(),
+        ),
+        reference=SineReference(mean_deg=40.0, amplitude_deg=2.0, frequency_hz=1.0),
+        simulation=SimulationParameters(duration_s=1.5),
+    )
+    result = track(scenario)
+    run, m = result.run, result.metrics
+    shaft, hydraulic = run["shaft_power_w"], run["hydraulic_power_w"]
+    assert m.shaft_energy_j == pytest.approx(np.trapezoid(shaft, run.time_s))
+    assert m.hydraulic_energy_j == pytest.approx(np.trapezoid(hydraulic, run.time_s))
+    assert m.shaft_energy_j != pytest.approx(m.hydraulic_energy_j, rel=1e-3)
+    assert m.power_over_rating_share == np.mean(np.abs(shaft) > 0.3)
+    assert m.pressure_over_rating_share == np.mean(np.abs(run["load_pressure_pa"]) > 7.3e4)
+    assert 0.0 < m.power_over_rating_share < 1.0
+    assert 0.0 < m.pressure_over_rating_share < 1.0
+    settled = run.time_s >= 1.0
+    error = np.degrees(run["knee_reference_rad"] - run["knee_angle_rad"])[settled]
+    assert m.max_error_deg == pytest.approx(np.abs(error).max())
 
 
 def test_the_figures_alone_are_those_of_the_whole_result():
