@@ -21,6 +21,16 @@ from kneexo.interruption import Terminated, sigterm_raises
 from kneexo.studies.catalogue import PAPER, STUDIES, Study
 from kneexo.version import __version__
 
+FIRST_STEPS = """\
+kneexo simulates a polycentric knee exoskeleton with electro-hydraulic actuator. Try:
+
+  kneexo view --out knee.html          a knee that moves, in a browser
+  kneexo simulate --out run            how well it follows its reference
+  kneexo reproduce --out results       every figure and number of the paper
+
+kneexo --help lists all commands.
+"""
+
 EPILOG = """\
 examples:
   kneexo reproduce --out results       every figure and number of the paper
@@ -112,6 +122,10 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 
 
 def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments:
+        print(FIRST_STEPS, end="")
+        return 0
     _parser().parse_args(arguments, options)
     if _needs_drake(options) and (line := system.lacking()):  # Drake itself would print a page
         return _fail(line)
@@ -135,7 +149,7 @@ def _needs_drake(options: argparse.Namespace) -> bool:
     """Whether a command imports Drake; of `params`, only the list of all settings does."""
     if options.command == "params":
         return not (options.scenario or options.yaml or options.schema)
-    return bool(options.command != "cache")
+    return options.command not in ("cache", "completion")
 
 
 def _one_line(message: Warning | str, *_: Any, **__: Any) -> str:
@@ -179,6 +193,7 @@ def _add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
             _add_scenario(sub, study.setup)
         _add_engine(sub)
         _add_out(sub, "figures (PNG, PDF), results (JSON) and report (Markdown)")
+        _add_html(sub)
         label = study.label or study.command
         listed = f"`kneexo params` lists them with their defaults after '{label}:'"
         _add_set(sub, f"a setting, by its dotted name; {listed}", "settings")
@@ -209,6 +224,7 @@ def _add_single_runs(subparsers: Any) -> None:
     _add_engine(sub)
     _add_values(sub)
     _add_out(sub, "signals.csv, metrics.json, scenario.yaml and tracking.png, .pdf")
+    _add_html(sub)
 
     sub = _command(
         subparsers,
@@ -223,6 +239,7 @@ def _add_single_runs(subparsers: Any) -> None:
         "--knee-angle", type=float, default=40.0, metavar="DEG", help="posture, knee angle in deg"
     )
     _add_out(sub, "linearization.json; loop, nyquist and poles as PNG and PDF")
+    _add_html(sub)
 
 
 def _add_view(subparsers: Any) -> None:
@@ -322,6 +339,22 @@ def _add_utilities(subparsers: Any) -> None:
     )
     sub.add_argument("--clear", action="store_true", help="delete all of them")
 
+    what = "print what completes commands and options in a shell"
+    sub = subparsers.add_parser(
+        "completion",
+        help=what,
+        description=f'{what.capitalize()}: eval "$(kneexo completion bash)" in ~/.bashrc.',
+        formatter_class=_HelpFormatter,
+    )
+    sub.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="the shell")
+    sub.set_defaults(run=_print_completion, command="completion")
+
+
+def _print_completion(options: argparse.Namespace) -> None:
+    import shtab
+
+    print(shtab.complete(_parser(), options.shell))
+
 
 def _command(
     group: Any, name: str, run: Callable[..., None], text: str, detail: str = ""
@@ -335,6 +368,14 @@ def _command(
     sub.add_argument("--json", action="store_true", help="print the result as JSON")
     sub.set_defaults(run=run, command=name)
     return sub
+
+
+def _add_html(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--html",
+        action="store_true",
+        help="write the report as one HTML page too, with tables, pictures and scenario",
+    )
 
 
 def _add_out(sub: argparse.ArgumentParser, files: str) -> None:
