@@ -14,29 +14,6 @@ The equations are written once, in the leaf systems. A diagram passes through th
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from kneexo.compilation.cache import cache_directory
-    from kneexo.compilation.model import (
-        CompiledModel,
-        DiagramModel,
-        Simulation,
-        compile_diagram,
-    )
-    from kneexo.compilation.runner import InputTable, State
-    from kneexo.compilation.trajectories import input_table, stack_tables
-
-__all__ = [
-    "CompiledModel",
-    "DiagramModel",
-    "InputTable",
-    "Simulation",
-    "State",
-    "cache_directory",
-    "compile_diagram",
-    "input_table",
-    "stack_tables",
-]
-
 _MODULE_OF = {
     "CompiledModel": "model",
     "DiagramModel": "model",
@@ -49,7 +26,21 @@ _MODULE_OF = {
     "stack_tables": "trajectories",
 }
 
-if not TYPE_CHECKING:  # mypy accepts every name of a module with a visible __getattr__
+if TYPE_CHECKING:  # for mypy, which would accept every name of a visible __getattr__, and editors
+    from kneexo.compilation.cache import cache_directory as cache_directory
+    from kneexo.compilation.model import (
+        CompiledModel as CompiledModel,
+        DiagramModel as DiagramModel,
+        Simulation as Simulation,
+        compile_diagram as compile_diagram,
+    )
+    from kneexo.compilation.runner import InputTable as InputTable, State as State
+    from kneexo.compilation.trajectories import (
+        input_table as input_table,
+        stack_tables as stack_tables,
+    )
+else:
+    __all__ = sorted(_MODULE_OF)
 
     def __getattr__(name: str) -> Any:
         """Import a public name at its first use: the cache alone needs no NumPy and no Drake."""
@@ -57,6 +48,5 @@ if not TYPE_CHECKING:  # mypy accepts every name of a module with a visible __ge
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
 
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
-from pydrake.systems.primitives import Gain, PassThrough
+from pydrake.systems.primitives import Gain
 
 from kneexo import linkage
 from kneexo.compilation.c_source import Interface
@@ -69,6 +68,11 @@ def target(scenario: Scenario, what: str, *, counts: bool = False) -> Target:
 
 
 def _controller(scenario: Scenario, counts: bool) -> Target:
+    law = scenario.controller
+    if law.kind == "smc" and law.continuous:
+        raise ParameterError(
+            "controller.continuous = true: has no sample time; must be false to be exported"
+        )
     controller = make_controller(scenario)
     inputs = [controller.get_input_port(i).get_name() for i in range(controller.num_input_ports())]
     ranges = {}
@@ -90,16 +94,18 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
 
 
 def count_range(scenario: Scenario) -> tuple[float, float]:
-    """Lowest and highest encoder count of the range of motion, at any mounting error allowed.
+    """Lowest and highest count that the controller takes: a knee between its stops, or just beyond.
 
-    θ_4 of both stops by Eq. 3–7, less the phase; the encoder rounds down.
+    θ_4 by Eq. 3–7 of the stops and the overshoot that the plant allows, with the mounting error on
+    either side, less the phase.
     """
-    encoder, knee = scenario.encoder, scenario.believed_plant.knee
-    stops = np.radians([knee.flexion_min_deg, knee.flexion_max_deg])
-    link = scenario.believed_plant.linkage
-    angles = linkage.encoder_angle(link, np.linspace(*stops, 181)) + encoder.mounting_error_rad
-    counts = np.floor((angles - encoder.phase_rad) / encoder.resolution_rad)
-    return float(counts.min()) - 1.0, float(counts.max()) + 1.0
+    encoder, plant = scenario.encoder, scenario.believed_plant
+    knee = plant.knee
+    low, high = knee.flexion_min_deg - knee.overshoot_deg, knee.flexion_max_deg + knee.overshoot_deg
+    angles = linkage.encoder_angle(plant.linkage, np.radians(np.linspace(low, high, 181)))
+    counts = (angles - encoder.phase_rad) / encoder.resolution_rad
+    slack = 1.0 + abs(encoder.mounting_error_rad) / encoder.resolution_rad
+    return float(counts.min() - slack), float(counts.max() + slack)
 
 
 def _plant(scenario: Scenario) -> Target:

@@ -1,0 +1,137 @@
+"""C for the microcontroller: a target of a scenario, with test vectors of its closed loop."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from kneexo.compilation.c_export import (
+    Measurement,
+    Vectors,
+    exported,
+    recorded_vectors,
+    source_of,
+    write_folder,
+)
+from kneexo.compilation.c_source import CSource
+from kneexo.compilation.model import compile_diagram
+from kneexo.compilation.runner import STEP_S, Array
+from kneexo.errors import ParameterError
+from kneexo.export.target import ENCODER_COUNT, Target, target
+from kneexo.parameters import Scenario
+from kneexo.simulation.compiled import compile_scenario, scenario_run
+
+OUTSIDE = ("disturbance_force", "knee_torque")
+"""Inputs that nothing in the closed loop feeds."""
+
+VECTORS_S = 2.0
+"""Time that the test vectors cover by default, or the whole run where that is shorter."""
+
+
+def make_firmware(
+    scenario: Scenario = Scenario(),
+    what: str = "controller",
+    *,
+    precision: str = "double",
+    vectors_s: float | None = None,
+    step_s: float = STEP_S,
+) -> tuple[CSource, Vectors]:
+    """A target of a scenario as C99, and test vectors: steps of its compiled closed loop.
+
+    Parameters
+    ----------
+    scenario
+        The closed loop; a custom controller too.
+    what
+        ``controller``, ``plant`` or ``loop``: see `target`. A controller that reads a quantized
+        encoder takes its count as int32_t.
+    precision
+        ``double`` or ``float``.
+    vectors_s
+        Time that the test vectors cover; at most the duration of the scenario. `VECTORS_S` by
+        default.
+    step_s
+        Largest step of RK4, where there are continuous states.
+
+    Raises
+    ------
+    ParameterError
+        ``what`` or ``vectors_s`` is wrong, and as `make_closed_loop`.
+    CompilationError
+        The target cannot be printed: as `CSource`.
+    SimulationError
+        The closed loop does not run.
+    """
+    duration_s = scenario.simulation.duration_s
+    if vectors_s is None:
+        vectors_s = min(VECTORS_S, duration_s)
+    if not scenario.controller.sample_time_s <= vectors_s <= duration_s:
+        raise ParameterError(
+            f"vectors_s = {vectors_s:g} s: must be {scenario.controller.sample_time_s:g} … "
+            f"{duration_s:g} s, the scenario's sample time and duration"
+        )
+    to_print = target(scenario, what, counts=True)
+    model = compile_diagram(to_print.diagram, inputs=to_print.inputs)
+    source = source_of(
+        model,
+        to_print.what,
+        precision=precision,
+        outputs=to_print.outputs,
+        interface=to_print.interface,
+        tick_s=to_print.tick_s,
+        step_s=step_s,
+        told=f"{to_print.what} in {precision} precision",
+    )
+    steps = round(vectors_s / source.sample_time_s)
+    inputs = loop_inputs(scenario, to_print, source, steps)
+    return source, recorded_vectors(to_print.diagram, source, inputs)
+
+
+def export_firmware(
+    scenario: Scenario,
+    directory: str | os.PathLike[str],
+    what: str = "controller",
+    **options: Any,
+) -> Measurement:
+    """Write `make_firmware` into a folder: sources, vectors, harness, build files, README.
+
+    ``options`` are those of `make_firmware`. Raises `OutputError` where the folder has other files,
+    and what `make_firmware` raises.
+    """
+    files, measurement = exported(*make_firmware(scenario, what, **options))
+    write_folder(directory, files)
+    return measurement
+
+
+def loop_inputs(scenario: Scenario, of: Target, source: CSource, steps: int) -> Array:
+    """Inputs of each step of a target in the scenario's closed loop, (steps, input elements).
+
+    What comes from outside, such as a disturbance, is zero.
+    """
+    sample_time = source.sample_time_s
+    ports = {ENCODER_COUNT: "encoder_reading", "rod_state": "estimated_state"}
+    wanted = [ports.get(name, name) for name in of.inputs if name not in OUTSIDE]
+    model = compile_scenario(scenario)
+    parameters, state, table = scenario_run(scenario, model)
+    run = model.simulate(
+        parameters,
+        state,
+        (steps + 1) * sample_time,
+        outputs=tuple(dict.fromkeys(wanted)),
+        record_period_s=sample_time,
+        inputs=table,
+    )
+    columns = []
+    for name, size in source.equations.inputs.items():
+        if name in OUTSIDE:
+            values = np.zeros((steps, size))
+        elif name == "motor_speed_command":  # a record at t is the command up to t
+            values = run[name][1 : steps + 1]
+        else:
+            values = run[ports.get(name, name)][:steps]
+        if name == ENCODER_COUNT:
+            values = np.round(values / scenario.encoder.resolution_rad)
+        columns.append(values)
+    return np.hstack([*columns, np.zeros((steps, 0))])
