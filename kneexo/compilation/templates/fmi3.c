@@ -352,6 +352,7 @@ NO_MODE(EnterStepMode, "event mode")
 NO_MODE(EvaluateDiscreteStates, "event mode")
 NO_MODE(EnterConfigurationMode, "structural parameters")
 NO_MODE(ExitConfigurationMode, "structural parameters")
+NO_MODE(EnterContinuousTimeMode, "model exchange")
 
 EXPORT status_t FMI(UpdateDiscreteStates)(void *instance, bool *needs_update, bool *terminates,
     bool *nominals_changed, bool *values_changed, bool *has_next_event, double *next_event)
@@ -415,9 +416,56 @@ EXPORT status_t FMI(GetVariableDependencies)(void *instance, uint32_t dependent,
     return refuse(instance, "GetVariableDependencies: modelDescription.xml has them");
 }
 
+/* Some importers load every function of the standard, whatever the FMU is for. */
+static status_t refuse_exchange(void *instance)
+{
+    return refuse(instance, "this FMU is for co-simulation only");
+}
+
+EXPORT status_t FMI(SetTime)(void *instance, double time)
+{
+    (void)time;
+    return refuse_exchange(instance);
+}
+
+EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, bool keeps_no_state,
+    bool *enters_events, bool *terminates)
+{
+    (void)keeps_no_state;
+    (void)enters_events;
+    (void)terminates;
+    return refuse_exchange(instance);
+}
+
+#define NO_EXCHANGE(call, type) \
+    EXPORT status_t FMI(call)(void *instance, type values, size_t count) \
+    { \
+        (void)values; \
+        (void)count; \
+        return refuse_exchange(instance); \
+    }
+
+NO_EXCHANGE(SetContinuousStates, const double *)
+NO_EXCHANGE(GetContinuousStates, double *)
+NO_EXCHANGE(GetContinuousStateDerivatives, double *)
+NO_EXCHANGE(GetNominalsOfContinuousStates, double *)
+NO_EXCHANGE(GetEventIndicators, double *)
+
+EXPORT status_t FMI(GetNumberOfContinuousStates)(void *instance, size_t *count)
+{
+    (void)count;
+    return refuse_exchange(instance);
+}
+
+EXPORT status_t FMI(GetNumberOfEventIndicators)(void *instance, size_t *count)
+{
+    (void)count;
+    return refuse_exchange(instance);
+}
+
 EXPORT status_t FMI(ActivateModelPartition)(void *instance, uint32_t clock, double time)
 {
     (void)clock;
     (void)time;
-    return refuse(instance, "ActivateModelPartition: this FMU is for co-simulation only");
+    return refuse_exchange(instance);
 }
