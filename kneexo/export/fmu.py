@@ -25,6 +25,7 @@ from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters, bounds_of, source_of as provenance_of
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
+from kneexo.systems.bldc_pump import RAD_S_PER_KRAD_S
 from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.version import __version__
 
@@ -38,7 +39,7 @@ _AT_REST = "; the initial state does not follow"
 _LONGEST_TUPLE = 8  # coefficients, but no samples
 
 _STATES = {
-    "plant/motor.x[0]": ("initial.motor_speed_rad_s", 1.0),
+    "plant/motor.x[0]": ("initial.motor_speed_rad_s", RAD_S_PER_KRAD_S),
     "plant/cylinder.x[0]": ("initial.rod_extension_m", 1.0),
     "plant/cylinder.x[1]": ("initial.rod_velocity_m_s", 1.0),
 }
@@ -133,7 +134,7 @@ def make_fmu(
     source = source_of(
         compile_diagram(to_print.diagram, inputs=to_print.inputs),
         f"knee_{to_print.what}",
-        outputs=to_print.outputs,
+        outputs=[name for name in to_print.outputs if name not in to_print.inputs],
         interface=to_print.interface,
         tick_s=to_print.tick_s,
         step_s=step_s,

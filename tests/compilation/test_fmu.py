@@ -1,14 +1,14 @@
 """FMUs of small diagrams whose answers are known in closed form."""
 
+import io
 import math
 import shutil
 import subprocess
 import zipfile
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from pydrake.systems.framework import BasicVector, DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import DiscreteTimeDelay, Gain, LinearSystem
 
 from kneexo.compilation import c_build, compile_diagram
@@ -25,7 +25,7 @@ NEEDS_COMPILER = pytest.mark.skipif(
 
 
 def _source(**options):
-    """x' = a gain u - 2 x, measured a sample late: ``x_m`` and ``late_m``, input ``u_m_s``."""
+    """A lag with gain, dx/dt = 3 u - 2 x, and x a sample late: ``x_m``, ``late_m``, ``u_m_s``."""
     builder = DiagramBuilder()
     gain = builder.AddNamedSystem("gain", Gain(3.0, 1))
     lag = builder.AddNamedSystem("lag", LinearSystem([[-RATE_PER_S]], [[1.0]], [[1.0]], [[0.0]]))
@@ -102,7 +102,9 @@ def test_variables_and_dependencies(fmu, path):
     }
     assert [u.variable.name for u in description.outputs] == ["x_m", "late_m", "d_m_s"]
     assert all(not u.dependencies for u in description.outputs)
-    initial = {u.variable.name: [v.name for v in u.dependencies] for u in description.initialUnknowns}
+    initial = {
+        u.variable.name: [v.name for v in u.dependencies] for u in description.initialUnknowns
+    }
     assert initial == {"x_m": ["initial.x_mm"], "late_m": [], "d_m_s": ["u_m_s"]}
     units = {unit.name: unit.baseUnit for unit in description.unitDefinitions}
     assert (units["m/s"].m, units["m/s"].s, units["m/s"].kg) == (1, -1, 0)
@@ -164,7 +166,11 @@ def test_summed_times_do_not_matter(lag):
 @pytest.mark.parametrize(
     ("time", "size", "message"),
     [
-        (0.0, 0.15, "communication step = 0.15 s: must be a whole multiple of the sample time = 0.1 s"),
+        (
+            0.0,
+            0.15,
+            "communication step = 0.15 s: must be a whole multiple of the sample time = 0.1 s",
+        ),
         (0.0, 0.1001, "must be a whole multiple"),
         (0.0, 0.0, "must be a whole multiple"),
         (0.0, -0.1, "must be a whole multiple"),
@@ -318,9 +324,10 @@ def test_sources_compile_without_a_warning(fmu, compiler, tmp_path):
         pytest.skip(f"needs {compiler}")
     for name, text in fmu.sources.items():
         (tmp_path / name).write_text(text)
-    flags = "-std=c99 -O2 -Wall -Wextra -Wconversion -Wpedantic -Wshadow -Werror -c".split()
+    flags = "-std=c99 -O2 -Wall -Wextra -Wconversion -Wpedantic -Wshadow -Werror -c"
     files = sorted(name for name in fmu.sources if name.endswith(".c"))
-    done = subprocess.run([compiler, *flags, *files], cwd=tmp_path, capture_output=True, text=True)
+    command = [compiler, *flags.split(" "), *files]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert all(text.isascii() for text in fmu.sources.values())
 
@@ -359,8 +366,6 @@ def test_archive(fmu):
     archive = fmu.archive(library)
     assert archive == replace(fmu).archive(library)  # no dates, no order of dictionaries
     assert generation_tool(archive) == "a tool"
-    import io
-
     with zipfile.ZipFile(io.BytesIO(archive)) as files:
         names = files.namelist()
         folder = "linux64" if fmu.fmi == 2 else "x86_64-linux"
