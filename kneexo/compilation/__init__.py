@@ -7,6 +7,8 @@ The equations are written once, in the leaf systems. A diagram passes through th
 - `printer` writes nodes as LLVM IR by means of `ir` and `elementary`, for one lane of a vector or
   several; `integrators`, `exact_hold` and `time_loop` put the run around them;
 - `native` makes machine code of the text, `cache` keeps it on disk, `machine_code` joins both;
+- `c_source` prints a model as C99 by means of `c_printer` and `c_functions`, `c_export` makes a
+  folder of it, `c_build` asks compilers about it;
 - `runner` is one run, `model` what a user sees, `compiled_system` the way back into Drake, and
   `trajectories` makes what open inputs follow.
 """
@@ -22,6 +24,7 @@ _MODULE_OF = {
     "State": "runner",
     "cache_directory": "cache",
     "compile_diagram": "model",
+    "export_c": "c_export",
     "input_table": "trajectories",
     "stack_tables": "trajectories",
 }

@@ -118,7 +118,7 @@ def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
 def _written(files: Mapping[str, str]) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="kneexo-") as folder:
         for name, text in files.items():
-            Path(folder, name).write_text(text)
+            Path(folder, name).write_text(text, encoding="utf-8")
         yield Path(folder)
 
 

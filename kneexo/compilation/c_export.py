@@ -254,6 +254,7 @@ def export_c(
     OutputError
         The folder has files that no export wrote, or cannot be written.
     """
+    require_folder(directory)
     model = compile_diagram(diagram, inputs=inputs)
     source = source_of(model, name, context, **options)
     sizes = sum(source.equations.inputs.values())
@@ -271,27 +272,34 @@ def source_of(model: DiagramModel, name: str, context: Any = None, **options: An
     return CSource(equations, name, model.parameters(context), model.state(context), **options)
 
 
-def write_folder(directory: str | os.PathLike[str], files: Mapping[str, str]) -> None:
-    """Write files into a folder, all or none; `OutputError` where others lie there."""
+def require_folder(directory: str | os.PathLike[str]) -> None:
+    """Raise `OutputError` for a folder with files that no export wrote."""
     folder = Path(directory)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file in sorted(folder.iterdir()):
-            if file.name == _BUILD or _is_export(file):
-                continue
+    for file in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if file.name != _BUILD and not _is_export(file):
             raise OutputError(
                 f"--out {folder}: {file.name} is not of an export; choose another directory"
             )
+
+
+def write_folder(directory: str | os.PathLike[str], files: Mapping[str, str]) -> None:
+    """Write files in the place of those of the last export.
+
+    Raises `OutputError` as `require_folder`, and where the folder cannot be written; then the files
+    of the last export stay.
+    """
+    require_folder(directory)
+    folder = Path(directory)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=f"{_BUILD}-") as new:
             for name, text in files.items():
-                (Path(new) / name).write_text(text)
-            for file in folder.iterdir():
-                if file.is_file():
-                    file.unlink()
+                Path(new, name).write_text(text, encoding="utf-8")
             for name in files:
-                os.replace(Path(new) / name, folder / name)
-    except OutputError:
-        raise
+                os.replace(Path(new, name), folder / name)
+        for file in folder.iterdir():
+            if file.is_file() and file.name not in files:
+                file.unlink()
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"--out {folder}: cannot write there ({reason})") from None

@@ -12,6 +12,7 @@ from kneexo.compilation.c_export import (
     Vectors,
     exported,
     recorded_vectors,
+    require_folder,
     source_of,
     write_folder,
 )
@@ -100,6 +101,7 @@ def export_firmware(
     ``options`` are those of `make_firmware`. Raises `OutputError` where the folder has other files,
     and what `make_firmware` raises.
     """
+    require_folder(directory)
     files, measurement = exported(*make_firmware(scenario, what, **options))
     write_folder(directory, files)
     return measurement
