@@ -3,9 +3,13 @@
 import hashlib
 import json
 import math
+import os
 import re
+import subprocess
+import sys
 import zipfile
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,6 +37,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed, value_at
 from kneexo.simulation.compiled import scenario_values, simulate_compiled
 
+ROOT = Path(__file__).parents[2]
 PAPER = Scenario()
 LOADED = Scenario(
     plant=PlantParameters(load=KneeLoadParameters(), full_order=FullCylinderParameters()),
@@ -219,7 +224,7 @@ def test_names_of_the_scenario_do_not_stand_for_numbers_of_a_custom_controller(p
     for what in ("controller", "loop"):
         names = [p.name for p in make_fmu(scenario, what).parameters]
         assert "law.proportional_per_s" in names
-        assert not any(name.startswith(("plant.", "encoder.", "controller.")) for name in names)
+        assert not any(name.startswith(("plant.", "controller.")) for name in names)
     assert "plant.pump.gear_ratio" in [p.name for p in make_fmu(scenario, "plant").parameters]
     data = _compiled(scenario)
     loop = fmu_instance(path("loop", 3, scenario)).start()
@@ -451,6 +456,45 @@ def test_libcosim_couples_plant_and_controller(path, tmp_path):
         values.append(observer.last_real_values(slaves["plant"], output)[0])
     assert len(values) == 501
     assert _relative(values, data["rod_extension_m"]) < 1e-9
+
+
+def test_the_example_of_the_docs_prints_what_they_say(tmp_path):
+    pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    text = (ROOT / "docs/fmu.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    commands = re.findall(r"^kneexo (export fmu .*)$", text, re.MULTILINE)
+    assert len(commands) == 2
+    for command in commands:
+        arguments = [sys.executable, "-m", "kneexo", *command.split()]
+        subprocess.run(arguments, cwd=tmp_path, check=True, capture_output=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    (difference,) = re.findall(r"largest difference .* (\S+) of the largest", done.stdout)
+    told = re.search(r"It printed `(\S+)`", text)[1]
+    assert float(difference) < 10.0 * float(told) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_others_build_the_sources(tmp_path, monkeypatch, fmi):
+    """FMPy makes the binary of a source FMU by CMake, with what the descriptions list."""
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    cmake = pytest.importorskip("cmake", reason="needs CMake: pip install 'kneexo[fmu]'")
+    from fmpy.build import build_platform_binary
+
+    with monkeypatch.context() as context:
+        context.setattr(c_build, "COMPILERS", ())
+        file = export_fmu(PAPER, tmp_path, "loop", fmi=fmi)
+    assert not file.binary
+    monkeypatch.setenv("PATH", f"{cmake.CMAKE_BIN_DIR}{os.pathsep}{os.environ['PATH']}")
+    folder = fmpy.extract(file.path)
+    build_platform_binary(folder)
+    result = fmpy.simulate_fmu(
+        folder, stop_time=1.0, output_interval=TICK_S, output=["rod_extension_m"]
+    )
+    expected = _compiled(SHORT)["rod_extension_m"]
+    assert _relative(result["rod_extension_m"], expected) < 1e-9
 
 
 # ------------------------------------------------------------------------------------ files
