@@ -43,6 +43,7 @@ examples:
   kneexo study contest --out contest   sliding mode against PID, tuned alike
   kneexo size --out size               what a faster knee would take
   kneexo diagram --out pictures        the block diagram
+  kneexo export fmu --out knee.fmu     the controller for another simulator
 
 Exit codes: 0 success, 2 wrong input or a run that failed (one line says why),
 130 interrupted, 143 terminated.
@@ -288,6 +289,27 @@ def _add_exports(subparsers: Any) -> None:
         "--vectors-s", type=float, metavar="S", help="time of the test vectors in s; left out: 2"
     )
     _add_out(sub, "the files, which no other files may share")
+
+    sub = _command(
+        forms,
+        "fmu",
+        commands.export_fmu,
+        "write a functional mock-up unit for co-simulation in other simulators",
+        "With C sources and, where there is a C compiler, the binary of this machine. Numbers of "
+        "the scenario are parameters of the FMU.",
+    )
+    _add_target(sub)
+    sub.add_argument(
+        "--fmi", type=int, choices=(2, 3), default=3, help="version of the FMI standard"
+    )
+    sub.add_argument(
+        "--out",
+        metavar="FILE.fmu",
+        type=Path,
+        required=True,
+        help="file, or directory for knee_controller.fmu, knee_plant.fmu or knee_loop.fmu; an "
+        "FMU that kneexo made is replaced",
+    )
 
 
 def _add_target(sub: argparse.ArgumentParser) -> None:

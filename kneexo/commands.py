@@ -410,6 +410,28 @@ def export_c(options: argparse.Namespace) -> None:
         print(f"  {target}: {size.flash} bytes of flash, {size.stack} bytes of stack")
 
 
+def export_fmu(options: argparse.Namespace) -> None:
+    """``kneexo export fmu``."""
+    from kneexo.export import fmu
+    from kneexo.output import to_json
+
+    scenario = _scenario(options)
+    file = fmu.export_fmu(scenario, options.out, options.what, fmi=options.fmi)
+    if options.json:
+        print(to_json(_origin(scenario) | asdict(file)), end="")
+        return
+    print(f"{options.what} as FMU by FMI {options.fmi}: {file.path}")
+    print(f"  inputs: {', '.join(file.inputs)}")
+    print(f"  outputs: {', '.join(file.outputs)}")
+    print(
+        f"  parameters: {file.parameters}, of which {len(file.scenario_parameters)} have names "
+        f"of the scenario"
+    )
+    print(f"  communication step: {file.sample_time_s:g} s or a whole multiple")
+    if not file.binary:
+        print("  sources only: no C compiler (cc, gcc or clang), or not Linux on x86-64")
+
+
 def cache(options: argparse.Namespace) -> None:
     """Show or delete the compiled models that are kept on disk."""
     import time
