@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 
 @overload
-def compile(system: Scenario | str | PathLike[str]) -> CompiledModel: ...  # noqa: A001
+def compile(system: Scenario | str | PathLike[str]) -> CompiledModel: ...
 
 
 @overload
-def compile(system: System, *, inputs: Iterable[str] = ()) -> DiagramModel: ...  # noqa: A001
+def compile(system: System, *, inputs: Iterable[str] = ()) -> DiagramModel: ...
 
 
-def compile(  # noqa: A001
+def compile(
     system: Scenario | str | PathLike[str] | System, *, inputs: Iterable[str] = ()
 ) -> CompiledModel:
     """Compile the closed loop of a scenario or of a scenario file, or a diagram.

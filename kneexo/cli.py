@@ -9,7 +9,7 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -142,6 +142,9 @@ def _one_line(message: Warning | str, *_: Any, **__: Any) -> str:
     return f"kneexo: {message}\n"
 
 
+# ----------------------------------------------------------------------------------- parser
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="kneexo",
@@ -152,50 +155,39 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"kneexo {__version__}")
     subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    reproduction, *studies = STUDIES.values()
+    _add_studies(subparsers, [reproduction])
+    _add_single_runs(subparsers)
+    _add_studies(subparsers, studies)
+    _add_exports(subparsers)
+    _add_utilities(subparsers)
+    return parser
 
-    def command(
-        name: str, run: Any, text: str, detail: str = "", group: Any = subparsers
-    ) -> argparse.ArgumentParser:
-        sub: argparse.ArgumentParser = group.add_parser(
-            name,
-            help=text,
-            description=f"{text[0].upper()}{text[1:]}. {detail}".strip(),
-            formatter_class=_HelpFormatter,
-        )
-        sub.add_argument("--json", action="store_true", help="print the result as JSON")
-        sub.set_defaults(run=run, command=name)
-        return sub
 
-    def add_out(sub: argparse.ArgumentParser, files: str) -> None:
-        sub.add_argument(
-            "--out",
-            metavar="DIR",
-            type=Path,
-            required=True,
-            help=f"directory for {files}; made when missing, files of the same name are replaced",
-        )
-
-    def add_scenario(
-        sub: argparse.ArgumentParser, default: str = PAPER, engine: bool = True
-    ) -> None:
-        sub.add_argument(
-            "scenario",
-            nargs="?",
-            metavar="SCENARIO.yaml",
-            help=f"scenario file; left out: {default}",
-        )
-        if engine:
-            add_engine(sub)
-
-    def add_engine(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument(
-            "--engine",
-            choices=("compiled", "drake"),
-            help="run on compiled equations, or through Drake's Simulator, a thousand times "
-            "slower; left out: as the integrator in the scenario says",
-        )
-
-    def add_workers(sub: argparse.ArgumentParser) -> None:
+def _add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
+    groups = {"": subparsers}
+    for study in studies:
+        group, _, name = study.command.rpartition(" ")
+        if group not in groups:
+            what = "compare controllers, or the full order with the reduced one"
+            sub = subparsers.add_parser(group, help=what, formatter_class=_HelpFormatter)
+            groups[group] = sub.add_subparsers(title="studies", required=True, metavar="STUDY")
+        run = partial(commands.sweep, study)
+        sub = _command(groups[group], name, run, study.summary, study.detail)
+        if study.setup:
+            _add_scenario(sub, study.setup)
+        _add_engine(sub)
+        _add_out(sub, "figures (PNG, PDF), results (JSON) and report (Markdown)")
+        label = study.label or study.command
+        listed = f"`kneexo params` lists them with their defaults after '{label}:'"
+        _add_set(sub, f"a setting, by its dotted name; {listed}", "settings")
+        if study.uncertain:
+            sub.add_argument(
+                "--uncertainty",
+                metavar="FILE.yaml",
+                help="values by dotted path, each {low, high, scale} or {options}; left out: the "
+                "default set (see `kneexo params`)",
+            )
         where = sub.add_mutually_exclusive_group()
         where.add_argument(
             "--workers", type=int, metavar="N", help="processes; left out: one for each core"
@@ -206,95 +198,69 @@ def _parser() -> argparse.ArgumentParser:
             help="run on the workers of this Dask cluster instead; they need the same version of "
             "kneexo (pip install 'kneexo[cluster]')",
         )
+        if study.resumable:
+            _add_restart(sub)
 
-    def add_set(sub: argparse.ArgumentParser, what: str, dest: str) -> None:
-        sub.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar="NAME=VALUE",
-            dest=dest,
-            help=f"{what}. VALUE is YAML: 3, [1, 2]. May be given several times",
-        )
 
-    def add_settings(sub: argparse.ArgumentParser, group: str) -> None:
-        listed = f"`kneexo params` lists them with their defaults after '{group}:'"
-        add_set(sub, f"a setting, by its dotted name; {listed}", "settings")
+def _add_single_runs(subparsers: Any) -> None:
+    sub = _command(subparsers, "simulate", commands.simulate, "run one scenario")
+    _add_scenario(sub)
+    _add_engine(sub)
+    _add_values(sub)
+    _add_out(sub, "signals.csv, metrics.json, scenario.yaml and tracking.png, .pdf")
 
-    def add_values(sub: argparse.ArgumentParser) -> None:
-        listed = "`kneexo params SCENARIO.yaml` lists them"
-        what = (
-            f"a value of the scenario, such as plant.cylinder.mass_kg=1.7, in place of the file's; "
-            f"{listed}"
-        )
-        add_set(sub, what, "values")
-
-    def add_sweep(sub: argparse.ArgumentParser, study: Study) -> None:
-        add_scenario(sub, study.setup)
-        add_out(sub, "figures (PNG, PDF), results (JSON) and report (Markdown)")
-        add_settings(sub, study.command)
-        if study.uncertain:
-            sub.add_argument(
-                "--uncertainty",
-                metavar="FILE.yaml",
-                help="values by dotted path, each {low, high, scale} or {options}; left out: the "
-                "default set (see `kneexo params`)",
-            )
-        add_workers(sub)
-        before = sub.add_mutually_exclusive_group()
-        before.add_argument(
-            "--resume",
-            action="store_true",
-            help="go on from the finished pieces that an interrupted run left in the directory; "
-            "always so without --restart",
-        )
-        before.add_argument(
-            "--restart", action="store_true", help="delete these finished pieces and begin anew"
-        )
-
-    sub = command(
-        "reproduce",
-        commands.reproduce,
-        "compute every figure and number of the paper",
-        "Table 1 and Fig. 5 (linkage), Fig. 9 (ideal sliding mode), Fig. 12 (tracking with SMC and "
-        "PID), Fig. 13 (frequency response), and Eq. 27 taken literally at 2 ms. "
-        "Takes some seconds; the first time some more, to compile the equations.",
-    )
-    add_engine(sub)
-    add_out(sub, "figures (PNG, PDF), results.json and report.md")
-    add_settings(sub, "reproduce, Fig. 13")
-    add_workers(sub)
-
-    sub = command("simulate", commands.simulate, "run one scenario")
-    add_scenario(sub)
-    add_values(sub)
-    add_out(sub, "signals.csv, metrics.json, scenario.yaml and tracking.png, .pdf")
-
-    sub = command(
+    sub = _command(
+        subparsers,
         "linearize",
         commands.linearize,
         "poles, margins and small-signal bandwidth of plant and sampled loop",
         "At a posture; the quantizer is bypassed.",
     )
-    add_scenario(sub, engine=False)
-    add_values(sub)
+    _add_scenario(sub)
+    _add_values(sub)
     sub.add_argument(
         "--knee-angle", type=float, default=40.0, metavar="DEG", help="posture, knee angle in deg"
     )
-    add_out(sub, "linearization.json; loop, nyquist and poles as PNG and PDF")
+    _add_out(sub, "linearization.json; loop, nyquist and poles as PNG and PDF")
 
-    groups = {"": subparsers}
-    for study in STUDIES.values():
-        group, _, name = study.command.rpartition(" ")
-        if group not in groups:
-            what = "compare controllers, or the full order with the reduced one"
-            sub = subparsers.add_parser(group, help=what, formatter_class=_HelpFormatter)
-            groups[group] = sub.add_subparsers(title="studies", required=True, metavar="STUDY")
-        run = partial(commands.sweep, study)
-        sub = command(name, run, study.summary, study.detail, groups[group])
-        add_sweep(sub, study)
 
-    sub = command(
+def _add_exports(subparsers: Any) -> None:
+    what = "write the controller, the plant or the closed loop for use outside Python"
+    group = subparsers.add_parser("export", help=what, formatter_class=_HelpFormatter)
+    forms = group.add_subparsers(title="forms", required=True, metavar="FORM")
+    sub = _command(
+        forms,
+        "c",
+        commands.export_c,
+        "write C99 for a microcontroller",
+        "With the parameters as one struct, test vectors from the compiled closed loop, a harness "
+        "that replays them, Makefile, CMakeLists.txt and a README that shows how to call it.",
+    )
+    _add_target(sub)
+    sub.add_argument(
+        "--precision", choices=("double", "float"), default="double", help="type of all numbers"
+    )
+    sub.add_argument(
+        "--vectors-s", type=float, metavar="S", help="time of the test vectors in s; left out: 2"
+    )
+    _add_out(sub, "the files, which no other files may share")
+
+
+def _add_target(sub: argparse.ArgumentParser) -> None:
+    _add_scenario(sub)
+    _add_values(sub)
+    sub.add_argument(
+        "--what",
+        choices=("controller", "plant", "loop"),
+        default="controller",
+        help="the controller, from encoder count and knee reference to motor speed command; the "
+        "plant with its encoder; or both as closed loop",
+    )
+
+
+def _add_utilities(subparsers: Any) -> None:
+    sub = _command(
+        subparsers,
         "params",
         commands.params,
         "list every parameter with value, unit, range and provenance",
@@ -302,23 +268,25 @@ def _parser() -> argparse.ArgumentParser:
         "and check scenario files: save the schema as kneexo.schema.json and begin a file with "
         "the line '# yaml-language-server: $schema=kneexo.schema.json'.",
     )
-    add_scenario(sub, engine=False)
+    _add_scenario(sub)
     form = sub.add_mutually_exclusive_group()
     form.add_argument("--yaml", action="store_true", help="print a complete scenario file instead")
     form.add_argument(
         "--schema", action="store_true", help="print the JSON schema of scenario files instead"
     )
 
-    sub = command(
+    sub = _command(
+        subparsers,
         "diagram",
         commands.diagram,
         "draw the block diagram of a scenario",
         "Always writes closed_loop.dot; also SVG and PNG when Graphviz is installed.",
     )
-    add_scenario(sub, engine=False)
-    add_out(sub, "closed_loop.dot, .svg and .png")
+    _add_scenario(sub)
+    _add_out(sub, "closed_loop.dot, .svg and .png")
 
-    sub = command(
+    sub = _command(
+        subparsers,
         "cache",
         commands.cache,
         "show or delete the compiled models that are kept on disk",
@@ -326,4 +294,74 @@ def _parser() -> argparse.ArgumentParser:
         "~/.cache/kneexo. KNEEXO_CACHE_SIZE_MB limits their total size in MiB; left out: 512.",
     )
     sub.add_argument("--clear", action="store_true", help="delete all of them")
-    return parser
+
+
+def _command(
+    group: Any, name: str, run: Callable[..., None], text: str, detail: str = ""
+) -> argparse.ArgumentParser:
+    sub: argparse.ArgumentParser = group.add_parser(
+        name,
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}. {detail}".strip(),
+        formatter_class=_HelpFormatter,
+    )
+    sub.add_argument("--json", action="store_true", help="print the result as JSON")
+    sub.set_defaults(run=run, command=name)
+    return sub
+
+
+def _add_out(sub: argparse.ArgumentParser, files: str) -> None:
+    sub.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=f"directory for {files}; made when missing, files of the same name are replaced",
+    )
+
+
+def _add_scenario(sub: argparse.ArgumentParser, default: str = PAPER) -> None:
+    sub.add_argument(
+        "scenario",
+        nargs="?",
+        metavar="SCENARIO.yaml",
+        help=f"scenario file; left out: {default}",
+    )
+
+
+def _add_engine(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--engine",
+        choices=("compiled", "drake"),
+        help="run on compiled equations, or through Drake's Simulator, a thousand times "
+        "slower; left out: as the integrator in the scenario says",
+    )
+
+
+def _add_set(sub: argparse.ArgumentParser, what: str, dest: str) -> None:
+    sub.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest=dest,
+        help=f"{what}. VALUE is YAML: 3, [1, 2]. May be given several times",
+    )
+
+
+def _add_values(sub: argparse.ArgumentParser) -> None:
+    what = "a value of the scenario, such as plant.cylinder.mass_kg=1.7, in place of the file's"
+    _add_set(sub, f"{what}; `kneexo params SCENARIO.yaml` lists them", "values")
+
+
+def _add_restart(sub: argparse.ArgumentParser) -> None:
+    before = sub.add_mutually_exclusive_group()
+    before.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on from the finished pieces that an interrupted run left in the directory; "
+        "always so without --restart",
+    )
+    before.add_argument(
+        "--restart", action="store_true", help="delete these finished pieces and begin anew"
+    )

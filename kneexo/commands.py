@@ -55,10 +55,8 @@ def _scenario(options: argparse.Namespace, default: Scenario | None = None) -> S
     from kneexo.parameters import Scenario
     from kneexo.scenario_file import load_scenario
 
-    if options.scenario is None:
-        scenario = default or Scenario()
-    else:
-        scenario = load_scenario(options.scenario)
+    path = getattr(options, "scenario", None)
+    scenario = (default or Scenario()) if path is None else load_scenario(path)
     scenario = _with_values(scenario, getattr(options, "values", ()))
     return scenario.with_engine(getattr(options, "engine", None))
 
@@ -130,7 +128,7 @@ def left(options: argparse.Namespace) -> str:
 
 
 def sweep(study: Study, options: argparse.Namespace) -> None:
-    """Run a study whose finished pieces are kept, and write results, report and figures."""
+    """Run a study, keep its finished pieces, and write results, report and figures."""
     scenario = _scenario(options, study.scenario)
     settings = _with_values(study.settings(), options.settings)
     compute = study.compute
@@ -148,7 +146,11 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
         options.others = checkpoint.remove()
 
     with _executor(options) as executor, output_directory(options.out, finish) as directory:
-        checkpoint = Checkpoint(_checkpoint_path(options), resume=not options.restart)
+        if study.resumable:
+            checkpoint = Checkpoint(_checkpoint_path(options), resume=not options.restart)
+            compute = partial(compute, checkpoint=checkpoint)
+        else:
+            checkpoint = Checkpoint()
         options.checkpoint = checkpoint
         try:
             result = compute(
@@ -156,12 +158,15 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
                 settings=settings,
                 workers=options.workers,
                 executor=executor,
-                checkpoint=checkpoint,
                 progress=True,
             )
             document = to_json(_origin(scenario, settings) | result.results())
             report = study.report(result)
-            texts = {f"{study.name}.json": document, f"{study.name}.md": report}
+            results_file, report_file = study.files
+            texts = {
+                results_file or f"{study.name}.json": document,
+                report_file or f"{study.name}.md": report,
+            }
             _write(directory, texts, study.figures(result))
             files = ", ".join(sorted(file.name for file in directory.iterdir()))
         except BaseException:  # KeyboardInterrupt too: the next process may have the file
@@ -174,33 +179,6 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
             file=sys.stderr,
         )
     print(document if options.json else f"{report}\nIn {options.out}: {files}\n", end="")
-
-
-def reproduce(options: argparse.Namespace) -> None:
-    """Compute the paper's figures and numbers, and write them with a report."""
-    from kneexo.analysis.frequency_response import SinestreamSettings
-    from kneexo.output import to_json
-    from kneexo.parameters import Scenario
-    from kneexo.studies import reproduce as study
-    from kneexo.studies.reproduce_figures import figures
-    from kneexo.studies.reproduce_report import report
-
-    settings = _with_values(SinestreamSettings(), options.settings)
-    with _executor(options) as executor, _results(options) as directory:
-        reproduction = study.reproduce(
-            settings=settings,
-            engine=options.engine,
-            workers=options.workers,
-            executor=executor,
-            progress=True,
-        )
-        numbers = study.results(reproduction)
-        origin = _origin(Scenario().with_engine(options.engine), settings)
-        document, text = to_json(origin | numbers), report(numbers)
-        texts = {"results.json": document, "report.md": text}
-        _write(directory, texts, figures(reproduction))
-    files = "the figures, results.json, report.md"
-    print(document if options.json else f"{text}\nIn {options.out}: {files}\n", end="")
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -336,6 +314,35 @@ def diagram(options: argparse.Namespace) -> None:
             "this again.",
             file=sys.stderr,
         )
+
+
+def export_c(options: argparse.Namespace) -> None:
+    """``kneexo export c``."""
+    from kneexo.export.firmware import export_firmware
+    from kneexo.output import to_json
+
+    scenario = _scenario(options)
+    measured = export_firmware(
+        scenario,
+        options.out,
+        options.what,
+        precision=options.precision,
+        vectors_s=options.vectors_s,
+    )
+    if options.json:
+        print(to_json(_origin(scenario) | asdict(measured)), end="")
+        return
+    print(f"{options.what} in {options.precision} precision: {options.out}")
+    print(f"  {sum(measured.operations.values())} operations a step")
+    print(f"  {measured.state_bytes} bytes of state")
+    if measured.replay is None:
+        print("  no C compiler (cc, gcc or clang): the code was not tried")
+    else:
+        for field, difference in measured.replay.difference.items():
+            largest = measured.replay.largest[field]
+            print(f"  {field}: difference {difference:.3g} (largest value {largest:.6g})")
+    for target, size in measured.code_sizes.items():
+        print(f"  {target}: {size.flash} bytes of flash, {size.stack} bytes of stack")
 
 
 def cache(options: argparse.Namespace) -> None:

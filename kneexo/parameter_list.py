@@ -44,12 +44,9 @@ def parameter_rows(
 
 
 def setting_rows() -> Iterator[Row]:
-    """The settings of `kneexo reproduce` and of all studies; imports them, and so Drake."""
-    from kneexo.analysis.frequency_response import SinestreamSettings
-
-    yield from parameter_rows(SinestreamSettings(), "reproduce, Fig. 13: ")
+    """The settings of all studies; imports them, and so Drake."""
     for study in STUDIES.values():
-        yield from parameter_rows(study.settings(), f"{study.command}: ")
+        yield from parameter_rows(study.settings(), f"{study.label or study.command}: ")
 
 
 def uncertainty_rows() -> Iterator[Row]:

@@ -29,7 +29,7 @@ from kneexo.studies.bandwidth_figures import plot_bode
 from kneexo.studies.contest import ContestSettings, contest_study
 from kneexo.studies.controller import ControllerSettings, controller_study
 from kneexo.studies.order import OrderSettings, order_study
-from kneexo.studies.reproduce import reproduce, results
+from kneexo.studies.reproduce import reproduce_study
 from kneexo.studies.robustness import RobustnessSettings, assess_plant, draw, robustness_study
 from kneexo.studies.size import SizeSettings, size_study
 from kneexo.studies.sliding import SLIDING_LAW, SlidingSettings, sliding_study
@@ -73,7 +73,7 @@ FEW_SINES = SinestreamSettings(
 QUICK = {"simulation": {"duration_s": 0.5}, "reference": {"kind": "sine", "amplitude_deg": 1.0}}
 QUICK["reference"] |= {"frequency_hz": 4.0}
 SWEEPS = {
-    "reproduce": (reproduce, FEW_SINES),
+    "reproduce": (reproduce_study, FEW_SINES),
     "sinestream": (partial(sinestream, Scenario()), FEW_SINES),
     "bandwidth": (
         partial(bandwidth_study, Scenario()),
@@ -153,10 +153,8 @@ SLOW = ("study contest", "study sliding", "study order", "size")
 def test_every_sweep_runs_on_the_callers_executor_alone(name, monkeypatch):
     sweep, settings = SWEEPS[name]
 
-    def numbers(found):
-        if name == "sinestream":
-            return found.response.tolist()
-        return to_json(results(found) if name == "reproduce" else found.results())
+    def numbers(result):
+        return result.response.tolist() if name == "sinestream" else to_json(result.results())
 
     here = numbers(sweep(settings=settings))
     monkeypatch.delattr(parallel, "ProcessPoolExecutor")  # no pool of its own

@@ -271,7 +271,7 @@ def lasting(cases, duration_s):
 
 @pytest.mark.slow
 def test_reproduce_is_the_same_by_both_engines(monkeypatch):
-    runs = {key: run for key, run, _ in reproduce._STUDIES}
+    runs = {key: run for key, run, _ in reproduce._RUNS}
     cases = {
         "fig9": lasting({"": IDEAL_SMC}, 1.01),
         "fig12": lasting(FIG_12, 1.0),
@@ -279,7 +279,7 @@ def test_reproduce_is_the_same_by_both_engines(monkeypatch):
         "differences": lasting(EQ_27_DIFFERENCES, 0.05),  # soon one count more makes another run
     }
     shortened = tuple((key, runs[key], own) for key, own in cases.items())
-    monkeypatch.setattr(reproduce, "_STUDIES", shortened)
+    monkeypatch.setattr(reproduce, "_RUNS", shortened)
     fast = SinestreamSettings(
         frequencies_hz=(1.0, 2.0, 3.0), trials=2, transient_cycles=0, measured_cycles=1
     )
@@ -289,8 +289,8 @@ def test_reproduce_is_the_same_by_both_engines(monkeypatch):
     for engine in ("compiled", "drake"):
         with monkeypatch.context() as patch:
             shut_off_other(patch, engine)
-            done = reproduce.reproduce(fast, engine=engine)
-            results[engine] = reproduce.results(done)
+            scenario = Scenario().with_engine(engine)
+            results[engine] = reproduce.reproduce_study(scenario, fast).results()
     assert require_equal(results["compiled"], results["drake"]) > 70
 
 
@@ -300,19 +300,16 @@ def test_reproduce_is_the_same_by_both_engines(monkeypatch):
 @pytest.mark.parametrize(
     ("command", "function"),
     [
-        (["reproduce"], "kneexo.studies.reproduce.reproduce"),
-        *(
-            (study.command.split(), f"kneexo.studies.{study.name}.{study.name}_study")
-            for study in STUDIES.values()
-        ),
+        (study.command.split(), f"kneexo.studies.{study.name}.{study.name}_study")
+        for study in STUDIES.values()
     ],
 )
 @pytest.mark.parametrize("engine", ["compiled", "drake"])
 def test_command_hands_the_engine_on(monkeypatch, tmp_path, command, function, engine):
     seen = []
 
-    def compute(scenario=Scenario(), *, engine=None, **_):
-        seen.append(engine or ("compiled" if scenario.simulation.compiled else "drake"))
+    def compute(scenario=Scenario(), **_):
+        seen.append("compiled" if scenario.simulation.compiled else "drake")
         raise KneexoError("enough")
 
     monkeypatch.setattr(function, compute)

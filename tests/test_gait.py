@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from kneexo.errors import ParameterError
 from kneexo.gait import GAIT_STRIDE_S, gait_knee_flexion, gait_start_percent

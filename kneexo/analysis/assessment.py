@@ -10,8 +10,7 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import TRACKING_FIGURES, track_figures
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
+from kneexo.simulation import Steps, needs_runs, steps
 
 MARGIN_FIGURES = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
 """Figures of `kneexo.analysis.Margins` that an assessment quotes."""
@@ -29,30 +28,30 @@ def assess(
     a sweep over many scenarios shows where a run diverges in place of ending there. An unstable
     loop has no margins: they are nan.
     """
-    found: dict[str, Any] = {}
+    figures: dict[str, Any] = {}
     if tracking:
-        found |= dict.fromkeys(TRACKING_FIGURES, math.nan) | {"tracking_failure": ""}
+        figures |= dict.fromkeys(TRACKING_FIGURES, math.nan) | {"tracking_failure": ""}
         try:
-            found |= yield from steps(track_figures, scenario)
+            figures |= yield from steps(track_figures, scenario)
         except KneexoError as error:
-            found["tracking_failure"] = str(error)
+            figures["tracking_failure"] = str(error)
     if margins:
-        found |= dict.fromkeys(MARGIN_FIGURES, math.nan)
-        found |= {"stable": None, "margins_failure": ""}
+        figures |= dict.fromkeys(MARGIN_FIGURES, math.nan)
+        figures |= {"stable": None, "margins_failure": ""}
         try:
-            loop = linearize_loop(scenario, 0.5 * sum(scenario.reference.range_deg))
-            found["stable"] = loop.stable
+            loop = linearize_loop(scenario, scenario.reference.middle_deg)
+            figures["stable"] = loop.stable
             if loop.stable:
                 values = loop.margins()
-                found |= {name: getattr(values, name) for name in MARGIN_FIGURES}
+                figures |= {name: getattr(values, name) for name in MARGIN_FIGURES}
         except KneexoError as error:
-            found["margins_failure"] = str(error)
+            figures["margins_failure"] = str(error)
     if bandwidth:
-        found |= {"bandwidth_hz": math.nan, "bandwidth_failure": ""}
+        figures |= {"bandwidth_hz": math.nan, "bandwidth_failure": ""}
         try:
-            found["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, scenario)
-            if math.isnan(found["bandwidth_hz"]):
-                found["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
+            figures["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, scenario)
+            if math.isnan(figures["bandwidth_hz"]):
+                figures["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
         except KneexoError as error:
-            found["bandwidth_failure"] = str(error)
-    return found
+            figures["bandwidth_failure"] = str(error)
+    return figures

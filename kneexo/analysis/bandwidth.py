@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from kneexo import linkage
 from kneexo.analysis.frequency_response import (
@@ -33,9 +33,7 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.simulation.coroutines import Steps, evaluated, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, evaluated, needs_runs, steps
 
 LOWEST_HZ = 0.02
 """Where a search for a bandwidth ends, downwards."""
@@ -115,7 +113,7 @@ def follower_bandwidth_hz(scenario: Scenario) -> float:
     def excess(log_frequency: float) -> float:
         return abs(follower_response(scenario, math.exp(log_frequency))) - MINUS_3_DB
 
-    return math.exp(float(brentq(excess, guess - 1.5, guess + 1.5, xtol=1e-6)))
+    return math.exp(float(scipy.optimize.brentq(excess, guess - 1.5, guess + 1.5, xtol=1e-6)))
 
 
 # ------------------------------------------------------------------- large-signal bandwidth
@@ -144,12 +142,16 @@ def large_signal_bandwidth_hz(
         frequency = min(math.exp(log_frequency), highest)
         at = changed(scenario, {"reference.frequency_hz": frequency})
         estimate = yield from steps(estimate_sine, at, settings)
-        found = math.log(max(estimate.gain, _NO_GAIN) / MINUS_3_DB)
-        return found if abs(found) > _GAIN_TOLERANCE else 0.0
+        log_gain = math.log(max(estimate.gain, _NO_GAIN) / MINUS_3_DB)
+        return log_gain if abs(log_gain) > _GAIN_TOLERANCE else 0.0
 
     bottom, top = math.log(LOWEST_HZ), math.log(highest)
     start = min(max(bottom, math.log(0.8 * _expected_hz(scenario))), top)
-    return (yield from evaluated(lambda known: _first_fall_hz(known, bottom, start, top), excess))
+    return (
+        yield from evaluated(
+            lambda excess_at: _first_fall_hz(excess_at, bottom, start, top), excess
+        )
+    )
 
 
 def _first_fall_hz(
@@ -166,7 +168,7 @@ def _first_fall_hz(
         if high == top:
             return math.nan
         low, high = high, min(high + step, top)
-    return math.exp(float(brentq(excess, low, high, xtol=1e-3)))
+    return math.exp(float(scipy.optimize.brentq(excess, low, high, xtol=1e-3)))
 
 
 def _expected_hz(scenario: Scenario) -> float:

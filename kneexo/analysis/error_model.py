@@ -36,8 +36,7 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.result import Result, axes_or_new
-from kneexo.simulation.engines import simulate
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, simulate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

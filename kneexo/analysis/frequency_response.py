@@ -15,18 +15,16 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy
 from pydantic import model_validator
 from pydrake.trajectories import PiecewisePolynomial
-from scipy.optimize import brentq
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, SineReference
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result, axes_or_new, data_frame
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs, simulate
-from kneexo.simulation.run import Array, Run
+from kneexo.simulation import Array, Run, Steps, needs_runs, simulate, steps
 from kneexo.sweeps.parallel import parallel_map
 
 _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the paper does not describe"
@@ -306,7 +304,7 @@ def crossing(frequencies_hz: Array, gain: Array, threshold: float = MINUS_3_DB) 
         return math.nan
     curve = _pchip(frequencies_hz, gain)
     return float(
-        brentq(
+        scipy.optimize.brentq(
             lambda f: curve.value(f)[0, 0] - threshold,
             frequencies_hz[below[0]],
             frequencies_hz[below[0] + 1],

@@ -21,7 +21,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from scipy.optimize import brentq
+import scipy
 
 from kneexo.analysis.bandwidth import acceleration_bound_hz, rod_amplitude_m, rod_limits
 from kneexo.analysis.frequency_response import MINUS_3_DB, require_sine
@@ -87,7 +87,7 @@ def limited_bandwidth_hz(
     def excess(frequency: float) -> float:
         return limited_gain(frequency, **values) - MINUS_3_DB
 
-    return float(brentq(excess, low, high, xtol=1e-13 * low, rtol=1e-13))
+    return float(scipy.optimize.brentq(excess, low, high, xtol=1e-13 * low, rtol=1e-13))
 
 
 def expected_bandwidth_hz(scenario: Scenario) -> float:
@@ -120,8 +120,8 @@ def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
         value = value_at(scenario, path) * factor
         values[path] = round(value) if path == "encoder.counts_per_revolution" else value
         if scenario.nominal is not None and path.startswith("plant."):
-            own = path.replace("plant", "nominal", 1)
-            values[own] = value_at(scenario, own) * factor
+            nominal_path = path.replace("plant", "nominal", 1)
+            values[nominal_path] = value_at(scenario, nominal_path) * factor
         if path == SPEED_LIMIT:
             values["controller.command_limit_rad_s"] = scenario.command_limit_rad_s * factor
     other = changed(scenario, values)

@@ -21,8 +21,8 @@ from kneexo.diagrams.closed_loop import loop_values
 from kneexo.diagrams.controller import known_to_controller
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario, StepReference
+from kneexo.simulation import Array
 from kneexo.simulation.compiled import scenario_start, structure_key
-from kneexo.simulation.run import Array
 
 
 @dataclass(frozen=True)
@@ -88,13 +88,13 @@ def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
         system = _system(diagram, path)
         if system is None:
             continue
-        own = system.GetMyMutableContextFromRoot(context)
+        part = system.GetMyMutableContextFromRoot(context)
         for name, value in values.items():
             if group := re.fullmatch(r"(\d+)\[(\d+)\]", name):
-                vector = own.get_mutable_numeric_parameter(int(group[1]))
+                vector = part.get_mutable_numeric_parameter(int(group[1]))
                 vector.SetAtIndex(int(group[2]), value)
             else:
-                system.set_parameter(own, name, value)
+                system.set_parameter(part, name, value)
 
 
 def _system(diagram: Any, path: str) -> Any:

@@ -17,7 +17,7 @@ from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.errors import LinearizationError
 from kneexo.parameters import PlantParameters
 from kneexo.result import Result
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array
 
 Complex = NDArray[np.complex128]
 

@@ -11,7 +11,7 @@ from numpy.polynomial import Polynomial
 from kneexo import linkage
 from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
 from kneexo.result import Result, axes_or_new, data_frame
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

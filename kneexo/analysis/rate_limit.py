@@ -18,12 +18,12 @@ import cmath
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
 from kneexo.errors import ParameterError
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array
 
 TRIANGLE_RATIO = 2.0 / math.sqrt(math.pi**2 + 4.0)
 """ρ below which the follower never meets the sine for more than an instant: 0.5370."""
@@ -44,7 +44,7 @@ def _gain(ratio: float) -> complex:
 
     # The gap opens at leave, is widest where the sine has the same slope again, closes before
     # leave + π.
-    meet = brentq(gap, math.pi + math.acos(ratio), leave + math.pi)
+    meet = scipy.optimize.brentq(gap, math.pi + math.acos(ratio), leave + math.pi)
 
     def sine_part(phase: float) -> float:  # ∫ (offset − ρφ) sin φ dφ
         return -offset * math.cos(phase) - ratio * (math.sin(phase) - phase * math.cos(phase))
@@ -78,7 +78,9 @@ def rate_limit_bandwidth_hz(speed_limit: float, amplitude: float) -> float:
     for name, value in (("speed_limit", speed_limit), ("amplitude", amplitude)):
         if not 0.0 < value < math.inf:
             raise ParameterError(f"{name} = {value:g}: must be finite and > 0")
-    ratio = brentq(lambda r: abs(_gain(r)) - MINUS_3_DB, TRIANGLE_RATIO, 1.0, xtol=1e-14)
+    ratio = scipy.optimize.brentq(
+        lambda r: abs(_gain(r)) - MINUS_3_DB, TRIANGLE_RATIO, 1.0, xtol=1e-14
+    )
     return speed_limit / (2.0 * math.pi * ratio * amplitude)
 
 

@@ -17,9 +17,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
-from scipy.optimize import brentq
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
 from kneexo.analysis.loop_equilibrium import command_and_live, find_rest
@@ -27,7 +26,7 @@ from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.result import Result, axes_or_new
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +89,7 @@ class SampledLoop(Result):
         n = self.a.shape[0]
         block = np.zeros((n + 1, n + 1))
         block[:n, :n], block[:n, n:] = self.a, self.b
-        step = expm(block * self.sample_time_s)
+        step = scipy.linalg.expm(block * self.sample_time_s)
         return step[:n, :n], step[:n, n:]
 
     @property
@@ -217,7 +216,7 @@ class SampledLoop(Result):
         def excess(frequency: float) -> float:
             return float(np.abs(self.output_response(frequency)[0])) - threshold
 
-        return float(brentq(excess, grid[index - 1], grid[index]))
+        return float(scipy.optimize.brentq(excess, grid[index - 1], grid[index]))
 
     def _require_stable(self, what: str) -> None:
         if not self.stable:
@@ -296,7 +295,7 @@ class SampledLoop(Result):
         index = int(np.argmin(_disk_distance(loop)))
         low, high = grid[max(index - 1, 0)], grid[min(index + 1, grid.size - 1)]
         if slope(low) < 0.0 < slope(high):
-            return float(brentq(slope, low, high, xtol=1e-14))
+            return float(scipy.optimize.brentq(slope, low, high, xtol=1e-14))
         return float(grid[index])
 
     def __str__(self) -> str:
@@ -428,7 +427,7 @@ def _crossings(function: Callable[[float], float], grid: Array, values: Array) -
     changes = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
     brackets = ((grid[i], grid[i + 1]) for i in changes)
     return [
-        float(brentq(function, low, high, xtol=1e-14))
+        float(scipy.optimize.brentq(function, low, high, xtol=1e-14))
         for low, high in brackets
         if np.sign(function(low)) * np.sign(function(high)) <= 0.0  # a product could underflow
     ]

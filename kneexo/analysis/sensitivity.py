@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, SimulatorConfig
-from scipy.linalg import eig, expm_frechet
 
 from kneexo.analysis.assessment import MARGIN_FIGURES
 from kneexo.analysis.loop_equilibrium import (
@@ -32,7 +32,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters
 from kneexo.result import Result
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array
 
 _DIFFERENTIABLE = (
     "plant.pump.",
@@ -187,7 +187,7 @@ def loop_sensitivities(
     """
     fixed = _fixed(scenario)
     if knee_angle_deg is None:
-        knee_angle_deg = 0.5 * sum(scenario.reference.range_deg)
+        knee_angle_deg = scenario.reference.middle_deg
     rest = find_rest(fixed, knee_angle_deg)
     n, size, count = rest.continuous_states, rest.point.size, len(paths)
     reference = rest.reference
@@ -221,11 +221,11 @@ def loop_sensitivities(
     if loop.stable:
         margins = loop.margins()
         figures |= {name: getattr(margins, name) for name in MARGIN_FIGURES}
-    found = [_figure_changes(loop, change[..., i], held, live) for i in range(count)]
+    columns = [_figure_changes(loop, change[..., i], held, live) for i in range(count)]
     return Sensitivities(
         paths=tuple(paths),
         figures=figures,
-        gradients={name: np.array([column[name] for column in found]) for name in figures},
+        gradients={name: np.array([column[name] for column in columns]) for name in figures},
     )
 
 
@@ -236,21 +236,21 @@ def _figure_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> d
     block[:n, :n], block[:n, n:] = loop.a, loop.b
     change_of_block[:n, :n], change_of_block[:n, n] = change[:n, :n], change[:n, n + held]
     dt = loop.sample_time_s
-    step = expm_frechet(block * dt, change_of_block * dt, compute_expm=False)
+    step = scipy.linalg.expm_frechet(block * dt, change_of_block * dt, compute_expm=False)
     update = change[n:][live]
     feedback = np.hstack([update[:, :n], update[:, n:][:, live]])
     a, b, c = (np.zeros_like(matrix) for matrix in loop.loop_matrices)
     a[:n, :n], b[:n], a[n:] = step[:n, :n], step[:n, n:], feedback
     c[:] = -loop.c_u @ feedback
     opened, drive, row = loop.loop_matrices
-    values, left, right = eig(loop.monodromy, left=True)
+    values, left, right = scipy.linalg.eig(loop.monodromy, left=True)
     largest = int(np.argmax(np.abs(values)))
     value, w, v = values[largest], left[:, largest].conj(), right[:, largest]
     # The closed loop is A − b c.
     moved = w @ (a - b @ row - drive @ c) @ v / (w @ v)
-    found = {"largest_eigenvalue": float((np.conj(value) * moved).real / abs(value))}
+    changes = {"largest_eigenvalue": float((np.conj(value) * moved).real / abs(value))}
     if not loop.stable:
-        return found
+        return changes
 
     def response(frequency: float) -> tuple[complex, complex, complex]:
         """L, and its derivatives in the value and in the frequency."""
@@ -261,12 +261,12 @@ def _figure_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> d
         return (row @ forth)[0, 0], in_value, loop.loop_slope(frequency)
 
     m = loop.margins()
-    found |= dict.fromkeys(MARGIN_FIGURES, math.nan)
+    changes |= dict.fromkeys(MARGIN_FIGURES, math.nan)
     if math.isfinite(m.gain_margin):
         at, in_value, in_frequency = response(m.gain_margin_frequency_hz)
         if m.gain_margin_frequency_hz < 0.5 / dt:  # else L stays real by itself
             in_value -= in_frequency * in_value.imag / in_frequency.imag
-        found["gain_margin"] = in_value.real / at.real**2
+        changes["gain_margin"] = in_value.real / at.real**2
     for name, frequency in (
         ("phase_margin_deg", m.phase_margin_frequency_hz),
         ("delay_margin_s", m.delay_margin_frequency_hz),
@@ -279,7 +279,7 @@ def _figure_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> d
         turn = ((in_value + in_frequency * shift) / at).imag
         if name == "delay_margin_s":
             turn = (turn / (2.0 * np.pi) - m.delay_margin_s * shift) / frequency
-        found[name] = turn if name == "delay_margin_s" else math.degrees(turn)
+        changes[name] = turn if name == "delay_margin_s" else math.degrees(turn)
     at, in_value, _ = response(m.disk_margin_frequency_hz)  # its frequency is that of a minimum
-    found["disk_margin"] = m.disk_margin * (2.0 * in_value / (1.0 - at * at)).real
-    return {name: float(value) for name, value in found.items()}
+    changes["disk_margin"] = m.disk_margin * (2.0 * in_value / (1.0 - at * at)).real
+    return {name: float(value) for name, value in changes.items()}

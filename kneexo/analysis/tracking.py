@@ -13,9 +13,7 @@ from kneexo.analysis.signals import period_s, rms, to_rpm
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.result import Result, axes_or_new, data_frame
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs, simulate
-from kneexo.simulation.run import Array, Run
+from kneexo.simulation import Array, Run, Steps, needs_runs, simulate, steps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

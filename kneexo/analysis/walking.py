@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from kneexo import systems
 from kneexo.analysis.bandwidth import rod_of
@@ -25,9 +25,7 @@ from kneexo.gait import gait_start_percent
 from kneexo.parameters import KneeLoadParameters, Scenario, gait_reference
 from kneexo.parameters.paths import changed
 from kneexo.result import Result, data_frame
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs, simulate
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, simulate, steps
 
 WALKING_FIGURES = (
     "max_error_deg",
@@ -81,12 +79,12 @@ class WalkingDemand(Result):
     def peaks(self) -> dict[str, float]:
         """Largest absolute value of each signal, mean motor acceleration, energy per cycle."""
         time = self.cycle_percent / (100.0 * self.frequency_hz)
-        found = {
+        peaks = {
             f"peak_{field.name}": float(np.max(np.abs(getattr(self, field.name))))
             for field in fields(self)
             if field.name not in ("frequency_hz", "segment_inertia", "cycle_percent")
         }
-        return found | {
+        return peaks | {
             "mean_motor_acceleration_rad_s2": float(
                 np.mean(np.abs(self.motor_acceleration_rad_s2))
             ),
@@ -119,7 +117,9 @@ def walking_demand(
     cylinder, pump, load = plant.cylinder, plant.pump, plant.load
     reference = gait_reference(frequency_hz, 1)
     plant.knee.require_in_range(*reference.range_deg)
-    knee = CubicSpline(reference.times_s, np.radians(reference.angles_deg), bc_type="periodic")
+    knee = scipy.interpolate.CubicSpline(
+        reference.times_s, np.radians(reference.angles_deg), bc_type="periodic"
+    )
     period = 1.0 / frequency_hz
     # From heel contact on; the reference starts later.
     time = np.linspace(0.0, period, _SAMPLES + 1)
@@ -192,7 +192,7 @@ def moment_arm_m(scenario: Scenario, knee_angle_rad: Array) -> Array:
 def _rate(time: Array, periodic: Array) -> Array:
     """Derivative of a periodic signal over one period."""
     closed = np.append(periodic[:-1], periodic[0])
-    return np.asarray(CubicSpline(time, closed, bc_type="periodic")(time, 1))
+    return np.asarray(scipy.interpolate.CubicSpline(time, closed, bc_type="periodic")(time, 1))
 
 
 def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Array:
@@ -238,26 +238,26 @@ def walking_metrics(
     """
     limits, pump = scenario.plant.cylinder, scenario.plant.pump
     try:
-        found = yield from steps(walk, scenario, frequency_hz, cycles)
+        signals = yield from steps(walk, scenario, frequency_hz, cycles)
     except KneexoError as error:
         return dict.fromkeys(WALKING_FIGURES, math.nan) | {"failure": str(error)}
-    time, power, speed = found["time_s"], found["shaft_power_w"], found["motor_speed_rad_s"]
+    time, power, speed = signals["time_s"], signals["shaft_power_w"], signals["motor_speed_rad_s"]
     metrics = tracking_metrics(
         time,
-        found["knee_reference_rad"] - found["knee_angle_rad"],
-        found["motor_speed_command_rad_s"],
-        found["load_pressure_pa"],
+        signals["knee_reference_rad"] - signals["knee_angle_rad"],
+        signals["motor_speed_command_rad_s"],
+        signals["load_pressure_pa"],
         power,
-        found["hydraulic_power_w"],
+        signals["hydraulic_power_w"],
         settled_s=0.0,
         command_limit_rad_s=scenario.command_limit_rad_s,
         pressure_rating_pa=limits.pressure_rating_pa,
         power_rating_w=pump.rated_power_w,
     )
-    own = {
+    walking = {
         "peak_motor_speed_rpm": to_rpm(float(np.max(np.abs(speed)))),
         "peak_motor_acceleration_rad_s2": float(np.max(np.abs(np.diff(speed) / np.diff(time)))),
         **_energies(time, power, cycles - 1),
     }
-    values = asdict(metrics) | own
+    values = asdict(metrics) | walking
     return {name: values[name] for name in WALKING_FIGURES} | {"failure": ""}

@@ -7,35 +7,14 @@ The equations are written once, in the leaf systems. A diagram passes through th
 - `printer` writes nodes as LLVM IR by means of `ir` and `elementary`, for one lane of a vector or
   several; `integrators`, `exact_hold` and `time_loop` put the run around them;
 - `native` makes machine code of the text, `cache` keeps it on disk, `machine_code` joins both;
+- `c_source` prints a model as C99 by means of `c_printer` and `c_functions`, `c_export` makes a
+  folder of it, `c_build` asks compilers about it;
 - `runner` is one run, `model` what a user sees, `compiled_system` the way back into Drake, and
   `trajectories` makes what open inputs follow.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from kneexo.compilation.cache import cache_directory
-    from kneexo.compilation.model import (
-        CompiledModel,
-        DiagramModel,
-        Simulation,
-        compile_diagram,
-    )
-    from kneexo.compilation.runner import InputTable, State
-    from kneexo.compilation.trajectories import input_table, stack_tables
-
-__all__ = [
-    "CompiledModel",
-    "DiagramModel",
-    "InputTable",
-    "Simulation",
-    "State",
-    "cache_directory",
-    "compile_diagram",
-    "input_table",
-    "stack_tables",
-]
 
 _MODULE_OF = {
     "CompiledModel": "model",
@@ -45,11 +24,26 @@ _MODULE_OF = {
     "State": "runner",
     "cache_directory": "cache",
     "compile_diagram": "model",
+    "export_c": "c_export",
     "input_table": "trajectories",
     "stack_tables": "trajectories",
 }
 
-if not TYPE_CHECKING:  # mypy accepts every name of a module with a visible __getattr__
+if TYPE_CHECKING:  # for mypy, which would accept every name of a visible __getattr__, and editors
+    from kneexo.compilation.cache import cache_directory as cache_directory
+    from kneexo.compilation.model import (
+        CompiledModel as CompiledModel,
+        DiagramModel as DiagramModel,
+        Simulation as Simulation,
+        compile_diagram as compile_diagram,
+    )
+    from kneexo.compilation.runner import InputTable as InputTable, State as State
+    from kneexo.compilation.trajectories import (
+        input_table as input_table,
+        stack_tables as stack_tables,
+    )
+else:
+    __all__ = sorted(_MODULE_OF)
 
     def __getattr__(name: str) -> Any:
         """Import a public name at its first use: the cache alone needs no NumPy and no Drake."""
@@ -57,6 +51,5 @@ if not TYPE_CHECKING:  # mypy accepts every name of a module with a visible __ge
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
 
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,10 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import ZeroOrderHold
 
+from kneexo.compilation.c_build import CodeSize, Replay, code_sizes, replay
 from kneexo.compilation.c_printer import literal
-from kneexo.compilation.c_source import MARK, CSource, filled
+from kneexo.compilation.c_source import MARK, CSource
+from kneexo.compilation.c_template import filled
 from kneexo.compilation.model import DiagramModel, compile_diagram
 from kneexo.compilation.runner import Array, InputTable, State
 from kneexo.errors import CompilationError, OutputError
@@ -88,8 +90,32 @@ def _with_holds(diagram: System, ports: Sequence[str], tick_s: float) -> System:
     return builder.Build()
 
 
-def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
-    """Name and text of each file of the folder."""
+@dataclass(frozen=True)
+class Measurement:
+    """What is known of exported code, and what the compilers of this machine say."""
+
+    operations: dict[str, int]
+    """Operators and library functions of one step, as often as they are computed."""
+    state_bytes: int
+    replay: Replay | None
+    """None without a C compiler."""
+    code_sizes: dict[str, CodeSize]
+    """Of each of `TARGETS`; empty without arm-none-eabi-gcc."""
+
+
+def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measurement]:
+    """Name and text of each file of the folder, and its measurement."""
+    files = _sources(source, vectors)
+    measurement = Measurement(
+        dict(source.operations),
+        source.state_bytes,
+        replay(source.name, files),
+        code_sizes(source.name, files),
+    )
+    return files | {"README.md": _readme(source, vectors, measurement)}, measurement
+
+
+def _sources(source: CSource, vectors: Vectors) -> dict[str, str]:
     name = source.name
     fields = [field for _, field in source.output_fields]
     words = {
@@ -103,21 +129,66 @@ def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
             f"    values[{i}] = (double)outputs->{field};" for i, field in enumerate(fields)
         ],
     }
-    names = {"NAME": name, "UPPER": name.upper()}
-    told = source.head
 
     def text(template: str, comment: str) -> str:
-        return f"{comment}\n{filled(template, names, words, blocks, ())}\n"
+        return f"{comment}\n{filled(template, source.names, words, blocks, ())}\n"
 
-    hashed = f"# {source.first_line}"
+    script = f"# {source.first_line}"
     return {
         **source.files(),
-        f"{name}_vectors.h": text("vectors.h", told),
+        f"{name}_vectors.h": text("vectors.h", source.head),
         f"{name}_vectors.c": _vectors_text(source, vectors),
-        f"{name}_test.c": text("test.c", told),
-        "Makefile": text("Makefile", hashed),
-        "CMakeLists.txt": text("CMakeLists.txt", hashed),
+        f"{name}_test.c": text("test.c", source.head),
+        "Makefile": text("Makefile", script),
+        "CMakeLists.txt": text("CMakeLists.txt", script),
     }
+
+
+def _readme(source: CSource, vectors: Vectors, measurement: Measurement) -> str:
+    integers = source.interface.integers
+    rows = []
+    for port, field in source.input_fields:
+        kind = "int32_t" if port in integers else source.precision
+        allowed = " … ".join(source.limits(port) or ["all" if port in integers else "finite"])
+        rows.append(f"| `{field}` | {kind} | {allowed} |")
+    operators = ("+", "*", "/", "compare", "choose", "min", "max")
+    functions = sorted(set(source.operations) - {*operators})
+    words = {
+        "told": source.first_line,
+        "what": f"{source.precision.capitalize()} precision, from a Drake diagram.",
+        "vectors": str(len(vectors.inputs)),
+        "sample_time": f"{source.sample_time_s:g}",
+        "rate": f"{1.0 / source.sample_time_s:g}",
+        "functions": ", ".join(f"`{function}`" for function in functions) or "no function",
+        "kahan": ", and the compensation of rounding errors" if source.accumulators else "",
+    }
+    blocks = {
+        "example": [f"    inputs.{field} = ...;" for _, field in source.input_fields],
+        "send": [f"    /* use outputs.{field} */" for _, field in source.output_fields[:1]],
+        "inputs": rows,
+        "outputs": [f"| `{field}` | {port} |" for port, field in source.output_fields],
+        "numbers": [f"| {what} | {value} |" for what, value in _numbers(source.name, measurement)],
+    }
+    return f"{filled('README.md', source.names, words, blocks, ())}\n"
+
+
+def _numbers(name: str, measurement: Measurement) -> Iterator[tuple[str, str]]:
+    """Rows of the README: operations, memory, differences, size on targets."""
+    operations = measurement.operations
+    counts = ", ".join(f"{count} {operation}" for operation, count in operations.items())
+    yield "operations in a step", f"{sum(operations.values())}: {counts}"
+    yield f"RAM of `{name}_state_t`", f"{measurement.state_bytes} bytes"
+    if measurement.replay is None:
+        yield "differences", "not measured: this machine has no C compiler (cc, gcc or clang)"
+    else:
+        for field, difference in measurement.replay.difference.items():
+            largest = measurement.replay.largest[field]
+            yield f"difference of `{field}`", f"{difference:.3g}, where it goes up to {largest:.6g}"
+    for target, size in measurement.code_sizes.items():
+        yield f"{target}: flash, code and parameters", f"{size.flash} bytes"
+        yield f"{target}: stack of a step", f"{size.stack} bytes"
+    if not measurement.code_sizes:
+        yield "flash and stack", "not measured: this machine has no arm-none-eabi-gcc"
 
 
 def _vectors_text(source: CSource, vectors: Vectors) -> str:
@@ -154,7 +225,7 @@ def export_c(
     steps: int = 1000,
     context: Any = None,
     **options: Any,
-) -> CSource:
+) -> Measurement:
     """Write a diagram as C99 into a folder, with test vectors, harness and build files.
 
     Parameters
@@ -183,14 +254,16 @@ def export_c(
     OutputError
         The folder has files that no export wrote, or cannot be written.
     """
+    require_folder(directory)
     model = compile_diagram(diagram, inputs=inputs)
     source = source_of(model, name, context, **options)
     sizes = sum(source.equations.inputs.values())
     rows = np.zeros((steps, sizes)) if samples is None else np.array(samples, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != sizes or not len(rows):
         raise CompilationError(f"samples has the shape {rows.shape}: must be (steps, {sizes})")
-    write_folder(directory, files_of(source, recorded_vectors(diagram, source, rows)))
-    return source
+    files, measurement = exported(source, recorded_vectors(diagram, source, rows))
+    write_folder(directory, files)
+    return measurement
 
 
 def source_of(model: DiagramModel, name: str, context: Any = None, **options: Any) -> CSource:
@@ -199,25 +272,34 @@ def source_of(model: DiagramModel, name: str, context: Any = None, **options: An
     return CSource(equations, name, model.parameters(context), model.state(context), **options)
 
 
-def write_folder(directory: str | os.PathLike[str], files: Mapping[str, str]) -> None:
-    """Write files into a folder, all or none; `OutputError` where others lie there."""
+def require_folder(directory: str | os.PathLike[str]) -> None:
+    """Raise `OutputError` for a folder with files that no export wrote."""
     folder = Path(directory)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file in sorted(folder.iterdir()):
-            if file.name == _BUILD or _is_export(file):
-                continue
+    for file in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if file.name != _BUILD and not _is_export(file):
             raise OutputError(
                 f"--out {folder}: {file.name} is not of an export; choose another directory"
             )
+
+
+def write_folder(directory: str | os.PathLike[str], files: Mapping[str, str]) -> None:
+    """Write files in the place of those of the last export.
+
+    Raises `OutputError` as `require_folder`, and where the folder cannot be written; then the files
+    of the last export stay.
+    """
+    require_folder(directory)
+    folder = Path(directory)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=f"{_BUILD}-") as new:
             for name, text in files.items():
-                (Path(new) / name).write_text(text)
-            for file in folder.iterdir():
-                if file.is_file():
-                    file.unlink()
+                Path(new, name).write_text(text, encoding="utf-8")
             for name in files:
-                os.replace(Path(new) / name, folder / name)
+                os.replace(Path(new, name), folder / name)
+        for file in folder.iterdir():
+            if file.is_file() and file.name not in files:
+                file.unlink()
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"--out {folder}: cannot write there ({reason})") from None

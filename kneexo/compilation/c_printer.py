@@ -116,20 +116,21 @@ class _Block:
         for node in needed:
             uses.update(self._arguments(node))
         lines: list[str] = []
-        waiting = set(needed)
+        waiting, unset = set(needed), list(targets)
         for section in self.printer.sections:
             within = sorted(waiting & self._reachable(section.nodes))
             waiting.difference_update(within)
-            self._statements(within, uses, f"{section.where}. {section.equation}", lines)
-        self._statements(sorted(waiting), uses, "", lines)
-        return lines + [
-            self._line(f"{target} = {self._bare(self.text[node])};") for target, node in targets
-        ]
+            inside = [target for target in unset if target[1] in section.nodes]
+            unset = [target for target in unset if target not in inside]
+            statements = self._statements(within, uses) + self._assignments(inside)
+            if statements:
+                lines += comment_lines(f"{section.where}. {section.equation}", self.indent)
+            lines += statements
+        return lines + self._statements(sorted(waiting), uses) + self._assignments(unset)
 
-    def _statements(
-        self, nodes: Sequence[int], uses: Counter[int], comment: str, lines: list[str]
-    ) -> None:
-        before = len(lines)
+    def _statements(self, nodes: Sequence[int], uses: Counter[int]) -> list[str]:
+        """Computation of nodes that are used several times, or are long."""
+        lines = []
         for node in nodes:
             text = self._expression(node)
             simple = not self._arguments(node)
@@ -141,8 +142,10 @@ class _Block:
             self.names[node] = self.text[node] = name
             kind = "bool" if condition else "real"
             lines.append(self._line(f"const {kind} {name} = {self._bare(text)};"))
-        if comment and len(lines) > before:
-            lines[before:before] = comment_lines(comment, self.indent)
+        return lines
+
+    def _assignments(self, targets: Sequence[tuple[str, int]]) -> list[str]:
+        return [self._line(f"{place} = {self._bare(self.text[node])};") for place, node in targets]
 
     def _arguments(self, node: int) -> tuple[int, ...]:
         return () if node in self.fixed else self.graph.arguments(node)
@@ -265,7 +268,8 @@ def _ascii(text: str) -> str:
             return "/" if character == "\\" else character  # no splice of lines
         name = unicodedata.name(character, "?")
         if name.startswith("GREEK"):
-            return name.rpartition("LETTER ")[2].partition(" ")[0].lower()
+            letter = name.rpartition("LETTER ")[2].partition(" ")[0].lower()
+            return letter.replace("lamda", "lambda")  # Unicode spells it so
         base = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
         return base or "-"
 

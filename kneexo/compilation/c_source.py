@@ -15,16 +15,11 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import resources
 
-from kneexo.compilation.c_printer import (
-    PRECISIONS,
-    CPrinter,
-    Precision,
-    comment_lines,
-    literal,
-)
-from kneexo.compilation.equations import Equations, Update
+from kneexo.compilation.c_functions import Functions
+from kneexo.compilation.c_printer import PRECISIONS, Precision, comment_lines, literal
+from kneexo.compilation.c_template import filled
+from kneexo.compilation.equations import Equations
 from kneexo.compilation.runner import STEP_S, Array, State, timing
 from kneexo.errors import CompilationError
 
@@ -267,6 +262,24 @@ class CSource:
         return {name: f"{self.head}\n{text.rstrip()}\n" for name, text in texts.items()}
 
     @property
+    def names(self) -> dict[str, str]:
+        """What stands for the words in capitals of a template."""
+        return {"NAME": self.name, "UPPER": self.name.upper(), "REAL": self.precision}
+
+    @property
+    def state_bytes(self) -> int:
+        """Size of the state where a float has 4 and a double 8 bytes."""
+        equations, real = self.equations, 8 if self.precision == "double" else 4
+        counts = (equations.states, equations.held, self.accumulators, self.output_fields)
+        numbers = sum(map(len, counts)) + len(self.functions.printer.fixed)
+        return real * (numbers + self.counts_steps)
+
+    @property
+    def counts_steps(self) -> bool:
+        """Whether the state counts steps: for the time, or for several sample times."""
+        return self.needs_time or self.counts_ticks
+
+    @property
     def head(self) -> str:
         """The comment that each file begins with."""
         return "\n".join(comment_lines(self.first_line))
@@ -330,29 +343,33 @@ class CSource:
             "limits": sizes["LIMITS"],
             "outputs": self.output_fields,
             "time": self.needs_time,
-            "ticks": self.needs_time or self.counts_ticks,
+            "ticks": self.counts_steps,
             "wraps": self.counts_ticks and not self.needs_time,
             "minimum": any("minimum(" in line for line in functions.lines),
             "maximum": any("maximum(" in line for line in functions.lines),
         }
-        names = {"NAME": self.name, "UPPER": self.name.upper(), "REAL": self.precision}
-        names |= {name: str(size) for name, size in sizes.items()}
+        names = {**self.names, **{name: str(size) for name, size in sizes.items()}}
         return filled(template, names, words, blocks, {k for k, v in conditions.items() if v})
+
+    def limits(self, port: str) -> list[str] | None:
+        """Lowest and highest value of an input as C text; None where all that is finite may come.
+
+        Whole numbers within the range, where the input is an int32_t.
+        """
+        limits = self.interface.ranges.get(port)
+        if limits is None:
+            return None
+        if port in self.interface.integers:
+            return [str(math.ceil(limits[0])), str(math.floor(limits[1]))]
+        return [literal(limit, self.real, port) for limit in limits]
 
     def _input_checks(self) -> list[str]:
         checks = []
         for port, of in self.input_fields:
-            limits = self.interface.ranges.get(port)
-            if limits is not None and port in self.interface.integers:
-                texts = [str(math.ceil(limits[0])), str(math.floor(limits[1]))]
-            elif limits is not None:
-                texts = [literal(limit, self.real, port) for limit in limits]
-            elif port in self.interface.integers:
-                continue
-            else:
+            if limits := self.limits(port):
+                checks.append(f"(in->{of} >= {limits[0]}) && (in->{of} <= {limits[1]})")
+            elif port not in self.interface.integers:
                 checks.append(f"is_finite(in->{of})")
-                continue
-            checks.append(f"(in->{of} >= {texts[0]}) && (in->{of} <= {texts[1]})")
         return _all_of("in", checks)
 
     def _parameter_values(self) -> list[str]:
@@ -409,8 +426,8 @@ class CSource:
         lines = []
         for port, of in self.input_fields:
             kind = "int32_t" if port in self.interface.integers else f"{self.name}_real_t"
-            limits = self.interface.ranges.get(port)
-            told = f" /* {limits[0]:.9g} ... {limits[1]:.9g} */" if limits else ""
+            limits = self.limits(port)
+            told = f" /* {' ... '.join(limits)} */" if limits else ""
             lines.append(f"    {kind} {of};{told}")
         return lines
 
@@ -428,132 +445,6 @@ class CSource:
             if size:
                 lines += [*comment_lines(told, "    "), f"    {real} {member}[{size}];"]
         return lines
-
-
-Lines = list[str]
-
-_MEMORY = {"constant": "c", "state": "x", "held": "d"}
-_INSTANT = {
-    "p": "const NAME_params_t *",
-    "in": "const NAME_inputs_t *",
-    "c": "const real *",
-    "x": "const real *",
-    "d": "const real *",
-    "t": "const real ",
-}
-
-
-class Functions:
-    """The source file: each function, and how often a step computes what."""
-
-    def __init__(self, model: CSource) -> None:
-        self.model, self.equations = model, model.equations
-        self.printer = CPrinter(self.equations.graph, model.real, self.equations.sections)
-        self.printer.collect_fixed([*model.roots(), *self.equations.initial_held])
-        self.operations: Counter[str] = Counter()
-        self.lines = self._lines()
-
-    # ------------------------------------------------------------------------- equations
-
-    def _load(self, kind: str, index: int) -> str:
-        model = self.model
-        if kind == "parameter":
-            return f"p->{model.parameter_fields[index]}"
-        if kind == "input":
-            port, of = model.input_fields[index]
-            return f"(real)in->{of}" if port in model.interface.integers else f"in->{of}"
-        if kind == "time":
-            return "t"
-        return f"{_MEMORY[kind]}[{index}]"
-
-    def _block(self, targets: Sequence[tuple[str, int]], times: int = 1, depth: int = 1) -> Lines:
-        """Statements; ``times``: how often a step executes them."""
-        self.printer.operations.clear()
-        lines = self.printer.block(targets, self._load, indent="    " * depth)
-        for operation, count in self.printer.operations.items():
-            self.operations[operation] += times * count
-        return lines
-
-    def _updates(self) -> Lines:
-        """Statements that put the next values of discrete states into ``next``."""
-        _, periods, offsets = self.model.timing
-        lines = []
-        for update, period, offset in zip(self.equations.updates, periods, offsets, strict=True):
-            if period == 1 and offset == 0:
-                lines += self._update(update, 1)
-                continue
-            due = f"((tick - {offset}U) % {period}U) == 0U"
-            if offset:
-                due = f"(tick >= {offset}U) && ({due})"
-            lines += [f"    if ({due}) {{", *self._update(update, 2), "    }"]
-        return lines
-
-    def _update(self, update: Update, depth: int) -> Lines:
-        accumulators = self.model.accumulators
-        order = {state: number for number, state in enumerate(accumulators)}
-        targets, after = [], []
-        indent = "    " * depth
-        for state, node in update.values:
-            if state not in accumulators:
-                targets.append((f"next[{state}]", node))
-                continue
-            number = order[state]
-            targets.append((f"next[{state}]", self.equations.graph.add(*accumulators[state])))
-            after.append(
-                f"{indent}next[{state}] = sum(d[{state}], next[{state}], &lost[{number}]);"
-            )
-            self.operations["+"] += 4
-        return [*self._block(targets, depth=depth), *after]
-
-    # ------------------------------------------------------------------------- functions
-
-    def _lines(self) -> Lines:
-        model, equations, name = self.model, self.equations, self.model.name
-        constants = [(f"c[{number}]", node) for node, number in self.printer.fixed.items()]
-        initial = [(f"next[{i}]", node) for i, node in enumerate(equations.initial_held)]
-        rates = [(f"rate[{i}]", node) for i, node in enumerate(equations.derivatives)]
-        margins = [(f"margin[{i}]", limit.margin) for i, limit in enumerate(equations.limits)]
-        fields = (f"out->{of}" for _, of in model.output_fields)
-        outputs = list(zip(fields, model.output_nodes, strict=True))
-        lost = ", real *lost" if model.accumulators else ""
-        ticks = ", uint32_t tick" if model.counts_ticks else ""
-        lines: Lines = []
-        if constants:
-            block = self.printer.block(constants, self._load, fixed={})
-            unused = [] if "p->" in "".join(block) else ["    (void)p;"]
-            head = f"static void constants_of(const {name}_params_t *p, real *c)"
-            lines += [head, "{", *unused, *block, "}", ""]
-        if rates:
-            lines += self._function("rate_at", ", real *rate", self._block(rates, 4 * model.steps))
-        if margins:
-            lines += self._function("margins_at", ", real *margin", self._block(margins))
-        if initial:
-            block = self.printer.block(initial, self._load)
-            lines += self._function("initial_at", ", real *next", block)
-        if equations.held:
-            lines += self._function("update_at", f"{ticks}{lost}, real *next", self._updates())
-        if outputs:
-            lines += self._function("outputs_at", f", {name}_outputs_t *out", self._block(outputs))
-        return lines
-
-    def _function(self, called: str, arguments: str, block: Lines) -> Lines:
-        """A function of an instant."""
-        text = "\n".join(block)
-        name = self.model.name
-        locals_ = [
-            f"    {kind.replace('NAME', name)}{of} = at->{of};"
-            for of, kind in _INSTANT.items()
-            if re.search(rf"(?<![\w>.]){of}\b", text)
-        ]
-        return [
-            f"static void {called}(const instant *at{arguments})",
-            "{",
-            *(locals_ or ["    (void)at;"]),
-            "",
-            *block,
-            "}",
-            "",
-        ]
 
 
 def c_name(text: str) -> str:
@@ -592,38 +483,3 @@ def _all_of(argument: str, checks: Sequence[str]) -> list[str]:
         if len(checks) > 1
         else [f"    return {checks[0]};"]
     )
-
-
-def filled(
-    template: str,
-    names: Mapping[str, str],
-    words: Mapping[str, str],
-    blocks: Mapping[str, Sequence[str]],
-    conditions: Collection[str],
-) -> str:
-    """A file of ``templates``.
-
-    ``names`` replace the words in capitals, alone or as the beginning of an identifier. ``words``
-    replace ``@{word}``, ``blocks`` the lines ``@block``. Lines between ``@if`` and ``@end`` (or
-    ``@else``) stay where the condition holds.
-    """
-    text = resources.files(__package__).joinpath("templates", template).read_text("utf-8")
-    pattern = re.compile(rf"(?<![A-Za-z_])({'|'.join(names)})(?=[U_]?\b|_)")
-    lines: Lines = []
-    kept = [True]
-    for line in text.splitlines():
-        mark, _, condition = line.partition(" ")
-        if mark == "@if":
-            kept.append(condition in conditions)
-        elif mark == "@else":
-            kept[-1] = not kept[-1]
-        elif mark == "@end":
-            kept.pop()
-        elif not all(kept):
-            continue
-        elif line.startswith("@"):
-            lines += blocks[line[1:]]
-        else:
-            line = pattern.sub(lambda match: names[match[1]], line)
-            lines.append(re.sub(r"@\{(\w+)\}", lambda match: words[match[1]], line))
-    return "\n".join(lines)

@@ -496,11 +496,10 @@ def _label(system: Any, number: int) -> str:
 
 def _equation(leaf: Node) -> str:
     """Class of a leaf, and the first line of its documentation unless Drake wrote it."""
-    kinds = [
-        kind for kind in type(leaf.system).__mro__ if not kind.__module__.startswith("pydrake")
-    ]
-    lines = [(vars(kind).get("__doc__") or "").strip() for kind in kinds]
-    first = next((line.splitlines()[0].strip() for line in lines if line), "")
+    binding = ("pydrake", "pybind11", "builtins")
+    kinds = (k for k in type(leaf.system).__mro__ if not k.__module__.startswith(binding))
+    texts = ((vars(kind).get("__doc__") or "").strip() for kind in kinds)
+    first = next((text.splitlines()[0].strip() for text in texts if text), "")
     return f"{leaf.type_name}: {first}" if first else f"{leaf.type_name}."
 
 

@@ -191,7 +191,7 @@ def _custom_controller(scenario: Scenario, parameters: CustomControllerParameter
         controller = make(known_to_controller(scenario))
     except KneexoError:
         raise
-    except Exception as error:
+    except Exception as error:  # whatever the user's function raises: its reason is told
         reason = str(error).partition("\n")[0]
         raise ParameterError(f"{told}: {type(error).__name__}: {reason}") from error
     require_controller(controller, told)

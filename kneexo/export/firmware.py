@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import os
+from typing import Any
+
 import numpy as np
 
-from kneexo.compilation.c_export import Vectors, recorded_vectors, source_of
+from kneexo.compilation.c_export import (
+    Measurement,
+    Vectors,
+    exported,
+    recorded_vectors,
+    require_folder,
+    source_of,
+    write_folder,
+)
 from kneexo.compilation.c_source import CSource
 from kneexo.compilation.model import compile_diagram
 from kneexo.compilation.runner import STEP_S, Array
@@ -17,7 +28,7 @@ OUTSIDE = ("disturbance_force", "knee_torque")
 """Inputs that nothing in the closed loop feeds."""
 
 VECTORS_S = 2.0
-"""Time that the test vectors cover by default."""
+"""Time that the test vectors cover by default, or the whole run where that is shorter."""
 
 
 def make_firmware(
@@ -25,7 +36,7 @@ def make_firmware(
     what: str = "controller",
     *,
     precision: str = "double",
-    vectors_s: float = VECTORS_S,
+    vectors_s: float | None = None,
     step_s: float = STEP_S,
 ) -> tuple[CSource, Vectors]:
     """A target of a scenario as C99, and test vectors: steps of its compiled closed loop.
@@ -40,7 +51,8 @@ def make_firmware(
     precision
         ``double`` or ``float``.
     vectors_s
-        Time that the test vectors cover; at most the duration of the scenario.
+        Time that the test vectors cover; at most the duration of the scenario. `VECTORS_S` by
+        default.
     step_s
         Largest step of RK4, where there are continuous states.
 
@@ -54,36 +66,55 @@ def make_firmware(
         The closed loop does not run.
     """
     duration_s = scenario.simulation.duration_s
+    if vectors_s is None:
+        vectors_s = min(VECTORS_S, duration_s)
     if not scenario.controller.sample_time_s <= vectors_s <= duration_s:
         raise ParameterError(
             f"vectors_s = {vectors_s:g} s: must be {scenario.controller.sample_time_s:g} … "
             f"{duration_s:g} s, the scenario's sample time and duration"
         )
-    exported = target(scenario, what, counts=True)
-    model = compile_diagram(exported.diagram, inputs=exported.inputs)
+    to_print = target(scenario, what, counts=True)
+    model = compile_diagram(to_print.diagram, inputs=to_print.inputs)
     source = source_of(
         model,
-        exported.what,
+        to_print.what,
         precision=precision,
-        outputs=exported.outputs,
-        interface=exported.interface,
-        tick_s=exported.tick_s,
+        outputs=to_print.outputs,
+        interface=to_print.interface,
+        tick_s=to_print.tick_s,
         step_s=step_s,
-        told=f"{exported.what} in {precision} precision",
+        told=f"{to_print.what} in {precision} precision",
     )
     steps = round(vectors_s / source.sample_time_s)
-    inputs = loop_inputs(scenario, exported, source, steps)
-    return source, recorded_vectors(exported.diagram, source, inputs)
+    inputs = loop_inputs(scenario, to_print, source, steps)
+    return source, recorded_vectors(to_print.diagram, source, inputs)
 
 
-def loop_inputs(scenario: Scenario, exported: Target, source: CSource, steps: int) -> Array:
+def export_firmware(
+    scenario: Scenario,
+    directory: str | os.PathLike[str],
+    what: str = "controller",
+    **options: Any,
+) -> Measurement:
+    """Write `make_firmware` into a folder: sources, vectors, harness, build files, README.
+
+    ``options`` are those of `make_firmware`. Raises `OutputError` where the folder has other files,
+    and what `make_firmware` raises.
+    """
+    require_folder(directory)
+    files, measurement = exported(*make_firmware(scenario, what, **options))
+    write_folder(directory, files)
+    return measurement
+
+
+def loop_inputs(scenario: Scenario, of: Target, source: CSource, steps: int) -> Array:
     """Inputs of each step of a target in the scenario's closed loop, (steps, input elements).
 
     What comes from outside, such as a disturbance, is zero.
     """
     sample_time = source.sample_time_s
     ports = {ENCODER_COUNT: "encoder_reading", "rod_state": "estimated_state"}
-    wanted = [ports.get(name, name) for name in exported.inputs if name not in OUTSIDE]
+    wanted = [ports.get(name, name) for name in of.inputs if name not in OUTSIDE]
     model = compile_scenario(scenario)
     parameters, state, table = scenario_run(scenario, model)
     run = model.simulate(

@@ -22,7 +22,19 @@ def _flexion(default: float, source: str) -> Any:
 _SHORTEST_RAMP_S = 1e-3  # its third power divides the jerk
 
 
-class SineReference(Parameters):
+class _KneeReference(Parameters):
+    @property
+    def range_deg(self) -> tuple[float, float]:
+        """Smallest and largest angle in deg."""
+        raise NotImplementedError
+
+    @property
+    def middle_deg(self) -> float:
+        """Middle of that range in deg: the posture at which a loop is linearized."""
+        return 0.5 * sum(self.range_deg)
+
+
+class SineReference(_KneeReference):
     """Knee angle mean − amplitude·cos(2πft): starts at rest at its smallest value.
 
     With a ramp it starts at its mean and the amplitude grows smoothly.
@@ -51,7 +63,7 @@ class SineReference(Parameters):
         return self
 
 
-class StepReference(Parameters):
+class StepReference(_KneeReference):
     """Knee angle that jumps once."""
 
     kind: Literal["step"] = "step"
@@ -65,7 +77,7 @@ class StepReference(Parameters):
         return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
 
 
-class RampReference(Parameters):
+class RampReference(_KneeReference):
     """Knee angle that moves from one value to another at a constant rate."""
 
     kind: Literal["ramp"] = "ramp"
@@ -89,7 +101,7 @@ _INTERPOLATION = (
 )
 
 
-class SampledReference(Parameters):
+class SampledReference(_KneeReference):
     """Knee angle from samples, by default joined by a cubic spline with continuous acceleration.
 
     A sequence of numbers may be a tuple, a list, a NumPy array or a pandas column.

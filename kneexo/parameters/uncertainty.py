@@ -38,6 +38,11 @@ class Uncertainty(Parameters):
                 raise ValueError(f"low = {self.low:g} must be > 0 with scale: log")
         return self
 
+    @property
+    def levels(self) -> tuple[Any, ...]:
+        """The ends of the interval, or the options."""
+        return self.options or (self.low, self.high)
+
     def at(self, share: float) -> Any:
         """The value at ``share`` of the interval (0 … 1), or the option that holds that share."""
         if self.low is None or self.high is None:

@@ -349,7 +349,7 @@ def simulate_together(
     if model is None or not ready:
         return results
     parameters, states, inputs = zip(*ready.values(), strict=True)
-    found = model.simulate_batch(
+    runs = model.simulate_batch(
         parameters,
         states,
         [scenarios[index].simulation.duration_s for index in ready],
@@ -364,7 +364,7 @@ def simulate_together(
     )
     how = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
     labels = columns(names)
-    for index, result in zip(ready, found, strict=True):
+    for index, result in zip(ready, runs, strict=True):
         if not isinstance(result, KneexoError):
             data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
             if fault := _not_finite(result, names):

@@ -107,16 +107,16 @@ def evaluated(
     The search, which must be deterministic, begins again after each new value; it finds those that
     are known without a wait. So a plain root finder can look for what takes runs.
     """
-    known: dict[float, float] = {}
+    values: dict[float, float] = {}
 
     def function(argument: float) -> float:
-        if argument not in known:
+        if argument not in values:
             raise _UnknownValueError(argument)
-        return known[argument]
+        return values[argument]
 
     while True:
         try:
             return search(function)
         except _UnknownValueError as unknown:
             argument = unknown.args[0]
-        known[argument] = yield from evaluate(argument)
+        values[argument] = yield from evaluate(argument)

@@ -33,9 +33,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, require_increasing
 from kneexo.result import Result, data_frame
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.sweeps import SweepOptions, open_sweep
 
 

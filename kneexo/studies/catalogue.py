@@ -33,9 +33,15 @@ class Study:
     summary: str
     detail: str = ""
     setup: str = _UNDER_LOAD
-    """What the scenario is when none is given."""
+    """What the scenario is when none is given; empty where the command line takes none."""
     uncertain: bool = False
     """Whether it takes an uncertainty set."""
+    resumable: bool = True
+    """Whether its pieces of work are plain data, which a checkpoint keeps."""
+    files: tuple[str, str] = ("", "")
+    """Results and report; left out: NAME.json and NAME.md."""
+    label: str = ""
+    """What `kneexo params` lists the settings after; left out: ``command``."""
 
     @property
     def settings(self) -> type[Parameters]:
@@ -47,8 +53,9 @@ class Study:
     def compute(self) -> Callable[..., Any]:
         """The function that runs it.
 
-        It takes the scenario, ``settings``, ``workers``, ``executor``, ``checkpoint``, ``progress``
-        and, where the study is `uncertain`, ``uncertainty``. Its result has ``results()``.
+        It takes the scenario, ``settings``, ``workers``, ``executor``, ``progress``, where the
+        study is `resumable` ``checkpoint`` and where it is `uncertain` ``uncertainty``. Its result
+        has ``results()``.
         """
         function: Callable[..., Any] = self._part("", f"{self.name}_study")
         return function
@@ -76,6 +83,18 @@ class Study:
 STUDIES = {
     study.name: study
     for study in (
+        Study(
+            "reproduce",
+            "reproduce",
+            "compute every figure and number of the paper",
+            "Table 1 and Fig. 5 (linkage), Fig. 9 (ideal sliding mode), Fig. 12 (tracking with SMC "
+            "and PID), Fig. 13 (frequency response), and Eq. 27 taken literally at 2 ms. "
+            "Takes some seconds; the first time some more, to compile the equations.",
+            setup="",
+            resumable=False,
+            files=("results.json", "report.md"),
+            label="reproduce, Fig. 13",
+        ),
         Study(
             "bandwidth",
             "bandwidth",

@@ -16,8 +16,8 @@ from functools import partial
 from typing import Annotated, Any, Unpack
 
 import numpy as np
+import scipy
 from pydantic import Field
-from scipy.optimize import OptimizeResult, differential_evolution
 from tqdm import tqdm
 
 from kneexo.analysis.assessment import assess
@@ -35,9 +35,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import applicable, changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness import Values, draw, realize
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
@@ -191,10 +189,9 @@ class ContestStudy(Result):
         """Figures of each entrant over the test plants."""
         return {name: _summary(self.tested[name], self.elsewhere[name]) for name in self.entrants}
 
-    def better_share(self, one: str, other: str) -> float:
-        """Share of the test plants on which ``one`` has the smaller largest error."""
-        first, second = (errors_of(self.tested[name]) for name in (one, other))
-        return float(np.mean(first < second))
+    def better_share(self, name: str, other: str) -> float:
+        """Share of the test plants on which entrant ``name`` has the smaller largest error."""
+        return float(np.mean(errors_of(self.tested[name]) < errors_of(self.tested[other])))
 
     def winners(self) -> dict[str, list[str]]:
         """The tuned contestants with the best value of each figure of `summary`."""
@@ -337,7 +334,7 @@ def _contest(
 
 def search(
     objective: Callable[[Array], Array], dimensions: int, settings: ContestSettings, seed: int
-) -> tuple[OptimizeResult, list[float]]:
+) -> tuple[scipy.optimize.OptimizeResult, list[float]]:
     """Differential evolution over the unit cube; its result and the best of each generation.
 
     ``objective`` maps candidates (n, dimensions) to (n,). It has converged (``success``) when the
@@ -347,10 +344,10 @@ def search(
 
     history: list[float] = []
 
-    def note(intermediate_result: OptimizeResult) -> None:
+    def note(intermediate_result: scipy.optimize.OptimizeResult) -> None:
         history.append(float(intermediate_result.fun))
 
-    optimum = differential_evolution(
+    optimum = scipy.optimize.differential_evolution(
         lambda candidates: objective(candidates.T),
         [(0.0, 1.0)] * dimensions,
         init=qmc.LatinHypercube(dimensions, seed=seed).random(settings.population),
@@ -394,8 +391,8 @@ def _judge(budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenari
 def _gains(contestant: Contestant, unit: Array) -> dict[str, float]:
     """Gains at a point of the unit cube."""
     return {
-        path: float(one.at(float(x)))
-        for (path, one), x in zip(contestant.gains.items(), unit, strict=True)
+        path: float(span.at(float(x)))
+        for (path, span), x in zip(contestant.gains.items(), unit, strict=True)
     }
 
 

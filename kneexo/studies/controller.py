@@ -15,8 +15,8 @@ from itertools import product
 from typing import Any, Unpack
 
 import numpy as np
+import scipy
 from pydantic import field_validator
-from scipy.optimize import brentq
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.hardware import tuned
@@ -37,9 +37,7 @@ from kneexo.parameters.quantity import (
     require_increasing,
 )
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.studies.markdown import number, percent
 from kneexo.sweeps import SweepOptions, open_sweep
 
@@ -356,7 +354,10 @@ def settling_time_s(time_s: Array, error: Array, band: float) -> float:
 
 def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
     """Time in s in which (d/dt + λ)² e = 0 brings e, at rest, to ``share``: a step from s = 0."""
-    return float(brentq(lambda y: (1.0 + y) * math.exp(-y) - share, 0.0, 100.0)) / lambda_per_s
+    return (
+        float(scipy.optimize.brentq(lambda y: (1.0 + y) * math.exp(-y) - share, 0.0, 100.0))
+        / lambda_per_s
+    )
 
 
 @needs_runs
@@ -523,9 +524,9 @@ def _adherence(study: ControllerStudy) -> Claim:
     grid, error = study.settings, study.values["max_error_deg"]
     sound = study.values["disk_margin"] >= grid.sound_disk_margin
     free = (study.values["stable"] == 1.0) & (study.values["saturated_share"] < _SATURATED)
-    known = np.isfinite(error[..., :-1]) & np.isfinite(error[..., 1:])
+    finite = np.isfinite(error[..., :-1]) & np.isfinite(error[..., 1:])
     falls = error[..., 1:] < error[..., :-1]
-    beyond = known & ~free[..., 1:]
+    beyond = finite & ~free[..., 1:]
     lambda_, phi, eta = study.centre
     slope = float(study.slope_per_s[phi, eta])
     same = [
@@ -538,7 +539,7 @@ def _adherence(study: ControllerStudy) -> Claim:
         case="two neighbouring η at equal λ and Φ, the larger one with a stable loop and less "
         f"than {100 * _SATURATED:g} % of its samples saturated; holds when its largest error is "
         f"smaller",
-        **_counted(falls, known & free[..., 1:], sound[..., 1:] & sound[..., :-1]),
+        **_counted(falls, finite & free[..., 1:], sound[..., 1:] & sound[..., :-1]),
         finding=f"Where the larger η saturates or is unstable the error falls in "
         f"{percent(_share(falls[beyond]))} of {np.count_nonzero(beyond)} cases. η = "
         f"{_numbers(grid.etas_m_s3)} m/s³ at the default λ and Φ: error "

@@ -29,9 +29,7 @@ from kneexo.analysis.tracking import mean_change
 from kneexo.parameters import G4, RodPolynomialParameters, Scenario, SineReference
 from kneexo.parameters.paths import changed
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.studies.paper import (
     EQ_27_DIFFERENCES,
     EQ_27_EXACT_STATES,
@@ -41,13 +39,16 @@ from kneexo.studies.paper import (
 )
 from kneexo.sweeps import open_sweep
 
+ReproduceSettings = SinestreamSettings
+"""Settings of Fig. 13."""
+
 FIG_5_POINTS = 204
 """Points of the fits of Fig. 5: printed SSE over squared RMSE is 198, six coefficients beside."""
 
 
 @dataclass(frozen=True, repr=False)
 class Reproduction(Result):
-    """Everything that ``kneexo reproduce`` computes; see `results` and `report`."""
+    """Everything that ``kneexo reproduce`` computes."""
 
     fit: PolynomialFit
     fig9: Run
@@ -57,8 +58,89 @@ class Reproduction(Result):
     eq27_exact: Mapping[str, Run]
     eq27_differences: Mapping[str, TrackingResult]
 
+    def results(self) -> dict[str, Any]:
+        """Plain numbers, units in the names."""
+        table = RodPolynomialParameters()
+        fit, error = self.fit, rod_error_mm(self.fig9)
+        peak_rpm, saturation_hz = speed_demand()
+        response = self.fig13
+        g4 = fit_polynomials(G4, start_deg=5.0, samples=FIG_5_POINTS)
+        return {
+            "table1": {
+                "x_at_10deg_mm": float(np.polyval(table.p_mm_deg, 10.0)),
+                "x_at_70deg_mm": float(np.polyval(table.p_mm_deg, 70.0)),
+                "linkage_rmse_mm": rms(fit.table_p_error_mm),
+                "linkage_max_mm": float(np.max(np.abs(fit.table_p_error_mm))),
+                "refit_p_mm_deg": fit.p_mm_deg,
+                "refit_p_rmse_mm": rms(fit.p_error_mm),
+                "refit_p_sse_mm2": float(np.sum(fit.p_error_mm**2)),
+                "refit_q_sse_deg2": float(np.sum(fit.q_error_deg**2)),
+                "strokes_per_period_mm": 2.0
+                * float(np.polyval(table.p_mm_deg, 10.0) - np.polyval(table.p_mm_deg, 70.0)),
+                "refit_q_deg_mm": fit.q_deg_mm,
+                "refit_q_rmse_deg": rms(fit.q_error_deg),
+                "table_q_rmse_deg": rms(fit.table_q_error_deg),
+            },
+            "table1_g4": {
+                "refit_p_sse_mm2": g4.p_sse_mm2,
+                "refit_q_sse_deg2": g4.q_sse_deg2,
+                "refit_p_rmse_mm": math.sqrt(g4.p_sse_mm2 / g4.degrees_of_freedom),
+                "refit_q_rmse_deg": math.sqrt(g4.q_sse_deg2 / g4.degrees_of_freedom),
+            },
+            "fig9": {
+                "initial_error_mm": float(abs(error[0])),
+                "error_after_1s_mm": float(abs(np.interp(1.0, self.fig9.time_s, error))),
+                "final_error_mm": float(abs(error[-1])),
+            },
+            "fig12": {
+                name: asdict(tracked.metrics)
+                | {"controller": tracked.scenario.controller.model_dump(exclude_defaults=True)}
+                for name, tracked in self.fig12.items()
+            },
+            "fig13": {
+                "frequencies_hz": response.frequencies_hz,
+                "gain": response.gain,
+                "phase_deg": response.phase_deg,
+                "bandwidth_hz": response.bandwidth_hz,
+                "phase_at_bandwidth_deg": response.phase_at_bandwidth_deg,
+                "gain_spread": np.ptp(np.abs(response.response), axis=0),
+                "trials": [
+                    asdict(trial) | {"gain": np.abs(values)}
+                    for trial, values in zip(response.trials, response.response, strict=True)
+                ],
+            },
+            "scaling": {
+                name: {
+                    "bandwidth_hz": scaled.bandwidth_hz,
+                    "ratio": scaled.bandwidth_hz / self.scaling["nominal"].bandwidth_hz,
+                }
+                for name, scaled in self.scaling.items()
+            },
+            "speed_limit": {
+                "peak_command_at_0.1hz_rpm": peak_rpm,
+                "saturation_from_hz": saturation_hz,
+            },
+            "eq27_exact_states": {
+                name: {
+                    "growth_rate_per_s": growth_rate(run),
+                    "mean_command_change_rpm": to_rpm(
+                        mean_change(run["motor_speed_command_rad_s"])
+                    ),
+                }
+                for name, run in self.eq27_exact.items()
+            },
+            "eq27_differences": {
+                name: {
+                    "max_error_deg": tracked.metrics.max_error_deg,
+                    "rms_error_deg": tracked.metrics.rms_error_deg,
+                    "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
+                }
+                for name, tracked in self.eq27_differences.items()
+            },
+        }
 
-_STUDIES: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...] = (
+
+_RUNS: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...] = (
     ("fig9", partial(simulate, signals=("rod_reference", "rod_extension")), {"": IDEAL_SMC}),
     ("fig12", track, FIG_12),
     (
@@ -81,33 +163,33 @@ def _cost(task: partial[Any]) -> float:
     return simulation.duration_s / simulation.step_s
 
 
-def reproduce(
-    settings: SinestreamSettings = SinestreamSettings(),
+def reproduce_study(
+    scenario: Scenario = Scenario(),
+    settings: ReproduceSettings = ReproduceSettings(),
     *,
-    engine: Literal["compiled", "drake"] | None = None,
     workers: int | None = 1,
     executor: Executor | None = None,
     progress: bool = False,
 ) -> Reproduction:
-    """Run every study of the paper.
+    """Run every case of the paper's figures.
 
-    ``engine``: see `Scenario.with_engine`. ``workers`` (see `kneexo.sweeps.SweepOptions`) share
-    the work of Drake's Simulator; compiled equations take a second without them. An ``executor``
-    gets everything.
+    ``scenario`` is that of Fig. 13; the other cases (`kneexo.studies.paper`) take its engine.
+    ``workers`` (see `kneexo.sweeps.SweepOptions`) share the work of Drake's Simulator; compiled
+    equations take a second without them. An ``executor`` gets everything.
     """
+    engine: Literal["compiled", "drake"] = "compiled" if scenario.simulation.compiled else "drake"
     tasks = {
         (key, name): partial(run, case.with_engine(engine))
-        for key, run, cases in _STUDIES
+        for key, run, cases in _RUNS
         for name, case in cases.items()
     }
-    base = Scenario().with_engine(engine)
     processes = workers if engine == "drake" else 1
     with open_sweep(workers=processes, executor=executor, progress=progress) as sweep:
         values = sweep.map(
             _call, list(tasks.values()), "Fig. 9, Fig. 12, Eq. 27 at 2 ms", weight=_cost
         )
         measure = partial(sinestream, executor=sweep.executor, progress=progress)
-        response = measure(base, settings)
+        response = measure(scenario, settings)
         scaling = {}
         for name, (case, narrow) in FIG_13_SCALING.items():
             scaled = case.with_engine(engine)
@@ -154,86 +236,6 @@ def growth_rate(run: Run) -> float:
     level = [np.log(np.std(pressure[block]) + 1e-12) for block in blocks]
     centre = [float(np.mean(time[block])) for block in blocks]
     return float(np.polyfit(centre, level, 1)[0])
-
-
-def results(reproduction: Reproduction) -> dict[str, Any]:
-    """The content of ``results.json``: plain numbers, units in the names."""
-    table = RodPolynomialParameters()
-    fit, error = reproduction.fit, rod_error_mm(reproduction.fig9)
-    peak_rpm, saturation_hz = speed_demand()
-    response = reproduction.fig13
-    g4 = fit_polynomials(G4, start_deg=5.0, samples=FIG_5_POINTS)
-    return {
-        "table1": {
-            "x_at_10deg_mm": float(np.polyval(table.p_mm_deg, 10.0)),
-            "x_at_70deg_mm": float(np.polyval(table.p_mm_deg, 70.0)),
-            "linkage_rmse_mm": rms(fit.table_p_error_mm),
-            "linkage_max_mm": float(np.max(np.abs(fit.table_p_error_mm))),
-            "refit_p_mm_deg": fit.p_mm_deg,
-            "refit_p_rmse_mm": rms(fit.p_error_mm),
-            "refit_p_sse_mm2": float(np.sum(fit.p_error_mm**2)),
-            "refit_q_sse_deg2": float(np.sum(fit.q_error_deg**2)),
-            "strokes_per_period_mm": 2.0
-            * float(np.polyval(table.p_mm_deg, 10.0) - np.polyval(table.p_mm_deg, 70.0)),
-            "refit_q_deg_mm": fit.q_deg_mm,
-            "refit_q_rmse_deg": rms(fit.q_error_deg),
-            "table_q_rmse_deg": rms(fit.table_q_error_deg),
-        },
-        "table1_g4": {
-            "refit_p_sse_mm2": g4.p_sse_mm2,
-            "refit_q_sse_deg2": g4.q_sse_deg2,
-            "refit_p_rmse_mm": math.sqrt(g4.p_sse_mm2 / g4.degrees_of_freedom),
-            "refit_q_rmse_deg": math.sqrt(g4.q_sse_deg2 / g4.degrees_of_freedom),
-        },
-        "fig9": {
-            "initial_error_mm": float(abs(error[0])),
-            "error_after_1s_mm": float(abs(np.interp(1.0, reproduction.fig9.time_s, error))),
-            "final_error_mm": float(abs(error[-1])),
-        },
-        "fig12": {
-            name: asdict(tracked.metrics)
-            | {"controller": tracked.scenario.controller.model_dump(exclude_defaults=True)}
-            for name, tracked in reproduction.fig12.items()
-        },
-        "fig13": {
-            "frequencies_hz": response.frequencies_hz,
-            "gain": response.gain,
-            "phase_deg": response.phase_deg,
-            "bandwidth_hz": response.bandwidth_hz,
-            "phase_at_bandwidth_deg": response.phase_at_bandwidth_deg,
-            "gain_spread": np.ptp(np.abs(response.response), axis=0),
-            "trials": [
-                asdict(trial) | {"gain": np.abs(values)}
-                for trial, values in zip(response.trials, response.response, strict=True)
-            ],
-        },
-        "scaling": {
-            name: {
-                "bandwidth_hz": scaled.bandwidth_hz,
-                "ratio": scaled.bandwidth_hz / reproduction.scaling["nominal"].bandwidth_hz,
-            }
-            for name, scaled in reproduction.scaling.items()
-        },
-        "speed_limit": {
-            "peak_command_at_0.1hz_rpm": peak_rpm,
-            "saturation_from_hz": saturation_hz,
-        },
-        "eq27_exact_states": {
-            name: {
-                "growth_rate_per_s": growth_rate(run),
-                "mean_command_change_rpm": to_rpm(mean_change(run["motor_speed_command_rad_s"])),
-            }
-            for name, run in reproduction.eq27_exact.items()
-        },
-        "eq27_differences": {
-            name: {
-                "max_error_deg": tracked.metrics.max_error_deg,
-                "rms_error_deg": tracked.metrics.rms_error_deg,
-                "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
-            }
-            for name, tracked in reproduction.eq27_differences.items()
-        },
-    }
 
 
 FIG_12_TITLES = {

@@ -16,6 +16,7 @@ from itertools import islice, product
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
+import scipy
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.sensitivity import differentiable, loop_sensitivities, tracking_sensitivities
@@ -24,9 +25,7 @@ from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty
 from kneexo.parameters.paths import applicable, changed, value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 
@@ -103,7 +102,7 @@ def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, A
     entries = uncertainty.values.items()
     shares = np.random.default_rng(seed).random((count, len(entries)))
     return [
-        {path: one.at(float(share)) for (path, one), share in zip(entries, row, strict=True)}
+        {path: span.at(float(share)) for (path, span), share in zip(entries, row, strict=True)}
         for row in shares
     ]
 
@@ -113,12 +112,12 @@ def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> 
 
     Raises `ParameterError` for values that do not go together.
     """
-    known = {
+    nominal = {
         f"nominal.{path.removeprefix('plant.')}": value
         for path, value in values.items()
         if uncertainty.values[path].known
     }
-    return changed(scenario, {"nominal": scenario.believed_plant, **values, **known})
+    return changed(scenario, {"nominal": scenario.believed_plant, **values, **nominal})
 
 
 @needs_runs
@@ -137,11 +136,6 @@ def assess_plant(
     except ParameterError as error:
         return {"stable": None, "tracking_failure": str(error).removeprefix("Scenario: ")}
     return (yield from steps(judge, plant))
-
-
-def levels(one: Uncertainty) -> tuple[Any, ...]:
-    """The ends of an interval, or the options."""
-    return one.options or (one.low, one.high)
 
 
 def merit_value(visit: Visit, merit: str) -> float:
@@ -189,31 +183,27 @@ def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit
     the root of the share of their variance that lies between the options (no sign). What failed
     has the worst rank. nan for a figure that is the same everywhere.
     """
-    from scipy.stats import rankdata  # takes half a second, which workers need not wait
-
-    ranks = rankdata(merit_values(visits, merit)) - 0.5 * (len(visits) + 1)
+    ranks = scipy.stats.rankdata(merit_values(visits, merit)) - 0.5 * (len(visits) + 1)
     size = math.sqrt(ranks @ ranks)
     if size == 0.0:
         return np.full(len(uncertainty.values), math.nan)
 
-    def strength(path: str, one: Uncertainty) -> float:
-        own = [visit.values[path] for visit in visits]
-        if not one.options:
-            x = rankdata(own) - 0.5 * (len(visits) + 1)
+    def strength(path: str, span: Uncertainty) -> float:
+        values = [visit.values[path] for visit in visits]
+        if not span.options:
+            x = scipy.stats.rankdata(values) - 0.5 * (len(visits) + 1)
             return float(x @ ranks / (math.sqrt(x @ x) * size))
-        groups = np.array([one.options.index(value) for value in own])
+        groups = np.array([span.options.index(value) for value in values])
         sums = [ranks[groups == g].sum() ** 2 / np.sum(groups == g) for g in np.unique(groups)]
         return math.sqrt(sum(sums)) / size
 
-    return np.array([strength(path, one) for path, one in uncertainty.values.items()])
+    return np.array([strength(path, span) for path, span in uncertainty.values.items()])
 
 
-def chance(one: Uncertainty, count: int) -> float:
+def chance(span: Uncertainty, count: int) -> float:
     """What `rank_correlation` over ``count`` visits stays below by chance, with 95 % confidence."""
-    from scipy.stats import chi2
-
-    freedom = max(len(one.options), 2) - 1
-    return math.sqrt(chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
+    freedom = max(len(span.options), 2) - 1
+    return math.sqrt(scipy.stats.chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -248,8 +238,8 @@ class RobustnessStudy(Result):
         """The figure of merit at each level of one value, all others nominal, by path."""
         values = iter(merit_values(self.one_at_a_time, merit).tolist())
         return {
-            path: list(islice(values, len(levels(one))))
-            for path, one in self.uncertainty.values.items()
+            path: list(islice(values, len(span.levels)))
+            for path, span in self.uncertainty.values.items()
         }
 
     def spread(self, merit: str, path: str) -> float:
@@ -260,12 +250,12 @@ class RobustnessStudy(Result):
     def linear_effect(self, merit: str, path: str) -> float:
         """What the local sensitivity makes of the whole interval, low to high; nan without one."""
         slope = self.local.get(merit, {}).get(path, math.nan)
-        one = self.uncertainty.values[path]
-        if one.low is None or one.high is None:
+        span = self.uncertainty.values[path]
+        if span.low is None or span.high is None:
             return math.nan
-        if one.scale == "log":
-            return float(slope * value_at(self.scenario, path) * math.log(one.high / one.low))
-        return slope * (one.high - one.low)
+        if span.scale == "log":
+            return float(slope * value_at(self.scenario, path) * math.log(span.high / span.low))
+        return slope * (span.high - span.low)
 
     def correlations(self) -> dict[str, dict[str, float]]:
         """`rank_correlation` over the samples, by figure and path."""
@@ -375,12 +365,14 @@ def _explore(
     at_nominal = visit([{}], "nominal")[0]
     nominal = at_nominal.figures
     missing |= {name: math.nan for name, value in nominal.items() if isinstance(value, float)}
-    each = [{path: level} for path, one in kept.values.items() for level in levels(one)]
+    each = [{path: level} for path, span in kept.values.items() for level in span.levels]
     singly = visit(each, "one at a time")
     samples = visit(draw(kept, settings.samples, settings.seed), "samples")
     merits = [name for name in MERITS if name in nominal]
     corners, settled = _corners(kept, merits, singly, settings, partial(visit, what="corners"))
-    paths = [p for p, one in kept.values.items() if not one.options and differentiable(scenario, p)]
+    paths = [
+        p for p, span in kept.values.items() if not span.options and differentiable(scenario, p)
+    ]
     local: dict[str, dict[str, float]] = {}
     troubles = []
     if paths:
@@ -398,7 +390,7 @@ def _explore(
         one_at_a_time=singly,
         samples=samples,
         corners=corners,
-        corners_possible=math.prod(len(levels(one)) for one in kept.values.values()),
+        corners_possible=math.prod(len(span.levels) for span in kept.values.values()),
         corners_settled=settled,
         local=local,
         local_failures=tuple(troubles),
@@ -433,14 +425,14 @@ def _corners(
     in one value, until none is worse; then random ones.
     """
     entries = uncertainty.values
-    sizes = [len(levels(one)) for one in entries.values()]
+    sizes = [len(span.levels) for span in entries.values()]
     visited: dict[Corner, Visit] = {}
 
     def go(corners: Iterable[Corner]) -> None:
         new = list(dict.fromkeys(corner for corner in corners if corner not in visited))
         new = new[: settings.corners_max - len(visited)]
         points = [
-            {path: levels(one)[i] for (path, one), i in zip(entries.items(), corner, strict=True)}
+            {path: span.levels[i] for (path, span), i in zip(entries.items(), corner, strict=True)}
             for corner in new
         ]
         visited.update(zip(new, visit(points), strict=True))
@@ -466,12 +458,12 @@ def _pointed_at(
 ) -> Iterator[Corner]:
     """Corners at the ends that are worse one at a time, for all options and figures of merit."""
     one_by_one = iter(singly)
-    own = [list(islice(one_by_one, len(levels(one)))) for one in uncertainty.values.values()]
+    groups = [list(islice(one_by_one, len(span.levels))) for span in uncertainty.values.values()]
     for merit in merits:
         choices = []
-        for one, visits in zip(uncertainty.values.values(), own, strict=True):
+        for span, visits in zip(uncertainty.values.values(), groups, strict=True):
             bad = MERITS[merit].worse * merit_values(visits, merit)
-            choices.append(range(len(visits)) if one.options else [int(np.argmax(bad))])
+            choices.append(range(len(visits)) if span.options else [int(np.argmax(bad))])
         yield from product(*choices)
 
 

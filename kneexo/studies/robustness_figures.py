@@ -92,7 +92,7 @@ def tornado(study: RobustnessStudy) -> Figure:
     for ax, merit in zip(axes[0], merits, strict=True):
         _plot_tornado(ax, study, merit, names)
     entries = {"low end": "C0<", "high end": "C1>"}
-    options = max(len(one.options) for one in study.uncertainty.values.values())
+    options = max(len(span.options) for span in study.uncertainty.values.values())
     entries |= {f"option {n + 1}": f"C{n}{'os^Dv'[n % 5]}" for n in range(min(options, 5))}
     if any(np.isinf(merit_values(study.one_at_a_time, merit)).any() for merit in merits):
         entries["fails or is unstable"] = "C3x"
@@ -112,14 +112,14 @@ def _plot_tornado(ax: Axes, study: RobustnessStudy, merit: str, names: dict[str,
     margin = 0.15 * (high - low) or 0.1 * abs(high) or 1.0
     failed_at = high + margin if MERITS[merit].worse > 0.0 else low - margin
     for row, path in enumerate(order):
-        one, values = study.uncertainty.values[path], effects[path]
+        span, values = study.uncertainty.values[path], effects[path]
         ends = [v for v in [*values, nominal] if math.isfinite(v)]
         if ends:
             ax.plot([min(ends), max(ends)], [row, row], color="0.8", lw=7, solid_capstyle="butt")
         for index, value in enumerate(values):
             at, colour = (value, f"C{index}") if math.isfinite(value) else (failed_at, "C3")
             marker = (
-                ("<>"[index] if not one.options else "os^Dv"[index % 5]) if at == value else "x"
+                ("<>"[index] if not span.options else "os^Dv"[index % 5]) if at == value else "x"
             )
             ax.plot([at], [row], marker, color=colour, ms=5)
     if math.isfinite(nominal):
@@ -142,7 +142,8 @@ def importance(study: RobustnessStudy) -> Figure:
     )
     chosen = np.array([bool(study.uncertainty.values[path].options) for path in names])
     labels = [
-        name + (" (η)" if own else "") for name, own in zip(names.values(), chosen, strict=True)
+        name + (" (η)" if has_options else "")
+        for name, has_options in zip(names.values(), chosen, strict=True)
     ]
     _plot_table(axes[0], ranks, merits, labels, chosen)
     axes[0].set_title("rank correlation over the samples, ρ or η", fontsize=9)
@@ -237,7 +238,7 @@ def _loop(study: RobustnessStudy, visit: Visit) -> SampledLoop | None:
     """The linear loop of a visit, as `kneexo.analysis.assess` takes it; None when there is none."""
     try:
         plant = realize(study.scenario, study.uncertainty, visit.values)
-        return linearize_loop(plant, 0.5 * sum(plant.reference.range_deg))
+        return linearize_loop(plant, plant.reference.middle_deg)
     except KneexoError:
         return None
 

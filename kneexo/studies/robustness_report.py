@@ -29,7 +29,7 @@ def report(study: RobustnessStudy) -> str:
     law, reference = study.scenario.controller.kind, study.scenario.reference
     low, high = reference.range_deg
     names = short_names(study.uncertainty.values)
-    known = [names[path] for path, one in study.uncertainty.values.items() if one.known]
+    knowledge = [names[path] for path, span in study.uncertainty.values.items() if span.known]
     left_out = ", ".join(study.left_out)
     merits = [m for m in ("max_error_deg", "bandwidth_hz", "disk_margin") if m in study.merits]
     return document(
@@ -37,7 +37,7 @@ def report(study: RobustnessStudy) -> str:
         f"Controller {law}, reference {reference.kind} {low:g} … {high:g} deg, "
         f"{study.scenario.simulation.duration_s:g} s. {len(names)} uncertain values; the "
         f"controller believes in the nominal plant"
-        + (f", but knows {', '.join(known)}." if known else ".")
+        + (f", but knows {', '.join(knowledge)}." if knowledge else ".")
         + (f" Not in this scenario, left out: {left_out}." if left_out else ""),
         _distribution_table(study),
         *_failure_texts(study),

@@ -54,9 +54,7 @@ from kneexo.parameters.quantity import (
     require_increasing,
 )
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.studies import size_results
 from kneexo.sweeps import SweepOptions, open_sweep
 
@@ -471,14 +469,14 @@ def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: 
 
 def _best(gains: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
     """Gains with the least error among those that meet the demands, else among all that walk."""
-    walk_at_all = [one for one in gains if not math.isnan(one["max_error_deg"])]
+    walk_at_all = [row for row in gains if not math.isnan(row["max_error_deg"])]
     if not walk_at_all:
         raise ParameterError(
             f"none of {len(gains)} gains lets the knee walk; widen lambda_per_s, slope_per_s or "
             f"observer_s (the last run: {gains[-1]['failure']})"
         )
-    candidates = [one for one in walk_at_all if one["meets"]] or walk_at_all
-    return min(candidates, key=lambda one: float(one["max_error_deg"]))
+    candidates = [row for row in walk_at_all if row["meets"]] or walk_at_all
+    return min(candidates, key=lambda row: float(row["max_error_deg"]))
 
 
 def _design(
@@ -534,7 +532,7 @@ def _variations(
     }
     load = design.plant.load
     if isinstance(load, KneeLoadParameters):
-        middle = np.radians(0.5 * sum(gait_reference().range_deg))
+        middle = np.radians(gait_reference().middle_deg)
         arm = float(moment_arm_m(design, middle))
         mass = load.segment_mass_kg * (load.centre_of_mass_m / arm) ** 2
         variations[f"reduced order, moving mass {mass:.1f} kg (m l²/r² at mid-range)"] = {

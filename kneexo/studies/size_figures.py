@@ -24,7 +24,7 @@ from kneexo.analysis.hardware import (
 )
 from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
-from kneexo.simulation.run import Array
+from kneexo.simulation import Array
 from kneexo.studies.plots import CENTRED, decimal_ticks, heat_map, legend_below, plain_ticks
 from kneexo.studies.size import SizeStudy
 
@@ -52,7 +52,7 @@ def _sweeps(sizing: SizeStudy) -> Figure:
     )
     for axis, (sweeps, factors, merit, label) in zip(axes, panels, strict=True):
         for (path, sweep), style in zip(sweeps.items(), _STYLES, strict=True):
-            values = [one[merit] for one in sweep]
+            values = [row[merit] for row in sweep]
             axis.plot(factors, values, style, ms=4.5, lw=1.2, label=HARDWARE[path][0])
         axis.set(xscale="log", yscale="log", xlabel="factor on the value", ylabel=label)
         plain_ticks(axis.xaxis, factors[::2])
@@ -63,7 +63,7 @@ def _sweeps(sizing: SizeStudy) -> Figure:
         (DISPLACEMENT, "k--", "bound: pump displacement"),
         (ACCELERATION_LIMIT, "k:", "bound: acceleration limit"),
     ):
-        bound = [one["expected_bandwidth_hz"] for one in sizing.sweeps[path]]
+        bound = [row["expected_bandwidth_hz"] for row in sizing.sweeps[path]]
         axes[0].plot(settings.factors, bound, style, lw=1.2, label=label)
     bound_label = f"(c) bound of the paper, {settings.error_bound_deg:g}°"
     axes[2].axhline(settings.error_bound_deg, color="0.4", ls="--", lw=1, label=bound_label)
@@ -152,7 +152,7 @@ def _gains(sizing: SizeStudy) -> Figure:
     settings = sizing.settings
     shape = (len(settings.observer_s), len(settings.slope_per_s), len(settings.lambda_per_s))
     errors, margins, meets = (
-        np.reshape([one[name] for one in sizing.gains], shape)
+        np.reshape([row[name] for row in sizing.gains], shape)
         for name in ("max_error_deg", "disk_margin", "meets")
     )
     figure, axes = plt.subplots(
@@ -242,7 +242,9 @@ def _demand(sizing: SizeStudy) -> Figure:
     reach = 1e3 * rod_limits(sizing.scenario)[0]
     axes[0, 0].axhspan(-reach, reach, color="0.8", label="reach of the hardware as it is")
     needed = [("C0", "needed, moving mass of Eq. 16", sizing.demands[0])]
-    needed += [("C1", "needed, inertia of the shank", one) for one in sizing.segment_demands[:1]]
+    needed += [
+        ("C1", "needed, inertia of the shank", demand) for demand in sizing.segment_demands[:1]
+    ]
     for color, label, demand in needed:
         lw = 3.0 if color == "C0" else 1.3  # speed and flow of both coincide
         x = demand.cycle_percent

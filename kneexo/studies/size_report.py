@@ -42,11 +42,11 @@ def _hardware_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
     for path, sweep in numbers["sweeps"].items():
         label, unit, _ = HARDWARE[path]
         measured += [
-            (f"{label} {one['value']:.4g} {unit}".rstrip(), one)
-            for one in sweep
-            if one["factor"] in shown
+            (f"{label} {row['value']:.4g} {unit}".rstrip(), row)
+            for row in sweep
+            if row["factor"] in shown
         ]
-    failures = [f"- {name}: {one['failure']}" for name, one in measured if one["failure"]]
+    failures = [f"- {name}: {row['failure']}" for name, row in measured if row["failure"]]
     return [
         "# Sizing",
         "## What sets bandwidth and error",
@@ -64,7 +64,7 @@ def _hardware_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
         f"largest at {reference.frequency_hz:g} Hz after the first period.",
         markdown_table(
             ("hardware", "bound (Hz)", "small signal (Hz)", "measured −3 dB (Hz)", "error (deg)"),
-            [[name, *(number(one[key]) for key in _AT_REFERENCE)] for name, one in measured],
+            [[name, *(number(row[key]) for key in _AT_REFERENCE)] for name, row in measured],
         ),
         "– is a figure that does not exist (a gain that does not fall by 3 dB) or a run that failed"
         + (":" if failures else "."),
@@ -137,7 +137,7 @@ def _walked(numbers: Mapping[str, Any], names: Sequence[str]) -> list[str]:
 
 
 def _controller_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
-    best, settings, own = numbers["best_gains"], sizing.settings, numbers["controller"]
+    best, settings, control = numbers["best_gains"], sizing.settings, numbers["controller"]
     scenario, as_it_is = sizing.scenario, next(iter(numbers["steps"].values()))[0]
     law = sliding_mode(scenario)
     names = ("max_error_deg", "rms_error_deg")
@@ -152,7 +152,7 @@ def _controller_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
         + ("" if f"{old:.3g}" == f"{new:.3g}" else f" → {new:.3g} {unit}")
         for name, unit, old, new in (
             ("λ", "1/s", law.lambda_per_s, best["lambda_per_s"]),
-            ("k/Φ", "1/s", own["slope_per_s"], best["slope_per_s"]),
+            ("k/Φ", "1/s", control["slope_per_s"], best["slope_per_s"]),
             ("T_f", "ms", 1e3 * observer, 1e3 * best["observer_s"]),
         )
     ]
@@ -177,11 +177,12 @@ def _controller_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
             ],
         ),
         f"The delay τ from command to motor speed asks of βη τ ω̂² |ẍ_d| = "
-        f"{own['authority_asked_m_s3']:.2g} m/s³; the controller has {own['authority_m_s3']:.2g}, "
-        f"so η must grow with the flow. Then the linear loop alone, without any limit, errs by "
-        f"{own['linear_error_deg']:.1f}° at {sizing.demands[0].frequency_hz:.4g} Hz, and by "
-        f"{own['linear_error_tuned_deg']:.2f}° with {'; '.join(changes)}: {with_margin}. λ raises "
-        f"the loop's bandwidth, and k/Φ must fall for the margin that λ takes.",
+        f"{control['authority_asked_m_s3']:.2g} m/s³; the controller has "
+        f"{control['authority_m_s3']:.2g}, so η must grow with the flow. Then the linear loop "
+        f"alone, without any limit, errs by {control['linear_error_deg']:.1f}° at "
+        f"{sizing.demands[0].frequency_hz:.4g} Hz, and by "
+        f"{control['linear_error_tuned_deg']:.2f}° with {'; '.join(changes)}: {with_margin}. λ "
+        f"raises the loop's bandwidth, and k/Φ must fall for the margin that λ takes.",
     ]
 
 
@@ -240,7 +241,7 @@ def _around_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
     columns = (*names, "peak_shaft_power_w", "delivered_energy_j")
     kept = []
     for path, sweep in numbers["walking_sweeps"].items():
-        good = [one["factor"] for one in sweep if one["max_error_deg"] <= bound]
+        good = [row["factor"] for row in sweep if row["max_error_deg"] <= bound]
         shown = f"{min(good):g} … {max(good):g}" if good else "none"
         kept.append([HARDWARE[path][0], shown])
     tried = sizing.settings.walking_factors
@@ -255,7 +256,7 @@ def _around_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
         "Walking on plants that the controller does not know of:",
         markdown_table(
             ("plant", *(_WALKING[name][0] for name in columns)),
-            [[name, *_walked(one, columns)] for name, one in numbers["variations"].items()],
+            [[name, *_walked(row, columns)] for name, row in numbers["variations"].items()],
         ),
         f"Factors on one of its values, of those tried in {min(tried):g} … {max(tried):g}, that "
         f"keep the error within {bound:g}°:",

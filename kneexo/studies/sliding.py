@@ -46,9 +46,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
-from kneexo.simulation.coroutines import Steps, steps
-from kneexo.simulation.engines import needs_runs, simulate
-from kneexo.simulation.run import Array, Run
+from kneexo.simulation import Array, Run, Steps, needs_runs, simulate, steps
 from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.systems.knee_coordinates import rod_derivatives

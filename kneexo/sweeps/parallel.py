@@ -153,9 +153,9 @@ def _require_this_version(client: Any, address: str) -> None:
         raise WorkerError(
             f"the Dask cluster {address} has no workers (waited for {CONNECT_S:g} s)"
         ) from None
-    for worker, found in client.run(version, on_error="return").items():
-        if found != __version__:
-            has = f"kneexo {found}" if isinstance(found, str) else f"no kneexo ({found})"
+    for worker, answer in client.run(version, on_error="return").items():
+        if answer != __version__:
+            has = f"kneexo {answer}" if isinstance(answer, str) else f"no kneexo ({answer})"
             raise WorkerError(
                 f"the Dask worker {worker} has {has}: must have kneexo {__version__}, as this "
                 f"process has"
@@ -201,7 +201,7 @@ def parallel_map(
     keys = [] if checkpoint is None else piece_keys(function, items)
     results: dict[int, Result] = {}
 
-    def done(index: int, result: Result) -> None:
+    def keep(index: int, result: Result) -> None:
         results[index] = result if checkpoint is None else checkpoint.keep(keys[index], result)
         advance(index)
 
@@ -225,17 +225,17 @@ def parallel_map(
                 advance(index)
         order = sorted(set(range(len(items))) - set(results), key=lambda n: (-weight(items[n]), n))
         if pool is not None:
-            _by_executor(function, items, order, pool, done)
+            _by_executor(function, items, order, pool, keep)
         elif is_coroutine(function):
             units = _Units(order, _first_unit(function, len(order), 1))
             while unit := units.take(LARGEST_LOT):
                 end = time.perf_counter() + UNIT_S
                 for position, result in together(function, [items[index] for index in unit]):
-                    done(unit[position], result)
+                    keep(unit[position], result)
                 units.give_back([], len(unit), time.perf_counter() < end)
         else:
             for index in order:
-                done(index, function(items[index]))
+                keep(index, function(items[index]))
     return [results[index] for index in range(len(items))]
 
 
@@ -285,9 +285,9 @@ def _by_executor(
     items: Sequence[Item],
     order: Sequence[int],
     executor: Executor,
-    done: Callable[[int, Result], None],
+    keep: Callable[[int, Result], None],
 ) -> None:
-    """Run the items of the indices ``order``; ``done`` gets index and result of each."""
+    """Run the items of the indices ``order``; ``keep`` gets index and result of each."""
     workers = getattr(executor, "_max_workers", _WORKERS)
     most = _UNITS_PER_WORKER * workers
     units = _Units(order, _first_unit(function, len(order), workers))
@@ -306,7 +306,7 @@ def _by_executor(
             results, in_time = future.result()
             units.give_back(unit[len(results) :], len(results), in_time)
             for index, result in zip(unit, results, strict=False):
-                done(index, result)
+                keep(index, result)
     except (BrokenExecutor, CancelledError):
         raise WorkerError("a worker process died (out of memory?); use fewer workers") from None
     finally:

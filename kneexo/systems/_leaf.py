@@ -10,8 +10,7 @@ from functools import cache
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Self
 
-from pydrake.math import max as _max
-from pydrake.math import min as _min
+from pydrake.math import max as _max, min as _min
 from pydrake.symbolic import Expression, if_then_else
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
@@ -145,6 +144,7 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
 
     @TemplateSystem.define(f"{component.__name__}_", scope=sys.modules[component.__module__])
     def template(scalar: Any) -> Any:
+        # mypy knows no base class that is a value.
         class Impl(component, LeafSystem_[scalar]):  # type: ignore[misc, valid-type]
             __doc__ = component.__doc__
             _scalar = scalar

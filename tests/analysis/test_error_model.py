@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from kneexo.analysis.error_model import compare_error, error_model
 from kneexo.analysis.sampled_loop import linearize_loop

@@ -1,7 +1,10 @@
 """Shared by the tests of compilation: IR text as functions, an interpreter, and a diagram."""
 
 import ctypes
+import itertools
 import math
+import shutil
+import subprocess
 from collections import Counter
 from fractions import Fraction
 from functools import reduce
@@ -373,3 +376,104 @@ def multirate():
         log = LogVectorOutput(system.get_output_port(), builder, publish_period=0.002)
         log.set_name(f"log_{name}")
     return builder.Build()
+
+
+# ---------------------------------------------------------------------------- exported code
+
+
+class _Built:
+    """An exported model as shared library: one instance of it."""
+
+    def __init__(self, source, folder):
+        self.source = source
+        for name, text in source.files().items():
+            (folder / name).write_text(text)
+        real = {"double": ctypes.c_double, "float": ctypes.c_float}[source.precision]
+        integers = source.interface.integers
+
+        def structure(fields):
+            kinds = [(name, ctypes.c_int32 if port in integers else real) for port, name in fields]
+            return type("Structure", (ctypes.Structure,), {"_fields_": kinds})
+
+        self.inputs = structure(source.input_fields or [("", "none")])()
+        self.outputs = structure(source.output_fields or [("", "none")])()
+        self.library = c_library(folder, *(name for name in source.files() if name.endswith(".c")))
+        self.state = ctypes.create_string_buffer(2 * source.state_bytes + 64)
+        self.params = ctypes.c_char.in_dll(self.library, f"{source.name}_params")
+
+    def _call(self, name, *arguments):
+        return getattr(self.library, f"{self.source.name}_{name}")(*map(ctypes.byref, arguments))
+
+    def set(self, values):
+        """Take the inputs in their order."""
+        for (port, name), value in zip(self.source.input_fields, values, strict=True):
+            whole = port in self.source.interface.integers
+            setattr(self.inputs, name, int(value) if whole else value)
+
+    def get(self):
+        """The outputs in their order."""
+        return [getattr(self.outputs, name) for _, name in self.source.output_fields]
+
+    def init(self, values=()):
+        """Start with these inputs; returns the status."""
+        self.set(values)
+        return self._call("init", self.state, self.params, self.inputs)
+
+    def step(self, values=()):
+        """Go over a tick with these inputs; returns the status."""
+        self.set(values)
+        return self._call("step", self.params, self.state, self.inputs, self.outputs)
+
+    def now(self, values=()):
+        """Set the outputs at the present state; returns the status."""
+        self.set(values)
+        return self._call("outputs", self.params, self.state, self.inputs, self.outputs)
+
+    def replay(self, inputs):
+        """Outputs of each step (steps, output elements); every status must be 0."""
+        assert self.init(inputs[0]) == 0
+        rows = []
+        for values in inputs:
+            assert self.step(values) == 0
+            rows.append(self.get())
+        return np.array(rows)
+
+
+def c_library(folder, *sources, options=("-O1", "-Wall", "-Wextra", "-Werror")):
+    """C files of a folder as a shared library, without contraction of products and sums."""
+    compiler = shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        pytest.skip("needs a C compiler, gcc or clang")
+    flags = ("-std=c99", "-ffp-contract=off", "-shared", "-fPIC", *options)
+    command = [compiler, *flags, *sources, "-o", "library.so", "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(str(folder / "library.so"))
+
+
+@pytest.fixture
+def built(tmp_path):
+    """``built(source)``: an exported model as a library."""
+    folders = (tmp_path / f"model{number}" for number in itertools.count())
+
+    def build(source):
+        folder = next(folders)
+        folder.mkdir()
+        return _Built(source, folder)
+
+    return build
+
+
+@pytest.fixture
+def c_text(tmp_path):
+    """``c_text(text)``: a C file as a library."""
+    numbers = itertools.count()
+
+    def build(text):
+        number = next(numbers)
+        folder = tmp_path / f"text{number}"
+        folder.mkdir()
+        (folder / "text.c").write_text(text)
+        return c_library(folder, "text.c")
+
+    return build

@@ -36,8 +36,7 @@ from kneexo.compilation import (
 from kneexo.compilation.equations import read_equations
 from kneexo.compilation.machine_code import equations_key
 from kneexo.compilation.passes import Program
-from kneexo.compilation.runner import BufferPool
-from kneexo.compilation.runner import timing as timing_of
+from kneexo.compilation.runner import BufferPool, timing as timing_of
 from kneexo.compilation.time_loop import run_text
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import CompilationError, ParameterError, ScenarioError, SimulationError

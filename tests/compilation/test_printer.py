@@ -6,8 +6,7 @@ import platform
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 import kneexo.compilation.native as native
 from kneexo.compilation.equations import Equations

@@ -1,8 +1,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from matplotlib.colors import LogNorm, Normalize
 
 from kneexo.studies.plots import cell_borders, decimal_ticks, heat_map, plain_ticks

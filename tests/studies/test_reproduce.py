@@ -23,7 +23,6 @@ from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12, 
 from kneexo.studies.reproduce import (
     Reproduction,
     growth_rate,
-    results,
     rod_error_mm,
     speed_demand,
 )
@@ -124,7 +123,7 @@ def known():
 
 
 def test_every_number_of_the_results_is_the_one_that_its_name_says(known, flat, check_rules):
-    numbers = json.loads(to_json(results(known)))
+    numbers = json.loads(to_json(known.results()))
     check_rules(numbers)
     peak_rpm, saturation_hz = speed_demand()
     growth = [case.pop("growth_rate_per_s") for case in numbers["eq27_exact_states"].values()]
@@ -241,8 +240,8 @@ PAPER = {
 
 
 def test_the_report_has_each_number_of_the_paper_beside_ours(known, tables):
-    numbers = results(known)
-    comparison, *_ = tables(report(numbers))
+    numbers = known.results()
+    comparison, *_ = tables(report(known))
     assert comparison[0][:5] == ["quantity", "unit", "paper", "kneexo", "difference"]
     for (path, paper), row in zip(PAPER.items(), comparison[1:], strict=True):
         ours = reduce(dict.__getitem__, path, numbers)
@@ -259,8 +258,7 @@ def test_the_report_has_each_number_of_the_paper_beside_ours(known, tables):
 
 
 def test_the_other_tables_of_the_report_are_those_of_the_results(known, tables):
-    numbers = results(known)
-    _, quintics, controllers, exact, differences = tables(report(numbers))
+    _, quintics, controllers, exact, differences = tables(report(known))
     p, q = RodPolynomialParameters().p_mm_deg, RodPolynomialParameters().q_deg_mm
     for n, row in enumerate(quintics[1:]):
         assert (row[0], row[3]) == (f"p_{n + 1}", f"q_{n + 1}")
@@ -281,7 +279,7 @@ def test_the_other_tables_of_the_report_are_those_of_the_results(known, tables):
 
 
 def test_the_words_about_the_speed_limit_have_its_numbers(known):
-    text = report(results(known))
+    text = report(known)
     peak_rpm, saturation_hz = speed_demand()
     for said in (f"{peak_rpm:.0f} rpm", f"{saturation_hz:.3f} Hz", "1700 rpm", "16.0 %"):
         assert said in text

@@ -13,8 +13,7 @@ from functools import partial, reduce
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.stats import spearmanr
 
 from kneexo.analysis.assessment import assess

@@ -9,8 +9,7 @@ from io import FileIO
 from types import MappingProxyType
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from kneexo.errors import OutputError
 from kneexo.parameters import CylinderParameters, Scenario

@@ -18,8 +18,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later

@@ -1,0 +1,109 @@
+"""What compilers say of an exported model: differences on this machine, size on a target."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from kneexo.errors import CompilationError
+
+COMPILERS = ("cc", "gcc", "clang")
+"""Compilers for this machine, in the order in which they are looked for."""
+
+TARGETS = {
+    "Cortex-M4F": "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16",
+    "Cortex-M7": "-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-d16",
+}
+"""Options of arm-none-eabi-gcc for each target."""
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Largest difference and largest value of each output over the test vectors."""
+
+    difference: dict[str, float]
+    largest: dict[str, float]
+    passed: bool
+
+
+@dataclass(frozen=True)
+class CodeSize:
+    """Bytes on a target, without those of the C library."""
+
+    flash: int
+    """Code and constants, parameters among them."""
+    stack: int
+    """Of a step: its own frame and those of all functions that it may call."""
+
+
+def replay(name: str, files: Mapping[str, str]) -> Replay | None:
+    """Build the harness for this machine and run it; None without a compiler.
+
+    Raises `CompilationError` when it does not build or a step fails.
+    """
+    compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
+    if compiler is None:
+        return None
+    with _written(files) as folder:
+        sources = sorted(file for file in files if file.endswith(".c"))
+        _run(folder, compiler, *FLAGS, *sources, "-o", "harness", "-lm")
+        done = subprocess.run([folder / "harness"], capture_output=True, text=True, check=False)
+    rows = re.findall(r"^(\w+): difference (\S+), largest value (\S+)$", done.stdout, re.MULTILINE)
+    if not rows:
+        raise CompilationError(f"{name}: the harness printed no difference")
+    return Replay(
+        {field: float(difference) for field, difference, _ in rows},
+        {field: float(largest) for field, _, largest in rows},
+        done.returncode == 0,
+    )
+
+
+def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
+    """Flash and stack on each of `TARGETS`; nothing without arm-none-eabi-gcc."""
+    compiler, size = map(shutil.which, ("arm-none-eabi-gcc", "arm-none-eabi-size"))
+    if compiler is None or size is None:
+        return {}
+    sizes = {}
+    for target, options in TARGETS.items():
+        with _written(files) as folder:
+            objects = []
+            for source in (f"{name}.c", f"{name}_params.c"):
+                flags = (*FLAGS, *options.split(), "-fstack-usage")
+                _run(folder, compiler, *flags, "-c", source)
+                objects.append(source.replace(".c", ".o"))
+            table = _run(folder, size, *objects).splitlines()[1:]
+            usage = (folder / f"{name}.su").read_text()
+        stack = {
+            line.split(":")[3].split("\t")[0]: int(line.split("\t")[1])
+            for line in usage.splitlines()
+        }
+        outside = (f"{name}_init", f"{name}_update_parameters", f"{name}_outputs")
+        sizes[target] = CodeSize(
+            sum(int(line.split()[0]) for line in table),
+            sum(bytes_ for function, bytes_ in stack.items() if function not in outside),
+        )
+    return sizes
+
+
+@contextmanager
+def _written(files: Mapping[str, str]) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="kneexo-") as folder:
+        for name, text in files.items():
+            Path(folder, name).write_text(text, encoding="utf-8")
+        yield Path(folder)
+
+
+def _run(folder: Path, *command: str) -> str:
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode:
+        line = (done.stderr.splitlines() or ["no message"])[0]
+        raise CompilationError(f"{Path(command[0]).name}: {line}")
+    return done.stdout

@@ -1,0 +1,190 @@
+"""Folders of exported models: vectors, harness, build files, refusals."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from pydrake.systems.primitives import LinearSystem, Sine
+
+from kneexo.compilation import export_c
+from kneexo.compilation.c_build import CodeSize, Replay, code_sizes, replay
+from kneexo.compilation.c_export import exported, recorded_vectors, source_of, write_folder
+from kneexo.compilation.model import compile_diagram
+from kneexo.errors import CompilationError, OutputError
+
+needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
+FILES = {
+    *("filter.c", "filter.h", "filter_params.c", "filter_vectors.c", "filter_vectors.h"),
+    *("filter_test.c", "Makefile", "CMakeLists.txt", "README.md"),
+}
+
+
+def low_pass(feedthrough=0.0):
+    """Y = x + d u, x⁺ = 0.5 x + u every 10 ms."""
+    system = LinearSystem(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[feedthrough]], time_period=0.01)
+    system.set_name("low_pass")
+    return system
+
+
+SAMPLES = np.arange(1.0, 21.0)[:, None]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    path = tmp_path / "out"
+    export_c(low_pass(), path, name="filter", inputs=["u0"], samples=SAMPLES)
+    return path
+
+
+def test_vectors_are_the_outputs_after_each_step():
+    for feedthrough in (0.0, 3.0):
+        model = compile_diagram(low_pass(feedthrough), inputs=["u0"])
+        vectors = recorded_vectors(low_pass(feedthrough), source_of(model, "m"), SAMPLES)
+        x, expected = 0.0, []
+        for (u,) in SAMPLES:
+            x = 0.5 * x + u
+            expected.append([x + feedthrough * u])
+        np.testing.assert_allclose(vectors.outputs, expected, rtol=1e-15)
+        np.testing.assert_array_equal(vectors.inputs, SAMPLES)
+
+
+def test_inputs_that_vary_need_a_diagram_without_sample_times_or_without_states(multirate):
+    from pydrake.systems.framework import DiagramBuilder
+
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("plant", LinearSystem(A=[[-1.0]], B=[[1.0]], C=[[1.0]], D=[[0]]))
+    law = builder.AddNamedSystem("law", low_pass())
+    builder.Connect(plant.get_output_port(), law.get_input_port())
+    builder.ExportInput(plant.get_input_port(), "u")
+    builder.ExportOutput(law.get_output_port(), "y")
+    diagram = builder.Build()
+    source = source_of(compile_diagram(diagram, inputs=["u"]), "m")
+    constant = np.full((50, 1), 2.0)
+    assert np.ptp(recorded_vectors(diagram, source, constant).outputs) > 0.0
+    with pytest.raises(CompilationError, match="test vectors need inputs that are constant"):
+        recorded_vectors(diagram, source, SAMPLES)
+
+
+@needs_compiler
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_the_harness_reports_differences(precision, tmp_path):
+    source = source_of(compile_diagram(low_pass(), inputs=["u0"]), "filter", precision=precision)
+    vectors = recorded_vectors(low_pass(), source, SAMPLES)
+    files, measurement = exported(source, vectors)
+    assert set(files) == FILES
+    (difference,) = measurement.replay.difference.values()
+    assert measurement.replay.passed
+    assert difference <= 1e-5
+    assert measurement.replay.largest["y0"] == pytest.approx(vectors.outputs.max(), rel=1e-5)
+    # A vector that is wrong by 1 % is found, and by how much.
+    right = vectors.outputs[4, 0]
+    vectors.outputs[4, 0] *= 1.01
+    wrong = exported(source, vectors)[1].replay
+    assert not wrong.passed
+    assert wrong.difference["y0"] == pytest.approx(0.01 * right, rel=1e-3)  # three digits
+
+
+@needs_compiler
+def test_make_and_cmake_build_the_folder(folder):
+    made = subprocess.run(["make", "test"], cwd=folder, capture_output=True, text=True, check=True)
+    assert "20 steps, 0 failures" in made.stdout
+    assert {path.name for path in folder.iterdir()} == FILES | {"build"}
+    subprocess.run(["make", "clean"], cwd=folder, capture_output=True, check=True)
+    if shutil.which("cmake"):
+        for command in (["cmake", "-B", "build"], ["cmake", "--build", "build"]):
+            subprocess.run(command, cwd=folder, capture_output=True, check=True)
+        subprocess.run(
+            ["ctest", "--test-dir", "build"], cwd=folder, capture_output=True, check=True
+        )
+    # A build does not stand in the way of the next export.
+    export_c(low_pass(), folder, name="filter", inputs=["u0"], samples=SAMPLES)
+
+
+def test_the_readme_tells_what_was_measured(folder):
+    text = (folder / "README.md").read_text()
+    source = source_of(compile_diagram(low_pass(), inputs=["u0"]), "filter")
+    assert "call it from a timer interrupt at 100 Hz" in text
+    assert "| `u0` | double | finite |" in text
+    assert f"| operations in a step | {source.operations.total()}: 1 *, 1 + |" in text
+    assert f"| RAM of `filter_state_t` | {source.state_bytes} bytes |" in text
+    assert "20 recorded steps" in text
+    assert not re.search(r"@\w|\bNAME\b|\bUPPER\b", text)
+
+
+def test_without_compilers_the_readme_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    measurement = export_c(low_pass(), tmp_path / "out", name="filter", inputs=["u0"], steps=5)
+    assert measurement.replay is None
+    assert measurement.code_sizes == {}
+    text = (tmp_path / "out" / "README.md").read_text()
+    assert "| differences | not measured: this machine has no C compiler" in text
+    assert "| flash and stack | not measured: this machine has no arm-none-eabi-gcc |" in text
+
+
+def test_sizes_are_those_of_the_tools(tmp_path, monkeypatch):
+    """A compiler and a ``size`` in the place of those for ARM: 100 + 20 bytes, frames 40, 8, 9."""
+    frames = {"m_step": 40, "update_at": 8, "m_init": 9}
+    usage = "\\n".join(f"m.c:1:2:{name}\\t{size}\\tstatic" for name, size in frames.items())
+    tools = {
+        "gcc": f'for f; do case $f in *.c) printf "{usage}" > "${{f%.c}}.su";; esac; done',
+        "size": 'echo "text data bss"; echo "100 0 0 x.o"; echo "20 0 0 y.o"',
+    }
+    for name, script in tools.items():
+        path = tmp_path / f"arm-none-eabi-{name}"
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    sizes = code_sizes("m", {"m.c": "", "m_params.c": ""})
+    assert sizes == {target: CodeSize(120, 48) for target in ("Cortex-M4F", "Cortex-M7")}
+
+
+@needs_compiler
+def test_code_that_does_not_build_is_one_line():
+    with pytest.raises(CompilationError) as error:
+        replay("m", {"m.c": "int main(void) { return x; }\n"})
+    assert "\n" not in str(error.value)
+    with pytest.raises(CompilationError, match="m: the harness printed no difference"):
+        replay("m", {"m.c": "int main(void) { return 0; }\n"})
+
+
+@needs_compiler
+def test_a_replay_reads_every_row():
+    text = (
+        '#include <stdio.h>\nint main(void) { puts("a: difference 1e-3, largest value 2"); '
+        'puts("b_rad: difference 0, largest value 0.5"); return 1; }\n'
+    )
+    assert replay("m", {"m.c": text}) == Replay(
+        {"a": 1e-3, "b_rad": 0.0}, {"a": 2.0, "b_rad": 0.5}, passed=False
+    )
+
+
+# ------------------------------------------------------------------------------- folders
+
+
+def test_foreign_files_are_not_touched(tmp_path):
+    (tmp_path / "main.c").write_text("int main(void) { return 0; }\n")
+    with pytest.raises(OutputError, match=r"main.c is not of an export; choose another directory"):
+        export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], steps=5)
+    assert [path.name for path in tmp_path.iterdir()] == ["main.c"]
+
+
+def test_a_new_export_replaces_all_files_of_the_last_one(folder):
+    export_c(Sine(1.0, 2.0, 0.0, 1), folder, name="source", outputs=["y0"], tick_s=0.1, steps=3)
+    assert not any(path.name.startswith("filter") for path in folder.iterdir())
+
+
+def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path):
+    path = tmp_path / "out"
+    path.write_text("")
+    with pytest.raises(OutputError, match="cannot write there") as error:
+        write_folder(path, {"a.c": ""})
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("samples", [[[1.0, 2.0]], [1.0], []])
+def test_samples_of_another_shape_are_refused(tmp_path, samples):
+    with pytest.raises(CompilationError, match=r"must be \(steps, 1\)"):
+        export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], samples=samples)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,160 @@
+"""C of a scenario: vectors against the closed loop, and the command line."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import simulate
+from kneexo.cli import main
+from kneexo.errors import ParameterError
+from kneexo.export.firmware import loop_inputs, make_firmware
+from kneexo.export.target import target
+from kneexo.parameters import Scenario
+
+SHORT = {"simulation": {"duration_s": 0.4}}
+needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
+
+
+def scenario_of(**fields):
+    return Scenario.model_validate(SHORT | fields)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{}, {"controller": {"kind": "pid"}}, {"estimator": {"kind": "exact"}, "can_delay_samples": 0}],
+)
+def test_vectors_of_a_controller_are_the_commands_of_the_loop(fields):
+    scenario = scenario_of(**fields)
+    source, vectors = make_firmware(scenario, vectors_s=0.3)
+    run = simulate(scenario)
+    assert vectors.outputs.shape == (150, 1)
+    np.testing.assert_allclose(
+        vectors.outputs[:, 0], run["motor_speed_command_rad_s"][1:151], rtol=0, atol=1e-9
+    )
+    names = [name for _, name in source.input_fields]
+    counts = vectors.inputs[:, names.index("encoder_count")]
+    np.testing.assert_allclose(counts * 2 * np.pi / 4096, run["encoder_reading_rad"][:150])
+    np.testing.assert_array_equal(counts, np.round(counts))
+    for name in names[1:5]:
+        np.testing.assert_array_equal(vectors.inputs[:, names.index(name)], run[name][:150])
+
+
+def test_vectors_of_the_plant_follow_the_loop():
+    scenario = scenario_of(simulation={"duration_s": 0.4, "integrator": "rk4", "step_s": 2e-4})
+    source, vectors = make_firmware(scenario, "plant", vectors_s=0.3)
+    run = simulate(scenario)
+    for column, (_, name) in enumerate(source.output_fields):
+        if name == "encoder_reading_rad":
+            continue  # a count may differ
+        expected = run[name][1:151]
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(
+            vectors.outputs[:, column], expected, rtol=0, atol=1e-7 * scale, err_msg=name
+        )
+
+
+def test_vectors_of_the_loop_are_the_loop():
+    scenario = scenario_of(simulation={"duration_s": 0.4, "integrator": "rk4", "step_s": 2e-4})
+    source, vectors = make_firmware(scenario, "loop", vectors_s=0.3)
+    run = simulate(scenario)
+    for column, (_, name) in enumerate(source.output_fields):
+        np.testing.assert_allclose(vectors.outputs[:, column], run[name][1:151], rtol=0, atol=1e-12)
+
+
+def test_what_comes_from_outside_is_zero():
+    scenario = scenario_of(plant={"load": {"kind": "knee"}})
+    exported = target(scenario, "plant")
+    source, vectors = make_firmware(scenario, "plant", vectors_s=0.1)
+    names = [name for _, name in source.input_fields]
+    assert names == ["motor_speed_command_rad_s", "disturbance_force_n", "knee_torque_n_m"]
+    assert not vectors.inputs[:, 1:].any()
+    assert vectors.inputs[:, 0].any()
+    np.testing.assert_array_equal(loop_inputs(scenario, exported, source, 50), vectors.inputs)
+
+
+def test_vectors_are_as_long_as_asked_or_as_the_run():
+    assert len(make_firmware(scenario_of())[1].inputs) == 200
+    assert len(make_firmware(Scenario())[1].inputs) == 1000
+    for wrong in (0.001, 0.5, float("nan")):
+        with pytest.raises(ParameterError, match=r"vectors_s = .* s: must be 0.002 … 0.4 s"):
+            make_firmware(scenario_of(), vectors_s=wrong)
+
+
+# --------------------------------------------------------------------------- command line
+
+
+@pytest.fixture
+def short(tmp_path):
+    path = tmp_path / "short.yaml"
+    path.write_text("simulation: {duration_s: 0.4}\n")
+    return str(path)
+
+
+@needs_compiler
+def test_export_c_prints_what_it_measured(tmp_path, short, capsys):
+    out = tmp_path / "out"
+    options = ["export", "c", short, "--out", str(out), "--precision", "float"]
+    assert main([*options, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    source, _ = make_firmware(scenario_of(), precision="float")
+    assert result["operations"] == dict(source.operations)
+    assert result["state_bytes"] == source.state_bytes
+    assert result["replay"]["passed"]
+    difference = result["replay"]["difference"]["motor_speed_command_rad_s"]
+    assert 0.0 < difference < 0.1
+    assert result["scenario"]["simulation"]["duration_s"] == 0.4
+    assert main(options) == 0
+    text = capsys.readouterr().out
+    assert f"controller in float precision: {out}" in text
+    assert f"{source.operations.total()} operations a step" in text
+    assert f"{source.state_bytes} bytes of state" in text
+    assert f"difference {difference:.3g} (largest value" in text
+    assert (out / "controller.c").exists()
+
+
+@pytest.mark.parametrize("what", ["plant", "loop"])
+def test_export_c_takes_set_and_what(tmp_path, short, what):
+    out = tmp_path / "out"
+    options = ["export", "c", short, "--out", str(out), "--what", what, "--vectors-s", "0.01"]
+    assert main([*options, "--set", "plant.cylinder.mass_kg=1.75"]) == 0
+    assert "1.75, /* mass_kg */" in (out / f"{what}_params.c").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["--vectors-s", "9"], "vectors_s = 9 s: must be 0.002 … 0.4 s"),
+        (["--set", "plant.cylinder.mass_kg=-1"], "plant.cylinder.mass_kg"),
+    ],
+)
+def test_bad_options_leave_nothing_behind(tmp_path, short, capsys, options, line):
+    out = tmp_path / "out"
+    assert main(["export", "c", short, "--out", str(out), *options]) == 2
+    error = capsys.readouterr().err
+    assert line in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
+    law = (
+        "{kind: custom, make: backstepping:make, values: {k_1: 20, k_2: 60}, sample_time_s: 0.001}"
+    )
+    out = tmp_path / "out"
+    options = ["--out", str(out), "--set", f"controller={law}", "--vectors-s", "0.2"]
+    assert main(["export", "c", *options, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["replay"]["difference"]["motor_speed_command_rad_s"] < 1e-12 * 523.6
+    assert "timer interrupt at 1000 Hz" in (out / "README.md").read_text()
+
+
+def test_a_folder_with_other_files_is_left_alone(tmp_path, short, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main(["export", "c", short, "--out", str(tmp_path)]) == 2
+    assert "is not of an export; choose another directory" in capsys.readouterr().err
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert not (tmp_path / "controller.c").exists()

@@ -1,0 +1,106 @@
+"""What is exported of a scenario."""
+
+import numpy as np
+import pytest
+
+from kneexo import linkage
+from kneexo.diagrams import make_closed_loop
+from kneexo.errors import ParameterError
+from kneexo.export.target import WHAT, count_range, target
+from kneexo.parameters import Scenario
+
+LOADED = {"plant": {"load": {"kind": "knee"}}}
+
+
+def scenario_of(**fields):
+    return Scenario.model_validate(fields)
+
+
+def ports(diagram):
+    inputs = [diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports())]
+    outputs = [diagram.get_output_port(i).get_name() for i in range(diagram.num_output_ports())]
+    return inputs, outputs
+
+
+def test_a_controller_reads_counts_or_the_angle():
+    counts, angle = (target(Scenario(), "controller", counts=flag) for flag in (True, False))
+    assert counts.inputs == ("encoder_count", "knee_reference")
+    assert set(angle.inputs) == {"encoder_reading", "knee_reference"}
+    assert counts.interface.integers == {"encoder_count"}
+    assert not angle.interface.integers
+    assert counts.outputs == angle.outputs == ("motor_speed_command",)
+    assert counts.tick_s is None
+    # One count is a 4096th of a turn.
+    diagram = counts.diagram
+    context = diagram.CreateDefaultContext()
+    diagram.GetInputPort("encoder_count").FixValue(context, [3.0])
+    gain = diagram.GetSubsystemByName("encoder_count")
+    value = gain.get_output_port().Eval(gain.GetMyContextFromRoot(context))
+    np.testing.assert_allclose(value, [3.0 * 2.0 * np.pi / 4096.0], rtol=1e-15)
+
+
+def test_an_encoder_that_is_not_quantized_has_no_counts():
+    exact = target(scenario_of(encoder={"quantized": False}), "controller", counts=True)
+    assert set(exact.inputs) == {"encoder_reading", "knee_reference"}
+    assert not exact.interface.ranges
+
+
+def test_exact_states_are_an_input():
+    exact = target(scenario_of(estimator={"kind": "exact"}), "controller", counts=True)
+    assert exact.inputs == ("encoder_count", "knee_reference", "rod_state")
+
+
+@pytest.mark.parametrize("fields", [{}, {"encoder": {"mounting_error_rad": 0.05}}])
+def test_counts_are_taken_where_the_knee_may_be(fields):
+    scenario = scenario_of(**fields)
+    low, high = count_range(scenario)
+    knee = scenario.plant.knee
+    resolution = 2.0 * np.pi / 4096.0
+    error = scenario.encoder.mounting_error_rad / resolution
+    stops = np.radians([knee.flexion_min_deg, knee.flexion_max_deg])
+    counts = linkage.encoder_angle(scenario.plant.linkage, stops) / resolution
+    assert low < counts.min() - error
+    assert high > counts.max() + error
+    # No more than the overshoot of 5 deg at some 2 counts in a degree of four-bar and encoder.
+    assert low > counts.min() - error - 100
+    assert high < counts.max() + error + 100
+
+
+def test_the_plant_has_its_encoder_and_all_signals_of_the_plant():
+    exported = target(scenario_of(**LOADED), "plant")
+    assert exported.inputs == ("motor_speed_command", "disturbance_force", "knee_torque")
+    assert exported.outputs[0] == "encoder_reading"
+    assert {"knee_angle", "rod_extension", "load_pressure"} <= set(exported.outputs)
+    assert ports(exported.diagram) == (list(exported.inputs), list(exported.outputs))
+    assert exported.tick_s == 0.002
+    assert "encoder_reading_rad" in exported.interface.fields["encoder_reading"]
+
+
+def test_the_loop_is_the_closed_loop():
+    exported = target(Scenario(), "loop")
+    loop = make_closed_loop(Scenario(), signals=())
+    assert ports(exported.diagram) == ports(loop)
+    sampled = scenario_of(
+        reference={"kind": "samples", "times_s": [0, 1, 2], "angles_deg": [10, 20, 10]}
+    )
+    assert "knee_reference" in target(sampled, "loop").inputs
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_every_port_has_names_in_c_that_end_in_a_unit(what):
+    exported = target(scenario_of(**LOADED), what)
+    fields = exported.interface.fields
+    units = ("_rad", "_rad_s", "_rad_s2", "_rad_s3", "_m", "_m_s", "_m_s2", "_m_s3", "_m3_s")
+    for port in (*exported.inputs, *exported.outputs):
+        for name in fields[port]:
+            assert name.endswith((*units, "_n", "_n_m", "_pa", "_w"))
+
+
+def test_bad_targets_are_one_line():
+    with pytest.raises(ParameterError, match="what = 'motor': must be one of controller, plant"):
+        target(Scenario(), "motor")
+    continuous = scenario_of(
+        controller={"kind": "smc", "continuous": True}, estimator={"kind": "exact"}
+    )
+    with pytest.raises(ParameterError, match=r"controller.continuous = true: has no sample time"):
+        target(continuous, "controller")
