@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,9 +28,14 @@ REPLAY_C, LOOP_C = (Path(__file__).with_name(f"exported_{name}.c") for name in (
 
 
 def exported_source(
-    scenario: Scenario, what: str, precision: str = "double", *, check_ranges: bool = True
+    scenario: Scenario,
+    what: str,
+    precision: str = "double",
+    *,
+    check_ranges: bool = True,
+    outputs: Sequence[str] | None = None,
 ) -> tuple[Target, CSource]:
-    """A target and its C, as `make_firmware` makes it.
+    """A target and its C, as `make_firmware` makes it, or with some of its outputs only.
 
     Without ``check_ranges`` the code takes any count: the range belongs to one geometry.
     """
@@ -39,7 +45,7 @@ def exported_source(
         compile_diagram(exported.diagram, inputs=exported.inputs),
         exported.what,
         precision=precision,
-        outputs=exported.outputs,
+        outputs=outputs or exported.outputs,
         interface=interface if check_ranges else replace(interface, ranges={}),
         tick_s=exported.tick_s,
     )
@@ -121,8 +127,12 @@ class Replay:
 
         Raises `RuntimeError` when a step fails.
         """
+        return self.from_start(rows, source)[1:]
+
+    def from_start(self, rows: Array, source: CSource | None = None) -> Array:
+        """The same with the outputs at the start, (steps + 1, elements)."""
         inputs = inputs_of(self.source, rows)
-        outputs = np.zeros((len(rows), len(self.source.output_fields)), real(self.source))
+        outputs = np.zeros((len(rows) + 1, len(self.source.output_fields)), real(self.source))
         parameters = params_of(source or self.source)
         steps = _call(self._library.replay, parameters, inputs, len(rows), outputs)
         if steps < len(rows):

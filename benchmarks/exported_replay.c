@@ -1,7 +1,8 @@
 /* Steps an exported model: -DHEADER="NAME.h" -D'OF(x)=NAME_##x'. */
 #include HEADER
 
-/* The first step whose status is not 0; the number of steps when there is none. */
+/* Outputs at the start and after each step. Returns the first step whose status is not 0; the number
+ * of steps when there is none. */
 uint32_t replay(const OF(params_t) *params, const OF(inputs_t) *inputs, uint32_t steps,
     OF(outputs_t) *outputs)
 {
@@ -10,8 +11,9 @@ uint32_t replay(const OF(params_t) *params, const OF(inputs_t) *inputs, uint32_t
     if (OF(init)(&state, params, inputs) != 0U) {
         return 0U;
     }
+    outputs[0] = state.last;
     for (uint32_t k = 0U; k < steps; k++) {
-        if (OF(step)(params, &state, &inputs[k], &outputs[k]) != 0U) {
+        if (OF(step)(params, &state, &inputs[k], &outputs[k + 1U]) != 0U) {
             return k;
         }
     }
