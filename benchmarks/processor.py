@@ -15,6 +15,7 @@ cycle for most instructions, two for loads, 14 for a division or square root, an
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import subprocess
@@ -32,6 +33,7 @@ FOLDER = Path(__file__).with_name("cortex_m")
 GCC, SIZE, QEMU = "arm-none-eabi-gcc", "arm-none-eabi-size", "qemu-system-arm"
 FLAGS = ("-std=gnu99", "-O2", "-ffp-contract=off", "-ffunction-sections", "-mthumb")
 CYCLES = 2.0
+RPM = 2.0 * math.pi / 60.0
 SECONDS = 60
 """After which a run under QEMU counts as hung."""
 
@@ -173,7 +175,7 @@ def main() -> None:
                 share = row.share(processor, scenario.controller.sample_time_s)
                 print(
                     f"{processor.name}, {processor.clock_hz / 1e6:g} MHz | {name} | {precision} | "
-                    f"{row.difference * 9.5493:.2g} | {row.mean:.0f}, {row.largest:.0f} | "
+                    f"{row.difference / RPM:.2g} | {row.mean:.0f}, {row.largest:.0f} | "
                     f"{100.0 * share:.2g} % | {row.stack_bytes}, {row.state_bytes} | "
                     f"{row.flash_bytes / 1e3:.1f}"
                 )

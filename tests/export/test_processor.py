@@ -68,3 +68,21 @@ def test_a_missing_tool_is_named(processor, monkeypatch):
     monkeypatch.setattr(processor, "QEMU", "no-such-emulator")
     with pytest.raises(processor.MissingToolError, match=r"^no-such-emulator: not installed$"):
         processor.require_tools()
+
+
+def test_the_table_has_its_units(processor, monkeypatch, capsys):
+    figures = processor.Figures(
+        failures=0,
+        difference=2.0 * math.pi / 60.0,
+        hundred=100.0,
+        mean=700.0,
+        largest=1_680.0,
+        stack_bytes=152,
+        state_bytes=124,
+        flash_bytes=10_800,
+    )
+    monkeypatch.setattr(processor, "figures", lambda *_: figures)
+    processor.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1 + 2 * 2 * 2
+    assert lines[1] == ("Cortex-M4F, 168 MHz | SMC | float | 1 | 700, 1680 | 1 % | 152, 124 | 10.8")

@@ -11,6 +11,7 @@ in their way:
 
 import importlib
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,7 @@ from kneexo.export.target import target
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY
+from kneexo.simulation import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
 from kneexo.studies.robustness import draw, realize
 
@@ -47,10 +49,10 @@ SAMPLES = 200
 RMS_SHARE = 0.01
 
 
-def largest_difference(exported, scenario, precision):
+def largest_difference(exported, scenario, precision, duration_s=DURATION_S):
     diagram, source = exported.exported_source(scenario, "controller", precision)
-    vectors = exported.replayed(scenario, diagram, source, DURATION_S)
-    assert np.ptp(vectors.outputs) > 0.1 * FULL_SPEED  # the controller works
+    vectors = exported.replayed(scenario, diagram, source, duration_s)
+    assert np.ptp(vectors.outputs) > 0.1 * FULL_SPEED  # it works
     return np.abs(exported.Replay(source)(vectors.inputs) - vectors.outputs).max()
 
 
@@ -146,3 +148,28 @@ def test_compensated_sums_keep_the_time_of_an_hour(exported):
     hour_s = importlib.import_module("float_loop").hour_in_float()
     assert hour_s["compensated"] == pytest.approx(3600.0, abs=5e-4)  # a float has 2.4e-4 there
     assert abs(hour_s["plain"] - 3600.0) > 10.0
+
+
+def test_rows_of_the_table_have_their_units(exported, monkeypatch, capsys):
+    float_loop = importlib.import_module("float_loop")
+    scenario = changed(SCENARIOS["smc"], {"simulation.duration_s": 2.0})
+    double, single, plain = float_loop.rows("SMC", scenario, 2.0)
+    run = simulate_compiled(scenario, integrator="rk4", signals=("knee_angle", "knee_reference"))
+    error_deg = np.degrees(run["knee_angle_rad"] - run["knee_reference_rad"])
+    assert double.rms_error_deg == pytest.approx(np.sqrt(np.mean(error_deg**2)), rel=1e-6)
+    assert double.largest_error_deg == pytest.approx(np.abs(error_deg).max(), rel=1e-6)
+    assert (double.counts, double.command_rpm) == (0, 0.0)
+    commands = []
+    for precision in TOLERANCES:
+        _, source = exported.exported_source(scenario, "controller", precision)
+        commands.append(exported.Loop(scenario, source).run(2.0)["motor_speed_command_rad_s"])
+    assert single.command_rpm == pytest.approx(np.abs(commands[0] - commands[1]).max() / RPM)
+    difference = largest_difference(exported, scenario, "float", 2.0)
+    assert single.replay_rpm == pytest.approx(difference / RPM)
+    assert plain.replay_rpm != single.replay_rpm
+    monkeypatch.setattr(float_loop, "SCENARIOS", {"SMC": scenario})
+    monkeypatch.setattr(float_loop, "rows", lambda *_: [single])
+    float_loop.main(["--duration", "2"])
+    line = capsys.readouterr().out.splitlines()[2]
+    cells = [float(text) for text in re.findall(r"[\d.e+-]+", line.partition("float | ")[2])]
+    assert cells == pytest.approx(single[2:], rel=0.01, abs=1e-4)
