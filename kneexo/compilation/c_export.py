@@ -105,7 +105,7 @@ class Measurement:
 
 def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measurement]:
     """Name and text of each file of the folder, and its measurement."""
-    files = _sources(source, vectors)
+    files = files_of(source, vectors)
     measurement = Measurement(
         dict(source.operations),
         source.state_bytes,
@@ -115,7 +115,8 @@ def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measure
     return files | {"README.md": _readme(source, vectors, measurement)}, measurement
 
 
-def _sources(source: CSource, vectors: Vectors) -> dict[str, str]:
+def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
+    """Name and text of each file but the README."""
     name = source.name
     fields = [field for _, field in source.output_fields]
     words = {

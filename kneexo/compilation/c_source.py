@@ -300,7 +300,6 @@ class CSource:
             "LIMITS": len(equations.limits),
             "STEPS": self.steps,
         }
-        memory = {"c": "CONSTANTS", "x": "STATES", "d": "HELD"}
         numbers = {
             "largest": real.largest,
             "zero": 0.0,
@@ -313,7 +312,6 @@ class CSource:
         first, last = self.cycle
         words = {
             **{name: literal(value, real, name) for name, value in numbers.items()},
-            **{name: f"state->{name}" if sizes[of] else "0" for name, of in memory.items()},
             "first_tick": str(first),
             "last_tick": str(last),
             "tick_meaning": "steps so far"
@@ -333,11 +331,13 @@ class CSource:
             ),
             "functions": functions.lines,
         }
+        arrays = sizes["STATES"] + sizes["HELD"] + sizes["CONSTANTS"]
         conditions = {
             "double": self.precision == "double",
             "states": sizes["STATES"],
             "held": sizes["HELD"],
-            "arrays": sizes["STATES"] + sizes["HELD"] + sizes["CONSTANTS"],
+            "arrays": arrays,
+            "stateless": not (arrays or self.needs_time),
             "accumulators": sizes["LOST"],
             "constants": sizes["CONSTANTS"],
             "limits": sizes["LIMITS"],
