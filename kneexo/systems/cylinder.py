@@ -62,38 +62,44 @@ class Cylinder(NamedLeaf):
         declare = self._declare_output
         declare("rod_extension", 1, lambda c: self._state(c)[:1], state)
         declare("rod_velocity", 1, lambda c: self._state(c)[1:2], state)
-        declare("load_pressure", 1, lambda c: [self._load_pressure(c)], state)
-        declare("rod_force", 1, lambda c: [self._rod_force(c)], state, given)
-        declare("rod_state", 3, self._motion, state, given, self._force)
+        declare("load_pressure", 1, lambda c: [self._load_pressure(self._state(c))], state)
+        declare("rod_force", 1, lambda c: [self._rod_force(*self._numbers(c))], state, given)
+        declare(
+            "rod_state", 3, lambda c: self._motion(c, *self._numbers(c)), state, given, self._force
+        )
         self._declare_check(self._require_in_stroke)
 
-    def _load_pressure(self, context: Any) -> Any:
+    def _load_pressure(self, state: list[Any]) -> Any:
         """P_L in Pa."""
         raise NotImplementedError
 
-    def _rod_force(self, context: Any) -> Any:
+    def _rod_force(self, p: Any, state: list[Any]) -> Any:
         """Force of the rod on its load in N; positive pushes."""
         raise NotImplementedError
 
-    def _pressure_rates(self, context: Any) -> dict[str, Any]:
+    def _pressure_rates(self, p: Any, state: list[Any], flow: Any) -> dict[str, Any]:
         """Rate of each pressure of the state in Pa/s, by its name."""
         raise NotImplementedError
 
     def _state(self, context: Any) -> list[Any]:
         """X in m, v in m/s, pressures in Pa."""
         x, v, *pressures = context.get_continuous_state_vector().CopyToVector().tolist()
-        return [x, v, *(PA_PER_MPA * pressure for pressure in pressures)]
+        return [x, v, *[PA_PER_MPA * pressure for pressure in pressures]]
 
-    def _motion(self, context: Any) -> list[Any]:
+    def _numbers(self, context: Any) -> tuple[Any, list[Any]]:
+        """Context parameters and `_state`; an evaluation asks for them once."""
+        return self.parameters(context), self._state(context)
+
+    def _motion(self, context: Any, p: Any, state: list[Any]) -> list[Any]:
         """X, v and dv/dt."""
-        x, v, *_ = self._state(context)
-        force = self._rod_force(context) - value_or_zero(self._force, context)
-        return [x, v, force / self.parameters(context).mass_kg]
+        force = self._rod_force(p, state) - value_or_zero(self._force, context)
+        return [*state[:2], force / p.mass_kg]
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
         """Set dx/dt, dv/dt and the rates of the pressures, which must be finite."""
-        _, v, acceleration = self._motion(context)
-        rates = self._pressure_rates(context)
+        p, state = self._numbers(context)
+        _, v, acceleration = self._motion(context, p, state)
+        rates = self._pressure_rates(p, state, self._flow.Eval(context)[0])
         require_finite(self, context, rod_acceleration=acceleration, **rates)
         scaled = (rate / PA_PER_MPA for rate in rates.values())
         fill(derivatives.get_mutable_vector(), (v, acceleration, *scaled))

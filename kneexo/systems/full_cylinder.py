@@ -171,16 +171,15 @@ class FullCylinder(Cylinder):
         state, given = self.xc_ticket(), self.all_parameters_ticket()
         declare = self._declare_output
         declare("chamber_pressures", 2, lambda c: self._state(c)[2:], state)
-        declare("makeup_flow", 2, lambda c: self._valve_flows(c)[0], state, given)
-        declare("relief_flow", 2, lambda c: self._valve_flows(c)[1], state, given)
+        declare("makeup_flow", 2, lambda c: self._valve_flows(*self._numbers(c))[0], state, given)
+        declare("relief_flow", 2, lambda c: self._valve_flows(*self._numbers(c))[1], state, given)
 
-    def _load_pressure(self, context: Any) -> Any:
-        _, _, cap, rod_side = self._state(context)
+    def _load_pressure(self, state: list[Any]) -> Any:
+        _, _, cap, rod_side = state
         return cap - rod_side
 
-    def _rod_force(self, context: Any) -> Any:
-        p = self.parameters(context)
-        x, v, cap, rod_side = self._state(context)
+    def _rod_force(self, p: Any, state: list[Any]) -> Any:
+        x, v, cap, rod_side = state
         friction = seal_friction(
             v,
             coulomb=p.coulomb_friction_n,
@@ -191,10 +190,9 @@ class FullCylinder(Cylinder):
         pressure_force = cap * p.cap_area_m2 - rod_side * p.rod_side_area_m2
         return pressure_force - friction - p.damping_n_s_per_m * v - p.stiffness_n_per_m * x
 
-    def _valve_flows(self, context: Any) -> tuple[list[Any], list[Any]]:
+    def _valve_flows(self, p: Any, state: list[Any]) -> tuple[list[Any], list[Any]]:
         """Make-up and relief flows of both lines."""
-        p = self.parameters(context)
-        _, _, cap, rod_side = self._state(context)
+        _, _, cap, rod_side = state
         makeup = [
             makeup_flow(
                 pressure,
@@ -217,11 +215,9 @@ class FullCylinder(Cylinder):
         ]
         return makeup, relief
 
-    def _pressure_rates(self, context: Any) -> dict[str, Any]:
-        p = self.parameters(context)
-        x, v, cap, rod_side = self._state(context)
-        flow = self._flow.Eval(context)[0]
-        (makeup_1, makeup_2), (relief_1, relief_2) = self._valve_flows(context)
+    def _pressure_rates(self, p: Any, state: list[Any], flow: Any) -> dict[str, Any]:
+        x, v, cap, rod_side = state
+        (makeup_1, makeup_2), (relief_1, relief_2) = self._valve_flows(p, state)
         above_1, above_2 = cap - p.reservoir_pressure_pa, rod_side - p.reservoir_pressure_pa
         pump_loss = 0.5 * p.pump_external_leakage_m3_per_s_pa * (above_1 + above_2)
         across = p.leakage_m3_per_s_pa * (cap - rod_side)

@@ -77,12 +77,11 @@ class ReducedCylinder(Cylinder):
             raise ParameterError(f"initial_pressure_pa = {initial_pressure_pa} Pa: must be finite")
         self._declare_rod(extension, [initial_pressure_pa])
 
-    def _load_pressure(self, context: Any) -> Any:
-        return self._state(context)[2]
+    def _load_pressure(self, state: list[Any]) -> Any:
+        return state[2]
 
-    def _rod_force(self, context: Any) -> Any:
-        p = self.parameters(context)
-        x, v, pressure = self._state(context)
+    def _rod_force(self, p: Any, state: list[Any]) -> Any:
+        x, v, pressure = state
         return rod_force(
             pressure,
             v,
@@ -92,11 +91,10 @@ class ReducedCylinder(Cylinder):
             stiffness=p.stiffness_n_per_m,
         )
 
-    def _pressure_rates(self, context: Any) -> dict[str, Any]:
-        p = self.parameters(context)
-        _, v, pressure = self._state(context)
+    def _pressure_rates(self, p: Any, state: list[Any], flow: Any) -> dict[str, Any]:
+        _, v, pressure = state
         rate = pressure_rate(
-            self._flow.Eval(context)[0],
+            flow,
             v,
             pressure,
             bulk_modulus=p.bulk_modulus_pa,
