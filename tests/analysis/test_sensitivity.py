@@ -20,7 +20,7 @@ from kneexo.analysis.sensitivity import (
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario
 from kneexo.parameters.paths import changed
-from kneexo.simulation.engines import simulate
+from kneexo.simulation import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
 
 PATHS = tuple(path for path in UNCERTAINTY.values if differentiable(UNCERTAIN_KNEE, path))
@@ -174,7 +174,12 @@ SHORT = {
 
 def rms_error_deg(scenario):
     unquantized = changed(scenario, {"encoder.quantized": False})
-    run = simulate(unquantized, signals=("knee_reference", "knee_angle"))
+    run = simulate_compiled(
+        unquantized,
+        signals=("knee_reference", "knee_angle"),
+        integrator="runge_kutta3",
+        step_s=scenario.simulation.step_s,
+    )
     error = np.degrees(run["knee_reference_rad"] - run["knee_angle_rad"])
     period = 1.0 / scenario.reference.frequency_hz
     settled = run.time_s >= period - 1e-9

@@ -397,7 +397,7 @@ def both_loops(four_bar, fixed_step, loop, samples, step, *, quantized, delay=0)
         **settings,
     )
     diagram = make_closed_loop(scenario)
-    simulator = fixed_step(diagram, "runge_kutta3", step)
+    simulator = fixed_step(diagram, "runge_kutta5", step)
     simulator.AdvanceTo(samples * PERIOD)
     ours, _ = logged(
         diagram,
@@ -410,7 +410,7 @@ def both_loops(four_bar, fixed_step, loop, samples, step, *, quantized, delay=0)
         four_bar,
         oracle(),
         samples,
-        round(PERIOD / step),
+        6 * round(PERIOD / step),  # of RK4, which is then as accurate
         quantized=quantized,
         delay=delay,
     )
@@ -428,12 +428,12 @@ def test_oracle_of_the_linkage_has_the_check_values_of_geometry_g1(four_bar):
 
 @pytest.mark.parametrize("loop", ["smc", "pid"])
 def test_commands_and_rod_agree_with_a_second_program_at_every_sample(loop, four_bar, fixed_step):
-    ours, other = both_loops(four_bar, fixed_step, loop, 150, PERIOD / 120, quantized=False)
+    ours, other = both_loops(four_bar, fixed_step, loop, 150, PERIOD / 20, quantized=False)
     peak = np.max(np.abs(other[:, 1]))
-    # RK3's error of the commands, relative to their peak, is 1e-7 at 40 µs, 1.2e-8 at 20 µs (an
-    # eighth) and 7e-9 here. One period more or less of delay would make it 0.02.
-    np.testing.assert_allclose(ours[:, 1], other[:, 1], rtol=0.0, atol=1e-8 * peak)
-    np.testing.assert_allclose(ours[:, 0], other[:, 0], rtol=0.0, atol=1e-8 * np.ptp(other[:, 0]))
+    # The error of the commands, relative to their peak, is 3e-8 at 200 µs and 8e-10 here (a
+    # thirty-second). One period more or less of delay would make it 0.02.
+    np.testing.assert_allclose(ours[:, 1], other[:, 1], rtol=0.0, atol=2e-9 * peak)
+    np.testing.assert_allclose(ours[:, 0], other[:, 0], rtol=0.0, atol=2e-9 * np.ptp(other[:, 0]))
     at_limit = np.abs(other[:, 1]) == 200.0
     assert np.any(at_limit[:-1] & ~at_limit[1:]) == (loop == "pid")  # so anti-windup shows
 
@@ -445,21 +445,21 @@ def test_commands_and_rod_agree_with_a_second_program_at_every_sample(loop, four
 def test_commands_agree_with_a_second_program_from_encoder_counts(
     loop, delay, four_bar, fixed_step
 ):
-    ours, other = both_loops(four_bar, fixed_step, loop, 200, 1e-4, quantized=True, delay=delay)
+    ours, other = both_loops(four_bar, fixed_step, loop, 200, PERIOD / 8, quantized=True, delay=delay)
     # Both see the same counts, so the commands differ by rounding only: 1e-16 m of rod times
     # the controller's slope, up to 1e8 (rad/s)/m for differences; 1e-7 rad/s leaves room.
     np.testing.assert_allclose(ours[:, 1], other[:, 1], rtol=0.0, atol=1e-7)
-    # RK3 at 0.1 ms shifts the rod by 2e-8 m through the 447 Hz mode, a count is 1e-4 m.
+    # The integrators differ by 2e-8 m at most, through the 447 Hz mode; a count is 1e-4 m.
     np.testing.assert_allclose(ours[:, 0], other[:, 0], rtol=0.0, atol=1e-7)
     assert np.max(np.abs(other[:, 1])) > 150.0
 
 
 def test_commands_from_exact_states_agree_with_a_second_program(four_bar, fixed_step):
-    ours, other = both_loops(four_bar, fixed_step, "exact", 75, 2e-5, quantized=False)
+    ours, other = both_loops(four_bar, fixed_step, "exact", 75, PERIOD / 20, quantized=False)
     peak = np.max(np.abs(other[:, 1]))
-    # The acceleration feeds the 447 Hz mode to the command: RK3's error of it is 9e-6 of the peak
-    # at 40 µs and 1e-6 at 20 µs.
-    np.testing.assert_allclose(ours[:, 1], other[:, 1], rtol=0.0, atol=3e-6 * peak)
+    # The acceleration feeds the 447 Hz mode to the command: its error is 4e-6 of the peak at
+    # 200 µs and 1e-7 here.
+    np.testing.assert_allclose(ours[:, 1], other[:, 1], rtol=0.0, atol=3e-7 * peak)
 
 
 # ---------------------------------------------------------------------------- CAN latency

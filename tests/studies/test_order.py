@@ -34,7 +34,6 @@ MEAN_AREA = 0.5 * (AREA_1 + AREA_2)
 LAG = 0.010
 FLOW = 0.8e-6 * 5000.0 / 60.0 / 6.0
 TABLE_1 = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)
-DRAKE = {"simulation.integrator": "radau3"}
 TIGHT = {"plant.pump.internal_leakage_m3_per_s_pa": 0.0}
 SETTINGS = OrderSettings()
 
@@ -65,7 +64,7 @@ def test_in_order_changes_order_and_load_alone():
     ],
 )
 def test_speed_at_the_limit_follows_the_loaded_chamber(order, force, area, printed, flexing):
-    found = speed_row(changed(UNCERTAIN_KNEE, DRAKE | TIGHT), SETTINGS, (order, force, flexing))
+    found = speed_row(changed(UNCERTAIN_KNEE, TIGHT), SETTINGS, (order, force, flexing))
     assert found["saturated_share"] == 1.0
     assert found["rod_speed_mm_s"] == pytest.approx(1e3 * FLOW / area, rel=1e-3)
     assert found["rod_speed_mm_s"] == pytest.approx(printed, abs=0.1)
@@ -179,7 +178,7 @@ def test_no_linear_loop_is_said_in_words():
 
 
 def test_tracking_row_has_the_pressures_of_its_order():
-    brief = changed(UNCERTAIN_KNEE, DRAKE | {"simulation.duration_s": 1.0})
+    brief = changed(UNCERTAIN_KNEE, {"simulation.duration_s": 1.0})
     full, reduced = (tracking_row(brief, (order, 60.0)) for order in ("full", "reduced"))
     assert set(full["trace"]["pressures_mpa"]) == {"cap", "rod_side"}
     assert set(reduced["trace"]["pressures_mpa"]) == {"load_pressure"}
