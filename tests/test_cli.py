@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
@@ -23,6 +24,8 @@ from kneexo.analysis import TrackingMetrics, track
 from kneexo.analysis.frequency_response import SinestreamSettings
 from kneexo.cli import main
 from kneexo.compilation import cache
+from kneexo.errors import WorkerError
+from kneexo.interruption import Terminated
 from kneexo.parameter_list import parameter_rows
 from kneexo.parameters import PlantParameters, Scenario
 from kneexo.parameters.paths import changed
@@ -47,30 +50,39 @@ def scenario_file(tmp_path):
     return write
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures that take longer than the rest, of which another test looks at the files."""
+    monkeypatch.setattr("kneexo.studies.bandwidth_figures.figures", lambda _: {})
+    monkeypatch.setattr("kneexo.output.save_figure", lambda *_: None)
+
+
 def run_command(*arguments, **options):
     return subprocess.run(
         [sys.executable, "-m", "kneexo", *arguments], stderr=subprocess.PIPE, text=True, **options
     )
 
 
-def test_a_stream_without_greek_letters_gets_escapes():
+def test_a_stream_without_greek_letters_gets_escapes(scenario_file):
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
-    done = run_command("params", "--json", stdout=subprocess.PIPE, env=environment)
+    command = ["params", scenario_file(SHORT), "--json"]  # which needs no Drake
+    done = run_command(*command, stdout=subprocess.PIPE, env=environment)
     assert done.returncode == 0
     assert not done.stderr
     assert any(row["unit"] == "m/s²" for row in json.loads(done.stdout)["parameters"])
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["params"], ["params", "--yaml"]])
-def test_a_full_device_is_a_line(arguments):
+@pytest.mark.parametrize("arguments", [["--help"], ["params", "SCENARIO"], ["params", "--yaml"]])
+def test_a_full_device_is_a_line(arguments, scenario_file):
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    words = [scenario_file(SHORT) if word == "SCENARIO" else word for word in arguments]
     with open("/dev/full", "w") as full:
-        done = run_command(*arguments, stdout=full, env=environment)
+        done = run_command(*words, stdout=full, env=environment)
     assert (done.returncode, done.stderr) == (2, "kneexo: No space left on device\n")
 
 
 def test_a_closed_output_is_no_failure():
-    line = ["sh", "-c", f"exec {sys.executable} -m kneexo params >&-"]
+    line = ["sh", "-c", f"exec {sys.executable} -m kneexo params --yaml >&-"]
     done = subprocess.run(line, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -196,7 +208,7 @@ def test_simulate_writes_signals_metrics_scenario_and_plot(capsys, scenario_file
     assert len(rows) == 1 + 601
 
 
-def test_a_run_shorter_than_a_period_has_dashes(capsys, scenario_file, tmp_path):
+def test_a_run_shorter_than_a_period_has_dashes(capsys, scenario_file, tmp_path, undrawn):
     path = scenario_file("simulation: {duration_s: 0.1}")
     assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
@@ -392,6 +404,28 @@ def test_an_interrupt_of_an_import_is_one_true_line(tmp_path, module, told):
     assert done.returncode == 130
 
 
+@pytest.mark.parametrize(
+    ("interrupt", "code", "told"),
+    [(KeyboardInterrupt(), 130, "interrupted"), (Terminated(), 143, "terminated")],
+)
+def test_an_interrupt_behind_import_errors_is_one_line(
+    capsys, monkeypatch, tmp_path, interrupt, code, told
+):
+    """Extension modules that import each other make an ImportError of an ImportError."""
+    inner, middle, outer = ImportError("common"), ImportError("trees"), ImportError("framework")
+    inner.__cause__, middle.__context__, outer.__cause__ = interrupt, inner, middle
+
+    def imports(options):
+        raise outer
+
+    monkeypatch.setattr(commands, "simulate", imports)
+    assert main(["simulate", "--out", str(tmp_path)]) == code
+    assert capsys.readouterr().err == f"kneexo: {told}; nothing was written\n"
+    inner.__cause__ = ModuleNotFoundError("trees")
+    with pytest.raises(ImportError, match="framework"):
+        main(["simulate", "--out", str(tmp_path)])
+
+
 def test_an_interrupt_after_the_command_ends_python_at_once(monkeypatch):
     monkeypatch.setattr(cli, "main", lambda: 7)
     before = signal.getsignal(signal.SIGINT)
@@ -532,12 +566,6 @@ def test_cache_needs_neither_numpy_nor_drake():
 SMALL_MAP = ["--set", "amplitudes_deg=[1.0]", "--set", "frequencies_hz=[2, 3, 5]"]
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """No figures of `bandwidth`, which take longer than the rest; the next test draws them."""
-    monkeypatch.setattr("kneexo.studies.bandwidth_figures.figures", lambda _: {})
-
-
 def test_bandwidth_measures_writes_and_leaves_no_checkpoint(capsys, tmp_path):
     out = tmp_path / "out"
     assert main(["bandwidth", *SMALL_MAP, "--workers", "1", "--out", str(out), "--json"]) == 0
@@ -649,19 +677,19 @@ def test_a_second_process_is_refused(capsys, tmp_path, monkeypatch):
     )
 
 
-def test_damaged_lines_are_one_line_on_stderr(tmp_path):
+def test_damaged_lines_are_one_line_on_stderr(capsys, tmp_path, monkeypatch):
+    def fail(checkpoint):
+        raise WorkerError("no worker")
+
+    def show(*warning):  # as Python does, where pytest collects warnings
+        sys.stderr.write(warnings.formatwarning(*warning))
+
+    stand_in(monkeypatch, fail)
+    monkeypatch.setattr(warnings, "showwarning", show)
     path = tmp_path / "bandwidth.checkpoint.jsonl"
     path.write_text('{"kneexo checkpoint": 1}\ndamaged\ndamaged\n')
-    code = (
-        "from kneexo.studies import bandwidth\n"
-        "from kneexo.errors import WorkerError\n"
-        "from kneexo.parameters import Scenario\n"
-        "def fail(scenario=Scenario(), **b): raise WorkerError('no worker')\n"
-        "bandwidth.bandwidth_study = fail\n"
-        f"from kneexo.cli import main; main(['bandwidth', '--out', {str(tmp_path)!r}])\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stderr.splitlines() == [
+    assert main(["bandwidth", "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.splitlines() == [
         f"kneexo: checkpoint {path}: 2 damaged lines are skipped",
         "kneexo: no worker",
     ]
@@ -750,7 +778,7 @@ def test_bad_settings_of_a_study_are_one_line_and_leave_nothing(capsys, tmp_path
     assert not out.exists()
 
 
-def test_the_reference_engine_can_be_asked_for(capsys, scenario_file, tmp_path):
+def test_the_reference_engine_can_be_asked_for(capsys, scenario_file, tmp_path, undrawn):
     results = {}
     for engine in ("compiled", "drake"):
         arguments = ["simulate", scenario_file(SHORT), "--engine", engine, "--json"]
@@ -769,7 +797,7 @@ def test_the_reference_engine_can_be_asked_for(capsys, scenario_file, tmp_path):
 @pytest.mark.parametrize(
     "command", [["simulate"], ["linearize", "--knee-angle", "20"], ["diagram"], ["params"]]
 )
-def test_json_says_version_and_scenario(capsys, scenario_file, tmp_path, command):
+def test_json_says_version_and_scenario(capsys, scenario_file, tmp_path, undrawn, command):
     name, *options = command
     out = [] if name == "params" else ["--out", str(tmp_path / "out")]
     assert main([name, scenario_file(SHORT), *options, *out, "--json"]) == 0
@@ -836,7 +864,7 @@ def test_every_listed_setting_can_be_set():
             assert changed(cls(), {name: row["value"]}) == cls(), name
 
 
-def test_values_of_the_scenario_win_over_the_file(capsys, scenario_file, tmp_path):
+def test_values_of_the_scenario_win_over_the_file(capsys, scenario_file, tmp_path, undrawn):
     path, out = scenario_file(SHORT), tmp_path / "out"
     texts = ["plant.cylinder.mass_kg=1.7", "reference.frequency_hz=2", "plant.linkage=G3"]
     command = ["simulate", path, *(word for text in texts for word in ("--set", text))]
@@ -852,7 +880,7 @@ def test_values_of_the_scenario_win_over_the_file(capsys, scenario_file, tmp_pat
     assert printed["max_error_deg"] != track(load_scenario(path)).metrics.max_error_deg
 
 
-def test_the_engine_wins_over_the_values(capsys, scenario_file, tmp_path):
+def test_the_engine_wins_over_the_values(capsys, scenario_file, tmp_path, undrawn):
     command = ["simulate", scenario_file(SHORT), "--set", "simulation.integrator=radau1"]
     arguments = [*command, "--set", "simulation.duration_s=1.1", "--engine", "compiled"]
     assert main([*arguments, "--out", str(tmp_path / "out"), "--json"]) == 0
@@ -860,7 +888,7 @@ def test_the_engine_wins_over_the_values(capsys, scenario_file, tmp_path):
     assert (simulation["integrator"], simulation["duration_s"]) == ("exact_hold", 1.1)
 
 
-def test_linearize_takes_values_of_the_scenario(capsys, tmp_path):
+def test_linearize_takes_values_of_the_scenario(capsys, tmp_path, undrawn):
     command = ["linearize", "--set", "plant.cylinder.mass_kg=0.4", "--out", str(tmp_path / "out")]
     assert main([*command, "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)

@@ -445,7 +445,9 @@ def test_commands_and_rod_agree_with_a_second_program_at_every_sample(loop, four
 def test_commands_agree_with_a_second_program_from_encoder_counts(
     loop, delay, four_bar, fixed_step
 ):
-    ours, other = both_loops(four_bar, fixed_step, loop, 200, PERIOD / 8, quantized=True, delay=delay)
+    ours, other = both_loops(
+        four_bar, fixed_step, loop, 200, PERIOD / 8, quantized=True, delay=delay
+    )
     # Both see the same counts, so the commands differ by rounding only: 1e-16 m of rod times
     # the controller's slope, up to 1e8 (rad/s)/m for differences; 1e-7 rad/s leaves room.
     np.testing.assert_allclose(ours[:, 1], other[:, 1], rtol=0.0, atol=1e-7)
