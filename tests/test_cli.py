@@ -681,11 +681,11 @@ def test_damaged_lines_are_one_line_on_stderr(capsys, tmp_path, monkeypatch):
     def fail(checkpoint):
         raise WorkerError("no worker")
 
-    def show(*warning):  # as Python does, where pytest collects warnings
-        sys.stderr.write(warnings.formatwarning(*warning))
+    def show(message, category, filename, lineno, file=None, line=None):
+        sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))
 
     stand_in(monkeypatch, fail)
-    monkeypatch.setattr(warnings, "showwarning", show)
+    monkeypatch.setattr(warnings, "showwarning", show)  # as Python does; pytest collects them
     path = tmp_path / "bandwidth.checkpoint.jsonl"
     path.write_text('{"kneexo checkpoint": 1}\ndamaged\ndamaged\n')
     assert main(["bandwidth", "--out", str(tmp_path)]) == 2

@@ -42,18 +42,13 @@ M_HAT, BETA = math.sqrt(1.4 * 1.8), math.sqrt(1.8 / 1.4)
 STIFFNESS = OIL * AREA**2 / M_HAT
 FLOW_PER_SPEED = 0.8e-6 / (2.0 * math.pi) / 6.0
 
-DRAKE = {
-    "simulation.integrator": "radau3",
-    "simulation.error_controlled": True,
-    "simulation.accuracy": 1e-6,
-}
 SETTINGS = SlidingSettings()
 
 
 def short(duration, log, **values):
-    """The ideal law over a short time, logged finely, through Drake."""
+    """The ideal law over a short time, logged finely."""
     times = {"simulation.duration_s": duration, "controller.sample_time_s": log}
-    return changed(SLIDING_LAW, DRAKE | times | values)
+    return changed(SLIDING_LAW, times | values)
 
 
 # --------------------------------------------------------------------------------- ds/dt
@@ -105,7 +100,6 @@ def test_rate_in_full_order_is_the_slope_of_s_along_a_run(ideal):
             "plant.load": {"kind": "knee", "disturbance_n": 60.0},  # and the weight
             "plant.ideal_motor": ideal,
             "controller.eta_m_s3": 1e4,
-            "simulation.accuracy": 1e-8,
         },
     )
     run = simulate(scenario, signals=sliding_signals(scenario))
@@ -261,7 +255,7 @@ def test_needed_eta_and_effective_masses_by_hand():
 SMALL = SlidingSettings(
     etas_m_s3=(1e3, 2.8e5), loads_n=(60.0,), start_duration_s=0.001, start_sample_time_s=5e-5
 )
-SHORT = changed(SLIDING_LAW, DRAKE | {"simulation.duration_s": 0.004})
+SHORT = changed(SLIDING_LAW, {"simulation.duration_s": 0.004})
 
 
 @pytest.fixture(scope="module")

@@ -70,17 +70,17 @@ def test_processes_give_the_same_as_this_process():
     assert parallel_map(math.factorial, items, workers=2) == [math.factorial(n) for n in items]
 
 
-def blas_threads(_):
-    return os.environ.get("OPENBLAS_NUM_THREADS")
+# A worker imports the module of its function; those of Python take no pytest along.
 
 
 def test_processes_do_not_share_their_cores_with_threads_of_blas(monkeypatch):
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    assert parallel_map(blas_threads, [1, 2], workers=2) == ["1", "1"]
-    assert blas_threads(None) is None
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
-    assert parallel_map(blas_threads, [1, 2], workers=2) == ["3", "3"]
-    assert blas_threads(None) == "3"
+    name = "OPENBLAS_NUM_THREADS"
+    monkeypatch.delenv(name, raising=False)
+    assert parallel_map(os.getenv, [name, name], workers=2) == ["1", "1"]
+    assert name not in os.environ
+    monkeypatch.setenv(name, "3")
+    assert parallel_map(os.getenv, [name, name], workers=2) == ["3", "3"]
+    assert os.environ[name] == "3"
 
 
 def test_the_callers_executor_is_used_and_left_running():
@@ -278,20 +278,16 @@ def test_an_error_ends_what_has_not_begun():
     assert len(begun) <= 3
 
 
-def die(_):
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 def square_or_die(item):
     if item == 30 and (path := os.environ.get("KNEEXO_TEST_CHECKPOINT")):
         wait_for(lambda: Path(path).read_bytes().count(b"\n") > 1)  # results of others are kept
-        die(item)
+        os.kill(os.getpid(), signal.SIGKILL)
     return item * item
 
 
 def test_a_worker_that_dies_is_one_line():
     with pytest.raises(WorkerError, match="a worker process died") as caught:
-        parallel_map(die, [1, 2], workers=2)
+        parallel_map(os._exit, [1, 2], workers=2)
     assert "\n" not in str(caught.value)
 
 
@@ -333,10 +329,6 @@ def test_an_executor_that_cancels_the_work_is_one_line():
     with pytest.raises(WorkerError) as caught:
         parallel_map(abs, [1, 2], executor=Cancelling())
     assert "\n" not in str(caught.value)
-
-
-def interrupt_is_held_back(_):
-    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, set())
 
 
 ORPHANS = """
@@ -415,8 +407,9 @@ def test_an_interrupt_waits_until_a_unit_is_submitted(number):
 
 
 def test_workers_leave_an_interrupt_to_the_parent():
-    assert parallel_map(interrupt_is_held_back, [1, 2, 3], workers=2) == [True, True, True]
-    assert not interrupt_is_held_back(None)
+    held_back = partial(signal.pthread_sigmask, signal.SIG_BLOCK)
+    assert all(signal.SIGINT in held for held in parallel_map(held_back, [()] * 3, workers=2))
+    assert signal.SIGINT not in held_back(())
 
 
 # ------------------------------------------------------------------------------------- sweep
