@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import tracemalloc
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -202,3 +203,15 @@ def test_a_run_is_written_with_its_time_first(tmp_path):
         "0,3,-5",
         "0.002,4,0.3333333333",
     ]
+
+
+def test_a_long_run_is_written_without_a_copy_of_it(tmp_path):
+    time = np.arange(20_000.0)
+    run = Run(time, {f"force_{n}_n": time for n in range(4)}, SimulationParameters())
+    tracemalloc.start()
+    try:
+        write_csv(tmp_path / "run.csv", run)
+        assert tracemalloc.get_traced_memory()[1] < 0.2 * 5 * time.nbytes
+    finally:
+        tracemalloc.stop()
+    assert np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1).shape == (20_000, 5)
