@@ -228,6 +228,7 @@ def test_simulate_is_the_same_by_both_engines(capsys, tmp_path, monkeypatch, qua
         "reference: {amplitude_deg: 2.0, frequency_hz: 1.0}\n"
         "simulation: {duration_s: 1.2}\n"
     )
+    monkeypatch.setattr("kneexo.output.save_figure", lambda *_: None)  # which takes longer
     results, knee = {}, {}
     for engine in ("compiled", "drake"):
         out = tmp_path / engine
