@@ -38,7 +38,7 @@ STRUCTURES = {
     "load": {"plant.load": {"kind": "knee", "knee_torque_n_m": 3.0}},
     "full_order": {"plant.full_order": {"coulomb_friction_n": 40.0}},
     "difference": {"estimator": {"kind": "difference"}, "controller.switching": "signum"},
-    "samples": {"reference": SAMPLED, "can_delay_samples": 2},
+    "samples": {"reference": SAMPLED, "bus": {"latency_samples": 2}},
     "unquantized": {"encoder.quantized": False, "plant.rod_map": "polynomial"},
 }
 CHANGED_TARGETS = {

@@ -426,7 +426,7 @@ def test_libcosim_couples_plant_and_controller(path, tmp_path):
     from libcosimpy.CosimObserver import CosimObserver
     from libcosimpy.CosimSlave import CosimLocalSlave
 
-    data = _compiled(changed(SHORT, {"can_delay_samples": 1}))
+    data = _compiled(changed(SHORT, {"bus.latency_samples": 1}))
     reference = np.column_stack([data[name] for name in REFERENCE])
     references = {}
     for what in ("plant", "controller"):
