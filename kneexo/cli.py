@@ -286,6 +286,12 @@ def _add_exports(subparsers: Any) -> None:
         "--precision", choices=("double", "float"), default="double", help="type of all numbers"
     )
     sub.add_argument(
+        "--look-up",
+        action="store_true",
+        help="take what depends on the encoder count alone from a table: faster, and more exact "
+        "in float; the parameters behind it are fixed then",
+    )
+    sub.add_argument(
         "--vectors-s", type=float, metavar="S", help="time of the test vectors in s; left out: 2"
     )
     _add_out(sub, "the files, which no other files may share")

@@ -393,6 +393,7 @@ def export_c(options: argparse.Namespace) -> None:
         options.what,
         precision=options.precision,
         vectors_s=options.vectors_s,
+        look_up=options.look_up,
     )
     if options.json:
         print(to_json(_origin(scenario) | asdict(measured)), end="")

@@ -18,6 +18,7 @@ from functools import cached_property
 
 from kneexo.compilation.c_functions import Functions
 from kneexo.compilation.c_printer import PRECISIONS, Precision, comment_lines, literal
+from kneexo.compilation.c_tables import Table, tables_of
 from kneexo.compilation.c_template import filled
 from kneexo.compilation.equations import Equations
 from kneexo.compilation.runner import STEP_S, Array, State, timing
@@ -88,6 +89,9 @@ class CSource:
         Time that a step takes, for a diagram without a sample time; else it follows from those.
     step_s
         Largest step of the Runge-Kutta method.
+    look_up
+        What depends on an integer input with a range alone becomes a table. Parameters that are
+        used only there act no more when they are changed in C.
     told
         Of what this is an export, in the first line of each file.
 
@@ -104,6 +108,7 @@ class CSource:
     interface: Interface = Interface()
     tick_s: float | None = None
     step_s: float = STEP_S
+    look_up: bool = False
     told: str = ""
 
     def __post_init__(self) -> None:
@@ -240,6 +245,23 @@ class CSource:
                     sums[state] = tuple(term for term in terms if term != held)
         return sums
 
+    @cached_property
+    def tables(self) -> list[Table]:
+        """Tables in the place of what depends on one integer input alone, with ``look_up``."""
+        if not self.look_up:
+            return []
+        ranges = {}
+        for element, (port, _) in enumerate(self.input_fields):
+            if port in self.interface.integers and (limits := self.limits(port)):
+                ranges[element] = int(limits[0]), int(limits[1])
+        roots = [*self.roots(), *self.equations.initial_held]
+        tables = tables_of(self.equations.graph, roots, ranges, self.parameters)
+        if not tables:
+            raise CompilationError(
+                f"{self.name}: look_up: nothing depends on an integer input with a range alone"
+            )
+        return tables
+
     # ------------------------------------------------------------------------------- texts
 
     @cached_property
@@ -325,6 +347,10 @@ class CSource:
             "inputs": self._input_members() or nothing,
             "outputs": [f"    {self.name}_real_t {of};" for _, of in self.output_fields] or nothing,
             "state": self._state_members(),
+            "tables": [
+                f"extern const {self.name}_real_t {self.name}_table_{number}[{table.values.size}];"
+                for number, table in enumerate(self.tables)
+            ],
             "input_checks": self._input_checks(),
             "output_checks": _all_of(
                 "out", [f"is_finite(out->{of})" for _, of in self.output_fields]
@@ -341,6 +367,7 @@ class CSource:
             "accumulators": sizes["LOST"],
             "constants": sizes["CONSTANTS"],
             "limits": sizes["LIMITS"],
+            "tables": self.tables,
             "outputs": self.output_fields,
             "time": self.needs_time,
             "ticks": self.counts_steps,
@@ -388,12 +415,19 @@ class CSource:
         for told, start in self._start():
             texts = (literal(value, self.real, f"initial {told}") for value in start.tolist())
             rows.append(f"    {{{', '.join(texts)}}} /* initial_{told} */,")
+        tables = []
+        for number, table in enumerate(self.tables):
+            texts = (literal(v, self.real, "a value of a table") for v in table.values.tolist())
+            tables += ["", f"const {name}_real_t {name}_table_{number}[{table.values.size}] = {{"]
+            tables += [f"    {text}," for text in texts]
+            tables.append("};")
         return [
             f'#include "{name}.h"',
             "",
             f"const {name}_params_t {name}_params = {{",
             *(rows or ["    0"]),
             "};",
+            *tables,
         ]
 
     def _start(self) -> list[tuple[str, Array]]:
