@@ -150,7 +150,9 @@ def _readme(source: CSource, vectors: Vectors, measurement: Measurement) -> str:
     rows = []
     for port, field in source.input_fields:
         kind = "int32_t" if port in integers else source.precision
-        allowed = " … ".join(source.limits(port) or ["all" if port in integers else "finite"])
+        allowed = " … ".join(
+            source.limits(port, field) or ["all" if port in integers else "finite"]
+        )
         rows.append(f"| `{field}` | {kind} | {allowed} |")
     operators = ("+", "*", "/", "compare", "choose", "min", "max")
     functions = sorted(set(source.operations) - {*operators})

@@ -46,7 +46,8 @@ class Interface:
 
     ``fields``: of a port, the names of its elements, which should end in the unit; by default the
     name of the port, and the number of the element where it has more than one. ``integers``: ports
-    that are int32_t, such as encoder counts. ``ranges``: lowest and highest value of an input.
+    that are int32_t, such as encoder counts. ``ranges``: lowest and highest value of a field of the
+    inputs.
     """
 
     fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -378,22 +379,22 @@ class CSource:
         names = {**self.names, **{name: str(size) for name, size in sizes.items()}}
         return filled(template, names, words, blocks, {k for k, v in conditions.items() if v})
 
-    def limits(self, port: str) -> list[str] | None:
-        """Lowest and highest value of an input as C text; None where all that is finite may come.
+    def limits(self, port: str, of: str) -> list[str] | None:
+        """Lowest and highest value of a field as C text; None where all that is finite may come.
 
         Whole numbers within the range, where the input is an int32_t.
         """
-        limits = self.interface.ranges.get(port)
+        limits = self.interface.ranges.get(of)
         if limits is None:
             return None
         if port in self.interface.integers:
             return [str(math.ceil(limits[0])), str(math.floor(limits[1]))]
-        return [literal(limit, self.real, port) for limit in limits]
+        return [literal(limit, self.real, of) for limit in limits]
 
     def _input_checks(self) -> list[str]:
         checks = []
         for port, of in self.input_fields:
-            if limits := self.limits(port):
+            if limits := self.limits(port, of):
                 checks.append(f"(in->{of} >= {limits[0]}) && (in->{of} <= {limits[1]})")
             elif port not in self.interface.integers:
                 checks.append(f"is_finite(in->{of})")
@@ -460,7 +461,7 @@ class CSource:
         lines = []
         for port, of in self.input_fields:
             kind = "int32_t" if port in self.interface.integers else f"{self.name}_real_t"
-            limits = self.limits(port)
+            limits = self.limits(port, of)
             told = f" /* {' ... '.join(limits)} */" if limits else ""
             lines.append(f"    {kind} {of};{told}")
         return lines

@@ -1,6 +1,7 @@
 /* Steps an exported controller with sane, odd and impossible inputs: -DHEADER="NAME.h"
  * -D'OF(x)=NAME_##x' -DSTEPS=... -DLIMIT=..., the largest command. fields.h lists the inputs as
- * COUNT(name, lowest, highest) and REAL(name). Ends with 1 at the first step that breaks a rule:
+ * COUNT(name, lowest, highest),
+ * RANGE(name, lowest, highest) and REAL(name). Ends with 1 at the first step that breaks a rule:
  *
  * - An input that is not finite or out of its range gives BAD_INPUT.
  * - Any status but 0 leaves the state as it was, bit by bit, and gives the last right outputs.
@@ -74,9 +75,12 @@ static bool is_right(const OF(inputs_t) *in)
     bool right = true;
 
 #define COUNT(name, low, high) right = right && (in->name >= (low)) && (in->name <= (high));
+#define RANGE(name, low, high)                                                                    \
+    right = right && (in->name >= (OF(real_t))(low)) && (in->name <= (OF(real_t))(high));
 #define REAL(name) right = right && isfinite(in->name);
 #include "fields.h"
 #undef COUNT
+#undef RANGE
 #undef REAL
     return right;
 }
@@ -88,9 +92,12 @@ static OF(inputs_t) drawn(bool all_sane)
 #define COUNT(name, low, high)                                                                    \
     in.name = all_sane ? (low) + (int32_t)below((uint32_t)((high) - (low) + 1))                   \
                        : odd_count((low), (high));
+#define RANGE(name, low, high)                                                                    \
+    in.name = all_sane ? (OF(real_t))((low) + (0.5 * (1.0 + sane()) * ((high) - (low)))) : odd();
 #define REAL(name) in.name = all_sane ? (OF(real_t))sane() : odd();
 #include "fields.h"
 #undef COUNT
+#undef RANGE
 #undef REAL
     return in;
 }

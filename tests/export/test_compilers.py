@@ -10,7 +10,7 @@ from pydrake.systems.primitives import Gain, Integrator, ZeroOrderHold
 from kneexo.compilation.c_export import files_of, source_of
 from kneexo.compilation.model import compile_diagram
 from kneexo.export.firmware import make_firmware
-from kneexo.export.target import count_range
+from kneexo.export.target import count_range, reference_range_rad
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 
@@ -34,7 +34,7 @@ PRECISIONS = ("double", "float")
 SAMPLED = {"kind": "samples", "times_s": [0.0, 1.0, 2.0], "angles_deg": [10.0, 30.0, 20.0]}
 STRUCTURES = {
     "smc": {},
-    "pid": {"controller": {"kind": "pid"}},
+    "pid": {"controller": {"kind": "pid", "integral_per_s2": 100.0}},
     "load": {"plant.load": {"kind": "knee", "knee_torque_n_m": 3.0}},
     "full_order": {"plant.full_order": {"coulomb_friction_n": 40.0}},
     "difference": {"estimator": {"kind": "difference"}, "controller.switching": "signum"},
@@ -140,7 +140,9 @@ def fuzz(folder, tool, scenario, precision, steps):
     fields = [f"COUNT(encoder_count, {-int(-low // 1)}, {int(high // 1)})"]
     text = (folder / "controller.h").read_text()
     inputs = text.partition("typedef struct {\n    int32_t")[2].partition("}")[0]
-    fields += [f"REAL({name})" for name in re.findall(r"real_t (\w+);", inputs)]
+    angle, *rates = re.findall(r"real_t (\w+);", inputs)
+    low, high = reference_range_rad(scenario)
+    fields += [f"RANGE({angle}, {low!r}, {high!r})", *(f"REAL({rate})" for rate in rates)]
     assert len(fields) == 5
     (folder / "fields.h").write_text("\n".join(fields) + "\n")
     largest, smallest = LARGEST[precision].split(", ")
@@ -163,7 +165,8 @@ def test_bad_inputs_leave_no_trace(tmp_path, tool, name, precision):
     scenario = changed(Scenario(), STRUCTURES[name])
     counts = fuzz(tmp_path, tool, scenario, precision, 100_000)
     assert sum(counts) == 100_000
-    assert min(counts) > 100
+    assert min(counts[:2]) > 10_000
+    assert (counts[2] > 100) == (name == "smc")  # a PID saturates where the SMC overflows
 
 
 @pytest.mark.slow

@@ -145,6 +145,7 @@ def test_bad_options_leave_nothing_behind(tmp_path, short, capsys, options, line
     assert not out.exists()
 
 
+@needs_compiler
 def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
     law = (
