@@ -70,7 +70,7 @@ class Variable:
     @property
     def unit(self) -> Unit | None:
         """By the end of the name."""
-        return unit_of_name(self.name) if self.causality != "independent" else unit_of_name("_s")
+        return unit_of_name("time_s" if self.causality == "independent" else self.name)
 
 
 @dataclass(frozen=True)

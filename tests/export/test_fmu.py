@@ -178,6 +178,9 @@ def test_effects_of_the_numbers_of_a_scenario():
     assert limit.touched == {"plant/motor.speed_limit_rad_s", "controller/law.command_limit_rad_s"}
     assert limit.same == set()
     assert effects["controller.command_limit_rad_s"].same == set()
+    # Here the motor's limit is the lower one up to 3000 rad/s.
+    higher = changed(PAPER, {"controller.command_limit_rad_s": 3000.0})
+    assert parameter_effects(higher, names)["plant.pump.speed_limit_rad_s"].same == set()
     # A link moves the fit of the linkage too, an area follows two diameters, degrees are turned.
     assert "plant/knee.1[0]" in effects["plant.linkage.a_3_m"].touched
     assert effects["plant.linkage.a_3_m"].same == set()
