@@ -15,6 +15,7 @@ from pydrake.systems.primitives import (
     DiscreteTimeDelay,
     Gain,
     LinearSystem,
+    Sine,
 )
 
 from kneexo.compilation import c_build, compile_diagram
@@ -355,6 +356,27 @@ def test_what_is_not_offered_is_refused(lag):
 
 
 # --------------------------------------------------------------------------------- sources
+
+
+def _clock(fmi):
+    """Without inputs, parameters and states: sin(3 t)."""
+    sine = Sine(amplitude=1.0, frequency=3.0, phase=0.0, size=1)
+    sine.set_name('clock % "é"')
+    return Fmu(source_of(compile_diagram(sine), "clock", tick_s=TICK_S, outputs=["y0"]), fmi=fmi)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_model_of_the_time_alone(fmi, fmu_instance, tmp_path):
+    fmu = _clock(fmi)
+    library = fmu.library()
+    if library is None:
+        pytest.skip("needs a C compiler on Linux, x86-64")
+    (tmp_path / "clock.fmu").write_bytes(fmu.archive(library))
+    clock = fmu_instance(tmp_path / "clock.fmu").start(start=1.0)
+    assert clock.get("y0") == 0.0
+    clock.step(1.0, 2 * TICK_S)
+    assert clock.get("y0") == pytest.approx(math.sin(0.6), rel=1e-15)
+    test_sources_compile_without_a_warning(fmu, "gcc", tmp_path)
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
