@@ -21,7 +21,7 @@ from kneexo.errors import KneexoError, OutputError, ParameterError
 from kneexo.export.target import Target, target
 from kneexo.parameters import CustomControllerParameters, Scenario, SlidingModeParameters
 from kneexo.parameters.paths import changed, value_at
-from kneexo.parameters.quantity import Parameters, bounds_of, source_of as provenance_of
+from kneexo.parameters.quantity import Parameters, limits_of, source_of as provenance_of
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
 from kneexo.systems.bldc_pump import RAD_S_PER_KRAD_S
@@ -176,7 +176,7 @@ def _tunable(scenario: Scenario, of: Target, source: CSource) -> Iterator[Parame
         if any(claims.count(name) > 1 for name in group):
             continue
         set_by_scenario |= group
-        low, high = bounds_of(_field(scenario, path))
+        low, high = limits_of(_field(scenario, path))
         told = f"sets {', '.join(sorted(group))}"
         told += f"; {provenance_of(_field(scenario, path))}"
         told += _AT_REST * effects[path].start
@@ -250,7 +250,7 @@ def _numbers(parameters: Parameters, path: str = "") -> Iterator[tuple[str, floa
         if isinstance(value, Parameters):
             yield from _numbers(value, f"{path}{name}.")
         elif isinstance(value, float) and provenance_of(field):
-            low, high = bounds_of(field)
+            low, high = limits_of(field)
             scale = value or 1e-2 * min(high, 1.0)
             numbers = [low, high, *(factor * scale for factor in _FACTORS)]
             others = [n for n in numbers if low <= n <= high and math.isfinite(n) and n != value]
