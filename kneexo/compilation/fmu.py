@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
+import re
 import sys
 import uuid
 import zipfile
@@ -70,7 +71,7 @@ class Variable:
     @property
     def unit(self) -> Unit | None:
         """By the end of the name."""
-        return unit_of_name(self.name) if self.causality != "independent" else unit_of_name("_s")
+        return unit_of_name("time_s" if self.causality == "independent" else self.name)
 
 
 @dataclass(frozen=True)
@@ -406,8 +407,8 @@ def _row(variable: Variable) -> str:
 
 
 def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
+    """Text in C; FMI 2 takes it for a format, so that a percent sign would ask for more."""
+    return '"' + re.sub(r'[^ -~]|[\\"%?]', "_", text) + '"'
 
 
 def _text(root: Element) -> str:

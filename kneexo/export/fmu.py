@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -9,8 +10,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from kneexo.compilation.c_export import source_of
 from kneexo.compilation.c_source import CSource
@@ -20,9 +19,9 @@ from kneexo.compilation.runner import STEP_S
 from kneexo.diagrams.closed_loop import make_closed_loop
 from kneexo.errors import KneexoError, OutputError, ParameterError
 from kneexo.export.target import Target, target
-from kneexo.parameters import CustomControllerParameters, Scenario
+from kneexo.parameters import CustomControllerParameters, Scenario, SlidingModeParameters
 from kneexo.parameters.paths import changed, value_at
-from kneexo.parameters.quantity import Parameters, bounds_of, source_of as provenance_of
+from kneexo.parameters.quantity import Parameters, limits_of, source_of as provenance_of
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
 from kneexo.systems.bldc_pump import RAD_S_PER_KRAD_S
@@ -166,7 +165,9 @@ def _tunable(scenario: Scenario, of: Target, source: CSource) -> Iterator[Parame
     names = [f"{prefix}{name}" for name in source.equations.parameters]
     members = dict(zip(names, source.parameter_fields, strict=True))
     values = dict(zip(names, source.parameters.tolist(), strict=True))
-    custom = isinstance(scenario.controller, CustomControllerParameters) and of.what != "plant"
+    if of.what == "plant":  # which depends on no controller
+        scenario = scenario.model_copy(update={"controller": SlidingModeParameters()})
+    custom = isinstance(scenario.controller, CustomControllerParameters)
     effects = {} if custom else parameter_effects(scenario, names)
     same = {path: effect.same for path, effect in effects.items() if effect.same}
     claims = [name for group in same.values() for name in group]
@@ -175,7 +176,7 @@ def _tunable(scenario: Scenario, of: Target, source: CSource) -> Iterator[Parame
         if any(claims.count(name) > 1 for name in group):
             continue
         set_by_scenario |= group
-        low, high = bounds_of(_field(scenario, path))
+        low, high = limits_of(_field(scenario, path))
         told = f"sets {', '.join(sorted(group))}"
         told += f"; {provenance_of(_field(scenario, path))}"
         told += _AT_REST * effects[path].start
@@ -206,8 +207,8 @@ class Effect:
 def parameter_effects(scenario: Scenario, names: list[str]) -> dict[str, Effect]:
     """Of each number of a scenario, by its dotted path, what it changes of Context parameters.
 
-    Each number is set to several others, as far as its range and the scenario allow; a change of
-    the form of the equations does not count.
+    Each number is set to the ends of its range and to several others, as far as the scenario
+    allows; a change of the form of the equations does not count.
     """
     before, start = scenario_values(scenario), scenario_start(scenario)
     effects = {}
@@ -249,14 +250,15 @@ def _numbers(parameters: Parameters, path: str = "") -> Iterator[tuple[str, floa
         if isinstance(value, Parameters):
             yield from _numbers(value, f"{path}{name}.")
         elif isinstance(value, float) and provenance_of(field):
-            low, high = bounds_of(field)
+            low, high = limits_of(field)
             scale = value or 1e-2 * min(high, 1.0)
-            numbers = [factor * scale for factor in _FACTORS]
-            yield f"{path}{name}", value, [other for other in numbers if low <= other <= high]
+            numbers = [low, high, *(factor * scale for factor in _FACTORS)]
+            others = [n for n in numbers if low <= n <= high and math.isfinite(n) and n != value]
+            yield f"{path}{name}", value, others
         elif isinstance(value, tuple) and len(value) <= _LONGEST_TUPLE:
             for i, x in enumerate(value):
-                others = [(*value[:i], factor * x, *value[i + 1 :]) for factor in _FACTORS]
-                yield f"{path}{name}[{i}]", x, others
+                tuples = [(*value[:i], factor * x, *value[i + 1 :]) for factor in _FACTORS]
+                yield f"{path}{name}[{i}]", x, tuples
 
 
 def _field(scenario: Scenario, path: str) -> Any:
@@ -267,7 +269,7 @@ def _field(scenario: Scenario, path: str) -> Any:
 
 def _initial(scenario: Scenario, source: CSource) -> Iterator[Parameter]:
     """The initial states of the plant, which rests at an angle of the knee."""
-    start = np.degrees(knee_reference.start_angle_rad(scenario.reference))
+    start = math.degrees(knee_reference.start_angle_rad(scenario.reference))
     full_order = scenario.plant.full_order is not None
     pressures = {
         f"plant/cylinder.x[{2 + i}]": (name, PA_PER_MPA)
@@ -297,8 +299,6 @@ def _starts(scenario: Scenario, of: Target, source: CSource) -> dict[str, float]
     within = plant.GetMyContextFromRoot(context)
     values: dict[str, list[float]] = {}
     for name in of.inputs:
-        if name == "motor_speed_command":
-            continue
         if loop.HasOutputPort(name):
             values[name] = loop.GetOutputPort(name).Eval(context).tolist()
         elif plant.HasOutputPort(name):

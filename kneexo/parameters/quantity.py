@@ -121,7 +121,7 @@ def allowed_range(field: FieldInfo) -> str:
     return " and ".join(bounds)
 
 
-def bounds_of(field: FieldInfo) -> tuple[float, float]:
+def limits_of(field: FieldInfo) -> tuple[float, float]:
     """Lowest and highest value of a field made by `quantity`; infinite where there is none."""
     low, high = -math.inf, math.inf
     for bound in field.metadata:

@@ -74,9 +74,11 @@ static bool refuse_value(NAME_fmu_t *fmu, const variable *of, double value)
     char text[LONGEST_TEXT] = "";
 
     append_value(text, "", of->name, value, of->unit);
-    append(text, isfinite(value) ? " is out of range: must be" : ": must be finite and");
-    append_value(text, " between ", "lowest", of->low, of->unit);
-    append_value(text, " and ", "highest", of->high, of->unit);
+    append(text, ": must be finite");
+    if ((of->low > -DBL_MAX) || (of->high < DBL_MAX)) {
+        append_value(text, ", ", "lowest", of->low, of->unit);
+        append_value(text, ", ", "highest", of->high, of->unit);
+    }
     return NAME_fmu_refuse(fmu, text);
 }
 
