@@ -61,7 +61,8 @@ M7 = Processor(
     216e6,  # STM32F767
 )
 PROCESSORS = (M4F, M7)
-PRECISIONS = ("float", "double")
+PRECISIONS = ("float", "float, table", "double")
+"""With ``table`` the encoder count is looked up: ``kneexo export c --look-up``."""
 SCENARIOS = {
     "SMC": Scenario(),
     "PID": changed(Scenario(), {"controller": {"kind": "pid"}}),
@@ -107,7 +108,8 @@ def figures(scenario: Scenario, precision: str, processor: Processor) -> Figures
     Raises `MissingToolError`, and `subprocess.SubprocessError` where a build or a run fails.
     """
     require_tools()
-    source, vectors = make_firmware(scenario, precision=precision)
+    precision, _, table = precision.partition(", ")
+    source, vectors = make_firmware(scenario, precision=precision, look_up=bool(table))
     name = source.name
     model = (f"{name}.c", f"{name}_params.c")
     start = ("-nostartfiles", "--specs=rdimon.specs", f"-T{FOLDER / 'memory.ld'}")

@@ -252,8 +252,8 @@ class CSource:
         if not self.look_up:
             return []
         ranges = {}
-        for element, (port, _) in enumerate(self.input_fields):
-            if port in self.interface.integers and (limits := self.limits(port)):
+        for element, (port, of) in enumerate(self.input_fields):
+            if port in self.interface.integers and (limits := self.limits(port, of)):
                 ranges[element] = int(limits[0]), int(limits[1])
         roots = [*self.roots(), *self.equations.initial_held]
         tables = tables_of(self.equations.graph, roots, ranges, self.parameters)

@@ -11,14 +11,17 @@ import pytest
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 FULL_SPEED = 5000.0 * 2.0 * math.pi / 60.0
 TOLERANCES = {"double": 1e-12 * FULL_SPEED, "float": FULL_SPEED / 5000.0}
+TOLERANCES["float, table"] = 0.1 * TOLERANCES["float"]
 MOST = {  # instructions of a step; an M4F computes double by software
     ("Cortex-M4F", "float"): 1_000,
+    ("Cortex-M4F", "float, table"): 400,
     ("Cortex-M4F", "double"): 25_000,
     ("Cortex-M7", "float"): 1_000,
     ("Cortex-M7", "double"): 1_000,
 }
 CASES = [
     ("Cortex-M4F", "SMC", "float"),
+    ("Cortex-M4F", "SMC", "float, table"),
     ("Cortex-M4F", "SMC", "double"),
     ("Cortex-M4F", "PID", "float"),
     ("Cortex-M7", "SMC", "float"),
@@ -50,7 +53,7 @@ def test_the_controller_runs_on_the_processor(processor, name, controller, preci
     assert 0.0 < figures.difference <= TOLERANCES[precision]
     assert figures.hundred == pytest.approx(100.0, abs=1.5)  # a tick is 0.6 of it
     assert 100.0 < figures.mean <= figures.largest <= MOST[name, precision]
-    assert 50 < figures.stack_bytes < 500
+    assert 40 < figures.stack_bytes < 500
     assert 4_000 < figures.flash_bytes < 20_000
 
 
@@ -84,5 +87,5 @@ def test_the_table_has_its_units(processor, monkeypatch, capsys):
     monkeypatch.setattr(processor, "figures", lambda *_: figures)
     processor.main()
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 1 + 2 * 2 * 2
+    assert len(lines) == 1 + 2 * 2 * 3
     assert lines[1] == ("Cortex-M4F, 168 MHz | SMC | float | 1 | 700, 1680 | 1 % | 152, 124 | 10.8")
