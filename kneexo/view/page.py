@@ -126,11 +126,16 @@ def _record(meshcat: Meshcat, path: str, leg: Leg, depth: float, largest: float)
     sweep = np.radians(np.linspace(0.0, 90.0, 91))
     trail = np.array([_world(point, depth) for point in points(leg.linkage, sweep)["icr"]])
     meshcat.SetLine(f"{path}/icr_path", trail.T, 2.0, Rgba(0.8, 0.0, 0.5))
-    for time, value in zip(times.tolist(), (pressure / (largest or 1.0)).tolist(), strict=True):
-        colour = _NONE + abs(value) * ((_HIGH if value > 0.0 else _LOW) - _NONE)
+    for time, colour in zip(times.tolist(), pressure_colours(pressure, largest), strict=True):
         meshcat.SetProperty(
             f"{path}/cylinder/<object>", "color", [*colour.tolist(), 1.0], time_in_recording=time
         )
+
+
+def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
+    """Red, green and blue, (n, 3), of pressures (n,): blue at -largest, grey at 0, red at largest."""
+    share = (pressure_pa / (largest_pa or 1.0))[:, None]
+    return np.asarray(_NONE + np.abs(share) * (np.where(share > 0.0, _HIGH, _LOW) - _NONE))
 
 
 def _bar(
