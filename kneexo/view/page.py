@@ -133,7 +133,7 @@ def _record(meshcat: Meshcat, path: str, leg: Leg, depth: float, largest: float)
 
 
 def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
-    """Red, green and blue, (n, 3), of pressures (n,): blue at -largest, grey at 0, red at largest."""
+    """Red, green, blue (n, 3) of pressures (n,): blue at -largest, grey at 0, red at largest."""
     share = (pressure_pa / (largest_pa or 1.0))[:, None]
     return np.asarray(_NONE + np.abs(share) * (np.where(share > 0.0, _HIGH, _LOW) - _NONE))
 
