@@ -85,7 +85,7 @@ def short(tmp_path):
     return str(path)
 
 
-@pytest.mark.parametrize("command", ["simulate", "linearize"])
+@pytest.mark.parametrize("command", ["simulate", pytest.param("linearize", marks=pytest.mark.slow)])
 def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
     out = tmp_path / "out"
     assert main([command, short, "--out", str(out), "--html", "--json"]) == 0
@@ -101,6 +101,7 @@ def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
     assert len(text) < 3e6
 
 
+@pytest.mark.slow
 def test_html_of_a_study_is_its_report(short, tmp_path, capsys):
     out = tmp_path / "out"
     few = ["--set", "frequencies_hz=[2, 3, 4]", "--set", "amplitudes_deg=[1]"]

@@ -29,6 +29,7 @@ COMPILERS = {
 SANITIZERS = ("-g", "-O1", "-ffp-contract=off", "-fno-sanitize-recover=all")
 SANITIZERS += ("-fsanitize=address,undefined,float-cast-overflow",)
 TARGETS = ("controller", "plant", "loop")
+SLOW_TARGETS = [pytest.param(what, marks=pytest.mark.slow) for what in TARGETS[1:]]
 PRECISIONS = ("double", "float")
 
 SAMPLED = {"kind": "samples", "times_s": [0.0, 1.0, 2.0], "angles_deg": [10.0, 30.0, 20.0]}
@@ -75,7 +76,7 @@ def compiles(folder, tool, files):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("what", TARGETS)
+@pytest.mark.parametrize("what", ("controller", *SLOW_TARGETS))
 def test_compilers_have_nothing_to_say(tmp_path, tool, what, precision):
     compiles(tmp_path, tool, with_harness(Scenario(), what, precision))
 
@@ -118,7 +119,7 @@ def test_a_warning_would_be_seen(tmp_path, tool):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("what", TARGETS)
+@pytest.mark.parametrize("what", ("controller", *SLOW_TARGETS))
 def test_sanitizers_find_nothing_in_the_harness(tmp_path, tool, what, precision):
     names = write(tmp_path, with_harness(Scenario(), what, precision))
     done = run(tmp_path, tool("gcc"), *SANITIZERS, *names, "-o", "harness", "-lm")
@@ -188,9 +189,18 @@ CPPCHECK = ("--addon=misra", "--std=c99", "--enable=style", "--inconclusive", "-
 CPPCHECK += ("-DDBL_MANT_DIG=53",)  # else it stops at the #error of double precision
 
 
-@pytest.fixture(
-    params=[(what, precision) for what in TARGETS for precision in PRECISIONS], ids=":".join
-)
+MODELS = [
+    pytest.param(
+        (what, precision),
+        marks=() if what == "controller" else pytest.mark.slow,
+        id=f"{what}:{precision}",
+    )
+    for what in TARGETS
+    for precision in PRECISIONS
+]
+
+
+@pytest.fixture(params=MODELS)
 def model(request, exported):
     """Files of a target without its harness, which does not run on a microcontroller."""
     return exported.exported_source(Scenario(), *request.param)[1].files()

@@ -168,6 +168,7 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path, short, capsys):
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_a_table_takes_the_drift_from_a_pid_in_float():
     """The knee angle of a count is rounded once: the integral no longer adds up its error."""
     scenario = Scenario(controller=PID_TUNED)

@@ -466,6 +466,7 @@ def test_libcosim_couples_plant_and_controller(path, tmp_path):
 
 
 @NEEDS_COMPILER
+@pytest.mark.slow
 def test_the_example_of_the_docs_prints_what_they_say(tmp_path):
     pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
     text = (ROOT / "docs/fmu.md").read_text(encoding="utf-8")

@@ -150,6 +150,7 @@ def test_compensated_sums_keep_the_time_of_an_hour(exported):
     assert abs(hour_s["plain"] - 3600.0) > 10.0
 
 
+@pytest.mark.slow
 def test_rows_of_the_table_have_their_units(exported, monkeypatch, capsys):
     float_loop = importlib.import_module("float_loop")
     scenario = changed(SCENARIOS["smc"], {"simulation.duration_s": 2.0})
