@@ -76,7 +76,7 @@ def compiles(folder, tool, files):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("what", ("controller", *SLOW_TARGETS))
+@pytest.mark.parametrize("what", ["controller", *SLOW_TARGETS])
 def test_compilers_have_nothing_to_say(tmp_path, tool, what, precision):
     compiles(tmp_path, tool, with_harness(Scenario(), what, precision))
 
@@ -119,7 +119,7 @@ def test_a_warning_would_be_seen(tmp_path, tool):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("what", ("controller", *SLOW_TARGETS))
+@pytest.mark.parametrize("what", ["controller", *SLOW_TARGETS])
 def test_sanitizers_find_nothing_in_the_harness(tmp_path, tool, what, precision):
     names = write(tmp_path, with_harness(Scenario(), what, precision))
     done = run(tmp_path, tool("gcc"), *SANITIZERS, *names, "-o", "harness", "-lm")
