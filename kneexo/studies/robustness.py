@@ -1,7 +1,7 @@
 """What uncertainty does to a closed loop: samples, corners, one value at a time, sensitivities.
 
 The plant and its measurement vary; the controller keeps believing in the nominal plant but for
-what is `kneexo.parameters.Uncertainty.known`. Nothing that fails is left out: a run that stops and
+what is ``known`` in `Uncertainty`. Nothing that fails is left out: a run that stops and
 a loop that is unstable count as worse than any number.
 """
 
