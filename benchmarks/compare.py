@@ -34,6 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from exported import FLAGS, Replay, exported_source
 from hand_written import C_FLAGS, NoCompilerError, c_compiler, parameters_of, run_c
 from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
@@ -157,6 +158,14 @@ def in_c(scenario: Scenario, duration_s: float) -> Runner:
     return hand_written(run_c, scenario, duration_s)
 
 
+def exported_c(scenario: Scenario, duration_s: float) -> Runner:
+    """The loop as `kneexo export c` prints it."""
+    _, source = exported_source(scenario, "loop", outputs=SIGNALS)
+    replay = Replay(source)
+    steps = round(duration_s / source.sample_time_s)
+    return lambda: replay.from_start(np.zeros((steps, len(source.input_fields))))
+
+
 def in_numba(scenario: Scenario, duration_s: float) -> Runner:
     """The hand-written numba program."""
     try:
@@ -176,7 +185,13 @@ DRAKE = (
     Way("kneexo wrapped in Drake's Simulator, exact hold", wrapped, note="with logging"),
     Way("Drake, idiomatic Python LeafSystems, RK3 0.2 ms", idiomatic, 3.0),
 )
-OURS = (C, Way("numba, RK4 0.2 ms", in_numba, rk4=True), *KNEEXO, *DRAKE)
+OURS = (
+    C,
+    Way("numba, RK4 0.2 ms", in_numba, rk4=True),
+    *KNEEXO,
+    Way("kneexo exported as C, RK4 0.2 ms", exported_c, rk4=True, note=" ".join(FLAGS)),
+    *DRAKE,
+)
 FULL_ORDER = (
     Way("kneexo compiled, RK4 0.02 ms", compiled("rk4", 2e-5)),
     Way("kneexo compiled, exact hold", compiled("exact_hold")),

@@ -50,7 +50,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compilation/machine_code": ("compilation/test_cache", "compilation/test_model"),
     "compilation/native": ("compilation/test_cache", "compilation/test_time_loop"),
     "compilation/runner": ("compilation/test_time_loop", "compilation/test_model"),
-    "compilation/c_build": ("compilation/test_c_export",),
+    "compilation/c_build": ("compilation/test_c_export", "compilation/test_fmu"),
     "compilation/c_functions": ("compilation/test_c_source",),
     "compilation/c_template": ("compilation/test_c_source", "compilation/test_c_export"),
     "diagrams/part": ("diagrams/test_plant", "diagrams/test_controller"),

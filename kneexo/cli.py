@@ -21,6 +21,16 @@ from kneexo.interruption import Terminated, sigterm_raises
 from kneexo.studies.catalogue import PAPER, STUDIES, Study
 from kneexo.version import __version__
 
+FIRST_STEPS = """\
+kneexo simulates a polycentric knee exoskeleton with electro-hydraulic actuator. Try:
+
+  kneexo view --out knee.html          a knee that moves, in a browser
+  kneexo simulate --out run            how well it follows its reference
+  kneexo reproduce --out results       every figure and number of the paper
+
+kneexo --help lists all commands.
+"""
+
 EPILOG = """\
 examples:
   kneexo reproduce --out results       every figure and number of the paper
@@ -33,6 +43,7 @@ examples:
   kneexo study contest --out contest   sliding mode against PID, tuned alike
   kneexo size --out size               what a faster knee would take
   kneexo diagram --out pictures        the block diagram
+  kneexo export fmu --out knee.fmu     the controller for another simulator
 
 Exit codes: 0 success, 2 wrong input or a run that failed (one line says why),
 130 interrupted, 143 terminated.
@@ -112,6 +123,10 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 
 
 def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments:
+        print(FIRST_STEPS, end="")
+        return 0
     _parser().parse_args(arguments, options)
     if _needs_drake(options) and (line := system.lacking()):  # Drake itself would print a page
         return _fail(line)
@@ -135,7 +150,7 @@ def _needs_drake(options: argparse.Namespace) -> bool:
     """Whether a command imports Drake; of `params`, only the list of all settings does."""
     if options.command == "params":
         return not (options.scenario or options.yaml or options.schema)
-    return bool(options.command != "cache")
+    return options.command not in ("cache", "completion")
 
 
 def _one_line(message: Warning | str, *_: Any, **__: Any) -> str:
@@ -179,6 +194,7 @@ def _add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
             _add_scenario(sub, study.setup)
         _add_engine(sub)
         _add_out(sub, "figures (PNG, PDF), results (JSON) and report (Markdown)")
+        _add_html(sub)
         label = study.label or study.command
         listed = f"`kneexo params` lists them with their defaults after '{label}:'"
         _add_set(sub, f"a setting, by its dotted name; {listed}", "settings")
@@ -209,6 +225,7 @@ def _add_single_runs(subparsers: Any) -> None:
     _add_engine(sub)
     _add_values(sub)
     _add_out(sub, "signals.csv, metrics.json, scenario.yaml and tracking.png, .pdf")
+    _add_html(sub)
 
     sub = _command(
         subparsers,
@@ -223,6 +240,7 @@ def _add_single_runs(subparsers: Any) -> None:
         "--knee-angle", type=float, default=40.0, metavar="DEG", help="posture, knee angle in deg"
     )
     _add_out(sub, "linearization.json; loop, nyquist and poles as PNG and PDF")
+    _add_html(sub)
 
 
 def _add_view(subparsers: Any) -> None:
@@ -268,9 +286,36 @@ def _add_exports(subparsers: Any) -> None:
         "--precision", choices=("double", "float"), default="double", help="type of all numbers"
     )
     sub.add_argument(
+        "--look-up",
+        action="store_true",
+        help="take what depends on the encoder count alone from a table: faster, and more exact "
+        "in float; the parameters behind it are fixed then",
+    )
+    sub.add_argument(
         "--vectors-s", type=float, metavar="S", help="time of the test vectors in s; left out: 2"
     )
     _add_out(sub, "the files, which no other files may share")
+
+    sub = _command(
+        forms,
+        "fmu",
+        commands.export_fmu,
+        "write a functional mock-up unit for co-simulation in other simulators",
+        "With C sources and, where there is a C compiler, the binary of this machine. Numbers of "
+        "the scenario are parameters of the FMU.",
+    )
+    _add_target(sub)
+    sub.add_argument(
+        "--fmi", type=int, choices=(2, 3), default=3, help="version of the FMI standard"
+    )
+    sub.add_argument(
+        "--out",
+        metavar="FILE.fmu",
+        type=Path,
+        required=True,
+        help="file, or directory for knee_controller.fmu, knee_plant.fmu or knee_loop.fmu; an "
+        "FMU that kneexo made is replaced",
+    )
 
 
 def _add_target(sub: argparse.ArgumentParser) -> None:
@@ -322,6 +367,22 @@ def _add_utilities(subparsers: Any) -> None:
     )
     sub.add_argument("--clear", action="store_true", help="delete all of them")
 
+    what = "print what completes commands and options in a shell"
+    sub = subparsers.add_parser(
+        "completion",
+        help=what,
+        description=f'{what.capitalize()}: eval "$(kneexo completion bash)" in ~/.bashrc.',
+        formatter_class=_HelpFormatter,
+    )
+    sub.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="the shell")
+    sub.set_defaults(run=_print_completion, command="completion")
+
+
+def _print_completion(options: argparse.Namespace) -> None:
+    import shtab
+
+    print(shtab.complete(_parser(), options.shell))
+
 
 def _command(
     group: Any, name: str, run: Callable[..., None], text: str, detail: str = ""
@@ -335,6 +396,14 @@ def _command(
     sub.add_argument("--json", action="store_true", help="print the result as JSON")
     sub.set_defaults(run=run, command=name)
     return sub
+
+
+def _add_html(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--html",
+        action="store_true",
+        help="write the report as one HTML page too, with tables, pictures and scenario",
+    )
 
 
 def _add_out(sub: argparse.ArgumentParser, files: str) -> None:

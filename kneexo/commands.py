@@ -11,7 +11,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from functools import partial
@@ -85,17 +85,41 @@ def _origin(scenario: Scenario, settings: Parameters | None = None) -> dict[str,
     return {"kneexo": __version__, "scenario": scenario.model_dump(mode="json")} | given
 
 
-def _write(directory: Path, texts: Mapping[str, str], figures: Mapping[str, Figure]) -> None:
-    """Write texts by file name, and figures by name as PNG and PDF; the figures are closed."""
+def _write(
+    directory: Path,
+    texts: Mapping[str, str],
+    figures: Mapping[str, Figure],
+    page: Callable[[Mapping[str, Figure]], tuple[str, str]] | None = None,
+) -> None:
+    """Write texts by file name, and figures by name as PNG and PDF; the figures are closed.
+
+    ``page``: makes name and text of an HTML page that shows the figures too.
+    """
     import matplotlib.pyplot as plt
 
     from kneexo.output import save_figure
 
-    for name, text in texts.items():
+    pages = [page(figures)] if page is not None else []
+    for name, text in (*texts.items(), *pages):
         (directory / name).write_text(text, encoding="utf-8")
     for name, figure in figures.items():
         save_figure(directory, name, figure)
         plt.close(figure)
+
+
+def _page(
+    options: argparse.Namespace, name: str, report: str, origin: Mapping[str, Any]
+) -> Callable[[Mapping[str, Figure]], tuple[str, str]] | None:
+    """What makes the HTML page of a report, where ``--html`` asks for it."""
+    if not options.html:
+        return None
+
+    def page(figures: Mapping[str, Figure]) -> tuple[str, str]:
+        from kneexo.html_page import html_page
+
+        return f"{name}.html", html_page(f"kneexo {options.command}", report, figures, origin)
+
+    return page
 
 
 def _checkpoint_path(options: argparse.Namespace) -> Path:
@@ -160,14 +184,16 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
                 executor=executor,
                 progress=True,
             )
-            document = to_json(_origin(scenario, settings) | result.results())
+            origin = _origin(scenario, settings)
+            document = to_json(origin | result.results())
             report = study.report(result)
             results_file, report_file = study.files
             texts = {
                 results_file or f"{study.name}.json": document,
                 report_file or f"{study.name}.md": report,
             }
-            _write(directory, texts, study.figures(result))
+            page = _page(options, study.name, report, origin)
+            _write(directory, texts, study.figures(result), page)
             files = ", ".join(sorted(file.name for file in directory.iterdir()))
         except BaseException:  # KeyboardInterrupt too: the next process may have the file
             checkpoint.close()
@@ -187,23 +213,28 @@ def simulate(options: argparse.Namespace) -> None:
     from kneexo.analysis import track
     from kneexo.output import to_json, write_csv
     from kneexo.scenario_file import dump_scenario
-    from kneexo.studies.markdown import number
+    from kneexo.studies.markdown import markdown_table, number
 
     with _results(options) as directory:
         if scenario.simulation.compiled:
             result = track(scenario, all_signals=True)
         else:
             result = _track_with_bar(scenario)
-        document = to_json(_origin(scenario) | asdict(result.metrics))
+        metrics = asdict(result.metrics)
+        document = to_json(_origin(scenario) | metrics)
         write_csv(directory / "signals.csv", result.run)
         texts = {"metrics.json": document, "scenario.yaml": dump_scenario(scenario)}
-        _write(directory, texts, {"tracking": result.plot()[0].figure})
+        rows = [(name, number(value, ".6g")) for name, value in metrics.items()]
+        report = "\n".join(markdown_table(("metric", "value"), rows))
+        page = _page(options, "simulate", report, _origin(scenario))
+        _write(directory, texts, {"tracking": result.plot()[0].figure}, page)
+        files = ", ".join(sorted(file.name for file in directory.iterdir()))
     if options.json:
         print(document, end="")
         return
-    for name, value in asdict(result.metrics).items():
-        print(f"{name:28s} {number(value, '.6g')}")
-    print(f"In {options.out}: signals.csv, metrics.json, scenario.yaml, tracking.png, tracking.pdf")
+    for name, text in rows:
+        print(f"{name:28s} {text}")
+    print(f"In {options.out}: {files}")
 
 
 def _track_with_bar(scenario: Scenario) -> TrackingResult:
@@ -227,6 +258,7 @@ def linearize(options: argparse.Namespace) -> None:
     scenario = _scenario(options)
     from kneexo.analysis import linearize_loop, linearize_plant
     from kneexo.output import to_json
+    from kneexo.studies.markdown import markdown_table, number
 
     with _results(options) as directory:
         plant = linearize_plant(scenario.plant, options.knee_angle)
@@ -248,12 +280,17 @@ def linearize(options: argparse.Namespace) -> None:
         )
         axes = {"loop": loop.plot()[0], "nyquist": loop.plot_nyquist(), "poles": loop.plot_poles()}
         figures = {name: ax.figure for name, ax in axes.items()}
-        _write(directory, {"linearization.json": document}, figures)
+        rows = [("plant", str(plant)), ("loop", str(loop))]
+        rows += [(name, number(value, ".6g")) for name, value in asdict(loop.margins()).items()]
+        report = "\n".join(markdown_table(("what", "value"), rows))
+        page = _page(options, "linearize", report, _origin(scenario))
+        _write(directory, {"linearization.json": document}, figures, page)
+        files = ", ".join(sorted(file.name for file in directory.iterdir()))
     if options.json:
         print(document, end="")
         return
     print(f"plant: {plant}\nloop: {loop}")
-    print(f"In {options.out}: linearization.json; loop, nyquist and poles as PNG and PDF")
+    print(f"In {options.out}: {files}")
 
 
 def params(options: argparse.Namespace) -> None:
@@ -356,6 +393,7 @@ def export_c(options: argparse.Namespace) -> None:
         options.what,
         precision=options.precision,
         vectors_s=options.vectors_s,
+        look_up=options.look_up,
     )
     if options.json:
         print(to_json(_origin(scenario) | asdict(measured)), end="")
@@ -371,6 +409,28 @@ def export_c(options: argparse.Namespace) -> None:
             print(f"  {field}: difference {difference:.3g} (largest value {largest:.6g})")
     for target, size in measured.code_sizes.items():
         print(f"  {target}: {size.flash} bytes of flash, {size.stack} bytes of stack")
+
+
+def export_fmu(options: argparse.Namespace) -> None:
+    """``kneexo export fmu``."""
+    from kneexo.export import fmu
+    from kneexo.output import to_json
+
+    scenario = _scenario(options)
+    file = fmu.export_fmu(scenario, options.out, options.what, fmi=options.fmi)
+    if options.json:
+        print(to_json(_origin(scenario) | asdict(file)), end="")
+        return
+    print(f"{options.what} as FMU by FMI {options.fmi}: {file.path}")
+    print(f"  inputs: {', '.join(file.inputs)}")
+    print(f"  outputs: {', '.join(file.outputs)}")
+    print(
+        f"  parameters: {file.parameters}, of which {len(file.scenario_parameters)} have names "
+        f"of the scenario"
+    )
+    print(f"  communication step: {file.sample_time_s:g} s or a whole multiple")
+    if not file.binary:
+        print("  sources only: no C compiler (cc, gcc or clang), or not Linux on x86-64")
 
 
 def cache(options: argparse.Namespace) -> None:

@@ -960,3 +960,20 @@ def test_changed_leaves_nested_mappings_of_settings_alone():
     assert changed(settings, {path: 5.0}).contestants["SMC"].controller.lambda_per_s == 5.0
     assert settings == ContestSettings()
     assert ContestSettings().contestants["SMC"].controller.lambda_per_s == 20.0
+
+
+def test_no_command_shows_the_first_steps(capsys):
+    assert main([]) == 0
+    text = capsys.readouterr().out
+    commands = [line.split()[1] for line in text.splitlines() if line.startswith("  kneexo")]
+    assert commands == ["view", "simulate", "reproduce"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_knows_commands_and_options(shell, capsys):
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    for word in ("reproduce", "robustness", "contest", "--uncertainty"[2:]):
+        assert word in script
+    if shell == "bash":
+        subprocess.run(["bash", "-n"], input=script, text=True, check=True)

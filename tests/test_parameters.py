@@ -30,6 +30,7 @@ from kneexo.parameters import (
     CylinderParameters,
     EncoderParameters,
     ExactParameters,
+    FullCylinderParameters,
     GaitReference,
     KneeLoadParameters,
     KneeParameters,
@@ -47,7 +48,13 @@ from kneexo.parameters import (
     gait_reference,
 )
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, allowed_range, source_of, unit_of
+from kneexo.parameters.quantity import (
+    Parameters,
+    allowed_range,
+    limits_of,
+    source_of,
+    unit_of,
+)
 from kneexo.studies.bandwidth import BandwidthSettings
 from kneexo.studies.paper import IDEAL_SMC
 
@@ -119,6 +126,16 @@ def test_number_has_unit_range_and_provenance(
     kinds = "Tables? |Sections? |Eq\\. |Fig\\. |assumption|given by the user|standard gravity"
     run = "three periods|the control period|accuracy of|rod position minus reference"
     assert re.match(f"({kinds}|{run})", source_of(field)), source_of(field)
+
+
+def test_limits_are_numbers_that_the_field_takes() -> None:
+    """An open end is the next number beyond it."""
+    fields = FullCylinderParameters.model_fields
+    low, high = limits_of(fields["relief_pressure_pa"])
+    assert (low, high) == (math.nextafter(1e6, math.inf), 1e9)
+    assert FullCylinderParameters(relief_pressure_pa=low).relief_pressure_pa == low
+    assert limits_of(fields["dead_volume_m3"])[0] > 0.0
+    assert limits_of(PlantParameters.model_fields["rod_map"]) == (-math.inf, math.inf)
 
 
 def test_choices_have_a_provenance() -> None:

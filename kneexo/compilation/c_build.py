@@ -49,12 +49,11 @@ def replay(name: str, files: Mapping[str, str]) -> Replay | None:
 
     Raises `CompilationError` when it does not build or a step fails.
     """
-    compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
+    compiler = _compiler()
     if compiler is None:
         return None
     with _written(files) as folder:
-        sources = sorted(file for file in files if file.endswith(".c"))
-        _run(folder, compiler, *FLAGS, *sources, "-o", "harness", "-lm")
+        _run(folder, compiler, *FLAGS, *_sources(files), "-o", "harness", "-lm")
         done = subprocess.run([folder / "harness"], capture_output=True, text=True, check=False)
     rows = re.findall(r"^(\w+): difference (\S+), largest value (\S+)$", done.stdout, re.MULTILINE)
     if not rows:
@@ -64,6 +63,28 @@ def replay(name: str, files: Mapping[str, str]) -> Replay | None:
         {field: float(largest) for field, _, largest in rows},
         done.returncode == 0,
     )
+
+
+def shared_library(files: Mapping[str, str]) -> bytes | None:
+    """A shared library for this machine that shows only what is marked; None without a compiler.
+
+    Raises `CompilationError` when it does not build.
+    """
+    compiler = _compiler()
+    if compiler is None:
+        return None
+    options = ("-shared", "-fPIC", "-fvisibility=hidden", "-s")
+    with _written(files) as folder:
+        _run(folder, compiler, *FLAGS, *options, *_sources(files), "-o", "library.so", "-lm")
+        return (folder / "library.so").read_bytes()
+
+
+def _compiler() -> str | None:
+    return next(filter(None, map(shutil.which, COMPILERS)), None)
+
+
+def _sources(files: Mapping[str, str]) -> list[str]:
+    return sorted(file for file in files if file.endswith(".c"))
 
 
 def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:

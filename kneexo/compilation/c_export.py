@@ -105,7 +105,7 @@ class Measurement:
 
 def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measurement]:
     """Name and text of each file of the folder, and its measurement."""
-    files = _sources(source, vectors)
+    files = files_of(source, vectors)
     measurement = Measurement(
         dict(source.operations),
         source.state_bytes,
@@ -115,7 +115,8 @@ def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measure
     return files | {"README.md": _readme(source, vectors, measurement)}, measurement
 
 
-def _sources(source: CSource, vectors: Vectors) -> dict[str, str]:
+def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
+    """Name and text of each file but the README."""
     name = source.name
     fields = [field for _, field in source.output_fields]
     words = {
@@ -149,7 +150,9 @@ def _readme(source: CSource, vectors: Vectors, measurement: Measurement) -> str:
     rows = []
     for port, field in source.input_fields:
         kind = "int32_t" if port in integers else source.precision
-        allowed = " … ".join(source.limits(port) or ["all" if port in integers else "finite"])
+        allowed = " … ".join(
+            source.limits(port, field) or ["all" if port in integers else "finite"]
+        )
         rows.append(f"| `{field}` | {kind} | {allowed} |")
     operators = ("+", "*", "/", "compare", "choose", "min", "max")
     functions = sorted(set(source.operations) - {*operators})

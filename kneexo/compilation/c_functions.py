@@ -32,6 +32,7 @@ class Functions:
     def __init__(self, model: CSource) -> None:
         self.model, self.equations = model, model.equations
         self.printer = CPrinter(self.equations.graph, model.real, self.equations.sections)
+        self.printer.tables = {table.node: number for number, table in enumerate(model.tables)}
         self.printer.collect_fixed([*model.roots(), *self.equations.initial_held])
         self.operations: Counter[str] = Counter()
         self.lines = self._lines()
@@ -45,6 +46,11 @@ class Functions:
         if kind == "input":
             port, of = model.input_fields[index]
             return f"(real)in->{of}" if port in model.interface.integers else f"in->{of}"
+        if kind == "table":
+            table = model.tables[index]
+            _, of = model.input_fields[table.element]
+            place = f"in->{of} {'+' if table.first < 0 else '-'} {abs(table.first)}"
+            return f"{model.name}_table_{index}[{place}]"
         if kind == "time":
             return "t"
         return f"{_MEMORY[kind]}[{index}]"

@@ -71,6 +71,8 @@ class CPrinter:
     """In whose order statements come, each under a comment."""
     fixed: dict[int, int] = field(default_factory=dict)
     """Nodes that depend on parameters alone, with their number among the constants."""
+    tables: dict[int, int] = field(default_factory=dict)
+    """Nodes that are looked up, with the number of their table."""
     operations: Counter[str] = field(default_factory=Counter)
     """What all blocks so far do: operators, and functions by their names."""
 
@@ -84,7 +86,7 @@ class CPrinter:
             kind = graph.nodes[node][0]
             if graph.is_fixed(node) and kind not in (*_CONDITIONS, *SOURCES):
                 kept.append(node)
-            else:
+            elif node not in self.tables:
                 used.update(graph.arguments(node))
         self.fixed = {node: number for number, node in enumerate(reversed(kept))}
 
@@ -97,14 +99,18 @@ class CPrinter:
         indent: str = "    ",
     ) -> list[str]:
         """Statements that compute nodes and assign each to its target."""
-        return _Block(self, load, self.fixed if fixed is None else fixed, indent).lines(targets)
+        constants = self.fixed if fixed is None else fixed
+        loads = {node: ("constant", number) for node, number in constants.items()}
+        loads |= {node: ("table", number) for node, number in self.tables.items()}
+        return _Block(self, load, loads, indent).lines(targets)
 
 
 class _Block:
     def __init__(
-        self, printer: CPrinter, load: Load, fixed: Mapping[int, int], indent: str
+        self, printer: CPrinter, load: Load, loads: Mapping[int, tuple[str, int]], indent: str
     ) -> None:
-        self.printer, self.graph, self.load, self.fixed = printer, printer.graph, load, fixed
+        """``loads``: nodes that are not computed here, and what to load for them."""
+        self.printer, self.graph, self.load, self.loads = printer, printer.graph, load, loads
         self.real = printer.precision
         self.indent = indent
         self.names: dict[int, str] = {}
@@ -148,7 +154,7 @@ class _Block:
         return [self._line(f"{place} = {self._bare(self.text[node])};") for place, node in targets]
 
     def _arguments(self, node: int) -> tuple[int, ...]:
-        return () if node in self.fixed else self.graph.arguments(node)
+        return () if node in self.loads else self.graph.arguments(node)
 
     def _reachable(self, roots: Iterable[int]) -> set[int]:
         reached: set[int] = set()
@@ -188,8 +194,8 @@ class _Block:
         self.printer.operations[operation] += times
 
     def _expression(self, node: int) -> str:
-        if node in self.fixed:
-            return self.load("constant", self.fixed[node])
+        if node in self.loads:
+            return self.load(*self.loads[node])
         kind, *rest = self.graph.nodes[node]
         kind = str(kind)
         if kind == "constant":

@@ -18,6 +18,7 @@ from functools import cached_property
 
 from kneexo.compilation.c_functions import Functions
 from kneexo.compilation.c_printer import PRECISIONS, Precision, comment_lines, literal
+from kneexo.compilation.c_tables import Table, tables_of
 from kneexo.compilation.c_template import filled
 from kneexo.compilation.equations import Equations
 from kneexo.compilation.runner import STEP_S, Array, State, timing
@@ -45,7 +46,8 @@ class Interface:
 
     ``fields``: of a port, the names of its elements, which should end in the unit; by default the
     name of the port, and the number of the element where it has more than one. ``integers``: ports
-    that are int32_t, such as encoder counts. ``ranges``: lowest and highest value of an input.
+    that are int32_t, such as encoder counts. ``ranges``: lowest and highest value of a field of the
+    inputs.
     """
 
     fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -88,6 +90,9 @@ class CSource:
         Time that a step takes, for a diagram without a sample time; else it follows from those.
     step_s
         Largest step of the Runge-Kutta method.
+    look_up
+        What depends on an integer input with a range alone becomes a table. Parameters that are
+        used only there act no more when they are changed in C.
     told
         Of what this is an export, in the first line of each file.
 
@@ -104,6 +109,7 @@ class CSource:
     interface: Interface = Interface()
     tick_s: float | None = None
     step_s: float = STEP_S
+    look_up: bool = False
     told: str = ""
 
     def __post_init__(self) -> None:
@@ -240,6 +246,23 @@ class CSource:
                     sums[state] = tuple(term for term in terms if term != held)
         return sums
 
+    @cached_property
+    def tables(self) -> list[Table]:
+        """Tables in the place of what depends on one integer input alone, with ``look_up``."""
+        if not self.look_up:
+            return []
+        ranges = {}
+        for element, (port, of) in enumerate(self.input_fields):
+            if port in self.interface.integers and (limits := self.limits(port, of)):
+                ranges[element] = int(limits[0]), int(limits[1])
+        roots = [*self.roots(), *self.equations.initial_held]
+        tables = tables_of(self.equations.graph, roots, ranges, self.parameters)
+        if not tables:
+            raise CompilationError(
+                f"{self.name}: look_up: nothing depends on an integer input with a range alone"
+            )
+        return tables
+
     # ------------------------------------------------------------------------------- texts
 
     @cached_property
@@ -300,7 +323,6 @@ class CSource:
             "LIMITS": len(equations.limits),
             "STEPS": self.steps,
         }
-        memory = {"c": "CONSTANTS", "x": "STATES", "d": "HELD"}
         numbers = {
             "largest": real.largest,
             "zero": 0.0,
@@ -313,7 +335,6 @@ class CSource:
         first, last = self.cycle
         words = {
             **{name: literal(value, real, name) for name, value in numbers.items()},
-            **{name: f"state->{name}" if sizes[of] else "0" for name, of in memory.items()},
             "first_tick": str(first),
             "last_tick": str(last),
             "tick_meaning": "steps so far"
@@ -327,20 +348,27 @@ class CSource:
             "inputs": self._input_members() or nothing,
             "outputs": [f"    {self.name}_real_t {of};" for _, of in self.output_fields] or nothing,
             "state": self._state_members(),
+            "tables": [
+                f"extern const {self.name}_real_t {self.name}_table_{number}[{table.values.size}];"
+                for number, table in enumerate(self.tables)
+            ],
             "input_checks": self._input_checks(),
             "output_checks": _all_of(
                 "out", [f"is_finite(out->{of})" for _, of in self.output_fields]
             ),
             "functions": functions.lines,
         }
+        arrays = sizes["STATES"] + sizes["HELD"] + sizes["CONSTANTS"]
         conditions = {
             "double": self.precision == "double",
             "states": sizes["STATES"],
             "held": sizes["HELD"],
-            "arrays": sizes["STATES"] + sizes["HELD"] + sizes["CONSTANTS"],
+            "arrays": arrays,
+            "stateless": not (arrays or self.needs_time),
             "accumulators": sizes["LOST"],
             "constants": sizes["CONSTANTS"],
             "limits": sizes["LIMITS"],
+            "tables": self.tables,
             "outputs": self.output_fields,
             "time": self.needs_time,
             "ticks": self.counts_steps,
@@ -351,22 +379,22 @@ class CSource:
         names = {**self.names, **{name: str(size) for name, size in sizes.items()}}
         return filled(template, names, words, blocks, {k for k, v in conditions.items() if v})
 
-    def limits(self, port: str) -> list[str] | None:
-        """Lowest and highest value of an input as C text; None where all that is finite may come.
+    def limits(self, port: str, of: str) -> list[str] | None:
+        """Lowest and highest value of a field as C text; None where all that is finite may come.
 
         Whole numbers within the range, where the input is an int32_t.
         """
-        limits = self.interface.ranges.get(port)
+        limits = self.interface.ranges.get(of)
         if limits is None:
             return None
         if port in self.interface.integers:
             return [str(math.ceil(limits[0])), str(math.floor(limits[1]))]
-        return [literal(limit, self.real, port) for limit in limits]
+        return [literal(limit, self.real, of) for limit in limits]
 
     def _input_checks(self) -> list[str]:
         checks = []
         for port, of in self.input_fields:
-            if limits := self.limits(port):
+            if limits := self.limits(port, of):
                 checks.append(f"(in->{of} >= {limits[0]}) && (in->{of} <= {limits[1]})")
             elif port not in self.interface.integers:
                 checks.append(f"is_finite(in->{of})")
@@ -388,12 +416,19 @@ class CSource:
         for told, start in self._start():
             texts = (literal(value, self.real, f"initial {told}") for value in start.tolist())
             rows.append(f"    {{{', '.join(texts)}}} /* initial_{told} */,")
+        tables = []
+        for number, table in enumerate(self.tables):
+            texts = (literal(v, self.real, "a value of a table") for v in table.values.tolist())
+            tables += ["", f"const {name}_real_t {name}_table_{number}[{table.values.size}] = {{"]
+            tables += [f"    {text}," for text in texts]
+            tables.append("};")
         return [
             f'#include "{name}.h"',
             "",
             f"const {name}_params_t {name}_params = {{",
             *(rows or ["    0"]),
             "};",
+            *tables,
         ]
 
     def _start(self) -> list[tuple[str, Array]]:
@@ -426,7 +461,7 @@ class CSource:
         lines = []
         for port, of in self.input_fields:
             kind = "int32_t" if port in self.interface.integers else f"{self.name}_real_t"
-            limits = self.limits(port)
+            limits = self.limits(port, of)
             told = f" /* {' ... '.join(limits)} */" if limits else ""
             lines.append(f"    {kind} {of};{told}")
         return lines

@@ -38,6 +38,7 @@ def make_firmware(
     precision: str = "double",
     vectors_s: float | None = None,
     step_s: float = STEP_S,
+    look_up: bool = False,
 ) -> tuple[CSource, Vectors]:
     """A target of a scenario as C99, and test vectors: steps of its compiled closed loop.
 
@@ -55,6 +56,8 @@ def make_firmware(
         default.
     step_s
         Largest step of RK4, where there are continuous states.
+    look_up
+        Knee angle and rod extension of each count come from a table: see `CSource`.
 
     Raises
     ------
@@ -83,6 +86,7 @@ def make_firmware(
         interface=to_print.interface,
         tick_s=to_print.tick_s,
         step_s=step_s,
+        look_up=look_up,
         told=f"{to_print.what} in {precision} precision",
     )
     steps = round(vectors_s / source.sample_time_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -76,6 +77,8 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
     controller = make_controller(scenario)
     inputs = [controller.get_input_port(i).get_name() for i in range(controller.num_input_ports())]
     ranges = {}
+    if "knee_reference" in inputs:
+        ranges[_FIELDS["knee_reference"][0]] = reference_range_rad(scenario)
     diagram = controller
     if counts and scenario.encoder.quantized and "encoder_reading" in inputs:
         builder = DiagramBuilder()
@@ -89,7 +92,8 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
         builder.ExportOutput(part.GetOutputPort("motor_speed_command"), "motor_speed_command")
         diagram = builder.Build()
         ranges[ENCODER_COUNT] = count_range(scenario)
-    interface = Interface(_FIELDS, frozenset(ranges), ranges)
+    integers = frozenset(name for name in inputs if name == ENCODER_COUNT)
+    interface = Interface(_FIELDS, integers, ranges)
     return Target("controller", diagram, tuple(inputs), ("motor_speed_command",), interface, None)
 
 
@@ -106,6 +110,19 @@ def count_range(scenario: Scenario) -> tuple[float, float]:
     counts = (angles - encoder.phase_rad) / encoder.resolution_rad
     slack = 1.0 + abs(encoder.mounting_error_rad) / encoder.resolution_rad
     return float(counts.min() - slack), float(counts.max() + slack)
+
+
+def reference_range_rad(scenario: Scenario) -> tuple[float, float]:
+    """Lowest and highest knee angle that the controller takes as reference.
+
+    As `require_reference_in_range`: the range of motion and the overshoot beyond. An angle far
+    outside would fill the integral of a PID for longer than it lasts.
+    """
+    knee = scenario.plant.knee
+    return (
+        math.radians(knee.flexion_min_deg - knee.overshoot_deg),
+        math.radians(knee.flexion_max_deg + knee.overshoot_deg),
+    )
 
 
 def _plant(scenario: Scenario) -> Target:

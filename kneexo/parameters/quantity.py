@@ -6,6 +6,7 @@ one line.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -118,6 +119,16 @@ def allowed_range(field: FieldInfo) -> str:
         if getattr(bound, key, None) is not None
     ]
     return " and ".join(bounds)
+
+
+def limits_of(field: FieldInfo) -> tuple[float, float]:
+    """Lowest and highest value of a field made by `quantity`; infinite where there is none."""
+    low, high = -math.inf, math.inf
+    for bound in field.metadata:
+        low = max(low, float(getattr(bound, "ge", low)))
+        low = max(low, math.nextafter(getattr(bound, "gt", -math.inf), math.inf))
+        high = min(high, float(getattr(bound, "le", high)))
+    return low, high
 
 
 def unit_of(field: FieldInfo) -> str:

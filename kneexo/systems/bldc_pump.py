@@ -9,6 +9,9 @@ from pydrake.systems.framework import BasicVector_
 from kneexo.parameters import BldcPumpParameters
 from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, require_finite, values_of
 
+RAD_S_PER_KRAD_S = 1e3
+"""Of the state to the speed."""
+
 
 def motor_acceleration(
     command: Any, speed: Any, lag: Any, speed_limit: Any, acceleration_limit: Any
@@ -87,7 +90,7 @@ class BldcPump(NamedLeaf):
     def _speed(self, context: Any) -> Any:
         if self._ideal:
             return self._command.Eval(context)[0]
-        return 1e3 * context.get_continuous_state_vector().GetAtIndex(0)
+        return RAD_S_PER_KRAD_S * context.get_continuous_state_vector().GetAtIndex(0)
 
     def _flow(self, context: Any) -> Any:
         p = self.parameters(context)
@@ -119,7 +122,7 @@ class BldcPump(NamedLeaf):
             p.acceleration_limit_rad_s2,
         )
         require_finite(self, context, motor_acceleration=acceleration)
-        derivatives.get_mutable_vector().SetAtIndex(0, 1e-3 * acceleration)
+        derivatives.get_mutable_vector().SetAtIndex(0, 1.0 / RAD_S_PER_KRAD_S * acceleration)
 
 
 BldcPump_ = leaf_template(BldcPump)

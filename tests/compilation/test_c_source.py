@@ -205,7 +205,7 @@ def test_a_start_with_bad_inputs_or_parameters_says_so(built):
 
 
 def test_inputs_keep_to_their_range(built):
-    interface = Interface({"u0": ["angle_rad"]}, ranges={"u0": (-1.5, 2.5)})
+    interface = Interface({"u0": ["angle_rad"]}, ranges={"angle_rad": (-1.5, 2.5)})
     model = built(exported(accumulator(), inputs=["u0"], interface=interface))
     assert model.init([0.0]) == 0
     statuses = [model.step([value]) for value in (-1.5, 2.5, -1.6, 2.6)]

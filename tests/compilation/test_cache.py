@@ -17,7 +17,7 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 
 import kneexo
 from kneexo.compilation import State, cache
-from kneexo.compilation.equations import Equations, Limit, Update
+from kneexo.compilation.equations import Equations, Limit, Section, Update
 from kneexo.compilation.graph import Graph
 from kneexo.compilation.machine_code import equations_key
 from kneexo.errors import OutputError
@@ -93,6 +93,7 @@ def test_every_part_of_equations_is_in_their_key():
     others = {"parameters": ["p"], "states": ["z"], "held": ["d"], "inputs": {"u": 1}}
     others |= {"derivatives": [], "initial_held": [x], "outputs": {}, "limits": [Limit("a", x)]}
     others |= {"updates": [Update(0.1, 0.0, ())], "graph": Graph()}
+    others |= {"sections": [Section("law: output y", "Law.", (x,))]}
     assert set(others) == {field.name for field in dataclasses.fields(Equations)}
     keys = [equations_key(dataclasses.replace(base, **{k: v})) for k, v in others.items()]
     assert len({equations_key(base), *keys}) == 1 + len(others)

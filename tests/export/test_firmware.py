@@ -9,10 +9,12 @@ import pytest
 
 from kneexo.analysis import simulate
 from kneexo.cli import main
+from kneexo.compilation.c_export import exported
 from kneexo.errors import ParameterError
 from kneexo.export.firmware import loop_inputs, make_firmware
 from kneexo.export.target import target
 from kneexo.parameters import Scenario
+from kneexo.studies.paper import PID_TUNED
 
 SHORT = {"simulation": {"duration_s": 0.4}}
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
@@ -143,6 +145,7 @@ def test_bad_options_leave_nothing_behind(tmp_path, short, capsys, options, line
     assert not out.exists()
 
 
+@needs_compiler
 def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
     law = (
@@ -162,3 +165,18 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path, short, capsys):
     assert "is not of an export; choose another directory" in capsys.readouterr().err
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert not (tmp_path / "controller.c").exists()
+
+
+@needs_compiler
+def test_a_table_takes_the_drift_from_a_pid_in_float():
+    """The knee angle of a count is rounded once: the integral no longer adds up its error."""
+    scenario = Scenario(controller=PID_TUNED)
+    differences = []
+    for look_up in (False, True):
+        options = {"precision": "float", "look_up": look_up, "vectors_s": 30.0}
+        _, measured = exported(*make_firmware(scenario, **options))
+        (difference,) = measured.replay.difference.values()
+        differences.append(difference * 60.0 / (2.0 * np.pi))
+    computed_rpm, looked_up_rpm = differences
+    assert looked_up_rpm <= 1.0
+    assert computed_rpm > 10.0  # what the table is for

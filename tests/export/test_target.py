@@ -42,7 +42,7 @@ def test_a_controller_reads_counts_or_the_angle():
 def test_an_encoder_that_is_not_quantized_has_no_counts():
     exact = target(scenario_of(encoder={"quantized": False}), "controller", counts=True)
     assert set(exact.inputs) == {"encoder_reading", "knee_reference"}
-    assert not exact.interface.ranges
+    assert set(exact.interface.ranges) == {"knee_reference_rad"}
 
 
 def test_exact_states_are_an_input():
@@ -84,6 +84,13 @@ def test_the_loop_is_the_closed_loop():
         reference={"kind": "samples", "times_s": [0, 1, 2], "angles_deg": [10, 20, 10]}
     )
     assert "knee_reference" in target(sampled, "loop").inputs
+
+
+def test_a_reference_is_taken_within_the_range_of_motion_and_its_overshoot():
+    scenario = scenario_of(plant={"knee": {"flexion_max_deg": 80.0, "overshoot_deg": 0.25}})
+    exported = target(scenario, "controller", counts=True)
+    (field, *_) = exported.interface.fields["knee_reference"]
+    assert np.degrees(exported.interface.ranges[field]) == pytest.approx([-0.25, 80.25])
 
 
 @pytest.mark.parametrize("what", WHAT)

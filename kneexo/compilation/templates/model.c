@@ -9,9 +9,15 @@ typedef NAME_real_t real;
 typedef struct {
     const NAME_params_t *p;
     const NAME_inputs_t *in;
+@if constants
     const real *c; /* what depends on parameters alone */
+@end
+@if states
     const real *x; /* continuous states */
+@end
+@if held
     const real *d; /* discrete states */
+@end
 @if time
     real t; /* in s */
 @end
@@ -141,11 +147,20 @@ static instant instant_of(const NAME_params_t *params, const NAME_state_t *state
 {
     instant at;
 
+@if stateless
+    (void)state;
+@end
     at.p = params;
     at.in = inputs;
-    at.c = @{c};
-    at.x = @{x};
-    at.d = @{d};
+@if constants
+    at.c = state->c;
+@end
+@if states
+    at.x = state->x;
+@end
+@if held
+    at.d = state->d;
+@end
 @if time
     at.t = (real)state->tick * UPPER_SAMPLE_TIME_S;
 @end

@@ -50,6 +50,12 @@ typedef struct {
 
 extern const NAME_params_t NAME_params;
 
+@if tables
+/* What follows from a whole-number input alone, computed when this was exported. Parameters that
+ * were used only for that act no more. */
+@tables
+
+@end
 /* Start anew; the inputs are those of the first step. */
 uint16_t NAME_init(NAME_state_t *state, const NAME_params_t *params,
     const NAME_inputs_t *inputs);

@@ -1,0 +1,445 @@
+#include "NAME_fmu.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Value references: time, inputs, tunable and fixed parameters, outputs, constants. */
+#define FIRST_INPUT 1U
+#define FIRST_TUNABLE FIRSTTUNABLEU
+#define FIRST_FIXED FIRSTFIXEDU
+#define FIRST_OUTPUT FIRSTOUTPUTU
+#define FIRST_CONSTANT FIRSTCONSTANTU
+
+/* Parts of a sample time by which a communication point and a step may miss the grid. */
+#define POINT_SLACK 1e-2
+#define SIZE_SLACK 1e-6
+
+#define LONGEST_TEXT 600U
+
+typedef struct {
+    const char *name;
+    const char *unit; /* after a space, where there is one */
+    double start;
+    double low;
+    double high;
+} variable;
+
+static const variable variables[VARIABLES] = {
+@variables
+};
+
+static void read_parameters(const double *v, NAME_params_t *p)
+{
+@parameters
+}
+
+static void read_inputs(const double *v, NAME_inputs_t *in)
+{
+@inputs
+}
+
+static void write_outputs(const NAME_outputs_t *out, double *v)
+{
+@outputs
+}
+
+/* ------------------------------------------------------------------------------ reports */
+
+bool NAME_fmu_refuse(NAME_fmu_t *fmu, const char *text)
+{
+    fmu->report(fmu->owner, text);
+    return false;
+}
+
+static void append(char *text, const char *more)
+{
+    const size_t length = strlen(text);
+
+    (void)snprintf(&text[length], LONGEST_TEXT - length, "%s", more);
+}
+
+static void append_value(char *text, const char *before, const char *name, double value,
+    const char *unit)
+{
+    const size_t length = strlen(text);
+
+    (void)snprintf(&text[length], LONGEST_TEXT - length, "%s%s = %.9g%s", before, name, value,
+        unit);
+}
+
+static bool refuse_value(NAME_fmu_t *fmu, const variable *of, double value)
+{
+    char text[LONGEST_TEXT] = "";
+
+    append_value(text, "", of->name, value, of->unit);
+    append(text, ": must be finite");
+    if ((of->low > -DBL_MAX) || (of->high < DBL_MAX)) {
+        append_value(text, ", ", "lowest", of->low, of->unit);
+        append_value(text, ", ", "highest", of->high, of->unit);
+    }
+    return NAME_fmu_refuse(fmu, text);
+}
+
+static bool refuse_variable(NAME_fmu_t *fmu, uint32_t reference, const char *why)
+{
+    char text[LONGEST_TEXT] = "";
+
+    append(text, variables[reference].name);
+    append(text, why);
+    return NAME_fmu_refuse(fmu, text);
+}
+
+/* The status word of the model in words. */
+static bool refuse_status(NAME_fmu_t *fmu, const char *what, double time, uint16_t status)
+{
+    const double *v = fmu->memory.values;
+    char text[LONGEST_TEXT] = "";
+
+    append_value(text, "", "t", time, " s");
+    append(text, ": ");
+    append(text, what);
+    append_value(text, " failed, ", "status", (double)status, "");
+    if ((status & UPPER_BAD_INPUT) != 0U) {
+        append(text, ": an input is not finite or out of its range");
+        for (uint32_t i = FIRST_INPUT; i < FIRST_TUNABLE; i++) {
+            if (!((v[i] >= variables[i].low) && (v[i] <= variables[i].high))) {
+                append_value(text, ", ", variables[i].name, v[i], variables[i].unit);
+            }
+        }
+    }
+    if ((status & UPPER_BAD_RESULT) != 0U) {
+        append(text, ": a result is not finite; check parameters and inputs");
+    }
+@if limits
+    if ((status & UPPER_OUT_OF_LIMITS) != 0U) {
+        append(text, @{limits});
+    }
+@end
+    return NAME_fmu_refuse(fmu, text);
+}
+
+/* ------------------------------------------------------------------------------- values */
+
+void NAME_fmu_reset(NAME_fmu_t *fmu)
+{
+    NAME_memory_t *m = &fmu->memory;
+
+    (void)memset(m, 0, sizeof *m);
+    for (uint32_t i = 0U; i < VARIABLESU; i++) {
+        m->values[i] = variables[i].start;
+    }
+    m->stop = HUGE_VAL;
+    m->params = NAME_params;
+    m->mode = UPPER_INSTANTIATED;
+}
+
+static bool is_known(NAME_fmu_t *fmu, uint32_t reference)
+{
+    char text[LONGEST_TEXT] = "";
+
+    if (reference >= VARIABLESU) {
+        append_value(text, "", "value reference", (double)reference, ": no Float64 has it");
+        return NAME_fmu_refuse(fmu, text);
+    }
+    return true;
+}
+
+static bool may_be_set(NAME_fmu_t *fmu, uint32_t reference, double value)
+{
+    const NAME_mode_t mode = fmu->memory.mode;
+
+    if (!is_known(fmu, reference)) {
+        return false;
+    }
+    if ((reference < FIRST_INPUT) || (reference >= FIRST_OUTPUT)) {
+        return refuse_variable(fmu, reference, ": is computed, and cannot be set");
+    }
+    if (mode == UPPER_TERMINATED) {
+        return refuse_variable(fmu, reference, ": cannot be set after the end");
+    }
+    if ((reference >= FIRST_FIXED) && (mode == UPPER_STEPPING)) {
+        return refuse_variable(fmu, reference, ": is fixed once the initialization has ended");
+    }
+    if ((reference >= FIRST_TUNABLE)
+        && !((value >= variables[reference].low) && (value <= variables[reference].high))) {
+        return refuse_value(fmu, &variables[reference], value);
+    }
+    return true;
+}
+
+bool NAME_fmu_set(NAME_fmu_t *fmu, const uint32_t *references, size_t count,
+    const double *values)
+{
+    NAME_memory_t *m = &fmu->memory;
+
+    for (size_t i = 0U; i < count; i++) {
+        if (!may_be_set(fmu, references[i], values[i])) {
+            return false;
+        }
+    }
+    for (size_t i = 0U; i < count; i++) {
+        m->values[references[i]] = values[i];
+        m->is_tuned = m->is_tuned || (references[i] >= FIRST_TUNABLE);
+    }
+    m->outputs_are_fresh = false;
+    return true;
+}
+
+/* State and outputs at the start, from inputs and parameters. */
+static bool start_model(NAME_fmu_t *fmu)
+{
+    NAME_memory_t *m = &fmu->memory;
+    NAME_inputs_t in;
+    uint16_t status;
+
+    read_parameters(m->values, &m->params);
+    read_inputs(m->values, &in);
+    status = NAME_init(&m->state, &m->params, &in);
+    if (status != UPPER_OK) {
+        return refuse_status(fmu, "the initialization", m->start, status);
+    }
+    write_outputs(&m->state.last, m->values);
+    m->outputs_are_fresh = true;
+    m->is_tuned = false;
+    return true;
+}
+
+bool NAME_fmu_get(NAME_fmu_t *fmu, const uint32_t *references, size_t count, double *values)
+{
+    NAME_memory_t *m = &fmu->memory;
+
+    for (size_t i = 0U; i < count; i++) {
+        const uint32_t reference = references[i];
+
+        if (!is_known(fmu, reference)) {
+            return false;
+        }
+        if ((reference >= FIRST_OUTPUT) && (reference < FIRST_CONSTANT)) {
+            if (m->mode == UPPER_INSTANTIATED) {
+                return refuse_variable(fmu, reference, ": has no value before initialization");
+            }
+            if ((m->mode == UPPER_INITIALIZING) && !m->outputs_are_fresh && !start_model(fmu)) {
+                return false;
+            }
+        }
+        values[i] = m->values[reference];
+    }
+    return true;
+}
+
+/* -------------------------------------------------------------------------------- modes */
+
+static bool is_in(NAME_fmu_t *fmu, NAME_mode_t mode, const char *call)
+{
+    static const char *const modes[] = {
+        "instantiated", "in initialization", "initialized", "terminated"};
+    char text[LONGEST_TEXT] = "";
+
+    if (fmu->memory.mode == mode) {
+        return true;
+    }
+    append(text, call);
+    append(text, ": the instance must be ");
+    append(text, modes[mode]);
+    append(text, "; it is ");
+    append(text, modes[fmu->memory.mode]);
+    return NAME_fmu_refuse(fmu, text);
+}
+
+bool NAME_fmu_set_times(NAME_fmu_t *fmu, double start, bool has_stop, double stop)
+{
+    NAME_memory_t *m = &fmu->memory;
+
+    if (!is_in(fmu, UPPER_INSTANTIATED, "start and stop time")) {
+        return false;
+    }
+    if (!isfinite(start) || (has_stop && !(stop >= start))) {
+        char text[LONGEST_TEXT] = "";
+
+        append_value(text, "", "start time", start, " s: must be finite, and not after");
+        append_value(text, " ", "stop time", has_stop ? stop : HUGE_VAL, " s");
+        return NAME_fmu_refuse(fmu, text);
+    }
+    m->start = start;
+    m->stop = has_stop ? stop : HUGE_VAL;
+    m->values[0] = start;
+    return true;
+}
+
+bool NAME_fmu_enter_initialization(NAME_fmu_t *fmu)
+{
+    if (!is_in(fmu, UPPER_INSTANTIATED, "beginning of the initialization")) {
+        return false;
+    }
+    fmu->memory.mode = UPPER_INITIALIZING;
+    return true;
+}
+
+bool NAME_fmu_exit_initialization(NAME_fmu_t *fmu)
+{
+    if (!is_in(fmu, UPPER_INITIALIZING, "end of the initialization") || !start_model(fmu)) {
+        return false;
+    }
+    fmu->memory.mode = UPPER_STEPPING;
+    return true;
+}
+
+bool NAME_fmu_terminate(NAME_fmu_t *fmu)
+{
+    if (!is_in(fmu, UPPER_STEPPING, "termination")) {
+        return false;
+    }
+    fmu->memory.mode = UPPER_TERMINATED;
+    return true;
+}
+
+/* --------------------------------------------------------------------------------- step */
+
+/* Whether a step lies on the grid of the sample times; gives its sample times. */
+static bool is_on_grid(NAME_fmu_t *fmu, double point, double size, uint32_t *ticks)
+{
+    const NAME_memory_t *m = &fmu->memory;
+    const double tick = UPPER_SAMPLE_TIME_S;
+    const double expected = m->start + ((double)m->ticks * tick);
+    const double counted = size / tick;
+    const double rounded = floor(counted + 0.5);
+    const double slack = SIZE_SLACK + (1e-15 * ((fabs(point) + fabs(size)) / tick));
+    char text[LONGEST_TEXT] = "";
+
+    if (!(fabs(point - expected) <= (POINT_SLACK * tick))) {
+        append_value(text, "", "communication point", point, " s");
+        append_value(text, ": ", "must be the end of the last step, t", expected, " s");
+        return NAME_fmu_refuse(fmu, text);
+    }
+    if (!((rounded >= 1.0) && (fabs(counted - rounded) <= slack))) {
+        append_value(text, "", "communication step", size, " s");
+        append_value(text, ": must be a whole multiple of the ", "sample time", tick, " s");
+        return NAME_fmu_refuse(fmu, text);
+    }
+    if (!((point + size) <= (m->stop + (POINT_SLACK * tick)))) {
+        append_value(text, "", "end of the step", point + size, " s");
+        append_value(text, ": must not be after the ", "stop time", m->stop, " s");
+        return NAME_fmu_refuse(fmu, text);
+    }
+    if (rounded > (double)(UINT32_MAX - m->ticks)) {
+        append_value(text, "", "end of the step", point + size, " s");
+        append(text, ": must be less than 2^32 sample times after the start");
+        return NAME_fmu_refuse(fmu, text);
+    }
+    *ticks = (uint32_t)rounded;
+    return true;
+}
+
+bool NAME_fmu_step(NAME_fmu_t *fmu, double point, double size)
+{
+    NAME_memory_t *m = &fmu->memory;
+    NAME_state_t state = m->state;
+    NAME_params_t params = m->params;
+    NAME_inputs_t in;
+    NAME_outputs_t out = m->state.last;
+    uint16_t status = UPPER_OK;
+    uint32_t ticks = 0U;
+    uint32_t i;
+
+    if (!is_in(fmu, UPPER_STEPPING, "step") || !is_on_grid(fmu, point, size, &ticks)) {
+        return false;
+    }
+    if (m->is_tuned) {
+        read_parameters(m->values, &params);
+        status = NAME_update_parameters(&state, &params);
+        if (status != UPPER_OK) {
+            return refuse_status(fmu, "the change of parameters", point, status);
+        }
+    }
+    read_inputs(m->values, &in);
+    for (i = 0U; i < ticks; i++) {
+        status = NAME_step(&params, &state, &in, &out);
+        if (status != UPPER_OK) {
+            const double time = m->start + (((double)m->ticks + (double)i) * UPPER_SAMPLE_TIME_S);
+
+            return refuse_status(fmu, "the step", time, status);
+        }
+    }
+    m->state = state;
+    m->params = params;
+    m->is_tuned = false;
+    m->ticks += ticks;
+    m->values[0] = m->start + ((double)m->ticks * UPPER_SAMPLE_TIME_S);
+    write_outputs(&out, m->values);
+    return true;
+}
+
+/* ------------------------------------------------------------------------- saved states */
+
+bool NAME_fmu_save(NAME_fmu_t *fmu, void **saved)
+{
+    if (*saved == NULL) {
+        *saved = malloc(sizeof fmu->memory);
+    }
+    if (*saved == NULL) {
+        return NAME_fmu_refuse(fmu, "out of memory");
+    }
+    (void)memcpy(*saved, &fmu->memory, sizeof fmu->memory);
+    return true;
+}
+
+bool NAME_fmu_restore(NAME_fmu_t *fmu, const void *saved)
+{
+    if (saved == NULL) {
+        return NAME_fmu_refuse(fmu, "saved state: there is none");
+    }
+    (void)memcpy(&fmu->memory, saved, sizeof fmu->memory);
+    return true;
+}
+
+size_t NAME_fmu_serialized_size(void)
+{
+    return sizeof(UPPER_TOKEN) + sizeof(NAME_memory_t);
+}
+
+static bool has_size(NAME_fmu_t *fmu, size_t size)
+{
+    char text[LONGEST_TEXT] = "";
+
+    if (size == NAME_fmu_serialized_size()) {
+        return true;
+    }
+    append_value(text, "serialized state: ", "size", (double)size, " bytes");
+    append_value(text, ", must be ", "that of this FMU", (double)NAME_fmu_serialized_size(),
+        " bytes");
+    return NAME_fmu_refuse(fmu, text);
+}
+
+bool NAME_fmu_serialize(NAME_fmu_t *fmu, const void *saved, void *bytes, size_t size)
+{
+    unsigned char *to = bytes;
+
+    if (!has_size(fmu, size)) {
+        return false;
+    }
+    (void)memcpy(to, UPPER_TOKEN, sizeof(UPPER_TOKEN));
+    (void)memcpy(&to[sizeof(UPPER_TOKEN)], saved, sizeof(NAME_memory_t));
+    return true;
+}
+
+bool NAME_fmu_deserialize(NAME_fmu_t *fmu, const void *bytes, size_t size, void **saved)
+{
+    const unsigned char *from = bytes;
+
+    if (!has_size(fmu, size)) {
+        return false;
+    }
+    if (memcmp(from, UPPER_TOKEN, sizeof(UPPER_TOKEN)) != 0) {
+        return NAME_fmu_refuse(fmu, "serialized state: is of another FMU");
+    }
+    if (*saved == NULL) {
+        *saved = malloc(sizeof(NAME_memory_t));
+    }
+    if (*saved == NULL) {
+        return NAME_fmu_refuse(fmu, "out of memory");
+    }
+    (void)memcpy(*saved, &from[sizeof(UPPER_TOKEN)], sizeof(NAME_memory_t));
+    return true;
+}

@@ -1,0 +1,46 @@
+"""Shared: the helper of the benchmarks that compiles exported C, the example of a controller."""
+
+import importlib
+import importlib.util
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def exported(monkeypatch):
+    """``benchmarks/exported.py``; skips where there is no C compiler."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    hand_written = importlib.import_module("hand_written")
+    try:
+        hand_written.c_compiler()
+    except hand_written.NoCompilerError as error:
+        pytest.skip(str(error))
+    return importlib.import_module("exported")
+
+
+@pytest.fixture(scope="session")
+def backstepping():
+    """The scenario of ``examples/backstepping.py``, with its own controller."""
+    name = "backstepping"
+    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name].BACKSTEPPING
+
+
+@pytest.fixture
+def tool():
+    """The function ``tool(name)``: the path of a program; skips where it is missing."""
+
+    def find(name):
+        path = shutil.which(name)
+        if path is None:
+            pytest.skip(f"{name} is not installed")
+        return path
+
+    return find

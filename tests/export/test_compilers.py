@@ -1,0 +1,258 @@
+"""The exported C under two compilers, two sanitizers and impossible inputs; what it may contain."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+from pydrake.systems.primitives import Gain, Integrator, ZeroOrderHold
+
+from kneexo.compilation.c_export import files_of, source_of
+from kneexo.compilation.model import compile_diagram
+from kneexo.export.firmware import make_firmware
+from kneexo.export.target import count_range, reference_range_rad
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
+
+FUZZ_C = Path(__file__).with_name("fuzz.c")
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wpedantic", "-Werror")
+COMPILERS = {
+    "gcc": (
+        "gcc",
+        "-std=c99",
+        "-O2",
+        *WARNINGS,
+        "-c",
+    ),  # -O2: data flow
+    "clang": ("clang", "-std=c99", *WARNINGS, "-fsyntax-only"),
+}
+SANITIZERS = ("-g", "-O1", "-ffp-contract=off", "-fno-sanitize-recover=all")
+SANITIZERS += ("-fsanitize=address,undefined,float-cast-overflow",)
+TARGETS = ("controller", "plant", "loop")
+PRECISIONS = ("double", "float")
+
+SAMPLED = {"kind": "samples", "times_s": [0.0, 1.0, 2.0], "angles_deg": [10.0, 30.0, 20.0]}
+STRUCTURES = {
+    "smc": {},
+    "pid": {"controller": {"kind": "pid", "integral_per_s2": 100.0}},
+    "load": {"plant.load": {"kind": "knee", "knee_torque_n_m": 3.0}},
+    "full_order": {"plant.full_order": {"coulomb_friction_n": 40.0}},
+    "difference": {"estimator": {"kind": "difference"}, "controller.switching": "signum"},
+    "samples": {"reference": SAMPLED, "bus": {"latency_samples": 2}},
+    "unquantized": {"encoder.quantized": False, "plant.rod_map": "polynomial"},
+}
+CHANGED_TARGETS = {
+    "pid": ("controller",),
+    "load": ("plant", "loop"),
+    "full_order": ("plant", "loop"),
+    "difference": ("controller",),
+    "samples": ("controller", "loop"),
+    "unquantized": TARGETS,
+}
+"""Targets that a structure changes."""
+
+
+def write(folder, files):
+    """Write files; the names of those in C."""
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    return sorted(name for name in files if name.endswith(".c"))
+
+
+def with_harness(scenario, what, precision):
+    return files_of(*make_firmware(scenario, what, precision=precision, vectors_s=0.2))
+
+
+def run(folder, *command):
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def compiles(folder, tool, files):
+    names = write(folder, files)
+    for compiler, command in COMPILERS.items():
+        done = run(folder, tool(compiler), *command[1:], *names)
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("what", TARGETS)
+def test_compilers_have_nothing_to_say(tmp_path, tool, what, precision):
+    compiles(tmp_path, tool, with_harness(Scenario(), what, precision))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CHANGED_TARGETS)
+def test_compilers_have_nothing_to_say_of_other_structures(tmp_path, tool, exported, name):
+    scenario = changed(Scenario(), STRUCTURES[name])
+    for what in CHANGED_TARGETS[name]:
+        for precision in PRECISIONS:
+            _, source = exported.exported_source(scenario, what, precision)
+            compiles(tmp_path, tool, source.files())
+
+
+@pytest.mark.slow
+def test_compilers_have_nothing_to_say_of_a_users_controller(tmp_path, tool, backstepping):
+    for precision in PRECISIONS:
+        compiles(tmp_path, tool, with_harness(backstepping, "controller", precision))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize(
+    "system",
+    [Gain(2.0, 1), Integrator(1), ZeroOrderHold(0.1, 1)],
+    ids=["gain", "integrator", "hold"],
+)
+def test_compilers_have_nothing_to_say_of_small_systems(tmp_path, tool, system, precision):
+    (port,) = (system.get_input_port(i).get_name() for i in range(system.num_input_ports()))
+    model = compile_diagram(system, inputs=[port])
+    tick_s = None if model.sample_times_s else 0.1
+    compiles(tmp_path, tool, source_of(model, "small", precision=precision, tick_s=tick_s).files())
+
+
+def test_a_warning_would_be_seen(tmp_path, tool):
+    names = write(tmp_path, with_harness(Scenario(), "controller", "float"))
+    code = (tmp_path / "controller.c").read_text()
+    (tmp_path / "controller.c").write_text(code.replace("2.0f *", "2.0 *"))
+    for compiler, command in COMPILERS.items():
+        assert run(tmp_path, tool(compiler), *command[1:], *names).returncode != 0
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("what", TARGETS)
+def test_sanitizers_find_nothing_in_the_harness(tmp_path, tool, what, precision):
+    names = write(tmp_path, with_harness(Scenario(), what, precision))
+    done = run(tmp_path, tool("gcc"), *SANITIZERS, *names, "-o", "harness", "-lm")
+    assert done.returncode == 0, done.stderr
+    done = run(tmp_path, tmp_path / "harness")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "100 steps, 0 failures" in done.stdout
+
+
+# ---------------------------------------------------------------------------- odd inputs
+
+LARGEST = {"double": "DBL_MAX, DBL_MIN", "float": "FLT_MAX, FLT_MIN"}
+
+
+def fuzz(folder, tool, scenario, precision, steps):
+    """Run `fuzz.c`; how many steps were right, had a bad input, had a bad result."""
+    names = write(folder, with_harness(scenario, "controller", precision))
+    low, high = count_range(scenario)
+    fields = [f"COUNT(encoder_count, {-int(-low // 1)}, {int(high // 1)})"]
+    text = (folder / "controller.h").read_text()
+    inputs = text.partition("typedef struct {\n    int32_t")[2].partition("}")[0]
+    angle, *rates = re.findall(r"real_t (\w+);", inputs)
+    low, high = reference_range_rad(scenario)
+    fields += [f"RANGE({angle}, {low!r}, {high!r})", *(f"REAL({rate})" for rate in rates)]
+    assert len(fields) == 5
+    (folder / "fields.h").write_text("\n".join(fields) + "\n")
+    largest, smallest = LARGEST[precision].split(", ")
+    limit = scenario.controller.command_limit_rad_s * (1.0 + 1e-7)
+    macros = ['-DHEADER="controller.h"', "-DOF(x)=controller_##x", f"-DSTEPS={steps}U"]
+    macros += [f"-DLIMIT={limit!r}", f"-DLARGEST={largest}", f"-DSMALLEST={smallest}"]
+    model = [name for name in names if name in ("controller.c", "controller_params.c")]
+    done = run(
+        folder, tool("gcc"), *SANITIZERS, "-I.", *macros, FUZZ_C, *model, "-o", "fuzz", "-lm"
+    )
+    assert done.returncode == 0, done.stderr
+    done = run(folder, folder / "fuzz")
+    assert done.returncode == 0, done.stdout + done.stderr
+    return [int(count) for count in re.findall(r"\d+", done.stdout)]
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("name", ["smc", "pid"])
+def test_bad_inputs_leave_no_trace(tmp_path, tool, name, precision):
+    scenario = changed(Scenario(), STRUCTURES[name])
+    counts = fuzz(tmp_path, tool, scenario, precision, 100_000)
+    assert sum(counts) == 100_000
+    assert min(counts[:2]) > 10_000
+    assert (counts[2] > 100) == (name == "smc")  # a PID saturates where the SMC overflows
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_ten_million_inputs_leave_no_trace(tmp_path, tool, precision):
+    counts = fuzz(tmp_path, tool, Scenario(), precision, 10_000_000)
+    assert sum(counts) == 10_000_000
+    assert min(counts) > 10_000
+
+
+# ---------------------------------------------------------------------- what it may contain
+
+DEVIATIONS = Path(__file__).parents[2] / "docs" / "misra.md"
+FORBIDDEN = re.compile(
+    r"\b(u?int8_t|char|sizeof|[mc]alloc|free|goto|while|do|union|volatile)\b|\b(mem|str)\w+\("
+)
+"""A TI C2000 has no 8-bit types, and bytes of 16 bits; no loop but those with fixed bounds."""
+CPPCHECK = ("--addon=misra", "--std=c99", "--enable=style", "--inconclusive", "--quiet")
+CPPCHECK += ("-DDBL_MANT_DIG=53",)  # else it stops at the #error of double precision
+
+
+@pytest.fixture(
+    params=[(what, precision) for what in TARGETS for precision in PRECISIONS], ids=":".join
+)
+def model(request, exported):
+    """Files of a target without its harness, which does not run on a microcontroller."""
+    return exported.exported_source(Scenario(), *request.param)[1].files()
+
+
+def plain(text):
+    """C without comments."""
+    return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+
+
+def misra_rules(folder, cppcheck):
+    done = run(folder, cppcheck, *CPPCHECK, ".")
+    assert done.returncode == 0
+    return set(re.findall(r"\[misra-c2012-([\d.]+)\]", done.stderr))
+
+
+def listed_rules(tables):
+    (table,) = tables(DEVIATIONS.read_text())
+    return {row[0] for row in table[1:]}
+
+
+def test_misra_rules_are_kept_but_for_the_listed_ones(tmp_path, tool, model, tables):
+    write(tmp_path, model)
+    assert misra_rules(tmp_path, tool("cppcheck")) <= listed_rules(tables)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_each_listed_deviation_is_there_and_another_would_be_seen(
+    tmp_path, tool, exported, tables, precision
+):
+    names = write(
+        tmp_path, exported.exported_source(Scenario(), "controller", precision)[1].files()
+    )
+    assert misra_rules(tmp_path, tool("cppcheck")) == listed_rules(tables)
+    with (tmp_path / names[0]).open("a") as file:
+        file.write("int16_t f(int16_t a);\nint16_t f(int16_t a) { if (a) { a++; } return a; }\n")
+    assert "14.4" in misra_rules(tmp_path, tool("cppcheck"))
+
+
+def test_the_code_suits_processors_without_bytes(model):
+    for name, text in model.items():
+        code = plain(text)
+        assert FORBIDDEN.search(code) is None, name
+        assert not re.findall(r"\bstatic (?!const )[^(;]*;", code), name
+        top = re.findall(r"^(?!typedef|extern const|const|static const|#|}| |$).*;$", code, re.M)
+        assert all("(" in line for line in top), top  # prototypes, and no variables
+
+
+def test_loops_are_bounded(model):
+    (code,) = (plain(text) for name, text in model.items() if re.fullmatch(r"[a-z]+\.c", name))
+    loops = re.findall(r"\bfor \(.*?\) \{", code)
+    counted = r"for \(uint16_t (\w+) = 0U; \1 < (\d+U|count); \1\+\+\) \{"
+    assert loops
+    assert [loop for loop in loops if not re.fullmatch(counted, loop)] == []
+
+
+def test_no_function_calls_itself(model):
+    (code,) = (plain(text) for name, text in model.items() if re.fullmatch(r"[a-z]+\.c", name))
+    bodies = re.findall(r"^[a-z][\w ]*?(\w+)\([^;{}]*\)\n\{\n(.*?)^\}", code, re.M | re.S)
+    assert len(bodies) > 8
+    defined = []
+    for name, body in bodies:  # C wants a prototype for what comes later; none of these has one
+        calls = set(re.findall(r"\b(\w+)\(", body)) & {other for other, _ in bodies}
+        assert calls <= set(defined), name
+        defined.append(name)

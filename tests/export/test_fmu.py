@@ -1,0 +1,608 @@
+"""FMUs of scenarios: beside compiled runs, in FMPy and in libcosim."""
+
+import hashlib
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from kneexo.cli import main
+from kneexo.compilation import c_build
+from kneexo.compilation.fmu import generation_tool
+from kneexo.diagrams import make_closed_loop, make_controller
+from kneexo.diagrams.signals import SIGNALS, available_signals, columns
+from kneexo.errors import OutputError, ParameterError
+from kneexo.export.fmu import export_fmu, make_fmu, parameter_effects
+from kneexo.export.target import WHAT
+from kneexo.parameter_list import parameter_rows
+from kneexo.parameters import (
+    CustomControllerParameters,
+    FullCylinderParameters,
+    KneeLoadParameters,
+    PidParameters,
+    PlantParameters,
+    SampledReference,
+    Scenario,
+    SimulationParameters,
+)
+from kneexo.parameters.paths import changed, value_at
+from kneexo.simulation.compiled import scenario_values, simulate_compiled
+
+ROOT = Path(__file__).parents[2]
+PAPER = Scenario()
+LOADED = Scenario(
+    plant=PlantParameters(load=KneeLoadParameters(), full_order=FullCylinderParameters()),
+    simulation=SimulationParameters(duration_s=2.0),
+)
+SHORT = Scenario(simulation=SimulationParameters(duration_s=1.0))
+TICK_S = 0.002
+REFERENCE = SIGNALS["knee_reference"]
+NEEDS_COMPILER = pytest.mark.skipif(
+    not any(map(shutil.which, c_build.COMPILERS)), reason="needs a C compiler"
+)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory, worker_id):
+    """``path(what, fmi, scenario)``: a written FMU, which all workers of pytest share."""
+    folder = tmp_path_factory.getbasetemp()
+    folder = (folder if worker_id == "master" else folder.parent) / "shared_fmus"
+
+    @cache
+    def written(what, fmi, scenario=PAPER):
+        name = hashlib.sha256(repr(scenario).encode()).hexdigest()[:16]
+        file = folder / f"{what}_{fmi}_{name}.fmu"
+        if not file.exists():  # two workers may write it, but each writes the whole
+            export_fmu(scenario, file, what, fmi=fmi)
+        with zipfile.ZipFile(file) as archive:
+            if not any(member.endswith(".so") for member in archive.namelist()):
+                pytest.skip("needs a C compiler on Linux, x86-64")
+        return str(file)
+
+    return written
+
+
+def _compiled(scenario):
+    return simulate_compiled(scenario, integrator="rk4", step_s=2e-4).data
+
+
+def _steps(data):
+    return range(len(data["knee_angle_rad"]) - 1)
+
+
+def _relative(values, expected):
+    """Largest difference, as a part of the largest value; 0 where both are zero."""
+    difference = np.abs(np.array(values) - expected).max()
+    return difference / np.abs(expected).max() if difference else 0.0
+
+
+def _loop_run(loop, steps, *names):
+    rows = [loop.get(*names)]
+    for n in steps:
+        loop.step(n * TICK_S)
+        rows.append(loop.get(*names))
+    return np.array(rows)
+
+
+# --------------------------------------------------------------------------------- contents
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("what", WHAT)
+def test_description_is_valid(what, fmi, path):
+    pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    from fmpy.validation import validate_fmu
+
+    assert validate_fmu(path(what, fmi)) == []
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_fields_of_the_three_targets(path, fmi):
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    fields = {}
+    for what in WHAT:
+        description = fmpy.read_model_description(path(what, fmi))
+        assert description.coSimulation.modelIdentifier == f"knee_{what}"
+        by = {causality: {} for causality in ("input", "output", "parameter", "local")}
+        for v in description.modelVariables:
+            by.get(v.causality, {})[v.name] = v.unit
+        fields[what] = by
+        assert float(description.defaultExperiment.stopTime) == 30.0
+        assert by["local"] == {"sample_time_s": "s"}
+    reference = dict(zip(REFERENCE, ["rad", "rad/s", "rad/s2", "rad/s3"], strict=True))
+    command = {"motor_speed_command_rad_s": "rad/s"}
+    assert fields["controller"]["input"] == {**reference, "encoder_reading_rad": "rad"}
+    assert fields["controller"]["output"] == command
+    assert fields["plant"]["input"] == {**command, "disturbance_force_n": "N"}
+    assert fields["loop"]["input"] == {"disturbance_force_n": "N"}
+    assert fields["loop"]["output"].keys() == set(columns(available_signals(PAPER)))
+    plant = fields["plant"]["output"]
+    assert plant == {name: fields["loop"]["output"][name] for name in plant}
+    assert plant["load_flow_m3_s"] == "m3/s"
+    assert plant["load_pressure_pa"] == "Pa"
+    assert plant["shaft_torque_n_m"] == "N.m"
+    assert plant["shaft_power_w"] == "W"
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_scenario_parameters_are_those_of_kneexo_params(what):
+    """Value, unit and range as `kneexo params` tells them."""
+    fmu = make_fmu(LOADED, what)
+    rows = {row["parameter"]: row for row in parameter_rows(LOADED)}
+    units = {v.name: v.unit.name if v.unit else "1" for v in fmu.variables}
+    named = [p for p in fmu.parameters if p.name in rows]
+    assert len(named) == {"controller": 22, "plant": 34, "loop": 44}[what]
+    for parameter in named:
+        row = rows[parameter.name]
+        assert parameter.start == row["value"]
+        symbol = row["unit"].replace("²", "2").replace("³", "3").replace("·", ".")
+        assert units[parameter.name] == {"N/(m/s)": "N.s/m"}.get(symbol, symbol)
+        low, high = re.fullmatch(r">=? (\S+) and <= (\S+)", row["range"]).groups()
+        assert parameter.low == pytest.approx(float(low), rel=1e-5)
+        assert parameter.high == pytest.approx(float(high), rel=1e-5)
+
+
+@pytest.mark.parametrize("what", WHAT)
+@pytest.mark.parametrize("scenario", [PAPER, LOADED], ids=["paper", "loaded"])
+def test_each_context_parameter_has_one_master_with_its_value(what, scenario):
+    fmu = make_fmu(scenario, what)
+    members = [m for p in fmu.parameters for m in p.members if not m.startswith("initial_x")]
+    assert sorted(members) == sorted(fmu.source.parameter_fields)
+    values = dict(zip(fmu.source.parameter_fields, fmu.source.parameters.tolist(), strict=True))
+    for parameter in fmu.parameters:
+        for member in parameter.members:
+            if member in values:
+                assert parameter.start == values[member]
+                assert parameter.tunable
+
+
+def test_effects_of_the_numbers_of_a_scenario():
+    names = list(scenario_values(PAPER))
+    effects = parameter_effects(PAPER, names)
+    both = {"plant/motor.gear_ratio", "controller/law.gear_ratio"}
+    assert effects["plant.pump.gear_ratio"].same == both
+    assert effects["plant.cylinder.mass_kg"].same == {"plant/cylinder.mass_kg"}
+    assert effects["plant.cylinder.leakage_m3_per_s_pa"].same == {
+        "plant/cylinder.leakage_m3_per_s_pa"
+    }
+    assert not effects["plant.cylinder.mass_kg"].start
+    assert effects["plant.cylinder.stiffness_n_per_m"].start
+    # The command's limit is the lower one of two.
+    limit = effects["plant.pump.speed_limit_rad_s"]
+    assert limit.touched == {"plant/motor.speed_limit_rad_s", "controller/law.command_limit_rad_s"}
+    assert limit.same == set()
+    assert effects["controller.command_limit_rad_s"].same == set()
+    # Here the motor's limit is the lower one up to 3000 rad/s.
+    higher = changed(PAPER, {"controller.command_limit_rad_s": 3000.0})
+    assert parameter_effects(higher, names)["plant.pump.speed_limit_rad_s"].same == set()
+    # A link moves the fit of the linkage too, an area follows two diameters, degrees are turned.
+    assert "plant/knee.1[0]" in effects["plant.linkage.a_3_m"].touched
+    assert effects["plant.linkage.a_3_m"].same == set()
+    assert "plant/cylinder.mean_area_m2" in effects["plant.cylinder.bore_m"].touched
+    assert effects["plant.cylinder.bore_m"].same == set()
+    assert effects["reference.mean_deg"].touched == {"reference.mean_rad"}
+    assert effects["reference.mean_deg"].same == set()
+    assert effects["polynomial.p_mm_deg[5]"].touched == {
+        "controller/coordinates.p_6",
+        "controller/rod_reference.p_6",
+    }
+    assert "simulation.duration_s" not in effects
+
+
+def test_a_believed_plant_has_names_of_its_own():
+    fmu = make_fmu(changed(PAPER, {"nominal": PlantParameters()}), "loop")
+    members = {p.name: p.members for p in fmu.parameters}
+    assert members["plant.pump.gear_ratio"] == ("motor.gear_ratio",)
+    assert members["nominal.pump.gear_ratio"] == ("law.gear_ratio",)
+
+
+def test_descriptions_tell_the_origin():
+    told = {p.name: p.description for p in make_fmu(PAPER, "loop").parameters}
+    assert told["plant.pump.gear_ratio"].startswith(
+        "sets controller/law.gear_ratio, plant/motor.gear_ratio; Section 5: 6:1"
+    )
+    assert told["cylinder.mean_area_m2"] == (
+        "Context parameter plant/cylinder.mean_area_m2, computed from plant.cylinder.bore_m, "
+        "plant.cylinder.rod_diameter_m"
+    )
+    assert told["plant.cylinder.stiffness_n_per_m"].endswith("; the initial state does not follow")
+    assert not told["plant.cylinder.stroke_m"].endswith("follow")
+    assert told["initial.rod_extension_m"] == "the scenario starts at rest, the knee at 10 deg"
+
+
+def make_user_controller(scenario):
+    """As a user's: what its numbers come from is not known."""
+    return make_controller(scenario.model_copy(update={"controller": PidParameters()}))
+
+
+def test_names_of_the_scenario_do_not_stand_for_numbers_of_a_custom_controller(path, fmu_instance):
+    custom = CustomControllerParameters(make=make_user_controller)
+    scenario = SHORT.model_copy(update={"controller": custom})
+    for what in ("controller", "loop"):
+        names = [p.name for p in make_fmu(scenario, what).parameters]
+        assert "law.proportional_per_s" in names
+        assert not any(name.startswith(("plant.", "controller.")) for name in names)
+    assert "plant.pump.gear_ratio" in [p.name for p in make_fmu(scenario, "plant").parameters]
+    data = _compiled(scenario)
+    loop = fmu_instance(path("loop", 3, scenario)).start()
+    angles = _loop_run(loop, _steps(data), "knee_angle_rad")
+    assert _relative(angles, data["knee_angle_rad"]) < 1e-9
+
+
+def test_start_values_of_inputs_are_those_of_the_loop():
+    loop = make_closed_loop(PAPER, signals=())
+    context = loop.CreateDefaultContext()
+    starts = make_fmu(PAPER, "controller").starts
+    assert starts["encoder_reading_rad"] == loop.GetOutputPort("encoder_reading").Eval(context)[0]
+    assert starts["encoder_reading_rad"] == pytest.approx(1.1213, abs=1e-4)  # 731 counts
+    assert [starts[name] for name in REFERENCE] == pytest.approx(
+        [math.radians(10.0), 0.0, math.radians(30.0) * (0.2 * math.pi) ** 2, 0.0], abs=1e-12
+    )
+
+
+# ------------------------------------------------------------------------------------- runs
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_plant_and_controller_follow_the_compiled_run(path, fmu_instance, fmi):
+    """The controller steps first, so that its command acts in the sample that computes it."""
+    data = _compiled(PAPER)
+    reference = np.column_stack([data[name] for name in REFERENCE])
+    plant, controller = fmu_instance(path("plant", fmi)), fmu_instance(path("controller", fmi))
+    plant.start()
+    controller.enter()
+    controller.set(encoder_reading_rad=plant.get("encoder_reading_rad"))
+    controller.fmu.exitInitializationMode()
+    names = ("rod_extension_m", "load_pressure_pa", "knee_angle_rad", "encoder_reading_rad")
+    rows = [plant.get(*names)]
+    for n in _steps(data):
+        controller.set(
+            zip(REFERENCE, reference[n], strict=True),
+            encoder_reading_rad=plant.get("encoder_reading_rad"),
+        )
+        controller.step(n * TICK_S)
+        command = controller.get("motor_speed_command_rad_s")
+        plant.set(motor_speed_command_rad_s=command)
+        plant.step(n * TICK_S)
+        rows.append(plant.get(*names))
+    assert len(rows) == 15_001
+    for name, values in zip(names, np.array(rows).T, strict=True):
+        assert _relative(values, data[name]) < 1e-9, name
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_loop_follows_the_compiled_run(path, fmu_instance, fmi):
+    data = _compiled(PAPER)
+    names = list(columns(available_signals(PAPER)))
+    rows = _loop_run(fmu_instance(path("loop", fmi)).start(), _steps(data), *names)
+    for name, values in zip(names, rows.T, strict=True):
+        assert _relative(values, data[name]) < 1e-9, name
+
+
+def test_loaded_loop_of_full_order_follows_the_compiled_run(path, fmu_instance):
+    data = _compiled(LOADED)
+    loop = fmu_instance(path("loop", 3, LOADED)).start()
+    names = list(columns(available_signals(LOADED)))
+    assert "cap_makeup_flow_m3_s" in names
+    rows = _loop_run(loop, _steps(data), *names)
+    for name, values in zip(names, rows.T, strict=True):
+        assert _relative(values, data[name]) < 1e-9, name
+
+
+def test_sampled_reference_is_an_input(path, fmu_instance):
+    samples = SampledReference(times_s=(0.0, 0.3, 0.6), angles_deg=(20.0, 30.0, 25.0))
+    scenario = Scenario(reference=samples, simulation=SimulationParameters(duration_s=0.6))
+    data = _compiled(scenario)
+    loop = fmu_instance(path("loop", 3, scenario))
+    reference = np.column_stack([data[name] for name in REFERENCE])
+    assert loop.get(*REFERENCE) == pytest.approx(reference[0], rel=1e-12)
+    loop.start()
+    angles = [loop.get("knee_angle_rad")]
+    for n in _steps(data):
+        loop.set(zip(REFERENCE, reference[n], strict=True))
+        loop.step(n * TICK_S)
+        angles.append(loop.get("knee_angle_rad"))
+    assert _relative(angles, data["knee_angle_rad"]) < 1e-9
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_outputs_at_the_start_are_those_of_drake(path, fmu_instance, fmi):
+    loop = fmu_instance(path("loop", fmi)).start()
+    diagram = make_closed_loop(PAPER, signals=())
+    simulator = Simulator(diagram)
+    simulator.Initialize()
+    for signal in available_signals(PAPER):
+        expected = diagram.GetOutputPort(signal).Eval(simulator.get_context())
+        got = [loop.get(name) for name in SIGNALS[signal]]
+        assert got == pytest.approx(expected.tolist(), rel=1e-12, abs=1e-12), signal
+
+
+def test_each_scenario_parameter_acts_as_in_the_scenario(path, fmu_instance):
+    """The start is that of the exported scenario, so those that move it are left out."""
+    fmu = make_fmu(SHORT, "loop")
+    loop = fmu_instance(path("loop", 3, SHORT))
+    base = _compiled(SHORT)["rod_extension_m"]
+    moved = 0
+    for parameter in fmu.parameters:
+        value = value_at(SHORT, parameter.name)
+        if value is None or parameter.description.endswith("does not follow"):
+            continue
+        other = value * 1.1 if value else min(0.01, 0.01 * parameter.high)
+        expected = _compiled(changed(SHORT, {parameter.name: other}))["rod_extension_m"]
+        loop.fmu.reset()
+        loop.start(**{parameter.name: other})
+        values = _loop_run(loop, range(len(expected) - 1), "rod_extension_m")
+        assert _relative(values, expected) < 1e-9, parameter.name
+        moved += np.abs(expected - base).max() > 1e-9
+    assert moved == 12  # the others are uncertainties and limits that nothing reaches here
+
+
+def test_a_parameter_changed_in_a_run_acts_from_there_on(path, fmu_instance):
+    states = {
+        "initial.motor_speed_rad_s": "motor_speed_rad_s",
+        "initial.rod_extension_m": "rod_extension_m",
+        "initial.rod_velocity_m_s": "rod_velocity_m_s",
+        "initial.load_pressure_pa": "load_pressure_pa",
+    }
+    tuned = {"plant.cylinder.mass_kg": 3.2, "plant.pump.lag_s": 0.03}
+    plant = fmu_instance(path("plant", 3)).start()
+    untouched = fmu_instance(path("plant", 3)).start()
+    for instance in (plant, untouched):
+        instance.set(motor_speed_command_rad_s=200.0, disturbance_force_n=40.0)
+        instance.step(0.0, 10 * TICK_S)
+    later = fmu_instance(path("plant", 3))
+    later.enter(**{initial: plant.get(name) for initial, name in states.items()}, **tuned)
+    later.set(motor_speed_command_rad_s=-100.0, disturbance_force_n=0.0)
+    later.fmu.exitInitializationMode()
+    plant.set(tuned)
+    for n in range(50):
+        for instance, start in ((plant, 10), (untouched, 10), (later, 0)):
+            instance.set(motor_speed_command_rad_s=-100.0, disturbance_force_n=0.0)
+            instance.step((start + n) * TICK_S)
+        expected = later.get(*states.values())
+        assert plant.get(*states.values()) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert untouched.get("load_pressure_pa") != pytest.approx(expected[3], rel=1e-3)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_saved_loops_continue_to_the_bit(path, fmu_instance, fmi):
+    names = list(columns(available_signals(PAPER)))
+    loop = fmu_instance(path("loop", fmi)).start()
+    loop.step(0.0, 50 * TICK_S)
+    data = loop.serialize()
+    steps = range(50, 100)
+    expected = _loop_run(loop, steps, *names)
+    loop.deserialize(data)
+    assert np.array_equal(_loop_run(loop, steps, *names), expected)
+    other = fmu_instance(path("loop", fmi), name="other")
+    other.deserialize(data)
+    assert np.array_equal(_loop_run(other, steps, *names), expected)
+
+
+def test_initial_states_are_parameters(path, fmu_instance):
+    plant = fmu_instance(path("plant", 3)).start(
+        **{"initial.rod_extension_m": 0.1, "initial.load_pressure_pa": 2.5e5}
+    )
+    assert plant.get("rod_extension_m", "load_pressure_pa") == [0.1, 2.5e5]
+    assert plant.get("rod_force_n") == pytest.approx(2.5e5 * 2.748893571891069e-4, rel=1e-12)
+
+
+def test_beyond_its_stops_the_knee_fails_with_a_reason(path, fmu_instance):
+    plant = fmu_instance(path("plant", 3)).start()
+    plant.set(motor_speed_command_rad_s=500.0)  # extends the knee, which is at 10 deg
+    with pytest.raises(Exception, match="failed with status 3"):
+        plant.step(0.0, 1000 * TICK_S)
+    (message,) = plant.messages
+    assert "status = 4: the state is outside the limits of plant/cylinder, plant/knee" in message
+    time = float(re.match(r"t = (\S+) s: the step failed", message)[1])
+    assert 0.1 < time < 1.9
+    assert plant.get("time") == 0.0  # the whole step is undone
+    plant.step(0.0, 10 * TICK_S)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_fmpy_simulates_the_loop_by_itself(path, fmi):
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    data = _compiled(SHORT)
+    result = fmpy.simulate_fmu(
+        path("loop", fmi),
+        stop_time=1.0,
+        output_interval=TICK_S,
+        output=["rod_extension_m"],
+        start_values={"controller.lambda_per_s": 20.0},
+    )
+    assert result["time"][-1] == pytest.approx(1.0)
+    assert _relative(result["rod_extension_m"], data["rod_extension_m"]) < 1e-9
+
+
+def test_libcosim_couples_plant_and_controller(path, tmp_path):
+    """A master of others: all step at once, so that the command arrives a sample later."""
+    pytest.importorskip("libcosimpy", reason="needs libcosim: pip install 'kneexo[fmu]'")
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimManipulator import CosimManipulator
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    data = _compiled(changed(SHORT, {"bus.latency_samples": 1}))
+    reference = np.column_stack([data[name] for name in REFERENCE])
+    references = {}
+    for what in ("plant", "controller"):
+        fmu = make_fmu(PAPER, what, fmi=2)
+        references[what] = {v.name: i for i, v in enumerate(fmu.variables)}
+    execution = CosimExecution.from_step_size(int(TICK_S * 1e9))
+    slaves = {
+        what: execution.add_local_slave(CosimLocalSlave(path(what, 2), what))
+        for what in ("plant", "controller")
+    }
+    for source, target, name in (
+        ("plant", "controller", "encoder_reading_rad"),
+        ("controller", "plant", "motor_speed_command_rad_s"),
+    ):
+        execution.connect_real_variables(
+            slaves[source], references[source][name], slaves[target], references[target][name]
+        )
+    observer, manipulator = CosimObserver.create_last_value(), CosimManipulator.create_override()
+    execution.add_observer(observer)
+    execution.add_manipulator(manipulator)
+    inputs = [references["controller"][name] for name in REFERENCE]
+    output = [references["plant"]["rod_extension_m"]]
+    values = [data["rod_extension_m"][0]]
+    for n in _steps(data):
+        assert manipulator.slave_real_values(slaves["controller"], inputs, reference[n].tolist())
+        assert execution.step()
+        values.append(observer.last_real_values(slaves["plant"], output)[0])
+    assert len(values) == 501
+    assert _relative(values, data["rod_extension_m"]) < 1e-9
+
+
+@NEEDS_COMPILER
+def test_the_example_of_the_docs_prints_what_they_say(tmp_path):
+    pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    text = (ROOT / "docs/fmu.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    commands = re.findall(r"^kneexo (export fmu .*)$", text, re.MULTILINE)
+    assert len(commands) == 2
+    for command in commands:
+        arguments = [sys.executable, "-m", "kneexo", *command.split()]
+        subprocess.run(arguments, cwd=tmp_path, check=True, capture_output=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    (difference,) = re.findall(r"largest difference .* (\S+) of the largest", done.stdout)
+    told = re.search(r"It printed `(\S+)`", text)[1]
+    assert float(difference) < 10.0 * float(told) < 1e-12
+
+
+@NEEDS_COMPILER
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_others_build_the_sources(tmp_path, monkeypatch, fmi):
+    """FMPy makes the binary of a source FMU by CMake, with what the descriptions list."""
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    cmake = pytest.importorskip("cmake", reason="needs CMake: pip install 'kneexo[fmu]'")
+    from fmpy.build import build_platform_binary
+
+    with monkeypatch.context() as context:
+        context.setattr(c_build, "COMPILERS", ())
+        file = export_fmu(PAPER, tmp_path, "loop", fmi=fmi)
+    assert not file.binary
+    monkeypatch.setenv("PATH", f"{cmake.CMAKE_BIN_DIR}{os.pathsep}{os.environ['PATH']}")
+    folder = fmpy.extract(file.path)
+    build_platform_binary(folder)
+    result = fmpy.simulate_fmu(
+        folder, stop_time=1.0, output_interval=TICK_S, output=["rod_extension_m"]
+    )
+    expected = _compiled(SHORT)["rod_extension_m"]
+    assert _relative(result["rod_extension_m"], expected) < 1e-9
+
+
+# ------------------------------------------------------------------------------------ files
+
+
+def test_equal_scenarios_give_equal_files(tmp_path):
+    first = export_fmu(PAPER, tmp_path / "a.fmu", "controller")
+    second = export_fmu(Scenario(), tmp_path / "b", "controller")
+    assert (first.path, second.path) == (
+        str(tmp_path / "a.fmu"),
+        str(tmp_path / "b" / "knee_controller.fmu"),
+    )
+    data = (tmp_path / "a.fmu").read_bytes()
+    assert data == (tmp_path / "b" / "knee_controller.fmu").read_bytes()
+    assert re.fullmatch(r"kneexo \S+", generation_tool(data))
+    assert [file.name for file in sorted(tmp_path.iterdir())] == ["a.fmu", "b"]
+
+
+def test_an_fmu_of_ours_is_replaced(tmp_path, monkeypatch):
+    monkeypatch.setattr(c_build, "COMPILERS", ())
+    file = tmp_path / "knee.fmu"
+    export_fmu(PAPER, file, "plant")
+    export_fmu(PAPER, file, "controller", fmi=2)
+    with zipfile.ZipFile(file) as archive:
+        assert "sources/knee_controller_fmi2.c" in archive.namelist()
+
+
+def _foreign(file):
+    with zipfile.ZipFile(file, "w") as archive:
+        text = '<fmiModelDescription generationTool="Dymola"/>'
+        archive.writestr("modelDescription.xml", text)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda file: file.write_text("notes"), "is no FMU; choose another file"),
+        (lambda file: file.touch(), "is no FMU; choose another file"),
+        (_foreign, "is an FMU of Dymola; choose another file"),
+    ],
+)
+@pytest.mark.parametrize("name", ["knee.fmu", "notes.txt"])
+def test_files_of_others_stay(make, message, name, tmp_path, capsys):
+    file = tmp_path / name
+    make(file)
+    before = file.read_bytes()
+    assert main(["export", "fmu", "--out", str(file)]) == 2
+    assert capsys.readouterr().err == f"kneexo: --out {file}: {message}\n"
+    assert file.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_place_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot write there"):
+        export_fmu(PAPER, tmp_path / "file" / "knee.fmu")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"what": "knee"}, "what = 'knee': must be one of controller, plant, loop"),
+        ({"fmi": 1}, "fmi = 1: must be one of 2, 3"),
+        ({"fmi": "3"}, "fmi = '3': must be one of 2, 3"),
+    ],
+)
+def test_wrong_options_are_refused(options, message, tmp_path):
+    with pytest.raises(ParameterError, match=message):
+        export_fmu(PAPER, tmp_path / "knee.fmu", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+# -------------------------------------------------------------------------------- commands
+
+
+def test_command_tells_what_it_wrote(tmp_path, capsys):
+    out = tmp_path / "knee.fmu"
+    arguments = ["export", "fmu", "--what", "plant", "--fmi", "2", "--out", str(out)]
+    assert main([*arguments, "--set", "plant.cylinder.mass_kg=1.7"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"plant as FMU by FMI 2: {out}"
+    assert lines[1] == "  inputs: motor_speed_command_rad_s, disturbance_force_n"
+    assert lines[2].startswith("  outputs: encoder_reading_rad, knee_angle_rad, rod_extension_m")
+    assert lines[3] == "  parameters: 111, of which 13 have names of the scenario"
+    assert lines[4] == "  communication step: 0.002 s or a whole multiple"
+    with zipfile.ZipFile(out) as archive:
+        text = archive.read("modelDescription.xml").decode()
+    assert 'fmiVersion="2.0"' in text
+    assert re.search(r'name="plant.cylinder.mass_kg".*\n\s*<Real .*start="1.7"', text)
+
+
+def test_command_without_a_compiler(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(c_build, "COMPILERS", ())
+    assert main(["export", "fmu", "--out", str(tmp_path)]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == "  sources only: no C compiler (cc, gcc or clang), or not Linux on x86-64"
+    assert main(["export", "fmu", "--out", str(tmp_path), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["binary"] is False
+    assert document["path"] == str(tmp_path / "knee_controller.fmu")
+    assert document["sample_time_s"] == TICK_S
+    assert document["parameters"] == 40

@@ -1,0 +1,112 @@
+"""Reports as HTML pages."""
+
+import html
+import json
+import re
+from html.parser import HTMLParser
+
+import matplotlib.pyplot as plt
+import pytest
+
+from kneexo.cli import main
+from kneexo.html_page import html_page
+
+VOID = {"meta", "link", "br", "hr", "img", "input", "path", "use"}
+
+
+class Page(HTMLParser):
+    """Cells of all tables, and whether every element is closed in order."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.open, self.cells, self.links = [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        if tag not in VOID:
+            self.open.append(tag)
+        self.links += [v for k, v in attributes if k in ("src", "href") and v[:1] != "#"]
+        if tag in ("td", "th"):
+            self.cells.append("")
+
+    def handle_startendtag(self, tag, attributes):
+        pass
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("td", "th"):
+            self.cells[-1] += data
+
+
+@pytest.fixture
+def figure():
+    figure, axes = plt.subplots()
+    axes.plot([0, 1], [1, 3], label="speed")
+    yield figure
+    plt.close(figure)
+
+
+def test_a_page_has_tables_pictures_and_origin(figure):
+    report = "# Title\n\n| a (m) | b |\n|---|---|\n| 1.5 | <x> & y |\n\n## Part\n\nText.\n"
+    origin = {"kneexo": "9.9", "scenario": {"plant": {"mass_kg": 1.6}}}
+    text = html_page("kneexo test", report, {"speed": figure}, origin)
+    page = Page(text)
+    assert page.cells == ["a (m)", "b", "1.5", "<x> & y"]
+    assert not page.open
+    assert not page.links  # self-contained
+    assert text.count("<svg") == 1
+    assert "<figcaption>speed</figcaption>" in text
+    assert "kneexo 9.9" in text
+    assert "mass_kg: 1.6" in text
+    assert text.count("<h1>") == 1
+    assert 'name="viewport"' in text
+
+
+def test_equal_reports_are_equal_pages(figure):
+    pages = [html_page("t", "text", {"a": figure}, {"kneexo": "1"}) for _ in range(2)]
+    assert pages[0] == pages[1]
+    assert "<h1>t</h1>" in pages[0]
+
+
+def test_html_in_a_report_is_text():
+    text = html_page("<t>", "a <script>alert(1)</script>", {}, {"kneexo": "<v>"})
+    assert "<script>" not in text
+    assert html.escape("<t>") in text
+
+
+@pytest.fixture
+def short(tmp_path):
+    path = tmp_path / "short.yaml"
+    path.write_text("simulation: {duration_s: 0.5}\n")
+    return str(path)
+
+
+@pytest.mark.parametrize("command", ["simulate", "linearize"])
+def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main([command, short, "--out", str(out), "--html", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    text = (out / f"{command}.html").read_text()
+    cells = Page(text).cells
+    numbers = result if command == "simulate" else result["margins"]
+    for name in ("max_error_overall_deg", "peak_command_rpm", "phase_margin_deg"):
+        if name in numbers:
+            value = cells[cells.index(name) + 1]
+            assert float(value) == pytest.approx(numbers[name], rel=1e-5)
+    assert re.search("duration_s: 0.5", text)
+    assert len(text) < 3e6
+
+
+def test_html_of_a_study_is_its_report(short, tmp_path, capsys):
+    out = tmp_path / "out"
+    few = ["--set", "frequencies_hz=[2, 3, 4]", "--set", "amplitudes_deg=[1]"]
+    assert main(["bandwidth", short, "--out", str(out), "--html", *few, "--workers", "1"]) == 0
+    cells = Page((out / "bandwidth.html").read_text()).cells
+    report = (out / "bandwidth.md").read_text()
+    rows = (line.strip("|").split("|") for line in report.splitlines() if line[:1] == "|")
+    of_report = [cell.strip() for row in rows for cell in row]
+    assert [cell for cell in of_report if cell != "---"] == cells
