@@ -1,4 +1,4 @@
-"""Sphinx settings of the documentation: ``sphinx-build -W -n -b html docs docs/_build/html``.
+"""Sphinx settings of the documentation: ``sphinx-build -W -n docs docs/_build/html``.
 
 Nothing is loaded from the network, neither by the build nor by the pages: formulas become MathML
 by docutils' own converter, which browsers show without a script.
@@ -49,6 +49,7 @@ html_math_renderer = "mathml"
 
 default_role = "py:obj"  # `Name` in a docstring is a reference that must resolve
 nitpick_ignore_regex = [("py:class", ".*")]  # annotations may be aliases, or other packages'
+suppress_warnings = ["ref.python"]  # a short name in an annotation that two modules have
 autodoc_member_order = "bysource"
 autodoc_default_options = {
     "members": True,
@@ -90,9 +91,11 @@ del machine_code, warnings
 )
 
 EXTERNAL = {
-    # Names of Drake and of the standard library in our docstrings.
+    # Names of Drake, of the standard library and of type variables in our docstrings.
     *("RotaryEncoders", "PassThrough", "DiscreteTimeDelay", "VectorLogSink", "TrajectorySource"),
     *("Linearize", "ValueError", "TypeError", "SystemExit", "pydrake.math"),
+    *("Expression", "FramePoseVector"),
+    *("kneexo.compilation.equations.T", "kneexo.simulation.coroutines.Result"),
     *("control.StateSpace", "pandas.DataFrame", "concurrent.futures.Executor"),
 }
 
@@ -153,7 +156,10 @@ def resolve(app: Sphinx, env: Any, node: Any, contnode: Any) -> Any:
     if parent.startswith("kneexo"):
         value = getattr(importlib.import_module(parent), last, None)
         home = getattr(value, "__module__", None)
-        places = [f"{home}.{last}"] if f"{home}.{last}" in objects else []
+        places = [name for name in objects if name == f"{home}.{last}"]
+        if value is not None and home is None:  # a constant does not know where it was made
+            tail = f".{last}"
+            places = [n for n in objects if n.startswith(f"{parent}.") and n.endswith(tail)]
     else:
         places = [name for name in objects if name.endswith(f".{target}")]
     if not places:

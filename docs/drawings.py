@@ -47,10 +47,14 @@ def mechanism(link: LinkageParameters = G1, knee_angle_deg: float = 35.0) -> Fig
     fig, (whole, joints) = plt.subplots(1, 2, figsize=(11, 6.4), width_ratios=(1, 1.35))
 
     for ax in (whole, joints):
-        for start, end, colour in ((o_a, a, "C0"), (o_b, b, "C1")):
-            ax.plot([start.real, end.real], [start.imag, end.imag], colour, lw=4, zorder=3)
-        ax.plot([a.real, b.real], [a.imag, b.imag], "C2", lw=4, zorder=3)
-        ax.plot([o_a.real, o_b.real], [o_a.imag, o_b.imag], "0.4", lw=4, zorder=2)
+        for start, end, colour, name in (
+            (o_a, o_b, "0.4", "a_1"),
+            (o_a, a, "C0", "a_2"),
+            (a, b, "C2", "a_3"),
+            (o_b, b, "C1", "a_4"),
+        ):
+            x, y = (start.real, end.real), (start.imag, end.imag)
+            ax.plot(x, y, color=colour, lw=4, zorder=3, gid=name)
         for point in (o_a, o_b, a, b):
             ax.plot(point.real, point.imag, "o", mfc="white", mec="0.1", ms=7, zorder=5)
         ax.set_aspect("equal")

@@ -80,12 +80,12 @@ MERITS = {
     "delay_margin_s": Merit("delay margin (s)", -1.0),
     "disk_margin": Merit("disk margin", -1.0),
 }
-"""Figures of merit, of those that `kneexo.analysis.assess` finds."""
+"""Figures of merit, of those that `assess` finds."""
 
 
 @dataclass(frozen=True)
 class Visit:
-    """One plant: the values that are not nominal, and what `kneexo.analysis.assess` found."""
+    """One plant: the values that are not nominal, and what `assess` found."""
 
     values: Values
     figures: dict[str, Any]
