@@ -17,8 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from docutils import nodes
+from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.util import logging
 from sphinx.util.nodes import make_refnode
 
 import kneexo
@@ -46,6 +48,8 @@ exclude_patterns = ["_build", "_templates", "jupyter_execute"]
 html_theme = "furo"
 html_title = f"kneexo {release}"
 html_math_renderer = "mathml"
+html_static_path = ["_static"]
+html_css_files = ["math.css"]
 
 default_role = "py:obj"  # `Name` in a docstring is a reference that must resolve
 nitpick_ignore_regex = [("py:class", ".*")]  # annotations may be aliases, or other packages'
@@ -179,9 +183,17 @@ def source_links(_app: Sphinx, _document: str, content: list[str]) -> None:
     )
 
 
+_ACCENT = re.compile(r"(\\(?:d*dot|hat|bar))\s*(\{\\?\w+\}|\\[a-zA-Z]+|\w)(?=\s*['_^])")
+
+
 def mathml(self: Any, node: nodes.Element, *, block: bool) -> None:
-    """Write a formula as MathML."""
-    self.body.append(str(tex2mathml(node.astext(), as_block=block)))
+    """Write a formula as MathML; what it cannot read is a warning, and -W stops."""
+    # docutils puts the index of an accented letter below it, and three dots far apart.
+    formula = _ACCENT.sub(r"{{}\1 \2}", node.astext())
+    try:
+        self.body.append(str(tex2mathml(formula, as_block=block)).replace("˙˙˙", "\u20db"))
+    except MathError as error:
+        logging.getLogger(__name__).warning("%s: %s", error, node.astext(), location=node)
     raise nodes.SkipNode
 
 

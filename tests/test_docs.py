@@ -102,7 +102,7 @@ def test_the_theory_has_every_leaf_system_and_every_equation_of_the_paper():
 def test_the_theory_uses_every_symbol_of_its_table():
     head, _, body = THEORY.partition("## The four-bar knee")
     cells = re.findall(r"^\| ((?:\$[^$]+\$(?:, )?)+) \|", head, re.MULTILINE)
-    symbols = [s for cell in cells for s in re.split(r", |\\dots", cell.replace("$", "")) if s]
+    symbols = [s for cell in cells for s in re.split(r", |\\ldots", cell.replace("$", "")) if s]
     assert len(symbols) > 60
     unused = [s.strip() for s in symbols if s.strip() not in body]
     assert unused == ["a_1"]  # the ground link is given by its joints
