@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from kneexo import systems
-from kneexo.parameters import G1, BldcPumpParameters, CylinderParameters, PlantParameters
+from kneexo.parameters import (
+    G1,
+    BldcPumpParameters,
+    CylinderParameters,
+    EncoderParameters,
+    PlantParameters,
+    Scenario,
+    SimulationParameters,
+    SlidingModeParameters,
+)
+from kneexo.simulation import simulate
 from kneexo.systems._leaf import NamedLeaf
 
 ROOT = Path(__file__).parents[1]
@@ -91,10 +101,11 @@ def test_the_theory_has_every_leaf_system_and_every_equation_of_the_paper():
     aside = {"StepKneeReference", "RampKneeReference"}  # named as steps and ramps
     assert [name for name in sorted(leaves - aside) if f"`{name}`" not in THEORY] == []
     told = set()
-    for first, last in re.findall(r"Eq\. (\d+)(?:–(\d+))?", THEORY):
+    text = re.sub(r"^#.*$", "", THEORY, flags=re.MULTILINE)  # each has its own mention
+    for first, last in re.findall(r"Eq\. (\d+)(?:–(\d+))?", text):
         told |= set(range(int(first), int(last or first) + 1))
     told |= {
-        int(n) for pair in re.findall(r"Eq\. \d+(?:, (\d+)| and (\d+))", THEORY) for n in pair if n
+        int(n) for pair in re.findall(r"Eq\. \d+(?:, (\d+)| and (\d+))", text) for n in pair if n
     }
     assert told == set(range(1, 28))
 
@@ -139,6 +150,10 @@ def test_nothing_of_a_drawing_is_cut_off(drawings, name):
         assert frame.x0 <= box.x0 <= box.x1 <= frame.x1, text.get_text()
         assert frame.y0 <= box.y0 <= box.y1 <= frame.y1, text.get_text()
     for ax in figure.axes:
+        for patch in ax.patches if not ax.axison else ():
+            box = patch.get_window_extent()
+            assert ax.bbox.x0 <= box.x0 <= box.x1 <= ax.bbox.x1
+            assert ax.bbox.y0 <= box.y0 <= box.y1 <= ax.bbox.y1
         assert not ax.axison or (ax.get_xlabel() + ax.get_ylabel()).endswith(")")
     plt.close(figure)
 
@@ -168,4 +183,31 @@ def test_the_mechanism_closes_where_it_is_drawn(drawings):
     theta_3 = np.angle(np.diff(ends["a_3"])[0])
     knee = np.degrees(np.angle(np.exp(1j * (theta_3 + G1.phi_rad))))
     assert knee == pytest.approx(50.0, abs=1e-9)
+    plt.close(figure)
+
+
+def test_the_loop_is_drawn_with_its_encoder_and_its_period(drawings):
+    encoder = EncoderParameters(counts_per_revolution=720)
+    law = SlidingModeParameters(sample_time_s=0.001)
+    figure = drawings.block_diagram(Scenario(encoder=encoder, controller=law))
+    texts = " ".join(text.get_text() for text in figure.axes[0].texts)
+    assert "counts of 0.500°" in texts
+    assert "every 1 ms" in texts
+    plt.close(figure)
+
+
+def test_the_timing_is_that_of_a_run(drawings):
+    figure = drawings.sample_timing(start_s=1.0, samples=3)
+    (counts, *_), (command, speed) = (ax.lines[:2] for ax in figure.axes)
+    run = simulate(Scenario(simulation=SimulationParameters(duration_s=1.1)))
+    index = 1.0 / 0.002
+    for sample in range(3):
+        row = round(index) + sample
+        middle = 2.0 * sample + 1.0  # ms
+        reading = np.degrees(run["encoder_reading_rad"][row]) / 360.0 * 4096.0
+        assert np.interp(2.0 * sample + 0.1, *counts.get_data()) == pytest.approx(reading, abs=1.01)
+        held = run["motor_speed_command_rad_s"][row + 1] * 30.0 / np.pi
+        assert np.interp(middle, *command.get_data()) == pytest.approx(held, rel=1e-6)
+        ends = run["motor_speed_rad_s"][row : row + 2] * 30.0 / np.pi
+        assert ends.min() - 0.1 <= np.interp(middle, *speed.get_data()) <= ends.max() + 0.1
     plt.close(figure)
