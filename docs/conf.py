@@ -21,6 +21,7 @@ from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.util import logging
+from sphinx.util.inspect import signature, stringify_signature
 from sphinx.util.nodes import make_refnode
 
 import kneexo
@@ -31,6 +32,7 @@ from kneexo.parameters.quantity import (
     source_of,
     unit_of,
 )
+from kneexo.systems._leaf import NamedLeaf
 
 project = "kneexo"
 author = "the kneexo authors"
@@ -46,10 +48,11 @@ extensions = [
 templates_path = ["_templates"]
 exclude_patterns = ["_build", "_templates", "jupyter_execute"]
 html_theme = "furo"
+html_show_copyright = False
 html_title = f"kneexo {release}"
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
-html_css_files = ["math.css"]
+html_css_files = ["site.css"]
 
 default_role = "py:obj"  # `Name` in a docstring is a reference that must resolve
 nitpick_ignore_regex = [("py:class", ".*")]  # annotations may be aliases, or other packages'
@@ -122,11 +125,33 @@ def public_names() -> dict[str, list[str]]:
 autosummary_context = {"public_names": public_names()}
 
 
-def escape_bars(_app: Any, _what: str, _name: str, _obj: Any, _opts: Any, lines: list[str]) -> None:
+_attributes: dict[str, list[str]] = {}
+
+
+def prepare(_app: Any, what: str, name: str, _obj: Any, _opts: Any, lines: list[str]) -> None:
     """Absolute values |x| in docstrings are no substitutions of reStructuredText."""
     for index, line in enumerate(lines):
         pieces = re.split(r"(``.*?``)", line)
         lines[index] = "".join(p if p.startswith("``") else p.replace("|", r"\|") for p in pieces)
+    if what in ("attribute", "data", "property"):
+        _attributes[name] = list(lines)
+
+
+def restore(_app: Any, _what: str, name: str, _obj: Any, _opts: Any, lines: list[str]) -> None:
+    """What napoleon takes for "type: description" in an attribute is a sentence with a colon."""
+    if name in _attributes:
+        lines[:] = _attributes.pop(name)
+
+
+def sign(_app: Any, what: str, _name: str, obj: Any, *_: Any) -> tuple[str, str] | None:
+    """The arguments of a leaf system are those of its ``__init__``; parameters have a table."""
+    if what != "class" or not isinstance(obj, type):
+        return None
+    if issubclass(obj, Parameters):
+        return "", ""
+    if issubclass(obj, NamedLeaf):
+        return stringify_signature(signature(obj.__init__, bound_method=True)), ""
+    return None
 
 
 def list_quantities(
@@ -137,12 +162,19 @@ def list_quantities(
         return
     rows = [("name", "default", "unit", "range", "source")]
     for name, field in obj.model_fields.items():
-        default = "required" if field.is_required() else shortened(repr(field.default), 60)
-        cells = (f"``{default}``", unit_of(field), allowed_range(field), source_of(field))
+        value = field.default
+        told = f"{value:.6g}" if isinstance(value, float) else shortened(repr(value), 60)
+        told = "required" if field.is_required() else f"``{told}``"
+        cells = (
+            told,
+            unit_of(field),
+            allowed_range(field).replace(" and ", ", "),
+            source_of(field),
+        )
         rows.append((f"``{name}``", *(cell.replace("|", r"\|") for cell in cells)))
     if len(rows) == 1:
         return
-    lines += ["", ".. list-table::", "   :header-rows: 1", ""]
+    lines += ["", ".. list-table::", "   :header-rows: 1", "   :widths: 26 14 10 14 36", ""]
     for first, *others in rows:
         lines += [f"   * - {first}", *(f"     - {cell}" for cell in others)]
     lines.append("")
@@ -199,7 +231,9 @@ def mathml(self: Any, node: nodes.Element, *, block: bool) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Connect the above."""
-    app.connect("autodoc-process-docstring", escape_bars)
+    app.connect("autodoc-process-docstring", prepare, priority=400)  # napoleon has 500
+    app.connect("autodoc-process-docstring", restore, priority=600)
+    app.connect("autodoc-process-signature", sign)
     app.connect("autodoc-process-docstring", list_quantities)
     app.connect("missing-reference", resolve)
     app.connect("source-read", source_links)
