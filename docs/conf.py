@@ -223,7 +223,7 @@ def mathml(self: Any, node: nodes.Element, *, block: bool) -> None:
     # docutils puts the index of an accented letter below it, and three dots far apart.
     formula = _ACCENT.sub(r"{{}\1 \2}", node.astext())
     try:
-        self.body.append(str(tex2mathml(formula, as_block=block)).replace("˙˙˙", "\u20db"))
+        self.body.append(str(tex2mathml(formula, as_block=block)).replace("˙˙˙", "..."))
     except MathError as error:
         logging.getLogger(__name__).warning("%s: %s", error, node.astext(), location=node)
     raise nodes.SkipNode
