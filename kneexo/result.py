@@ -66,7 +66,7 @@ def _counted(value: Mapping[Any, Any], left: str, right: str) -> str:
 
 
 def axes_or_new(ax: Any, *shape: int, **options: Any) -> Any:
-    """``ax``; where it is None new axes, by what `matplotlib.pyplot.subplots` takes."""
+    """``ax``; where it is None new axes, by what ``matplotlib.pyplot.subplots`` takes."""
     import matplotlib.pyplot as plt
 
     return plt.subplots(*shape, layout="constrained", **options)[1] if ax is None else ax

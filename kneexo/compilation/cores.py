@@ -8,7 +8,7 @@ import os
 def available_cores() -> int:
     """Cores that the scheduler gives this process; all of the machine where it does not say.
 
-    macOS and Windows have no `os.sched_getaffinity`.
+    macOS and Windows have no ``os.sched_getaffinity``.
     """
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

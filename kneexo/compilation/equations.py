@@ -227,7 +227,7 @@ def _element_names(path: str, group: int | str, vector: Any) -> list[str]:
 # ----------------------------------------------------------------------------- extraction
 
 Steps: TypeAlias = Generator[Any, Any, T]
-"""A computation that yields the computations it waits for; `_completed` runs it."""
+"""A computation that yields the computations it waits for; ``_completed`` runs it."""
 
 
 def _completed(steps: Steps[T]) -> T:

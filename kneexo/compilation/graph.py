@@ -187,7 +187,7 @@ class Graph:
         return self._node(name, left, right)
 
     def compare(self, name: str, left: int, right: int) -> int:
-        """A condition, of `COMPARISONS`."""
+        """A condition, of ``COMPARISONS``."""
         return self._node(name, left, right)
 
     def where(self, condition: int, positive: int, otherwise: int) -> int:

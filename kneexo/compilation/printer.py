@@ -26,7 +26,7 @@ MEMO_LINES = 4096
 """Lines of a table of whole-number functions, a power of two: all counts of a 12-bit encoder."""
 
 Load = Callable[[str, int], Operand]
-"""Gives an element of a source (`graph.SOURCES`), or of ``constant``s computed once a run."""
+"""Gives an element of a source (`graph.SOURCES`), or of a ``constant`` computed once a run."""
 
 _LIBRARY = {"power": "pow"}  # of the C library, where its name is another one
 _EXACT = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "abs": "absolute"}

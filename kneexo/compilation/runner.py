@@ -89,7 +89,7 @@ class InputTable:
 
     @cached_property
     def address(self) -> tuple[int, ...]:
-        """What machine code gets: `time_loop.INPUT`."""
+        """What machine code gets: ``time_loop.INPUT``."""
         breaks, coefficients = self.breaks, self.coefficients
         addresses = {"breaks": address(breaks), "coefficients": address(coefficients)}
         sizes = {"break_count": breaks.size, "powers": coefficients.shape[2]}

@@ -58,7 +58,7 @@ RUN = (
 
 ``c`` (constants, lanes), ``own_c`` (lanes, constants), ``x`` (states, lanes), ``d`` (held, lanes),
 ``inputs`` (lanes, `INPUT`), the ``tick`` in s and the ``unit``, which has ``split`` ticks: see
-`_Clock`; ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and ``offsets``
+``_Clock``; ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and ``offsets``
 (periods,) in ticks, the ``row`` of the first record, ``wanted`` (output ports,) bytes, ``columns``
 (column_count,) of the elements of all outputs, ``record`` (lanes, column_count, rows), ``memory``
 and ``shared`` of the exact hold, ``tags`` and ``values`` of the tables of whole-number functions,

@@ -128,8 +128,8 @@ class CylinderParameters(Parameters):
 class FullCylinderParameters(Parameters):
     """What the full order adds to `CylinderParameters`: both chambers, valves and seals (Eq. 14).
 
-    C_im' of Eq. 14 is `CylinderParameters.leakage_m3_per_s_pa`; with external leakage C_em' the
-    reduced order's C_L is C_im' + C_em'/2. Pressures are relative to the atmosphere.
+    C_im' of Eq. 14 is ``leakage_m3_per_s_pa`` of `CylinderParameters`; with external leakage C_em'
+    the reduced order's C_L is C_im' + C_em'/2. Pressures are relative to the atmosphere.
     """
 
     dead_volume_m3: float = quantity(

@@ -203,7 +203,7 @@ class CsvReference(Parameters):
 
 
 class GaitReference(Parameters):
-    """The built-in gait curve by name: see `kneexo.gait.gait_reference`."""
+    """The built-in gait curve by name: see `gait_reference`."""
 
     kind: Literal["gait"] = "gait"
     frequency_hz: float = quantity(1.0, "Hz", "assumption: strides per second", gt=0, le=10)

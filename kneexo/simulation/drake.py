@@ -23,7 +23,7 @@ def simulate_diagram(
     """Run a diagram that has a `VectorLogSink` named ``log`` with the columns ``names``.
 
     ``context`` is the root Context to start from; it is changed. ``progress`` gets the simulated
-    time every 0.25 s. Drake's `radau3` stands in for the compiled engine's integrators. Raises
+    time every 0.25 s. Drake's ``radau3`` stands in for the compiled engine's integrators. Raises
     `SimulationError` when the run diverges, stalls or leaves the range of motion.
     """
     settings = settings.with_drake()

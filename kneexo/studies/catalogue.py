@@ -1,6 +1,6 @@
 """The studies of the command line, a row each.
 
-A study NAME is `kneexo.studies.NAME` with ``NAMESettings`` and ``NAME_study(scenario, …)``, whose
+A study NAME is ``kneexo.studies.NAME`` with ``NAMESettings`` and ``NAME_study(scenario, …)``, whose
 result goes to ``NAME_report.report`` and ``NAME_figures.figures``. What the command line,
 ``kneexo params`` and the tests know of studies, they read here.
 """
@@ -41,7 +41,7 @@ class Study:
     files: tuple[str, str] = ("", "")
     """Results and report; left out: NAME.json and NAME.md."""
     label: str = ""
-    """What `kneexo params` lists the settings after; left out: ``command``."""
+    """What ``kneexo params`` lists the settings after; left out: ``command``."""
 
     @property
     def settings(self) -> type[Parameters]:

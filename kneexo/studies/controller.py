@@ -206,7 +206,7 @@ class ControllerStudy(Result):
     """The grid, the trap, and what both say about the paper's discussion.
 
     ``values``: an array (λ, Φ, η) for each of `FIGURES`. ``map_values``: an array (T_f, k/Φ) for
-    each of `MAP_FIGURES`, at the scenario's λ and η. ``failures``: why runs failed, by λ, Φ, η.
+    each of ``MAP_FIGURES``, at the scenario's λ and η. ``failures``: why runs failed, by λ, Φ, η.
     """
 
     scenario: Scenario

@@ -12,7 +12,7 @@ text. A key of a row that is no mapping is an attribute."""
 
 
 def number(value: float, form: str = ".3g") -> str:
-    """The number in a form of `format`; a dash where there is none."""
+    """The number in a form of ``format``; a dash where there is none."""
     if math.isnan(value):
         return "–"
     return f"{value:{form}}" if math.isfinite(value) else "∞" if value > 0.0 else "−∞"

@@ -89,7 +89,7 @@ _START_S = 0.5
 
 
 def in_order(scenario: Scenario, order: str, disturbance_n: float = 0.0) -> Scenario:
-    """The scenario with one of the `ORDERS`, its load with another disturbance."""
+    """The scenario with one of the ``ORDERS``, its load with another disturbance."""
     plant = scenario.plant
     load = plant.load if plant.load.kind == "knee" else KneeLoadParameters(segment_mass_kg=0.0)
     full = plant.full_order or FullCylinderParameters()

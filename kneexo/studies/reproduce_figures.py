@@ -1,4 +1,4 @@
-"""Pictures of `kneexo reproduce`."""
+"""Pictures of ``kneexo reproduce``."""
 
 from __future__ import annotations
 

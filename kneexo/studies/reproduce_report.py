@@ -1,4 +1,4 @@
-"""The report of `kneexo reproduce`: the paper's numbers beside ours."""
+"""The report of ``kneexo reproduce``: the paper's numbers beside ours."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """What uncertainty does to a closed loop: samples, corners, one value at a time, sensitivities.
 
 The plant and its measurement vary; the controller keeps believing in the nominal plant but for
-what is `kneexo.parameters.Uncertainty.known`. Nothing that fails is left out: a run that stops and
+what is ``known`` in `Uncertainty`. Nothing that fails is left out: a run that stops and
 a loop that is unstable count as worse than any number.
 """
 
@@ -80,12 +80,12 @@ MERITS = {
     "delay_margin_s": Merit("delay margin (s)", -1.0),
     "disk_margin": Merit("disk margin", -1.0),
 }
-"""Figures of merit, of those that `kneexo.analysis.assess` finds."""
+"""Figures of merit, of those that `assess` finds."""
 
 
 @dataclass(frozen=True)
 class Visit:
-    """One plant: the values that are not nominal, and what `kneexo.analysis.assess` found."""
+    """One plant: the values that are not nominal, and what `assess` found."""
 
     values: Values
     figures: dict[str, Any]

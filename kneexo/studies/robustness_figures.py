@@ -235,7 +235,7 @@ def nyquist(study: RobustnessStudy) -> Figure:
 
 
 def _loop(study: RobustnessStudy, visit: Visit) -> SampledLoop | None:
-    """The linear loop of a visit, as `kneexo.analysis.assess` takes it; None when there is none."""
+    """The linear loop of a visit, as `assess` takes it; None when there is none."""
     try:
         plant = realize(study.scenario, study.uncertainty, visit.values)
         return linearize_loop(plant, plant.reference.middle_deg)

@@ -188,10 +188,11 @@ def parallel_map(
 
     ``workers``: see `process_pool`; with more than one a script needs
     ``if __name__ == "__main__":``, because processes are spawned. An ``executor`` of the caller's
-    goes before ``workers``; any of `concurrent.futures`' kind will do, such as `dask_cluster`'s.
-    Small items go there together (`UNIT_S`). Calls of a `coroutine` go on together, too, with
-    the same results as alone. ``description`` shows a progress bar that advances
-    by ``weight(item)``. The first error ends the work and is raised; so does KeyboardInterrupt.
+    goes before ``workers``; any of the kind of ``concurrent.futures`` will do, such as
+    `dask_cluster`'s. Small items go there together (`UNIT_S`). Calls of a `coroutine` go on
+    together, too, with the same results as alone. ``description`` shows a progress bar that
+    advances by ``weight(item)``. The first error ends the work and is raised; so does
+    KeyboardInterrupt.
 
     With a ``checkpoint`` every result is kept there as soon as it is known, and what it has
     already is not computed again; ``function`` then returns plain JSON data.

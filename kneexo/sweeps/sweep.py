@@ -19,7 +19,7 @@ class SweepOptions(TypedDict, total=False):
     """Processes; 1, the default, works in this one, None takes all cores. With more than one a
     script needs ``if __name__ == "__main__":``, because processes are spawned."""
     executor: Executor | None
-    """Replaces ``workers``: any of `concurrent.futures`' kind, such as `dask_cluster`'s."""
+    """Replaces ``workers``: any of the kind of ``concurrent.futures``, such as `dask_cluster`'s."""
     checkpoint: Checkpoint | None
     """Keeps each result as soon as it is known; what it has already is not computed again."""
     progress: bool

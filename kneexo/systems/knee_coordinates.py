@@ -104,13 +104,13 @@ KneeCoordinates_ = leaf_template(KneeCoordinates)
 class RodReference(NamedLeaf):
     """Reference of the rod from that of the knee, by Eq. 10 and the chain rule.
 
-    ==============  ====  ===========================  ===================================
-    input port      size  unit
-    ==============  ====  ===========================  ===================================
-    knee_reference  4     rad, rad/s, rad/s², rad/s³   θ_d and derivatives to the third
+    ===============  ====  ===========================  ===================================
+    input port       size  unit
+    ===============  ====  ===========================  ===================================
+    knee_reference   4     rad, rad/s, rad/s², rad/s³   θ_d and derivatives to the third
     **output port**
-    rod_reference   4     m, m/s, m/s², m/s³           x_d and derivatives to the third
-    ==============  ====  ===========================  ===================================
+    rod_reference    4     m, m/s, m/s², m/s³           x_d and derivatives to the third
+    ===============  ====  ===========================  ===================================
 
     Stateless. Context parameters by name: ``p_1`` … ``p_6`` of Eq. 10 in SI.
     """

@@ -42,18 +42,18 @@ class ReducedCylinder(Cylinder):
 
     dP_L/dt = (4 β_e/V_t)(Q_L − Ā v − C_L P_L),  m dv/dt = P_L Ā − B v − K x − F_L.
 
-    ==============  ====  ===========  ===============================================
-    input port      size  unit
-    ==============  ====  ===========  ===============================================
-    load_flow       1     m³/s         Q_L, positive drives the rod out
-    load_force      1     N            F_L, positive opposes extension; 0 if unconnected
+    ===============  ====  ===========  ===============================================
+    input port       size  unit
+    ===============  ====  ===========  ===============================================
+    load_flow        1     m³/s         Q_L, positive drives the rod out
+    load_force       1     N            F_L, positive opposes extension; 0 if unconnected
     **output port**
-    rod_extension   1     m            x, grows as the rod leaves the cylinder
-    rod_velocity    1     m/s          v
-    load_pressure   1     Pa           P_L = P_1 − P_2, positive pushes the rod out
-    rod_force       1     N            load cell: P_L Ā − B v − K x = m dv/dt + F_L
-    rod_state       3     m, m/s, …    x, v and the acceleration
-    ==============  ====  ===========  ===============================================
+    rod_extension    1     m            x, grows as the rod leaves the cylinder
+    rod_velocity     1     m/s          v
+    load_pressure    1     Pa           P_L = P_1 − P_2, positive pushes the rod out
+    rod_force        1     N            load cell: P_L Ā − B v − K x = m dv/dt + F_L
+    rod_state        3     m, m/s, …    x, v and the acceleration
+    ===============  ====  ===========  ===============================================
 
     State: x in m, v in m/s, P_L in MPa (order one). Context parameters by name:
     ``mean_area_m2, total_volume_m3, bulk_modulus_pa, leakage_m3_per_s_pa, mass_kg,

@@ -27,13 +27,13 @@ from kneexo.view.page import bar_pose
 class KneeFrames(LeafSystem):
     """Frames of the parts of leg and linkage, for SceneGraph.
 
-    ==============  ====  ================================================
-    input port      size  unit
-    ==============  ====  ================================================
-    knee_angle      1     rad
+    ===============  ====  ================================================
+    input port       size  unit
+    ===============  ====  ================================================
+    knee_angle       1     rad
     **output port**
-    frame_poses           `FramePoseVector`: pose of each part in the world
-    ==============  ====  ================================================
+    frame_poses            `FramePoseVector`: pose of each part in the world
+    ===============  ====  ================================================
 
     Stateless. Registers its parts as the source ``knee`` of ``scene_graph``.
     """
