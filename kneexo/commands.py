@@ -370,7 +370,7 @@ def view(options: argparse.Namespace) -> None:
             scenario = load_scenario(Path(run, "scenario.yaml"))
             legs.append(leg_of_results(name, Path(run), scenario))
             continue
-        options.scenario = run  # which messages name
+        options.scenario = run  # for messages too, until the next run
         caption = ", ".join([name, *options.values])
         leg, failure = leg_of_scenario(caption, _scenario(options))
         options.scenario = None
