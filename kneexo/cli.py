@@ -17,7 +17,7 @@ from typing import Any
 
 from kneexo import commands, system
 from kneexo.errors import KneexoError, WorkerError
-from kneexo.interruption import Terminated, sigterm_raises
+from kneexo.interruption import Terminated, interrupt_later, sigterm_raises
 from kneexo.studies.catalogue import PAPER, STUDIES, Study
 from kneexo.version import __version__
 
@@ -76,18 +76,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             try:
                 return _run(options, arguments)
+            except Exception as error:
+                if (interrupt := _interrupt_behind(error)) is None:
+                    raise
+                raise interrupt from None
             finally:
                 if sys.stdout is not None:  # None when it was closed
                     sys.stdout.flush()
         except KeyboardInterrupt as interrupt:
             return _interrupted(interrupt, options)
         except ImportError as error:
-            # An interrupt during the import of Drake arrives as ImportErrors that it caused.
-            cause: BaseException | None = error
-            while cause is not None and not isinstance(cause, KeyboardInterrupt):
-                cause = cause.__cause__ or cause.__context__
-            if cause is not None:
-                return _interrupted(cause, options)
             library, unloaded, _ = str(error).partition(": cannot open shared object file")
             if not unloaded:
                 raise
@@ -109,6 +107,22 @@ def _fail(line: str, code: int = 2) -> int:
     return code
 
 
+def _interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
+    """The interrupt that caused an error: extension modules put another error in its place.
+
+    Some, such as pydantic's, keep no more of it than its name in their text.
+    """
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, KeyboardInterrupt):
+            return cause
+        for interrupt in (KeyboardInterrupt, Terminated):
+            if f"{interrupt.__name__}:" in str(cause):
+                return interrupt()
+        cause = cause.__cause__ or cause.__context__
+    return None
+
+
 def _interrupted(interrupt: KeyboardInterrupt, options: argparse.Namespace) -> int:
     if isinstance(interrupt, Terminated):
         return _fail(f"terminated; {commands.left(options)}", 143)
@@ -128,8 +142,11 @@ def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
         print(FIRST_STEPS, end="")
         return 0
     _parser().parse_args(arguments, options)
-    if _needs_drake(options) and (line := system.lacking()):  # Drake itself would print a page
-        return _fail(line)
+    if _needs_drake(options):
+        if line := system.lacking():  # Drake itself would print a page
+            return _fail(line)
+        with interrupt_later():  # as it would of an interrupt
+            import pydrake  # noqa: F401
     format_before = warnings.formatwarning
     warnings.formatwarning = _one_line
     try:
@@ -281,7 +298,7 @@ def _add_exports(subparsers: Any) -> None:
         "With the parameters as one struct, test vectors from the compiled closed loop, a harness "
         "that replays them, Makefile, CMakeLists.txt and a README that shows how to call it.",
     )
-    _add_target(sub)
+    _add_target(sub, "encoder count")
     sub.add_argument(
         "--precision", choices=("double", "float"), default="double", help="type of all numbers"
     )
@@ -304,7 +321,7 @@ def _add_exports(subparsers: Any) -> None:
         "With C sources and, where there is a C compiler, the binary of this machine. Numbers of "
         "the scenario are parameters of the FMU.",
     )
-    _add_target(sub)
+    _add_target(sub, "encoder reading (rad)")
     sub.add_argument(
         "--fmi", type=int, choices=(2, 3), default=3, help="version of the FMI standard"
     )
@@ -318,14 +335,14 @@ def _add_exports(subparsers: Any) -> None:
     )
 
 
-def _add_target(sub: argparse.ArgumentParser) -> None:
+def _add_target(sub: argparse.ArgumentParser, measured: str) -> None:
     _add_scenario(sub)
     _add_values(sub)
     sub.add_argument(
         "--what",
         choices=("controller", "plant", "loop"),
         default="controller",
-        help="the controller, from encoder count and knee reference to motor speed command; the "
+        help=f"the controller, from {measured} and knee reference to motor speed command; the "
         "plant with its encoder; or both as closed loop",
     )
 
@@ -367,7 +384,7 @@ def _add_utilities(subparsers: Any) -> None:
     )
     sub.add_argument("--clear", action="store_true", help="delete all of them")
 
-    what = "print what completes commands and options in a shell"
+    what = "print what completes commands, options and files in a shell"
     sub = subparsers.add_parser(
         "completion",
         help=what,
@@ -381,7 +398,21 @@ def _add_utilities(subparsers: Any) -> None:
 def _print_completion(options: argparse.Namespace) -> None:
     import shtab
 
-    print(shtab.complete(_parser(), options.shell))
+    parser = _parser()
+    _complete_paths(parser, shtab.FILE, shtab.DIRECTORY)
+    print(shtab.complete(parser, options.shell))
+
+
+def _complete_paths(parser: argparse.ArgumentParser, file: object, directory: object) -> None:
+    """Tell `shtab` what completes the options and arguments that are files or directories."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                _complete_paths(sub, file, directory)
+        elif action.metavar == "DIR":
+            vars(action)["complete"] = directory
+        elif action.metavar == "RUN" or str(action.metavar).endswith((".yaml", ".html", ".fmu")):
+            vars(action)["complete"] = file
 
 
 def _command(

@@ -108,16 +108,17 @@ def _write(
 
 
 def _page(
-    options: argparse.Namespace, name: str, report: str, origin: Mapping[str, Any]
+    options: argparse.Namespace, command: str, report: str, origin: Mapping[str, Any]
 ) -> Callable[[Mapping[str, Figure]], tuple[str, str]] | None:
-    """What makes the HTML page of a report, where ``--html`` asks for it."""
+    """What makes the HTML page of the report of a command, where ``--html`` asks for it."""
     if not options.html:
         return None
 
     def page(figures: Mapping[str, Figure]) -> tuple[str, str]:
         from kneexo.html_page import html_page
 
-        return f"{name}.html", html_page(f"kneexo {options.command}", report, figures, origin)
+        name = command.split()[-1]
+        return f"{name}.html", html_page(f"kneexo {command}", report, figures, origin)
 
     return page
 
@@ -192,7 +193,7 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
                 results_file or f"{study.name}.json": document,
                 report_file or f"{study.name}.md": report,
             }
-            page = _page(options, study.name, report, origin)
+            page = _page(options, study.command, report, origin)
             _write(directory, texts, study.figures(result), page)
             files = ", ".join(sorted(file.name for file in directory.iterdir()))
         except BaseException:  # KeyboardInterrupt too: the next process may have the file
@@ -264,10 +265,10 @@ def linearize(options: argparse.Namespace) -> None:
         plant = linearize_plant(scenario.plant, options.knee_angle)
         loop = linearize_loop(scenario, options.knee_angle)
         frequency, damping = plant.damping
+        origin = _origin(scenario) | {"settings": {"knee_angle_deg": options.knee_angle}}
         document = to_json(
             {
-                **_origin(scenario),
-                "settings": {"knee_angle_deg": options.knee_angle},
+                **origin,
                 "operating_point": asdict(plant.operating_point),
                 "plant_poles_per_s": [[p.real, p.imag] for p in plant.poles],
                 "plant_frequencies_rad_s": frequency,
@@ -283,7 +284,7 @@ def linearize(options: argparse.Namespace) -> None:
         rows = [("plant", str(plant)), ("loop", str(loop))]
         rows += [(name, number(value, ".6g")) for name, value in asdict(loop.margins()).items()]
         report = "\n".join(markdown_table(("what", "value"), rows))
-        page = _page(options, "linearize", report, _origin(scenario))
+        page = _page(options, "linearize", report, origin)
         _write(directory, {"linearization.json": document}, figures, page)
         files = ", ".join(sorted(file.name for file in directory.iterdir()))
     if options.json:
@@ -361,17 +362,20 @@ def view(options: argparse.Namespace) -> None:
     from kneexo.view.page import require_page, view_page, write_page
 
     require_page(options.out)
+    if options.values and (results := [run for run in options.runs if Path(run).is_dir()]):
+        raise ParameterError(f"--set: {results[0]} holds a finished run; its values are fixed")
     legs = []
-    for run in options.runs or [None]:
+    for name, run in _named_runs(options.runs):
         if run is not None and Path(run).is_dir():
             scenario = load_scenario(Path(run, "scenario.yaml"))
-            legs.append(leg_of_results(Path(run), scenario))
+            legs.append(leg_of_results(name, Path(run), scenario))
             continue
-        options.scenario = run
-        name = "the paper's setup" if run is None else Path(run).stem
-        leg, failure = leg_of_scenario(name, _scenario(options))
+        options.scenario = run  # for messages too, until the next run
+        caption = ", ".join([name, *options.values])
+        leg, failure = leg_of_scenario(caption, _scenario(options))
+        options.scenario = None
         if failure:
-            print(f"kneexo: {name}: {failure}; shown up to there", file=sys.stderr)
+            print(f"kneexo: {caption}: {failure}; shown up to there", file=sys.stderr)
         legs.append(leg)
     write_page(options.out, view_page(legs))
     names = [leg.name for leg in legs]
@@ -379,6 +383,21 @@ def view(options: argparse.Namespace) -> None:
         print(to_json({"kneexo": __version__, "page": str(options.out), "runs": names}), end="")
     else:
         print(f"{options.out}: {', '.join(names)}; open it in a browser")
+
+
+def _named_runs(runs: Sequence[str]) -> list[tuple[str, str | None]]:
+    """Each run with its name: of its file or directory, after the parent's where names are equal.
+
+    Without runs the paper's, None.
+    """
+    if not runs:
+        return [("the paper's setup", None)]
+    paths = [Path(run).resolve() for run in runs]
+    names = [path.name if path.is_dir() else path.stem for path in paths]
+    return [
+        (f"{path.parent.name}/{name}" if names.count(name) > 1 else name, run)
+        for path, name, run in zip(paths, names, runs, strict=True)
+    ]
 
 
 def export_c(options: argparse.Namespace) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic_core import SchemaError, SchemaValidator, core_schema
 
 import kneexo
 import kneexo.__main__ as command_line
@@ -437,6 +438,50 @@ def test_an_interrupt_behind_import_errors_is_one_line(
         main(["simulate", "--out", str(tmp_path)])
 
 
+class _Interrupting:
+    def __index__(self):
+        raise KeyboardInterrupt
+
+
+def test_an_interrupt_in_the_text_of_an_error_is_one_line(capsys, monkeypatch, tmp_path):
+    """Such as of pydantic and pybind11, which keep no more of it."""
+
+    def imports(options):
+        SchemaValidator(core_schema.str_schema(max_length=_Interrupting()))
+
+    with pytest.raises(SchemaError) as error:
+        imports(None)
+    assert error.value.__cause__ is error.value.__context__ is None
+    monkeypatch.setattr(commands, "simulate", imports)
+    assert main(["simulate", "--out", str(tmp_path)]) == 130
+    assert capsys.readouterr().err == "kneexo: interrupted; nothing was written\n"
+
+    def terminated(options):
+        raise RuntimeError("cannot import trees: Terminated: <EMPTY MESSAGE>")
+
+    monkeypatch.setattr(commands, "simulate", terminated)
+    assert main(["simulate", "--out", str(tmp_path)]) == 143
+
+
+def test_drake_does_not_see_an_interrupt_of_its_import(tmp_path):
+    """It would print its call stack."""
+    (tmp_path / "pydrake").mkdir()
+    (tmp_path / "pydrake/__init__.py").write_text(
+        "import signal\n"
+        "try:\n"
+        "    signal.raise_signal(signal.SIGINT)\n"
+        "except KeyboardInterrupt:\n"
+        "    print('Could not initialize pydrake')\n"
+        "    raise\n"
+    )
+    code = "import sys; sys.path.insert(0, sys.argv[1]); from kneexo import cli\n"
+    code += "sys.exit(cli.main(['simulate', '--out', sys.argv[1]]))"
+    line = [sys.executable, "-c", code, str(tmp_path)]
+    done = subprocess.run(line, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "kneexo: interrupted; nothing was written\n"
+
+
 def test_an_interrupt_after_the_command_ends_python_at_once(monkeypatch):
     monkeypatch.setattr(cli, "main", lambda: 7)
     before = signal.getsignal(signal.SIGINT)
@@ -738,6 +783,9 @@ def test_each_study_is_wired(capsys, tmp_path, monkeypatch, study):
     assert {file.name for file in out.iterdir()} == {f"{names[0]}.json", f"{names[1]}.md"}
     assert json.loads((out / f"{names[0]}.json").read_text()) == printed
     assert (out / f"{names[1]}.md").read_text() == "# found\n"
+    assert main([*command, "--out", str(out), "--html"]) == 0
+    page = (out / f"{study.name}.html").read_text()
+    assert f"<title>kneexo {study.command}</title>" in page
 
 
 @pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
@@ -977,3 +1025,21 @@ def test_completion_knows_commands_and_options(shell, capsys):
         assert word in script
     if shell == "bash":
         subprocess.run(["bash", "-n"], input=script, text=True, check=True)
+        for line in (
+            "_simulate_pos_0_COMPGEN=_shtab_compgen_files",
+            "_view_pos_0_COMPGEN=_shtab_compgen_files",
+            "_view___out_COMPGEN=_shtab_compgen_files",
+            "_simulate___out_COMPGEN=_shtab_compgen_dirs",
+            "_study_contest___out_COMPGEN=_shtab_compgen_dirs",
+        ):
+            assert line in script
+
+
+@pytest.mark.parametrize(
+    ("form", "measured"), [("c", "encoder count"), ("fmu", "encoder reading (rad)")]
+)
+def test_export_tells_what_the_controller_measures(form, measured, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["export", form, "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    assert f"the controller, from {measured} and knee reference" in text

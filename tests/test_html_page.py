@@ -98,6 +98,8 @@ def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
             value = cells[cells.index(name) + 1]
             assert float(value) == pytest.approx(numbers[name], rel=1e-5)
     assert re.search("duration_s: 0.5", text)
+    assert ("knee_angle_deg: 40.0" in text) == (command == "linearize")
+    assert f"<title>kneexo {command}</title>" in text
     assert len(text) < 3e6
 
 

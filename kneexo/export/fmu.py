@@ -169,6 +169,7 @@ def _tunable(scenario: Scenario, of: Target, source: CSource) -> Iterator[Parame
         scenario = scenario.model_copy(update={"controller": SlidingModeParameters()})
     custom = isinstance(scenario.controller, CustomControllerParameters)
     effects = {} if custom else parameter_effects(scenario, names)
+    at_rest = _AT_REST if any(_initial(scenario, source)) else ""
     same = {path: effect.same for path, effect in effects.items() if effect.same}
     claims = [name for group in same.values() for name in group]
     set_by_scenario: set[str] = set()
@@ -179,7 +180,7 @@ def _tunable(scenario: Scenario, of: Target, source: CSource) -> Iterator[Parame
         low, high = limits_of(_field(scenario, path))
         told = f"sets {', '.join(sorted(group))}"
         told += f"; {provenance_of(_field(scenario, path))}"
-        told += _AT_REST * effects[path].start
+        told += at_rest * effects[path].start
         kept = tuple(members[name] for name in names if name in group)
         yield Parameter(path, values[min(group)], kept, told, low, high)
     for name in names:
@@ -188,7 +189,7 @@ def _tunable(scenario: Scenario, of: Target, source: CSource) -> Iterator[Parame
         origin = [path for path, effect in effects.items() if name in effect.touched]
         told = f"Context parameter {name}"
         told += f", computed from {', '.join(origin)}" if origin else ""
-        told += _AT_REST * any(effects[path].start for path in origin)
+        told += at_rest * any(effects[path].start for path in origin)
         yield Parameter(members[name], values[name], (members[name],), told)
 
 
@@ -312,6 +313,8 @@ def _starts(scenario: Scenario, of: Target, source: CSource) -> dict[str, float]
 
 def _require_own(file: Path) -> None:
     """Raise `OutputError` where something lies that we did not make."""
+    if file.exists() and not file.is_file():  # a pipe or device may never end
+        raise OutputError(f"--out {file}: is no regular file; choose another file")
     try:
         tool = generation_tool(file.read_bytes()) if file.exists() else TOOL
     except OSError as error:

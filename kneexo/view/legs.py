@@ -47,7 +47,7 @@ def _leg(name: str, scenario: Scenario, run: Run) -> Leg:
     return Leg(name, scenario.plant.linkage, run.time_s, *columns)
 
 
-def leg_of_results(directory: Path, scenario: Scenario) -> Leg:
+def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
     """The run in a directory that ``kneexo simulate`` wrote: signals.csv of the scenario.
 
     Raises `ScenarioError` where it is missing or not of such a run.
@@ -62,6 +62,8 @@ def leg_of_results(directory: Path, scenario: Scenario) -> Leg:
             places = [names.index(column) for column in _COLUMNS]
             with warnings.catch_warnings(action="ignore"):  # no rows: told below
                 table = np.loadtxt(file, delimiter=",", usecols=places, ndmin=2)
+    except ScenarioError:
+        raise
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:
@@ -69,4 +71,4 @@ def leg_of_results(directory: Path, scenario: Scenario) -> Leg:
         raise ScenarioError(f"{path}: is not a table of numbers ({reason})") from None
     if not (table.size and np.isfinite(table).all()):
         raise ScenarioError(f"{path}: has no rows, or numbers that are not finite")
-    return Leg(directory.name, scenario.plant.linkage, *table.T)
+    return Leg(name, scenario.plant.linkage, *table.T)

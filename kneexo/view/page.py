@@ -8,7 +8,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +88,10 @@ def _quiet_meshcat() -> Meshcat:
 
 def require_page(path: Path) -> None:
     """Raise `OutputError` for a file that is no page of a view."""
-    if path.is_dir() or (path.exists() and MARK not in path.read_text("utf-8", "replace")):
+    if not path.exists():
+        return
+    # A pipe or device may never end.
+    if not path.is_file() or MARK not in path.read_text("utf-8", "replace"):
         raise OutputError(f"--out {path}: exists and is no page of kneexo view; choose another")
 
 
@@ -97,10 +100,10 @@ def write_page(path: Path, page: str) -> None:
     require_page(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with NamedTemporaryFile("w", dir=path.parent, encoding="utf-8", delete=False) as new:
-            new.write(page)
-        os.chmod(new.name, 0o644)
-        os.replace(new.name, path)
+        with TemporaryDirectory(dir=path.parent, prefix=".kneexo-view-") as folder:
+            whole = Path(folder, path.name)
+            whole.write_text(page, encoding="utf-8")
+            os.replace(whole, path)
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"--out {path}: cannot write there ({reason})") from None

@@ -6,6 +6,7 @@ import math
 import os
 import re
 import shutil
+import stat
 import subprocess
 import sys
 import zipfile
@@ -218,6 +219,13 @@ def test_descriptions_tell_the_origin():
     assert told["plant.cylinder.stiffness_n_per_m"].endswith("; the initial state does not follow")
     assert not told["plant.cylinder.stroke_m"].endswith("follow")
     assert told["initial.rod_extension_m"] == "the scenario starts at rest, the knee at 10 deg"
+
+
+def test_only_an_fmu_with_initial_states_tells_what_they_do_not_follow():
+    for what in ("controller", "plant"):
+        parameters = make_fmu(PAPER, what).parameters
+        told = any("initial state" in p.description for p in parameters)
+        assert told == any(p.name.startswith("initial.") for p in parameters) == (what == "plant")
 
 
 def make_user_controller(scenario):
@@ -555,6 +563,14 @@ def test_files_of_others_stay(make, message, name, tmp_path, capsys):
     assert capsys.readouterr().err == f"kneexo: --out {file}: {message}\n"
     assert file.read_bytes() == before
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_file_without_an_end_is_not_read(tmp_path, capsys):
+    file = tmp_path / "knee.fmu"
+    os.mknod(file, stat.S_IFSOCK | 0o600)
+    assert main(["export", "fmu", "--out", str(file)]) == 2
+    told = f"kneexo: --out {file}: is no regular file; choose another file\n"
+    assert capsys.readouterr().err == told
 
 
 def test_a_place_that_cannot_be_written(tmp_path):

@@ -1,7 +1,10 @@
 """Pages of runs: content, files, and what a browser shows."""
 
+import errno
 import json
+import os
 import shutil
+import stat
 import subprocess
 
 import numpy as np
@@ -94,9 +97,9 @@ def test_results_of_simulate_are_a_leg(tmp_path, capsys):
     out = tmp_path / "run"
     assert main(["simulate", str(scenario), "--out", str(out)]) == 0
     written = load_scenario(out / "scenario.yaml")
-    read = leg_of_results(out, written)
+    read = leg_of_results("mine", out, written)
     run, _ = leg_of_scenario("run", scenario_of(plant={"linkage": "G3"}))
-    assert read.name == "run"
+    assert read.name == "mine"
     assert read.linkage == run.linkage
     for column in ("time_s", "knee_angle_rad", "reference_rad", "pressure_pa"):
         expected = getattr(run, column)
@@ -104,17 +107,17 @@ def test_results_of_simulate_are_a_leg(tmp_path, capsys):
     signals = out / "signals.csv"
     head = "time_s,knee_angle_rad,knee_reference_rad,load_pressure_pa\n"
     for text, match in (
-        ("time_s,knee_angle_rad\n0,1\n", "has no column knee_reference_rad"),
+        ("time_s,knee_angle_rad\n0,1\n", "signals.csv: has no column knee_reference_rad$"),
         (f"{head}0,1,2,x\n", "is not a table of numbers"),
         (head, "has no rows"),
         (f"{head}0,1,2,nan\n", "not finite"),
     ):
         signals.write_text(text)
         with pytest.raises(ScenarioError, match=match):
-            leg_of_results(out, written)
+            leg_of_results("mine", out, written)
     signals.unlink()
     with pytest.raises(ScenarioError, match="cannot be read"):
-        leg_of_results(out, written)
+        leg_of_results("mine", out, written)
 
 
 def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):
@@ -122,17 +125,79 @@ def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):
     short = ["--set", "simulation.duration_s=0.5"]
     assert main(["view", "--out", str(page), *short, "--json"]) == 0
     printed = capsys.readouterr()
-    assert json.loads(printed.out)["runs"] == ["the paper's setup"]
+    assert json.loads(printed.out)["runs"] == ["the paper's setup, simulation.duration_s=0.5"]
     assert not printed.err
     assert MARK in page.read_text()
     assert main(["view", "--out", str(page), *short]) == 0  # its own page may be replaced
     other = tmp_path / "other.html"
     other.write_text("mine")
-    for path in (other, tmp_path):
+    endless = tmp_path / "socket.html"
+    os.mknod(endless, stat.S_IFSOCK | 0o600)
+    for path in (other, tmp_path, endless):
         assert main(["view", "--out", str(path), *short]) == 2
         assert "is no page of kneexo view" in capsys.readouterr().err
     assert other.read_text() == "mine"
-    assert {file.name for file in tmp_path.iterdir()} == {"knee.html", "other.html"}
+    assert {file.name for file in tmp_path.iterdir()} == {"knee.html", "other.html", "socket.html"}
+
+
+@pytest.fixture
+def finished(tmp_path):
+    """The directory of a run, which one row of signals stands for."""
+
+    def make(path):
+        directory = tmp_path / path
+        directory.mkdir(parents=True)
+        (directory / "scenario.yaml").write_text("simulation: {duration_s: 0.5}\n")
+        (directory / "signals.csv").write_text(
+            "time_s,knee_angle_rad,knee_reference_rad,load_pressure_pa\n0,0.5,0.5,1e6\n"
+        )
+        return str(directory)
+
+    return make
+
+
+def test_runs_have_names_that_differ(tmp_path, capsys, monkeypatch, finished):
+    first, second, third = finished("a/run"), finished("b/run"), finished("c/walk")
+    monkeypatch.chdir(third)
+    page = str(tmp_path / "knee.html")
+    assert main(["view", first, second, ".", "--out", page, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["runs"] == ["a/run", "b/run", "walk"]
+
+
+def test_values_of_a_finished_run_cannot_be_set(tmp_path, capsys, finished):
+    run, page = finished("run"), tmp_path / "knee.html"
+    assert main(["view", run, "--set", "plant.linkage=G3", "--out", str(page)]) == 2
+    told = f"kneexo: --set: {run} holds a finished run; its values are fixed\n"
+    assert capsys.readouterr().err == told
+    assert not page.exists()
+
+
+def test_a_fault_of_a_run_does_not_name_the_run_before(tmp_path, capsys, finished):
+    good, empty = tmp_path / "good.yaml", tmp_path / "empty"
+    good.write_text("simulation: {duration_s: 0.1}\n")
+    empty.mkdir()
+    assert main(["view", str(good), str(empty), "--out", str(tmp_path / "knee.html")]) == 2
+    assert capsys.readouterr().err.startswith(f"kneexo: {empty}/scenario.yaml: cannot be read")
+
+
+def test_a_page_follows_the_umask(tmp_path):
+    for umask, mode in ((0o077, 0o600), (0o022, 0o644)):
+        before = os.umask(umask)
+        try:
+            write_page(tmp_path / "knee.html", MARK)
+        finally:
+            os.umask(before)
+        assert stat.S_IMODE((tmp_path / "knee.html").stat().st_mode) == mode
+
+
+def test_a_failed_write_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("kneexo.view.page.os.replace", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        write_page(tmp_path / "knee.html", "page")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_page_that_cannot_be_written_is_one_line(tmp_path):
