@@ -397,7 +397,7 @@ class CSource:
             "double": self.precision == "double",
             "states": sizes["STATES"],
             "held": sizes["HELD"],
-            "counted": arrays or any("are_finite(" in line for line in self._parameter_checks()),
+            "counted": arrays or self.parameter_fields,
             "stateless": not (arrays or self.needs_time),
             "accumulators": sizes["LOST"],
             "constants": sizes["CONSTANTS"],
@@ -435,13 +435,16 @@ class CSource:
         return _all_of("in", checks)
 
     def _parameter_checks(self) -> list[str]:
-        checks = []
-        for leaf, members in self._by_leaf().items():
-            for (member, array), indices in members.items():
-                call = f"are_finite(p->{leaf}.{member}, {len(indices)}U)"
-                checks.append(call if array else f"is_finite(p->{leaf}.{member})")
-        checks += [f"are_finite(p->initial_{of}, {start.size}U)" for of, start in self._start()]
-        return _all_of("p", checks)
+        fields = list(self.parameter_fields)
+        fields += [f"initial_{of}[{i}]" for of, start in self._start() for i in range(start.size)]
+        if not fields:
+            return _all_of("p", [])
+        values = [f"        p->{of}," for of in fields]  # as an array: less code than many calls
+        size = len(fields)
+        return [
+            *(f"    const real values[{size}] = {{", *values, "    };", ""),
+            f"    return are_finite(values, {size}U);",
+        ]
 
     def _parameter_values(self) -> list[str]:
         name = self.name

@@ -192,10 +192,18 @@ static uint16_t outputs_of(const instant *at, NAME_outputs_t *outputs)
 
 uint16_t NAME_update_parameters(NAME_state_t *state, const NAME_params_t *params)
 {
-    uint16_t status = params_are_right(params) ? UPPER_OK : UPPER_BAD_PARAMETER;
+    uint16_t status = UPPER_OK;
 @if constants
     real c[CONSTANTS];
+@else
 
+    (void)state;
+@end
+
+    if (!params_are_right(params)) {
+        status = UPPER_BAD_PARAMETER;
+    }
+@if constants
     if (status == UPPER_OK) {
         constants_of(params, c);
         if (are_finite(c, CONSTANTSU)) {
@@ -206,9 +214,6 @@ uint16_t NAME_update_parameters(NAME_state_t *state, const NAME_params_t *params
             status = UPPER_BAD_RESULT;
         }
     }
-@else
-
-    (void)state;
 @end
     return status;
 }
@@ -252,7 +257,9 @@ uint16_t NAME_init(NAME_state_t *state, const NAME_params_t *params,
             status = outputs_of(&at, &state->last);
         }
     }
-    state->started = (status == UPPER_OK) ? 1U : 0U;
+    if (status == UPPER_OK) {
+        state->started = 1U;
+    }
     return status;
 }
 

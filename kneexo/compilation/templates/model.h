@@ -65,7 +65,7 @@ uint16_t NAME_init(NAME_state_t *state, const NAME_params_t *params,
     const NAME_inputs_t *inputs);
 
 /* To be called when parameters have changed; the state is kept. Change a second struct, call this,
- * and use that struct for the steps only after UPPER_OK: after a failure the state still has what
+ * and use that struct for the steps only after status 0: after a failure the state still has what
  * followed from the parameters before. */
 uint16_t NAME_update_parameters(NAME_state_t *state, const NAME_params_t *params);
 
