@@ -420,14 +420,14 @@ def export_c(options: argparse.Namespace) -> None:
     print(f"{options.what} in {options.precision} precision: {options.out}")
     print(f"  {sum(measured.operations.values())} operations a step")
     print(f"  {measured.state_bytes} bytes of state")
-    if measured.replay is None:
-        print("  no C compiler (cc, gcc or clang): the code was not tried")
-    else:
+    if measured.replay:
         for field, difference in measured.replay.difference.items():
             largest = measured.replay.largest[field]
             print(f"  {field}: difference {difference:.3g} (largest value {largest:.6g})")
     for target, size in measured.code_sizes.items():
         print(f"  {target}: {size.flash} bytes of flash, {size.stack} bytes of stack")
+    for what, reason in measured.not_measured.items():
+        print(f"  {what} not measured: {reason}")
 
 
 def export_fmu(options: argparse.Namespace) -> None:

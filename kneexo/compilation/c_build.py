@@ -25,6 +25,10 @@ TARGETS = {
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
 
+class BuildError(CompilationError):
+    """A compiler is missing or fails: nothing is known of the code."""
+
+
 @dataclass(frozen=True)
 class Replay:
     """Largest difference and largest value of each output over the test vectors."""
@@ -44,17 +48,18 @@ class CodeSize:
     """Of a step: its own frame and those of all functions that it may call."""
 
 
-def replay(name: str, files: Mapping[str, str]) -> Replay | None:
-    """Build the harness for this machine and run it; None without a compiler.
+def replay(name: str, files: Mapping[str, str]) -> Replay:
+    """Build the harness for this machine and run it.
 
-    Raises `CompilationError` when it does not build or a step fails.
+    Raises `BuildError` without a compiler and when it does not build, `CompilationError` when the
+    harness does not reach its end.
     """
     compiler = _compiler()
     if compiler is None:
-        return None
+        raise BuildError(f"this machine has no C compiler ({', '.join(COMPILERS)})")
     with _written(files) as folder:
         _run(folder, compiler, *FLAGS, *_sources(files), "-o", "harness", "-lm")
-        done = subprocess.run([folder / "harness"], capture_output=True, text=True, check=False)
+        done = _ended(folder, str(folder / "harness"))
     rows = re.findall(r"^(\w+): difference (\S+), largest value (\S+)$", done.stdout, re.MULTILINE)
     if not rows:
         raise CompilationError(f"{name}: the harness printed no difference")
@@ -88,10 +93,10 @@ def _sources(files: Mapping[str, str]) -> list[str]:
 
 
 def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
-    """Flash and stack on each of `TARGETS`; nothing without arm-none-eabi-gcc."""
+    """Flash and stack on each of `TARGETS`; `BuildError` where arm-none-eabi-gcc gives none."""
     compiler, size = map(shutil.which, ("arm-none-eabi-gcc", "arm-none-eabi-size"))
     if compiler is None or size is None:
-        return {}
+        raise BuildError("this machine has no arm-none-eabi-gcc")
     sizes = {}
     for target, options in TARGETS.items():
         with _written(files) as folder:
@@ -123,8 +128,16 @@ def _written(files: Mapping[str, str]) -> Iterator[Path]:
 
 
 def _run(folder: Path, *command: str) -> str:
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    done = _ended(folder, *command)
     if done.returncode:
-        line = (done.stderr.splitlines() or ["no message"])[0]
-        raise CompilationError(f"{Path(command[0]).name}: {line}")
+        lines = done.stderr.splitlines() or ["no message"]
+        line = next((line for line in lines if "error" in line.lower()), lines[0])
+        raise BuildError(f"{Path(command[0]).name}: {line.strip()}")
     return done.stdout
+
+
+def _ended(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise BuildError(f"{Path(command[0]).name}: {error.strerror}") from None

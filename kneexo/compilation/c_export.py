@@ -16,7 +16,7 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import ZeroOrderHold
 
-from kneexo.compilation.c_build import CodeSize, Replay, code_sizes, replay
+from kneexo.compilation.c_build import BuildError, CodeSize, Replay, code_sizes, replay
 from kneexo.compilation.c_printer import literal
 from kneexo.compilation.c_source import MARK, CSource
 from kneexo.compilation.c_template import filled
@@ -98,20 +98,27 @@ class Measurement:
     """Operators and library functions of one step, as often as they are computed."""
     state_bytes: int
     replay: Replay | None
-    """None without a C compiler."""
+    """None where no C compiler builds the harness."""
     code_sizes: dict[str, CodeSize]
-    """Of each of `TARGETS`; empty without arm-none-eabi-gcc."""
+    """Of each of `TARGETS`; empty where arm-none-eabi-gcc builds nothing."""
+    not_measured: dict[str, str]
+    """What of the last two is missing, ``differences`` or ``flash and stack``, and why."""
 
 
 def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measurement]:
     """Name and text of each file of the folder, and its measurement."""
     files = files_of(source, vectors)
-    measurement = Measurement(
-        dict(source.operations),
-        source.state_bytes,
-        replay(source.name, files),
-        code_sizes(source.name, files),
-    )
+    differences, sizes, not_measured = None, {}, {}
+    try:
+        differences = replay(source.name, files)
+    except BuildError as error:
+        not_measured["differences"] = str(error)
+    try:
+        sizes = code_sizes(source.name, files)
+    except BuildError as error:
+        not_measured["flash and stack"] = str(error)
+    operations = dict(source.operations)
+    measurement = Measurement(operations, source.state_bytes, differences, sizes, not_measured)
     return files | {"README.md": _readme(source, vectors, measurement)}, measurement
 
 
@@ -154,10 +161,9 @@ def _readme(source: CSource, vectors: Vectors, measurement: Measurement) -> str:
             source.limits(port, field) or ["all" if port in integers else "finite"]
         )
         rows.append(f"| `{field}` | {kind} | {allowed} |")
-    operators = ("+", "*", "/", "compare", "choose", "min", "max")
-    functions = sorted(set(source.operations) - {*operators})
+    functions = sorted(source.functions.printer.functions)
     words = {
-        "told": source.first_line,
+        "told": source.first_line.replace("--", "- -"),
         "what": f"{source.precision.capitalize()} precision, from a Drake diagram.",
         "vectors": str(len(vectors.inputs)),
         "sample_time": f"{source.sample_time_s:g}",
@@ -181,17 +187,16 @@ def _numbers(name: str, measurement: Measurement) -> Iterator[tuple[str, str]]:
     counts = ", ".join(f"{count} {operation}" for operation, count in operations.items())
     yield "operations in a step", f"{sum(operations.values())}: {counts}"
     yield f"RAM of `{name}_state_t`", f"{measurement.state_bytes} bytes"
-    if measurement.replay is None:
-        yield "differences", "not measured: this machine has no C compiler (cc, gcc or clang)"
-    else:
+    if measurement.replay:
         for field, difference in measurement.replay.difference.items():
             largest = measurement.replay.largest[field]
             yield f"difference of `{field}`", f"{difference:.3g}, where it goes up to {largest:.6g}"
     for target, size in measurement.code_sizes.items():
-        yield f"{target}: flash, code and parameters", f"{size.flash} bytes"
-        yield f"{target}: stack of a step", f"{size.stack} bytes"
-    if not measurement.code_sizes:
-        yield "flash and stack", "not measured: this machine has no arm-none-eabi-gcc"
+        without = "without the C library, -O2"
+        yield f"{target}: flash, code and parameters, {without}", f"{size.flash} bytes"
+        yield f"{target}: stack of a step, {without}", f"{size.stack} bytes"
+    for what, reason in measurement.not_measured.items():
+        yield what, f"not measured: {reason.replace('|', '/')}"
 
 
 def _vectors_text(source: CSource, vectors: Vectors) -> str:

@@ -127,7 +127,7 @@ class Functions:
 
     def _function(self, called: str, arguments: str, block: Lines) -> Lines:
         """A function of an instant."""
-        text = "\n".join(block)
+        text = re.sub(r"/\*.*?\*/", "", "\n".join(block), flags=re.DOTALL)
         name = self.model.name
         locals_ = [
             f"    {kind.replace('NAME', name)}{of} = at->{of};"

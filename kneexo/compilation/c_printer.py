@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 import unicodedata
 from collections import Counter
@@ -73,6 +74,8 @@ class CPrinter:
     """Nodes that depend on parameters alone, with their number among the constants."""
     tables: dict[int, int] = field(default_factory=dict)
     """Nodes that are looked up, with the number of their table."""
+    functions: set[str] = field(default_factory=set)
+    """Functions of the C library that some block calls."""
     operations: Counter[str] = field(default_factory=Counter)
     """What all blocks so far do: operators, and functions by their names."""
 
@@ -228,6 +231,7 @@ class _Block:
             return f"{kind}imum({a[0]}, {a[1]})"
         name = f"{_FUNCTIONS[kind]}{self.real.suffix}"
         self._count(name)
+        self.printer.functions.add(name)
         return f"{name}({', '.join(map(self._bare, a))})"
 
     def _sum(self, terms: Sequence[int]) -> str:
@@ -262,16 +266,18 @@ class _Block:
 
 def comment_lines(text: str, indent: str = "") -> list[str]:
     """Text as a comment of C, in ASCII: Greek letters become their names."""
-    text = " ".join(_ascii(text).replace("*/", "* /").replace("/*", "/ *").split())
+    text = re.sub(r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)", " ", plain_line(text))
     return textwrap.wrap(
         f"/* {text} */", WIDTH, initial_indent=indent, subsequent_indent=f"{indent} * "
     )
 
 
-def _ascii(text: str) -> str:
+def plain_line(text: str) -> str:
+    """Text in a single line of ASCII that no file takes for anything but text."""
+
     def plain(character: str) -> str:
         if character.isascii():
-            return "/" if character == "\\" else character  # no splice of lines
+            return character if character.isprintable() else "-"
         name = unicodedata.name(character, "?")
         if name.startswith("GREEK"):
             letter = name.rpartition("LETTER ")[2].partition(" ")[0].lower()
@@ -279,4 +285,5 @@ def _ascii(text: str) -> str:
         base = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
         return base or "-"
 
-    return "".join(map(plain, text))
+    words = "".join(map(plain, " ".join(text.split()))).split()
+    return " ".join(words).replace("\\", "/")  # no splice of lines

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from kneexo.compilation.c_functions import Functions
-from kneexo.compilation.c_printer import PRECISIONS, Precision, comment_lines, literal
+from kneexo.compilation.c_printer import PRECISIONS, Precision, comment_lines, literal, plain_line
 from kneexo.compilation.c_tables import Table, tables_of
 from kneexo.compilation.c_template import filled
 from kneexo.compilation.equations import Equations
@@ -30,9 +30,38 @@ _KEYWORDS = frozenset(
         *("else", "enum", "extern", "false", "float", "for", "goto", "if", "inline", "int", "long"),
         *("register", "restrict", "return", "short", "signed", "sizeof", "static", "struct"),
         *("switch", "true", "typedef", "union", "unsigned", "void", "volatile", "while"),
-        *("class", "delete", "namespace", "new", "operator", "private", "template", "this"),
+        *("_Bool", "_Complex", "_Imaginary", "_Alignas", "_Alignof", "_Atomic", "_Generic"),
+        *("_Noreturn", "_Static_assert", "_Thread_local", "asm", "typeof"),
+        # C++, for the header may be included there:
+        *("alignas", "alignof", "and", "and_eq", "bitand", "bitor", "catch", "char8_t", "char16_t"),
+        *("char32_t", "class", "co_await", "co_return", "co_yield", "compl", "concept"),
+        *("consteval", "constexpr", "constinit", "decltype", "delete", "dynamic_cast", "explicit"),
+        *("const_cast", "export", "friend", "mutable", "namespace", "new", "noexcept", "not"),
+        *("not_eq", "nullptr"),
+        *("operator", "or", "or_eq", "private", "protected", "public", "reinterpret_cast"),
+        *("requires", "static_assert", "static_cast", "template", "this", "thread_local", "throw"),
+        *("try", "typeid", "typename", "using", "virtual", "wchar_t", "xor", "xor_eq"),
+        # Macros of the standard headers and of compilers:
+        *("NULL", "NAN", "INFINITY", "HUGE_VAL", "HUGE_VALF", "HUGE_VALL", "EOF", "DECIMAL_DIG"),
+        *("errno", "math_errhandling", "stdin", "stdout", "stderr", "linux", "unix", "i386"),
     ]
 )
+_MACRO = re.compile(r"(M|FP|FLT|DBL|LDBL)_[A-Z0-9]\w*|U?INT\w*_(MAX|MIN|C)")
+"""Further macros of math.h, float.h and stdint.h."""
+
+_HEADERS = frozenset(
+    [
+        *("assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646", "limits"),
+        *("locale", "math", "setjmp", "signal", "stdalign", "stdarg", "stdatomic", "stdbool"),
+        *("stddef", "stdint", "stdio", "stdlib", "stdnoreturn", "string", "tgmath", "threads"),
+        *("time", "uchar", "wchar", "wctype"),
+    ]
+)
+"""Headers of C: a file of such a name would take their place."""
+
+_START_MEMBERS = ("initial_x", "initial_d")
+"""Of the parameters' struct, beside the leaf systems."""
+
 MARK = "Made by kneexo from a Drake diagram."
 """In the first line of each file."""
 
@@ -114,6 +143,8 @@ class CSource:
 
     def __post_init__(self) -> None:
         """Check name, precision, outputs and times."""
+        if self.name.lower() in _HEADERS:
+            raise CompilationError(f"name = {self.name!r}: is a header of C; choose another name")
         if not _IDENTIFIER.fullmatch(self.name) or self.name in _KEYWORDS:
             raise CompilationError(
                 f"name = {self.name!r}: must be a C identifier of at most 31 letters, digits and _"
@@ -175,6 +206,7 @@ class CSource:
         fields = []
         for path, parameter in pairs:
             leaf = c_name(leaves[path] or self.name)
+            leaf += "_" * (leaf in _START_MEMBERS)
             group = re.fullmatch(r"(\d+)\[(\d+)\]", parameter)
             fields.append(
                 f"{leaf}.group_{group[1]}[{group[2]}]" if group else f"{leaf}.{c_name(parameter)}"
@@ -295,7 +327,8 @@ class CSource:
         equations, real = self.equations, 8 if self.precision == "double" else 4
         counts = (equations.states, equations.held, self.accumulators, self.output_fields)
         numbers = sum(map(len, counts)) + len(self.functions.printer.fixed)
-        return real * (numbers + self.counts_steps)
+        counters = 4 * (1 + self.counts_steps)  # started, tick
+        return real * (numbers + math.ceil(counters / real))
 
     @property
     def counts_steps(self) -> bool:
@@ -310,7 +343,7 @@ class CSource:
     @property
     def first_line(self) -> str:
         """What each file begins with."""
-        return f"{MARK} {self.told}".rstrip()
+        return plain_line(f"{MARK} {self.told}")
 
     def _filled(self, template: str) -> str:
         equations, real, functions = self.equations, self.real, self.functions
@@ -353,6 +386,7 @@ class CSource:
                 for number, table in enumerate(self.tables)
             ],
             "input_checks": self._input_checks(),
+            "parameter_checks": self._parameter_checks(),
             "output_checks": _all_of(
                 "out", [f"is_finite(out->{of})" for _, of in self.output_fields]
             ),
@@ -363,7 +397,7 @@ class CSource:
             "double": self.precision == "double",
             "states": sizes["STATES"],
             "held": sizes["HELD"],
-            "arrays": arrays,
+            "counted": arrays or self.parameter_fields,
             "stateless": not (arrays or self.needs_time),
             "accumulators": sizes["LOST"],
             "constants": sizes["CONSTANTS"],
@@ -399,6 +433,18 @@ class CSource:
             elif port not in self.interface.integers:
                 checks.append(f"is_finite(in->{of})")
         return _all_of("in", checks)
+
+    def _parameter_checks(self) -> list[str]:
+        fields = list(self.parameter_fields)
+        fields += [f"initial_{of}[{i}]" for of, start in self._start() for i in range(start.size)]
+        if not fields:
+            return _all_of("p", [])
+        values = [f"        p->{of}," for of in fields]  # as an array: less code than many calls
+        size = len(fields)
+        return [
+            *(f"    const real values[{size}] = {{", *values, "    };", ""),
+            f"    return are_finite(values, {size}U);",
+        ]
 
     def _parameter_values(self) -> list[str]:
         name = self.name
@@ -487,7 +533,7 @@ def c_name(text: str) -> str:
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
     if not name or name[0].isdigit():
         name = f"_{name}" if not name else f"n{name}"
-    return f"{name}_" if name in _KEYWORDS else name
+    return f"{name}_" if name in _KEYWORDS or _MACRO.fullmatch(name) else name
 
 
 def _short_names(paths: Collection[str]) -> dict[str, str]:

@@ -419,6 +419,10 @@ class _Built:
         self.set(values)
         return self._call("init", self.state, self.params, self.inputs)
 
+    def update(self, params):
+        """Take what follows from other parameters; returns the status."""
+        return self._call("update_parameters", self.state, params)
+
     def step(self, values=()):
         """Go over a tick with these inputs; returns the status."""
         self.set(values)

@@ -9,9 +9,19 @@ import pytest
 from pydrake.systems.primitives import LinearSystem, Sine
 
 from kneexo.compilation import export_c
-from kneexo.compilation.c_build import CodeSize, Replay, code_sizes, replay
-from kneexo.compilation.c_export import exported, recorded_vectors, source_of, write_folder
+from kneexo.compilation.c_build import BuildError, CodeSize, Replay, code_sizes, replay
+from kneexo.compilation.c_export import (
+    Vectors,
+    exported,
+    recorded_vectors,
+    source_of,
+    write_folder,
+)
+from kneexo.compilation.c_source import CSource
+from kneexo.compilation.equations import Equations
+from kneexo.compilation.graph import Graph
 from kneexo.compilation.model import compile_diagram
+from kneexo.compilation.runner import State
 from kneexo.errors import CompilationError, OutputError
 
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
@@ -147,6 +157,58 @@ def test_code_that_does_not_build_is_one_line():
     assert "\n" not in str(error.value)
     with pytest.raises(CompilationError, match="m: the harness printed no difference"):
         replay("m", {"m.c": "int main(void) { return 0; }\n"})
+
+
+def script(path, text):
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+
+
+def test_the_error_of_a_compiler_is_the_line_that_says_so(tmp_path, monkeypatch):
+    script(tmp_path / "cc", "echo 'm.c: In function f:' >&2; echo 'm.c:1: error: odd' >&2; exit 1")
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with pytest.raises(BuildError, match=r"^cc: m.c:1: error: odd$"):
+        replay("m", {"m.c": ""})
+    script(tmp_path / "cc", "echo 'no licence' >&2; echo 'bye' >&2; exit 1")
+    with pytest.raises(BuildError, match=r"^cc: no licence$"):
+        replay("m", {"m.c": ""})
+    script(tmp_path / "cc", "exit 0")
+    with pytest.raises(BuildError, match=r"^harness: No such file or directory$"):
+        replay("m", {"m.c": ""})
+
+
+def test_a_broken_compiler_does_not_stop_an_export(tmp_path, monkeypatch):
+    bin_ = tmp_path / "bin"
+    bin_.mkdir()
+    for name in ("cc", "arm-none-eabi-gcc", "arm-none-eabi-size"):
+        script(bin_ / name, f"echo '{name} error: no licence' >&2; exit 1")
+    monkeypatch.setenv("PATH", f"{bin_}:/usr/bin:/bin")
+    out = tmp_path / "out"
+    measurement = export_c(low_pass(), out, name="filter", inputs=["u0"], steps=5)
+    assert {path.name for path in out.iterdir()} == FILES
+    assert (measurement.replay, measurement.code_sizes) == (None, {})
+    assert measurement.not_measured == {
+        "differences": "cc: cc error: no licence",
+        "flash and stack": "arm-none-eabi-gcc: arm-none-eabi-gcc error: no licence",
+    }
+    text = (out / "README.md").read_text()
+    for what, reason in measurement.not_measured.items():
+        assert f"| {what} | not measured: {reason} |" in text
+
+
+@needs_compiler
+def test_the_readme_lists_the_functions_of_all_that_is_printed(tmp_path):
+    """A step multiplies by a constant alone; the start computes it, by exp."""
+    g = Graph()
+    factor = g.unary("exp", g.source("parameter", 0))
+    y = g.multiply(factor, g.source("input", 0))
+    equations = Equations(graph=g, parameters=["m.a"], inputs={"u": 1}, outputs={"y": [y]})
+    state = State(np.zeros(0), np.zeros(0))
+    source = CSource(equations, "m", np.ones(1), state, precision="float", tick_s=0.1)
+    assert source.operations == {"*": 1}
+    text = exported(source, Vectors(np.ones((1, 1)), np.full((1, 1), np.e)))[0]["README.md"]
+    assert "It needs `math.h` of the C library (`expf`)." in text
+    assert "| output | port |\n|---|---|\n| `y` | y |" in text
 
 
 @needs_compiler

@@ -159,6 +159,19 @@ def test_sections_are_comments_in_order():
     assert "unused" not in text
 
 
+@pytest.mark.parametrize(
+    "text", ["a*/b", "/*/", "**//", "a/*b", "??/", "a*\\", "＊/", "*＼", "\0*/"]
+)
+def test_a_comment_ends_at_its_end(text):
+    (line,) = comment_lines(f"{text}\n{text}")
+    assert line.count("*/") == 1
+    assert line.count("/*") == 1
+    assert "\\" not in line
+    assert "??" not in line
+    assert line.isprintable()
+    assert line.isascii()
+
+
 def test_lines_are_short():
     graph = Graph()
     sources = [graph.source("state", i) for i in range(60)]

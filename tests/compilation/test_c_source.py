@@ -1,7 +1,10 @@
 """Exported models against the compiled ones, their text and their refusals."""
 
+import ctypes
 import math
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +22,7 @@ from pydrake.systems.primitives import (
 from kneexo.compilation import compile_diagram
 from kneexo.compilation.c_export import recorded_vectors, source_of
 from kneexo.compilation.c_source import CSource, Interface, c_name
-from kneexo.compilation.equations import Equations, Limit, Update
+from kneexo.compilation.equations import Equations, Limit, Section, Update
 from kneexo.compilation.runner import State
 from kneexo.errors import CompilationError
 
@@ -204,6 +207,61 @@ def test_a_start_with_bad_inputs_or_parameters_says_so(built):
     assert built(source).init() == 2
 
 
+def test_a_model_whose_start_failed_is_not_started(built):
+    model = built(guarded())
+    assert (model.step([2.0]), model.now([2.0])) == (8, 8)
+    assert model.init([1.0]) == 0
+    assert model.step([0.05]) == 0
+    assert model.init([math.nan]) == 1
+    assert (model.step([2.0]), model.now([2.0])) == (8, 8)
+    assert model.get() == [0.0]
+    assert model.init([1.0]) == 0
+    assert (model.step([2.0]), model.now([2.0])) == (0, 0)
+    assert model.get() == [0.5]
+    header = guarded().files()["m.h"]
+    assert "#define M_NOT_STARTED 8U" in header
+    assert "#define M_BAD_PARAMETER 16U" in header
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_every_number_of_the_parameters_must_be_finite(built, precision):
+    """Y = (k₁ k₂) g₀ g₁ x with x⁺ = x: a change of any of them acts, unless it is not finite."""
+
+    def graph_of(g):
+        p = [g.source("parameter", i) for i in range(4)]
+        x = g.source("held", 0)
+        return {
+            "updates": [Update(0.1, 0.0, ((0, x),))],
+            "outputs": {"y": [g.multiply(g.multiply(*p), x)]},
+            "initial_held": [x],
+        }
+
+    names = ["law.k_1", "law.k_2", "law.0[0]", "law.0[1]"]
+    equations = equations_of(graph_of, parameters=names, held=["law.1[0]"])
+    state = State(np.zeros(0), np.array([7.0]))
+    source = CSource(equations, "m", np.array([1.0, 2.0, 3.0, 5.0]), state, precision=precision)
+    model = built(source)
+    real = {"double": ctypes.c_double, "float": ctypes.c_float}[precision]
+    right = model.params = (real * 5)(1.0, 2.0, 3.0, 5.0, 7.0)
+    for place in range(5):
+        for value in (math.nan, math.inf, -math.inf):
+            model.params = (real * 5)(*right)
+            model.params[place] = value
+            assert model.init() == 16
+            assert model.step() == 8
+            wrong, model.params = model.params, right
+            assert model.init() == 0
+            before = bytes(model.state)
+            assert model.update(wrong) == 16
+            assert bytes(model.state) == before
+            assert model.step() == 0
+            assert model.get() == [210.0]
+    model.params = (real * 5)(10.0, 2.0, 3.0, 5.0, 7.0)
+    assert model.update(model.params) == 0
+    assert model.step() == 0
+    assert model.get() == [2100.0]
+
+
 def test_inputs_keep_to_their_range(built):
     interface = Interface({"u0": ["angle_rad"]}, ranges={"angle_rad": (-1.5, 2.5)})
     model = built(exported(accumulator(), inputs=["u0"], interface=interface))
@@ -257,9 +315,12 @@ def test_operations_of_a_step_count_all_stages():
     assert difference == 4 * rates
 
 
-def test_state_bytes_are_those_of_the_compiler(built, c_text, multirate):
-    for precision in ("double", "float"):
-        source = exported(multirate, precision=precision)
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_state_bytes_are_those_of_the_compiler(c_text, multirate, precision):
+    clocked = exported(multirate, precision=precision)
+    unclocked = exported(accumulator(), inputs=["u0"], precision=precision)
+    assert (clocked.counts_steps, unclocked.counts_steps) == (True, False)
+    for source in (clocked, unclocked):
         files = source.files()
         text = files["model.h"] + "unsigned long size(void) { return sizeof(model_state_t); }\n"
         assert c_text(text).size() == source.state_bytes
@@ -267,10 +328,78 @@ def test_state_bytes_are_those_of_the_compiler(built, c_text, multirate):
 
 @pytest.mark.parametrize(
     ("text", "name"),
-    [("law", "law"), ("inner/plant", "inner_plant"), ("3d", "n3d"), ("for", "for_"), ("θ", "_")],
+    [
+        *(
+            ("law", "law"),
+            ("inner/plant", "inner_plant"),
+            ("3d", "n3d"),
+            ("for", "for_"),
+            ("θ", "_"),
+        ),
+        *(
+            (word, f"{word}_")
+            for word in ("NULL", "NAN", "M_PI", "INT32_MAX", "UINT8_C", "DBL_MAX")
+        ),
+        *(("_Bool", "_Bool_"), ("M_pi_2", "M_pi_2"), ("KM_PI", "KM_PI"), ("INTEGRAL", "INTEGRAL")),
+    ],
 )
 def test_names_in_c(text, name):
     assert c_name(text) == name
+
+
+WORDS = (
+    *("NULL", "NAN", "INFINITY", "M_PI", "HUGE_VAL", "FP_NAN", "FLT_MAX", "INT32_MAX", "errno"),
+    *("_Bool", "try", "throw", "catch", "public", "protected", "friend", "typename", "using"),
+    *("and", "or", "not", "xor", "bitand", "explicit", "mutable", "export", "virtual", "wchar_t"),
+)
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs the C++ compiler g++")
+def test_words_of_c_and_cplusplus_are_no_names(built, tmp_path):
+    interface = Interface({"u0": WORDS, "y0": WORDS})
+    source = exported(Gain(2.0, len(WORDS)), inputs=["u0"], tick_s=0.1, interface=interface)
+    outputs = built(source).replay(np.arange(float(len(WORDS)))[None])
+    np.testing.assert_array_equal(outputs[0], 2.0 * np.arange(len(WORDS)))
+    header = source.files()["model.h"]
+    (tmp_path / "model.h").write_text(header)
+    user = '#include <cmath>\n#include <cerrno>\n#include <cstdint>\n#include "model.h"\n'
+    (tmp_path / "user.cpp").write_text(user)
+    command = ["g++", "-fsyntax-only", "-Wall", "-Werror", "user.cpp"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+
+
+@pytest.mark.parametrize("name", ["initial_x", "initial_d", "d", "x", "a*/b", "a\\", "a＼", "??/"])
+def test_any_name_of_a_leaf_system_compiles(built, name):
+    def graph_of(g):
+        x = g.source("held", 0)
+        y = g.multiply(g.source("parameter", 0), x)
+        section = Section(f"{name}: output. {name}", f"x = d * p; {name}\n*/ /* of it", (y,))
+        updates = [Update(0.1, 0.0, ((0, x),))]
+        return {"outputs": {"y": [y]}, "initial_held": [x], "updates": updates} | {
+            "sections": [section]
+        }
+
+    equations = equations_of(graph_of, parameters=[f"{name}.k"], held=[f"{name}.0[0]\n*/"])
+    state = State(np.zeros(0), np.array([3.0]))
+    source = CSource(equations, "m", np.array([2.0]), state, told=f"{name}\nall: */")
+    assert built(source).replay(np.zeros((1, 0))).tolist() == [[6.0]]
+    assert "\n" not in source.first_line
+    assert "\\" not in source.first_line
+
+
+def test_a_comment_asks_for_no_variable(built):
+    """The comment names x and d, which the model does not have."""
+
+    def graph_of(g):
+        y = g.multiply(g.constant(2.0), g.source("input", 0))
+        return {"outputs": {"y": [y]}, "sections": [Section("d: output y", "y = x + c", (y,))]}
+
+    source = CSource(
+        *(equations_of(graph_of, inputs={"u": 1}), "m", np.zeros(0)),
+        State(np.zeros(0), np.zeros(0)),
+        tick_s=0.1,
+    )
+    assert built(source).replay([[4.0]]).tolist() == [[8.0]]
 
 
 # ------------------------------------------------------------------------------ bad input
@@ -283,6 +412,11 @@ def test_names_in_c(text, name):
         ({"name": "a b"}, "must be a C identifier"),
         ({"name": "a" * 32}, "at most 31"),
         ({"name": "while"}, "must be a C identifier"),
+        ({"name": "xor"}, "must be a C identifier"),
+        *(
+            ({"name": name}, f"name = '{name}': is a header of C; choose another name")
+            for name in ("math", "stdint", "float", "Time", "stdio", "errno", "string")
+        ),
         ({"precision": "half"}, "precision = 'half': must be one of double, float"),
         ({"outputs": ["speed"]}, "output 'speed' is unknown; known: y0"),
         ({"step_s": 0.0}, "step_s = 0.0 s: must be finite and > 0"),

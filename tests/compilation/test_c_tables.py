@@ -63,7 +63,7 @@ def test_a_step_neither_computes_nor_keeps_what_is_looked_up():
     assert not {"sin", "cos"} & set(source.operations)
     assert "m_table_1[9]" in source.files()["m.h"]
     assert "m_table" not in "".join(plain.files().values())
-    assert "p->m.a" not in source.files()["m.c"]
+    assert source.files()["m.c"].count("p->m.a") == 1  # whether it is finite
 
 
 def test_nothing_to_look_up_is_an_error():

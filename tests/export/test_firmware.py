@@ -121,6 +121,20 @@ def test_export_c_prints_what_it_measured(tmp_path, short, capsys):
     assert (out / "controller.c").exists()
 
 
+def test_export_c_says_what_was_not_measured(tmp_path, short, capsys, monkeypatch):
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    (tools / "cc").write_text("#!/bin/sh\necho 'error: no licence' >&2\nexit 1\n")
+    (tools / "cc").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tools))
+    options = ["export", "c", short, "--out", str(tmp_path / "out"), "--vectors-s", "0.01"]
+    assert main(options) == 0
+    assert capsys.readouterr().out.splitlines()[-2:] == [
+        "  differences not measured: cc: error: no licence",
+        "  flash and stack not measured: this machine has no arm-none-eabi-gcc",
+    ]
+
+
 @pytest.mark.parametrize("what", ["plant", "loop"])
 def test_export_c_takes_set_and_what(tmp_path, short, what):
     out = tmp_path / "out"

@@ -58,8 +58,9 @@ def test_the_controller_runs_on_the_processor(processor, name, controller, preci
 
 
 def test_the_state_is_that_of_the_structs(processor):
-    # d[4], lost[3], c[22], the last outputs, and the outputs.
-    assert measured(processor, "Cortex-M4F", "SMC", "float").state_bytes == 4 * (4 + 3 + 22 + 1 + 1)
+    # d[4], lost[3], c[22], the last outputs, whether it is started, and the outputs.
+    figures = measured(processor, "Cortex-M4F", "SMC", "float")
+    assert figures.state_bytes == 4 * (4 + 3 + 22 + 1 + 1 + 1)
 
 
 def test_the_share_of_the_sample_time_has_its_units(processor):

@@ -28,7 +28,7 @@ static bool is_finite(real value)
     return (value >= -@{largest}) && (value <= @{largest});
 }
 
-@if arrays
+@if counted
 static bool are_finite(const real *values, uint16_t count)
 {
     bool all = true;
@@ -74,6 +74,11 @@ static bool inputs_are_right(const NAME_inputs_t *in)
 static bool outputs_are_right(const NAME_outputs_t *out)
 {
 @output_checks
+}
+
+static bool params_are_right(const NAME_params_t *p)
+{
+@parameter_checks
 }
 
 @functions
@@ -190,18 +195,25 @@ uint16_t NAME_update_parameters(NAME_state_t *state, const NAME_params_t *params
     uint16_t status = UPPER_OK;
 @if constants
     real c[CONSTANTS];
-
-    constants_of(params, c);
-    if (are_finite(c, CONSTANTSU)) {
-        for (uint16_t i = 0U; i < CONSTANTSU; i++) {
-            state->c[i] = c[i];
-        }
-    } else {
-        status = UPPER_BAD_RESULT;
-    }
 @else
+
     (void)state;
-    (void)params;
+@end
+
+    if (!params_are_right(params)) {
+        status = UPPER_BAD_PARAMETER;
+    }
+@if constants
+    if (status == UPPER_OK) {
+        constants_of(params, c);
+        if (are_finite(c, CONSTANTSU)) {
+            for (uint16_t i = 0U; i < CONSTANTSU; i++) {
+                state->c[i] = c[i];
+            }
+        } else {
+            status = UPPER_BAD_RESULT;
+        }
+    }
 @end
     return status;
 }
@@ -245,6 +257,9 @@ uint16_t NAME_init(NAME_state_t *state, const NAME_params_t *params,
             status = outputs_of(&at, &state->last);
         }
     }
+    if (status == UPPER_OK) {
+        state->started = 1U;
+    }
     return status;
 }
 
@@ -281,7 +296,9 @@ uint16_t NAME_step(const NAME_params_t *params, NAME_state_t *state,
         lost[i] = state->lost[i];
     }
 @end
-    if (!inputs_are_right(inputs)) {
+    if (state->started == 0U) {
+        status = UPPER_NOT_STARTED;
+    } else if (!inputs_are_right(inputs)) {
         status = UPPER_BAD_INPUT;
     } else {
         instant at = instant_of(params, state, inputs);
@@ -349,13 +366,17 @@ uint16_t NAME_step(const NAME_params_t *params, NAME_state_t *state,
 uint16_t NAME_outputs(const NAME_params_t *params, const NAME_state_t *state,
     const NAME_inputs_t *inputs, NAME_outputs_t *outputs)
 {
-    uint16_t status = UPPER_BAD_INPUT;
+    uint16_t status;
 
     *outputs = state->last;
-    if (inputs_are_right(inputs)) {
+    if (state->started == 0U) {
+        status = UPPER_NOT_STARTED;
+    } else if (inputs_are_right(inputs)) {
         const instant at = instant_of(params, state, inputs);
 
         status = outputs_of(&at, outputs);
+    } else {
+        status = UPPER_BAD_INPUT;
     }
     return status;
 }
