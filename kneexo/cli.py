@@ -345,6 +345,13 @@ def _add_target(sub: argparse.ArgumentParser, measured: str) -> None:
         help=f"the controller, from {measured} and knee reference to motor speed command; the "
         "plant with its encoder; or both as closed loop",
     )
+    sub.add_argument(
+        "--step-s",
+        type=float,
+        metavar="S",
+        help="largest step of RK4 of plant and loop in s; left out: from the plant's fastest mode, "
+        "at most 0.0002",
+    )
 
 
 def _add_utilities(subparsers: Any) -> None:

@@ -402,6 +402,7 @@ def _named_runs(runs: Sequence[str]) -> list[tuple[str, str | None]]:
 
 def export_c(options: argparse.Namespace) -> None:
     """``kneexo export c``."""
+    from kneexo.compilation.c_export import TOLERANCES
     from kneexo.export.firmware import export_firmware
     from kneexo.output import to_json
 
@@ -412,8 +413,16 @@ def export_c(options: argparse.Namespace) -> None:
         options.what,
         precision=options.precision,
         vectors_s=options.vectors_s,
+        step_s=options.step_s,
         look_up=options.look_up,
     )
+    if measured.replay is not None and not measured.replay.passed:
+        share = TOLERANCES[options.precision]
+        print(
+            f"{options.what} in {options.precision} precision: the replay differs by more than "
+            f"{share:g} of an output's largest value; make test fails",
+            file=sys.stderr,
+        )
     if options.json:
         print(to_json(_origin(scenario) | asdict(measured)), end="")
         return
@@ -436,7 +445,9 @@ def export_fmu(options: argparse.Namespace) -> None:
     from kneexo.output import to_json
 
     scenario = _scenario(options)
-    file = fmu.export_fmu(scenario, options.out, options.what, fmi=options.fmi)
+    file = fmu.export_fmu(
+        scenario, options.out, options.what, fmi=options.fmi, step_s=options.step_s
+    )
     if options.json:
         print(to_json(_origin(scenario) | asdict(file)), end="")
         return

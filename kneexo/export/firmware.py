@@ -18,10 +18,10 @@ from kneexo.compilation.c_export import (
 )
 from kneexo.compilation.c_source import CSource
 from kneexo.compilation.model import compile_diagram
-from kneexo.compilation.runner import STEP_S, Array
+from kneexo.compilation.runner import Array
 from kneexo.errors import ParameterError
-from kneexo.export.target import ENCODER_COUNT, Target, target
-from kneexo.parameters import Scenario
+from kneexo.export.target import ENCODER_COUNT, Target, largest_step_s, target
+from kneexo.parameters import SampledReference, Scenario
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
 OUTSIDE = ("disturbance_force", "knee_torque")
@@ -37,7 +37,7 @@ def make_firmware(
     *,
     precision: str = "double",
     vectors_s: float | None = None,
-    step_s: float = STEP_S,
+    step_s: float | None = None,
     look_up: bool = False,
 ) -> tuple[CSource, Vectors]:
     """A target of a scenario as C99, and test vectors: steps of its compiled closed loop.
@@ -55,19 +55,25 @@ def make_firmware(
         Time that the test vectors cover; at most the duration of the scenario. `VECTORS_S` by
         default.
     step_s
-        Largest step of RK4, where there are continuous states.
+        Largest step of RK4, where there are continuous states; `largest_step_s` by default.
     look_up
         Knee angle and rod extension of each count come from a table: see `CSource`.
 
     Raises
     ------
     ParameterError
-        ``what`` or ``vectors_s`` is wrong, and as `make_closed_loop`.
+        ``what``, ``vectors_s`` or ``step_s`` is wrong, the reference of a loop is sampled, and as
+        `make_closed_loop`.
     CompilationError
         The target cannot be printed: as `CSource`.
     SimulationError
         The closed loop does not run.
     """
+    if what == "loop" and isinstance(scenario.reference, SampledReference):
+        raise ParameterError(
+            f"reference.kind = {scenario.reference.kind!r}: a loop in C computes its reference, "
+            f"which must not be sampled; export plant and controller, or the loop as FMU"
+        )
     duration_s = scenario.simulation.duration_s
     if vectors_s is None:
         vectors_s = min(VECTORS_S, duration_s)
@@ -85,7 +91,7 @@ def make_firmware(
         outputs=to_print.outputs,
         interface=to_print.interface,
         tick_s=to_print.tick_s,
-        step_s=step_s,
+        step_s=largest_step_s(scenario, to_print.what, step_s),
         look_up=look_up,
         told=f"{to_print.what} in {precision} precision",
     )

@@ -15,10 +15,9 @@ from kneexo.compilation.c_export import source_of
 from kneexo.compilation.c_source import CSource
 from kneexo.compilation.fmu import VERSIONS, Fmu, Parameter, generation_tool
 from kneexo.compilation.model import compile_diagram
-from kneexo.compilation.runner import STEP_S
 from kneexo.diagrams.closed_loop import make_closed_loop
 from kneexo.errors import KneexoError, OutputError, ParameterError
-from kneexo.export.target import Target, target
+from kneexo.export.target import Target, largest_step_s, target
 from kneexo.parameters import CustomControllerParameters, Scenario, SlidingModeParameters
 from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters, limits_of, source_of as provenance_of
@@ -71,7 +70,7 @@ def export_fmu(
     what: str = "controller",
     *,
     fmi: int = 3,
-    step_s: float = STEP_S,
+    step_s: float | None = None,
 ) -> FmuFile:
     """Write `make_fmu` with sources and, where there is a C compiler, the binary of this machine.
 
@@ -101,7 +100,7 @@ def make_fmu(
     what: str = "controller",
     *,
     fmi: int = 3,
-    step_s: float = STEP_S,
+    step_s: float | None = None,
 ) -> Fmu:
     """A target of a scenario as FMU.
 
@@ -118,12 +117,12 @@ def make_fmu(
     fmi
         Version of the standard: 2 or 3.
     step_s
-        Largest step of RK4, where there are continuous states.
+        Largest step of RK4, where there are continuous states; `largest_step_s` by default.
 
     Raises
     ------
     ParameterError
-        ``what`` or ``fmi`` is wrong, and as `make_closed_loop`.
+        ``what``, ``fmi`` or ``step_s`` is wrong, and as `make_closed_loop`.
     CompilationError
         The target cannot be printed: as `CSource`.
     """
@@ -136,7 +135,7 @@ def make_fmu(
         outputs=[name for name in to_print.outputs if name not in to_print.inputs],
         interface=to_print.interface,
         tick_s=to_print.tick_s,
-        step_s=step_s,
+        step_s=largest_step_s(scenario, to_print.what, step_s),
         told=f"{to_print.what} as FMU",
     )
     return Fmu(

@@ -9,11 +9,12 @@ import pytest
 
 from kneexo.analysis import simulate
 from kneexo.cli import main
-from kneexo.compilation.c_export import exported
+from kneexo.compilation import c_export
 from kneexo.errors import ParameterError
 from kneexo.export.firmware import loop_inputs, make_firmware
-from kneexo.export.target import target
+from kneexo.export.target import largest_step_s, target
 from kneexo.parameters import Scenario
+from kneexo.simulation import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
 
 SHORT = {"simulation": {"duration_s": 0.4}}
@@ -49,7 +50,7 @@ def test_vectors_of_a_controller_are_the_commands_of_the_loop(fields):
 
 
 def test_vectors_of_the_plant_follow_the_loop():
-    scenario = scenario_of(simulation={"duration_s": 0.4, "integrator": "rk4", "step_s": 2e-4})
+    scenario = scenario_of().with_steps(largest_step_s(Scenario(), "loop"))
     source, vectors = make_firmware(scenario, "plant", vectors_s=0.3)
     run = simulate(scenario)
     for column, (_, name) in enumerate(source.output_fields):
@@ -63,11 +64,50 @@ def test_vectors_of_the_plant_follow_the_loop():
 
 
 def test_vectors_of_the_loop_are_the_loop():
-    scenario = scenario_of(simulation={"duration_s": 0.4, "integrator": "rk4", "step_s": 2e-4})
+    scenario = scenario_of().with_steps(largest_step_s(Scenario(), "loop"))
     source, vectors = make_firmware(scenario, "loop", vectors_s=0.3)
     run = simulate(scenario)
     for column, (_, name) in enumerate(source.output_fields):
         np.testing.assert_allclose(vectors.outputs[:, column], run[name][1:151], rtol=0, atol=1e-12)
+
+
+PLANTS = {
+    "default": {},
+    "loaded": {"load": {"kind": "knee"}},
+    "full order": {"full_order": {}},
+    "friction": {"full_order": {"coulomb_friction_n": 40.0}},
+    "loaded full order": {"load": {"kind": "knee"}, "full_order": {}},
+}
+
+
+@pytest.mark.parametrize("what", ["plant", "loop"])
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_c_in_its_own_steps_agrees_with_exact_hold(exported, plant, what):
+    scenario = scenario_of(plant=plant, simulation={"duration_s": 6.0, "tolerance": 1e-10})
+    source, vectors = make_firmware(scenario, what, vectors_s=5.0)
+    outputs = exported.Replay(source)(vectors.inputs)
+    run = simulate_compiled(scenario, tolerance=1e-10)
+    names = [name for _, name in source.output_fields]
+    for name, share in {
+        "rod_extension_m": 1e-8,
+        "knee_angle_rad": 1e-8,
+        "load_pressure_pa": 1e-3,
+    }.items():
+        expected = run[name][1:2501]
+        difference = np.abs(outputs[:, names.index(name)] - expected).max()
+        assert difference <= share * np.ptp(expected), name
+
+
+def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys):
+    out = tmp_path / "out"
+    options = ["export", "c", "--out", str(out), "--set", "reference=gait"]
+    assert main([*options, "--what", "loop"]) == 2
+    error = capsys.readouterr().err
+    assert "reference.kind = 'samples': a loop in C computes its reference" in error
+    assert "export plant and controller, or the loop as FMU" in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+    assert main([*options, "--what", "controller", "--vectors-s", "0.1"]) == 0
 
 
 def test_what_comes_from_outside_is_zero():
@@ -143,9 +183,37 @@ def test_export_c_takes_set_and_what(tmp_path, short, what):
     assert "1.75, /* mass_kg */" in (out / f"{what}_params.c").read_text()
 
 
+def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short):
+    plants = []
+    for step_s in (None, 5e-4):
+        out = tmp_path / f"{step_s}"
+        chosen = [] if step_s is None else ["--step-s", str(step_s)]
+        options = ["export", "c", short, "--out", str(out), "--what", "plant", *chosen]
+        assert main([*options, "--vectors-s", "0.01"]) == 0
+        source, _ = make_firmware(scenario_of(), "plant", vectors_s=0.01, step_s=step_s)
+        plants.append((out / "plant.c").read_text())
+        assert plants[-1] == source.files()["plant.c"]
+        assert source.steps == (29 if step_s is None else 4)
+    assert plants[0] != plants[1]
+
+
+@needs_compiler
+@pytest.mark.parametrize(("precision", "fails"), [("float", True), ("double", False)])
+def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails):
+    """In float the loop reads another count sooner or later."""
+    options = ["--what", "loop", "--precision", precision, "--json"]
+    assert main(["export", "c", "--out", str(tmp_path / "out"), *options]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["replay"]["passed"] is not fails
+    line = "loop in float precision: the replay differs by more than 0.001 of an output's largest"
+    assert (line in printed.err) is fails
+    assert ("the replay differs" in printed.err) is fails
+
+
 @pytest.mark.parametrize(
     ("options", "line"),
     [
+        (["--what", "plant", "--step-s", "0"], "step_s = 0 s: must be 1e-07 … 1 s"),
         (["--vectors-s", "9"], "vectors_s = 9 s: must be 0.002 … 0.4 s"),
         (["--set", "plant.cylinder.mass_kg=-1"], "plant.cylinder.mass_kg"),
     ],
@@ -189,7 +257,7 @@ def test_a_table_takes_the_drift_from_a_pid_in_float():
     differences = []
     for look_up in (False, True):
         options = {"precision": "float", "look_up": look_up, "vectors_s": 30.0}
-        _, measured = exported(*make_firmware(scenario, **options))
+        _, measured = c_export.exported(*make_firmware(scenario, **options))
         (difference,) = measured.replay.difference.values()
         differences.append(difference * 60.0 / (2.0 * np.pi))
     computed_rpm, looked_up_rpm = differences

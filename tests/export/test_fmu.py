@@ -24,7 +24,7 @@ from kneexo.diagrams import make_closed_loop, make_controller
 from kneexo.diagrams.signals import SIGNALS, available_signals, columns
 from kneexo.errors import OutputError, ParameterError
 from kneexo.export.fmu import export_fmu, make_fmu, parameter_effects
-from kneexo.export.target import WHAT
+from kneexo.export.target import WHAT, largest_step_s
 from kneexo.parameter_list import parameter_rows
 from kneexo.parameters import (
     CustomControllerParameters,
@@ -74,7 +74,8 @@ def path(tmp_path_factory, worker_id):
 
 
 def _compiled(scenario):
-    return simulate_compiled(scenario, integrator="rk4", step_s=2e-4).data
+    step_s = largest_step_s(scenario, "loop")
+    return simulate_compiled(scenario, integrator="rk4", step_s=step_s).data
 
 
 def _steps(data):

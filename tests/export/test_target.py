@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from kneexo import linkage
+from kneexo.analysis import linearize_plant
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import ParameterError
-from kneexo.export.target import WHAT, count_range, target
+from kneexo.export.target import WHAT, count_range, largest_step_s, target
 from kneexo.parameters import Scenario
 
 LOADED = {"plant": {"load": {"kind": "knee"}}}
@@ -101,6 +102,41 @@ def test_every_port_has_names_in_c_that_end_in_a_unit(what):
     for port in (*exported.inputs, *exported.outputs):
         for name in fields[port]:
             assert name.endswith((*units, "_n", "_n_m", "_pa", "_w"))
+
+
+@pytest.mark.parametrize(
+    "plant", [{}, {"load": {"kind": "knee"}}, {"full_order": {"coulomb_friction_n": 40.0}}]
+)
+def test_a_step_follows_the_fastest_pole_at_the_start(plant):
+    scenario = scenario_of(plant=plant)
+    fastest_per_s = np.abs(linearize_plant(scenario.plant, 10.0).poles).max()
+    for what in ("plant", "loop"):
+        assert largest_step_s(scenario, what) == pytest.approx(0.2 / fastest_per_s, rel=1e-3)
+
+
+def test_a_step_is_at_most_that_of_a_run_and_may_be_chosen():
+    soft = scenario_of(plant={"cylinder": {"bulk_modulus_pa": 1e7}})
+    assert largest_step_s(soft, "plant") == 2e-4
+    assert largest_step_s(Scenario(), "controller") == 2e-4
+    assert largest_step_s(Scenario(), "plant", 1e-3) == 1e-3
+    for wrong in (0.0, -1e-4, 2.0, float("nan"), float("inf")):
+        with pytest.raises(ParameterError, match=r"step_s = .* s: must be 1e-07 … 1 s"):
+            largest_step_s(Scenario(), "plant", wrong)
+
+
+@pytest.mark.parametrize("fields", [{}, {"encoder": {"phase_rad": 0.3}}])
+def test_a_count_falls_with_flexion_from_its_zero_at_the_phase(fields):
+    """As docs/firmware.md tells it."""
+    scenario = scenario_of(**fields)
+    counts = []
+    for degrees in (10.0, 90.0):
+        posture = {"kind": "sine", "mean_deg": degrees, "amplitude_deg": 0.0}
+        start = scenario_of(**fields, reference=posture)
+        loop = make_closed_loop(start, signals=())
+        reading = loop.GetOutputPort("encoder_reading").Eval(loop.CreateDefaultContext())[0]
+        counts.append(reading / start.encoder.resolution_rad)
+    shift = scenario.encoder.phase_rad * 4096.0 / (2.0 * np.pi)
+    assert counts == pytest.approx([731.4 - shift, -54.0 - shift], abs=1.0)
 
 
 def test_bad_targets_are_one_line():
