@@ -163,7 +163,7 @@ def _readme(source: CSource, vectors: Vectors, measurement: Measurement) -> str:
         rows.append(f"| `{field}` | {kind} | {allowed} |")
     functions = sorted(source.functions.printer.functions)
     words = {
-        "told": source.first_line.replace("--", "- -"),
+        "told": source.first_line.replace("-->", "-- >"),
         "what": f"{source.precision.capitalize()} precision, from a Drake diagram.",
         "vectors": str(len(vectors.inputs)),
         "sample_time": f"{source.sample_time_s:g}",

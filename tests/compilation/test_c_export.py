@@ -204,10 +204,16 @@ def test_the_readme_lists_the_functions_of_all_that_is_printed(tmp_path):
     y = g.multiply(factor, g.source("input", 0))
     equations = Equations(graph=g, parameters=["m.a"], inputs={"u": 1}, outputs={"y": [y]})
     state = State(np.zeros(0), np.zeros(0))
-    source = CSource(equations, "m", np.ones(1), state, precision="float", tick_s=0.1)
+    options = {"precision": "float", "tick_s": 0.1, "told": "a ---> b"}
+    source = CSource(equations, "m", np.ones(1), state, **options)
     assert source.operations == {"*": 1}
     text = exported(source, Vectors(np.ones((1, 1)), np.full((1, 1), np.e)))[0]["README.md"]
+    assert text.count("-->") == 1
+    assert text.splitlines()[0].endswith("a --- > b -->")
     assert "It needs `math.h` of the C library (`expf`)." in text
+    if shutil.which("arm-none-eabi-gcc"):
+        assert "| Cortex-M7: flash, code and parameters, without the C library, -O2 |" in text
+        assert "| Cortex-M7: stack of a step, without the C library, -O2 |" in text
     assert "| output | port |\n|---|---|\n| `y` | y |" in text
 
 
