@@ -419,8 +419,8 @@ def export_c(options: argparse.Namespace) -> None:
     if measured.replay is not None and not measured.replay.passed:
         share = TOLERANCES[options.precision]
         print(
-            f"{options.what} in {options.precision} precision: the replay differs by more than "
-            f"{share:g} of an output's largest value; make test fails",
+            f"kneexo: {options.what} in {options.precision} precision: the replay differs by more "
+            f"than {share:g} of an output's largest value; make test fails",
             file=sys.stderr,
         )
     if options.json:

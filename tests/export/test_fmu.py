@@ -474,6 +474,17 @@ def test_libcosim_couples_plant_and_controller(path, tmp_path):
     assert _relative(values, data["rod_extension_m"]) < 1e-9
 
 
+def test_step_s_of_the_command_line_is_that_of_the_sources(tmp_path):
+    file = tmp_path / "plant.fmu"
+    assert main(["export", "fmu", "--what", "plant", "--step-s", "5e-4", "--out", str(file)]) == 0
+    with zipfile.ZipFile(file) as archive:
+        code = archive.read("sources/knee_plant.c").decode()
+    fmu = make_fmu(PAPER, "plant", step_s=5e-4)
+    assert fmu.source.steps == 4
+    assert code == fmu.source.files()["knee_plant.c"]
+    assert code != make_fmu(PAPER, "plant").source.files()["knee_plant.c"]
+
+
 @NEEDS_COMPILER
 @pytest.mark.slow
 def test_the_example_of_the_docs_prints_what_they_say(tmp_path):
