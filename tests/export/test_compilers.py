@@ -227,7 +227,7 @@ def test_misra_rules_are_kept_but_for_the_listed_ones(tmp_path, tool, model, tab
     assert misra_rules(tmp_path, tool("cppcheck")) <= listed_rules(tables)
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", ["double", pytest.param("float", marks=pytest.mark.slow)])
 def test_each_listed_deviation_is_there_and_another_would_be_seen(
     tmp_path, tool, exported, tables, precision
 ):

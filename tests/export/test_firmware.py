@@ -80,8 +80,17 @@ PLANTS = {
 }
 
 
-@pytest.mark.parametrize("what", ["plant", "loop"])
-@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+QUICK = ("default", "full order")
+
+
+@pytest.mark.parametrize("what", ["plant", pytest.param("loop", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "plant",
+    [
+        pytest.param(plant, id=name, marks=() if name in QUICK else pytest.mark.slow)
+        for name, plant in PLANTS.items()
+    ],
+)
 def test_c_in_its_own_steps_agrees_with_exact_hold(exported, plant, what):
     scenario = scenario_of(plant=plant, simulation={"duration_s": 6.0, "tolerance": 1e-10})
     source, vectors = make_firmware(scenario, what, vectors_s=5.0)
@@ -198,7 +207,10 @@ def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short):
 
 
 @needs_compiler
-@pytest.mark.parametrize(("precision", "fails"), [("float", True), ("double", False)])
+@pytest.mark.parametrize(
+    ("precision", "fails"),
+    [("float", True), pytest.param("double", False, marks=pytest.mark.slow)],
+)
 def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails):
     """In float the loop reads another count sooner or later."""
     options = ["--what", "loop", "--precision", precision, "--json"]

@@ -100,7 +100,9 @@ def _loop_run(loop, steps, *names):
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("what", WHAT)
+@pytest.mark.parametrize(
+    "what", ["controller", *(pytest.param(w, marks=pytest.mark.slow) for w in WHAT[1:])]
+)
 def test_description_is_valid(what, fmi, path):
     pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
     from fmpy.validation import validate_fmu
@@ -262,7 +264,7 @@ def test_start_values_of_inputs_are_those_of_the_loop():
 # ------------------------------------------------------------------------------------- runs
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_plant_and_controller_follow_the_compiled_run(path, fmu_instance, fmi):
     """The controller steps first, so that its command acts in the sample that computes it."""
     data = _compiled(PAPER)
@@ -289,7 +291,7 @@ def test_plant_and_controller_follow_the_compiled_run(path, fmu_instance, fmi):
         assert _relative(values, data[name]) < 1e-9, name
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_loop_follows_the_compiled_run(path, fmu_instance, fmi):
     data = _compiled(PAPER)
     names = list(columns(available_signals(PAPER)))
@@ -298,6 +300,7 @@ def test_loop_follows_the_compiled_run(path, fmu_instance, fmi):
         assert _relative(values, data[name]) < 1e-9, name
 
 
+@pytest.mark.slow
 def test_loaded_loop_of_full_order_follows_the_compiled_run(path, fmu_instance):
     data = _compiled(LOADED)
     loop = fmu_instance(path("loop", 3, LOADED)).start()
@@ -336,6 +339,7 @@ def test_outputs_at_the_start_are_those_of_drake(path, fmu_instance, fmi):
         assert got == pytest.approx(expected.tolist(), rel=1e-12, abs=1e-12), signal
 
 
+@pytest.mark.slow
 def test_each_scenario_parameter_acts_as_in_the_scenario(path, fmu_instance):
     """The start is that of the exported scenario, so those that move it are left out."""
     fmu = make_fmu(SHORT, "loop")
@@ -419,7 +423,7 @@ def test_beyond_its_stops_the_knee_fails_with_a_reason(path, fmu_instance):
     plant.step(0.0, 10 * TICK_S)
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_fmpy_simulates_the_loop_by_itself(path, fmi):
     fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
     data = _compiled(SHORT)
