@@ -14,6 +14,8 @@ from kneexo.export.target import count_range, reference_range_rad
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 
+pytestmark = pytest.mark.slow  # compilers, analysers and emulators
+
 FUZZ_C = Path(__file__).with_name("fuzz.c")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wpedantic", "-Werror")
 COMPILERS = {

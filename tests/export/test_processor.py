@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow  # compilers, analysers and emulators
+
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 FULL_SPEED = 5000.0 * 2.0 * math.pi / 60.0
 TOLERANCES = {"double": 1e-12 * FULL_SPEED, "float": FULL_SPEED / 5000.0}
