@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             try:
                 return _run(options, arguments)
-            except Exception as error:
+            except Exception as error:  # of any library: an interrupt may be behind it
                 if (interrupt := _interrupt_behind(error)) is None:
                     raise
                 raise interrupt from None
@@ -145,8 +145,8 @@ def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
     if _needs_drake(options):
         if line := system.lacking():  # Drake itself would print a page
             return _fail(line)
-        with interrupt_later():  # as it would of an interrupt
-            import pydrake  # noqa: F401
+        with interrupt_later():  # Drake would print a page about an interrupt of its first import
+            import pydrake  # noqa: F401  (for that alone)
     format_before = warnings.formatwarning
     warnings.formatwarning = _one_line
     try:

@@ -6,6 +6,7 @@ The test vectors are steps of the compiled model: what the C code must give for 
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -284,7 +285,7 @@ def require_folder(directory: str | os.PathLike[str]) -> None:
     """Raise `OutputError` for a folder with files that no export wrote."""
     folder = Path(directory)
     for file in sorted(folder.iterdir()) if folder.is_dir() else ():
-        if file.name != _BUILD and not _is_export(file):
+        if not (file.name == _BUILD or _is_unfinished(file) or _is_export(file)):
             raise OutputError(
                 f"--out {folder}: {file.name} is not of an export; choose another directory"
             )
@@ -306,11 +307,18 @@ def write_folder(directory: str | os.PathLike[str], files: Mapping[str, str]) ->
             for name in files:
                 os.replace(Path(new, name), folder / name)
         for file in folder.iterdir():
-            if file.is_file() and file.name not in files:
+            if _is_unfinished(file):
+                shutil.rmtree(file)
+            elif file.is_file() and file.name not in files:
                 file.unlink()
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"--out {folder}: cannot write there ({reason})") from None
+
+
+def _is_unfinished(file: Path) -> bool:
+    """Whether this is what a killed export has left."""
+    return file.is_dir() and file.name.startswith(f"{_BUILD}-")
 
 
 def _is_export(file: Path) -> bool:

@@ -160,14 +160,7 @@ class _Block:
         return () if node in self.loads else self.graph.arguments(node)
 
     def _reachable(self, roots: Iterable[int]) -> set[int]:
-        reached: set[int] = set()
-        pending = list(roots)
-        while pending:
-            node = pending.pop()
-            if node not in reached:
-                reached.add(node)
-                pending.extend(self._arguments(node))
-        return reached
+        return set(self.graph.reachable(roots, self._arguments))
 
     def _line(self, text: str) -> str:
         return "\n".join(

@@ -67,6 +67,7 @@ MARK = "Made by kneexo from a Drake diagram."
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 _LONGEST_CYCLE = 2**31
+_MOST_STEPS = 2**16 - 1  # counted by an uint16_t
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,8 @@ class CSource:
         Of what this is an export, in the first line of each file.
 
     Raises `CompilationError` for a name that is no identifier, for a number that the precision
-    cannot hold, and for a diagram without a sample time where ``tick_s`` is missing.
+    cannot hold, for too many steps in a sample time, and for a diagram without a sample time where
+    ``tick_s`` is missing.
     """
 
     equations: Equations
@@ -167,6 +169,11 @@ class CSource:
                 raise CompilationError(f"{port}: is no input; only inputs may be int32_t")
         for fields in (self.input_fields, self.output_fields):
             _require_unique([name for _, name in fields])
+        if self.equations.states and self.steps > _MOST_STEPS:
+            raise CompilationError(
+                f"step_s = {self.step_s:g} s: makes {self.steps} steps in a sample time of "
+                f"{self.sample_time_s:g} s; must be at most {_MOST_STEPS}"
+            )
         if self.cycle[1] >= _LONGEST_CYCLE:
             raise CompilationError(f"{self.name}: sample times repeat only after 2^31 ticks")
 

@@ -8,7 +8,7 @@ over it unfolds it into a tree.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -200,16 +200,22 @@ class Graph:
         """``and``, ``or`` or ``not`` of conditions."""
         return self._node(name, *conditions)
 
-    def reachable(self, roots: Iterable[int]) -> list[int]:
-        """All nodes that ``roots`` are made of, and they, arguments first."""
-        found: set[int] = set()
+    def reachable(
+        self, roots: Iterable[int], arguments: Callable[[int], Iterable[int]] | None = None
+    ) -> list[int]:
+        """All nodes that ``roots`` are made of, and they, arguments first.
+
+        ``arguments``: of a node those to follow, all by default.
+        """
+        of = self.arguments if arguments is None else arguments
+        reached: set[int] = set()
         pending = list(roots)
         while pending:
             node = pending.pop()
-            if node not in found:
-                found.add(node)
-                pending.extend(self.arguments(node))
-        return sorted(found)
+            if node not in reached:
+                reached.add(node)
+                pending.extend(of(node))
+        return sorted(reached)
 
     def gradients(self, roots: Iterable[int], kind: str = "state") -> list[dict[int, int]]:
         """Of each root, its partial derivatives by the sources of ``kind`` that it depends on.

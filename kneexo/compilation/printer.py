@@ -71,14 +71,7 @@ class Printer:
         return self.graph.arguments(node)
 
     def _reachable(self, roots: Iterable[int]) -> set[int]:
-        reached: set[int] = set()
-        pending = list(roots)
-        while pending:
-            node = pending.pop()
-            if node not in reached:
-                reached.add(node)
-                pending.extend(self._arguments(node))
-        return reached
+        return set(self.graph.reachable(roots, self._arguments))
 
     def groups(
         self,

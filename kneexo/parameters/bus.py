@@ -35,6 +35,7 @@ class Cia402Parameters(Parameters):
     """
 
     kind: Literal["cia402"] = "cia402"
+    # mypy knows no Literal of floats; pydantic does.
     velocity_unit_rpm: Literal[1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6] = quantity(  # type: ignore[valid-type]
         1.0,
         "rpm",

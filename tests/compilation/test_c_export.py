@@ -243,6 +243,14 @@ def test_a_new_export_replaces_all_files_of_the_last_one(folder):
     assert not any(path.name.startswith("filter") for path in folder.iterdir())
 
 
+def test_what_a_killed_export_left_is_deleted(folder):
+    left = folder / "build-x1"
+    left.mkdir()
+    (left / "filter.c").write_text("")
+    export_c(low_pass(), folder, name="filter", inputs=["u0"], samples=SAMPLES)
+    assert {path.name for path in folder.iterdir()} == FILES
+
+
 def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path):
     path = tmp_path / "out"
     path.write_text("")

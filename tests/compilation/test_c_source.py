@@ -431,6 +431,13 @@ def test_bad_options_are_one_line(options, match):
     assert "\n" not in str(error.value)
 
 
+def test_steps_fit_their_counter():
+    options = {"inputs": ["u0"], "tick_s": 1.0}
+    assert exported(oscillator(), step_s=1.0 / 65_535, **options).steps == 65_535
+    with pytest.raises(CompilationError, match=r"step_s = 1e-07 s: makes 10000000 steps .* 65535"):
+        exported(oscillator(), step_s=1e-7, **options)
+
+
 def test_a_diagram_without_sample_time_needs_a_tick():
     with pytest.raises(CompilationError, match="model: tick_s is needed"):
         exported(oscillator(), inputs=["u0"])
