@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from kneexo.analysis import TrackingResult
     from kneexo.parameters import Scenario
     from kneexo.parameters.quantity import Parameters
+    from kneexo.studies.catalogue import Motion
 
 _P = TypeVar("_P", bound="Parameters")
 
@@ -108,17 +109,30 @@ def _write(
 
 
 def _page(
-    options: argparse.Namespace, command: str, report: str, origin: Mapping[str, Any]
+    options: argparse.Namespace,
+    command: str,
+    report: str,
+    origin: Mapping[str, Any],
+    motions: Callable[[], Mapping[str, Motion]] = dict,
 ) -> Callable[[Mapping[str, Figure]], tuple[str, str]] | None:
-    """What makes the HTML page of the report of a command, where ``--html`` asks for it."""
+    """What makes the HTML page of the report of a command, where ``--html`` asks for it.
+
+    ``motions``: gives what of it a view in three dimensions shows, by name.
+    """
     if not options.html:
         return None
 
     def page(figures: Mapping[str, Figure]) -> tuple[str, str]:
         from kneexo.html_page import html_page
 
-        name = command.split()[-1]
-        return f"{name}.html", html_page(f"kneexo {command}", report, figures, origin)
+        view = ""
+        if moving := motions():
+            from kneexo.view.page import MOST_FRAMES_IN_REPORT, Leg, view_page
+
+            legs = [Leg.of_signals(name, *motion) for name, motion in moving.items()]
+            view = view_page(legs, MOST_FRAMES_IN_REPORT)
+        text = html_page(f"kneexo {command}", report, figures, origin, view)
+        return f"{command.split()[-1]}.html", text
 
     return page
 
@@ -193,7 +207,7 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
                 results_file or f"{study.name}.json": document,
                 report_file or f"{study.name}.md": report,
             }
-            page = _page(options, study.command, report, origin)
+            page = _page(options, study.command, report, origin, partial(study.motions, result))
             _write(directory, texts, study.figures(result), page)
             files = ", ".join(sorted(file.name for file in directory.iterdir()))
         except BaseException:  # KeyboardInterrupt too: the next process may have the file
@@ -227,7 +241,9 @@ def simulate(options: argparse.Namespace) -> None:
         texts = {"metrics.json": document, "scenario.yaml": dump_scenario(scenario)}
         rows = [(name, number(value, ".6g")) for name, value in metrics.items()]
         report = "\n".join(markdown_table(("metric", "value"), rows))
-        page = _page(options, "simulate", report, _origin(scenario))
+        ((name, _),) = _named_runs(options.scenario and [options.scenario])
+        motions = {name: (scenario.plant.linkage, result.run.columns)}
+        page = _page(options, "simulate", report, _origin(scenario), lambda: motions)
         _write(directory, texts, {"tracking": result.plot()[0].figure}, page)
         files = ", ".join(sorted(file.name for file in directory.iterdir()))
     if options.json:
@@ -359,7 +375,7 @@ def view(options: argparse.Namespace) -> None:
     from kneexo.output import to_json
     from kneexo.scenario_file import load_scenario
     from kneexo.view.legs import leg_of_results, leg_of_scenario
-    from kneexo.view.page import require_page, view_page, write_page
+    from kneexo.view.page import require_page, shown_s, view_page, write_page
 
     require_page(options.out)
     if options.values and (results := [run for run in options.runs if Path(run).is_dir()]):
@@ -377,6 +393,8 @@ def view(options: argparse.Namespace) -> None:
         if failure:
             print(f"kneexo: {caption}: {failure}; shown up to there", file=sys.stderr)
         legs.append(leg)
+    if (end_s := shown_s(legs)) < max(leg.time_s[-1] for leg in legs):
+        print(f"kneexo: only the first {end_s:.3g} s are shown: the page is full", file=sys.stderr)
     write_page(options.out, view_page(legs))
     names = [leg.name for leg in legs]
     if options.json:
@@ -385,7 +403,7 @@ def view(options: argparse.Namespace) -> None:
         print(f"{options.out}: {', '.join(names)}; open it in a browser")
 
 
-def _named_runs(runs: Sequence[str]) -> list[tuple[str, str | None]]:
+def _named_runs(runs: Sequence[str] | None) -> list[tuple[str, str | None]]:
     """Each run with its name: of its file or directory, after the parent's where names are equal.
 
     Without runs the paper's, None.
