@@ -363,7 +363,7 @@ class _Browser:
 
     def open(self, path, width=800, height=600, phone=False):
         """Load a file in a window of that size in CSS pixels; ``phone``: as a phone would."""
-        self.console, self.requests = [], []
+        self.console, self.requests, self._width = [], [], width
         scale = 2 if phone else 1
         size = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": phone}
         self.call("Emulation.setDeviceMetricsOverride", **size)
@@ -383,6 +383,15 @@ class _Browser:
         while not self.evaluate(condition):
             assert time.monotonic() < end, f"never true: {condition}; {self.console}"
             time.sleep(0.05)
+
+    def require_health(self):
+        """The page and its frames have told of no fault and asked for nothing outside the file."""
+        assert self.console == []
+        assert [url for url in self.requests[1:] if not url.startswith(("data:", "blob:"))] == []
+
+    def require_width(self):
+        """No part of the page lies beyond the right edge of the window."""
+        assert self.evaluate("document.documentElement.scrollWidth") <= self._width
 
     def picture(self):
         """What the window shows, (rows, columns, 3) from 0 to 1."""

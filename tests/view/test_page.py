@@ -3,13 +3,10 @@
 import errno
 import json
 import os
-import shutil
 import stat
-import subprocess
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from kneexo.cli import main
 from kneexo.errors import OutputError, ScenarioError, SimulationError
@@ -17,7 +14,18 @@ from kneexo.parameters import Scenario
 from kneexo.scenario_file import load_scenario
 from kneexo.simulation import simulate
 from kneexo.view.legs import leg_of_results, leg_of_scenario
-from kneexo.view.page import MARK, Leg, bar_pose, pressure_colours, view_page, write_page
+from kneexo.view.mechanism import points
+from kneexo.view.page import (
+    FRAMES_PER_S,
+    MARK,
+    MOST_FRAMES,
+    Leg,
+    bar_pose,
+    pressure_colours,
+    shown_s,
+    view_page,
+    write_page,
+)
 
 SHORT = {"simulation": {"duration_s": 0.5}}
 
@@ -206,25 +214,138 @@ def test_a_page_that_cannot_be_written_is_one_line(tmp_path):
         write_page(tmp_path / "file" / "knee.html", "page")
 
 
+def test_a_page_tells_where_it_ends_and_stays_small(tmp_path, capsys):
+    time = np.linspace(0.0, 400.0, 4001)
+    angle = 0.6 + 0.5 * np.sin(time)
+    legs = [Leg(name, Scenario().plant.linkage, time, angle, angle, 1e6 * angle) for name in "ab"]
+    assert shown_s(legs[:1]) == MOST_FRAMES / FRAMES_PER_S == 150.0
+    assert shown_s(legs) == 75.0
+    page = view_page(legs)
+    assert "the first 75 of 400 s" in page
+    assert 6e6 < len(page) < 8e6
+    short = Leg("c", Scenario().plant.linkage, *(values[:101] for values in (time, *[angle] * 3)))
+    assert shown_s([short]) == 10.0
+    assert "the first 1" not in view_page([short])
+    told = ["view", "--out", str(tmp_path / "knee.html"), "--set", "simulation.duration_s=200"]
+    assert main(told) == 0
+    assert "kneexo: only the first 150 s are shown" in capsys.readouterr().err
+
+
+# -------------------------------------------------------------------------------- browser
+
+SEEK = """(async (time, pin) => {
+  viewer.animator.pause();
+  viewer.animator.seek(time);
+  const leg = viewer.scene_tree.find(["knee", "leg0"]);
+  for (const place of [leg, leg.children["on_shank"]])
+    for (const [name, node] of Object.entries(place.children))
+      if (name.startsWith("pin_")) node.object.traverse((mesh) => {
+        if (!mesh.isMesh) return;
+        mesh.kept ??= mesh.material;
+        const shown = { color: 0x00ff00, depthTest: false, toneMapped: false };
+        const green = new MeshCat.THREE.MeshBasicMaterial(shown);
+        mesh.material = name == "pin_" + pin ? green : mesh.kept;
+        mesh.renderOrder = 1;
+      });
+  viewer.set_dirty();
+  for (let frame = 0; frame < 3; ++frame) await new Promise(requestAnimationFrame);
+  const cylinder = viewer.scene_tree.find(["knee", "leg0", "cylinder", "<object>"]);
+  return cylinder.object.material.color.toArray();
+})"""
+PINS_OF_ROD = ("rod_pin", "cylinder_pin")
+WIDTH, HEIGHT = 800, 600
+
+
+def pixel_of(point):
+    """Where the page's camera sees a point (x, y, z) in m: column and row."""
+    eye, target = np.array([0.275, -0.55, 0.05]), np.array([-0.04, 0.0, -0.03])
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    ray = np.asarray(point) - eye
+    scale = 0.5 * HEIGHT / np.tan(np.radians(0.5 * 75.0)) / (ray @ forward)
+    return np.array(
+        [
+            0.5 * WIDTH + scale * (ray @ right),
+            0.5 * HEIGHT - scale * (ray @ np.cross(right, forward)),
+        ]
+    )
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs the browser chromium")
-def test_a_browser_shows_a_knee_that_moves(tmp_path):
-    slow = {"kind": "sine", "frequency_hz": 0.1}
-    leg, _ = leg_of_scenario("mine", Scenario.model_validate({"reference": slow}))
+@pytest.mark.parametrize(("linkage", "moving"), [("G1", "cylinder_pin"), ("G3", "rod_pin")])
+def test_the_pins_of_the_rod_are_seen_where_the_linkage_has_them(
+    linkage, moving, browser, tmp_path
+):
+    fields = {"plant": {"linkage": linkage}, "simulation": {"duration_s": 10.0}}
+    leg, _ = leg_of_scenario("mine", Scenario.model_validate(fields))
     page = tmp_path / "knee.html"
     write_page(page, view_page([leg]))
-    options = ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader")
-    options += ("--enable-logging=stderr", "--window-size=800,600")
+    browser.open(page, WIDTH, HEIGHT)
+    browser.wait_for("viewer.animator.actions.length > 0")
+    largest = np.abs(leg.pressure_pa).max()
+    seen = {}
+    for time in (1.0, 4.0):
+        angle, pressure = (
+            np.interp(time, leg.time_s, v) for v in (leg.knee_angle_rad, leg.pressure_pa)
+        )
+        at = points(leg.linkage, angle)
+        for pin in PINS_OF_ROD:
+            colour = browser.evaluate(f"{SEEK}({time}, '{pin}')")
+            expected = pressure_colours(np.array([pressure]), largest)[0]
+            np.testing.assert_allclose(colour, expected, atol=1e-6)
+            picture = browser.picture()
+            green = (picture[..., 1] > 0.9) & (picture[..., [0, 2]].max(axis=2) < 0.1)
+            assert green.sum() > 40
+            rows, columns = np.nonzero(green)
+            centre = np.array([0.5 * (v.min() + v.max()) for v in (columns, rows)])
+            point = at[pin][0]
+            np.testing.assert_allclose(centre, pixel_of((point.real, 0.0, point.imag)), atol=3.0)
+            seen[pin, time] = centre
+    way = {
+        pin: np.linalg.norm(seen[pin, 4.0] - seen[pin, 1.0]) for pin in ("rod_pin", "cylinder_pin")
+    }
+    assert way.pop(moving) > 30.0
+    assert max(way.values()) < 1.0  # the other one is at the thigh, which stands still
+    browser.require_health()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "phone"), [((800, 600), False), ((390, 800), True)])
+def test_a_page_plays_by_itself(size, phone, browser, tmp_path):
+    leg, _ = leg_of_scenario("mine", scenario_of(simulation={"duration_s": 10.0}))
+    page = tmp_path / "knee.html"
+    write_page(page, view_page([leg, leg]))
+    browser.open(page, *size, phone=phone)
     pictures = []
-    for budget_ms in (2000, 6000):
-        picture, profile = tmp_path / f"{budget_ms}.png", tmp_path / f"profile{budget_ms}"
-        one_time = (f"--virtual-time-budget={budget_ms}", f"--user-data-dir={profile}")
-        command = ["chromium", *options, *one_time, f"--screenshot={picture}", page.as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-        console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-        assert not [line for line in console if "rror" in line or "Uncaught" in line]
-        pictures.append(imread(picture)[..., :3])
-    for picture in pictures:  # a leg on white ground
-        assert 0.005 < (picture.min(axis=2) < 0.9).mean() < 0.5
-    moved = np.abs(pictures[0] - pictures[1]).max(axis=2) > 0.1
-    assert moved[150:].sum() > 300  # below the caption
+    for time in (1.0, 3.0):
+        browser.wait_for(f"viewer.animator.time > {time}")
+        pictures.append(browser.picture())
+    for picture in pictures:  # legs on white ground
+        below = picture[picture.shape[0] // 4 :]  # the caption
+        assert 0.005 < (below.min(axis=2) < 0.9).mean() < 0.5
+    assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > 0.1).sum() > 300
+    browser.require_health()
+    browser.require_width()
+    assert browser.evaluate("document.title") == "kneexo: mine, mine"
+
+
+@pytest.mark.slow
+def test_faults_of_a_page_are_heard(browser, tmp_path):
+    page = tmp_path / "page.html"
+    for fault in (
+        "<script>throw new Error('x')</script>",
+        "<script>console.error('x')</script>",
+        "<script>nothing()</script>",
+        "<img src='missing.png'>",
+        "<iframe srcdoc='<script>nothing()</script>'></iframe>",
+    ):
+        page.write_text(f"<!DOCTYPE html>{fault}")
+        browser.open(page)
+        with pytest.raises(AssertionError):
+            browser.require_health()
+    page.write_text("<!DOCTYPE html><p style='width: 900px'>wide</p>")
+    browser.open(page, 390, 800, phone=True)
+    browser.require_health()
+    with pytest.raises(AssertionError):
+        browser.require_width()
