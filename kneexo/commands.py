@@ -275,14 +275,14 @@ def linearize(options: argparse.Namespace) -> None:
     scenario = _scenario(options)
     from kneexo.analysis import linearize_loop, linearize_plant
     from kneexo.output import to_json
-    from kneexo.studies.markdown import markdown_table, number
+    from kneexo.studies.markdown import document, markdown_table, number
 
     with _results(options) as directory:
         plant = linearize_plant(scenario.plant, options.knee_angle)
         loop = linearize_loop(scenario, options.knee_angle)
         frequency, damping = plant.damping
         origin = _origin(scenario) | {"settings": {"knee_angle_deg": options.knee_angle}}
-        document = to_json(
+        text = to_json(
             {
                 **origin,
                 "operating_point": asdict(plant.operating_point),
@@ -297,17 +297,26 @@ def linearize(options: argparse.Namespace) -> None:
         )
         axes = {"loop": loop.plot()[0], "nyquist": loop.plot_nyquist(), "poles": loop.plot_poles()}
         figures = {name: ax.figure for name, ax in axes.items()}
-        rows = [("plant", str(plant)), ("loop", str(loop))]
-        rows += [(name, number(value, ".6g")) for name, value in asdict(loop.margins()).items()]
-        report = "\n".join(markdown_table(("what", "value"), rows))
+        rows = [(name, number(value, ".6g")) for name, value in asdict(loop.margins()).items()]
+        report = document(
+            *_section("Plant", str(plant)),
+            *_section("Loop", str(loop)),
+            markdown_table(("margin", "value"), rows),
+        )
         page = _page(options, "linearize", report, origin)
-        _write(directory, {"linearization.json": document}, figures, page)
+        _write(directory, {"linearization.json": text}, figures, page)
         files = ", ".join(sorted(file.name for file in directory.iterdir()))
     if options.json:
-        print(document, end="")
+        print(text, end="")
         return
     print(f"plant: {plant}\nloop: {loop}")
     print(f"In {options.out}: {files}")
+
+
+def _section(title: str, text: str) -> list[str | list[str]]:
+    """Blocks of a `document`: a heading, the first line and the others as a list."""
+    first, *others = text.splitlines()
+    return [f"## {title}", first, [f"- {line.strip()}" for line in others]]
 
 
 def params(options: argparse.Namespace) -> None:

@@ -29,16 +29,21 @@ th, td { border-bottom: 1px solid #d0d4d9; padding: 0.3rem 0.7rem; text-align: l
   vertical-align: top; }
 figure { margin: 1.5rem 0; }
 figure label { display: block; overflow-x: auto; cursor: zoom-in; }
-figure svg { display: block; width: 100%; height: auto; }
+figure svg { display: block; max-width: 100%; height: auto; }
 figure input { position: absolute; opacity: 0; }
-figure input:checked + svg { width: 90rem; cursor: zoom-out; }
+figure input:checked + svg { width: 90rem; max-width: none; cursor: zoom-out; }
 figure input:focus-visible + svg { outline: 2px solid #1a6fb5; }
 .view button { font: inherit; padding: 0.5rem 1rem; }
 .view iframe { width: 100%; height: 70vh; border: 1px solid #d0d4d9; }
 figcaption { color: #5a6069; font-size: 0.85rem; }
 pre { overflow-x: auto; background: #f4f5f7; padding: 0.7rem; font-size: 0.85rem; }
 footer { color: #5a6069; border-top: 1px solid #d0d4d9; margin-top: 2rem; }
+@media screen and (pointer: coarse) { figcaption::after { content: " (tap to enlarge)"; } }
 @media print {
+  body { max-width: none; padding: 0; font-size: 11pt; }
+  table { font-size: 7.5pt; }
+  th, td { padding: 0.2rem 0.4rem; }
+  .scroll, figure label { overflow: visible; }
   details, .view { display: none; }
   figure, tr { break-inside: avoid; }
   figure input:checked + svg { width: 100%; }

@@ -46,7 +46,9 @@ _HEAD = """
 #caption { position: absolute; left: 12px; top: 8px; max-width: 60vw; font: 14px sans-serif;
   color: #222; background: rgba(255, 255, 255, 0.8); padding: 6px 10px; pointer-events: none; }
 #caption ol { margin: 4px 0; padding-left: 1.4em; }
-@media (max-width: 600px) { #caption { font-size: 11px; left: 0; top: 0; } }
+@media (max-width: 600px) {
+  #caption { font-size: 11px; left: 0; top: auto; bottom: 0; max-width: none; }
+}
 </style>
 """
 
@@ -166,16 +168,17 @@ def _record(
         for values in (leg.knee_angle_rad, leg.reference_rad, leg.pressure_pa)
     )
     now, wanted = points(leg.linkage, angle), points(leg.linkage, reference)
-    parts = _Parts(meshcat, path, times, depth, now)
+    meshcat.SetTransform(path, RigidTransform(_world(0j, depth)))
+    parts = _Parts(meshcat, path, times, now)
     for name, bar in BARS.items():
         parts.add_bar(name, bar, now, Rgba(*bar.colour), bar.radius_m)
     for name in (*PINS, "icr"):
         parts.add_pin(f"pin_{name}", now[name], _ICR if name == "icr" else _DARK)
-    ghost = _Parts(meshcat, f"{path}/reference", times, depth, wanted)
+    ghost = _Parts(meshcat, f"{path}/reference", times, wanted)
     for name in GHOST:  # hidden within what it agrees with
         ghost.add_bar(name, BARS[name], wanted, _GHOST, 0.85 * BARS[name].radius_m)
     sweep = np.radians(np.linspace(0.0, 90.0, 91))
-    trail = np.array([_world(point, depth) for point in points(leg.linkage, sweep)["icr"]])
+    trail = np.array([_world(point, 0.0) for point in points(leg.linkage, sweep)["icr"]])
     meshcat.SetLine(f"{path}/icr_path", trail.T, 2.0, _ICR)
     for time, colour in zip(times.tolist(), pressure_colours(pressure, largest), strict=True):
         meshcat.SetProperty(
@@ -196,9 +199,7 @@ class _Parts:
     still has a single pose, and what turns with the shank has a single pose on it.
     """
 
-    def __init__(
-        self, meshcat: Meshcat, path: str, times: Array, depth: float, at: Mapping[str, Points]
-    ) -> None:
+    def __init__(self, meshcat: Meshcat, path: str, times: Array, at: Mapping[str, Points]) -> None:
         self._meshcat, self._path, self._times = meshcat, path, times.tolist()
         down = at["ankle"] - at["shank_start"]
         still = np.zeros_like(down)
@@ -206,7 +207,6 @@ class _Parts:
             path: (still, still + 1.0),
             f"{path}/on_shank": (at["shank_start"], down / np.abs(down)),
         }
-        meshcat.SetTransform(path, RigidTransform(_world(0j, depth)))
         self._move(f"{path}/on_shank", RotationMatrix(), *self._frames[f"{path}/on_shank"])
 
     def add_bar(
