@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kneexo.errors import ParameterError
+from kneexo.errors import OutputError, ParameterError
 from kneexo.studies.catalogue import Study
 from kneexo.version import __version__
 
@@ -381,6 +381,8 @@ def diagram(options: argparse.Namespace) -> None:
 
 def view(options: argparse.Namespace) -> None:
     """``kneexo view``."""
+    import webbrowser
+
     from kneexo.output import to_json
     from kneexo.scenario_file import load_scenario
     from kneexo.view.legs import leg_of_results, leg_of_scenario
@@ -410,6 +412,8 @@ def view(options: argparse.Namespace) -> None:
         print(to_json({"kneexo": __version__, "page": str(options.out), "runs": names}), end="")
     else:
         print(f"{options.out}: {', '.join(names)}; open it in a browser")
+    if options.open and not webbrowser.open(options.out.resolve().as_uri()):
+        raise OutputError(f"--open: no browser here; {options.out} is written, open it elsewhere")
 
 
 def _named_runs(runs: Sequence[str] | None) -> list[tuple[str, str | None]]:

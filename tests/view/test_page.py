@@ -149,6 +149,23 @@ def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):
     assert {file.name for file in tmp_path.iterdir()} == {"knee.html", "other.html", "socket.html"}
 
 
+def test_a_page_opens_where_there_is_a_browser(tmp_path, monkeypatch, capsys):
+    page = tmp_path / "my knee.html"
+    command = ["view", "--out", str(page), "--set", "simulation.duration_s=0.5"]
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or len(opened) == 1)
+    assert main([*command, "--open"]) == 0
+    assert opened == [page.as_uri()]
+    capsys.readouterr()
+    page.unlink()
+    assert main([*command, "--open"]) == 2
+    told = capsys.readouterr().err
+    assert told == f"kneexo: --open: no browser here; {page} is written, open it elsewhere\n"
+    assert page.exists()
+    assert main(command) == 0
+    assert len(opened) == 2
+
+
 @pytest.fixture
 def finished(tmp_path):
     """The directory of a run, which one row of signals stands for."""
