@@ -297,8 +297,12 @@ class _Browser:
     """Chromium without a window, by its DevTools protocol over pipes: one page at a time."""
 
     def __init__(self, profile):
-        options = ["--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader"]
-        options += ["--remote-debugging-pipe", f"--user-data-dir={profile}"]
+        options = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"]
+        options += [
+            "--enable-unsafe-swiftshader",
+            "--remote-debugging-pipe",
+            f"--user-data-dir={profile}",
+        ]
         to_chromium, self._out = os.pipe()
         self._in, from_chromium = os.pipe()
 
