@@ -1,12 +1,15 @@
 """Shared: the four-bar linkage by compass and ruler; tables and lines as they are printed."""
 
+import base64
 import math
 import re
 import signal
 import sys
+from contextlib import suppress
 from decimal import Decimal, InvalidOperation
 from types import SimpleNamespace
 
+import msgpack
 import numpy as np
 import pytest
 
@@ -53,6 +56,25 @@ def _walk(link, theta_4):
 def compass():
     """The function ``compass(link, theta_4)``: joints, knee angle and rod along a path."""
     return _walk
+
+
+def _meshcat_commands(page):
+    """What a page of Meshcat tells its viewer: messages in MessagePack, in base64."""
+    messages = []
+    for text in re.findall(r"base64,([A-Za-z0-9+/=]+)", page):
+        with suppress(ValueError):  # the viewer's own files are no messages
+            message = msgpack.unpackb(base64.b64decode(text))
+            messages += [message] if isinstance(message, dict) and "type" in message else []
+    return messages
+
+
+@pytest.fixture(scope="session")
+def commands():
+    """The function ``commands(page)``: what a page of Meshcat tells its viewer, one after another.
+
+    Such as ``{"type": "set_property", "path": …, "property": …, "value": …}``.
+    """
+    return _meshcat_commands
 
 
 def _tables(text):

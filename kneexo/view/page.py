@@ -16,24 +16,31 @@ from pydrake.geometry import Cylinder, Meshcat, MeshcatParams, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 
 from kneexo.errors import OutputError
+from kneexo.mechanism import (
+    BARS,
+    GHOST,
+    PIN,
+    PINS,
+    SPACING_M,
+    Bar,
+    Points,
+    bar_pose,
+    in_world as _world,
+    points,
+    pressure_colours,
+)
 from kneexo.parameters import LinkageParameters
 from kneexo.version import __version__
-from kneexo.view.mechanism import BARS, GHOST, PINS, Bar, Points, points
 
 Array = NDArray[np.float64]
 
 FRAMES_PER_S = 32.0
 """Frames of a recording in a second."""
 
-SPACING_M = 0.30
-"""Distance of legs that stand beside each other."""
-
 MARK = "<!-- made by kneexo view -->"
 """In each page, so that one page may replace another."""
 
-PIN = Cylinder(0.004, 0.052)
 _ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)
-_LOW, _HIGH, _NONE = np.array([0.1, 0.3, 0.9]), np.array([0.9, 0.15, 0.1]), np.array([0.85] * 3)
 
 
 @dataclass(frozen=True)
@@ -135,12 +142,6 @@ def _record(meshcat: Meshcat, path: str, leg: Leg, depth: float, largest: float)
         )
 
 
-def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
-    """Red, green, blue (n, 3) of pressures (n,): blue at -largest, grey at 0, red at largest."""
-    share = (pressure_pa / (largest_pa or 1.0))[:, None]
-    return np.asarray(_NONE + np.abs(share) * (np.where(share > 0.0, _HIGH, _LOW) - _NONE))
-
-
 def _bar(
     meshcat: Meshcat,
     path: str,
@@ -160,18 +161,6 @@ def _bar(
         meshcat.SetTransform(
             path, bar_pose(first, last, depth + bar.layer_m), time_in_recording=time
         )
-
-
-def bar_pose(start: complex, end: complex, depth: float) -> RigidTransform:
-    """Pose of a bar whose axis is z and whose origin is its middle."""
-    along = _world(end - start, 0.0)
-    rotation = RotationMatrix.MakeFromOneVector(along, 2)
-    return RigidTransform(rotation, _world(0.5 * (start + end), depth))
-
-
-def _world(point: complex, depth: float) -> Array:
-    """A point of the knee's plane, z up."""
-    return np.array([point.real, depth, point.imag])
 
 
 def _caption(legs: Sequence[Leg], largest: float) -> str:

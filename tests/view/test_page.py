@@ -17,21 +17,13 @@ from kneexo.parameters import Scenario
 from kneexo.scenario_file import load_scenario
 from kneexo.simulation import simulate
 from kneexo.view.legs import leg_of_results, leg_of_scenario
-from kneexo.view.page import MARK, Leg, bar_pose, pressure_colours, view_page, write_page
+from kneexo.view.page import MARK, Leg, view_page, write_page
 
 SHORT = {"simulation": {"duration_s": 0.5}}
 
 
 def scenario_of(**fields):
     return Scenario.model_validate(SHORT | fields)
-
-
-def test_a_bar_lies_between_its_points():
-    pose = bar_pose(0.1 + 0.2j, 0.4 + 0.6j, 0.3)
-    half = 0.25
-    for sign, point in ((-1.0, 0.1 + 0.2j), (1.0, 0.4 + 0.6j)):
-        end = pose.multiply(np.array([0.0, 0.0, sign * half]))
-        np.testing.assert_allclose(end, [point.real, 0.3, point.imag], atol=1e-12)
 
 
 def test_a_page_tells_its_runs_in_safe_html():
@@ -44,18 +36,6 @@ def test_a_page_tells_its_runs_in_safe_html():
     assert "&lt;b&gt;mine&lt;/b&gt;" in page
     assert "−2 MPa … red 2 MPa" in page
     assert len(page) < 8e6
-
-
-def test_the_cylinder_is_blue_at_negative_and_red_at_positive_pressure():
-    colours = pressure_colours(np.array([-2e6, -1e6, 0.0, 1e6, 2e6]), 2e6)
-    low, half_low, none, half_high, high = colours
-    assert low[2] == max(low) > 0.8
-    assert high[0] == max(high) > 0.8
-    assert np.ptp(none) == 0.0
-    np.testing.assert_allclose(half_low, 0.5 * (low + none))
-    np.testing.assert_allclose(half_high, 0.5 * (high + none))
-    assert ((colours >= 0.0) & (colours <= 1.0)).all()
-    assert np.isfinite(pressure_colours(np.zeros(2), 0.0)).all()
 
 
 def test_a_leg_has_the_signals_of_its_run():
