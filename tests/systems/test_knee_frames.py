@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import Rgba, SceneGraph
 
 from kneexo.errors import LinkageError, ParameterError
 from kneexo.linkage import encoder_angle
@@ -40,6 +40,14 @@ class Shown:
                 part = self.inspector.GetName(frame).removeprefix(f"{self.prefix}::")
                 shapes[part] = self.inspector.GetShape(geometry)
         return shapes
+
+    def colours(self):
+        colours = {}
+        for geometry in self.inspector.GetAllGeometryIds():
+            name = self.inspector.GetName(geometry)
+            properties = self.inspector.GetIllustrationProperties(geometry)
+            colours[name] = properties.GetProperty("phong", "diffuse")
+        return colours
 
     def poses(self, angle, reference=None):
         context = self.system.CreateDefaultContext()
@@ -86,10 +94,15 @@ def test_parts_are_bones_links_pins_actuator_and_the_ghost_of_the_reference():
     shapes = shown.shapes()
     assert set(shapes) == BARS | GHOSTS | PINS
     assert set(shown.poses(0.5)) == set(shapes)
+    assert shown.poses(0.5)["shank"].translation()[1] == 0.0
     assert shown.inspector.GetName(shown.system.source) == "left"
     for ghost in GHOSTS:  # hidden within what it agrees with
         assert shapes[ghost].radius() < shapes[ghost.removeprefix("reference_")].radius()
     assert shapes["rod"].radius() < shapes["cylinder"].radius()
+    colours = shown.colours()
+    assert colours["pin_icr"] == Rgba(0.8, 0.0, 0.5)
+    assert colours["link_2"] == Rgba(0.1, 0.5, 0.8)
+    assert colours["reference_shank"].a() < 0.5 < colours["shank"].a()  # transparent
 
 
 # -------------------------------------------------------------------------------- numbers

@@ -144,6 +144,22 @@ def test_runs_have_names_that_differ(tmp_path, capsys, monkeypatch, finished):
     assert json.loads(capsys.readouterr().out)["runs"] == ["a/run", "b/run", "walk"]
 
 
+def test_a_scenario_file_and_a_directory_of_one_name_have_names_that_differ(
+    tmp_path, capsys, monkeypatch, finished
+):
+    finished("x")
+    finished("y/x")
+    (tmp_path / "x.yaml").write_text("simulation: {duration_s: 0.1}\n")
+    monkeypatch.chdir(tmp_path)
+    for runs, names in (
+        (["x.yaml", "x"], ["x.yaml", "x"]),
+        (["x", "x.yaml", "y/x"], ["x", "x.yaml", "y/x"]),
+        (["x.yaml", "x.yaml", "x.yaml"], ["x.yaml", "x.yaml (2)", "x.yaml (3)"]),
+    ):
+        assert main(["view", *runs, "--out", "knee.html", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["runs"] == names
+
+
 def test_values_of_a_finished_run_cannot_be_set(tmp_path, capsys, finished):
     run, page = finished("run"), tmp_path / "knee.html"
     assert main(["view", run, "--set", "plant.linkage=G3", "--out", str(page)]) == 2
