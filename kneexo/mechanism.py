@@ -74,8 +74,16 @@ GHOST_RADIUS = 0.85
 """Radius of a ghost, as a part of that of its bar: hidden within what it agrees with."""
 
 PIN = Cylinder(0.004, 0.052)
-PIN_COLOUR, ICR_COLOUR = Rgba(0.15, 0.15, 0.18), Rgba(0.8, 0.0, 0.5)
+"""Shape of a pin."""
+
+PIN_COLOUR = Rgba(0.15, 0.15, 0.18)
+"""Colour of pins."""
+
+ICR_COLOUR = Rgba(0.8, 0.0, 0.5)
+"""Colour of the instantaneous centre of rotation and of its path."""
+
 GHOST_COLOUR = Rgba(0.35, 0.35, 0.35, 0.35)
+"""Colour of ghosts, transparent."""
 
 _ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)
 _LOW, _HIGH, _NONE = np.array([0.1, 0.3, 0.9]), np.array([0.9, 0.15, 0.1]), np.array([0.85] * 3)

@@ -18,6 +18,9 @@ from kneexo.systems.pressure_colour import PressureColour
 PORTS = {"knee_angle": 1, "knee_reference": 4, "load_pressure": 1}
 """Output ports of a leg that are shown, with their sizes; only the first must be there."""
 
+PERIOD_S = 1.0 / 32.0
+"""Time between two pictures, in s."""
+
 
 def add_meshcat_view(
     builder: DiagramBuilder,
@@ -66,15 +69,14 @@ def add_meshcat_view(
                     f"{leg.get_name()}: must have an output port {name} of size {size}"
                 )
     parameters = MeshcatVisualizerParams()
-    parameters.prefix = "knees"
+    parameters.prefix, parameters.publish_period = "knees", PERIOD_S
     scene_graph, frames, colours = SceneGraph(), {}, {}
     for number, (leg, linkage) in enumerate(legs.items()):
         name, depth_m = leg.get_name(), (number - 0.5 * (len(legs) - 1)) * SPACING_M
         frames[leg] = KneeFrames(scene_graph, linkage, name=name, depth_m=depth_m)
         if "load_pressure" in sizes[leg]:
             path = f"{parameters.prefix}/{name}/cylinder/cylinder"
-            period_s = parameters.publish_period
-            colours[leg] = PressureColour(meshcat, path, largest_pressure_pa, period_s)
+            colours[leg] = PressureColour(meshcat, path, largest_pressure_pa, PERIOD_S)
         # Outside the visualizer's tree, which it deletes when a simulation starts.
         meshcat.SetLine(f"icr_paths/{name}", icr_path(linkage, depth_m), 2.0, ICR_COLOUR)
     builder.AddNamedSystem("scene_graph", scene_graph)

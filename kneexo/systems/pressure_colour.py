@@ -61,5 +61,8 @@ class PressureColour(LeafSystem):
 
     def _publish(self, context: Any) -> EventStatus:
         (colour,) = pressure_colours(self._pressure.Eval(context), self._largest_pa).tolist()
-        self._meshcat.SetProperty(self._path, "color", [*colour, 1.0], context.get_time())
+        for channel, value in zip("rgb", colour, strict=True):
+            # Meshcat's own property "color" does not move in a recording.
+            name = f"material.color[{channel}]"
+            self._meshcat.SetProperty(self._path, name, value, context.get_time())
         return EventStatus.Succeeded()

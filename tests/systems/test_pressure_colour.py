@@ -53,12 +53,15 @@ def test_the_colour_goes_from_blue_over_grey_to_red(meshcat, commands, pressure,
     context = system.CreateDefaultContext()
     system.get_input_port().FixValue(context, [pressure])
     system.ForcedPublish(context)
-    (value,) = (
-        command["value"]
+    values = {
+        command["property"]: command["value"]
         for command in commands(meshcat.StaticHtml())
         if command["type"] == "set_property" and command["path"] == "/drake/part/<object>"
-    )
-    np.testing.assert_allclose(value, [*expected, 1.0], atol=1e-12)
+    }
+    assert values == {
+        f"material.color[{channel}]": pytest.approx(value, abs=1e-12)
+        for channel, value in zip("rgb", expected, strict=True)
+    }
 
 
 def test_a_recording_has_the_colour_of_each_period(meshcat, commands):
@@ -72,13 +75,14 @@ def test_a_recording_has_the_colour_of_each_period(meshcat, commands):
     (animation,) = (c for c in commands(meshcat.StaticHtml()) if c["type"] == "set_animation")
     ((path, clip),) = ((a["path"], a["clip"]) for a in animation["animations"])
     assert (path, clip["fps"]) == ("/drake/part/<object>", 20.0)
-    (track,) = clip["tracks"]
-    assert track["name"] == ".color"
-    assert [key["time"] for key in track["keys"]] == list(range(21))
-    redder = [key["value"][0] > key["value"][2] + 1e-9 for key in track["keys"]]
-    assert redder == [0 < frame < 10 for frame in range(21)]
-    assert track["keys"][5]["value"] == pytest.approx([*RED, 1.0])
-    assert track["keys"][15]["value"] == pytest.approx([*BLUE, 1.0])
+    colours = {}
+    for track in clip["tracks"]:
+        assert [key["time"] for key in track["keys"]] == list(range(21))
+        colours[track["name"]] = [key["value"] for key in track["keys"]]
+    colours = np.array([colours[f".material.color[{channel}]"] for channel in "rgb"]).T
+    redder = colours[:, 0] > colours[:, 2] + 1e-9
+    assert redder.tolist() == [0 < frame < 10 for frame in range(21)]
+    np.testing.assert_allclose(colours[[5, 15]], [RED, BLUE], atol=1e-12)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
