@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -82,7 +83,7 @@ class Recording:
 
 @pytest.fixture(scope="module")
 def recorded(commands):
-    """Two legs for half a second: scenarios and logs by leg, and the recorded page's commands."""
+    """Two legs for half a second: logs by leg and port, the recorded page and its commands."""
     common = {"reference": {"kind": "sine", "frequency_hz": 0.4}}
     load = {"kind": "knee"}
     scenarios = {
@@ -105,13 +106,14 @@ def recorded(commands):
     visualizer.PublishRecording()
     context = simulator.get_context()
     values = {key: log.FindLog(context).data()[0].copy() for key, log in logs.items()}
-    return values, commands(meshcat.StaticHtml())
+    page = meshcat.StaticHtml()
+    return SimpleNamespace(logs=values, page=page, commands=commands(page))
 
 
 @pytest.mark.parametrize(("leg", "link"), [("smc", G1), ("pid", G3)])
 def test_a_recording_holds_the_linkage_at_the_simulated_angles(recorded, leg, link):
-    logs, told = recorded
-    recording, angle = Recording(told), logs[leg, "knee_angle"]
+    logs = recorded.logs
+    recording, angle = Recording(recorded.commands), logs[leg, "knee_angle"]
     assert recording.rate == 1.0 / PERIOD_S
     assert np.ptp(angle) > math.radians(3.0)  # it moves
     assert angle.size == 17
@@ -146,9 +148,8 @@ def test_a_recording_holds_the_linkage_at_the_simulated_angles(recorded, leg, li
 
 @pytest.mark.parametrize("leg", ["smc", "pid"])
 def test_a_recording_holds_the_pressure_as_colour(recorded, leg):
-    logs, told = recorded
-    recording, path = Recording(told), f"{leg}/cylinder/cylinder/<object>"
-    share = logs[leg, "load_pressure"] / FULL_PA
+    recording, path = Recording(recorded.commands), f"{leg}/cylinder/cylinder/<object>"
+    share = recorded.logs[leg, "load_pressure"] / FULL_PA
     assert share.min() < -0.1
     assert np.abs(share).max() < 1.0
     for channel, positive, negative in (("r", 0.9, 0.1), ("g", 0.15, 0.3), ("b", 0.1, 0.9)):
@@ -158,7 +159,7 @@ def test_a_recording_holds_the_pressure_as_colour(recorded, leg):
 
 
 def test_legs_stand_beside_each_other_the_first_one_nearest(recorded):
-    _, told = recorded
+    told = recorded.commands
     recording = Recording(told)
     depths = [recording.values(f"{leg}/shank", ".position")[:, 1] for leg in ("smc", "pid")]
     assert [set(depth) for depth in depths] == [{-0.15}, {0.15}]
