@@ -417,17 +417,23 @@ def view(options: argparse.Namespace) -> None:
 
 
 def _named_runs(runs: Sequence[str] | None) -> list[tuple[str, str | None]]:
-    """Each run with its name: of its file or directory, after the parent's where names are equal.
+    """Each run with its name; no two names are equal. Without runs the paper's, None.
 
-    Without runs the paper's, None.
+    The name is that of its file or directory; where some are equal, after the parent's name; where
+    these are equal too, the run as it was given, with a number from its second time on.
     """
     if not runs:
         return [("the paper's setup", None)]
     paths = [Path(run).resolve() for run in runs]
     names = [path.name if path.is_dir() else path.stem for path in paths]
+    in_parent = [f"{path.parent.name}/{name}" for path, name in zip(paths, names, strict=True)]
+    for longer in (in_parent, runs):
+        pairs = zip(names, longer, strict=True)
+        names = [other if names.count(name) > 1 else name for name, other in pairs]
+    times = [names[: index + 1].count(name) for index, name in enumerate(names)]
     return [
-        (f"{path.parent.name}/{name}" if names.count(name) > 1 else name, run)
-        for path, name, run in zip(paths, names, runs, strict=True)
+        (name if time == 1 else f"{name} ({time})", run)
+        for name, time, run in zip(names, times, runs, strict=True)
     ]
 
 

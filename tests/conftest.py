@@ -14,9 +14,11 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from decimal import Decimal, InvalidOperation
 from types import SimpleNamespace
 
+import msgpack
 import numpy as np
 import pytest
 
@@ -63,6 +65,25 @@ def _walk(link, theta_4):
 def compass():
     """The function ``compass(link, theta_4)``: joints, knee angle and rod along a path."""
     return _walk
+
+
+def _meshcat_commands(page):
+    """What a page of Meshcat tells its viewer: messages in MessagePack, in base64."""
+    messages = []
+    for text in re.findall(r"base64,([A-Za-z0-9+/=]+)", page):
+        with suppress(ValueError):  # the viewer's own files are no messages
+            message = msgpack.unpackb(base64.b64decode(text))
+            messages += [message] if isinstance(message, dict) and "type" in message else []
+    return messages
+
+
+@pytest.fixture(scope="session")
+def commands():
+    """The function ``commands(page)``: what a page of Meshcat tells its viewer, one after another.
+
+    Such as ``{"type": "set_property", "path": …, "property": …, "value": …}``.
+    """
+    return _meshcat_commands
 
 
 def _tables(text):
@@ -396,6 +417,20 @@ class _Browser:
     def require_width(self):
         """No part of the page lies beyond the right edge of the window."""
         assert self.evaluate("document.documentElement.scrollWidth") <= self._width
+
+    def views_of_playing(self, window="window"):
+        """Pictures of a view 1 s and 4 s after its start, in a window of the page, as it plays."""
+        self.wait_for(f"{window}?.viewer?.animator?.time > 0.1")
+        pictures = []
+        for second in (1, 4):
+            script = """(async (window) => {
+              window.viewer.animator.pause();
+              window.viewer.animator.seek(%d);
+              for (let frame = 0; frame < 3; ++frame) await new Promise(requestAnimationFrame);
+            })(%s)"""
+            self.evaluate(script % (second, window))
+            pictures.append(self.picture())
+        return pictures
 
     def picture(self):
         """What the window shows, (rows, columns, 3) from 0 to 1."""

@@ -16,9 +16,25 @@ from pydrake.geometry import Cylinder, Meshcat, MeshcatParams, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 
 from kneexo.errors import OutputError
+from kneexo.mechanism import (
+    BARS,
+    GHOST,
+    GHOST_COLOUR,
+    GHOST_RADIUS,
+    ICR_COLOUR,
+    PIN,
+    PIN_COLOUR,
+    PINS,
+    SPACING_M,
+    Bar,
+    Points,
+    icr_path,
+    in_world,
+    points,
+    pressure_colours,
+)
 from kneexo.parameters import LinkageParameters
 from kneexo.version import __version__
-from kneexo.view.mechanism import BARS, GHOST, PINS, Bar, Points, points
 
 Array = NDArray[np.float64]
 
@@ -30,9 +46,6 @@ MOST_FRAMES = 4800
 
 MOST_FRAMES_IN_REPORT = 1920
 """The same of a page within a report, which stays below 3 MB."""
-
-SPACING_M = 0.30
-"""Distance of legs that stand beside each other."""
 
 COLUMNS = ("time_s", "knee_angle_rad", "knee_reference_rad", "load_pressure_pa")
 """What a page shows of a run."""
@@ -52,18 +65,11 @@ _HEAD = """
 </style>
 """
 
-PIN = Cylinder(0.004, 0.052)
 _ALONG, _ACROSS = (
     RotationMatrix.MakeYRotation(0.5 * np.pi),
     RotationMatrix.MakeXRotation(0.5 * np.pi),
 )
-_ICR, _DARK, _GHOST = (
-    Rgba(0.8, 0.0, 0.5),
-    Rgba(0.15, 0.15, 0.18),
-    Rgba(0.35, 0.35, 0.35, 0.35),
-)
 _TOLERANCE = 1e-9  # m and rad
-_LOW, _HIGH, _NONE = np.array([0.1, 0.3, 0.9]), np.array([0.9, 0.15, 0.1]), np.array([0.85] * 3)
 
 
 @dataclass(frozen=True)
@@ -168,28 +174,20 @@ def _record(
         for values in (leg.knee_angle_rad, leg.reference_rad, leg.pressure_pa)
     )
     now, wanted = points(leg.linkage, angle), points(leg.linkage, reference)
-    meshcat.SetTransform(path, RigidTransform(_world(0j, depth)))
+    meshcat.SetTransform(path, RigidTransform(in_world(0j, depth)))
     parts = _Parts(meshcat, path, times, now)
     for name, bar in BARS.items():
         parts.add_bar(name, bar, now, Rgba(*bar.colour), bar.radius_m)
     for name in (*PINS, "icr"):
-        parts.add_pin(f"pin_{name}", now[name], _ICR if name == "icr" else _DARK)
+        parts.add_pin(f"pin_{name}", now[name], ICR_COLOUR if name == "icr" else PIN_COLOUR)
     ghost = _Parts(meshcat, f"{path}/reference", times, wanted)
     for name in GHOST:  # hidden within what it agrees with
-        ghost.add_bar(name, BARS[name], wanted, _GHOST, 0.85 * BARS[name].radius_m)
-    sweep = np.radians(np.linspace(0.0, 90.0, 91))
-    trail = np.array([_world(point, 0.0) for point in points(leg.linkage, sweep)["icr"]])
-    meshcat.SetLine(f"{path}/icr_path", trail.T, 2.0, _ICR)
+        ghost.add_bar(name, BARS[name], wanted, GHOST_COLOUR, GHOST_RADIUS * BARS[name].radius_m)
+    meshcat.SetLine(f"{path}/icr_path", icr_path(leg.linkage), 2.0, ICR_COLOUR)
     for time, colour in zip(times.tolist(), pressure_colours(pressure, largest), strict=True):
         meshcat.SetProperty(
             f"{path}/cylinder/<object>", "material.color", colour.tolist(), time_in_recording=time
         )
-
-
-def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
-    """Red, green, blue (n, 3) of pressures (n,): blue at -largest, grey at 0, red at largest."""
-    share = (pressure_pa / (largest_pa or 1.0))[:, None]
-    return np.asarray(_NONE + np.abs(share) * (np.where(share > 0.0, _HIGH, _LOW) - _NONE))
 
 
 class _Parts:
@@ -244,7 +242,7 @@ class _Parts:
     ) -> None:
         angle = -np.angle(turn)
         poses = (
-            RigidTransform(RotationMatrix.MakeYRotation(y) @ axis, _world(point, layer_m))
+            RigidTransform(RotationMatrix.MakeYRotation(y) @ axis, in_world(point, layer_m))
             for point, y in zip(place, angle, strict=True)
         )
         if _is_constant(place) and _is_constant(turn):
@@ -256,18 +254,6 @@ class _Parts:
 
 def _is_constant(values: Points) -> bool:
     return bool(np.abs(values - values[0]).max() < _TOLERANCE)
-
-
-def bar_pose(start: complex, end: complex, depth: float) -> RigidTransform:
-    """Pose of a bar whose axis is z and whose origin is its middle."""
-    along = _world(end - start, 0.0)
-    rotation = RotationMatrix.MakeFromOneVector(along, 2)
-    return RigidTransform(rotation, _world(0.5 * (start + end), depth))
-
-
-def _world(point: complex, depth: float) -> Array:
-    """A point of the knee's plane, z up."""
-    return np.array([point.real, depth, point.imag])
 
 
 def _caption(legs: Sequence[Leg], largest: float, end_s: float) -> str:

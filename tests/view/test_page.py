@@ -11,18 +11,16 @@ import pytest
 
 from kneexo.cli import main
 from kneexo.errors import OutputError, ScenarioError, SimulationError
+from kneexo.mechanism import PINS, points, pressure_colours
 from kneexo.parameters import Scenario
 from kneexo.scenario_file import load_scenario
 from kneexo.simulation import simulate
 from kneexo.view.legs import leg_of_results, leg_of_scenario
-from kneexo.view.mechanism import PINS, points
 from kneexo.view.page import (
     FRAMES_PER_S,
     MARK,
     MOST_FRAMES,
     Leg,
-    bar_pose,
-    pressure_colours,
     shown_s,
     view_page,
     write_page,
@@ -35,14 +33,6 @@ def scenario_of(**fields):
     return Scenario.model_validate(SHORT | fields)
 
 
-def test_a_bar_lies_between_its_points():
-    pose = bar_pose(0.1 + 0.2j, 0.4 + 0.6j, 0.3)
-    half = 0.25
-    for sign, point in ((-1.0, 0.1 + 0.2j), (1.0, 0.4 + 0.6j)):
-        end = pose.multiply(np.array([0.0, 0.0, sign * half]))
-        np.testing.assert_allclose(end, [point.real, 0.3, point.imag], atol=1e-12)
-
-
 def test_a_page_tells_its_runs_in_safe_html():
     time = np.linspace(0.0, 1.0, 11)
     leg = Leg(
@@ -53,18 +43,6 @@ def test_a_page_tells_its_runs_in_safe_html():
     assert "&lt;b&gt;mine&lt;/b&gt;" in page
     assert "−2 MPa … red 2 MPa" in page
     assert len(page) < 8e6
-
-
-def test_the_cylinder_is_blue_at_negative_and_red_at_positive_pressure():
-    colours = pressure_colours(np.array([-2e6, -1e6, 0.0, 1e6, 2e6]), 2e6)
-    low, half_low, none, half_high, high = colours
-    assert low[2] == max(low) > 0.8
-    assert high[0] == max(high) > 0.8
-    assert np.ptp(none) == 0.0
-    np.testing.assert_allclose(half_low, 0.5 * (low + none))
-    np.testing.assert_allclose(half_high, 0.5 * (high + none))
-    assert ((colours >= 0.0) & (colours <= 1.0)).all()
-    assert np.isfinite(pressure_colours(np.zeros(2), 0.0)).all()
 
 
 def test_a_leg_has_the_signals_of_its_run():
@@ -188,6 +166,22 @@ def test_runs_have_names_that_differ(tmp_path, capsys, monkeypatch, finished):
     page = str(tmp_path / "knee.html")
     assert main(["view", first, second, ".", "--out", page, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["runs"] == ["a/run", "b/run", "walk"]
+
+
+def test_a_scenario_file_and_a_directory_of_one_name_have_names_that_differ(
+    tmp_path, capsys, monkeypatch, finished
+):
+    finished("x")
+    finished("y/x")
+    (tmp_path / "x.yaml").write_text("simulation: {duration_s: 0.1}\n")
+    monkeypatch.chdir(tmp_path)
+    for runs, names in (
+        (["x.yaml", "x"], ["x.yaml", "x"]),
+        (["x", "x.yaml", "y/x"], ["x", "x.yaml", "y/x"]),
+        (["x.yaml", "x.yaml", "x.yaml"], ["x.yaml", "x.yaml (2)", "x.yaml (3)"]),
+    ):
+        assert main(["view", *runs, "--out", "knee.html", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["runs"] == names
 
 
 def test_values_of_a_finished_run_cannot_be_set(tmp_path, capsys, finished):
@@ -329,10 +323,7 @@ def test_a_page_plays_by_itself(size, phone, browser, tmp_path):
     page = tmp_path / "knee.html"
     write_page(page, view_page([leg, leg]))
     browser.open(page, *size, phone=phone)
-    pictures = []
-    for time in (1.0, 3.0):
-        browser.wait_for(f"viewer.animator.time > {time}")
-        pictures.append(browser.picture())
+    pictures = browser.views_of_playing()
     for picture in pictures:  # legs on white ground
         below = picture[picture.shape[0] // 4 :]  # the caption
         assert 0.005 < (below.min(axis=2) < 0.9).mean() < 0.5
