@@ -16,7 +16,7 @@ from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.meshcat_view import add_meshcat_view
 from kneexo.errors import LinkageError, ParameterError
 from kneexo.linkage import icr, pose, rod_extension
-from kneexo.mechanism import BARS, GHOST, PINS
+from kneexo.mechanism import BARS, GHOST, PINS, pressure_colours
 from kneexo.parameters import G1, G3, LinkageParameters, Scenario
 
 PERIOD_S = 1.0 / 32.0
@@ -209,3 +209,21 @@ def test_diagrams_do_not_import_the_geometry_that_only_views_need():
     code = "import sys, kneexo.diagrams, kneexo.systems; print('pydrake.geometry' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
+
+
+@pytest.mark.slow
+def test_a_browser_plays_a_recording_with_its_colours(recorded, browser, tmp_path):
+    page = tmp_path / "recording.html"
+    page.write_text(recorded.page)
+    browser.open(page)
+    browser.wait_for("viewer.animator.actions.length > 0")
+    cylinder = "viewer.scene_tree.find(['drake', 'knees', 'smc', 'cylinder', 'cylinder'])"
+    material = f"{cylinder}.children['<object>'].object.material"
+    for frame in (4, 15):
+        browser.evaluate(f"viewer.animator.pause(), viewer.animator.seek({frame * PERIOD_S}), null")
+        pressure = recorded.logs["smc", "load_pressure"][[frame]]
+        colour = browser.evaluate(f"{material}.color.toArray()")
+        np.testing.assert_allclose(colour, pressure_colours(pressure, FULL_PA)[0], atol=1e-6)
+    picture = browser.picture()
+    assert (np.ptp(picture, axis=2) > 0.1).sum() > 100  # coloured parts
+    browser.require_health()
