@@ -43,16 +43,14 @@ class Bar:
     colour: tuple[float, float, float]
     layer_m: float = 0.0
     """Distance from the knee's plane."""
-    fixed: bool = False
-    """It does not move with the knee."""
 
 
 _BONE, _STEEL = (0.93, 0.89, 0.80), (0.60, 0.62, 0.66)
 
 BARS = {
-    "thigh": Bar("hip", "thigh_end", 0.012, _BONE, fixed=True),
-    "thigh_plate": Bar("thigh_a", "thigh_b", 0.006, _STEEL, fixed=True),
-    "thigh_bracket": Bar("thigh_axis", "thigh_pin", 0.004, _STEEL, fixed=True),
+    "thigh": Bar("hip", "thigh_end", 0.012, _BONE),
+    "thigh_plate": Bar("thigh_a", "thigh_b", 0.006, _STEEL),
+    "thigh_bracket": Bar("thigh_axis", "thigh_pin", 0.004, _STEEL),
     "link_2": Bar("o_a", "a", 0.004, (0.1, 0.5, 0.8), 0.02),
     "link_4": Bar("o_b", "b", 0.004, (0.9, 0.5, 0.1), -0.02),
     "shank": Bar("shank_start", "ankle", 0.011, _BONE),
