@@ -32,9 +32,10 @@ def add_meshcat_view(
     """Show knees of a diagram in Meshcat, beside each other, the first one nearest.
 
     Subsystems: ``scene_graph``; of each leg ``<leg>_frames`` (`KneeFrames`) and, where the leg has
-    the pressure, ``<leg>_pressure_colour`` (`PressureColour`). What is shown of a leg is below its
-    name in Meshcat's tree: bones, links, pins, cylinder and rod, the instantaneous centre of
-    rotation and its path over 0…90°, and as a ghost shank and foot at the reference.
+    the pressure, ``<leg>_pressure_colour`` (`PressureColour`). In Meshcat's tree
+    ``knees/<leg>`` has bones, links, pins, cylinder and rod, the instantaneous centre of rotation,
+    and as a ghost shank and foot at the reference; ``icr_paths/<leg>`` is the centre's path over
+    0…90°.
 
     Parameters
     ----------
@@ -56,13 +57,19 @@ def add_meshcat_view(
         Can record: ``StartRecording``, ``PublishRecording``; then ``meshcat.StaticHtml()`` is a
         page with a time slider.
 
-    Raises `ParameterError` when there is no leg, a port is missing or has another size, or the
-    pressure is not finite and positive; `LinkageError` when a linkage cannot be assembled.
+    Raises `ParameterError` when there is no leg, one is not of the builder, two have one name, a
+    port is missing or has another size, or the pressure is not finite and positive; `LinkageError`
+    when a linkage cannot be assembled. The builder is then as before.
     """
     if not legs:
         raise ParameterError("legs: there is none; must be at least one system with its linkage")
     sizes = {leg: port_sizes(leg) for leg in legs}
+    names = [leg.get_name() for leg in legs]
     for leg, ports in sizes.items():
+        if leg not in builder.GetSystems():
+            raise ParameterError(f"{leg.get_name()}: must be a system of the builder")
+        if names.count(leg.get_name()) > 1:
+            raise ParameterError(f"legs: two have the name {leg.get_name()}; choose another")
         for name, size in PORTS.items():
             if ports.get(name, size) != size or (name == "knee_angle" and name not in ports):
                 raise ParameterError(

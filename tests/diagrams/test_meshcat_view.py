@@ -194,7 +194,12 @@ def test_a_leg_without_its_knee_angle_is_refused(meshcat, port, size, line):
 def test_other_input_that_is_wrong_is_one_line_and_leaves_the_builder_as_it_was(meshcat):
     with pytest.raises(ParameterError, match=r"^legs: there is none; must be at least one"):
         add_meshcat_view(DiagramBuilder(), {}, meshcat)
-    builder = DiagramBuilder()
+    other, builder = DiagramBuilder(), DiagramBuilder()
+    with pytest.raises(ParameterError, match=r"^mine: must be a system of the builder$"):
+        add_meshcat_view(builder, {source(other, "mine"): G1}, meshcat)
+    twins = {source(other, "twin"): G1, source(other, "twin"): G3}
+    with pytest.raises(ParameterError, match=r"^legs: two have the name twin; choose another$"):
+        add_meshcat_view(other, twins, meshcat)
     leg = builder.AddNamedSystem("loop", make_closed_loop(Scenario(), signals=()))
     with pytest.raises(ParameterError, match=r"^largest_pressure_pa = 0 Pa: must be finite and"):
         add_meshcat_view(builder, {leg: G1}, meshcat, largest_pressure_pa=0.0)
