@@ -34,6 +34,7 @@ def exported_source(
     *,
     check_ranges: bool = True,
     outputs: Sequence[str] | None = None,
+    step_s: float | None = None,
 ) -> tuple[Target, CSource]:
     """A target and its C, as `make_firmware` makes it, or with some of its outputs only.
 
@@ -48,6 +49,7 @@ def exported_source(
         outputs=outputs or exported.outputs,
         interface=interface if check_ranges else replace(interface, ranges={}),
         tick_s=exported.tick_s,
+        step_s=step_s,
     )
     return exported, source
 

@@ -101,7 +101,7 @@ EXTERNAL = {
     # Names of Drake, of the standard library and of type variables in our docstrings.
     *("RotaryEncoders", "PassThrough", "DiscreteTimeDelay", "VectorLogSink", "TrajectorySource"),
     *("Linearize", "ValueError", "TypeError", "SystemExit", "pydrake.math"),
-    *("Expression", "FramePoseVector"),
+    *("Expression", "FramePoseVector", "MeshcatVisualizer"),
     *("kneexo.compilation.equations.T", "kneexo.simulation.coroutines.Result"),
     *("control.StateSpace", "pandas.DataFrame", "concurrent.futures.Executor"),
 }

@@ -284,6 +284,7 @@ def _add_view(subparsers: Any) -> None:
         required=True,
         help="the page; replaces a page of an earlier view",
     )
+    sub.add_argument("--open", action="store_true", help="show the page in this system's browser")
 
 
 def _add_exports(subparsers: Any) -> None:

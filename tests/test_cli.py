@@ -674,6 +674,7 @@ def replace_study(monkeypatch, name, compute):
     monkeypatch.setattr(f"kneexo.studies.{name}.{name}_study", compute)
     monkeypatch.setattr(Study, "report", lambda study, result: "# found\n")
     monkeypatch.setattr(Study, "figures", lambda study, result: {})
+    monkeypatch.setattr(Study, "motions", lambda study, result: {})
 
 
 def stand_in(monkeypatch, compute):

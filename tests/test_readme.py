@@ -70,10 +70,11 @@ def test_the_example_of_the_engine_runs():
 
 
 @pytest.mark.slow
-def test_the_example_of_the_live_view_runs():
+def test_the_example_of_the_live_view_runs(tmp_path):
     code = block("python", (ROOT / "docs/view.md").read_text(encoding="utf-8"))
     command = [sys.executable, "-c", code.replace("AdvanceTo(1.0)", "AdvanceTo(0.02)")]
-    subprocess.run(command, check=True, capture_output=True)
+    subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
+    assert "set_animation" in (tmp_path / "knees.html").read_text("utf-8")
 
 
 DRIVE = (ROOT / "docs/drive.md").read_text(encoding="utf-8")

@@ -9,8 +9,9 @@ import pytest
 
 from kneexo.analysis import simulate
 from kneexo.cli import main
-from kneexo.compilation import c_export
+from kneexo.compilation import c_build, c_export
 from kneexo.errors import ParameterError
+from kneexo.export import firmware
 from kneexo.export.firmware import loop_inputs, make_firmware
 from kneexo.export.target import largest_step_s, target
 from kneexo.parameters import Scenario
@@ -168,6 +169,21 @@ def test_export_c_prints_what_it_measured(tmp_path, short, capsys):
     assert f"{source.state_bytes} bytes of state" in text
     assert f"difference {difference:.3g} (largest value" in text
     assert (out / "controller.c").exists()
+
+
+def test_export_c_prints_flash_and_stack_in_bytes(tmp_path, short, capsys, monkeypatch):
+    replayed = c_build.Replay({"u_rad_s": 2.5e-10}, {"u_rad_s": 523.6}, passed=True)
+    sizes = {"Cortex-M7": c_build.CodeSize(flash=2040, stack=96)}
+    measurement = c_export.Measurement({"*": 3}, 24, replayed, sizes, {"power": "no meter"})
+    monkeypatch.setattr(firmware, "export_firmware", lambda *_, **__: measurement)
+    assert main(["export", "c", short, "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out.splitlines()[1:] == [
+        "  3 operations a step",
+        "  24 bytes of state",
+        "  u_rad_s: difference 2.5e-10 (largest value 523.6)",
+        "  Cortex-M7: 2040 bytes of flash, 96 bytes of stack",
+        "  power not measured: no meter",
+    ]
 
 
 def test_export_c_says_what_was_not_measured(tmp_path, short, capsys, monkeypatch):
