@@ -1,5 +1,6 @@
 """Shared: the four-bar linkage by compass and ruler; tables and lines as they are printed."""
 
+import gc
 import math
 import re
 import signal
@@ -9,9 +10,24 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydrake.common import cpp_template
 
 # A shell starts `pytest &` with Ctrl-C ignored, and so would every command that a test interrupts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _module_of_frame(frame=2):
+    return sys.modules.get(sys._getframe(frame).f_globals["__name__"])
+
+
+# Drake reads the source of the whole stack for this, which takes 0.1 s a leaf class below pytest.
+assert cpp_template._get_module_from_stack(1) is _module_of_frame(1)
+cpp_template._get_module_from_stack = _module_of_frame
+
+
+def pytest_collection_finish():
+    """Leave modules and tests, which stay to the end, out of the searches for garbage."""
+    gc.freeze()
 
 
 def _walk(link, theta_4):

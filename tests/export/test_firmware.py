@@ -107,7 +107,7 @@ def test_c_in_its_own_steps_agrees_with_exact_hold(exported, plant, what):
         assert difference <= share * np.ptp(expected), name
 
 
-def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys):
+def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys, no_compiler):
     out = tmp_path / "out"
     options = ["export", "c", "--out", str(out), "--set", "reference=gait"]
     assert main([*options, "--what", "loop"]) == 2
@@ -185,14 +185,14 @@ def test_export_c_says_what_was_not_measured(tmp_path, short, capsys, monkeypatc
 
 
 @pytest.mark.parametrize("what", ["plant", "loop"])
-def test_export_c_takes_set_and_what(tmp_path, short, what):
+def test_export_c_takes_set_and_what(tmp_path, short, what, no_compiler):
     out = tmp_path / "out"
     options = ["export", "c", short, "--out", str(out), "--what", what, "--vectors-s", "0.01"]
     assert main([*options, "--set", "plant.cylinder.mass_kg=1.75"]) == 0
     assert "1.75, /* mass_kg */" in (out / f"{what}_params.c").read_text()
 
 
-def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short):
+def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short, no_compiler):
     plants = []
     for step_s in (None, 5e-4):
         out = tmp_path / f"{step_s}"

@@ -23,7 +23,7 @@ from hypothesis import given, strategies as st
 from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later
 from kneexo.simulation.coroutines import coroutine, steps
-from kneexo.sweeps import open_sweep, parallel, parallel_map
+from kneexo.sweeps import open_sweep, parallel, parallel_map, process_pool
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
 
 
@@ -42,6 +42,13 @@ class AtOnce(Executor):
         future.set_result(called(given, items))
         self.units.append(len(items))
         return future
+
+
+@pytest.fixture(scope="module")
+def pool():
+    """Two worker processes, which start with the first work."""
+    with process_pool(2) as executor:
+        yield executor
 
 
 def test_results_keep_the_order_of_the_items():
@@ -75,10 +82,10 @@ def test_processes_give_the_same_as_this_process():
 def test_processes_do_not_share_their_cores_with_threads_of_blas(monkeypatch):
     name = "OPENBLAS_NUM_THREADS"
     monkeypatch.delenv(name, raising=False)
-    assert parallel_map(os.getenv, [name, name], workers=2) == ["1", "1"]
+    assert parallel_map(os.getenv, [name], workers=2) == ["1"]
     assert name not in os.environ
     monkeypatch.setenv(name, "3")
-    assert parallel_map(os.getenv, [name, name], workers=2) == ["3", "3"]
+    assert parallel_map(os.getenv, [name], workers=2) == ["3"]
     assert os.environ[name] == "3"
 
 
@@ -202,16 +209,13 @@ def square_below(limit, item):
     return (yield from steps(square, item))
 
 
-@pytest.mark.parametrize("workers", [1, 2, None])
-def test_calls_go_on_together_with_the_results_of_each_alone(batches, workers):
+def test_calls_go_on_together_with_the_results_of_each_alone(batches, pool):
     items = list(range(700))
     expected = [n * n for n in items]
-    if workers is None:
-        assert parallel_map(square, items, executor=AtOnce()) == expected
-    else:
-        assert parallel_map(square, items, workers=workers) == expected
-    if workers == 1:
-        assert 64 < max(batches) <= 256
+    assert parallel_map(square, items) == expected
+    assert 64 < max(batches) <= 256
+    for executor in (AtOnce(), pool):
+        assert parallel_map(square, items, executor=executor) == expected
 
 
 @pytest.mark.parametrize("unit_s", [0.0, 0.5])
@@ -405,9 +409,9 @@ def test_an_interrupt_waits_until_a_unit_is_submitted(number):
     assert ended
 
 
-def test_workers_leave_an_interrupt_to_the_parent():
+def test_workers_leave_an_interrupt_to_the_parent(pool):
     held_back = partial(signal.pthread_sigmask, signal.SIG_BLOCK)
-    assert all(signal.SIGINT in held for held in parallel_map(held_back, [()] * 3, workers=2))
+    assert all(signal.SIGINT in held for held in parallel_map(held_back, [()] * 3, executor=pool))
     assert signal.SIGINT not in held_back(())
 
 
