@@ -36,10 +36,15 @@ def backstepping():
 
 
 @pytest.fixture
-def no_compiler(monkeypatch):
-    """No compiler for this machine or for a target: what is written is not built."""
-    monkeypatch.setattr(c_build, "COMPILERS", ())
+def no_targets(monkeypatch):
+    """Flash and stack are not measured."""
     monkeypatch.setattr(c_build, "TARGETS", {})
+
+
+@pytest.fixture
+def no_compiler(monkeypatch, no_targets):
+    """What is written is not built."""
+    monkeypatch.setattr(c_build, "COMPILERS", ())
 
 
 @pytest.fixture

@@ -149,7 +149,7 @@ def short(tmp_path):
 
 
 @needs_compiler
-def test_export_c_prints_what_it_measured(tmp_path, short, capsys):
+def test_export_c_prints_what_it_measured(tmp_path, short, capsys, no_targets):
     out = tmp_path / "out"
     options = ["export", "c", short, "--out", str(out), "--precision", "float"]
     assert main([*options, "--json"]) == 0
@@ -211,7 +211,7 @@ def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short, no_comp
     ("precision", "fails"),
     [("float", True), pytest.param("double", False, marks=pytest.mark.slow)],
 )
-def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails):
+def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails, no_targets):
     """In float the loop reads another count sooner or later."""
     options = ["--what", "loop", "--precision", precision, "--json"]
     assert main(["export", "c", "--out", str(tmp_path / "out"), *options]) == 0
@@ -240,7 +240,7 @@ def test_bad_options_leave_nothing_behind(tmp_path, short, capsys, options, line
 
 
 @needs_compiler
-def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch):
+def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch, no_targets):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
     law = (
         "{kind: custom, make: backstepping:make, values: {k_1: 20, k_2: 60}, sample_time_s: 0.001}"
