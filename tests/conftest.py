@@ -2,11 +2,15 @@
 
 import gc
 import math
+import os
 import re
 import signal
 import sys
 from decimal import Decimal, InvalidOperation
 from types import SimpleNamespace
+
+# As in sweeps: workers of pytest have a core each, and threads of BLAS would only wait for it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported
 
 import numpy as np
 import pytest

@@ -457,7 +457,7 @@ def test_commands_agree_with_a_second_program_from_encoder_counts(
     loop, delay, four_bar, fixed_step
 ):
     ours, other = both_loops(
-        four_bar, fixed_step, loop, 200, PERIOD / 5, quantized=True, delay=delay
+        four_bar, fixed_step, loop, 120, PERIOD / 5, quantized=True, delay=delay
     )
     # Both see the same counts, so the commands differ by rounding only: 1e-16 m of rod times
     # the controller's slope, up to 1e8 (rad/s)/m for differences; 1e-7 rad/s leaves room.
