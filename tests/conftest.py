@@ -12,12 +12,16 @@ from types import SimpleNamespace
 # As in sweeps: workers of pytest have a core each, and threads of BLAS would only wait for it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported
 
+import hypothesis
 import numpy as np
 import pytest
 from pydrake.common import cpp_template
 
 # A shell starts `pytest &` with Ctrl-C ignored, and so would every command that a test interrupts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+hypothesis.settings.register_profile("kneexo", deadline=None)  # a loaded machine fails no test
+hypothesis.settings.load_profile("kneexo")
 
 
 def _module_of_frame(frame=2):
