@@ -56,8 +56,8 @@ NEEDS_COMPILER = pytest.mark.skipif(
 
 
 @cache
-def _fmu(*arguments):
-    return exports.make_fmu(*arguments[:2], fmi=arguments[2], step_s=arguments[3])
+def _fmu(scenario, what, fmi, step_s):
+    return exports.make_fmu(scenario, what, fmi=fmi, step_s=step_s)
 
 
 def make_fmu(scenario, what, fmi=3, step_s=None):
