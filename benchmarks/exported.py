@@ -7,6 +7,7 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 REPLAY_C, LOOP_C = (Path(__file__).with_name(f"exported_{name}.c") for name in ("replay", "loop"))
 
 
+@cache
 def exported_source(
     scenario: Scenario,
     what: str,

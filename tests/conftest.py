@@ -3,6 +3,7 @@ FMPy; pages in Chromium.
 """
 
 import base64
+import gc
 import io
 import json
 import math
@@ -18,12 +19,24 @@ from contextlib import suppress
 from decimal import Decimal, InvalidOperation
 from types import SimpleNamespace
 
+# As in sweeps: workers of pytest have a core each, and threads of BLAS would only wait for it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported
+
+import hypothesis
 import msgpack
 import numpy as np
 import pytest
 
 # A shell starts `pytest &` with Ctrl-C ignored, and so would every command that a test interrupts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+hypothesis.settings.register_profile("kneexo", deadline=None)  # a loaded machine fails no test
+hypothesis.settings.load_profile("kneexo")
+
+
+def pytest_collection_finish():
+    """Leave modules and tests, which stay to the end, out of the searches for garbage."""
+    gc.freeze()
 
 
 def _walk(link, theta_4):

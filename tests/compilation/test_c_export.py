@@ -9,7 +9,7 @@ import pytest
 from pydrake.symbolic import Variable
 from pydrake.systems.primitives import LinearSystem, Sine, SymbolicVectorSystem
 
-from kneexo.compilation import export_c
+from kneexo.compilation import c_build, export_c
 from kneexo.compilation.c_build import BuildError, CodeSize, Replay, code_sizes, replay
 from kneexo.compilation.c_export import (
     Measurement,
@@ -44,11 +44,22 @@ def low_pass(feedthrough=0.0):
 SAMPLES = np.arange(1.0, 21.0)[:, None]
 
 
-@pytest.fixture
-def folder(tmp_path):
-    path = tmp_path / "out"
+@pytest.fixture(scope="module")
+def low_pass_export(tmp_path_factory):
+    path = tmp_path_factory.mktemp("low_pass") / "out"
     export_c(low_pass(), path, name="filter", inputs=["u0"], samples=SAMPLES)
     return path
+
+
+@pytest.fixture
+def folder(low_pass_export, tmp_path):
+    return shutil.copytree(low_pass_export, tmp_path / "out")
+
+
+@pytest.fixture
+def no_targets(monkeypatch):
+    """Flash and stack are not measured."""
+    monkeypatch.setattr(c_build, "TARGETS", {})
 
 
 def test_vectors_are_the_outputs_after_each_step():
@@ -82,7 +93,7 @@ def test_inputs_that_vary_need_a_diagram_without_sample_times_or_without_states(
 
 @needs_compiler
 @pytest.mark.parametrize("precision", ["double", "float"])
-def test_the_harness_reports_differences(precision, tmp_path):
+def test_the_harness_reports_differences(precision, no_targets):
     source = source_of(compile_diagram(low_pass(), inputs=["u0"]), "filter", precision=precision)
     vectors = recorded_vectors(low_pass(), source, SAMPLES)
     files, measurement = exported(source, vectors)
@@ -100,7 +111,7 @@ def test_the_harness_reports_differences(precision, tmp_path):
 
 
 @needs_compiler
-def test_make_and_cmake_build_the_folder(folder):
+def test_make_and_cmake_build_the_folder(folder, no_targets):
     made = subprocess.run(["make", "test"], cwd=folder, capture_output=True, text=True, check=True)
     assert "20 steps, 0 failures" in made.stdout
     assert {path.name for path in folder.iterdir()} == FILES | {"build"}
@@ -305,12 +316,12 @@ def test_foreign_files_are_not_touched(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["main.c"]
 
 
-def test_a_new_export_replaces_all_files_of_the_last_one(folder):
+def test_a_new_export_replaces_all_files_of_the_last_one(folder, no_targets):
     export_c(Sine(1.0, 2.0, 0.0, 1), folder, name="source", outputs=["y0"], tick_s=0.1, steps=3)
     assert not any(path.name.startswith("filter") for path in folder.iterdir())
 
 
-def test_what_a_killed_export_left_is_deleted(folder):
+def test_what_a_killed_export_left_is_deleted(folder, no_targets):
     left = folder / "build-x1"
     left.mkdir()
     (left / "filter.c").write_text("")

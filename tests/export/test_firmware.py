@@ -108,7 +108,7 @@ def test_c_in_its_own_steps_agrees_with_exact_hold(exported, plant, what):
         assert difference <= share * np.ptp(expected), name
 
 
-def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys):
+def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys, no_compiler):
     out = tmp_path / "out"
     options = ["export", "c", "--out", str(out), "--set", "reference=gait"]
     assert main([*options, "--what", "loop"]) == 2
@@ -150,7 +150,7 @@ def short(tmp_path):
 
 
 @needs_compiler
-def test_export_c_prints_what_it_measured(tmp_path, short, capsys):
+def test_export_c_prints_what_it_measured(tmp_path, short, capsys, no_targets):
     out = tmp_path / "out"
     options = ["export", "c", short, "--out", str(out), "--precision", "float"]
     assert main([*options, "--json"]) == 0
@@ -201,14 +201,14 @@ def test_export_c_says_what_was_not_measured(tmp_path, short, capsys, monkeypatc
 
 
 @pytest.mark.parametrize("what", ["plant", "loop"])
-def test_export_c_takes_set_and_what(tmp_path, short, what):
+def test_export_c_takes_set_and_what(tmp_path, short, what, no_compiler):
     out = tmp_path / "out"
     options = ["export", "c", short, "--out", str(out), "--what", what, "--vectors-s", "0.01"]
     assert main([*options, "--set", "plant.cylinder.mass_kg=1.75"]) == 0
     assert "1.75, /* mass_kg */" in (out / f"{what}_params.c").read_text()
 
 
-def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short):
+def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short, no_compiler):
     plants = []
     for step_s in (None, 5e-4):
         out = tmp_path / f"{step_s}"
@@ -227,7 +227,7 @@ def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short):
     ("precision", "fails"),
     [("float", True), pytest.param("double", False, marks=pytest.mark.slow)],
 )
-def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails):
+def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails, no_targets):
     """In float the loop reads another count sooner or later."""
     options = ["--what", "loop", "--precision", precision, "--json"]
     assert main(["export", "c", "--out", str(tmp_path / "out"), *options]) == 0
@@ -256,7 +256,7 @@ def test_bad_options_leave_nothing_behind(tmp_path, short, capsys, options, line
 
 
 @needs_compiler
-def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch):
+def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch, no_targets):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
     law = (
         "{kind: custom, make: backstepping:make, values: {k_1: 20, k_2: 60}, sample_time_s: 0.001}"

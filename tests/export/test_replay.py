@@ -116,7 +116,10 @@ def test_parameters_of_the_uncertainty_set_go_into_a_single_build(exported):
     assert all(largest[precision] <= TOLERANCES[precision] for precision in TOLERANCES), largest
 
 
-@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "load"])
+@pytest.mark.parametrize(
+    "name",
+    ["smc", "pid_tuned", *(pytest.param(n, marks=pytest.mark.slow) for n in ("pid", "load"))],
+)
 def test_single_precision_tracks_as_well_as_double(exported, name):
     scenario = SCENARIOS[name]
     runs, rms = {}, {}
