@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from matplotlib.ticker import EngFormatter
 from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import Cylinder, Meshcat, MeshcatParams, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
@@ -261,9 +262,10 @@ def _caption(legs: Sequence[Leg], largest: float, end_s: float) -> str:
     if len(legs) > 1:
         names = names.replace("</li>", " (nearest)</li>", 1)
     last_s = max(float(leg.time_s[-1]) for leg in legs)
+    pressure = EngFormatter("Pa", places=1)(largest)
     cut = f"the first {end_s:.3g} of {last_s:.3g} s<br>" if end_s < last_s else ""
     return (
         f'<div id="caption"><b>kneexo {__version__}</b><ol>{names}</ol>{cut}'
-        f"cylinder: load pressure, blue −{largest / 1e6:.3g} MPa … red {largest / 1e6:.3g} MPa"
+        f"cylinder: load pressure, blue −{pressure} … red {pressure}"
         "<br>grey shank: reference<br>line: path of the instantaneous centre of rotation</div>"
     )

@@ -41,7 +41,7 @@ def test_a_page_tells_its_runs_in_safe_html():
     page = view_page([leg])
     assert MARK in page
     assert "&lt;b&gt;mine&lt;/b&gt;" in page
-    assert "−2 MPa … red 2 MPa" in page
+    assert "−2.0 MPa … red 2.0 MPa" in page
     assert len(page) < 8e6
 
 
