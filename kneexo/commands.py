@@ -239,18 +239,12 @@ def simulate(options: argparse.Namespace) -> None:
 
 
 def _track_with_bar(scenario: Scenario) -> TrackingResult:
-    from tqdm import tqdm
-
     from kneexo.analysis import track
     from kneexo.diagrams import make_closed_loop
+    from kneexo.progress import progress_bar
 
     make_closed_loop(scenario)  # its faults are shown before the progress bar
-    with tqdm(
-        total=scenario.simulation.duration_s,
-        desc="simulated time",
-        mininterval=0.5,
-        bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
-    ) as bar:
+    with progress_bar(scenario.simulation.duration_s, "simulated time") as bar:
         return track(scenario, all_signals=True, progress=lambda time: bar.update(time - bar.n))
 
 
