@@ -218,7 +218,7 @@ def source_links(_app: Sphinx, _document: str, content: list[str]) -> None:
 
 
 def finish_notebooks(_app: Sphinx, env: Any) -> None:
-    """What ``nb-download`` offers is for Jupyter, which knows neither roles nor pages of the site."""
+    """What ``nb-download`` offers is for Jupyter: it knows no role and no page of the site."""
     from notebooks import make_plain
 
     for notebook in Path(env.mystnb_config.output_folder, "tutorials").glob("*.ipynb"):

@@ -331,6 +331,7 @@ def test_an_executor_that_cancels_the_work_is_one_line():
 
 
 ORPHANS = """
+import sys
 from pathlib import Path
 from concurrent.futures import wait
 from kneexo.sweeps.parallel import process_pool
