@@ -135,7 +135,7 @@ def mechanism(link: LinkageParameters = G1, knee_angle_deg: float = 35.0) -> Fig
 def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
     """Motor, gear, pump, lines, cylinder and mass; what only the full order has is blue."""
     pump, cylinder = plant.pump, plant.cylinder
-    fig, ax = plt.subplots(figsize=(11, 4.5))
+    fig, ax = plt.subplots(figsize=(11, 4.7))
     extra = "C0"
 
     def circle(x: float, y: float, text: str) -> None:
@@ -230,7 +230,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
     """The closed loop with the names of subsystems and signals."""
     count_deg = np.degrees(scenario.encoder.resolution_rad)
     period_ms = 1e3 * scenario.controller.sample_time_s
-    fig, ax = plt.subplots(figsize=(12, 5.4))
+    fig, ax = plt.subplots(figsize=(12, 6.6))
     boxes = {
         "reference": (0.9, 4.2),
         "rod_reference": (3.4, 4.2),
@@ -243,7 +243,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         "coordinates": (9.0, 0.7),
         "estimator": (6.2, 0.7),
     }
-    width, height = 1.55, 0.8
+    width, height = 1.9, 0.8
     sampled = {"reference", "rod_reference", "law", "coordinates", "estimator"}
     for name, (x, y) in boxes.items():
         colour = "#e3eefb" if name in sampled - {"reference"} else "#f3ead9"
@@ -251,7 +251,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         corner = (x - width / 2, y - height / 2)
         style = {"boxstyle": "round,pad=0.02", "fc": colour, "ec": "0.2", "lw": 1.4}
         ax.add_patch(FancyBboxPatch(corner, width, height, zorder=2, **style))
-        ax.text(x, y, name, ha="center", va="center", fontsize=10, zorder=3, family="monospace")
+        ax.text(x, y, name, ha="center", va="center", fontsize=12.5, zorder=3, family="monospace")
 
     def wire(*points: tuple[float, float]) -> None:
         for start, stop in pairwise(points[:-1]):
@@ -259,7 +259,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         _arrow(ax, points[-2], points[-1], lw=1.2)
 
     def name(x: float, y: float, text: str) -> None:
-        ax.text(x, y, text, ha="center", va="center", fontsize=8.5, bbox=_HALO, zorder=4)
+        ax.text(x, y, text, ha="center", va="center", fontsize=11.5, bbox=_HALO, zorder=4)
 
     half = width / 2
     wire((0.9 + half, 4.2), (3.4 - half, 4.2))
@@ -280,7 +280,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         "knee_reference\n$\\theta_d,\\dot\\theta_d,\\ddot\\theta_d,\\dddot\\theta_d$ (rad, s)",
     )
     name(4.8, 5.05, "rod_reference\n$x_d,\\dot x_d,\\ddot x_d,\\dddot x_d$ (m, s)")
-    name(7.8, 4.62, "motor_speed_\ncommand (rad/s)")
+    name(7.8, 5.05, "motor_speed_command\n(rad/s)")
     name(10.7, 4.55, "$Q_L$\n(m³/s)")
     name(13.3, 4.5, "$x$\n(m)")
     name(10.7, 5.3, "$P_L$ (Pa)")
@@ -295,7 +295,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         (6.0, -0.75, "#e3eefb", f"microcontroller, every {period_ms:g} ms"),
     ):
         ax.add_patch(Rectangle((x, y), 0.5, 0.35, fc=colour, ec="0.2"))
-        ax.text(x + 0.7, y + 0.17, text, va="center", fontsize=9)
+        ax.text(x + 0.7, y + 0.17, text, va="center", fontsize=12)
     ax.set(xlim=(-0.1, 15.7), ylim=(-1.0, 5.75))
     ax.axis("off")
     fig.tight_layout()

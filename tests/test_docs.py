@@ -1,5 +1,6 @@
 """The pages of docs/: links, names, drawings, tutorials. ``.ci/run`` builds the site itself."""
 
+import ast
 import importlib
 import re
 import sys
@@ -121,6 +122,54 @@ def test_a_tutorial_ends_with_a_picture_and_a_number(tutorial):
     assert "plt.subplots" in last
     assert re.search(r"print\(\s*f\"[^\"]*\{", last)
     assert f"{{nb-download}}`{tutorial.stem}.ipynb`" in text
+
+
+NUMBER = re.compile(r"(?<![\w.])\d[\d_]*(?:\.\d+)?(?![\w.]*\d)")
+WORDS = {"ten thousand": "10_000", "two hundred": "200", "twenty": "20", "ten": "10"}
+
+
+def numbers(text):
+    return {float(number.replace("_", "")) for number in NUMBER.findall(text)}
+
+
+def untold_numbers(text):
+    """Numbers of a tutorial that are no input of its cells: in the prose, and in what is printed.
+
+    What a run gives is an expression in an f-string, so a cell computes it when it is read.
+    """
+    cells = re.findall(r"^```\{code-cell\}.*?\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    tree = ast.parse("\n".join(cells))
+    literals = [node for node in ast.walk(tree) if isinstance(node, ast.Constant)]
+    inputs = {abs(float(n.value)) for n in literals if isinstance(n.value, int | float)}
+    # as they read in another unit
+    scales = (1e-6, 1e-3, 1e3, 1e6, 1e2)
+    inputs |= {round(scale * value, 12) for value in inputs for scale in scales}
+    prose = re.sub(r"^---.*?^---|^```.*?^```|^#.*?$", "", text, flags=re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"`[^`]*`|\$[^$]*\$|\]\([^)]*\)", " ", prose)
+    for name, digits in WORDS.items():
+        prose = re.sub(rf"\b{name}\b", digits, prose)
+    named = r"\b(?:Fig\.|Table|Eq\.|FMI|G|tutorial|Tutorial) ?\d+"  # names, no results
+    nodes = list(ast.walk(tree))
+    formats = [node.format_spec for node in nodes if isinstance(node, ast.FormattedValue)]
+    strings = [n for n in nodes if isinstance(n, ast.JoinedStr) and n not in formats]
+    shown = [n.value for s in strings for n in s.values if isinstance(n, ast.Constant)]
+    printed = re.sub(r"[-−]3 dB", "", " ".join(shown))  # the definition of bandwidth
+    prose = re.sub(r"[-−]3 dB", "", re.sub(named, "", prose))
+    return (numbers(prose) | numbers(printed)) - inputs
+
+
+@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda page: page.stem)
+def test_every_number_of_a_tutorial_comes_from_a_cell(tutorial):
+    assert untold_numbers(tutorial.read_text(encoding="utf-8")) == set()
+
+
+def test_a_number_that_no_cell_has_is_seen():
+    cell = "```{code-cell} ipython3\ngain = 8e-3\nprint(f'{gain} of 0.25 Hz')\n```\n"
+    assert untold_numbers(cell + "By 8 mm it rises to 3.7 deg, in Fig. 12 ten times.") == {
+        0.25,
+        3.7,
+        10.0,
+    }
 
 
 @pytest.fixture(scope="module")
