@@ -26,9 +26,12 @@ from kneexo.parameters import SampledReference, Scenario, SimulationParameters
 from kneexo.parameters.quantity import limits_of
 
 What = Literal["controller", "plant", "loop"]
+"""What can be exported."""
 WHAT: tuple[What, ...] = ("controller", "plant", "loop")
+"""All that can be exported."""
 
 ENCODER_COUNT = "encoder_count"
+"""Name of the port that carries the encoder's count."""
 
 STEP_ANGLE = 0.2
 """Largest product of the step of RK4 and the magnitude of an eigenvalue of the plant."""

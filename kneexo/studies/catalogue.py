@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from kneexo.parameters.quantity import Parameters
 
 PAPER = "the paper's setup (see `kneexo params`)"
+"""What help and reports call the default scenario of most studies."""
 _UNDER_LOAD = "the paper's setup under the weight of the shank"
 
 

@@ -445,3 +445,4 @@ COLUMNS = {
     "median_error_elsewhere_deg": "median error elsewhere (deg)",
     "error_of_95_percent_elsewhere_deg": "95 % error elsewhere (deg)",
 }
+"""Key of a contestant's result and its title in the table."""
