@@ -113,3 +113,14 @@ def test_html_of_a_study_is_its_report(short, tmp_path, capsys):
     rows = (line.strip("|").split("|") for line in report.splitlines() if line[:1] == "|")
     of_report = [cell.strip() for row in rows for cell in row]
     assert [cell for cell in of_report if cell != "---"] == cells
+
+
+@pytest.mark.parametrize("command", ["simulate", "linearize", "bandwidth"])
+def test_html_writes_over_no_file_of_others(command, tmp_path, capsys):
+    page = tmp_path / f"{command}.html"
+    page.write_text("<title>mine</title>", encoding="utf-8")
+    assert main([command, "--out", str(tmp_path), "--html"]) == 2
+    told = f"kneexo: --html: {page} exists and is no page of kneexo; choose another --out\n"
+    assert capsys.readouterr().err == told
+    assert page.read_text(encoding="utf-8") == "<title>mine</title>"
+    assert list(tmp_path.iterdir()) == [page]
