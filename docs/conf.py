@@ -12,6 +12,7 @@ import os
 import pkgutil
 import re
 import shutil
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from kneexo.systems._leaf import NamedLeaf
 
 project = "kneexo"
 author = "the kneexo authors"
+sys.path.insert(0, str(Path(__file__).parent))  # notebooks.py
 release = version = kneexo.__version__
 
 extensions = [
@@ -215,6 +217,14 @@ def source_links(_app: Sphinx, _document: str, content: list[str]) -> None:
     )
 
 
+def finish_notebooks(_app: Sphinx, env: Any) -> None:
+    """What ``nb-download`` offers is for Jupyter: it knows no role and no page of the site."""
+    from notebooks import make_plain
+
+    for notebook in Path(env.mystnb_config.output_folder, "tutorials").glob("*.ipynb"):
+        make_plain(notebook)
+
+
 _ACCENT = re.compile(r"(\\(?:d*dot|hat|bar))\s*(\{\\?\w+\}|\\[a-zA-Z]+|\w)(?=\s*['_^])")
 
 
@@ -237,6 +247,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", list_quantities)
     app.connect("missing-reference", resolve)
     app.connect("source-read", source_links)
+    app.connect("env-updated", finish_notebooks)
     app.add_html_math_renderer(
         "mathml",
         (lambda self, node: mathml(self, node, block=False), None),

@@ -135,7 +135,7 @@ def mechanism(link: LinkageParameters = G1, knee_angle_deg: float = 35.0) -> Fig
 def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
     """Motor, gear, pump, lines, cylinder and mass; what only the full order has is blue."""
     pump, cylinder = plant.pump, plant.cylinder
-    fig, ax = plt.subplots(figsize=(11, 4.5))
+    fig, ax = plt.subplots(figsize=(11, 4.7))
     extra = "C0"
 
     def circle(x: float, y: float, text: str) -> None:
@@ -163,11 +163,11 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
         rf"$\tau_m$ = {1e3 * pump.lag_s:g} ms",
         ha="center",
         va="center",
-        fontsize=9,
+        fontsize=10,
     )
     ax.text(1.2, 3.95, r"$\omega_m$", ha="center", fontsize=12)
     displacement = 2e6 * np.pi * pump.displacement_m3_per_rad
-    ax.text(3.6, 2.05, f"pump\n{displacement:.2g} cm³/rev", ha="center", va="center", fontsize=9)
+    ax.text(3.6, 2.05, f"pump\n{displacement:.2g} cm³/rev", ha="center", va="center", fontsize=10)
 
     # Lines to the chambers of the cylinder.
     line((4.5, 3.62), (4.5, 5.0), (9.2, 5.0), (9.2, 3.75))
@@ -186,9 +186,9 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
     ax.add_patch(Rectangle((12.77, 2.35), 0.95, 1.3, fc="white", ec="0.15", lw=1.6))
     ax.text(13.25, 3.0, f"$m$\n{cylinder.mass_kg:g} kg", ha="center", va="center", fontsize=10)
     area_1, area_2 = 1e6 * cylinder.cap_area_m2, 1e6 * cylinder.rod_side_area_m2
-    ax.text(9.52, 3.0, f"$A_1$, $V_1$\n{area_1:.0f} mm²", ha="center", va="center", fontsize=9)
-    ax.text(11.1, 3.4, "$A_2$, $V_2$", ha="center", va="center", fontsize=9)
-    ax.text(11.1, 2.55, f"{area_2:.0f} mm²", ha="center", va="center", fontsize=9)
+    ax.text(9.52, 3.0, f"$A_1$, $V_1$\n{area_1:.0f} mm²", ha="center", va="center", fontsize=10)
+    ax.text(11.1, 3.4, "$A_2$, $V_2$", ha="center", va="center", fontsize=10)
+    ax.text(11.1, 2.55, f"{area_2:.0f} mm²", ha="center", va="center", fontsize=10)
     _arrow(ax, (12.1, 4.05), (13.1, 4.05))
     ax.text(12.6, 4.2, r"$x,\ \dot{x}$", ha="center", fontsize=12)
     _arrow(ax, (14.75, 3.0), (13.75, 3.0), color="C3", lw=1.8)
@@ -198,7 +198,7 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
     line((5.9, 5.0), (5.9, 1.0), ls="--", lw=1.1, color="0.45")
     ax.text(5.9, 3.0, r"$C_{im}$", ha="center", va="center", bbox=_HALO, color="0.3")
     line((10.26, 3.75), (10.26, 4.25), ls="--", lw=1.1, color="0.45")
-    ax.text(10.26, 4.45, r"$C_L$ past the piston", ha="center", color="0.3", fontsize=9)
+    ax.text(10.26, 4.45, r"$C_L$ past the piston", ha="center", color="0.3", fontsize=10)
 
     # Make-up and relief valves of the full order, both to the reservoir.
     for x, name in ((6.85, "make-up"), (7.95, "relief")):
@@ -208,7 +208,7 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
             if (name == "make-up") == (y > 3.0):
                 shape = [(p, 2 * y - q) for p, q in shape]
             ax.add_patch(Polygon(shape, fc="white", ec=extra, lw=1.4, zorder=3))
-        ax.text(x, 5.12, name, ha="center", color=extra, fontsize=9)
+        ax.text(x, 5.12, name, ha="center", color=extra, fontsize=10)
     line((6.85, 3.0), (7.95, 3.0), color=extra, lw=1.2)
     line((7.4, 3.0), (7.4, 2.6), color=extra, lw=1.2)
     line((7.1, 2.75), (7.1, 2.5), (7.7, 2.5), (7.7, 2.75), color=extra, lw=1.4)
@@ -217,7 +217,7 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
         7.0, 0.05,
         r"positive: $\omega_m,\ Q_L = (Q_1+Q_2)/2,\ P_L = P_1 - P_2$ push the rod out; "
         r"$F_L$ pushes it in.  Blue: full order only.",
-        ha="center", fontsize=9.5,
+        ha="center", fontsize=10.5,
     )  # fmt: skip
     ax.set(xlim=(0.1, 15.0), ylim=(-0.2, 5.6))
     ax.set_aspect("equal")
@@ -230,7 +230,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
     """The closed loop with the names of subsystems and signals."""
     count_deg = np.degrees(scenario.encoder.resolution_rad)
     period_ms = 1e3 * scenario.controller.sample_time_s
-    fig, ax = plt.subplots(figsize=(12, 5.4))
+    fig, ax = plt.subplots(figsize=(12, 6.6))
     boxes = {
         "reference": (0.9, 4.2),
         "rod_reference": (3.4, 4.2),
@@ -243,7 +243,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         "coordinates": (9.0, 0.7),
         "estimator": (6.2, 0.7),
     }
-    width, height = 1.55, 0.8
+    width, height = 1.9, 0.8
     sampled = {"reference", "rod_reference", "law", "coordinates", "estimator"}
     for name, (x, y) in boxes.items():
         colour = "#e3eefb" if name in sampled - {"reference"} else "#f3ead9"
@@ -251,7 +251,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         corner = (x - width / 2, y - height / 2)
         style = {"boxstyle": "round,pad=0.02", "fc": colour, "ec": "0.2", "lw": 1.4}
         ax.add_patch(FancyBboxPatch(corner, width, height, zorder=2, **style))
-        ax.text(x, y, name, ha="center", va="center", fontsize=10, zorder=3, family="monospace")
+        ax.text(x, y, name, ha="center", va="center", fontsize=12.5, zorder=3, family="monospace")
 
     def wire(*points: tuple[float, float]) -> None:
         for start, stop in pairwise(points[:-1]):
@@ -259,7 +259,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         _arrow(ax, points[-2], points[-1], lw=1.2)
 
     def name(x: float, y: float, text: str) -> None:
-        ax.text(x, y, text, ha="center", va="center", fontsize=8.5, bbox=_HALO, zorder=4)
+        ax.text(x, y, text, ha="center", va="center", fontsize=11.5, bbox=_HALO, zorder=4)
 
     half = width / 2
     wire((0.9 + half, 4.2), (3.4 - half, 4.2))
@@ -280,7 +280,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         "knee_reference\n$\\theta_d,\\dot\\theta_d,\\ddot\\theta_d,\\dddot\\theta_d$ (rad, s)",
     )
     name(4.8, 5.05, "rod_reference\n$x_d,\\dot x_d,\\ddot x_d,\\dddot x_d$ (m, s)")
-    name(7.8, 4.62, "motor_speed_\ncommand (rad/s)")
+    name(7.8, 5.05, "motor_speed_command\n(rad/s)")
     name(10.7, 4.55, "$Q_L$\n(m³/s)")
     name(13.3, 4.5, "$x$\n(m)")
     name(10.7, 5.3, "$P_L$ (Pa)")
@@ -295,7 +295,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         (6.0, -0.75, "#e3eefb", f"microcontroller, every {period_ms:g} ms"),
     ):
         ax.add_patch(Rectangle((x, y), 0.5, 0.35, fc=colour, ec="0.2"))
-        ax.text(x + 0.7, y + 0.17, text, va="center", fontsize=9)
+        ax.text(x + 0.7, y + 0.17, text, va="center", fontsize=12)
     ax.set(xlim=(-0.1, 15.7), ylim=(-1.0, 5.75))
     ax.axis("off")
     fig.tight_layout()

@@ -108,6 +108,17 @@ def _write(
         plt.close(figure)
 
 
+def _require_page(options: argparse.Namespace, command: str) -> None:
+    """Raise `OutputError` where ``--html`` would write over a file that kneexo has not written."""
+    path = Path(options.out, f"{command.split()[-1]}.html")
+    if not options.html or not path.exists():
+        return
+    if not path.is_file() or "<title>kneexo " not in path.read_text("utf-8", "replace"):
+        from kneexo.errors import OutputError
+
+        raise OutputError(f"--html: {path} exists and is no page of kneexo; choose another --out")
+
+
 def _page(
     options: argparse.Namespace,
     command: str,
@@ -184,6 +195,7 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
         options.written = True
         options.others = checkpoint.remove()
 
+    _require_page(options, study.command)
     with _executor(options) as executor, output_directory(options.out, finish) as directory:
         if study.resumable:
             checkpoint = Checkpoint(_checkpoint_path(options), resume=not options.restart)
@@ -230,6 +242,7 @@ def simulate(options: argparse.Namespace) -> None:
     from kneexo.scenario_file import dump_scenario
     from kneexo.studies.markdown import markdown_table, number
 
+    _require_page(options, "simulate")
     with _results(options) as directory:
         if scenario.simulation.compiled:
             result = track(scenario, all_signals=True)
@@ -255,18 +268,12 @@ def simulate(options: argparse.Namespace) -> None:
 
 
 def _track_with_bar(scenario: Scenario) -> TrackingResult:
-    from tqdm import tqdm
-
     from kneexo.analysis import track
     from kneexo.diagrams import make_closed_loop
+    from kneexo.progress import progress_bar
 
     make_closed_loop(scenario)  # its faults are shown before the progress bar
-    with tqdm(
-        total=scenario.simulation.duration_s,
-        desc="simulated time",
-        mininterval=0.5,
-        bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
-    ) as bar:
+    with progress_bar(scenario.simulation.duration_s, "simulated time") as bar:
         return track(scenario, all_signals=True, progress=lambda time: bar.update(time - bar.n))
 
 
@@ -277,6 +284,7 @@ def linearize(options: argparse.Namespace) -> None:
     from kneexo.output import to_json
     from kneexo.studies.markdown import document, markdown_table, number
 
+    _require_page(options, "linearize")
     with _results(options) as directory:
         plant = linearize_plant(scenario.plant, options.knee_angle)
         loop = linearize_loop(scenario, options.knee_angle)

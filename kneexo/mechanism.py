@@ -18,9 +18,13 @@ from kneexo.linkage import icr, pose, rod_anchor
 from kneexo.parameters import LinkageParameters
 
 Array = NDArray[np.float64]
+"""An array of doubles."""
+
 Points = NDArray[np.complex128]
+"""Points of the knee's plane in m: the real part points forwards, the imaginary part up."""
 
 THIGH_M, SHANK_M, FOOT_M = 0.34, 0.34, 0.14
+"""Lengths of the parts of the leg in m, for the eye alone."""
 
 HEAD = 0.9
 """Length of the cylinder, where the rod comes out, as a part of the distance of its pins at x = 0.

@@ -129,6 +129,17 @@ def test_a_view_lies_compressed_within_a_report(figure):
     assert "view-data" not in html_page("t", "text", {"a": figure}, {"kneexo": "1"})
 
 
+@pytest.mark.parametrize("command", ["simulate", "linearize", "bandwidth"])
+def test_html_writes_over_no_file_of_others(command, tmp_path, capsys):
+    page = tmp_path / f"{command}.html"
+    page.write_text("<title>mine</title>", encoding="utf-8")
+    assert main([command, "--out", str(tmp_path), "--html"]) == 2
+    told = f"kneexo: --html: {page} exists and is no page of kneexo; choose another --out\n"
+    assert capsys.readouterr().err == told
+    assert page.read_text(encoding="utf-8") == "<title>mine</title>"
+    assert list(tmp_path.iterdir()) == [page]
+
+
 # -------------------------------------------------------------------------------- browser
 
 

@@ -28,6 +28,7 @@ from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.version import __version__
 
 TOOL = "kneexo"
+"""The generation tool that the FMU's description names."""
 
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
 """By what a number is changed to see where it goes."""

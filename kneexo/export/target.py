@@ -22,9 +22,12 @@ from kneexo.parameters import SampledReference, Scenario, SimulationParameters
 from kneexo.parameters.quantity import limits_of
 
 What = Literal["controller", "plant", "loop"]
+"""What can be exported."""
 WHAT: tuple[What, ...] = ("controller", "plant", "loop")
+"""All that can be exported."""
 
 ENCODER_COUNT = "encoder_count"
+"""Name of the port that carries the encoder's count."""
 
 _FIELDS = {
     **SIGNALS,

@@ -14,6 +14,7 @@ from kneexo.parameters import SimulationParameters
 from kneexo.result import Result, data_frame
 
 Array = NDArray[np.float64]
+"""An array of doubles."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     """A linkage, and columns of a run with it by name, with ``time_s`` from 0 on, (n,) each."""
 
 PAPER = "the paper's setup (see `kneexo params`)"
+"""What help and reports call the default scenario of most studies."""
 _UNDER_LOAD = "the paper's setup under the weight of the shank"
 
 

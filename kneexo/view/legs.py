@@ -13,6 +13,7 @@ from kneexo.simulation import Run, simulate
 from kneexo.view.page import COLUMNS, Leg
 
 SIGNALS = ("knee_angle", "knee_reference", "load_pressure")
+"""Signals of a run that a page shows."""
 
 
 def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:

@@ -38,6 +38,7 @@ from kneexo.parameters import LinkageParameters
 from kneexo.version import __version__
 
 Array = NDArray[np.float64]
+"""An array of doubles."""
 
 FRAMES_PER_S = 32.0
 """Frames of a recording in a second."""

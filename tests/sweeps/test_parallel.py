@@ -421,7 +421,8 @@ def test_a_sweep_maps_with_its_workers_and_its_checkpoint(tmp_path):
 
 
 @pytest.mark.parametrize("progress", [False, True])
-def test_a_sweep_shows_the_bars_that_have_a_description(capsys, progress):
+def test_a_sweep_shows_the_bars_that_have_a_description(capsys, monkeypatch, progress):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with open_sweep(progress=progress) as sweep:
         sweep.map(math.sqrt, [4.0], "roots")
         sweep.map(math.sqrt, [4.0])
