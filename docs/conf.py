@@ -225,13 +225,18 @@ def finish_notebooks(_app: Sphinx, env: Any) -> None:
         make_plain(notebook)
 
 
-_ACCENT = re.compile(r"(\\(?:d*dot|hat|bar))\s*(\{\\?\w+\}|\\[a-zA-Z]+|\w)(?=\s*['_^])")
+_ACCENT = re.compile(r"(\\(?:d*dot|hat|bar|tilde))\s*(\{\\?\w+\}|\\[a-zA-Z]+|\w)(?=\s*['_^])")
+_FUNCTION = re.compile(
+    r"(\\(?:arc)?(?:cos|sin|tan)h?|\\operatorname\{\w+\})(?![a-z])( *(?=\w|\\(?!left)))?"
+)
 
 
 def mathml(self: Any, node: nodes.Element, *, block: bool) -> None:
     """Write a formula as MathML; what it cannot read is a warning, and -W stops."""
-    # docutils puts the index of an accented letter below it, and three dots far apart.
+    # docutils puts the index of an accented letter below it, and three dots far apart; it leaves
+    # no space around the name of a function.
     formula = _ACCENT.sub(r"{{}\1 \2}", node.astext())
+    formula = _FUNCTION.sub(lambda m: rf"\,{m[1]}" + (" " if m[2] is None else r"\,"), formula)
     try:
         self.body.append(str(tex2mathml(formula, as_block=block)).replace("˙˙˙", "..."))
     except MathError as error:

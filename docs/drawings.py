@@ -16,7 +16,7 @@ from kneexo.linkage import icr, pose, rod_anchor
 from kneexo.parameters import G1, LinkageParameters, PlantParameters, Scenario
 from kneexo.simulation import compile_scenario, scenario_run
 
-_HALO = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.85}
+_HALO = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none"}
 
 
 def _arrow(ax: Axes, start: Any, end: Any, **style: Any) -> None:
@@ -44,7 +44,7 @@ def mechanism(link: LinkageParameters = G1, knee_angle_deg: float = 35.0) -> Fig
     anchor = 1e3 * rod_anchor(link)
     centre = 1e3 * complex(*(float(c) for c in icr(link, at.theta_3, at.theta_4)))
     theta = {n: float(np.degrees(getattr(at, f"theta_{n}"))) for n in (2, 3, 4)}
-    fig, (whole, joints) = plt.subplots(1, 2, figsize=(11, 6.4), width_ratios=(1, 1.35))
+    fig, (whole, joints) = plt.subplots(1, 2, figsize=(9.6, 5.8), width_ratios=(1, 1.35))
 
     for ax in (whole, joints):
         for start, end, colour, name in (
@@ -85,6 +85,12 @@ def mechanism(link: LinkageParameters = G1, knee_angle_deg: float = 35.0) -> Fig
         _arrow(whole, (p.real, p.imag), (q.real, q.imag), arrowstyle="<|-|>", lw=0.9)
         middle = 0.5 * (p + q) + 14j * along
         whole.text(middle.real, middle.imag, name, ha="center", va="center", bbox=_HALO)
+    foot = anchor + along * np.real((centre - anchor) * np.conj(along))
+    arm = [centre, foot]
+    whole.plot(np.real(arm), np.imag(arm), "C3", lw=1.4, zorder=2, gid="r")
+    whole.plot(centre.real, centre.imag, "k+", ms=8, mew=1.4, zorder=6)
+    middle = 0.35 * centre + 0.65 * foot + 15j
+    whole.text(middle.real, middle.imag, "$r$", ha="center", va="center", color="C3", bbox=_HALO)
     whole.text(thigh.real + 60, thigh.imag - 30, "thigh", color="0.35")
     whole.text(-20, -190, "shank,\nground link", color="0.35", ha="right")
     whole.set_title(f"knee flexed by {knee_angle_deg:g}°")
@@ -113,11 +119,13 @@ def mechanism(link: LinkageParameters = G1, knee_angle_deg: float = 35.0) -> Fig
     joints.plot(0, 0, "kx", ms=6)
     joints.text(-1.2, 1.6, "origin", fontsize=8, color="0.35", ha="right")
 
+    direction_3 = np.exp(1j * np.radians(theta[3]))
     for point, direction, reach, ls in (
         (b, 1.0, 33.0, "-"),
         (b, turn, 33.0, "--"),
         (o_b, 1.0, 14.0, "-"),
-        (b, np.exp(1j * np.radians(theta[3])), 14.0, "-."),
+        (o_a, 1.0, 11.0, "-"),
+        (b, direction_3, 14.0, "-."),
     ):
         tip = point + reach * direction
         joints.plot([point.real, tip.real], [point.imag, tip.imag], color="0.45", lw=0.8, ls=ls)
@@ -126,6 +134,9 @@ def mechanism(link: LinkageParameters = G1, knee_angle_deg: float = 35.0) -> Fig
     _angle(joints, b, 11.0, knee_angle_deg - phi, knee_angle_deg, r"$\varphi$")
     four = theta[4] % 360.0 if theta[4] < -90.0 else theta[4]
     _angle(joints, o_b, 6.5, 0.0, four, r"$\theta_4$")
+    _angle(joints, o_a, 6.5, 0.0, theta[2], r"$\theta_2$")
+    name_3 = b + 16.0 * direction_3
+    joints.text(name_3.real, name_3.imag, r"$\theta_3$", ha="center", va="center", fontsize=11)
     joints.set_title("joints, links and angles")
     joints.margins(0.1)
     fig.tight_layout()
@@ -135,7 +146,7 @@ def mechanism(link: LinkageParameters = G1, knee_angle_deg: float = 35.0) -> Fig
 def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
     """Motor, gear, pump, lines, cylinder and mass; what only the full order has is blue."""
     pump, cylinder = plant.pump, plant.cylinder
-    fig, ax = plt.subplots(figsize=(11, 4.7))
+    fig, ax = plt.subplots(figsize=(9.6, 4.1))
     extra = "C0"
 
     def circle(x: float, y: float, text: str) -> None:
@@ -163,11 +174,11 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
         rf"$\tau_m$ = {1e3 * pump.lag_s:g} ms",
         ha="center",
         va="center",
-        fontsize=10,
+        fontsize=9,
     )
     ax.text(1.2, 3.95, r"$\omega_m$", ha="center", fontsize=12)
     displacement = 2e6 * np.pi * pump.displacement_m3_per_rad
-    ax.text(3.6, 2.05, f"pump\n{displacement:.2g} cm³/rev", ha="center", va="center", fontsize=10)
+    ax.text(3.6, 2.05, f"pump\n{displacement:.2g} cm³/rev", ha="center", va="center", fontsize=9.5)
 
     # Lines to the chambers of the cylinder.
     line((4.5, 3.62), (4.5, 5.0), (9.2, 5.0), (9.2, 3.75))
@@ -186,9 +197,9 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
     ax.add_patch(Rectangle((12.77, 2.35), 0.95, 1.3, fc="white", ec="0.15", lw=1.6))
     ax.text(13.25, 3.0, f"$m$\n{cylinder.mass_kg:g} kg", ha="center", va="center", fontsize=10)
     area_1, area_2 = 1e6 * cylinder.cap_area_m2, 1e6 * cylinder.rod_side_area_m2
-    ax.text(9.52, 3.0, f"$A_1$, $V_1$\n{area_1:.0f} mm²", ha="center", va="center", fontsize=10)
-    ax.text(11.1, 3.4, "$A_2$, $V_2$", ha="center", va="center", fontsize=10)
-    ax.text(11.1, 2.55, f"{area_2:.0f} mm²", ha="center", va="center", fontsize=10)
+    ax.text(9.52, 3.0, f"$A_1$, $V_1$\n{area_1:.0f} mm²", ha="center", va="center", fontsize=9.5)
+    ax.text(11.1, 3.4, "$A_2$, $V_2$", ha="center", va="center", fontsize=9.5)
+    ax.text(11.1, 2.55, f"{area_2:.0f} mm²", ha="center", va="center", fontsize=9.5)
     _arrow(ax, (12.1, 4.05), (13.1, 4.05))
     ax.text(12.6, 4.2, r"$x,\ \dot{x}$", ha="center", fontsize=12)
     _arrow(ax, (14.75, 3.0), (13.75, 3.0), color="C3", lw=1.8)
@@ -198,7 +209,7 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
     line((5.9, 5.0), (5.9, 1.0), ls="--", lw=1.1, color="0.45")
     ax.text(5.9, 3.0, r"$C_{im}$", ha="center", va="center", bbox=_HALO, color="0.3")
     line((10.26, 3.75), (10.26, 4.25), ls="--", lw=1.1, color="0.45")
-    ax.text(10.26, 4.45, r"$C_L$ past the piston", ha="center", color="0.3", fontsize=10)
+    ax.text(10.26, 4.45, r"$C_L$ past the piston", ha="center", color="0.3", fontsize=9)
 
     # Make-up and relief valves of the full order, both to the reservoir.
     for x, name in ((6.85, "make-up"), (7.95, "relief")):
@@ -208,7 +219,7 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
             if (name == "make-up") == (y > 3.0):
                 shape = [(p, 2 * y - q) for p, q in shape]
             ax.add_patch(Polygon(shape, fc="white", ec=extra, lw=1.4, zorder=3))
-        ax.text(x, 5.12, name, ha="center", color=extra, fontsize=10)
+        ax.text(x, 5.12, name, ha="center", color=extra, fontsize=9)
     line((6.85, 3.0), (7.95, 3.0), color=extra, lw=1.2)
     line((7.4, 3.0), (7.4, 2.6), color=extra, lw=1.2)
     line((7.1, 2.75), (7.1, 2.5), (7.7, 2.5), (7.7, 2.75), color=extra, lw=1.4)
@@ -217,7 +228,7 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
         7.0, 0.05,
         r"positive: $\omega_m,\ Q_L = (Q_1+Q_2)/2,\ P_L = P_1 - P_2$ push the rod out; "
         r"$F_L$ pushes it in.  Blue: full order only.",
-        ha="center", fontsize=10.5,
+        ha="center", fontsize=11,
     )  # fmt: skip
     ax.set(xlim=(0.1, 15.0), ylim=(-0.2, 5.6))
     ax.set_aspect("equal")
@@ -230,28 +241,29 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
     """The closed loop with the names of subsystems and signals."""
     count_deg = np.degrees(scenario.encoder.resolution_rad)
     period_ms = 1e3 * scenario.controller.sample_time_s
-    fig, ax = plt.subplots(figsize=(12, 6.6))
+    fig, ax = plt.subplots(figsize=(9.6, 5.4))
     boxes = {
-        "reference": (0.9, 4.2),
-        "rod_reference": (3.4, 4.2),
-        "law": (6.2, 4.2),
-        "motor": (9.4, 4.2),
-        "cylinder": (12.0, 4.2),
-        "knee": (14.6, 4.2),
-        "load": (13.3, 2.3),
-        "encoder": (14.6, 0.7),
-        "coordinates": (9.0, 0.7),
-        "estimator": (6.2, 0.7),
+        "reference": (1.0, 2.3),
+        "rod_reference": (1.0, 4.2),
+        "law": (3.9, 4.2),
+        "motor": (6.6, 4.2),
+        "cylinder": (9.2, 4.2),
+        "knee": (11.8, 4.2),
+        "load": (10.45, 2.3),
+        "encoder": (11.8, 0.7),
+        "coordinates": (6.9, 0.7),
+        "estimator": (3.9, 0.7),
     }
-    width, height = 1.9, 0.8
-    sampled = {"reference", "rod_reference", "law", "coordinates", "estimator"}
+    colours = {"reference": "white"} | dict.fromkeys(
+        ("rod_reference", "law", "coordinates", "estimator"), "#e3eefb"
+    )
+    width, height = 1.75, 0.8
     for name, (x, y) in boxes.items():
-        colour = "#e3eefb" if name in sampled - {"reference"} else "#f3ead9"
-        colour = "white" if name == "reference" else colour
         corner = (x - width / 2, y - height / 2)
+        colour = colours.get(name, "#f3ead9")
         style = {"boxstyle": "round,pad=0.02", "fc": colour, "ec": "0.2", "lw": 1.4}
         ax.add_patch(FancyBboxPatch(corner, width, height, zorder=2, **style))
-        ax.text(x, y, name, ha="center", va="center", fontsize=12.5, zorder=3, family="monospace")
+        ax.text(x, y, name, ha="center", va="center", fontsize=9.5, zorder=3, family="monospace")
 
     def wire(*points: tuple[float, float]) -> None:
         for start, stop in pairwise(points[:-1]):
@@ -259,44 +271,44 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         _arrow(ax, points[-2], points[-1], lw=1.2)
 
     def name(x: float, y: float, text: str) -> None:
-        ax.text(x, y, text, ha="center", va="center", fontsize=11.5, bbox=_HALO, zorder=4)
+        ax.text(x, y, text, ha="center", va="center", fontsize=9, bbox=_HALO, zorder=4)
 
     half = width / 2
-    wire((0.9 + half, 4.2), (3.4 - half, 4.2))
-    wire((3.4 + half, 4.2), (6.2 - half, 4.2))
-    wire((6.2 + half, 4.2), (9.4 - half, 4.2))
-    wire((9.4 + half, 4.2), (12.0 - half, 4.2))
-    wire((12.0 + half, 4.2), (14.6 - half, 4.2))
-    wire((14.6, 3.8), (14.6, 1.1))
-    wire((14.6 - half, 0.7), (9.0 + half, 0.7))
-    wire((9.0 - half, 0.7), (6.2 + half, 0.7))
-    wire((6.2, 1.1), (6.2, 3.8))
-    wire((14.6, 2.3), (13.3 + half, 2.3))
-    wire((13.3 - half, 2.3), (12.0, 2.3), (12.0, 3.8))
-    wire((12.0, 4.6), (12.0, 5.3), (9.4, 5.3), (9.4, 4.6))
+    wire((1.0, 2.7), (1.0, 3.8))
+    wire((1.0 + half, 4.2), (3.9 - half, 4.2))
+    wire((3.9 + half, 4.2), (6.6 - half, 4.2))
+    wire((6.6 + half, 4.2), (9.2 - half, 4.2))
+    wire((9.2 + half, 4.2), (11.8 - half, 4.2))
+    wire((11.8, 3.8), (11.8, 1.1))
+    wire((11.8 - half, 0.7), (6.9 + half, 0.7))
+    wire((6.9 - half, 0.7), (3.9 + half, 0.7))
+    wire((3.9, 1.1), (3.9, 3.8))
+    wire((11.8, 2.3), (10.45 + half, 2.3))
+    wire((10.45 - half, 2.3), (9.2, 2.3), (9.2, 3.8))
+    wire((9.2, 4.6), (9.2, 5.4), (6.6, 5.4), (6.6, 4.6))
     name(
-        2.15,
-        5.05,
+        1.0,
+        3.22,
         "knee_reference\n$\\theta_d,\\dot\\theta_d,\\ddot\\theta_d,\\dddot\\theta_d$ (rad, s)",
     )
-    name(4.8, 5.05, "rod_reference\n$x_d,\\dot x_d,\\ddot x_d,\\dddot x_d$ (m, s)")
-    name(7.8, 5.05, "motor_speed_command\n(rad/s)")
-    name(10.7, 4.55, "$Q_L$\n(m³/s)")
-    name(13.3, 4.5, "$x$\n(m)")
-    name(10.7, 5.3, "$P_L$ (Pa)")
-    name(14.6, 3.1, "$\\theta_p, r$ (rad, m)")
-    name(14.6, 1.6, "$\\theta_4$ (rad)")
-    name(12.0, 2.95, "$F_L$ (N)")
-    name(11.6, 0.7, f"encoder_reading\n(rad, counts of {count_deg:.3f}°)")
-    name(7.6, 0.7, "$x$ (m)")
-    name(6.2, 2.4, "estimated_state\n$\\hat x,\\hat v,\\hat a$ (m, s)")
+    name(2.45, 5.05, "rod_reference\n$x_d,\\dot x_d,\\ddot x_d,\\dddot x_d$ (m, s)")
+    name(5.2, 5.05, "motor_speed_command\n$u$ (rad/s)")
+    name(7.9, 4.66, "$Q_L$\n(m³/s)")
+    name(10.5, 4.66, "$x$\n(m)")
+    name(7.9, 5.4, "$P_L$ (Pa)")
+    name(11.8, 3.1, "$\\theta_p, r$ (rad, m)")
+    name(11.8, 1.6, "$\\theta_4$ (rad)")
+    name(9.2, 3.1, "$F_L$ (N)")
+    name(9.35, 0.7, f"encoder_reading\n(rad, counts of {count_deg:.3f}°)")
+    name(5.4, 0.7, "$x$ (m)")
+    name(3.9, 2.4, "estimated_state\n$\\hat x,\\hat v,\\hat a$ (m, s)")
     for x, y, colour, text in (
-        (1.5, -0.75, "#f3ead9", "continuous plant"),
-        (6.0, -0.75, "#e3eefb", f"microcontroller, every {period_ms:g} ms"),
+        (1.5, -0.65, "#f3ead9", "continuous plant"),
+        (5.0, -0.65, "#e3eefb", f"microcontroller, every {period_ms:g} ms"),
     ):
         ax.add_patch(Rectangle((x, y), 0.5, 0.35, fc=colour, ec="0.2"))
-        ax.text(x + 0.7, y + 0.17, text, va="center", fontsize=12)
-    ax.set(xlim=(-0.1, 15.7), ylim=(-1.0, 5.75))
+        ax.text(x + 0.7, y + 0.17, text, va="center", fontsize=9.5)
+    ax.set(xlim=(-0.15, 12.85), ylim=(-0.85, 5.75))
     ax.axis("off")
     fig.tight_layout()
     return fig
@@ -322,7 +334,7 @@ def sample_timing(
     time = 1e3 * (run.time_s[kept] - start_s)
     count = run["encoder_reading"][kept, 0] / scenario.encoder.resolution_rad
     command, speed = (to_rpm(run[name][kept, 0]) for name in ("motor_speed_command", "motor_speed"))
-    fig, (top, bottom) = plt.subplots(2, 1, figsize=(9, 5.6), sharex=True)
+    fig, (top, bottom) = plt.subplots(2, 1, figsize=(9.2, 5.8), sharex=True)
     top.step(time, count, "C0", where="pre", label="encoder")
     ticks = 1e3 * period * np.arange(samples + 1)
     at = np.searchsorted(time, ticks[:-1] - 1e-6)
@@ -339,6 +351,21 @@ def sample_timing(
         ax.set_ylim(low, high + 0.45 * (high - low))
         for tick in ticks:
             ax.axvline(tick, color="0.75", lw=0.8, zorder=0)
+    _arrow(
+        top,
+        (ticks[0], 0.9),
+        (ticks[1], 0.9),
+        arrowstyle="<|-|>",
+        transform=top.get_xaxis_transform(),
+    )
+    top.text(
+        ticks[:2].mean(), 0.8, f"$T$ = {1e3 * period:g} ms", ha="center", va="center",
+        transform=top.get_xaxis_transform(), bbox=_HALO,
+    )  # fmt: skip
+    bottom.text(
+        0.06 * ticks[1], 0.95, "at a tick: count, estimate, command;\nthen the command holds",
+        va="top", transform=bottom.get_xaxis_transform(), bbox=_HALO,
+    )  # fmt: skip
     fig.align_ylabels()
     fig.tight_layout()
     return fig
