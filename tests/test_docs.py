@@ -124,6 +124,13 @@ def test_a_tutorial_ends_with_a_picture_and_a_number(tutorial):
     assert f"{{nb-download}}`{tutorial.stem}.ipynb`" in text
 
 
+@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda page: page.stem)
+def test_no_code_of_a_tutorial_is_wider_than_its_box(tutorial):
+    cells = re.findall(r"^```\{code-cell\}.*?^```", tutorial.read_text("utf-8"), re.S | re.M)
+    assert cells
+    assert [line for cell in cells for line in cell.split("\n") if len(line) > 100] == []
+
+
 NUMBER = re.compile(r"(?<![\w.])\d[\d_]*(?:\.\d+)?(?![\w.]*\d)")
 WORDS = {"ten thousand": "10_000", "two hundred": "200", "twenty": "20", "ten": "10"}
 
