@@ -80,6 +80,7 @@ nb_execution_mode = "force"
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True
 nb_output_stderr = "error"
+nb_merge_streams = True  # lines that a slow cell prints one by one are one box
 nb_execution_show_tb = True
 
 # What the kernels inherit: warnings of a cell are exceptions, and compiling says nothing.

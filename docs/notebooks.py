@@ -13,9 +13,9 @@ _LINK = re.compile(r"\[([^\]]+)\]\(([\w./-]+)\.md(?:#[\w-]+)?\)")
 def _target(match: re.Match[str]) -> str:
     """A tutorial lies beside the notebook; of any other page the name is told."""
     text, page = match.groups()
-    return (
-        f"{text} (page `{page.removeprefix('../')}`)" if "/" in page else f"[{text}]({page}.ipynb)"
-    )
+    if "/" not in page:
+        return f"[{text}]({page}.ipynb)"
+    return f"{text} (page `{page.removeprefix('../')}` of the documentation)"
 
 
 def plain_markdown(text: str) -> str:

@@ -2,7 +2,10 @@
 
 import ast
 import importlib
+import pickle
 import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -119,6 +122,13 @@ def test_a_tutorial_ends_with_a_picture_and_a_number(tutorial):
     assert "plt.subplots" in last
     assert re.search(r"print\(\s*f\"[^\"]*\{", last)
     assert f"{{nb-download}}`{tutorial.stem}.ipynb`" in text
+
+
+@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda page: page.stem)
+def test_no_code_of_a_tutorial_is_wider_than_its_box(tutorial):
+    cells = re.findall(r"^```\{code-cell\}.*?^```", tutorial.read_text("utf-8"), re.S | re.M)
+    assert cells
+    assert [line for cell in cells for line in cell.split("\n") if len(line) > 100] == []
 
 
 NUMBER = re.compile(r"(?<![\w.])\d[\d_]*(?:\.\d+)?(?![\w.]*\d)")
@@ -265,8 +275,7 @@ def undocumented(source):
             )
             named = [] if overload or ast.get_docstring(node) else [node.name]
         elif isinstance(node, ast.Assign | ast.AnnAssign):
-            call = node.value.func if isinstance(node.value, ast.Call) else None
-            if isinstance(call, ast.Name) and call.id in ("TypeVar", "ParamSpec"):
+            if is_type_variable(node):
                 continue
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
@@ -293,3 +302,55 @@ def test_every_public_name_is_documented(module):
 def test_a_name_without_a_docstring_is_seen():
     source = 'A = 1\n"""One."""\nB: int = 2\n_C = 3\nT = TypeVar("T")\ndef f(): ...\n'
     assert undocumented(source) == ["B", "f"]
+
+
+def is_type_variable(node):
+    call = node.value.func if isinstance(node.value, ast.Call) else None
+    return isinstance(call, ast.Name) and call.id in ("TypeVar", "ParamSpec")
+
+
+def public_names(path):
+    """Names that a public module defines, with the methods of its classes, and where they are."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    module = ".".join(parts).removesuffix(".__init__")
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        names = []
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names = [node.name]
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and not is_type_variable(node):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+        if isinstance(node, ast.ClassDef) and node.name[0] != "_":
+            names += [
+                f"{node.name}.{method.name}"
+                for method in node.body
+                if isinstance(method, ast.FunctionDef) and method.name[0] != "_"
+            ]
+        yield from (f"{module}.{name}" for name in names if name[0] != "_")
+
+
+def passed_on(package):
+    """Names that a package imports for its users: ``from ... import X as X``, where they are."""
+    module = importlib.import_module(".".join(package.parent.relative_to(ROOT).parts))
+    for node in ast.walk(ast.parse(package.read_text(encoding="utf-8"))):
+        for alias in node.names if isinstance(node, ast.ImportFrom) else ():
+            value = vars(module).get(alias.asname)
+            if alias.asname == alias.name and getattr(value, "__name__", "") == alias.name:
+                yield f"{value.__module__}.{alias.name}"
+
+
+@pytest.mark.slow
+def test_every_public_name_is_in_the_reference(tmp_path):
+    pytest.importorskip("myst_nb", reason="needs pip install 'kneexo[docs]'")
+    pages = tmp_path / "docs"
+    shutil.copytree(DOCS, pages, ignore=shutil.ignore_patterns("_build", "api", "*.md", "*.ipynb"))
+    build = [sys.executable, "-m", "sphinx", "-q", "-b", "dummy", "-D", "root_doc=reference"]
+    built = subprocess.run([*build, pages, tmp_path / "out"], capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    environment = pickle.loads((tmp_path / "out/.doctrees/environment.pickle").read_bytes())
+    reference = environment.domaindata["py"]["objects"]
+    expected = {name for path in MODULES for name in public_names(path)}
+    packages = [path for path in MODULES if path.name == "__init__.py"]
+    expected |= {name for package in packages for name in passed_on(package)}
+    assert len(expected) > 800
+    assert sorted(expected - set(reference)) == []

@@ -45,7 +45,7 @@ def test_a_notebook_has_no_markup_of_the_site(page, notebooks):
 def test_links_and_roles_become_plain(notebooks):
     text = "It runs. Notebook: {nb-download}`a.ipynb`.\n\n[x](../theory.md#y), [z](margins.md)."
     plain = notebooks.plain_markdown(text)
-    assert plain == "It runs.\n\nx (page `theory`), [z](margins.ipynb)."
+    assert plain == "It runs.\n\nx (page `theory` of the documentation), [z](margins.ipynb)."
     assert notebooks.plain_markdown(plain) == plain
 
 

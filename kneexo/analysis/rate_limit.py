@@ -70,7 +70,7 @@ def rate_limited_gain(ratio: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[
 
 
 def rate_limit_bandwidth_hz(speed_limit: float, amplitude: float) -> float:
-    """Frequency in Hz at which the gain falls to 1/√2: 0.28657 R/a.
+    """Frequency in Hz at which the gain falls to 1/√2: 0.28656 R/a.
 
     ``speed_limit`` R and ``amplitude`` a in the same unit of length (per second and alone). Raises
     `ParameterError` unless both are positive.
