@@ -1,4 +1,4 @@
-# The README's two commands on a slim Debian; then any kneexo command:
+# The README's commands for the paper and the tests on a slim Debian; then any kneexo command:
 #   docker build -t kneexo .
 #   docker run --rm -v "$PWD/results:/results" kneexo reproduce --out /results
 FROM debian:bookworm-slim

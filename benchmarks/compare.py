@@ -160,7 +160,7 @@ def in_c(scenario: Scenario, duration_s: float) -> Runner:
 
 def exported_c(scenario: Scenario, duration_s: float) -> Runner:
     """The loop as `kneexo export c` prints it."""
-    _, source = exported_source(scenario, "loop", outputs=SIGNALS)
+    _, source = exported_source(scenario, "loop", outputs=SIGNALS, step_s=STEP_S)
     replay = Replay(source)
     steps = round(duration_s / source.sample_time_s)
     return lambda: replay.from_start(np.zeros((steps, len(source.input_fields))))

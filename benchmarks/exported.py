@@ -7,6 +7,7 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 REPLAY_C, LOOP_C = (Path(__file__).with_name(f"exported_{name}.c") for name in ("replay", "loop"))
 
 
+@cache
 def exported_source(
     scenario: Scenario,
     what: str,
@@ -34,6 +36,7 @@ def exported_source(
     *,
     check_ranges: bool = True,
     outputs: Sequence[str] | None = None,
+    step_s: float | None = None,
 ) -> tuple[Target, CSource]:
     """A target and its C, as `make_firmware` makes it, or with some of its outputs only.
 
@@ -48,6 +51,7 @@ def exported_source(
         outputs=outputs or exported.outputs,
         interface=interface if check_ranges else replace(interface, ranges={}),
         tick_s=exported.tick_s,
+        step_s=step_s,
     )
     return exported, source
 

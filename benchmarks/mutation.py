@@ -54,6 +54,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compilation/c_source": ("compilation/test_c_source", "compilation/test_c_tables"),
     "compilation/c_build": ("compilation/test_c_export", "compilation/test_fmu"),
     "compilation/c_functions": ("compilation/test_c_source",),
+    "compilation/graph_values": ("compilation/test_c_tables", "compilation/test_step_size"),
     "compilation/c_template": ("compilation/test_c_source", "compilation/test_c_export"),
     "diagrams/part": ("diagrams/test_plant", "diagrams/test_controller"),
     "diagrams/signals": ("diagrams/test_closed_loop",),

@@ -12,6 +12,7 @@ import os
 import pkgutil
 import re
 import shutil
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from kneexo.systems._leaf import NamedLeaf
 
 project = "kneexo"
 author = "the kneexo authors"
+sys.path.insert(0, str(Path(__file__).parent))  # notebooks.py
 release = version = kneexo.__version__
 
 extensions = [
@@ -101,7 +103,7 @@ EXTERNAL = {
     # Names of Drake, of the standard library and of type variables in our docstrings.
     *("RotaryEncoders", "PassThrough", "DiscreteTimeDelay", "VectorLogSink", "TrajectorySource"),
     *("Linearize", "ValueError", "TypeError", "SystemExit", "pydrake.math"),
-    *("Expression", "FramePoseVector"),
+    *("Expression", "FramePoseVector", "MeshcatVisualizer"),
     *("kneexo.compilation.equations.T", "kneexo.simulation.coroutines.Result"),
     *("control.StateSpace", "pandas.DataFrame", "concurrent.futures.Executor"),
 }
@@ -215,6 +217,14 @@ def source_links(_app: Sphinx, _document: str, content: list[str]) -> None:
     )
 
 
+def finish_notebooks(_app: Sphinx, env: Any) -> None:
+    """What ``nb-download`` offers is for Jupyter: it knows no role and no page of the site."""
+    from notebooks import make_plain
+
+    for notebook in Path(env.mystnb_config.output_folder, "tutorials").glob("*.ipynb"):
+        make_plain(notebook)
+
+
 _ACCENT = re.compile(r"(\\(?:d*dot|hat|bar|tilde))\s*(\{\\?\w+\}|\\[a-zA-Z]+|\w)(?=\s*['_^])")
 _FUNCTION = re.compile(
     r"(\\(?:arc)?(?:cos|sin|tan)h?|\\operatorname\{\w+\})(?![a-z])( *(?=\w|\\(?!left)))?"
@@ -242,6 +252,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", list_quantities)
     app.connect("missing-reference", resolve)
     app.connect("source-read", source_links)
+    app.connect("env-updated", finish_notebooks)
     app.add_html_math_renderer(
         "mathml",
         (lambda self, node: mathml(self, node, block=False), None),

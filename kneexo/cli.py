@@ -30,6 +30,7 @@ kneexo simulates a polycentric knee exoskeleton with electro-hydraulic actuator.
 
 kneexo --help lists all commands.
 """
+"""What ``kneexo`` without arguments prints."""
 
 EPILOG = """\
 examples:
@@ -48,6 +49,7 @@ examples:
 Exit codes: 0 success, 2 wrong input or a run that failed (one line says why),
 130 interrupted, 143 terminated.
 """
+"""The examples below ``kneexo --help``."""
 
 
 class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
@@ -284,6 +286,7 @@ def _add_view(subparsers: Any) -> None:
         required=True,
         help="the page; replaces a page of an earlier view",
     )
+    sub.add_argument("--open", action="store_true", help="show the page in this system's browser")
 
 
 def _add_exports(subparsers: Any) -> None:

@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kneexo.errors import ParameterError
+from kneexo.errors import OutputError, ParameterError
 from kneexo.studies.catalogue import Study
 from kneexo.version import __version__
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from kneexo.analysis import TrackingResult
     from kneexo.parameters import Scenario
     from kneexo.parameters.quantity import Parameters
+    from kneexo.studies.catalogue import Motion
 
 _P = TypeVar("_P", bound="Parameters")
 
@@ -107,18 +108,42 @@ def _write(
         plt.close(figure)
 
 
+def _require_page(options: argparse.Namespace, command: str) -> None:
+    """Raise `OutputError` where ``--html`` would write over a file that kneexo has not written."""
+    path = Path(options.out, f"{command.split()[-1]}.html")
+    if not options.html or not path.exists():
+        return
+    if not path.is_file() or "<title>kneexo " not in path.read_text("utf-8", "replace"):
+        from kneexo.errors import OutputError
+
+        raise OutputError(f"--html: {path} exists and is no page of kneexo; choose another --out")
+
+
 def _page(
-    options: argparse.Namespace, command: str, report: str, origin: Mapping[str, Any]
+    options: argparse.Namespace,
+    command: str,
+    report: str,
+    origin: Mapping[str, Any],
+    motions: Callable[[], Mapping[str, Motion]] = dict,
 ) -> Callable[[Mapping[str, Figure]], tuple[str, str]] | None:
-    """What makes the HTML page of the report of a command, where ``--html`` asks for it."""
+    """What makes the HTML page of the report of a command, where ``--html`` asks for it.
+
+    ``motions``: gives what of it a view in three dimensions shows, by name.
+    """
     if not options.html:
         return None
 
     def page(figures: Mapping[str, Figure]) -> tuple[str, str]:
         from kneexo.html_page import html_page
 
-        name = command.split()[-1]
-        return f"{name}.html", html_page(f"kneexo {command}", report, figures, origin)
+        view = ""
+        if moving := motions():
+            from kneexo.view.page import MOST_FRAMES_IN_REPORT, Leg, view_page
+
+            legs = [Leg.of_signals(name, *motion) for name, motion in moving.items()]
+            view = view_page(legs, MOST_FRAMES_IN_REPORT)
+        text = html_page(f"kneexo {command}", report, figures, origin, view)
+        return f"{command.split()[-1]}.html", text
 
     return page
 
@@ -170,6 +195,7 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
         options.written = True
         options.others = checkpoint.remove()
 
+    _require_page(options, study.command)
     with _executor(options) as executor, output_directory(options.out, finish) as directory:
         if study.resumable:
             checkpoint = Checkpoint(_checkpoint_path(options), resume=not options.restart)
@@ -193,7 +219,7 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
                 results_file or f"{study.name}.json": document,
                 report_file or f"{study.name}.md": report,
             }
-            page = _page(options, study.command, report, origin)
+            page = _page(options, study.command, report, origin, partial(study.motions, result))
             _write(directory, texts, study.figures(result), page)
             files = ", ".join(sorted(file.name for file in directory.iterdir()))
         except BaseException:  # KeyboardInterrupt too: the next process may have the file
@@ -216,6 +242,7 @@ def simulate(options: argparse.Namespace) -> None:
     from kneexo.scenario_file import dump_scenario
     from kneexo.studies.markdown import markdown_table, number
 
+    _require_page(options, "simulate")
     with _results(options) as directory:
         if scenario.simulation.compiled:
             result = track(scenario, all_signals=True)
@@ -227,7 +254,9 @@ def simulate(options: argparse.Namespace) -> None:
         texts = {"metrics.json": document, "scenario.yaml": dump_scenario(scenario)}
         rows = [(name, number(value, ".6g")) for name, value in metrics.items()]
         report = "\n".join(markdown_table(("metric", "value"), rows))
-        page = _page(options, "simulate", report, _origin(scenario))
+        ((name, _),) = _named_runs(options.scenario and [options.scenario])
+        motions = {name: (scenario.plant.linkage, result.run.columns)}
+        page = _page(options, "simulate", report, _origin(scenario), lambda: motions)
         _write(directory, texts, {"tracking": result.plot()[0].figure}, page)
         files = ", ".join(sorted(file.name for file in directory.iterdir()))
     if options.json:
@@ -239,18 +268,12 @@ def simulate(options: argparse.Namespace) -> None:
 
 
 def _track_with_bar(scenario: Scenario) -> TrackingResult:
-    from tqdm import tqdm
-
     from kneexo.analysis import track
     from kneexo.diagrams import make_closed_loop
+    from kneexo.progress import progress_bar
 
     make_closed_loop(scenario)  # its faults are shown before the progress bar
-    with tqdm(
-        total=scenario.simulation.duration_s,
-        desc="simulated time",
-        mininterval=0.5,
-        bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
-    ) as bar:
+    with progress_bar(scenario.simulation.duration_s, "simulated time") as bar:
         return track(scenario, all_signals=True, progress=lambda time: bar.update(time - bar.n))
 
 
@@ -259,14 +282,15 @@ def linearize(options: argparse.Namespace) -> None:
     scenario = _scenario(options)
     from kneexo.analysis import linearize_loop, linearize_plant
     from kneexo.output import to_json
-    from kneexo.studies.markdown import markdown_table, number
+    from kneexo.studies.markdown import document, markdown_table, number
 
+    _require_page(options, "linearize")
     with _results(options) as directory:
         plant = linearize_plant(scenario.plant, options.knee_angle)
         loop = linearize_loop(scenario, options.knee_angle)
         frequency, damping = plant.damping
         origin = _origin(scenario) | {"settings": {"knee_angle_deg": options.knee_angle}}
-        document = to_json(
+        text = to_json(
             {
                 **origin,
                 "operating_point": asdict(plant.operating_point),
@@ -281,17 +305,26 @@ def linearize(options: argparse.Namespace) -> None:
         )
         axes = {"loop": loop.plot()[0], "nyquist": loop.plot_nyquist(), "poles": loop.plot_poles()}
         figures = {name: ax.figure for name, ax in axes.items()}
-        rows = [("plant", str(plant)), ("loop", str(loop))]
-        rows += [(name, number(value, ".6g")) for name, value in asdict(loop.margins()).items()]
-        report = "\n".join(markdown_table(("what", "value"), rows))
+        rows = [(name, number(value, ".6g")) for name, value in asdict(loop.margins()).items()]
+        report = document(
+            *_section("Plant", str(plant)),
+            *_section("Loop", str(loop)),
+            markdown_table(("margin", "value"), rows),
+        )
         page = _page(options, "linearize", report, origin)
-        _write(directory, {"linearization.json": document}, figures, page)
+        _write(directory, {"linearization.json": text}, figures, page)
         files = ", ".join(sorted(file.name for file in directory.iterdir()))
     if options.json:
-        print(document, end="")
+        print(text, end="")
         return
     print(f"plant: {plant}\nloop: {loop}")
     print(f"In {options.out}: {files}")
+
+
+def _section(title: str, text: str) -> list[str | list[str]]:
+    """Blocks of a `document`: a heading, the first line and the others as a list."""
+    first, *others = text.splitlines()
+    return [f"## {title}", first, [f"- {line.strip()}" for line in others]]
 
 
 def params(options: argparse.Namespace) -> None:
@@ -356,10 +389,12 @@ def diagram(options: argparse.Namespace) -> None:
 
 def view(options: argparse.Namespace) -> None:
     """``kneexo view``."""
+    import webbrowser
+
     from kneexo.output import to_json
     from kneexo.scenario_file import load_scenario
     from kneexo.view.legs import leg_of_results, leg_of_scenario
-    from kneexo.view.page import require_page, view_page, write_page
+    from kneexo.view.page import require_page, shown_s, view_page, write_page
 
     require_page(options.out)
     if options.values and (results := [run for run in options.runs if Path(run).is_dir()]):
@@ -377,26 +412,36 @@ def view(options: argparse.Namespace) -> None:
         if failure:
             print(f"kneexo: {caption}: {failure}; shown up to there", file=sys.stderr)
         legs.append(leg)
+    if (end_s := shown_s(legs)) < max(leg.time_s[-1] for leg in legs):
+        print(f"kneexo: only the first {end_s:.3g} s are shown: the page is full", file=sys.stderr)
     write_page(options.out, view_page(legs))
     names = [leg.name for leg in legs]
     if options.json:
         print(to_json({"kneexo": __version__, "page": str(options.out), "runs": names}), end="")
     else:
         print(f"{options.out}: {', '.join(names)}; open it in a browser")
+    if options.open and not webbrowser.open(options.out.resolve().as_uri()):
+        raise OutputError(f"--open: no browser here; {options.out} is written, open it elsewhere")
 
 
-def _named_runs(runs: Sequence[str]) -> list[tuple[str, str | None]]:
-    """Each run with its name: of its file or directory, after the parent's where names are equal.
+def _named_runs(runs: Sequence[str] | None) -> list[tuple[str, str | None]]:
+    """Each run with its name; no two names are equal. Without runs the paper's, None.
 
-    Without runs the paper's, None.
+    The name is that of its file or directory; where some are equal, after the parent's name; where
+    these are equal too, the run as it was given, with a number from its second time on.
     """
     if not runs:
         return [("the paper's setup", None)]
     paths = [Path(run).resolve() for run in runs]
     names = [path.name if path.is_dir() else path.stem for path in paths]
+    in_parent = [f"{path.parent.name}/{name}" for path, name in zip(paths, names, strict=True)]
+    for longer in (in_parent, runs):
+        pairs = zip(names, longer, strict=True)
+        names = [other if names.count(name) > 1 else name for name, other in pairs]
+    times = [names[: index + 1].count(name) for index, name in enumerate(names)]
     return [
-        (f"{path.parent.name}/{name}" if names.count(name) > 1 else name, run)
-        for path, name, run in zip(paths, names, runs, strict=True)
+        (name if time == 1 else f"{name} ({time})", run)
+        for name, time, run in zip(names, times, runs, strict=True)
     ]
 
 

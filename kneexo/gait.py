@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+"""An array of doubles."""
 
 GAIT_STRIDE_S = 0.890
 """Median stride time of the measured gait, as the head of ``data/gait_knee_flexion.csv`` says."""

@@ -23,6 +23,7 @@ from kneexo.parameters import LinkageParameters, RodPolynomialParameters
 from kneexo.result import Result
 
 Array = NDArray[np.float64]
+"""An array of doubles."""
 
 FIT_RANGE_DEG = (-2.0, 91.0)
 """Knee angles that the inverse `RodInverse` covers: the range of motion and a margin."""

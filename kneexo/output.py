@@ -175,11 +175,10 @@ def to_json(value: Any) -> str:
 
 def write_csv(path: Path, run: Run) -> None:
     """Write all signals of a run; each column's name ends in its unit."""
-    columns = {"time_s": run.time_s, **run.data}
-    line = ",".join(["%.10g"] * len(columns)) + "\n"
+    line = ",".join(["%.10g"] * len(run.columns)) + "\n"
     with path.open("w", encoding="utf-8") as file:
-        file.write(",".join(columns) + "\n")
-        file.writelines(line % row for row in zip(*columns.values(), strict=True))
+        file.write(",".join(run.columns) + "\n")
+        file.writelines(line % row for row in zip(*run.columns.values(), strict=True))
 
 
 def save_figure(directory: Path, name: str, figure: Figure) -> None:

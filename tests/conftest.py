@@ -1,17 +1,42 @@
-"""Shared: the four-bar linkage by compass and ruler; tables and lines as they are printed."""
+"""Shared: the four-bar linkage by compass and ruler; tables and lines as they are printed; FMUs in
+FMPy; pages in Chromium.
+"""
 
+import base64
+import gc
+import io
+import json
 import math
+import os
 import re
+import select
+import shutil
 import signal
+import subprocess
 import sys
+import time
+from contextlib import suppress
 from decimal import Decimal, InvalidOperation
 from types import SimpleNamespace
 
+# As in sweeps: workers of pytest have a core each, and threads of BLAS would only wait for it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported
+
+import hypothesis
+import msgpack
 import numpy as np
 import pytest
 
 # A shell starts `pytest &` with Ctrl-C ignored, and so would every command that a test interrupts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+hypothesis.settings.register_profile("kneexo", deadline=None)  # a loaded machine fails no test
+hypothesis.settings.load_profile("kneexo")
+
+
+def pytest_collection_finish():
+    """Leave modules and tests, which stay to the end, out of the searches for garbage."""
+    gc.freeze()
 
 
 def _walk(link, theta_4):
@@ -53,6 +78,25 @@ def _walk(link, theta_4):
 def compass():
     """The function ``compass(link, theta_4)``: joints, knee angle and rod along a path."""
     return _walk
+
+
+def _meshcat_commands(page):
+    """What a page of Meshcat tells its viewer: messages in MessagePack, in base64."""
+    messages = []
+    for text in re.findall(r"base64,([A-Za-z0-9+/=]+)", page):
+        with suppress(ValueError):  # the viewer's own files are no messages
+            message = msgpack.unpackb(base64.b64decode(text))
+            messages += [message] if isinstance(message, dict) and "type" in message else []
+    return messages
+
+
+@pytest.fixture(scope="session")
+def commands():
+    """The function ``commands(page)``: what a page of Meshcat tells its viewer, one after another.
+
+    Such as ``{"type": "set_property", "path": …, "property": …, "value": …}``.
+    """
+    return _meshcat_commands
 
 
 def _tables(text):
@@ -276,3 +320,149 @@ def fmu_instance():
     """The class of FMU instances; skips without FMPy."""
     pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
     return _FmuInstance
+
+
+# ---------------------------------------------------------------------------------- browser
+
+CHROMIUM = shutil.which("chromium")
+
+
+class _Browser:
+    """Chromium without a window, by its DevTools protocol over pipes: one page at a time."""
+
+    def __init__(self, profile):
+        options = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"]
+        options += [
+            "--enable-unsafe-swiftshader",
+            "--remote-debugging-pipe",
+            f"--user-data-dir={profile}",
+        ]
+        to_chromium, self._out = os.pipe()
+        self._in, from_chromium = os.pipe()
+
+        def hand_over():  # Chromium reads from 3 and writes to 4
+            ends = os.dup(to_chromium), os.dup(from_chromium)
+            os.dup2(ends[0], 3)
+            os.dup2(ends[1], 4)
+
+        self._process = subprocess.Popen(
+            [CHROMIUM, *options],
+            preexec_fn=hand_over,
+            pass_fds=(3, 4),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(to_chromium)
+        os.close(from_chromium)
+        self._received, self._count, self._session = b"", 0, None
+        self.console = []
+        """Lines that tell of a fault: level or exception, and text."""
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method, **parameters):
+        """The result of a command of the protocol; events until then are heard."""
+        self._count += 1
+        message = {"id": self._count, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._out, json.dumps(message).encode() + b"\0")
+        while (answer := self._next()).get("id") != self._count:
+            pass
+        assert "error" not in answer, answer
+        return answer["result"]
+
+    def _next(self):
+        while b"\0" not in self._received:
+            ready, _, _ = select.select([self._in], [], [], 60.0)
+            assert ready, "Chromium has said nothing for 60 s"
+            piece = os.read(self._in, 1 << 20)
+            assert piece, "Chromium has ended"
+            self._received += piece
+        text, _, self._received = self._received.partition(b"\0")
+        message = json.loads(text)
+        self._hear(message.get("method"), message.get("params", {}))
+        return message
+
+    def _hear(self, event, told):
+        if event == "Runtime.exceptionThrown":
+            details = told["exceptionDetails"]
+            self.console.append(f"exception: {details.get('exception', details)}")
+        elif event == "Runtime.consoleAPICalled" and told["type"] in ("error", "assert"):
+            self.console.append(f"console: {told['args']}")
+        elif event == "Log.entryAdded" and told["entry"]["level"] == "error":
+            self.console.append(f"log: {told['entry']['text']}")
+        elif event == "Network.requestWillBeSent":
+            self.requests.append(told["request"]["url"])
+
+    def open(self, path, width=800, height=600, phone=False):
+        """Load a file in a window of that size in CSS pixels; ``phone``: as a phone would."""
+        self.console, self.requests, self._width = [], [], width
+        scale = 2 if phone else 1
+        size = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": phone}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
+        self.call("Page.navigate", url=path.resolve().as_uri())
+        self.wait_for("document.readyState === 'complete'")
+
+    def evaluate(self, script):
+        """The value of an expression in the page; promises are awaited."""
+        options = {"returnByValue": True, "awaitPromise": True}
+        answer = self.call("Runtime.evaluate", expression=script, **options)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def wait_for(self, condition, timeout_s=30.0):
+        """Wait until an expression in the page is true."""
+        end = time.monotonic() + timeout_s
+        while not self.evaluate(condition):
+            assert time.monotonic() < end, f"never true: {condition}; {self.console}"
+            time.sleep(0.05)
+
+    def require_health(self):
+        """The page and its frames have told of no fault and asked for nothing outside the file."""
+        assert self.console == []
+        assert [url for url in self.requests[1:] if not url.startswith(("data:", "blob:"))] == []
+
+    def require_width(self):
+        """No part of the page lies beyond the right edge of the window."""
+        assert self.evaluate("document.documentElement.scrollWidth") <= self._width
+
+    def views_of_playing(self, window="window"):
+        """Pictures of a view 1 s and 4 s after its start, in a window of the page, as it plays."""
+        self.wait_for(f"{window}?.viewer?.animator?.time > 0.1")
+        pictures = []
+        for second in (1, 4):
+            script = """(async (window) => {
+              window.viewer.animator.pause();
+              window.viewer.animator.seek(%d);
+              for (let frame = 0; frame < 3; ++frame) await new Promise(requestAnimationFrame);
+            })(%s)"""
+            self.evaluate(script % (second, window))
+            pictures.append(self.picture())
+        return pictures
+
+    def picture(self):
+        """What the window shows, (rows, columns, 3) from 0 to 1."""
+        from matplotlib.image import imread
+
+        data = self.call("Page.captureScreenshot", format="png")["data"]
+        return imread(io.BytesIO(base64.b64decode(data)))[..., :3]
+
+    def close(self):
+        os.close(self._out)  # Chromium ends with its pipe
+        self._process.wait(30.0)
+        os.close(self._in)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """A `_Browser`; skips without Chromium."""
+    if CHROMIUM is None:
+        pytest.skip("needs the browser chromium")
+    browser = _Browser(tmp_path_factory.mktemp("chromium"))
+    yield browser
+    browser.close()

@@ -254,6 +254,7 @@ def networks(request):
     """Both ends of a virtual bus, one for the master and one for the drive."""
     ends = [canopen.Network(), canopen.Network()]
     for end in ends:
+        end.NOTIFIER_CYCLE = 0.02  # how long its thread may listen on when it disconnects
         end.connect(interface="virtual", channel=request.node.name)
     yield ends
     for end in ends:

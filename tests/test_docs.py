@@ -1,5 +1,6 @@
 """The pages of docs/: links, names, drawings, tutorials. ``.ci/run`` builds the site itself."""
 
+import ast
 import importlib
 import re
 import sys
@@ -100,14 +101,9 @@ def test_the_theory_has_every_leaf_system_and_every_equation_of_the_paper():
     }
     aside = {"StepKneeReference", "RampKneeReference"}  # named as steps and ramps
     assert [name for name in sorted(leaves - aside) if f"`{name}`" not in THEORY] == []
-    told = set()
-    text = re.sub(r"^#.*$", "", THEORY, flags=re.MULTILINE)  # each has its own mention
-    for first, last in re.findall(r"Eq\. (\d+)(?:–(\d+))?", text):
-        told |= set(range(int(first), int(last or first) + 1))
-    told |= {
-        int(n) for pair in re.findall(r"Eq\. \d+(?:, (\d+)| and (\d+))", text) for n in pair if n
-    }
-    assert told == set(range(1, 28))
+    displayed = " ".join(re.findall(r"^\$\$$(.*?)^\$\$$", THEORY, re.DOTALL | re.MULTILINE))
+    tags = [int(number) for number in re.findall(r"\\text\{\(Eq\. (\d+)\)\}", displayed)]
+    assert sorted(tags) == list(range(1, 28))  # each is shown once, with its number
 
 
 def test_the_theory_uses_every_symbol_of_its_table():
@@ -126,6 +122,54 @@ def test_a_tutorial_ends_with_a_picture_and_a_number(tutorial):
     assert "plt.subplots" in last
     assert re.search(r"print\(\s*f\"[^\"]*\{", last)
     assert f"{{nb-download}}`{tutorial.stem}.ipynb`" in text
+
+
+NUMBER = re.compile(r"(?<![\w.])\d[\d_]*(?:\.\d+)?(?![\w.]*\d)")
+WORDS = {"ten thousand": "10_000", "two hundred": "200", "twenty": "20", "ten": "10"}
+
+
+def numbers(text):
+    return {float(number.replace("_", "")) for number in NUMBER.findall(text)}
+
+
+def untold_numbers(text):
+    """Numbers of a tutorial that are no input of its cells: in the prose, and in what is printed.
+
+    What a run gives is an expression in an f-string, so a cell computes it when it is read.
+    """
+    cells = re.findall(r"^```\{code-cell\}.*?\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    tree = ast.parse("\n".join(cells))
+    literals = [node for node in ast.walk(tree) if isinstance(node, ast.Constant)]
+    inputs = {abs(float(n.value)) for n in literals if isinstance(n.value, int | float)}
+    # as they read in another unit
+    scales = (1e-6, 1e-3, 1e3, 1e6, 1e2)
+    inputs |= {round(scale * value, 12) for value in inputs for scale in scales}
+    prose = re.sub(r"^---.*?^---|^```.*?^```|^#.*?$", "", text, flags=re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"`[^`]*`|\$[^$]*\$|\]\([^)]*\)", " ", prose)
+    for name, digits in WORDS.items():
+        prose = re.sub(rf"\b{name}\b", digits, prose)
+    named = r"\b(?:Fig\.|Table|Eq\.|FMI|G|tutorial|Tutorial) ?\d+"  # names, no results
+    nodes = list(ast.walk(tree))
+    formats = [node.format_spec for node in nodes if isinstance(node, ast.FormattedValue)]
+    strings = [n for n in nodes if isinstance(n, ast.JoinedStr) and n not in formats]
+    shown = [n.value for s in strings for n in s.values if isinstance(n, ast.Constant)]
+    printed = re.sub(r"[-−]3 dB", "", " ".join(shown))  # the definition of bandwidth
+    prose = re.sub(r"[-−]3 dB", "", re.sub(named, "", prose))
+    return (numbers(prose) | numbers(printed)) - inputs
+
+
+@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda page: page.stem)
+def test_every_number_of_a_tutorial_comes_from_a_cell(tutorial):
+    assert untold_numbers(tutorial.read_text(encoding="utf-8")) == set()
+
+
+def test_a_number_that_no_cell_has_is_seen():
+    cell = "```{code-cell} ipython3\ngain = 8e-3\nprint(f'{gain} of 0.25 Hz')\n```\n"
+    assert untold_numbers(cell + "By 8 mm it rises to 3.7 deg, in Fig. 12 ten times.") == {
+        0.25,
+        3.7,
+        10.0,
+    }
 
 
 @pytest.fixture(scope="module")
@@ -211,3 +255,44 @@ def test_the_timing_is_that_of_a_run(drawings):
         ends = run["motor_speed_rad_s"][row : row + 2] * 30.0 / np.pi
         assert ends.min() - 0.1 <= np.interp(middle, *speed.get_data()) <= ends.max() + 0.1
     plt.close(figure)
+
+
+def undocumented(source):
+    """Public names that a module defines without a docstring: autodoc shows no other."""
+    tree = ast.parse(source)
+    names = []
+    for node, after in zip(tree.body, [*tree.body[1:], None], strict=True):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            overload = any(
+                isinstance(d, ast.Name) and d.id == "overload" for d in node.decorator_list
+            )
+            named = [] if overload or ast.get_docstring(node) else [node.name]
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            call = node.value.func if isinstance(node.value, ast.Call) else None
+            if isinstance(call, ast.Name) and call.id in ("TypeVar", "ParamSpec"):
+                continue
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            leaves = [leaf for target in targets for leaf in ast.walk(target)]
+            named = [n.id for n in leaves if isinstance(n, ast.Name) and not told]
+        else:
+            continue
+        names += [name for name in named if not name.startswith("_")]
+    return names
+
+
+MODULES = [
+    path
+    for path in sorted((ROOT / "kneexo").rglob("*.py"))
+    if path.name == "__init__.py" or not path.name.startswith("_")
+]
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_public_name_is_documented(module):
+    assert undocumented(module.read_text(encoding="utf-8")) == []
+
+
+def test_a_name_without_a_docstring_is_seen():
+    source = 'A = 1\n"""One."""\nB: int = 2\n_C = 3\nT = TypeVar("T")\ndef f(): ...\n'
+    assert undocumented(source) == ["B", "f"]

@@ -1,11 +1,14 @@
 """Reports as HTML pages."""
 
+import base64
+import gzip
 import html
 import json
 import re
 from html.parser import HTMLParser
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 
 from kneexo.cli import main
@@ -113,3 +116,109 @@ def test_html_of_a_study_is_its_report(short, tmp_path, capsys):
     rows = (line.strip("|").split("|") for line in report.splitlines() if line[:1] == "|")
     of_report = [cell.strip() for row in rows for cell in row]
     assert [cell for cell in of_report if cell != "---"] == cells
+
+
+def test_a_view_lies_compressed_within_a_report(figure):
+    view = "<!DOCTYPE html><title>v</title>" + "<p>knee</p>" * 1000
+    text = html_page("t", "text", {"a": figure}, {"kneexo": "1"}, view)
+    data = re.search(r'id="view-data">([^<]*)<', text)[1]
+    assert gzip.decompress(base64.b64decode(data)).decode() == view
+    assert len(data) < 0.1 * len(view)
+    assert "The view needs JavaScript" in text
+    assert text == html_page("t", "text", {"a": figure}, {"kneexo": "1"}, view)
+    assert "view-data" not in html_page("t", "text", {"a": figure}, {"kneexo": "1"})
+
+
+@pytest.mark.parametrize("command", ["simulate", "linearize", "bandwidth"])
+def test_html_writes_over_no_file_of_others(command, tmp_path, capsys):
+    page = tmp_path / f"{command}.html"
+    page.write_text("<title>mine</title>", encoding="utf-8")
+    assert main([command, "--out", str(tmp_path), "--html"]) == 2
+    told = f"kneexo: --html: {page} exists and is no page of kneexo; choose another --out\n"
+    assert capsys.readouterr().err == told
+    assert page.read_text(encoding="utf-8") == "<title>mine</title>"
+    assert list(tmp_path.iterdir()) == [page]
+
+
+# -------------------------------------------------------------------------------- browser
+
+
+def rows_of(report):
+    """Rows of the tables of a Markdown report, heads included."""
+    return len(re.findall(r"^\|(?! --- )", report, re.MULTILINE))
+
+
+OPEN_VIEW = """
+document.querySelector(".view button").click();
+document.querySelector(".view").scrollIntoView();
+"""
+VIEW = "document.querySelector('.view iframe')?.contentWindow"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "report", "figures", "view"),
+    [
+        (["simulate"], None, 1, True),
+        (["linearize"], None, 3, False),
+        (["reproduce"], "report.md", 5, True),
+        (
+            ["bandwidth", "--set", "frequencies_hz=[2, 3, 4]", "--set", "amplitudes_deg=[1]"],
+            "bandwidth.md",
+            3,
+            False,
+        ),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_a_browser_shows_a_report(command, report, figures, view, browser, tmp_path):
+    out = tmp_path / "out"
+    assert main([*command, "--out", str(out), "--html"]) == 0
+    page = out / f"{command[0]}.html"
+    assert page.stat().st_size < 3e6
+    for width, phone in ((1200, False), (390, True)):
+        browser.open(page, width, 800, phone=phone)
+        browser.require_width()
+        counts = "['tr', 'svg'].map((tag) => document.querySelectorAll(tag).length)"
+        rows, pictures = browser.evaluate(counts)
+        assert pictures == figures
+        assert rows == rows_of((out / report).read_text()) if report else rows > 10
+        narrow = "[...document.querySelectorAll('svg')].map((s) => s.getBoundingClientRect().width)"
+        assert all(100.0 < shown <= width for shown in browser.evaluate(narrow))
+        browser.evaluate("document.querySelector('figure label').click()")
+        assert browser.evaluate(narrow)[0] > 1400.0  # enlarged, and scrolled within its frame
+        browser.require_width()
+        browser.require_health()
+    assert browser.evaluate("document.querySelectorAll('.view').length") == view
+    if view:
+        browser.evaluate(OPEN_VIEW)
+        before, after = browser.views_of_playing(VIEW)
+        assert 0.005 < (after.min(axis=2) < 0.9).mean() < 0.5
+        assert (np.abs(after - before).max(axis=2) > 0.1).sum() > 300
+        browser.require_health()
+        browser.require_width()
+
+
+@pytest.mark.slow
+def test_a_report_on_paper_and_without_javascript(figure, browser, tmp_path):
+    table = "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
+    page = tmp_path / "page.html"
+    page.write_text(html_page("t", table, {"a": figure}, {"kneexo": "1"}, "<p>knee</p>"))
+    browser.open(page)
+    shown = "(what) => document.querySelector(what).getBoundingClientRect().height > 0"
+    parts = [".view", ".view button", "svg", "table"]
+    assert browser.evaluate(f"{parts}.map({shown})") == [True, True, True, True]
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    assert browser.evaluate(f"{parts}.map({shown})") == [False, False, True, True]
+    browser.call("Emulation.setEmulatedMedia", media="")
+    browser.evaluate("delete window.DecompressionStream")
+    browser.evaluate("document.querySelector('.view button').click()")
+    assert "This browser is too old" in browser.evaluate("document.body.innerText")
+    browser.require_health()
+    browser.call("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        browser.open(page)
+        assert "The view needs JavaScript." in browser.evaluate("document.body.innerText")
+        assert browser.evaluate(f"{parts}.map({shown})") == [True, False, True, True]
+    finally:
+        browser.call("Emulation.setScriptExecutionDisabled", value=False)

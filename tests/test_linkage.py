@@ -151,7 +151,6 @@ def test_one_count_of_g1_moves_the_rod_by_the_known_distances():
 
 
 @given(link=linkages, knee=st.floats(np.radians(-2.0), np.radians(91.0)))
-@settings(deadline=None)
 def test_vector_loop_closes(link, knee):
     at = pose(link, knee)
     o_a = link.o_a_x_m + 1j * link.o_a_y_m
@@ -220,7 +219,6 @@ def test_encoder_angle_out_of_reach_has_no_knee_angle():
 
 
 @given(link=linkages, knee=knee_angles)
-@settings(deadline=None)
 def test_knee_angle_survives_the_encoder_round_trip(link, knee):
     back = knee_angle_from_encoder(link, encoder_angle(link, knee), -1)
     assert back == pytest.approx(knee, abs=1e-12)  # 1e-15 rad, times the conditioning of acos
@@ -301,7 +299,6 @@ def test_the_linkages_have_their_known_lengths(name, lengths_mm):
 
 
 @given(link=linkages, knee=st.floats(np.radians(-2.0), np.radians(91.0)))
-@settings(deadline=None)
 def test_newton_inverse_undoes_the_rod(link, knee):
     # Newton stops at machine precision: 1e-15 rad, and 1e-16 m times the smallest arm of 0.03 m.
     assert knee_angle_from_rod(link, rod_extension(link, knee)) == pytest.approx(knee, abs=1e-13)
@@ -323,7 +320,6 @@ def test_fitted_inverse_equals_newton_over_the_range_of_motion(name):
 
 
 @given(link=linkages, knee=knee_angles)
-@settings(deadline=None)
 def test_fitted_inverse_undoes_the_rod(link, knee):
     x = rod_extension(link, knee)
     back, _, _ = inverse(fit_rod_inverse(link), x)
@@ -367,7 +363,7 @@ def test_fit_needs_no_dead_centre_nearby():
     "function", [rod_extension, moment_arm, encoder_angle], ids=lambda f: f.__name__
 )
 @given(link=linkages, knees=st.lists(knee_angles, min_size=1, max_size=8))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_arrays_give_the_scalar_values_in_the_same_shape(function, link, knees):
     array = function(link, np.array([knees]))
     assert array.shape == (1, len(knees))
@@ -376,7 +372,7 @@ def test_arrays_give_the_scalar_values_in_the_same_shape(function, link, knees):
 
 
 @given(link=linkages, knees=st.lists(knee_angles, min_size=1, max_size=8))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_inverse_of_an_array_gives_the_scalar_values(link, knees):
     x = rod_extension(link, np.array(knees))
     singly = [knee_angle_from_rod(link, value) for value in x]

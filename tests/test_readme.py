@@ -2,6 +2,7 @@
 
 import math
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -48,11 +49,18 @@ def test_the_python_example_runs_in_an_empty_directory(tmp_path):
     assert (tmp_path / "tracking.png").stat().st_size > 10_000
 
 
-def test_the_example_of_a_users_diagram_runs():
+def output_of(code, tmp_path, capsys):
+    """What an example prints."""
+    path = tmp_path / "example.py"
+    path.write_text(code, encoding="utf-8")
+    runpy.run_path(str(path))
+    return capsys.readouterr().out
+
+
+def test_the_example_of_a_users_diagram_runs(tmp_path, capsys):
     code = block("python", (ROOT / "docs/compile_your_diagram.md").read_text(encoding="utf-8"))
-    command = [sys.executable, "-c", code.replace("10_000", "100")]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    names, shapes, largest = done.stdout.splitlines()
+    text = output_of(code.replace("10_000", "100"), tmp_path, capsys)
+    names, shapes, largest = text.splitlines()
     assert "pendulum.mass" in names
     assert shapes == "(501,) (501, 2)"
     low, high = (float(value) for value in largest.removesuffix(" rad").split(" … "))
@@ -70,10 +78,11 @@ def test_the_example_of_the_engine_runs():
 
 
 @pytest.mark.slow
-def test_the_example_of_the_live_view_runs():
+def test_the_example_of_the_live_view_runs(tmp_path):
     code = block("python", (ROOT / "docs/view.md").read_text(encoding="utf-8"))
     command = [sys.executable, "-c", code.replace("AdvanceTo(1.0)", "AdvanceTo(0.02)")]
-    subprocess.run(command, check=True, capture_output=True)
+    subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
+    assert "set_animation" in (tmp_path / "knees.html").read_text("utf-8")
 
 
 DRIVE = (ROOT / "docs/drive.md").read_text(encoding="utf-8")
@@ -121,10 +130,8 @@ def test_the_references_of_the_scenario_files_load(text, tmp_path):
     assert load_scenario(path).reference.kind == ("samples" if kind == "csv" else kind)
 
 
-def test_the_example_of_the_scenario_files_runs():
-    code = block("python", SCENARIO_FILES)
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert 1.0 < float(done.stdout) < 90.0
+def test_the_example_of_the_scenario_files_runs(tmp_path, capsys):
+    assert 1.0 < float(output_of(block("python", SCENARIO_FILES), tmp_path, capsys)) < 90.0
 
 
 def test_the_schema_line_is_printed_by_help(capsys):

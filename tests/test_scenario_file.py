@@ -471,7 +471,7 @@ def damaged(draw: st.DrawFn) -> str:
     return text
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(text=st.one_of(damaged(), st.text(max_size=20)))
 def test_any_text_is_a_scenario_or_one_line(file: File, text: str) -> None:
     try:
@@ -556,7 +556,7 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
     return st.fixed_dictionaries(fields).map(build)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(scenario=instances_of(Scenario))
 def test_round_trip(file: File, scenario: Scenario) -> None:
     assert file.load(dump_scenario(scenario)) == scenario

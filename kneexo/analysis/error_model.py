@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Chamber = Literal["cap", "rod_side"]
+"""Which chamber carries the load."""
 
 
 @dataclass(frozen=True, repr=False)

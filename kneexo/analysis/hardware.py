@@ -30,8 +30,11 @@ from kneexo.parameters import RPM, Scenario, SlidingModeParameters
 from kneexo.parameters.paths import changed, value_at
 
 DISPLACEMENT = "plant.pump.displacement_m3_per_rad"
+"""Path of the pump's displacement (m³/rad) in a scenario."""
 ACCELERATION_LIMIT = "plant.pump.acceleration_limit_rad_s2"
+"""Path of the motor's acceleration limit (rad/s²) in a scenario."""
 SPEED_LIMIT = "plant.pump.speed_limit_rad_s"
+"""Path of the motor's speed limit (rad/s) in a scenario."""
 
 HARDWARE = {
     SPEED_LIMIT: ("motor speed limit", "rpm", 1.0 / RPM),

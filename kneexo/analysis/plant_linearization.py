@@ -20,8 +20,10 @@ from kneexo.result import Result
 from kneexo.simulation import Array
 
 Complex = NDArray[np.complex128]
+"""An array of complex numbers."""
 
 NEWTON_STEPS = 50
+"""Most Newton steps on the way to an equilibrium."""
 MID_RANGE_DEG = 40.0
 """Middle of the paper's 10…70°."""
 

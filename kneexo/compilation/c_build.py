@@ -23,6 +23,7 @@ TARGETS = {
 """Options of arm-none-eabi-gcc for each target."""
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
+"""Flags of the C compiler; no contraction to fused operations, which round otherwise."""
 
 
 class BuildError(CompilationError):

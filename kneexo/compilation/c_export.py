@@ -63,7 +63,11 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     table = model.no_inputs
     if ports:
         table = InputTable(ends, np.concatenate([inputs, inputs[-1:]])[:, :, None])
-    options: dict[str, Any] = {"inputs": table, "integrator": "rk4", "step_s": source.step_s}
+    options: dict[str, Any] = {
+        "inputs": table,
+        "integrator": "rk4",
+        "step_s": source.largest_step_s,
+    }
     options |= {"outputs": source.output_ports}
     state = model.initialized(source.parameters, state, table)
     if equations.states:
@@ -252,7 +256,8 @@ def export_c(
     steps
         Number of test vectors, without ``samples``.
     context
-        Values of parameters and states; the default Context by default.
+        Values of parameters and states; the default Context by default. Steps of RK4 follow the
+        fastest mode there, unless ``step_s`` tells them.
     options
         Of `CSource`: ``precision``, ``outputs``, ``interface``, ``tick_s``, ``step_s``, ``told``.
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from kneexo.compilation.c_source import CSource
 
 Lines = list[str]
+"""Lines of C."""
 
 _MEMORY = {"constant": "c", "state": "x", "held": "d"}
 _INSTANT = {

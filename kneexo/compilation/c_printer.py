@@ -44,8 +44,11 @@ class Precision:
 
 
 DOUBLE = Precision("double", "", 1.7976931348623157e308, 2.2250738585072014e-308, np.float64)
+"""C's ``double``: 64 bits."""
 FLOAT = Precision("float", "f", 3.4028234663852886e38, 1.1754943508222875e-38, np.float32)
+"""C's ``float``: 32 bits."""
 PRECISIONS = {precision.name: precision for precision in (DOUBLE, FLOAT)}
+"""Each precision by its name in C."""
 
 
 def literal(value: float, precision: Precision, what: str = "a constant") -> str:

@@ -21,7 +21,8 @@ from kneexo.compilation.c_printer import PRECISIONS, Precision, comment_lines, l
 from kneexo.compilation.c_tables import Table, tables_of
 from kneexo.compilation.c_template import filled
 from kneexo.compilation.equations import Equations
-from kneexo.compilation.runner import STEP_S, Array, State, timing
+from kneexo.compilation.runner import Array, State, timing
+from kneexo.compilation.step_size import rk4_step_s
 from kneexo.errors import CompilationError
 
 _KEYWORDS = frozenset(
@@ -119,7 +120,8 @@ class CSource:
     tick_s
         Time that a step takes, for a diagram without a sample time; else it follows from those.
     step_s
-        Largest step of the Runge-Kutta method.
+        Largest step of the Runge-Kutta method in s; by default after the fastest mode at the start
+        (`rk4_step_s`).
     look_up
         What depends on an integer input with a range alone becomes a table. Parameters that are
         used only there act no more when they are changed in C.
@@ -139,7 +141,7 @@ class CSource:
     outputs: Sequence[str] | None = None
     interface: Interface = Interface()
     tick_s: float | None = None
-    step_s: float = STEP_S
+    step_s: float | None = None
     look_up: bool = False
     told: str = ""
 
@@ -162,7 +164,7 @@ class CSource:
                 )
         if not self.equations.updates and self.tick_s is None:
             raise CompilationError(f"{self.name}: tick_s is needed, for it has no sample time")
-        if not 0.0 < self.step_s < math.inf:
+        if self.step_s is not None and not 0.0 < self.step_s < math.inf:
             raise CompilationError(f"step_s = {self.step_s} s: must be finite and > 0")
         for port in self.interface.integers:
             if port not in self.equations.inputs:
@@ -171,7 +173,7 @@ class CSource:
             _require_unique([name for _, name in fields])
         if self.equations.states and self.steps > _MOST_STEPS:
             raise CompilationError(
-                f"step_s = {self.step_s:g} s: makes {self.steps} steps in a sample time of "
+                f"step_s = {self.largest_step_s:g} s: makes {self.steps} steps in a sample time of "
                 f"{self.sample_time_s:g} s; must be at most {_MOST_STEPS}"
             )
         if self.cycle[1] >= _LONGEST_CYCLE:
@@ -236,10 +238,17 @@ class CSource:
         """What a step takes."""
         return self.timing[0]
 
+    @cached_property
+    def largest_step_s(self) -> float:
+        """Largest step of the Runge-Kutta method; a whole number of steps makes a tick."""
+        if self.step_s is not None:
+            return self.step_s
+        return rk4_step_s(self.equations, self.parameters, self.state)
+
     @property
     def steps(self) -> int:
         """Runge-Kutta steps in a tick."""
-        return max(1, math.ceil(self.sample_time_s / self.step_s - 1e-9))
+        return max(1, math.ceil(self.sample_time_s / self.largest_step_s - 1e-9))
 
     @property
     def counts_ticks(self) -> bool:

@@ -8,35 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any
 
 import numpy as np
 
-from kneexo.compilation.graph import COMPARISONS, SOURCES, UNARY, Graph
+from kneexo.compilation.graph import COMPARISONS, SOURCES, Graph
+from kneexo.compilation.graph_values import values_of
 from kneexo.compilation.runner import Array
 
-_NUMPY = {"acos": "arccos", "asin": "arcsin", "atan": "arctan"}
-_OPERATIONS: dict[str, Any] = {
-    "add": lambda *terms: reduce(np.add, terms),
-    "multiply": lambda *factors: reduce(np.multiply, factors),
-    "divide": np.divide,
-    "power": np.power,
-    "atan2": np.arctan2,
-    "min": np.minimum,
-    "max": np.maximum,
-    "where": np.where,
-    "and": lambda *conditions: reduce(np.logical_and, conditions),
-    "or": lambda *conditions: reduce(np.logical_or, conditions),
-    "not": np.logical_not,
-    "gt": np.greater,
-    "ge": np.greater_equal,
-    "lt": np.less,
-    "le": np.less_equal,
-    "eq": np.equal,
-    "ne": np.not_equal,
-    **{name: getattr(np, _NUMPY.get(name, name)) for name in UNARY},
-}
 _CHEAP = ("add", "multiply", "min", "max", "where", "abs", *COMPARISONS, "and", "or", "not")
 _CONDITIONS = (*COMPARISONS, "and", "or", "not")
 
@@ -91,22 +70,7 @@ def tables_of(
     for node in sorted(wanted):
         (element,) = of[node]
         first, last = ranges[element]
-        values = _values(graph, node, np.arange(first, last + 1.0), parameters)
-        tables.append(Table(node, element, first, values))
+        counts = np.arange(first, last + 1.0)
+        (values,) = values_of(graph, [node], {"parameter": parameters, "input": {element: counts}})
+        tables.append(Table(node, element, first, values * np.ones_like(counts)))
     return tables
-
-
-def _values(graph: Graph, root: int, counts: Array, parameters: Array) -> Array:
-    values: dict[int, Any] = {}
-    with np.errstate(all="ignore"):  # what is not finite is refused when it is printed
-        for node in graph.reachable([root]):
-            kind, *rest = graph.nodes[node]
-            if kind == "constant":
-                values[node] = rest[0]
-            elif kind == "parameter":
-                values[node] = parameters[rest[0]]
-            elif kind == "input":
-                values[node] = counts
-            else:
-                values[node] = _OPERATIONS[str(kind)](*(values[argument] for argument in rest))
-    return np.asarray(values[root] * np.ones_like(counts))

@@ -26,6 +26,7 @@ SIN = (  # relative error 1.3e-17
     -2.5051131845003737e-08,
     1.5918129294866835e-10,
 )
+"""Coefficients of the sine's polynomial."""
 COS = (  # relative error 6.0e-19
     0.041666666666666664,
     -0.0013888888888887378,
@@ -34,6 +35,7 @@ COS = (  # relative error 6.0e-19
     2.087614626840273e-09,
     -1.1382632425522016e-11,
 )
+"""Coefficients of the cosine's polynomial."""
 ATAN = (  # relative error 3.4e-17
     -0.33333333333333326,
     0.1999999999999753,
@@ -56,6 +58,7 @@ ATAN = (  # relative error 3.4e-17
     -0.00019996189377901387,
     1.8061954618612127e-05,
 )
+"""Coefficients of the arc tangent's polynomial."""
 ASIN = (  # relative error 3.4e-18
     0.16666666666666669,
     0.0749999999999843,
@@ -71,6 +74,7 @@ ASIN = (  # relative error 3.4e-18
     -0.014851887071247198,
     0.02875785136742157,
 )
+"""Coefficients of the arc sine's polynomial."""
 EXP = (  # relative error 1.5e-17
     0.5000000000000001,
     0.1666666666666667,
@@ -83,6 +87,7 @@ EXP = (  # relative error 1.5e-17
     2.762007587998331e-07,
     2.5100375832561274e-08,
 )
+"""Coefficients of the exponential's polynomial."""
 LOG = (  # relative error 4.3e-18
     0.666666666666667,
     0.39999999999899527,
@@ -92,15 +97,18 @@ LOG = (  # relative error 4.3e-18
     0.15331721600556042,
     0.14616449685043353,
 )
+"""Coefficients of the logarithm's polynomial."""
 HALF_PI = (  # relative error 3.5e-50
     1.5707963267948966,
     6.123233995736766e-17,
     -1.4973849048591698e-33,
 )
+"""π/2 as a sum of doubles, the largest first."""
 LN_2 = (  # relative error 8.2e-34
     0.6931471805599453,
     2.3190468138462996e-17,
 )
+"""The natural logarithm of 2 as a sum of doubles, the largest first."""
 
 LARGE = 1e9
 """Larger arguments of sin and cos take the reduction of the C library."""
@@ -115,9 +123,13 @@ def _bits(value: float) -> int:
 
 
 SIGN = _bits(-0.0)
+"""The sign bit of a double."""
 ROOT_HALF = _bits(math.sqrt(0.5))
+"""The bits of √½ as a double."""
 EXPONENT = 52  # lowest bit of a double's exponent
+"""The lowest bit of a double's exponent."""
 BIAS = 1023
+"""What a double's exponent field holds for 2⁰."""
 
 
 def estrin(f: Function, coefficients: Sequence[float], x: Value) -> Value:

@@ -37,6 +37,7 @@ _FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest of a zip file: equal FMUs ha
 _ERRORS = "logStatusError"
 
 Causality = Literal["independent", "input", "parameter", "output", "local"]
+"""What a variable of an FMU is to its importer."""
 
 
 @dataclass(frozen=True)

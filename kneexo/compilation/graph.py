@@ -19,6 +19,7 @@ SOURCES = ("constant", "parameter", "time", "state", "held", "input")
 """Nodes without arguments; ``held`` is a discrete state, constant between two events."""
 
 COMPARISONS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<=", "eq": "==", "ne": "!="}
+"""Each comparison and its operator in Python and C."""
 
 _DERIVATIVES_OF_ONE = {
     "exp": lambda g, a, f: f,

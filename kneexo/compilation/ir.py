@@ -40,6 +40,7 @@ class Type:
 
 
 DOUBLE, INT, BOOL, BYTE, POINTER = (Type(name) for name in ("double", "i64", "i1", "i8", "ptr"))
+"""The types of LLVM that are used."""
 
 
 class Value:

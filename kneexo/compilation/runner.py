@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from kneexo.compilation.model import CompiledModel
 
 Array = NDArray[np.float64]
+"""An array of doubles."""
 Integers = NDArray[np.int64]
+"""An array of 64-bit integers."""
 
 STEP_S = 2e-4
 """Default step of the Runge-Kutta integrators."""

@@ -20,7 +20,7 @@ from kneexo.compilation.c_source import CSource
 from kneexo.compilation.model import compile_diagram
 from kneexo.compilation.runner import Array
 from kneexo.errors import ParameterError
-from kneexo.export.target import ENCODER_COUNT, Target, largest_step_s, target
+from kneexo.export.target import ENCODER_COUNT, Target, require_step, target
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
@@ -55,7 +55,7 @@ def make_firmware(
         Time that the test vectors cover; at most the duration of the scenario. `VECTORS_S` by
         default.
     step_s
-        Largest step of RK4, where there are continuous states; `largest_step_s` by default.
+        Largest step of RK4, where there are continuous states; `rk4_step_s` by default.
     look_up
         Knee angle and rod extension of each count come from a table: see `CSource`.
 
@@ -69,6 +69,7 @@ def make_firmware(
     SimulationError
         The closed loop does not run.
     """
+    require_step(step_s)
     if what == "loop" and isinstance(scenario.reference, SampledReference):
         raise ParameterError(
             f"reference.kind = {scenario.reference.kind!r}: a loop in C computes its reference, "
@@ -91,7 +92,7 @@ def make_firmware(
         outputs=to_print.outputs,
         interface=to_print.interface,
         tick_s=to_print.tick_s,
-        step_s=largest_step_s(scenario, to_print.what, step_s),
+        step_s=step_s,
         look_up=look_up,
         told=f"{to_print.what} in {precision} precision",
     )

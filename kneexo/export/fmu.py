@@ -17,7 +17,7 @@ from kneexo.compilation.fmu import VERSIONS, Fmu, Parameter, generation_tool
 from kneexo.compilation.model import compile_diagram
 from kneexo.diagrams.closed_loop import make_closed_loop
 from kneexo.errors import KneexoError, OutputError, ParameterError
-from kneexo.export.target import Target, largest_step_s, target
+from kneexo.export.target import Target, require_step, target
 from kneexo.parameters import CustomControllerParameters, Scenario, SlidingModeParameters
 from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters, limits_of, source_of as provenance_of
@@ -28,6 +28,7 @@ from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.version import __version__
 
 TOOL = "kneexo"
+"""The generation tool that the FMU's description names."""
 
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
 """By what a number is changed to see where it goes."""
@@ -117,7 +118,7 @@ def make_fmu(
     fmi
         Version of the standard: 2 or 3.
     step_s
-        Largest step of RK4, where there are continuous states; `largest_step_s` by default.
+        Largest step of RK4, where there are continuous states; `rk4_step_s` by default.
 
     Raises
     ------
@@ -128,6 +129,7 @@ def make_fmu(
     """
     if fmi not in VERSIONS:
         raise ParameterError(f"fmi = {fmi!r}: must be one of {', '.join(map(str, VERSIONS))}")
+    require_step(step_s)
     to_print = target(scenario, what)
     source = source_of(
         compile_diagram(to_print.diagram, inputs=to_print.inputs),
@@ -135,7 +137,7 @@ def make_fmu(
         outputs=[name for name in to_print.outputs if name not in to_print.inputs],
         interface=to_print.interface,
         tick_s=to_print.tick_s,
-        step_s=largest_step_s(scenario, to_print.what, step_s),
+        step_s=step_s,
         told=f"{to_print.what} as FMU",
     )
     return Fmu(

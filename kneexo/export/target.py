@@ -7,17 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydrake.systems.framework import (
-    DiagramBuilder,
-    InputPortSelection,
-    OutputPortSelection,
-    System,
-)
-from pydrake.systems.primitives import FirstOrderTaylorApproximation, Gain
+from pydrake.systems.framework import DiagramBuilder, System
+from pydrake.systems.primitives import Gain
 
 from kneexo import linkage
 from kneexo.compilation.c_source import Interface
-from kneexo.compilation.runner import STEP_S
+from kneexo.compilation.model import compile_diagram
+from kneexo.compilation.step_size import rk4_step_s
 from kneexo.diagrams.closed_loop import add_encoder, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
 from kneexo.diagrams.signals import SIGNALS, available_signals
@@ -26,12 +22,12 @@ from kneexo.parameters import SampledReference, Scenario, SimulationParameters
 from kneexo.parameters.quantity import limits_of
 
 What = Literal["controller", "plant", "loop"]
+"""What can be exported."""
 WHAT: tuple[What, ...] = ("controller", "plant", "loop")
+"""All that can be exported."""
 
 ENCODER_COUNT = "encoder_count"
-
-STEP_ANGLE = 0.2
-"""Largest product of the step of RK4 and the magnitude of an eigenvalue of the plant."""
+"""Name of the port that carries the encoder's count."""
 
 _FIELDS = {
     **SIGNALS,
@@ -78,34 +74,21 @@ def target(scenario: Scenario, what: str, *, counts: bool = False) -> Target:
     return _plant(scenario) if what == "plant" else _loop(scenario)
 
 
-def largest_step_s(scenario: Scenario, what: str, step_s: float | None = None) -> float:
-    """Largest step of RK4 of an exported target, in s: ``step_s``, or by default from the plant.
+def largest_step_s(scenario: Scenario, what: str) -> float:
+    """Largest step of RK4 of an exported target in s, where none is given: see `rk4_step_s`.
 
-    The rule is h = min(`STEP_S`, `STEP_ANGLE` / |λ|), where λ is the fastest eigenvalue of the
-    plant at its start and at rest. A step of RK4 turns an undamped mode by z⁵/120 rad too little,
-    with z = h·|λ|. The oil between pump and piston is nearly undamped, so that these errors add up:
-    at z = 0.56 they make 10 % of the load pressure, at z = 0.2 less than 0.1 %. RK4 is unstable
-    beyond z = 2.8; z = 0.2 leaves a factor of 14 for a plant that becomes faster away from its
-    start. Continuous states of a controller do not count; a controller alone takes `STEP_S`.
-
-    Raises `ParameterError` for a ``step_s`` outside the range of ``simulation.step_s``, and as
-    `make_plant` does.
+    Raises as `target`.
     """
+    to_print = target(scenario, what)
+    model = compile_diagram(to_print.diagram, inputs=to_print.inputs)
+    return rk4_step_s(model.code.program.equations, model.parameters(), model.state())
+
+
+def require_step(step_s: float | None) -> None:
+    """Raise `ParameterError` for a step outside the range of ``simulation.step_s``."""
     low, high = limits_of(SimulationParameters.model_fields["step_s"])
-    if step_s is not None:
-        if not low <= step_s <= high:
-            raise ParameterError(f"step_s = {step_s:g} s: must be {low:g} … {high:g} s")
-        return step_s
-    if what == "controller":
-        return STEP_S
-    plant = plant_of(scenario)
-    context = plant.CreateDefaultContext()
-    plant.GetInputPort("motor_speed_command").FixValue(context, [0.0])
-    approximation = FirstOrderTaylorApproximation(
-        plant, context, InputPortSelection.kNoInput, OutputPortSelection.kNoOutput
-    )
-    fastest_per_s = np.abs(np.linalg.eigvals(approximation.A())).max()
-    return float(max(low, min(STEP_S, STEP_ANGLE / fastest_per_s)))
+    if step_s is not None and not low <= step_s <= high:
+        raise ParameterError(f"step_s = {step_s:g} s: must be {low:g} … {high:g} s")
 
 
 def _controller(scenario: Scenario, counts: bool) -> Target:

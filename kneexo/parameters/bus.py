@@ -9,6 +9,7 @@ from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, quantity
 
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
+"""The range of a drive's 32-bit target velocity."""
 
 
 def _latency(default: int, source: str) -> Any:

@@ -95,6 +95,7 @@ class RampReference(_KneeReference):
 
 
 Interpolation = Literal["cubic", "pchip", "linear"]
+"""How a reference runs between its samples."""
 _INTERPOLATION = (
     "cubic: spline with continuous acceleration, which may pass the samples' range; pchip: "
     "shape-preserving cubic, which stays within neighbouring samples; linear: straight lines"
@@ -268,3 +269,4 @@ def read_reference(value: Any, directory: Any) -> Any:
 Reference = Annotated[
     SineReference | StepReference | RampReference | SampledReference, Field(discriminator="kind")
 ]
+"""Any reference; ``kind`` tells which."""

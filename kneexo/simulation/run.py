@@ -14,6 +14,7 @@ from kneexo.parameters import SimulationParameters
 from kneexo.result import Result, data_frame
 
 Array = NDArray[np.float64]
+"""An array of doubles."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -46,9 +47,14 @@ class Run(Result):
         """The column of that name, (n,)."""
         return self.data[column]
 
+    @property
+    def columns(self) -> dict[str, Array]:
+        """``time_s`` and the signals."""
+        return {"time_s": self.time_s, **self.data}
+
     def to_dataframe(self) -> Any:
         """The signals as `pandas.DataFrame` over ``time_s``; names end in the unit.
 
         Raises `PackageError` without pandas.
         """
-        return data_frame({"time_s": self.time_s, **self.data}, "time_s")
+        return data_frame(self.columns, "time_s")

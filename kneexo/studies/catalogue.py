@@ -8,7 +8,7 @@ result goes to ``NAME_report.report`` and ``NAME_figures.figures``. What the com
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -16,10 +16,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from kneexo.parameters import Scenario
+    from kneexo.parameters import LinkageParameters, Scenario
     from kneexo.parameters.quantity import Parameters
+    from kneexo.simulation import Array
+
+    Motion = tuple[LinkageParameters, Mapping[str, Array]]
+    """A linkage, and columns of a run with it by name, with ``time_s`` from 0 on, (n,) each."""
 
 PAPER = "the paper's setup (see `kneexo params`)"
+"""What help and reports call the default scenario of most studies."""
 _UNDER_LOAD = "the paper's setup under the weight of the shank"
 
 
@@ -38,6 +43,8 @@ class Study:
     """Whether it takes an uncertainty set."""
     resumable: bool = True
     """Whether its pieces of work are plain data, which a checkpoint keeps."""
+    moving: bool = False
+    """Whether its result has `motions`."""
     files: tuple[str, str] = ("", "")
     """Results and report; left out: NAME.json and NAME.md."""
     label: str = ""
@@ -76,6 +83,13 @@ class Study:
         pictures: dict[str, Figure] = self._part("_figures", "figures")(result)
         return pictures
 
+    def motions(self, result: Any) -> dict[str, Motion]:
+        """Runs of a result that tell something in three dimensions, by name."""
+        if not self.moving:
+            return {}
+        runs: dict[str, Motion] = self._part("_figures", "motions")(result)
+        return runs
+
     def _part(self, suffix: str, name: str) -> Any:
         return getattr(import_module(f"kneexo.studies.{self.name}{suffix}"), name)
 
@@ -92,6 +106,7 @@ STUDIES = {
             "Takes some seconds; the first time some more, to compile the equations.",
             setup="",
             resumable=False,
+            moving=True,
             files=("results.json", "report.md"),
             label="reproduce, Fig. 13",
         ),
@@ -135,6 +150,7 @@ STUDIES = {
             "size",
             "find the motor, pump and encoder that a task needs",
             "Bandwidth and error over the hardware, and what walking takes.",
+            moving=True,
         ),
     )
 }

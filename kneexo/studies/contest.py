@@ -18,7 +18,6 @@ from typing import Annotated, Any, Unpack
 import numpy as np
 import scipy
 from pydantic import Field
-from tqdm import tqdm
 
 from kneexo.analysis.assessment import assess
 from kneexo.errors import SimulationError
@@ -34,6 +33,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import applicable, changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
+from kneexo.progress import progress_bar
 from kneexo.result import Result
 from kneexo.simulation import Array, Steps, needs_runs, steps
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
@@ -273,7 +273,7 @@ def _contest(
     def tune(name: str, seed: int) -> Tuning:
         contestant = settings.contestants[name]
         size = settings.population * (settings.generations + 1)
-        with tqdm(total=size, desc=f"{name}, seed {seed}", disable=not sweep.progress) as bar:
+        with progress_bar(size, f"{name}, seed {seed}" if sweep.progress else None) as bar:
 
             def objective(units: Array) -> Array:
                 items = [plants(_entrant(contestant, _gains(contestant, unit))) for unit in units]
@@ -445,3 +445,4 @@ COLUMNS = {
     "median_error_elsewhere_deg": "median error elsewhere (deg)",
     "error_of_95_percent_elsewhere_deg": "95 % error elsewhere (deg)",
 }
+"""Key of a contestant's result and its title in the table."""

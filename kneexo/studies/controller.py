@@ -149,8 +149,10 @@ FIGURES = (
 what a failed run leaves out; the settling time of a step that does not settle in its run is inf."""
 
 MAP_FIGURES = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin")
+"""What the maps over two gains keep of a run."""
 
 TRAP_VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
+"""The variants of the loop that tell what makes the limit cycle."""
 
 _SATURATED = 0.01  # share of the samples from which on a run counts as saturated
 

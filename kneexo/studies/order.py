@@ -82,6 +82,7 @@ class OrderSettings(Parameters):
 
 
 ORDERS = ("reduced", "full")
+"""The plants that are compared."""
 
 _TRACE_POINTS = 800
 _START_S = 0.5
@@ -265,6 +266,7 @@ def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str
 
 
 Rows = tuple[Mapping[str, Any], ...]
+"""Rows of a table, each with its keys."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -243,3 +243,4 @@ FIG_12_TITLES = {
     "pid": "PID as in the paper (P, 5 1/s)",
     "pid_tuned": "PID, tuned",
 }
+"""Title of each run of Fig. 12."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,6 +12,9 @@ from matplotlib.figure import Figure
 from kneexo.analysis import FrequencyResponse, Run, TrackingResult
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
 from kneexo.studies.reproduce import FIG_12_TITLES, Reproduction, rod_error_mm
+
+if TYPE_CHECKING:
+    from kneexo.studies.catalogue import Motion
 
 
 def figures(reproduction: Reproduction) -> dict[str, Figure]:
@@ -21,6 +25,15 @@ def figures(reproduction: Reproduction) -> dict[str, Figure]:
         "fig12_tracking": _plot_fig12(reproduction.fig12),
         "fig13_frequency_response": _plot_fig13(reproduction.fig13),
         "eq27_at_2ms": _plot_eq27(reproduction),
+    }
+
+
+def motions(reproduction: Reproduction) -> dict[str, Motion]:
+    """Fig. 12: sliding mode beside the paper's PID."""
+    return {
+        f"Fig. 12, {FIG_12_TITLES[name]}": (tracked.scenario.plant.linkage, tracked.run.columns)
+        for name, tracked in reproduction.fig12.items()
+        if name in ("smc", "pid")
     }
 
 

@@ -58,10 +58,14 @@ class RobustnessSettings(Parameters):
 
 
 Values = Mapping[str, Any]
+"""Values of uncertain quantities by path."""
 Corner = tuple[int, ...]
+"""The end of each range that a corner takes."""
 
 CONFIDENCE = 0.95
+"""Confidence of the bounds on a share of plants."""
 UNSTABLE = "the sampled loop, linearized in the middle of the reference, is unstable"
+"""What is told of a plant whose linearized loop is unstable."""
 
 
 class Merit(NamedTuple):

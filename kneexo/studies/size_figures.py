@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -27,6 +27,12 @@ from kneexo.gait import gait_knee_flexion, gait_start_percent
 from kneexo.simulation import Array
 from kneexo.studies.plots import CENTRED, decimal_ticks, heat_map, legend_below, plain_ticks
 from kneexo.studies.size import SizeStudy
+
+if TYPE_CHECKING:
+    from kneexo.studies.catalogue import Motion
+
+HARDWARE_LABELS = {"nominal": "hardware as it is", "sized": "sized hardware"}
+"""What walks in the traces."""
 
 _STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
 
@@ -195,10 +201,7 @@ def _tracking(sizing: SizeStudy) -> Figure:
     axes[0].fill_between(
         percent, mean - deviation, mean + deviation, color="0.8", label="measured, mean ± SD"
     )
-    for name, color, label in (
-        ("nominal", "C3", "hardware as it is"),
-        ("sized", "C0", "sized hardware"),
-    ):
+    for (name, label), color in zip(HARDWARE_LABELS.items(), ("C3", "C0"), strict=True):
         if not sizing.traces[name]:
             continue
         cycle, trace = last_stride(sizing.traces[name], frequency)
@@ -224,6 +227,16 @@ def _tracking(sizing: SizeStudy) -> Figure:
     axes[1].set_yticks([-50, -10, -2, 0, 2, 10, 50], ["−50", "−10", "−2", "0", "2", "10", "50"])
     axes[2].set(ylabel="motor speed (rpm)", xlabel="gait cycle (%)", xlim=(0, 100))
     return figure
+
+
+def motions(sizing: SizeStudy) -> dict[str, Motion]:
+    """Walking with the hardware as it is beside the sized one; without a run that failed."""
+    linkage = sizing.scenario.plant.linkage
+    return {
+        label: (linkage, {**trace, "time_s": trace["time_s"] - trace["time_s"][0]})
+        for name, label in HARDWARE_LABELS.items()
+        if (trace := sizing.traces[name])
+    }
 
 
 def last_stride(

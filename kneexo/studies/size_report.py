@@ -13,6 +13,7 @@ from kneexo.studies.size import SizeStudy
 from kneexo.studies.size_results import CHECKED
 
 Blocks = list[str | list[str]]
+"""Paragraphs, and tables as lists of lines."""
 
 
 def report(sizing: SizeStudy) -> str:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from kneexo.studies.size import SizeStudy, WalkingDesign
 
 CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
+"""What a walking run with half the step is compared by."""
 
 
 def results(sizing: SizeStudy) -> dict[str, Any]:

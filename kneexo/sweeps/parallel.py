@@ -22,11 +22,10 @@ from importlib import import_module
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from tqdm import tqdm
-
 from kneexo.compilation.cores import available_cores
 from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later
+from kneexo.progress import progress_bar
 from kneexo.simulation.coroutines import is_coroutine, together
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
 from kneexo.version import __version__
@@ -212,13 +211,7 @@ def parallel_map(
     whole = round(sum(weight(item) for item in items), 6)
     with (
         process_pool(workers, executor) as pool,
-        tqdm(
-            total=whole,
-            desc=description,
-            disable=description is None,
-            mininterval=0.5,
-            bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
-        ) as bar,
+        progress_bar(whole, description) as bar,
     ):
         if checkpoint is not None:
             for index in (n for n, key in enumerate(keys) if key in checkpoint):

@@ -13,6 +13,7 @@ from kneexo.parameters import CylinderParameters
 from kneexo.systems._leaf import NamedLeaf, fill, require_finite, value_or_zero, values_of
 
 PA_PER_MPA = 1e6
+"""Pascal per megapascal: pressure states are in MPa, ports in Pa."""
 
 
 def start_extension(parameters: CylinderParameters, initial_extension_m: float | None) -> float:

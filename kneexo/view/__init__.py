@@ -1,6 +1,7 @@
-"""The knee in three dimensions, in a browser: recorded runs as a page, and live runs.
+"""Recorded runs in three dimensions, in a browser.
 
-- `mechanism` says where each part is at a knee angle;
-- `page` makes one HTML file of recorded runs, with a time slider;
-- `live` shows a Drake simulation while it runs.
+- `legs` takes a scenario or the files of an earlier run;
+- `page` makes one HTML file of them, with a time slider.
+
+A Drake simulation while it runs: `kneexo.diagrams.meshcat_view`.
 """

@@ -10,10 +10,10 @@ import numpy as np
 from kneexo.errors import ScenarioError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.simulation import Run, simulate
-from kneexo.view.page import Leg
+from kneexo.view.page import COLUMNS, Leg
 
 SIGNALS = ("knee_angle", "knee_reference", "load_pressure")
-_COLUMNS = ("time_s", "knee_angle_rad", "knee_reference_rad", "load_pressure_pa")
+"""Signals of a run that a page shows."""
 
 
 def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
@@ -43,8 +43,7 @@ def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
 
 
 def _leg(name: str, scenario: Scenario, run: Run) -> Leg:
-    columns = (run[column] for column in _COLUMNS[1:])
-    return Leg(name, scenario.plant.linkage, run.time_s, *columns)
+    return Leg.of_signals(name, scenario.plant.linkage, run.columns)
 
 
 def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
@@ -56,10 +55,10 @@ def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
     try:
         with path.open(encoding="utf-8") as file:
             names = file.readline().strip().split(",")
-            missing = [column for column in _COLUMNS if column not in names]
+            missing = [column for column in COLUMNS if column not in names]
             if missing:
                 raise ScenarioError(f"{path}: has no column {missing[0]}")
-            places = [names.index(column) for column in _COLUMNS]
+            places = [names.index(column) for column in COLUMNS]
             with warnings.catch_warnings(action="ignore"):  # no rows: told below
                 table = np.loadtxt(file, delimiter=",", usecols=places, ndmin=2)
     except ScenarioError:

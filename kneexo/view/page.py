@@ -5,35 +5,73 @@ from __future__ import annotations
 import html
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.ticker import EngFormatter
+from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import Cylinder, Meshcat, MeshcatParams, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 
 from kneexo.errors import OutputError
+from kneexo.mechanism import (
+    BARS,
+    GHOST,
+    GHOST_COLOUR,
+    GHOST_RADIUS,
+    ICR_COLOUR,
+    PIN,
+    PIN_COLOUR,
+    PINS,
+    SPACING_M,
+    Bar,
+    Points,
+    icr_path,
+    in_world,
+    points,
+    pressure_colours,
+)
 from kneexo.parameters import LinkageParameters
 from kneexo.version import __version__
-from kneexo.view.mechanism import BARS, GHOST, PINS, Bar, Points, points
 
 Array = NDArray[np.float64]
+"""An array of doubles."""
 
 FRAMES_PER_S = 32.0
 """Frames of a recording in a second."""
 
-SPACING_M = 0.30
-"""Distance of legs that stand beside each other."""
+MOST_FRAMES = 4800
+"""Frames of all legs of a page together, 150 s of one leg: the page stays below 8 MB."""
+
+MOST_FRAMES_IN_REPORT = 1920
+"""The same of a page within a report, which stays below 3 MB."""
+
+COLUMNS = ("time_s", "knee_angle_rad", "knee_reference_rad", "load_pressure_pa")
+"""What a page shows of a run."""
 
 MARK = "<!-- made by kneexo view -->"
 """In each page, so that one page may replace another."""
 
-PIN = Cylinder(0.004, 0.052)
-_ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)
-_LOW, _HIGH, _NONE = np.array([0.1, 0.3, 0.9]), np.array([0.9, 0.15, 0.1]), np.array([0.85] * 3)
+_HEAD = """
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>
+#caption { position: absolute; left: 12px; top: 8px; max-width: 60vw; font: 14px sans-serif;
+  color: #222; background: rgba(255, 255, 255, 0.8); padding: 6px 10px; pointer-events: none; }
+#caption ol { margin: 4px 0; padding-left: 1.4em; }
+@media (max-width: 600px) {
+  #caption { font-size: 11px; left: 0; top: auto; bottom: 0; max-width: none; }
+}
+</style>
+"""
+
+_ALONG, _ACROSS = (
+    RotationMatrix.MakeYRotation(0.5 * np.pi),
+    RotationMatrix.MakeXRotation(0.5 * np.pi),
+)
+_TOLERANCE = 1e-9  # m and rad
 
 
 @dataclass(frozen=True)
@@ -50,29 +88,48 @@ class Leg:
     reference_rad: Array
     pressure_pa: Array
 
+    @classmethod
+    def of_signals(
+        cls, name: str, linkage: LinkageParameters, signals: Mapping[str, ArrayLike]
+    ) -> Leg:
+        """A leg of the columns `COLUMNS` of a run."""
+        return cls(name, linkage, *(np.asarray(signals[column]) for column in COLUMNS))
 
-def view_page(legs: Sequence[Leg]) -> str:
+
+def shown_s(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> float:
+    """Time in s that a page shows of its legs: of the longest run, or what the size allows."""
+    return min(max(float(leg.time_s[-1]) for leg in legs), most_frames / (FRAMES_PER_S * len(legs)))
+
+
+def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
     """One self-contained HTML page: legs beside each other, with a slider for the time.
 
     The cylinder's colour is its load pressure: blue for negative, red for positive, at full colour
     for the largest of all legs. The grey shank is the reference; the line is the path of the
-    instantaneous centre of rotation. A leg whose run is shorter stands still at its end.
+    instantaneous centre of rotation. A leg whose run is shorter stands still at its end. What comes
+    after `shown_s` is left out.
     """
     meshcat = _quiet_meshcat()
     meshcat.SetProperty("/Background", "visible", False)
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
+    end_s = shown_s(legs, most_frames)
     largest = max(float(np.abs(leg.pressure_pa).max()) for leg in legs)
-    meshcat.StartRecording(frames_per_second=FRAMES_PER_S)
+    # Shown at once too, a colour would replace the object that the recording alters.
+    meshcat.StartRecording(FRAMES_PER_S, set_visualizations_while_recording=False)
     for number, leg in enumerate(legs):
         depth = (number - 0.5 * (len(legs) - 1)) * SPACING_M
-        _record(meshcat, f"/knee/leg{number}", leg, depth, largest)
+        _record(meshcat, f"/knee/leg{number}", leg, depth, largest, end_s)
     meshcat.StopRecording()
     meshcat.PublishRecording()
     distance = 0.55 + 0.5 * SPACING_M * (len(legs) - 1)
     meshcat.SetCameraPose([0.5 * distance, -distance, 0.05], [-0.04, 0.0, -0.03])
-    page = str(meshcat.StaticHtml())
-    return page.replace("</body>", f"{MARK}{_caption(legs, largest)}</body>")
+    page = str(meshcat.StaticHtml()).replace("<html>", '<html lang="en">', 1)
+    title = f"kneexo: {', '.join(leg.name for leg in legs)}"
+    page = page.replace(
+        "<title>Drake MeshCat</title>", f"{_HEAD}<title>{html.escape(title)}</title>", 1
+    )
+    return page.replace("</body>", f"{MARK}{_caption(legs, largest, end_s)}</body>")
 
 
 def _quiet_meshcat() -> Meshcat:
@@ -109,79 +166,107 @@ def write_page(path: Path, page: str) -> None:
         raise OutputError(f"--out {path}: cannot write there ({reason})") from None
 
 
-def _record(meshcat: Meshcat, path: str, leg: Leg, depth: float, largest: float) -> None:
-    times = np.arange(0.0, leg.time_s[-1] + 0.5 / FRAMES_PER_S, 1.0 / FRAMES_PER_S)
+def _record(
+    meshcat: Meshcat, path: str, leg: Leg, depth: float, largest: float, end_s: float
+) -> None:
+    end_s = min(end_s, leg.time_s[-1])
+    times = np.arange(0.0, end_s + 0.5 / FRAMES_PER_S, 1.0 / FRAMES_PER_S)
     angle, reference, pressure = (
         np.interp(times, leg.time_s, values)
         for values in (leg.knee_angle_rad, leg.reference_rad, leg.pressure_pa)
     )
     now, wanted = points(leg.linkage, angle), points(leg.linkage, reference)
+    meshcat.SetTransform(path, RigidTransform(in_world(0j, depth)))
+    parts = _Parts(meshcat, path, times, now)
     for name, bar in BARS.items():
-        _bar(meshcat, f"{path}/{name}", bar, now, times, depth)
-    for name in GHOST:
-        _bar(meshcat, f"{path}/reference_{name}", BARS[name], wanted, times, depth, ghost=True)
+        parts.add_bar(name, bar, now, Rgba(*bar.colour), bar.radius_m)
     for name in (*PINS, "icr"):
-        colour = Rgba(0.8, 0.0, 0.5) if name == "icr" else Rgba(0.15, 0.15, 0.18)
-        meshcat.SetObject(f"{path}/pin_{name}", PIN, colour)
-        for time, point in zip(times.tolist(), now[name].tolist(), strict=True):
-            place = RigidTransform(_ACROSS, _world(point, depth))
-            meshcat.SetTransform(f"{path}/pin_{name}", place, time_in_recording=time)
-    sweep = np.radians(np.linspace(0.0, 90.0, 91))
-    trail = np.array([_world(point, depth) for point in points(leg.linkage, sweep)["icr"]])
-    meshcat.SetLine(f"{path}/icr_path", trail.T, 2.0, Rgba(0.8, 0.0, 0.5))
+        parts.add_pin(f"pin_{name}", now[name], ICR_COLOUR if name == "icr" else PIN_COLOUR)
+    ghost = _Parts(meshcat, f"{path}/reference", times, wanted)
+    for name in GHOST:  # hidden within what it agrees with
+        ghost.add_bar(name, BARS[name], wanted, GHOST_COLOUR, GHOST_RADIUS * BARS[name].radius_m)
+    meshcat.SetLine(f"{path}/icr_path", icr_path(leg.linkage), 2.0, ICR_COLOUR)
     for time, colour in zip(times.tolist(), pressure_colours(pressure, largest), strict=True):
         meshcat.SetProperty(
-            f"{path}/cylinder/<object>", "color", [*colour.tolist(), 1.0], time_in_recording=time
+            f"{path}/cylinder/<object>", "material.color", colour.tolist(), time_in_recording=time
         )
 
 
-def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
-    """Red, green, blue (n, 3) of pressures (n,): blue at -largest, grey at 0, red at largest."""
-    share = (pressure_pa / (largest_pa or 1.0))[:, None]
-    return np.asarray(_NONE + np.abs(share) * (np.where(share > 0.0, _HIGH, _LOW) - _NONE))
+class _Parts:
+    """Parts of a leg in a recording.
 
+    The page holds a pose at each frame only for the shank and for what moves otherwise: what stands
+    still has a single pose, and what turns with the shank has a single pose on it.
+    """
 
-def _bar(
-    meshcat: Meshcat,
-    path: str,
-    bar: Bar,
-    at: dict[str, Points],
-    times: Array,
-    depth: float,
-    *,
-    ghost: bool = False,
-) -> None:
-    start, end = at[bar.start], at[bar.end]
-    colour = Rgba(0.35, 0.35, 0.35, 0.35) if ghost else Rgba(*bar.colour)
-    radius = bar.radius_m * (0.85 if ghost else 1.0)  # hidden within what it agrees with
-    meshcat.SetObject(path, Cylinder(radius, float(np.abs(end[0] - start[0]))), colour)
-    count = 1 if bar.fixed else times.size
-    for time, first, last in zip(times[:count].tolist(), start, end, strict=False):
-        meshcat.SetTransform(
-            path, bar_pose(first, last, depth + bar.layer_m), time_in_recording=time
+    def __init__(self, meshcat: Meshcat, path: str, times: Array, at: Mapping[str, Points]) -> None:
+        self._meshcat, self._path, self._times = meshcat, path, times.tolist()
+        down = at["ankle"] - at["shank_start"]
+        still = np.zeros_like(down)
+        self._frames = {
+            path: (still, still + 1.0),
+            f"{path}/on_shank": (at["shank_start"], down / np.abs(down)),
+        }
+        self._move(f"{path}/on_shank", RotationMatrix(), *self._frames[f"{path}/on_shank"])
+
+    def add_bar(
+        self, name: str, bar: Bar, at: Mapping[str, Points], colour: Rgba, radius_m: float
+    ) -> None:
+        start, end = at[bar.start], at[bar.end]
+        shape = Cylinder(radius_m, float(np.abs(end[0] - start[0])))
+        turn = (end - start) / np.abs(end - start)
+        self._add(name, shape, colour, _ALONG, 0.5 * (start + end), turn, bar.layer_m)
+
+    def add_pin(self, name: str, place: Points, colour: Rgba) -> None:
+        self._add(name, PIN, colour, _ACROSS, place, None)
+
+    def _add(
+        self,
+        name: str,
+        shape: Cylinder,
+        colour: Rgba,
+        axis: RotationMatrix,
+        place: Points,
+        turn: Points | None,
+        layer_m: float = 0.0,
+    ) -> None:
+        """Add a part on the frame on which it stands still; ``turn`` None: it is round."""
+        seen = {
+            frame: ((place - origin) / way, np.ones_like(way) if turn is None else turn / way)
+            for frame, (origin, way) in self._frames.items()
+        }
+        frame = next((f for f, poses in seen.items() if all(map(_is_constant, poses))), self._path)
+        self._meshcat.SetObject(f"{frame}/{name}", shape, colour)
+        self._move(f"{frame}/{name}", axis, *seen[frame], layer_m)
+
+    def _move(
+        self, path: str, axis: RotationMatrix, place: Points, turn: Points, layer_m: float = 0.0
+    ) -> None:
+        angle = -np.angle(turn)
+        poses = (
+            RigidTransform(RotationMatrix.MakeYRotation(y) @ axis, in_world(point, layer_m))
+            for point, y in zip(place, angle, strict=True)
         )
+        if _is_constant(place) and _is_constant(turn):
+            self._meshcat.SetTransform(path, next(poses))
+            return
+        for time, pose in zip(self._times, poses, strict=True):
+            self._meshcat.SetTransform(path, pose, time_in_recording=time)
 
 
-def bar_pose(start: complex, end: complex, depth: float) -> RigidTransform:
-    """Pose of a bar whose axis is z and whose origin is its middle."""
-    along = _world(end - start, 0.0)
-    rotation = RotationMatrix.MakeFromOneVector(along, 2)
-    return RigidTransform(rotation, _world(0.5 * (start + end), depth))
+def _is_constant(values: Points) -> bool:
+    return bool(np.abs(values - values[0]).max() < _TOLERANCE)
 
 
-def _world(point: complex, depth: float) -> Array:
-    """A point of the knee's plane, z up."""
-    return np.array([point.real, depth, point.imag])
-
-
-def _caption(legs: Sequence[Leg], largest: float) -> str:
+def _caption(legs: Sequence[Leg], largest: float, end_s: float) -> str:
     names = "".join(f"<li>{html.escape(leg.name)}</li>" for leg in legs)
     if len(legs) > 1:
         names = names.replace("</li>", " (nearest)</li>", 1)
+    last_s = max(float(leg.time_s[-1]) for leg in legs)
+    pressure = EngFormatter("Pa", places=1)(largest)
+    cut = f"the first {end_s:.3g} of {last_s:.3g} s<br>" if end_s < last_s else ""
     return (
-        '<div style="position:absolute;left:12px;top:8px;font:14px sans-serif;color:#222;'
-        'background:rgba(255,255,255,0.8);padding:6px 10px">'
-        f'<b>kneexo {__version__}</b><ol style="margin:4px 0 4px -18px">{names}</ol>'
-        f"cylinder: load pressure, blue −{largest / 1e6:.3g} MPa … red {largest / 1e6:.3g} MPa"
+        f'<div id="caption"><b>kneexo {__version__}</b><ol>{names}</ol>{cut}'
+        f"cylinder: load pressure, blue −{pressure} … red {pressure}"
         "<br>grey shank: reference<br>line: path of the instantaneous centre of rotation</div>"
     )

@@ -70,7 +70,7 @@ def test_the_follower_of_a_small_sine_is_the_closed_form():
     assert follower_bandwidth_hz(scenario) == pytest.approx(closed, rel=1e-4)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(amplitude=st.floats(1.0, 35.0), factor=st.floats(0.2, 5.0))
 def test_the_follower_depends_on_speed_over_frequency_alone(amplitude, factor):
     scenario = sine(amplitude)

@@ -111,7 +111,7 @@ def test_each_part_of_the_model_is_where_it_belongs():
     velocity=st.floats(-0.04, 0.04),
     acceleration=st.floats(-0.1, 0.1),
 )
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_error_scales_with_lambda_squared_and_slope(lambda_, slope, share, velocity, acceleration):
     def error(lambda_, slope):
         return error_model(loop(lambda_, slope, share)).error_m(velocity, acceleration)

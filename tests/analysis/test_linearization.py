@@ -1175,7 +1175,7 @@ def assert_response(scenario, frequency_hz, *settings):
 # acceleration limit, 100 rad/s of sudden command.
 @pytest.mark.parametrize(("frequency_hz", "amplitude_deg"), [(20.0, 1e-3), (100.0, 1e-4)])
 def test_the_response_to_a_small_sine_is_that_of_the_simulator(frequency_hz, amplitude_deg):
-    assert_response(SCENARIOS["smc"], frequency_hz, amplitude_deg, 0.6, 0.2, 2e-4)
+    assert_response(SCENARIOS["smc"], frequency_hz, amplitude_deg, 0.5, 0.1, 2e-4)
 
 
 @pytest.mark.slow

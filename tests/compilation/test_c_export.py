@@ -6,12 +6,15 @@ import subprocess
 
 import numpy as np
 import pytest
-from pydrake.systems.primitives import LinearSystem, Sine
+from pydrake.symbolic import Variable
+from pydrake.systems.primitives import LinearSystem, Sine, SymbolicVectorSystem
 
-from kneexo.compilation import export_c
+from kneexo.compilation import c_build, export_c
 from kneexo.compilation.c_build import BuildError, CodeSize, Replay, code_sizes, replay
 from kneexo.compilation.c_export import (
+    Measurement,
     Vectors,
+    _numbers,
     exported,
     recorded_vectors,
     source_of,
@@ -22,7 +25,7 @@ from kneexo.compilation.equations import Equations
 from kneexo.compilation.graph import Graph
 from kneexo.compilation.model import compile_diagram
 from kneexo.compilation.runner import State
-from kneexo.errors import CompilationError, OutputError
+from kneexo.errors import CompilationError, OutputError, SimulationError
 
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
 FILES = {
@@ -41,11 +44,22 @@ def low_pass(feedthrough=0.0):
 SAMPLES = np.arange(1.0, 21.0)[:, None]
 
 
-@pytest.fixture
-def folder(tmp_path):
-    path = tmp_path / "out"
+@pytest.fixture(scope="module")
+def low_pass_export(tmp_path_factory):
+    path = tmp_path_factory.mktemp("low_pass") / "out"
     export_c(low_pass(), path, name="filter", inputs=["u0"], samples=SAMPLES)
     return path
+
+
+@pytest.fixture
+def folder(low_pass_export, tmp_path):
+    return shutil.copytree(low_pass_export, tmp_path / "out")
+
+
+@pytest.fixture
+def no_targets(monkeypatch):
+    """Flash and stack are not measured."""
+    monkeypatch.setattr(c_build, "TARGETS", {})
 
 
 def test_vectors_are_the_outputs_after_each_step():
@@ -79,7 +93,7 @@ def test_inputs_that_vary_need_a_diagram_without_sample_times_or_without_states(
 
 @needs_compiler
 @pytest.mark.parametrize("precision", ["double", "float"])
-def test_the_harness_reports_differences(precision, tmp_path):
+def test_the_harness_reports_differences(precision, no_targets):
     source = source_of(compile_diagram(low_pass(), inputs=["u0"]), "filter", precision=precision)
     vectors = recorded_vectors(low_pass(), source, SAMPLES)
     files, measurement = exported(source, vectors)
@@ -97,7 +111,7 @@ def test_the_harness_reports_differences(precision, tmp_path):
 
 
 @needs_compiler
-def test_make_and_cmake_build_the_folder(folder):
+def test_make_and_cmake_build_the_folder(folder, no_targets):
     made = subprocess.run(["make", "test"], cwd=folder, capture_output=True, text=True, check=True)
     assert "20 steps, 0 failures" in made.stdout
     assert {path.name for path in folder.iterdir()} == FILES | {"build"}
@@ -121,6 +135,48 @@ def test_the_readme_tells_what_was_measured(folder):
     assert f"| RAM of `filter_state_t` | {source.state_bytes} bytes |" in text
     assert "20 recorded steps" in text
     assert not re.search(r"@\w|\bNAME\b|\bUPPER\b", text)
+
+
+STIFF_PER_S = 5e4
+
+
+def stiff():
+    """A lag of 20 µs, which RK4 cannot take with steps of 0.2 ms."""
+    system = LinearSystem(A=[[-STIFF_PER_S]], B=[[STIFF_PER_S]], C=[[1.0]], D=[[0.0]])
+    system.set_name("stiff")
+    return system
+
+
+def test_steps_follow_the_fastest_mode_of_any_diagram(tmp_path):
+    options = {"name": "stiff", "inputs": ["u0"], "tick_s": 2e-3, "samples": np.full((5, 1), 2.0)}
+    with pytest.raises(SimulationError, match="not finite"):
+        export_c(
+            stiff(), tmp_path / "unstable", step_s=2e-4, **options | {"samples": 100 * [[2.0]]}
+        )
+    measurement = export_c(stiff(), tmp_path / "out", **options)
+    source = source_of(compile_diagram(stiff(), inputs=["u0"]), "stiff", tick_s=2e-3)
+    assert source.largest_step_s == pytest.approx(0.2 / STIFF_PER_S, rel=1e-12)
+    assert source.steps == 500
+    text = (tmp_path / "out" / "stiff.c").read_text()
+    assert "step < 500U" in text
+    vectors = recorded_vectors(stiff(), source, np.array(options["samples"]))
+    np.testing.assert_allclose(vectors.outputs, 2.0, rtol=1e-12)  # after 100 time constants
+    if measurement.replay is not None:
+        assert measurement.replay.passed
+    export_c(stiff(), tmp_path / "chosen", step_s=1e-5, **options)
+    assert "step < 200U" in (tmp_path / "chosen" / "stiff.c").read_text()
+
+
+def test_the_fastest_mode_is_that_of_the_context(tmp_path):
+    """Dx/dt = −x³, whose eigenvalue is −3 x²."""
+    x = Variable("x")
+    system = SymbolicVectorSystem(state=[x], dynamics=[-(x**3)], output=[x])
+    context = system.CreateDefaultContext()
+    context.SetContinuousState([100.0])
+    export_c(system, tmp_path / "out", name="cubic", tick_s=1e-3, steps=5, context=context)
+    assert "step < 150U" in (tmp_path / "out" / "cubic.c").read_text()  # 1 ms / (0.2 / 3e4 s)
+    export_c(system, tmp_path / "out", name="cubic", tick_s=1e-3, steps=5)
+    assert "step < 5U" in (tmp_path / "out" / "cubic.c").read_text()
 
 
 def test_without_compilers_the_readme_says_so(tmp_path, monkeypatch):
@@ -148,6 +204,28 @@ def test_sizes_are_those_of_the_tools(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     sizes = code_sizes("m", {"m.c": "", "m_params.c": ""})
     assert sizes == {target: CodeSize(120, 48) for target in ("Cortex-M4F", "Cortex-M7")}
+
+
+def test_the_rows_of_the_readme_tell_each_number_with_its_unit():
+    replayed = Replay({"y0": 1.25e-12}, {"y0": 34.5}, passed=True)
+    sizes = {"Cortex-M4F": CodeSize(1120, 48), "Cortex-M7": CodeSize(2040, 96)}
+    measurement = Measurement({"*": 3, "sqrt": 1}, 24, replayed, sizes, {"power": "no | meter"})
+    assert list(_numbers("m", measurement)) == [
+        ("operations in a step", "4: 3 *, 1 sqrt"),
+        ("RAM of `m_state_t`", "24 bytes"),
+        ("difference of `y0`", "1.25e-12, where it goes up to 34.5"),
+        (
+            "Cortex-M4F: flash, code and parameters, without the C library, -O2",
+            "1120 bytes",
+        ),
+        ("Cortex-M4F: stack of a step, without the C library, -O2", "48 bytes"),
+        (
+            "Cortex-M7: flash, code and parameters, without the C library, -O2",
+            "2040 bytes",
+        ),
+        ("Cortex-M7: stack of a step, without the C library, -O2", "96 bytes"),
+        ("power", "not measured: no / meter"),
+    ]
 
 
 @needs_compiler
@@ -238,12 +316,12 @@ def test_foreign_files_are_not_touched(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["main.c"]
 
 
-def test_a_new_export_replaces_all_files_of_the_last_one(folder):
+def test_a_new_export_replaces_all_files_of_the_last_one(folder, no_targets):
     export_c(Sine(1.0, 2.0, 0.0, 1), folder, name="source", outputs=["y0"], tick_s=0.1, steps=3)
     assert not any(path.name.startswith("filter") for path in folder.iterdir())
 
 
-def test_what_a_killed_export_left_is_deleted(folder):
+def test_what_a_killed_export_left_is_deleted(folder, no_targets):
     left = folder / "build-x1"
     left.mkdir()
     (left / "filter.c").write_text("")

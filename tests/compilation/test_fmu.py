@@ -4,7 +4,9 @@ import io
 import math
 import shutil
 import subprocess
+import sys
 import zipfile
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
@@ -259,6 +261,64 @@ def test_a_result_that_is_not_finite_is_explained(lag):
     assert "status = 2: a result is not finite; check parameters and inputs" in message
 
 
+@pytest.fixture(params=[2, 3])
+def sensitive(request, tmp_path, fmu_instance):
+    """Its parameter is turned into another unit in C, where a large one overflows."""
+    members = (
+        ("offset_per_mm", "offset.group_0[0]", True),
+        ("start_per_mm", "initial_x[0]", False),
+    )
+    parameters = [
+        Parameter(name, 0.0, (member,), divisor=1e-3, tunable=tunable)
+        for name, member, tunable in members
+    ]
+    fmu = Fmu(_source(), parameters, request.param)
+    library = fmu.library()
+    if library is None:
+        pytest.skip("needs a C compiler on Linux, x86-64")
+    file = tmp_path / "lag.fmu"
+    file.write_bytes(fmu.archive(library))
+    return fmu_instance(str(file))
+
+
+@pytest.mark.parametrize("name", ["offset_per_mm", "start_per_mm"])
+def test_a_parameter_that_is_not_finite_in_c_is_explained(sensitive, name):
+    sensitive.enter()
+    sensitive.set({name: 1e307})
+    message = sensitive.refusal(sensitive.fmu.exitInitializationMode)
+    assert message == (
+        "t = 0 s: the initialization failed, status = 16: a parameter or start value of the model "
+        "is not finite"
+    )
+    sensitive.set({name: 1e-3})
+    sensitive.fmu.exitInitializationMode()
+    assert sensitive.get("x_m") == (1.0 if name == "start_per_mm" else 0.0)
+
+
+def test_a_tuned_parameter_that_is_not_finite_in_c_is_explained(sensitive):
+    sensitive.start()
+    sensitive.set(offset_per_mm=1e307)
+    message = sensitive.refusal(sensitive.step, 0.0, TICK_S)
+    assert message.startswith("t = 0 s: the change of parameters failed, status = 16: a parameter ")
+
+
+def test_a_state_that_was_never_started_is_explained(lag):
+    """Of damaged bytes: of the ones in it, one says that the model is started."""
+    data, told = lag.serialize(), []
+    one = (1).to_bytes(4, sys.byteorder)
+    for place in range(len(data) - 3):
+        if data[place : place + 4] == one:
+            lag.deserialize(data[:place] + bytes(4) + data[place + 4 :])
+            before = len(lag.messages)
+            with suppress(Exception):
+                lag.step(0.0, TICK_S)
+            told += lag.messages[before:]
+    assert (
+        "t = 0 s: the step failed, status = 8: the model is not started; initialize the instance "
+        "again"
+    ) in told
+
+
 def test_what_may_not_be_set(lag, path, fmu_instance):
     assert "x_m: is computed, and cannot be set" in lag.refusal(lag.set, x_m=1.0)
     assert "time: is computed" in lag.refusal(lag.set, time=1.0)
@@ -393,11 +453,12 @@ def test_sources_compile_without_a_warning(fmu, compiler, tmp_path):
     assert all(text.isascii() for text in fmu.sources.values())
 
 
-@NEEDS_COMPILER
-def test_a_library_shows_the_functions_of_the_standard_alone(fmu, tmp_path):
+def test_a_library_shows_the_functions_of_the_standard_alone(fmu, path, tmp_path):
     if shutil.which("nm") is None:
         pytest.skip("needs nm")
-    (tmp_path / "lag.so").write_bytes(fmu.library())
+    with zipfile.ZipFile(path) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".so"))
+        (tmp_path / "lag.so").write_bytes(archive.read(name))
     command = ["nm", "-D", "--defined-only", tmp_path / "lag.so"]
     table = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     names = {line.split()[-1] for line in table.splitlines()}

@@ -13,7 +13,7 @@ from kneexo.compilation.native import Library, compile_text
 from kneexo.compilation.passes import Layout, Program, regrouped
 from kneexo.compilation.time_loop import start_text
 
-property_test = settings(max_examples=40, deadline=None, derandomize=True)
+property_test = settings(max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 CONDITIONS = (*COMPARISONS, "and", "or", "not")
 

@@ -16,7 +16,7 @@ from kneexo.compilation.runner import Runner
 from kneexo.compilation.time_loop import INTEGRATORS, OUTSIDE
 from kneexo.errors import SimulationError
 
-property_test = settings(max_examples=12, deadline=None, derandomize=True)
+property_test = settings(max_examples=12, derandomize=True)
 COUNTS = (1, 3, 7, 8, 9, 17)
 RATES = ((0.004, 0.0), (0.010, 0.015))
 

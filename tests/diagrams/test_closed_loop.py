@@ -457,7 +457,7 @@ def test_commands_agree_with_a_second_program_from_encoder_counts(
     loop, delay, four_bar, fixed_step
 ):
     ours, other = both_loops(
-        four_bar, fixed_step, loop, 200, PERIOD / 5, quantized=True, delay=delay
+        four_bar, fixed_step, loop, 120, PERIOD / 5, quantized=True, delay=delay
     )
     # Both see the same counts, so the commands differ by rounding only: 1e-16 m of rod times
     # the controller's slope, up to 1e8 (rad/s)/m for differences; 1e-7 rad/s leaves room.
@@ -661,22 +661,22 @@ def assert_same(values, expected):
         )
 
 
-@pytest.mark.parametrize("convert", ["ToAutoDiffXd", "ToSymbolic"])
 @pytest.mark.parametrize("case", CONVERTED)
-def test_other_scalars_give_the_same_values_at_random_contexts(case, convert, fixed_step):
+def test_other_scalars_give_the_same_values_at_random_contexts(case, fixed_step):
     for encoder in QUANTIZED:
         scenario = Scenario(**{"plant": VARIED, "encoder": encoder} | CONVERTED[case])
         diagram = make_closed_loop(scenario)
-        converted = getattr(diagram, convert)()
+        conversions = diagram.ToAutoDiffXd(), diagram.ToSymbolic()
         # A small jitter leaves the command within its limit, a large one does not.
         for jitter in (1e-5, 1e-2):
             context = running_context(diagram, fixed_step, jitter)
-            other = converted.CreateDefaultContext()
-            other.SetTimeStateAndParametersFrom(context)
-            converted.FixInputPortsFrom(diagram, context, other)
             expected = all_values(diagram, context)
-            assert_same(all_values(converted, other), expected)
             assert expected["load_pressure"] != 0.0
+            for converted in conversions:
+                other = converted.CreateDefaultContext()
+                other.SetTimeStateAndParametersFrom(context)
+                converted.FixInputPortsFrom(diagram, context, other)
+                assert_same(all_values(converted, other), expected)
 
 
 @pytest.mark.parametrize("convert", ["ToAutoDiffXd", "ToSymbolic"])

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from kneexo.compilation import c_build
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -31,6 +33,18 @@ def backstepping():
     sys.modules[name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules[name])
     return sys.modules[name].BACKSTEPPING
+
+
+@pytest.fixture
+def no_targets(monkeypatch):
+    """Flash and stack are not measured."""
+    monkeypatch.setattr(c_build, "TARGETS", {})
+
+
+@pytest.fixture
+def no_compiler(monkeypatch, no_targets):
+    """What is written is not built."""
+    monkeypatch.setattr(c_build, "COMPILERS", ())
 
 
 @pytest.fixture

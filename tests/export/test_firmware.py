@@ -9,8 +9,9 @@ import pytest
 
 from kneexo.analysis import simulate
 from kneexo.cli import main
-from kneexo.compilation import c_export
+from kneexo.compilation import c_build, c_export
 from kneexo.errors import ParameterError
+from kneexo.export import firmware
 from kneexo.export.firmware import loop_inputs, make_firmware
 from kneexo.export.target import largest_step_s, target
 from kneexo.parameters import Scenario
@@ -107,7 +108,7 @@ def test_c_in_its_own_steps_agrees_with_exact_hold(exported, plant, what):
         assert difference <= share * np.ptp(expected), name
 
 
-def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys):
+def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys, no_compiler):
     out = tmp_path / "out"
     options = ["export", "c", "--out", str(out), "--set", "reference=gait"]
     assert main([*options, "--what", "loop"]) == 2
@@ -149,7 +150,7 @@ def short(tmp_path):
 
 
 @needs_compiler
-def test_export_c_prints_what_it_measured(tmp_path, short, capsys):
+def test_export_c_prints_what_it_measured(tmp_path, short, capsys, no_targets):
     out = tmp_path / "out"
     options = ["export", "c", short, "--out", str(out), "--precision", "float"]
     assert main([*options, "--json"]) == 0
@@ -170,6 +171,21 @@ def test_export_c_prints_what_it_measured(tmp_path, short, capsys):
     assert (out / "controller.c").exists()
 
 
+def test_export_c_prints_flash_and_stack_in_bytes(tmp_path, short, capsys, monkeypatch):
+    replayed = c_build.Replay({"u_rad_s": 2.5e-10}, {"u_rad_s": 523.6}, passed=True)
+    sizes = {"Cortex-M7": c_build.CodeSize(flash=2040, stack=96)}
+    measurement = c_export.Measurement({"*": 3}, 24, replayed, sizes, {"power": "no meter"})
+    monkeypatch.setattr(firmware, "export_firmware", lambda *_, **__: measurement)
+    assert main(["export", "c", short, "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out.splitlines()[1:] == [
+        "  3 operations a step",
+        "  24 bytes of state",
+        "  u_rad_s: difference 2.5e-10 (largest value 523.6)",
+        "  Cortex-M7: 2040 bytes of flash, 96 bytes of stack",
+        "  power not measured: no meter",
+    ]
+
+
 def test_export_c_says_what_was_not_measured(tmp_path, short, capsys, monkeypatch):
     tools = tmp_path / "tools"
     tools.mkdir()
@@ -185,14 +201,14 @@ def test_export_c_says_what_was_not_measured(tmp_path, short, capsys, monkeypatc
 
 
 @pytest.mark.parametrize("what", ["plant", "loop"])
-def test_export_c_takes_set_and_what(tmp_path, short, what):
+def test_export_c_takes_set_and_what(tmp_path, short, what, no_compiler):
     out = tmp_path / "out"
     options = ["export", "c", short, "--out", str(out), "--what", what, "--vectors-s", "0.01"]
     assert main([*options, "--set", "plant.cylinder.mass_kg=1.75"]) == 0
     assert "1.75, /* mass_kg */" in (out / f"{what}_params.c").read_text()
 
 
-def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short):
+def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short, no_compiler):
     plants = []
     for step_s in (None, 5e-4):
         out = tmp_path / f"{step_s}"
@@ -211,7 +227,7 @@ def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short):
     ("precision", "fails"),
     [("float", True), pytest.param("double", False, marks=pytest.mark.slow)],
 )
-def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails):
+def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails, no_targets):
     """In float the loop reads another count sooner or later."""
     options = ["--what", "loop", "--precision", precision, "--json"]
     assert main(["export", "c", "--out", str(tmp_path / "out"), *options]) == 0
@@ -240,7 +256,7 @@ def test_bad_options_leave_nothing_behind(tmp_path, short, capsys, options, line
 
 
 @needs_compiler
-def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch):
+def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch, no_targets):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
     law = (
         "{kind: custom, make: backstepping:make, values: {k_1: 20, k_2: 60}, sample_time_s: 0.001}"

@@ -1,5 +1,6 @@
 """FMUs of scenarios: beside compiled runs, in FMPy and in libcosim."""
 
+import fcntl
 import hashlib
 import json
 import math
@@ -23,7 +24,8 @@ from kneexo.compilation.fmu import generation_tool
 from kneexo.diagrams import make_closed_loop, make_controller
 from kneexo.diagrams.signals import SIGNALS, available_signals, columns
 from kneexo.errors import OutputError, ParameterError
-from kneexo.export.fmu import export_fmu, make_fmu, parameter_effects
+from kneexo.export import fmu as exports
+from kneexo.export.fmu import export_fmu, parameter_effects
 from kneexo.export.target import WHAT, largest_step_s
 from kneexo.parameter_list import parameter_rows
 from kneexo.parameters import (
@@ -53,18 +55,32 @@ NEEDS_COMPILER = pytest.mark.skipif(
 )
 
 
+@cache
+def _fmu(scenario, what, fmi, step_s):
+    return exports.make_fmu(scenario, what, fmi=fmi, step_s=step_s)
+
+
+def make_fmu(scenario, what, fmi=3, step_s=None):
+    """One FMU for equal arguments; no test changes it."""
+    return _fmu(scenario, what, fmi, step_s)
+
+
 @pytest.fixture(scope="module")
 def path(tmp_path_factory, worker_id):
     """``path(what, fmi, scenario)``: a written FMU, which all workers of pytest share."""
     folder = tmp_path_factory.getbasetemp()
     folder = (folder if worker_id == "master" else folder.parent) / "shared_fmus"
+    folder.mkdir(exist_ok=True)
 
     @cache
     def written(what, fmi, scenario=PAPER):
         name = hashlib.sha256(repr(scenario).encode()).hexdigest()[:16]
         file = folder / f"{what}_{fmi}_{name}.fmu"
-        if not file.exists():  # two workers may write it, but each writes the whole
-            export_fmu(scenario, file, what, fmi=fmi)
+        with file.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # another worker may be at it
+            if not file.exists():
+                fmu = make_fmu(scenario, what, fmi)
+                file.write_bytes(fmu.archive(fmu.library()))
         with zipfile.ZipFile(file) as archive:
             if not any(member.endswith(".so") for member in archive.namelist()):
                 pytest.skip("needs a C compiler on Linux, x86-64")
@@ -73,6 +89,7 @@ def path(tmp_path_factory, worker_id):
     return written
 
 
+@cache
 def _compiled(scenario):
     step_s = largest_step_s(scenario, "loop")
     return simulate_compiled(scenario, integrator="rk4", step_s=step_s).data
@@ -450,7 +467,7 @@ def test_libcosim_couples_plant_and_controller(path, tmp_path):
     reference = np.column_stack([data[name] for name in REFERENCE])
     references = {}
     for what in ("plant", "controller"):
-        fmu = make_fmu(PAPER, what, fmi=2)
+        fmu = make_fmu(PAPER, what, 2)
         references[what] = {v.name: i for i, v in enumerate(fmu.variables)}
     execution = CosimExecution.from_step_size(int(TICK_S * 1e9))
     slaves = {
@@ -478,7 +495,7 @@ def test_libcosim_couples_plant_and_controller(path, tmp_path):
     assert _relative(values, data["rod_extension_m"]) < 1e-9
 
 
-def test_step_s_of_the_command_line_is_that_of_the_sources(tmp_path):
+def test_step_s_of_the_command_line_is_that_of_the_sources(tmp_path, no_compiler):
     file = tmp_path / "plant.fmu"
     assert main(["export", "fmu", "--what", "plant", "--step-s", "5e-4", "--out", str(file)]) == 0
     with zipfile.ZipFile(file) as archive:
@@ -534,26 +551,22 @@ def test_others_build_the_sources(tmp_path, monkeypatch, fmi):
 # ------------------------------------------------------------------------------------ files
 
 
-def test_equal_scenarios_give_equal_files(tmp_path):
-    first = export_fmu(PAPER, tmp_path / "a.fmu", "controller")
+def test_equal_scenarios_give_equal_files(tmp_path, path):
+    first = Path(path("controller", 3)).read_bytes()
     second = export_fmu(Scenario(), tmp_path / "b", "controller")
-    assert (first.path, second.path) == (
-        str(tmp_path / "a.fmu"),
-        str(tmp_path / "b" / "knee_controller.fmu"),
-    )
-    data = (tmp_path / "a.fmu").read_bytes()
-    assert data == (tmp_path / "b" / "knee_controller.fmu").read_bytes()
-    assert re.fullmatch(r"kneexo \S+", generation_tool(data))
-    assert [file.name for file in sorted(tmp_path.iterdir())] == ["a.fmu", "b"]
+    assert second.path == str(tmp_path / "b" / "knee_controller.fmu")
+    assert Path(second.path).read_bytes() == first
+    assert re.fullmatch(r"kneexo \S+", generation_tool(first))
+    assert [file.name for file in sorted(tmp_path.iterdir())] == ["b"]
 
 
-def test_an_fmu_of_ours_is_replaced(tmp_path, monkeypatch):
-    monkeypatch.setattr(c_build, "COMPILERS", ())
+def test_an_fmu_of_ours_is_replaced(tmp_path, no_compiler):
     file = tmp_path / "knee.fmu"
-    export_fmu(PAPER, file, "plant")
-    export_fmu(PAPER, file, "controller", fmi=2)
+    for fmi in (3, 2):
+        assert export_fmu(PAPER, file, "controller", fmi=fmi).path == str(file)
     with zipfile.ZipFile(file) as archive:
         assert "sources/knee_controller_fmi2.c" in archive.namelist()
+    assert list(tmp_path.iterdir()) == [file]
 
 
 def _foreign(file):
@@ -589,7 +602,7 @@ def test_a_file_without_an_end_is_not_read(tmp_path, capsys):
     assert capsys.readouterr().err == told
 
 
-def test_a_place_that_cannot_be_written(tmp_path):
+def test_a_place_that_cannot_be_written(tmp_path, no_compiler):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="cannot write there"):
         export_fmu(PAPER, tmp_path / "file" / "knee.fmu")
@@ -628,8 +641,7 @@ def test_command_tells_what_it_wrote(tmp_path, capsys):
     assert re.search(r'name="plant.cylinder.mass_kg".*\n\s*<Real .*start="1.7"', text)
 
 
-def test_command_without_a_compiler(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(c_build, "COMPILERS", ())
+def test_command_without_a_compiler(tmp_path, capsys, no_compiler):
     assert main(["export", "fmu", "--out", str(tmp_path)]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
     assert last == "  sources only: no C compiler (cc, gcc or clang), or not Linux on x86-64"

@@ -21,7 +21,7 @@ from kneexo.compilation.c_export import recorded_vectors
 from kneexo.compilation.equations import Node
 from kneexo.compilation.model import parameters_of, state_of
 from kneexo.export.firmware import loop_inputs
-from kneexo.export.target import target
+from kneexo.export.target import largest_step_s, target
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY
@@ -116,7 +116,10 @@ def test_parameters_of_the_uncertainty_set_go_into_a_single_build(exported):
     assert all(largest[precision] <= TOLERANCES[precision] for precision in TOLERANCES), largest
 
 
-@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "load"])
+@pytest.mark.parametrize(
+    "name",
+    ["smc", "pid_tuned", *(pytest.param(n, marks=pytest.mark.slow) for n in ("pid", "load"))],
+)
 def test_single_precision_tracks_as_well_as_double(exported, name):
     scenario = SCENARIOS[name]
     runs, rms = {}, {}
@@ -155,7 +158,8 @@ def test_rows_of_the_table_have_their_units(exported, monkeypatch, capsys):
     float_loop = importlib.import_module("float_loop")
     scenario = changed(SCENARIOS["smc"], {"simulation.duration_s": 2.0})
     double, single, plain = float_loop.rows("SMC", scenario, 2.0)
-    run = simulate_compiled(scenario, integrator="rk4", signals=("knee_angle", "knee_reference"))
+    options = {"integrator": "rk4", "step_s": largest_step_s(scenario, "plant")}
+    run = simulate_compiled(scenario, signals=("knee_angle", "knee_reference"), **options)
     error_deg = np.degrees(run["knee_angle_rad"] - run["knee_reference_rad"])
     assert double.rms_error_deg == pytest.approx(np.sqrt(np.mean(error_deg**2)), rel=1e-6)
     assert double.largest_error_deg == pytest.approx(np.abs(error_deg).max(), rel=1e-6)

@@ -7,7 +7,7 @@ from kneexo import linkage
 from kneexo.analysis import linearize_plant
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import ParameterError
-from kneexo.export.target import WHAT, count_range, largest_step_s, target
+from kneexo.export.target import WHAT, count_range, largest_step_s, require_step, target
 from kneexo.parameters import Scenario
 
 LOADED = {"plant": {"load": {"kind": "knee"}}}
@@ -118,10 +118,11 @@ def test_a_step_is_at_most_that_of_a_run_and_may_be_chosen():
     soft = scenario_of(plant={"cylinder": {"bulk_modulus_pa": 1e7}})
     assert largest_step_s(soft, "plant") == 2e-4
     assert largest_step_s(Scenario(), "controller") == 2e-4
-    assert largest_step_s(Scenario(), "plant", 1e-3) == 1e-3
+    require_step(None)
+    require_step(1e-3)
     for wrong in (0.0, -1e-4, 2.0, float("nan"), float("inf")):
         with pytest.raises(ParameterError, match=r"step_s = .* s: must be 1e-07 … 1 s"):
-            largest_step_s(Scenario(), "plant", wrong)
+            require_step(wrong)
 
 
 @pytest.mark.parametrize("fields", [{}, {"encoder": {"phase_rad": 0.3}}])

@@ -26,7 +26,7 @@ from kneexo.studies.reproduce import (
     rod_error_mm,
     speed_demand,
 )
-from kneexo.studies.reproduce_figures import figures
+from kneexo.studies.reproduce_figures import figures, motions
 from kneexo.studies.reproduce_report import report
 
 METRICS = {
@@ -283,6 +283,19 @@ def test_the_words_about_the_speed_limit_have_its_numbers(known):
     peak_rpm, saturation_hz = speed_demand()
     for said in (f"{peak_rpm:.0f} rpm", f"{saturation_hz:.3f} Hz", "1700 rpm", "16.0 %"):
         assert said in text
+
+
+def test_the_view_shows_the_runs_of_fig_12(known):
+    shown = motions(known)
+    assert list(shown) == [
+        "Fig. 12, sliding-mode control",
+        "Fig. 12, PID as in the paper (P, 5 1/s)",
+    ]
+    for (linkage, columns), name in zip(shown.values(), ("smc", "pid"), strict=True):
+        tracked = known.fig12[name]
+        assert linkage is tracked.scenario.plant.linkage
+        assert columns["knee_angle_rad"] is tracked.run["knee_angle_rad"]
+        assert columns["time_s"] is tracked.run.time_s
 
 
 def test_every_line_of_the_figures_is_that_of_its_run(known, curves):

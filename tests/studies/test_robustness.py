@@ -391,7 +391,7 @@ def visits_of(a, b, value):
 
 
 @given(st.integers(0, 2**32), st.integers(3, 40))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_rank_correlation_is_that_of_scipy(seed, count):
     random = np.random.default_rng(seed)
     a = np.round(random.random(count), 1)  # with ties

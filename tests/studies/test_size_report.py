@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -21,7 +22,7 @@ from kneexo.analysis.walking import WALKING_FIGURES, WalkingDemand
 from kneexo.output import to_json
 from kneexo.parameters import UNCERTAIN_KNEE
 from kneexo.studies.size import Search, SizeSettings, SizeStudy, WalkingDesign
-from kneexo.studies.size_figures import figures, last_stride
+from kneexo.studies.size_figures import figures, last_stride, motions
 from kneexo.studies.size_report import report
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
@@ -577,3 +578,15 @@ def test_every_axis_has_a_label(drawn):
     for figure in drawn.values():
         # A map has the label of its colour bar above it.
         assert all(ax.get_ylabel() or ax.get_label() == "<colorbar>" for ax in figure.axes)
+
+
+def test_the_view_shows_what_walks(sized):
+    shown = motions(sized)
+    assert list(shown) == ["hardware as it is", "sized hardware"]
+    for (linkage, columns), trace in zip(shown.values(), sized.traces.values(), strict=True):
+        assert linkage is sized.scenario.plant.linkage
+        assert columns["time_s"][0] == 0.0
+        np.testing.assert_allclose(np.diff(columns["time_s"]), np.diff(trace["time_s"]))
+        assert columns["knee_angle_rad"] is trace["knee_angle_rad"]
+    stopped = dataclasses.replace(sized, traces=sized.traces | {"nominal": {}})
+    assert list(motions(stopped)) == ["sized hardware"]

@@ -120,7 +120,7 @@ def test_rate_in_full_order_is_the_slope_of_s_along_a_run(ideal):
     rate=st.floats(-0.2, 0.2),
     lambda_=st.floats(3.0, 60.0),
 )
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_no_s_within_the_layer_beats_the_bounds(signs, error, rate, lambda_):
     phi, dt = 3.2, 0.1 / lambda_
     time = dt * np.arange(len(signs) + 1)

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings, strategies as st
+from hypothesis import example, given, strategies as st
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
 from pydrake.systems.sensors import RotaryEncoders
@@ -82,7 +82,6 @@ def test_halves_are_rounded_away_from_zero_in_every_scalar(value, integer):
 
 
 @units
-@settings(deadline=None)
 @given(rpm=st.floats(-6000.0, 6000.0))
 @example(rpm=5000.0)
 @example(rpm=-0.5)

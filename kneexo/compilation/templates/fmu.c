@@ -117,6 +117,12 @@ static bool refuse_status(NAME_fmu_t *fmu, const char *what, double time, uint16
         append(text, @{limits});
     }
 @end
+    if ((status & UPPER_NOT_STARTED) != 0U) {
+        append(text, ": the model is not started; initialize the instance again");
+    }
+    if ((status & UPPER_BAD_PARAMETER) != 0U) {
+        append(text, ": a parameter or start value of the model is not finite");
+    }
     return NAME_fmu_refuse(fmu, text);
 }
 

@@ -1,7 +1,8 @@
-"""Where the parts of leg and linkage are: straight bars between points of the knee's plane.
+"""Where the parts of leg and linkage are, and how they look, for recorded and for live views.
 
-The thigh stands still, x points forward, y up. Points are complex numbers x + jy in m. Lengths of
-thigh, shank and foot and the thickness of bars are for the eye alone; no result depends on them.
+Parts are straight bars between points of the knee's plane, and pins across it. The thigh stands
+still, x points forward, y up. Points are complex numbers x + jy in m. Lengths of thigh, shank and
+foot and the thickness of parts are for the eye alone; no result depends on them.
 """
 
 from __future__ import annotations
@@ -10,13 +11,30 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.geometry import Cylinder, Rgba
+from pydrake.math import RigidTransform, RotationMatrix
 
 from kneexo.linkage import icr, pose, rod_anchor
 from kneexo.parameters import LinkageParameters
 
+Array = NDArray[np.float64]
+"""An array of doubles."""
+
 Points = NDArray[np.complex128]
+"""Points of the knee's plane in m: the real part points forwards, the imaginary part up."""
 
 THIGH_M, SHANK_M, FOOT_M = 0.34, 0.34, 0.14
+"""Lengths of the parts of the leg in m, for the eye alone."""
+
+HEAD = 0.9
+"""Length of the cylinder, where the rod comes out, as a part of the distance of its pins at x = 0.
+
+The rod reaches back by that distance, so that it stays in the cylinder while x is below 0.9 of it,
+and shows a stub at x = 0.
+"""
+
+SPACING_M = 0.30
+"""Distance of legs that stand beside each other."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +47,14 @@ class Bar:
     colour: tuple[float, float, float]
     layer_m: float = 0.0
     """Distance from the knee's plane."""
-    fixed: bool = False
-    """It does not move with the knee."""
 
 
 _BONE, _STEEL = (0.93, 0.89, 0.80), (0.60, 0.62, 0.66)
 
 BARS = {
-    "thigh": Bar("hip", "thigh_end", 0.012, _BONE, fixed=True),
-    "thigh_plate": Bar("thigh_a", "thigh_b", 0.006, _STEEL, fixed=True),
-    "thigh_bracket": Bar("thigh_axis", "thigh_pin", 0.004, _STEEL, fixed=True),
+    "thigh": Bar("hip", "thigh_end", 0.012, _BONE),
+    "thigh_plate": Bar("thigh_a", "thigh_b", 0.006, _STEEL),
+    "thigh_bracket": Bar("thigh_axis", "thigh_pin", 0.004, _STEEL),
     "link_2": Bar("o_a", "a", 0.004, (0.1, 0.5, 0.8), 0.02),
     "link_4": Bar("o_b", "b", 0.004, (0.9, 0.5, 0.1), -0.02),
     "shank": Bar("shank_start", "ankle", 0.011, _BONE),
@@ -54,7 +70,25 @@ PINS = ("o_a", "o_b", "a", "b", "cylinder_pin", "rod_pin")
 """Points that are drawn as pins."""
 
 GHOST = ("shank", "foot")
-"""Parts that are drawn again where the reference has them."""
+"""Bars that are drawn again where the reference has them."""
+
+GHOST_RADIUS = 0.85
+"""Radius of a ghost, as a part of that of its bar: hidden within what it agrees with."""
+
+PIN = Cylinder(0.004, 0.052)
+"""Shape of a pin."""
+
+PIN_COLOUR = Rgba(0.15, 0.15, 0.18)
+"""Colour of pins."""
+
+ICR_COLOUR = Rgba(0.8, 0.0, 0.5)
+"""Colour of the instantaneous centre of rotation and of its path."""
+
+GHOST_COLOUR = Rgba(0.35, 0.35, 0.35, 0.35)
+"""Colour of ghosts, transparent."""
+
+_ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)
+_LOW, _HIGH, _NONE = np.array([0.1, 0.3, 0.9]), np.array([0.9, 0.15, 0.1]), np.array([0.85] * 3)
 
 
 def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
@@ -106,7 +140,35 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     result |= {"cylinder_pin": seen(anchor), "rod_pin": seen(now.rod_pin)}
     along = result["rod_pin"] - result["cylinder_pin"]
     along = along / np.abs(along) * link.rod_length_m
-    result["cylinder_end"] = result["cylinder_pin"] + along
+    result["cylinder_end"] = result["cylinder_pin"] + HEAD * along
     result["rod_start"] = result["rod_pin"] - along
     result["icr"] = seen(np.asarray(centre_x + 1j * centre_y))
     return result
+
+
+def icr_path(link: LinkageParameters, depth_m: float = 0.0) -> Array:
+    """Path of the instantaneous centre of rotation over 0…90°, in the world, (3, 91) in m."""
+    path = points(link, np.radians(np.linspace(0.0, 90.0, 91)))["icr"]
+    return np.array([in_world(point, depth_m) for point in path]).T
+
+
+def in_world(point: complex, depth_m: float) -> Array:
+    """A point of the knee's plane in the world, (3,) in m: z up, y away from who looks."""
+    return np.array([point.real, depth_m, point.imag])
+
+
+def bar_pose(start: complex, end: complex, depth_m: float) -> RigidTransform:
+    """Pose in the world of a bar whose axis is z and whose origin is its middle."""
+    rotation = RotationMatrix.MakeFromOneVector(in_world(end - start, 0.0), 2)
+    return RigidTransform(rotation, in_world(0.5 * (start + end), depth_m))
+
+
+def pin_pose(point: complex, depth_m: float) -> RigidTransform:
+    """Pose in the world of a pin, whose axis is z, across the knee's plane."""
+    return RigidTransform(_ACROSS, in_world(point, depth_m))
+
+
+def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
+    """Red, green, blue (n, 3) of pressures (n,): blue at -largest, grey at 0, red at largest."""
+    share = np.clip(pressure_pa / (largest_pa or 1.0), -1.0, 1.0)[:, None]
+    return np.asarray(_NONE + np.abs(share) * (np.where(share > 0.0, _HIGH, _LOW) - _NONE))

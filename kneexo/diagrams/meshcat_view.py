@@ -1,0 +1,106 @@
+"""The knees of a diagram in Meshcat, while Drake's Simulator runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, SceneGraph
+from pydrake.systems.framework import DiagramBuilder, System
+
+from kneexo.diagrams.controller import port_sizes
+from kneexo.diagrams.part import connect
+from kneexo.errors import ParameterError
+from kneexo.mechanism import ICR_COLOUR, SPACING_M, icr_path
+from kneexo.parameters import CylinderParameters, LinkageParameters
+from kneexo.systems.knee_frames import KneeFrames
+from kneexo.systems.pressure_colour import PressureColour
+
+PORTS = {"knee_angle": 1, "knee_reference": 4, "load_pressure": 1}
+"""Output ports of a leg that are shown, with their sizes; only the first must be there."""
+
+PERIOD_S = 1.0 / 32.0
+"""Time between two pictures, in s."""
+
+
+def add_meshcat_view(
+    builder: DiagramBuilder,
+    legs: Mapping[System, LinkageParameters],
+    meshcat: Meshcat,
+    *,
+    largest_pressure_pa: float = CylinderParameters().pressure_rating_pa,
+) -> MeshcatVisualizer:
+    """Show knees of a diagram in Meshcat, beside each other, the first one nearest.
+
+    Subsystems: ``scene_graph``; of each leg ``<leg>_frames`` (`KneeFrames`) and, where the leg has
+    the pressure, ``<leg>_pressure_colour`` (`PressureColour`). In Meshcat's tree
+    ``knees/<leg>`` has bones, links, pins, cylinder and rod, the instantaneous centre of rotation,
+    and as a ghost shank and foot at the reference; ``icr_paths/<leg>`` is the centre's path over
+    0…90°.
+
+    Parameters
+    ----------
+    builder
+        Of the diagram that has the legs.
+    legs
+        Each system of ``builder`` that is shown, with its linkage. Of its output ports
+        ``knee_angle`` (1, rad) is needed; ``knee_reference`` (4, its first in rad) and
+        ``load_pressure`` (1, Pa) are shown where it has them: ports of `make_closed_loop`.
+    meshcat
+        Where they are shown, from the side; grid and axes are hidden.
+    largest_pressure_pa
+        Load pressure in Pa at which the cylinder is blue (negative) or red in full colour; by
+        default its rating.
+
+    Returns
+    -------
+    MeshcatVisualizer
+        Can record: ``StartRecording``, ``PublishRecording``; then ``meshcat.StaticHtml()`` is a
+        page with a time slider.
+
+    Raises `ParameterError` when there is no leg, one is not of the builder, two have one name, a
+    port is missing or has another size, or the pressure is not finite and positive; `LinkageError`
+    when a linkage cannot be assembled. The builder is then as before.
+    """
+    if not legs:
+        raise ParameterError("legs: there is none; must be at least one system with its linkage")
+    sizes = {leg: port_sizes(leg) for leg in legs}
+    names = [leg.get_name() for leg in legs]
+    for leg, ports in sizes.items():
+        if leg not in builder.GetSystems():
+            raise ParameterError(f"{leg.get_name()}: must be a system of the builder")
+        if names.count(leg.get_name()) > 1:
+            raise ParameterError(f"legs: two have the name {leg.get_name()}; choose another")
+        for name, size in PORTS.items():
+            if ports.get(name, size) != size or (name == "knee_angle" and name not in ports):
+                raise ParameterError(
+                    f"{leg.get_name()}: must have an output port {name} of size {size}"
+                )
+    parameters = MeshcatVisualizerParams()
+    parameters.prefix, parameters.publish_period = "knees", PERIOD_S
+    scene_graph, frames, colours = SceneGraph(), {}, {}
+    for number, (leg, linkage) in enumerate(legs.items()):
+        name, depth_m = leg.get_name(), (number - 0.5 * (len(legs) - 1)) * SPACING_M
+        frames[leg] = KneeFrames(scene_graph, linkage, name=name, depth_m=depth_m)
+        if "load_pressure" in sizes[leg]:
+            path = f"{parameters.prefix}/{name}/cylinder/cylinder"
+            colours[leg] = PressureColour(meshcat, path, largest_pressure_pa, PERIOD_S)
+        # Outside the visualizer's tree, which it deletes when a simulation starts.
+        meshcat.SetLine(f"icr_paths/{name}", icr_path(linkage, depth_m), 2.0, ICR_COLOUR)
+    builder.AddNamedSystem("scene_graph", scene_graph)
+    for leg, system in frames.items():
+        builder.AddNamedSystem(f"{leg.get_name()}_frames", system)
+        for port in ("knee_angle", "knee_reference"):
+            if port in sizes[leg]:
+                connect(builder, leg, port, system, port)
+        builder.Connect(
+            system.GetOutputPort("frame_poses"), scene_graph.get_source_pose_port(system.source)
+        )
+    visualizer = MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, parameters)
+    for leg, colour in colours.items():  # behind the visualizer, which makes what they colour
+        builder.AddNamedSystem(f"{leg.get_name()}_pressure_colour", colour)
+        connect(builder, leg, "load_pressure", colour, "load_pressure")
+    for path in ("/Grid", "/Axes"):
+        meshcat.SetProperty(path, "visible", False)
+    distance = 0.55 + 0.5 * SPACING_M * (len(legs) - 1)
+    meshcat.SetCameraPose([0.5 * distance, -distance, 0.05], [-0.04, 0.0, -0.03])
+    return visualizer

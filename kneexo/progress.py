@@ -1,0 +1,36 @@
+"""A progress bar with the time left, in a terminal and in a notebook."""
+
+from __future__ import annotations
+
+import builtins
+import importlib.util
+from typing import Any
+
+from tqdm import tqdm
+
+_FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}, {remaining} left"
+
+
+def progress_bar(total: float, description: str | None) -> Any:
+    """A bar of tqdm that ends at ``total``; ``update(amount)`` moves it.
+
+    It is silent without a description, where stderr is no terminal, and in a notebook without
+    ipywidgets (``pip install "kneexo[notebook]"``).
+    """
+    settings: dict[str, Any] = {
+        "total": total,
+        "desc": description,
+        "mininterval": 0.5,
+        "bar_format": _FORMAT,
+    }
+    if description is not None and _in_notebook() and importlib.util.find_spec("ipywidgets"):
+        from tqdm.notebook import tqdm as notebook_bar
+
+        return notebook_bar(**settings)
+    return tqdm(**settings, disable=True if description is None else None)
+
+
+def _in_notebook() -> bool:
+    """Whether a Jupyter kernel runs this code; IPython puts ``get_ipython`` among the builtins."""
+    shell = getattr(builtins, "get_ipython", None)
+    return shell is not None and "IPKernelApp" in shell().config
