@@ -21,6 +21,7 @@ from docutils import nodes
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.ext import autosummary
 from sphinx.util import logging
 from sphinx.util.inspect import signature, stringify_signature
 from sphinx.util.nodes import make_refnode
@@ -55,6 +56,8 @@ html_title = f"kneexo {release}"
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+
+autosummary.WELL_KNOWN_ABBREVIATIONS += ("Eq.", "Fig.")  # no sentence of a summary ends there
 
 default_role = "py:obj"  # `Name` in a docstring is a reference that must resolve
 nitpick_ignore_regex = [("py:class", ".*")]  # annotations may be aliases, or other packages'
@@ -157,6 +160,13 @@ def sign(_app: Any, what: str, _name: str, obj: Any, *_: Any) -> tuple[str, str]
     return None
 
 
+def limits(text: str) -> str:
+    """A range as signs that a narrow column does not tear apart."""
+    for plain, printed in ((">=", "≥"), ("<=", "≤"), (" and ", ", "), ("e-", "e−")):
+        text = text.replace(plain, printed)
+    return re.sub(r"([≥>≤]) ", "\\1\u00a0", text)
+
+
 def list_quantities(
     _app: Any, what: str, _name: str, obj: Any, _opts: Any, lines: list[str]
 ) -> None:
@@ -171,7 +181,7 @@ def list_quantities(
         cells = (
             told,
             unit_of(field),
-            allowed_range(field).replace(" and ", ", "),
+            limits(allowed_range(field)),
             source_of(field),
         )
         rows.append((f"``{name}``", *(cell.replace("|", r"\|") for cell in cells)))
@@ -218,6 +228,15 @@ def source_links(_app: Sphinx, _document: str, content: list[str]) -> None:
     )
 
 
+def drop_old_pages(app: Sphinx) -> None:
+    """Autosummary keeps the page of a module that is no more, and its import would be a warning."""
+    infos = pkgutil.walk_packages(kneexo.__path__, "kneexo.")
+    modules = {"kneexo", *(info.name for info in infos)}
+    for page in Path(app.srcdir, "api").glob("*.rst"):
+        if page.stem not in modules:
+            page.unlink()
+
+
 def finish_notebooks(_app: Sphinx, env: Any) -> None:
     """What ``nb-download`` offers is for Jupyter: it knows no role and no page of the site."""
     from notebooks import make_plain
@@ -252,6 +271,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-signature", sign)
     app.connect("autodoc-process-docstring", list_quantities)
     app.connect("missing-reference", resolve)
+    app.connect("builder-inited", drop_old_pages, priority=400)  # autosummary has 500
     app.connect("source-read", source_links)
     app.connect("env-updated", finish_notebooks)
     app.add_html_math_renderer(
