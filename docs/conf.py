@@ -21,12 +21,14 @@ from docutils import nodes
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 from sphinx.ext import autosummary
 from sphinx.util import logging
 from sphinx.util.inspect import signature, stringify_signature
 from sphinx.util.nodes import make_refnode
 
 import kneexo
+from kneexo.cli import main
 from kneexo.parameters.quantity import (
     Parameters,
     allowed_range,
@@ -237,6 +239,19 @@ def drop_old_pages(app: Sphinx) -> None:
             page.unlink()
 
 
+def place_knee(_app: Sphinx, _document: str, content: list[str]) -> None:
+    """The marker for the knee that moves becomes a frame with the page of `write_knee`."""
+    frame = '<iframe class="knee" src="knee.html" title="the knee moves" loading="lazy"></iframe>'
+    content[0] = content[0].replace("<!-- knee -->", f"```{{raw}} html\n{frame}\n```")
+
+
+def write_knee(app: Sphinx, failure: Exception | None) -> None:
+    """The page of `kneexo view`, beside those of the site that show it."""
+    wanted = failure is None and app.builder.format == "html"
+    if wanted and main(["view", "--out", str(app.outdir / "knee.html")]):
+        raise ExtensionError("kneexo view has failed")
+
+
 def finish_notebooks(_app: Sphinx, env: Any) -> None:
     """What ``nb-download`` offers is for Jupyter: it knows no role and no page of the site."""
     from notebooks import make_plain
@@ -273,6 +288,8 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("missing-reference", resolve)
     app.connect("builder-inited", drop_old_pages, priority=400)  # autosummary has 500
     app.connect("source-read", source_links)
+    app.connect("source-read", place_knee)
+    app.connect("build-finished", write_knee)
     app.connect("env-updated", finish_notebooks)
     app.add_html_math_renderer(
         "mathml",
