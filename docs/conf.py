@@ -105,6 +105,11 @@ del machine_code, warnings
     encoding="utf-8",
 )
 
+# The kernels talk to this machine alone; they need not warn that they do it in plain text.
+Path(_ipython, "profile_default", "ipython_kernel_config.py").write_text(
+    "c.IPKernelApp.log_level = 'ERROR'\n", encoding="utf-8"
+)
+
 EXTERNAL = {
     # Names of Drake, of the standard library and of type variables in our docstrings.
     *("RotaryEncoders", "PassThrough", "DiscreteTimeDelay", "VectorLogSink", "TrajectorySource"),
