@@ -128,7 +128,8 @@ def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
     page = page.replace(
         "<title>Drake MeshCat</title>", f"{_HEAD}<title>{html.escape(title)}</title>", 1
     )
-    return page.replace("</body>", f"{MARK}{_caption(legs, largest, end_s)}</body>")
+    page = page.replace("</body>", f"{MARK}{_caption(legs, largest, end_s)}</body>")
+    return page.encode("utf-8", "replace").decode()  # a file name may have bytes that are no text
 
 
 def _quiet_meshcat() -> Meshcat:

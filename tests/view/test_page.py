@@ -45,6 +45,14 @@ def test_a_page_tells_its_runs_in_safe_html():
     assert len(page) < 8e6
 
 
+def test_a_file_name_may_have_bytes_that_are_no_text(tmp_path, capsys):
+    scenario = tmp_path / os.fsdecode(b"knee\xff.yaml")
+    scenario.write_text("simulation: {duration_s: 0.1}\n")
+    page = tmp_path / "knee.html"
+    assert main(["view", str(scenario), "--out", str(page)]) == 0
+    assert "<li>knee?</li>" in page.read_text()
+
+
 def test_a_leg_has_the_signals_of_its_run():
     scenario = scenario_of()
     leg, failure = leg_of_scenario("mine", scenario)
@@ -98,6 +106,8 @@ def test_results_of_simulate_are_a_leg(tmp_path, capsys):
         (f"{head}0,1,2,x\n", "is not a table of numbers"),
         (head, "has no rows"),
         (f"{head}0,1,2,nan\n", "not finite"),
+        (f"{head}-1,1,2,3\n0,1,2,3\n", "time_s must rise from 0 s or later$"),
+        (f"{head}0,1,2,3\n1,1,2,3\n1,1,2,3\n", "time_s must rise from 0 s or later$"),
     ):
         signals.write_text(text)
         with pytest.raises(ScenarioError, match=match):
@@ -142,6 +152,17 @@ def test_a_page_opens_where_there_is_a_browser(tmp_path, monkeypatch, capsys):
     assert page.exists()
     assert main(command) == 0
     assert len(opened) == 2
+
+
+def test_an_interrupt_of_the_browser_says_where_the_page_is(tmp_path, monkeypatch, capsys):
+    def browser_in_terminal(url):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("webbrowser.open", browser_in_terminal)
+    page = tmp_path / "knee.html"
+    short = ["--set", "simulation.duration_s=0.1"]
+    assert main(["view", "--out", str(page), *short, "--open"]) == 130
+    assert capsys.readouterr().err.endswith(f"kneexo: interrupted; the results are in {page}\n")
 
 
 @pytest.fixture
