@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder, System
 from kneexo.diagrams.controller import port_sizes
 from kneexo.diagrams.part import connect
 from kneexo.errors import ParameterError
-from kneexo.mechanism import ICR_COLOUR, SPACING_M, icr_path
+from kneexo.mechanism import ICR_COLOUR, depths_m, icr_path, look_at_legs
 from kneexo.parameters import CylinderParameters, LinkageParameters
 from kneexo.systems.knee_frames import KneeFrames
 from kneexo.systems.pressure_colour import PressureColour
@@ -80,8 +80,8 @@ def add_meshcat_view(
     parameters.prefix, parameters.publish_period = "knees", PERIOD_S
     parameters.visualizer_name = "knees"
     scene_graph, frames, colours, paths = SceneGraph(), {}, {}, {}
-    for number, (leg, linkage) in enumerate(legs.items()):
-        name, depth_m = leg.get_name(), (number - 0.5 * (len(legs) - 1)) * SPACING_M
+    for (leg, linkage), depth_m in zip(legs.items(), depths_m(len(legs)), strict=True):
+        name = leg.get_name()
         frames[leg] = KneeFrames(scene_graph, linkage, name=name, depth_m=depth_m)
         if "load_pressure" in sizes[leg]:
             cylinder = f"{parameters.prefix}/{name}/cylinder/cylinder"
@@ -107,8 +107,5 @@ def add_meshcat_view(
     for name, path in paths.items():
         # Outside the visualizer's tree, which it deletes when a simulation starts.
         meshcat.SetLine(f"icr_paths/{name}", path, 2.0, ICR_COLOUR)
-    for hidden in ("/Grid", "/Axes"):
-        meshcat.SetProperty(hidden, "visible", False)
-    distance = 0.55 + 0.5 * SPACING_M * (len(legs) - 1)
-    meshcat.SetCameraPose([0.5 * distance, -distance, 0.05], [-0.04, 0.0, -0.03])
+    look_at_legs(meshcat, len(legs))
     return visualizer
