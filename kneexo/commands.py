@@ -415,6 +415,7 @@ def view(options: argparse.Namespace) -> None:
     if (end_s := shown_s(legs)) < max(leg.time_s[-1] for leg in legs):
         print(f"kneexo: only the first {end_s:.3g} s are shown: the page is full", file=sys.stderr)
     write_page(options.out, view_page(legs))
+    options.written = True
     names = [leg.name for leg in legs]
     if options.json:
         print(to_json({"kneexo": __version__, "page": str(options.out), "runs": names}), end="")

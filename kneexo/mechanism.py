@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.geometry import Cylinder, Rgba
+from pydrake.geometry import Cylinder, Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 
 from kneexo.linkage import icr, pose, rod_anchor
@@ -33,8 +33,7 @@ The rod reaches back by that distance, so that it stays in the cylinder while x 
 and shows a stub at x = 0.
 """
 
-SPACING_M = 0.30
-"""Distance of legs that stand beside each other."""
+_SPACING_M = 0.30  # of legs that stand beside each other
 
 
 @dataclass(frozen=True)
@@ -155,6 +154,19 @@ def icr_path(link: LinkageParameters, depth_m: float = 0.0) -> Array:
 def in_world(point: complex, depth_m: float) -> Array:
     """A point of the knee's plane in the world, (3,) in m: z up, y away from who looks."""
     return np.array([point.real, depth_m, point.imag])
+
+
+def depths_m(legs: int) -> list[float]:
+    """Depth in m of each of some legs that stand beside each other, the first one nearest."""
+    return [(number - 0.5 * (legs - 1)) * _SPACING_M for number in range(legs)]
+
+
+def look_at_legs(meshcat: Meshcat, legs: int) -> None:
+    """Look from the side at legs beside each other, without grid and axes."""
+    for path in ("/Grid", "/Axes"):
+        meshcat.SetProperty(path, "visible", False)
+    distance = 0.55 + 0.5 * _SPACING_M * (legs - 1)
+    meshcat.SetCameraPose([0.5 * distance, -distance, 0.05], [-0.04, 0.0, -0.03])
 
 
 def bar_pose(start: complex, end: complex, depth_m: float) -> RigidTransform:

@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder, System
 from kneexo.diagrams.controller import port_sizes
 from kneexo.diagrams.part import connect
 from kneexo.errors import ParameterError
-from kneexo.mechanism import ICR_COLOUR, SPACING_M, icr_path
+from kneexo.mechanism import ICR_COLOUR, depths_m, icr_path, look_at_legs
 from kneexo.parameters import CylinderParameters, LinkageParameters
 from kneexo.systems.knee_frames import KneeFrames
 from kneexo.systems.pressure_colour import PressureColour
@@ -31,8 +31,8 @@ def add_meshcat_view(
 ) -> MeshcatVisualizer:
     """Show knees of a diagram in Meshcat, beside each other, the first one nearest.
 
-    Subsystems: ``scene_graph``; of each leg ``<leg>_frames`` (`KneeFrames`) and, where the leg has
-    the pressure, ``<leg>_pressure_colour`` (`PressureColour`). In Meshcat's tree
+    Subsystems: ``knee_scene_graph``; of each leg ``<leg>_frames`` (`KneeFrames`) and, where the leg
+    has the pressure, ``<leg>_pressure_colour`` (`PressureColour`). In Meshcat's tree
     ``knees/<leg>`` has bones, links, pins, cylinder and rod, the instantaneous centre of rotation,
     and as a ghost shank and foot at the reference; ``icr_paths/<leg>`` is the centre's path over
     0…90°.
@@ -58,8 +58,9 @@ def add_meshcat_view(
         page with a time slider.
 
     Raises `ParameterError` when there is no leg, one is not of the builder, two have one name, a
-    port is missing or has another size, or the pressure is not finite and positive; `LinkageError`
-    when a linkage cannot be assembled. The builder is then as before.
+    port is missing or has another size, the builder has one of the subsystems, or the pressure is
+    not finite and positive; `LinkageError` when a linkage cannot be assembled. Builder and Meshcat
+    are then as before.
     """
     if not legs:
         raise ParameterError("legs: there is none; must be at least one system with its linkage")
@@ -77,16 +78,20 @@ def add_meshcat_view(
                 )
     parameters = MeshcatVisualizerParams()
     parameters.prefix, parameters.publish_period = "knees", PERIOD_S
-    scene_graph, frames, colours = SceneGraph(), {}, {}
-    for number, (leg, linkage) in enumerate(legs.items()):
-        name, depth_m = leg.get_name(), (number - 0.5 * (len(legs) - 1)) * SPACING_M
+    parameters.visualizer_name = "knees"
+    scene_graph, frames, colours, paths = SceneGraph(), {}, {}, {}
+    for (leg, linkage), depth_m in zip(legs.items(), depths_m(len(legs)), strict=True):
+        name = leg.get_name()
         frames[leg] = KneeFrames(scene_graph, linkage, name=name, depth_m=depth_m)
         if "load_pressure" in sizes[leg]:
-            path = f"{parameters.prefix}/{name}/cylinder/cylinder"
-            colours[leg] = PressureColour(meshcat, path, largest_pressure_pa, PERIOD_S)
-        # Outside the visualizer's tree, which it deletes when a simulation starts.
-        meshcat.SetLine(f"icr_paths/{name}", icr_path(linkage, depth_m), 2.0, ICR_COLOUR)
-    builder.AddNamedSystem("scene_graph", scene_graph)
+            cylinder = f"{parameters.prefix}/{name}/cylinder/cylinder"
+            colours[leg] = PressureColour(meshcat, cylinder, largest_pressure_pa, PERIOD_S)
+        paths[name] = icr_path(linkage, depth_m)
+    subsystems = ["knee_scene_graph", *(f"{leg.get_name()}_frames" for leg in frames)]
+    subsystems += [f"{leg.get_name()}_pressure_colour" for leg in colours]
+    for name in filter(builder.HasSubsystemNamed, subsystems):
+        raise ParameterError(f"{name}: the builder has a system of this name; choose another")
+    builder.AddNamedSystem("knee_scene_graph", scene_graph)
     for leg, system in frames.items():
         builder.AddNamedSystem(f"{leg.get_name()}_frames", system)
         for port in ("knee_angle", "knee_reference"):
@@ -99,8 +104,8 @@ def add_meshcat_view(
     for leg, colour in colours.items():  # behind the visualizer, which makes what they colour
         builder.AddNamedSystem(f"{leg.get_name()}_pressure_colour", colour)
         connect(builder, leg, "load_pressure", colour, "load_pressure")
-    for path in ("/Grid", "/Axes"):
-        meshcat.SetProperty(path, "visible", False)
-    distance = 0.55 + 0.5 * SPACING_M * (len(legs) - 1)
-    meshcat.SetCameraPose([0.5 * distance, -distance, 0.05], [-0.04, 0.0, -0.03])
+    for name, path in paths.items():
+        # Outside the visualizer's tree, which it deletes when a simulation starts.
+        meshcat.SetLine(f"icr_paths/{name}", path, 2.0, ICR_COLOUR)
+    look_at_legs(meshcat, len(legs))
     return visualizer

@@ -70,4 +70,6 @@ def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
         raise ScenarioError(f"{path}: is not a table of numbers ({reason})") from None
     if not (table.size and np.isfinite(table).all()):
         raise ScenarioError(f"{path}: has no rows, or numbers that are not finite")
+    if table[0, 0] < 0.0 or (np.diff(table[:, 0]) <= 0.0).any():
+        raise ScenarioError(f"{path}: time_s must rise from 0 s or later")
     return Leg(name, scenario.plant.linkage, *table.T)

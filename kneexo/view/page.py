@@ -26,11 +26,12 @@ from kneexo.mechanism import (
     PIN,
     PIN_COLOUR,
     PINS,
-    SPACING_M,
     Bar,
     Points,
+    depths_m,
     icr_path,
     in_world,
+    look_at_legs,
     points,
     pressure_colours,
 )
@@ -111,25 +112,22 @@ def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
     """
     meshcat = _quiet_meshcat()
     meshcat.SetProperty("/Background", "visible", False)
-    meshcat.SetProperty("/Grid", "visible", False)
-    meshcat.SetProperty("/Axes", "visible", False)
+    look_at_legs(meshcat, len(legs))
     end_s = shown_s(legs, most_frames)
     largest = max(float(np.abs(leg.pressure_pa).max()) for leg in legs)
     # Shown at once too, a colour would replace the object that the recording alters.
     meshcat.StartRecording(FRAMES_PER_S, set_visualizations_while_recording=False)
-    for number, leg in enumerate(legs):
-        depth = (number - 0.5 * (len(legs) - 1)) * SPACING_M
+    for number, (leg, depth) in enumerate(zip(legs, depths_m(len(legs)), strict=True)):
         _record(meshcat, f"/knee/leg{number}", leg, depth, largest, end_s)
     meshcat.StopRecording()
     meshcat.PublishRecording()
-    distance = 0.55 + 0.5 * SPACING_M * (len(legs) - 1)
-    meshcat.SetCameraPose([0.5 * distance, -distance, 0.05], [-0.04, 0.0, -0.03])
     page = str(meshcat.StaticHtml()).replace("<html>", '<html lang="en">', 1)
     title = f"kneexo: {', '.join(leg.name for leg in legs)}"
     page = page.replace(
         "<title>Drake MeshCat</title>", f"{_HEAD}<title>{html.escape(title)}</title>", 1
     )
-    return page.replace("</body>", f"{MARK}{_caption(legs, largest, end_s)}</body>")
+    page = page.replace("</body>", f"{MARK}{_caption(legs, largest, end_s)}</body>")
+    return page.encode("utf-8", "replace").decode()  # a file name may have bytes that are no text
 
 
 def _quiet_meshcat() -> Meshcat:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pydrake.geometry import Meshcat, MeshcatParams
+from pydrake.geometry import Meshcat, MeshcatParams, MeshcatVisualizer, SceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
@@ -42,7 +42,7 @@ def test_a_leg_of_its_knee_angle_alone_is_shown(meshcat):
     visualizer = add_meshcat_view(builder, {leg: G1}, meshcat)
     diagram = builder.Build()
     names = [system.get_name() for system in diagram.GetSystems()]
-    assert names == ["mine", "scene_graph", "mine_frames", visualizer.get_name()]
+    assert names == ["mine", "knee_scene_graph", "mine_frames", visualizer.get_name()]
     diagram.ForcedPublish(diagram.CreateDefaultContext())
     parts = {*BARS, *(f"reference_{part}" for part in GHOST)}
     parts |= {f"pin_{pin}" for pin in (*PINS, "icr")}
@@ -206,8 +206,26 @@ def test_other_input_that_is_wrong_is_one_line_and_leaves_the_builder_as_it_was(
     link = LinkageParameters(**(G1.model_dump() | {"a_4_m": 0.010}))
     with pytest.raises(LinkageError, match="cannot be assembled"):
         add_meshcat_view(builder, {leg: link}, meshcat)
-    assert [system.get_name() for system in builder.GetSystems()] == ["loop"]
+    second = source(builder, "second")
+    with pytest.raises(LinkageError, match="cannot be assembled"):
+        add_meshcat_view(builder, {leg: G1, second: link}, meshcat)
+    assert [system.get_name() for system in builder.GetSystems()] == ["loop", "second"]
+    assert not meshcat.HasPath("/drake/icr_paths")
     add_meshcat_view(builder, {leg: G1}, meshcat)
+    line = r"^knee_scene_graph: the builder has a system of this name; choose another$"
+    with pytest.raises(ParameterError, match=line):
+        add_meshcat_view(builder, {second: G1}, meshcat)
+
+
+def test_a_view_goes_beside_the_scene_graph_of_a_user(meshcat):
+    builder = DiagramBuilder()
+    leg = source(builder, "mine")
+    scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
+    MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
+    add_meshcat_view(builder, {leg: G1}, meshcat)
+    diagram = builder.Build()
+    diagram.ForcedPublish(diagram.CreateDefaultContext())
+    assert meshcat.HasPath("/drake/knees/mine/shank")
 
 
 def test_diagrams_do_not_import_the_geometry_that_only_views_need():

@@ -8,13 +8,16 @@ import stat
 
 import numpy as np
 import pytest
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform
 
 from kneexo.cli import main
 from kneexo.errors import OutputError, ScenarioError, SimulationError
 from kneexo.mechanism import PINS, points, pressure_colours
-from kneexo.parameters import Scenario
+from kneexo.parameters import LINKAGES, Scenario
 from kneexo.scenario_file import load_scenario
 from kneexo.simulation import simulate
+from kneexo.systems.knee_frames import poses
 from kneexo.view.legs import leg_of_results, leg_of_scenario
 from kneexo.view.page import (
     FRAMES_PER_S,
@@ -43,6 +46,14 @@ def test_a_page_tells_its_runs_in_safe_html():
     assert "&lt;b&gt;mine&lt;/b&gt;" in page
     assert "−2.0 MPa … red 2.0 MPa" in page
     assert len(page) < 8e6
+
+
+def test_a_file_name_may_have_bytes_that_are_no_text(tmp_path, capsys):
+    scenario = tmp_path / os.fsdecode(b"knee\xff.yaml")
+    scenario.write_text("simulation: {duration_s: 0.1}\n")
+    page = tmp_path / "knee.html"
+    assert main(["view", str(scenario), "--out", str(page)]) == 0
+    assert "<li>knee?</li>" in page.read_text()
 
 
 def test_a_leg_has_the_signals_of_its_run():
@@ -98,6 +109,8 @@ def test_results_of_simulate_are_a_leg(tmp_path, capsys):
         (f"{head}0,1,2,x\n", "is not a table of numbers"),
         (head, "has no rows"),
         (f"{head}0,1,2,nan\n", "not finite"),
+        (f"{head}-1,1,2,3\n0,1,2,3\n", "time_s must rise from 0 s or later$"),
+        (f"{head}0,1,2,3\n1,1,2,3\n1,1,2,3\n", "time_s must rise from 0 s or later$"),
     ):
         signals.write_text(text)
         with pytest.raises(ScenarioError, match=match):
@@ -142,6 +155,17 @@ def test_a_page_opens_where_there_is_a_browser(tmp_path, monkeypatch, capsys):
     assert page.exists()
     assert main(command) == 0
     assert len(opened) == 2
+
+
+def test_an_interrupt_of_the_browser_says_where_the_page_is(tmp_path, monkeypatch, capsys):
+    def browser_in_terminal(url):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("webbrowser.open", browser_in_terminal)
+    page = tmp_path / "knee.html"
+    short = ["--set", "simulation.duration_s=0.1"]
+    assert main(["view", "--out", str(page), *short, "--open"]) == 130
+    assert capsys.readouterr().err.endswith(f"kneexo: interrupted; the results are in {page}\n")
 
 
 @pytest.fixture
@@ -226,6 +250,53 @@ def test_a_page_that_cannot_be_written_is_one_line(tmp_path):
         write_page(tmp_path / "file" / "knee.html", "page")
 
 
+@pytest.mark.parametrize("linkage", ["G1", "G3"])
+def test_a_page_holds_the_parts_where_the_live_view_has_them(linkage, commands):
+    link, time = LINKAGES[linkage], np.linspace(0.0, 2.0, 201)
+    angle, reference = 0.7 + 0.4 * np.sin(time), 0.6 + 0.5 * np.cos(time)
+    leg = Leg("mine", link, time, angle, reference, 1e6 * np.sin(time))
+    still, moving = {}, {}
+    for command in commands(view_page([leg, leg])):
+        if command["type"] == "set_transform":
+            matrix = np.reshape(command["matrix"], (4, 4)).T
+            still[command["path"]] = RigidTransform(matrix)
+        if command["type"] == "set_animation":
+            for clip in command["animations"]:
+                for track in clip["clip"]["tracks"]:
+                    keys = [key["value"] for key in track["keys"]]
+                    moving[clip["path"], track["name"]] = keys
+
+    def shown(path, frame):
+        """The pose in the world of a path: of each of its folders, still or moving."""
+        pose, folders = RigidTransform(), path.split("/")
+        for end in range(len(folders)):
+            at = "/knee/" + "/".join(folders[: end + 1])
+            if (at, ".position") in moving:
+                x, y, z, w = moving[at, ".quaternion"][frame]
+                place = moving[at, ".position"][frame]
+                pose = pose @ RigidTransform(Quaternion(wxyz=np.array([w, x, y, z])), place)
+            else:
+                pose = pose @ still.get(at, RigidTransform())
+        return pose
+
+    paths = {path for path, _ in moving} | set(still)
+    for frame in (0, 9, 64):
+        now = frame / FRAMES_PER_S
+        values = (np.interp(now, time, signal) for signal in (angle, reference))
+        for part, pose in poses(link, *values, depth_m=-0.15).items():
+            ghost = part.startswith("reference_")
+            folder = "leg0/reference" if ghost else "leg0"
+            name = part.removeprefix("reference_")
+            places = [f"{folder}/{name}", f"{folder}/on_shank/{name}"]
+            (path,) = (place for place in places if f"/knee/{place}" in paths)
+            seen = shown(path, frame)
+            np.testing.assert_allclose(
+                seen.translation(), pose.translation(), atol=1e-6, err_msg=part
+            )
+            axes = [where.rotation().matrix()[:, 2] for where in (seen, pose)]
+            np.testing.assert_allclose(*axes, atol=1e-6, err_msg=part)
+
+
 def test_a_page_tells_where_it_ends_and_stays_small(tmp_path, capsys):
     time = np.linspace(0.0, 400.0, 4001)
     angle = 0.6 + 0.5 * np.sin(time)
@@ -233,6 +304,7 @@ def test_a_page_tells_where_it_ends_and_stays_small(tmp_path, capsys):
     assert shown_s(legs[:1]) == MOST_FRAMES / FRAMES_PER_S == 150.0
     assert shown_s(legs) == 75.0
     page = view_page(legs)
+    assert "<li>a (nearest)</li><li>b</li>" in page
     assert "the first 75 of 400 s" in page
     assert 6e6 < len(page) < 8e6
     short = Leg("c", Scenario().plant.linkage, *(values[:101] for values in (time, *[angle] * 3)))
