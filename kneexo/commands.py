@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import shutil
 import subprocess
 import sys
@@ -142,7 +143,11 @@ def _page(
 
             legs = [Leg.of_signals(name, *motion) for name, motion in moving.items()]
             view = view_page(legs, MOST_FRAMES_IN_REPORT)
-        text = html_page(f"kneexo {command}", report, figures, origin, view)
+        given = vars(options)
+        words = ["kneexo", *command.split()]
+        words += [given["scenario"]] if given.get("scenario") else []
+        words += [f"--set={value}" for value in given.get("values", given.get("settings", ()))]
+        text = html_page(shlex.join(words), report, figures, origin, view)
         return f"{command.split()[-1]}.html", text
 
     return page
@@ -394,9 +399,11 @@ def view(options: argparse.Namespace) -> None:
     from kneexo.output import to_json
     from kneexo.scenario_file import load_scenario
     from kneexo.view.legs import leg_of_results, leg_of_scenario
-    from kneexo.view.page import require_page, shown_s, view_page, write_page
+    from kneexo.view.page import MOST_LEGS, require_page, shown_s, view_page, write_page
 
     require_page(options.out)
+    if len(options.runs) > MOST_LEGS:
+        raise ParameterError(f"{len(options.runs)} runs: a page shows {MOST_LEGS} at most")
     if options.values and (results := [run for run in options.runs if Path(run).is_dir()]):
         raise ParameterError(f"--set: {results[0]} holds a finished run; its values are fixed")
     legs = []

@@ -78,9 +78,9 @@ def html_page(
 ) -> str:
     """One self-contained page.
 
-    ``report``: Markdown. ``figures`` by name; they stay open. ``origin``: version, scenario and
-    settings, as every JSON result begins. ``view``: a whole HTML page that a button opens within
-    this one; left out: none.
+    ``title``: the command that wrote it. ``report``: Markdown. ``figures`` by name; they stay open.
+    ``origin``: version, scenario and settings, as every JSON result begins. ``view``: a whole HTML
+    page that a button opens within this one; left out: none.
     """
     body = MarkdownIt("commonmark", {"html": False}).enable("table").render(report)
     body = body.replace("<table>", '<div class="scroll"><table>').replace(
@@ -108,7 +108,7 @@ def html_page(
 {pictures}
 {_view(view) if view else ""}
 <footer>
-<p>kneexo {html.escape(str(origin["kneexo"]))}</p>
+<p>kneexo {html.escape(str(origin["kneexo"]))}: <code>{html.escape(title)}</code></p>
 <details><summary>Scenario and settings</summary><pre>{html.escape(text)}</pre></details>
 </footer>
 </body>

@@ -13,6 +13,7 @@ import pytest
 
 from kneexo.cli import main
 from kneexo.html_page import html_page
+from kneexo.version import __version__
 
 VOID = {"meta", "link", "br", "hr", "img", "input", "path", "use"}
 
@@ -91,7 +92,8 @@ def short(tmp_path):
 @pytest.mark.parametrize("command", ["simulate", pytest.param("linearize", marks=pytest.mark.slow)])
 def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
     out = tmp_path / "out"
-    assert main([command, short, "--out", str(out), "--html", "--json"]) == 0
+    change = "plant.cylinder.mass_kg=1.7"
+    assert main([command, short, "--set", change, "--out", str(out), "--html", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     text = (out / f"{command}.html").read_text()
     cells = Page(text).cells
@@ -102,7 +104,9 @@ def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
             assert float(value) == pytest.approx(numbers[name], rel=1e-5)
     assert re.search("duration_s: 0.5", text)
     assert ("knee_angle_deg: 40.0" in text) == (command == "linearize")
-    assert f"<title>kneexo {command}</title>" in text
+    told = f"kneexo {command} {short} --set={change}"
+    assert f"<title>{told}</title>" in text
+    assert f"<p>kneexo {__version__}: <code>{told}</code></p>" in text
     assert len(text) < 3e6
 
 
@@ -111,7 +115,10 @@ def test_html_of_a_study_is_its_report(short, tmp_path, capsys):
     out = tmp_path / "out"
     few = ["--set", "frequencies_hz=[2, 3, 4]", "--set", "amplitudes_deg=[1]"]
     assert main(["bandwidth", short, "--out", str(out), "--html", *few, "--workers", "1"]) == 0
-    cells = Page((out / "bandwidth.html").read_text()).cells
+    text = (out / "bandwidth.html").read_text()
+    cells = Page(text).cells
+    settings = "&#x27;--set=frequencies_hz=[2, 3, 4]&#x27; &#x27;--set=amplitudes_deg=[1]&#x27;"
+    assert f"<code>kneexo bandwidth {short} {settings}</code>" in text
     report = (out / "bandwidth.md").read_text()
     rows = (line.strip("|").split("|") for line in report.splitlines() if line[:1] == "|")
     of_report = [cell.strip() for row in rows for cell in row]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from kneexo.systems import knee_reference
 from kneexo.systems.bldc_pump import RAD_S_PER_KRAD_S
 from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.version import __version__
+from kneexo.whole_file import write_whole
 
 TOOL = "kneexo"
 """The generation tool that the FMU's description names."""
@@ -84,7 +84,7 @@ def export_fmu(
         file /= f"{fmu.name}.fmu"
     _require_own(file)
     library = fmu.library()
-    _write(file, fmu.archive(library))
+    write_whole(file, fmu.archive(library))
     return FmuFile(
         str(file),
         fmu.source.sample_time_s,
@@ -323,15 +323,3 @@ def _require_own(file: Path) -> None:
     if not (tool or "").startswith(TOOL):
         what = "no FMU" if tool is None else f"an FMU of {tool or 'another tool'}"
         raise OutputError(f"--out {file}: is {what}; choose another file")
-
-
-def _write(file: Path, archive: bytes) -> None:
-    """Write the whole file, or nothing."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=file.parent, prefix=".kneexo-fmu-") as folder:
-            whole = Path(folder, file.name)
-            whole.write_bytes(archive)
-            os.replace(whole, file)
-    except OSError as error:
-        raise OutputError(f"--out {file}: cannot write there ({error.strerror or error})") from None

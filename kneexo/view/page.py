@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import html
 import logging
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from matplotlib.ticker import EngFormatter
@@ -37,6 +35,7 @@ from kneexo.mechanism import (
 )
 from kneexo.parameters import LinkageParameters
 from kneexo.version import __version__
+from kneexo.whole_file import write_whole
 
 Array = NDArray[np.float64]
 """An array of doubles."""
@@ -46,6 +45,9 @@ FRAMES_PER_S = 32.0
 
 MOST_FRAMES = 4800
 """Frames of all legs of a page together, 150 s of one leg: the page stays below 8 MB."""
+
+MOST_LEGS = 30
+"""Legs of a page: the parts of more would make it longer than 8 MB."""
 
 MOST_FRAMES_IN_REPORT = 1920
 """The same of a page within a report, which stays below 3 MB."""
@@ -153,15 +155,7 @@ def require_page(path: Path) -> None:
 def write_page(path: Path, page: str) -> None:
     """Write a page in the place of an earlier one; `OutputError` where that cannot be."""
     require_page(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(dir=path.parent, prefix=".kneexo-view-") as folder:
-            whole = Path(folder, path.name)
-            whole.write_text(page, encoding="utf-8")
-            os.replace(whole, path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"--out {path}: cannot write there ({reason})") from None
+    write_whole(path, page.encode())
 
 
 def _record(

@@ -1,7 +1,6 @@
 """Pages of runs: content, files, and what a browser shows."""
 
 import dataclasses
-import errno
 import json
 import os
 import stat
@@ -12,7 +11,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
 from kneexo.cli import main
-from kneexo.errors import OutputError, ScenarioError, SimulationError
+from kneexo.errors import ScenarioError, SimulationError
 from kneexo.mechanism import PINS, points, pressure_colours
 from kneexo.parameters import LINKAGES, Scenario
 from kneexo.scenario_file import load_scenario
@@ -184,6 +183,12 @@ def finished(tmp_path):
     return make
 
 
+def test_too_many_runs_are_one_line(tmp_path, capsys):
+    assert main(["view", *["x.yaml"] * 31, "--out", str(tmp_path / "knee.html")]) == 2
+    assert capsys.readouterr().err == "kneexo: 31 runs: a page shows 30 at most\n"
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_runs_have_names_that_differ(tmp_path, capsys, monkeypatch, finished):
     first, second, third = finished("a/run"), finished("b/run"), finished("c/walk")
     monkeypatch.chdir(third)
@@ -222,32 +227,6 @@ def test_a_fault_of_a_run_does_not_name_the_run_before(tmp_path, capsys, finishe
     empty.mkdir()
     assert main(["view", str(good), str(empty), "--out", str(tmp_path / "knee.html")]) == 2
     assert capsys.readouterr().err.startswith(f"kneexo: {empty}/scenario.yaml: cannot be read")
-
-
-def test_a_page_follows_the_umask(tmp_path):
-    for umask, mode in ((0o077, 0o600), (0o022, 0o644)):
-        before = os.umask(umask)
-        try:
-            write_page(tmp_path / "knee.html", MARK)
-        finally:
-            os.umask(before)
-        assert stat.S_IMODE((tmp_path / "knee.html").stat().st_mode) == mode
-
-
-def test_a_failed_write_leaves_nothing(tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("kneexo.view.page.os.replace", full)
-    with pytest.raises(OutputError, match="No space left on device"):
-        write_page(tmp_path / "knee.html", "page")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_page_that_cannot_be_written_is_one_line(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="cannot write there"):
-        write_page(tmp_path / "file" / "knee.html", "page")
 
 
 @pytest.mark.parametrize("linkage", ["G1", "G3"])
