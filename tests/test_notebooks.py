@@ -94,6 +94,7 @@ def test_a_notebook_runs_from_the_wheel(page, notebooks, wheel, tmp_path):
     empty = tmp_path / "empty"
     empty.mkdir()
     environment = os.environ | {"PYTHONPATH": str(wheel), "IPYTHONDIR": str(tmp_path / "ipython")}
+    environment.pop("MPLBACKEND", None)  # a command run by an earlier test leaves it
     client = nbclient.NotebookClient(
         notebook, timeout=120, kernel_name="python3", resources={"metadata": {"path": str(empty)}}
     )
