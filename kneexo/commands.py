@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from kneexo.errors import OutputError, ParameterError
 from kneexo.studies.catalogue import Study
 from kneexo.version import __version__
+from kneexo.whole_file import require_mark
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -111,13 +112,9 @@ def _write(
 
 def _require_page(options: argparse.Namespace, command: str) -> None:
     """Raise `OutputError` where ``--html`` would write over a file that kneexo has not written."""
-    path = Path(options.out, f"{command.split()[-1]}.html")
-    if not options.html or not path.exists():
-        return
-    if not path.is_file() or "<title>kneexo " not in path.read_text("utf-8", "replace"):
-        from kneexo.errors import OutputError
-
-        raise OutputError(f"--html: {path} exists and is no page of kneexo; choose another --out")
+    if options.html:
+        page = Path(options.out, f"{command.split()[-1]}.html")
+        require_mark(page, "<title>kneexo ", "page of kneexo")
 
 
 def _page(

@@ -71,21 +71,15 @@ PINS = ("o_a", "o_b", "a", "b", "cylinder_pin", "rod_pin")
 GHOST = ("shank", "foot")
 """Bars that are drawn again where the reference has them."""
 
-GHOST_RADIUS = 0.85
-"""Radius of a ghost, as a part of that of its bar: hidden within what it agrees with."""
-
-PIN = Cylinder(0.004, 0.052)
-"""Shape of a pin."""
-
-PIN_COLOUR = Rgba(0.15, 0.15, 0.18)
-"""Colour of pins."""
-
 ICR_COLOUR = Rgba(0.8, 0.0, 0.5)
 """Colour of the instantaneous centre of rotation and of its path."""
 
-GHOST_COLOUR = Rgba(0.35, 0.35, 0.35, 0.35)
-"""Colour of ghosts, transparent."""
+Look = tuple[Cylinder, Rgba]
+"""Shape and colour of a part."""
 
+_GHOST_RADIUS = 0.85  # of that of the bar: hidden within what it agrees with
+_GHOST_COLOUR = Rgba(0.35, 0.35, 0.35, 0.35)
+_PIN, _PIN_COLOUR = Cylinder(0.004, 0.052), Rgba(0.15, 0.15, 0.18)
 _ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)
 _LOW, _HIGH, _NONE = np.array([0.1, 0.3, 0.9]), np.array([0.9, 0.15, 0.1]), np.array([0.85] * 3)
 
@@ -143,6 +137,23 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     result["rod_start"] = result["rod_pin"] - along
     result["icr"] = seen(np.asarray(centre_x + 1j * centre_y))
     return result
+
+
+def shapes(linkage: LinkageParameters) -> dict[str, Look]:
+    """Shape and colour of each part: the bars, their ghosts ``reference_…``, and ``pin_…``.
+
+    Raises `LinkageError` where the linkage cannot be assembled.
+    """
+    at = points(linkage, 0.0)
+    parts: dict[str, Look] = {}
+    for name, bar in BARS.items():
+        length = float(abs(at[bar.end][0] - at[bar.start][0]))
+        parts[name] = Cylinder(bar.radius_m, length), Rgba(*bar.colour)
+        if name in GHOST:
+            ghost = Cylinder(_GHOST_RADIUS * bar.radius_m, length)
+            parts[f"reference_{name}"] = ghost, _GHOST_COLOUR
+    pins = {f"pin_{name}": (_PIN, _PIN_COLOUR) for name in PINS}
+    return parts | pins | {"pin_icr": (_PIN, ICR_COLOUR)}
 
 
 def icr_path(link: LinkageParameters, depth_m: float = 0.0) -> Array:

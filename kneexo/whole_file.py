@@ -1,4 +1,4 @@
-"""A file that is written wholly, or not at all."""
+"""A file that is written wholly, or not at all, and over no file of others."""
 
 from __future__ import annotations
 
@@ -8,6 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from kneexo.errors import OutputError
+
+
+def require_mark(path: Path, mark: str, kind: str) -> None:
+    """Raise `OutputError` for a file that is no ``kind`` of ours, which have ``mark`` in them."""
+    # A pipe or device may never end.
+    if path.exists() and not (path.is_file() and mark in path.read_text("utf-8", "replace")):
+        raise OutputError(f"{path} exists and is no {kind}; choose another --out")
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -15,8 +15,10 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from contextlib import suppress
 from decimal import Decimal, InvalidOperation
+from pathlib import Path
 from types import SimpleNamespace
 
 # As in sweeps: workers of pytest have a core each, and threads of BLAS would only wait for it.
@@ -466,3 +468,25 @@ def browser(tmp_path_factory):
     browser = _Browser(tmp_path_factory.mktemp("chromium"))
     yield browser
     browser.close()
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory):
+    """The contents of the wheel of this repository, unpacked elsewhere."""
+    folder = tmp_path_factory.mktemp("wheel")
+    root, source = Path(__file__).parents[1], folder / "source"
+    shutil.copytree(root / "kneexo", source / "kneexo", ignore=shutil.ignore_patterns("__py*"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(root / name, source / name)
+    built = subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--no-deps", "-w", str(folder), str(source)],
+        capture_output=True,
+        text=True,
+    )
+    if "No matching distribution found for setuptools" in built.stderr:
+        pytest.skip("setuptools cannot be had offline")
+    assert built.returncode == 0, built.stderr
+    (file,) = folder.glob("kneexo-*.whl")
+    with zipfile.ZipFile(file) as archive:
+        archive.extractall(folder / "site")
+    return folder / "site"

@@ -141,7 +141,7 @@ def test_html_writes_over_no_file_of_others(command, tmp_path, capsys):
     page = tmp_path / f"{command}.html"
     page.write_text("<title>mine</title>", encoding="utf-8")
     assert main([command, "--out", str(tmp_path), "--html"]) == 2
-    told = f"kneexo: --html: {page} exists and is no page of kneexo; choose another --out\n"
+    told = f"kneexo: {page} exists and is no page of kneexo; choose another --out\n"
     assert capsys.readouterr().err == told
     assert page.read_text(encoding="utf-8") == "<title>mine</title>"
     assert list(tmp_path.iterdir()) == [page]

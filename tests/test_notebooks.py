@@ -4,10 +4,7 @@ import importlib
 import os
 import re
 import resource
-import shutil
-import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -47,28 +44,6 @@ def test_links_and_roles_become_plain(notebooks):
     plain = notebooks.plain_markdown(text)
     assert plain == "It runs.\n\nx (page `theory` of the documentation), [z](margins.ipynb)."
     assert notebooks.plain_markdown(plain) == plain
-
-
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """The contents of the wheel, unpacked, without the repository."""
-    folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"
-    shutil.copytree(ROOT / "kneexo", source / "kneexo", ignore=shutil.ignore_patterns("__py*"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, source / name)
-    built = subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "--no-deps", "-w", str(folder), str(source)],
-        capture_output=True,
-        text=True,
-    )
-    if "No matching distribution found for setuptools" in built.stderr:
-        pytest.skip("setuptools cannot be had offline")
-    assert built.returncode == 0, built.stderr
-    (file,) = folder.glob("kneexo-*.whl")
-    with zipfile.ZipFile(file) as archive:
-        archive.extractall(folder / "site")
-    return folder / "site"
 
 
 def cpu_seconds_of_children():

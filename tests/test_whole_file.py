@@ -7,7 +7,7 @@ import stat
 import pytest
 
 from kneexo.errors import OutputError
-from kneexo.whole_file import write_whole
+from kneexo.whole_file import require_mark, write_whole
 
 
 def test_a_file_takes_the_place_of_an_earlier_one(tmp_path):
@@ -47,3 +47,16 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
     with pytest.raises(OutputError, match="cannot write there") as error:
         write_whole(tmp_path / "file" / "inner", b"content")
     assert "\n" not in str(error.value)
+
+
+def test_only_a_file_with_the_mark_may_be_replaced(tmp_path):
+    ours, other = tmp_path / "ours", tmp_path / "other"
+    ours.write_text("<mark> and more")
+    other.write_bytes(b"\xff no text")
+    require_mark(ours, "<mark>", "page")
+    require_mark(tmp_path / "missing", "<mark>", "page")
+    os.mkfifo(tmp_path / "pipe")
+    for path in (other, tmp_path, tmp_path / "pipe"):
+        with pytest.raises(OutputError) as error:
+            require_mark(path, "<mark>", "page")
+        assert str(error.value) == f"{path} exists and is no page; choose another --out"

@@ -17,8 +17,8 @@ _OPERATIONS: dict[str, Any] = {
     "divide": np.divide,
     "power": np.power,
     "atan2": np.arctan2,
-    "min": np.minimum,
-    "max": np.maximum,
+    "min": lambda a, b: np.where(b < a, b, a),  # as std::min: the first where one is nan
+    "max": lambda a, b: np.where(a < b, b, a),
     "where": np.where,
     "and": lambda *conditions: reduce(np.logical_and, conditions),
     "or": lambda *conditions: reduce(np.logical_or, conditions),

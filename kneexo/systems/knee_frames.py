@@ -7,13 +7,11 @@ from typing import Any
 
 from pydrake.common.value import Value
 from pydrake.geometry import (
-    Cylinder,
     FrameId,
     FramePoseVector,
     GeometryFrame,
     GeometryInstance,
     MakePhongIllustrationProperties,
-    Rgba,
     SceneGraph,
 )
 from pydrake.math import RigidTransform
@@ -23,34 +21,13 @@ from kneexo.errors import ParameterError
 from kneexo.mechanism import (
     BARS,
     GHOST,
-    GHOST_COLOUR,
-    GHOST_RADIUS,
-    ICR_COLOUR,
-    PIN,
-    PIN_COLOUR,
     PINS,
     bar_pose,
     pin_pose,
     points,
+    shapes,
 )
 from kneexo.parameters import LinkageParameters
-
-
-def shapes(linkage: LinkageParameters) -> dict[str, tuple[Cylinder, Rgba]]:
-    """Shape and colour of each part: the bars, their ghosts ``reference_…``, and ``pin_…``.
-
-    Raises `LinkageError` where the linkage cannot be assembled.
-    """
-    at = points(linkage, 0.0)
-    parts = {}
-    for name, bar in BARS.items():
-        length = float(abs(at[bar.end][0] - at[bar.start][0]))
-        parts[name] = Cylinder(bar.radius_m, length), Rgba(*bar.colour)
-        if name in GHOST:
-            ghost = Cylinder(GHOST_RADIUS * bar.radius_m, length)
-            parts[f"reference_{name}"] = ghost, GHOST_COLOUR
-    pins = {f"pin_{name}": (PIN, PIN_COLOUR) for name in PINS}
-    return parts | pins | {"pin_icr": (PIN, ICR_COLOUR)}
 
 
 def poses(

@@ -11,20 +11,16 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import EngFormatter
 from numpy.typing import ArrayLike, NDArray
-from pydrake.geometry import Cylinder, Meshcat, MeshcatParams, Rgba
+from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
 
-from kneexo.errors import OutputError
 from kneexo.mechanism import (
     BARS,
     GHOST,
-    GHOST_COLOUR,
-    GHOST_RADIUS,
     ICR_COLOUR,
-    PIN,
-    PIN_COLOUR,
     PINS,
     Bar,
+    Look,
     Points,
     depths_m,
     icr_path,
@@ -32,10 +28,11 @@ from kneexo.mechanism import (
     look_at_legs,
     points,
     pressure_colours,
+    shapes,
 )
 from kneexo.parameters import LinkageParameters
 from kneexo.version import __version__
-from kneexo.whole_file import write_whole
+from kneexo.whole_file import require_mark, write_whole
 
 Array = NDArray[np.float64]
 """An array of doubles."""
@@ -46,11 +43,11 @@ FRAMES_PER_S = 32.0
 MOST_FRAMES = 4800
 """Frames of all legs of a page together, 150 s of one leg: the page stays below 8 MB."""
 
-MOST_LEGS = 30
-"""Legs of a page: the parts of more would make it longer than 8 MB."""
-
 MOST_FRAMES_IN_REPORT = 1920
 """The same of a page within a report, which stays below 3 MB."""
+
+MOST_LEGS = 30
+"""Legs of a page, whose parts count too: it stays below 8 MB."""
 
 COLUMNS = ("time_s", "knee_angle_rad", "knee_reference_rad", "load_pressure_pa")
 """What a page shows of a run."""
@@ -145,11 +142,7 @@ def _quiet_meshcat() -> Meshcat:
 
 def require_page(path: Path) -> None:
     """Raise `OutputError` for a file that is no page of a view."""
-    if not path.exists():
-        return
-    # A pipe or device may never end.
-    if not path.is_file() or MARK not in path.read_text("utf-8", "replace"):
-        raise OutputError(f"--out {path}: exists and is no page of kneexo view; choose another")
+    require_mark(path, MARK, "page of kneexo view")
 
 
 def write_page(path: Path, page: str) -> None:
@@ -169,14 +162,15 @@ def _record(
     )
     now, wanted = points(leg.linkage, angle), points(leg.linkage, reference)
     meshcat.SetTransform(path, RigidTransform(in_world(0j, depth)))
+    looks = shapes(leg.linkage)
     parts = _Parts(meshcat, path, times, now)
     for name, bar in BARS.items():
-        parts.add_bar(name, bar, now, Rgba(*bar.colour), bar.radius_m)
+        parts.add_bar(name, looks[name], bar, now)
     for name in (*PINS, "icr"):
-        parts.add_pin(f"pin_{name}", now[name], ICR_COLOUR if name == "icr" else PIN_COLOUR)
+        parts.add_pin(f"pin_{name}", looks[f"pin_{name}"], now[name])
     ghost = _Parts(meshcat, f"{path}/reference", times, wanted)
-    for name in GHOST:  # hidden within what it agrees with
-        ghost.add_bar(name, BARS[name], wanted, GHOST_COLOUR, GHOST_RADIUS * BARS[name].radius_m)
+    for name in GHOST:
+        ghost.add_bar(name, looks[f"reference_{name}"], BARS[name], wanted)
     meshcat.SetLine(f"{path}/icr_path", icr_path(leg.linkage), 2.0, ICR_COLOUR)
     for time, colour in zip(times.tolist(), pressure_colours(pressure, largest), strict=True):
         meshcat.SetProperty(
@@ -201,22 +195,18 @@ class _Parts:
         }
         self._move(f"{path}/on_shank", RotationMatrix(), *self._frames[f"{path}/on_shank"])
 
-    def add_bar(
-        self, name: str, bar: Bar, at: Mapping[str, Points], colour: Rgba, radius_m: float
-    ) -> None:
+    def add_bar(self, name: str, look: Look, bar: Bar, at: Mapping[str, Points]) -> None:
         start, end = at[bar.start], at[bar.end]
-        shape = Cylinder(radius_m, float(np.abs(end[0] - start[0])))
         turn = (end - start) / np.abs(end - start)
-        self._add(name, shape, colour, _ALONG, 0.5 * (start + end), turn, bar.layer_m)
+        self._add(name, look, _ALONG, 0.5 * (start + end), turn, bar.layer_m)
 
-    def add_pin(self, name: str, place: Points, colour: Rgba) -> None:
-        self._add(name, PIN, colour, _ACROSS, place, None)
+    def add_pin(self, name: str, look: Look, place: Points) -> None:
+        self._add(name, look, _ACROSS, place, None)
 
     def _add(
         self,
         name: str,
-        shape: Cylinder,
-        colour: Rgba,
+        look: Look,
         axis: RotationMatrix,
         place: Points,
         turn: Points | None,
@@ -228,7 +218,7 @@ class _Parts:
             for frame, (origin, way) in self._frames.items()
         }
         frame = next((f for f, poses in seen.items() if all(map(_is_constant, poses))), self._path)
-        self._meshcat.SetObject(f"{frame}/{name}", shape, colour)
+        self._meshcat.SetObject(f"{frame}/{name}", *look)
         self._move(f"{frame}/{name}", axis, *seen[frame], layer_m)
 
     def _move(
