@@ -234,8 +234,10 @@ def test_a_page_holds_the_parts_where_the_live_view_has_them(linkage, commands):
     link, time = LINKAGES[linkage], np.linspace(0.0, 2.0, 201)
     angle, reference = 0.7 + 0.4 * np.sin(time), 0.6 + 0.5 * np.cos(time)
     leg = Leg("mine", link, time, angle, reference, 1e6 * np.sin(time))
-    still, moving = {}, {}
+    still, moving, opacity = {}, {}, {}
     for command in commands(view_page([leg, leg])):
+        if command["type"] == "set_object" and "materials" in command["object"]:
+            opacity[command["path"]] = command["object"]["materials"][0].get("opacity")
         if command["type"] == "set_transform":
             matrix = np.reshape(command["matrix"], (4, 4)).T
             still[command["path"]] = RigidTransform(matrix)
@@ -268,6 +270,7 @@ def test_a_page_holds_the_parts_where_the_live_view_has_them(linkage, commands):
             name = part.removeprefix("reference_")
             places = [f"{folder}/{name}", f"{folder}/on_shank/{name}"]
             (path,) = (place for place in places if f"/knee/{place}" in paths)
+            assert opacity[f"/knee/{path}"] == (0.35 if ghost else 1.0)
             seen = shown(path, frame)
             np.testing.assert_allclose(
                 seen.translation(), pose.translation(), atol=1e-6, err_msg=part
