@@ -3,12 +3,15 @@
     python benchmarks/mutation.py                                   # two in each module
     python benchmarks/mutation.py analysis/tracking --count 20      # many in one
     python benchmarks/mutation.py --seed 7                          # others
+    python benchmarks/mutation.py --random 300 --whole-suite --jobs 2
 
 Each mutant is one wrong operator, constant, sign, name, attribute or key. It is killed when a fast
 test of the mirrored file (``tests/PATH/test_X.py``, or those of `TESTS`) fails, does not end in
 time, or can not be collected. Mutants live in a copy of the tree, so that no wrong source is left
-when the run is killed. The seed and the module alone decide which mutants are picked. A survivor
-is a gap in the tests, or a change that changes nothing.
+when the run is killed. The seed and the module alone decide which mutants are picked. ``--random``
+draws them from the whole package, where every possible change is equally likely. With
+``--whole-suite`` a mutant survives only if it passes every fast test. A survivor is a gap in the
+tests, or a change that changes nothing.
 """
 
 from __future__ import annotations
@@ -23,9 +26,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
@@ -219,6 +225,14 @@ def mutants(source: str, count: int, seed: str) -> list[Mutant]:
     return sorted(found, key=lambda mutant: mutant.line)
 
 
+def drawn(count: int, seed: int, root: Path = ROOT) -> dict[str, int]:
+    """How many of ``count`` random mutants fall on each module, by the number of its changes."""
+    names = modules_of(root)
+    sources = [(root / "kneexo" / f"{name}.py").read_text(encoding="utf-8") for name in names]
+    sizes = [sum(1 for _ in _changes(ast.parse(s), random.Random(0))) for s in sources]
+    return dict(sorted(Counter(random.Random(seed).choices(names, sizes, k=count)).items()))
+
+
 # -------------------------------------------------------------------------------- the tests
 
 
@@ -246,7 +260,7 @@ def run_tests(tree: Path, tests: Sequence[str], limit_s: float) -> str:
         "PYTHONPATH": str(tree),
         "PYTHONDONTWRITEBYTECODE": "1",
         "OPENBLAS_NUM_THREADS": "1",
-        "KNEEXO_CACHE_DIR": str(tree / ".cache"),
+        "KNEEXO_CACHE_DIR": str(tree.parent / "cache"),
     }
     options = ["-x", "-q", "-n0", "--no-header", "--tb=no", "-p", "no:cacheprovider"]
     process = subprocess.Popen(
@@ -267,39 +281,70 @@ def run_tests(tree: Path, tests: Sequence[str], limit_s: float) -> str:
             process.wait()
 
 
-def run(
-    modules: Sequence[str], *, count: int, seed: int, slack_s: float = 30.0, root: Path = ROOT
-) -> dict[str, tuple[int, list[Mutant]]]:
-    """Killed mutants (how many) and survivors of each module; prints them as they come.
+def judge(
+    tree: Path, module: str, picked: Sequence[Mutant], *, whole_suite: bool, slack_s: float
+) -> list[Mutant]:
+    """Survivors among the mutants of a module, which are put into the tree one after another.
 
     A mutant may take three times as long as the tests do without it, and ``slack_s`` more.
     """
-    found = {}
+    path, tests = tree / "kneexo" / f"{module}.py", mirrored(module, tree)
+    source = path.read_text(encoding="utf-8")
+    start = time.monotonic()
+    if run_tests(tree, tests, 3600.0) != "passed":
+        raise SystemExit(f"{module}: {', '.join(tests)} fails without any mutant")
+    limit = 3.0 * (time.monotonic() - start) + slack_s
+    survivors = []
+    for mutant in picked:
+        path.write_text(mutant.source, encoding="utf-8")
+        outcome = run_tests(tree, tests, limit)
+        if outcome == "passed" and whole_suite:
+            outcome = run_tests(tree, ["tests"], 3600.0)
+        survivors += [mutant] if outcome == "passed" else []
+    path.write_text(source, encoding="utf-8")
+    return survivors
+
+
+def run(
+    counts: Mapping[str, int],
+    *,
+    seed: int,
+    whole_suite: bool = False,
+    jobs: int = 1,
+    slack_s: float = 30.0,
+    root: Path = ROOT,
+) -> dict[str, tuple[int, list[Mutant]]]:
+    """Killed mutants (how many) and survivors of each module; prints them as they come.
+
+    ``counts``: mutants of each module.
+    """
+    results = {}
+    trees: SimpleQueue[Path] = SimpleQueue()
+
+    def work(module: str, picked: list[Mutant]) -> None:
+        tree = trees.get()
+        try:
+            survivors = judge(tree, module, picked, whole_suite=whole_suite, slack_s=slack_s)
+        finally:
+            trees.put(tree)
+        results[module] = len(picked) - len(survivors), survivors
+        summary = f"{module}: {results[module][0]} killed, {len(survivors)} survived"
+        print("\n    ".join([summary, *map(str, survivors)]), flush=True)
+
     with tempfile.TemporaryDirectory(prefix="kneexo-mutation-") as folder:
-        tree = Path(folder) / "tree"
         hidden = shutil.ignore_patterns(".*", "__pycache__", "results", "build")
-        shutil.copytree(root, tree, ignore=hidden)
-        for module in modules:
-            path, tests = tree / "kneexo" / f"{module}.py", mirrored(module, root)
-            source = path.read_text(encoding="utf-8")
-            picked = mutants(source, count, f"{seed} {module}")
-            if not picked:
-                continue
-            start = time.monotonic()
-            if run_tests(tree, tests, 3600.0) != "passed":
-                raise SystemExit(f"{module}: {', '.join(tests)} fails without any mutant")
-            limit = 3.0 * (time.monotonic() - start) + slack_s
-            survived = []
-            for mutant in picked:
-                path.write_text(mutant.source, encoding="utf-8")
-                outcome = run_tests(tree, tests, limit)
-                survived += [mutant] if outcome == "passed" else []
-            path.write_text(source, encoding="utf-8")
-            found[module] = len(picked) - len(survived), survived
-            print(f"{module}: {found[module][0]} killed, {len(survived)} survived", flush=True)
-            for mutant in survived:
-                print(f"    {mutant}", flush=True)
-    return found
+        for job in range(jobs):
+            shutil.copytree(root, Path(folder) / f"tree {job}", ignore=hidden)
+            trees.put(Path(folder) / f"tree {job}")
+        with ThreadPoolExecutor(jobs) as pool:
+            pending = []
+            for module, count in counts.items():
+                source = (root / "kneexo" / f"{module}.py").read_text(encoding="utf-8")
+                if picked := mutants(source, count, f"{seed} {module}"):
+                    pending.append(pool.submit(work, module, picked))
+            for future in pending:
+                future.result()
+    return results
 
 
 def main() -> None:
@@ -307,16 +352,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("modules", nargs="*", help="such as analysis/tracking; all by default")
     parser.add_argument("--count", type=int, default=2, help="mutants for each module")
+    parser.add_argument("--random", type=int, metavar="N", help="N mutants of the whole package")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--whole-suite", action="store_true", help="survivors face all fast tests")
+    parser.add_argument("--jobs", type=int, default=1, help="mutants at the same time")
     options = parser.parse_args()
     known = modules_of()
     for module in options.modules:
         if module not in known:
             parser.error(f"{module}: no such module with tests; known: {', '.join(known)}")
-    found = run(options.modules or known, count=options.count, seed=options.seed)
-    killed = sum(number for number, _ in found.values())
-    survived = sum(len(mutants) for _, mutants in found.values())
-    print(f"in all: {killed} killed, {survived} survived")
+    counts = dict.fromkeys(options.modules or known, options.count)
+    if options.random:
+        counts = drawn(options.random, options.seed)
+    results = run(counts, seed=options.seed, whole_suite=options.whole_suite, jobs=options.jobs)
+    groups = {"studies": "studies and reports", "export": "exports", "": "elsewhere"}
+    for folder, label in groups.items():
+        chosen = [r for m, r in results.items() if group(m) == folder]
+        killed, survived = sum(r[0] for r in chosen), sum(len(r[1]) for r in chosen)
+        print(f"{label}: {killed} killed, {survived} survived")
+
+
+def group(module: str) -> str:
+    """Folder by which the summary counts a module: ``studies``, ``export`` or none."""
+    folder = module.partition("/")[0]
+    return folder if folder in ("studies", "export") else ""
 
 
 if __name__ == "__main__":

@@ -82,10 +82,28 @@ def test_the_seed_decides(mutation):
 @pytest.mark.parametrize(("tests", "killed"), [(CHECKS, 2), (RUNS, 0)], ids=["checks", "runs"])
 def test_tests_that_check_kill_and_tests_that_run_do_not(mutation, toy, tests, killed, capsys):
     root = toy(SHORT, tests)
-    found = mutation.run(["toy"], count=2, seed=1, root=root)
+    found = mutation.run({"toy": 2}, seed=1, root=root)
     assert (found["toy"][0], len(found["toy"][1])) == (killed, 2 - killed)
     assert f"toy: {killed} killed, {2 - killed} survived" in capsys.readouterr().out
     assert (root / "kneexo" / "toy.py").read_text() == SHORT
+
+
+def test_the_whole_suite_kills_what_the_mirrored_tests_miss(mutation, toy):
+    root = toy(SHORT, RUNS)
+    (root / "tests" / "test_other.py").write_text(CHECKS)
+    results = mutation.run({"toy": 2}, seed=1, whole_suite=True, jobs=2, root=root)
+    assert (results["toy"][0], results["toy"][1]) == (2, [])
+
+
+def test_random_mutants_are_spread_by_the_number_of_changes(mutation, tmp_path):
+    for folder in ("kneexo", "tests"):
+        (tmp_path / folder).mkdir()
+    for name, count in (("short", 1), ("long", 9)):
+        (tmp_path / "kneexo" / f"{name}.py").write_text("x = 1 + 2\n" * count)
+        (tmp_path / "tests" / f"test_{name}.py").write_text("")
+    counts = mutation.drawn(1000, 3, tmp_path)
+    assert sum(counts.values()) == 1000
+    assert counts["short"] == pytest.approx(100, abs=50)  # five standard deviations
 
 
 def test_a_mutant_that_does_not_end_is_killed(mutation, toy):
@@ -96,7 +114,7 @@ def test_a_mutant_that_does_not_end_is_killed(mutation, toy):
 def test_tests_that_fail_anyway_say_nothing(mutation, toy):
     root = toy(SHORT, "def test_it():\n    assert False\n")
     with pytest.raises(SystemExit, match="fails without any mutant"):
-        mutation.run(["toy"], count=1, seed=1, root=root)
+        mutation.run({"toy": 1}, seed=1, root=root)
 
 
 def test_every_module_has_tests(mutation):
