@@ -36,6 +36,13 @@ hypothesis.settings.register_profile("kneexo", deadline=None)  # a loaded machin
 hypothesis.settings.load_profile("kneexo")
 
 
+def pytest_collection_modifyitems(items):
+    """Give slow tests, which `timeout` in pyproject.toml would stop, an hour each."""
+    for item in items:
+        if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(3600))
+
+
 def pytest_collection_finish():
     """Leave modules and tests, which stay to the end, out of the searches for garbage."""
     gc.freeze()

@@ -66,4 +66,5 @@ def test_a_document_has_an_empty_line_between_what_it_has():
 
 def test_a_share_is_in_whole_percent():
     assert percent(0.255) == "26 %"
+    assert percent(1.0) == "100 %"
     assert percent(math.nan) == "–"

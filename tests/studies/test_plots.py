@@ -4,7 +4,13 @@ import pytest
 from hypothesis import given, strategies as st
 from matplotlib.colors import LogNorm, Normalize
 
-from kneexo.studies.plots import cell_borders, decimal_ticks, heat_map, plain_ticks
+from kneexo.studies.plots import (
+    cell_borders,
+    decimal_ticks,
+    heat_map,
+    legend_below,
+    plain_ticks,
+)
 
 
 @given(st.lists(st.floats(1.1, 10.0), min_size=1, max_size=8), st.floats(1e-3, 1e3))
@@ -22,6 +28,9 @@ def test_cells_show_values_x_by_y_and_mask_what_is_not_finite():
     figure, ax = plt.subplots()
     heat_map(ax, [1.0, 2.0], [10.0, 20.0, 40.0], values, norm=LogNorm(1.0, 10.0), label="e (deg)")
     mesh = ax.collections[0]
+    # The borders lie half a ratio outside the first and the last value.
+    assert ax.get_xlim() == pytest.approx((1.0 / 2.0**0.5, 2.0 * 2.0**0.5))
+    assert ax.get_ylim() == pytest.approx((10.0 / 2.0**0.5, 40.0 * 2.0**0.5))
     shown = mesh.get_array()
     assert shown.shape == (3, 2)
     assert np.array_equal(shown.mask, ~np.isfinite(values.T))
@@ -77,3 +86,18 @@ def test_decimal_ticks_suit_the_decades(limits, ticks):
     shown = [t for t in ax.get_xticks() if low <= t <= high]
     assert [f"{t:g}" for t in shown] == ticks
     plt.close(figure)
+
+
+def test_a_legend_below_the_figure_has_each_label_once():
+    figure, axes = plt.subplots(1, 2, layout="constrained")
+    for ax, names in zip(axes, ("ab", "bc"), strict=True):
+        for name in names:
+            ax.plot([0.0, 1.0], [0.0, 1.0], label=name)
+    legend_below(figure, axes, 2, fontsize=8)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b", "c"]
+    assert {text.get_fontsize() for text in legend.get_texts()} == {8}
+    figure.canvas.draw()
+    left = [text.get_window_extent().x0 for text in legend.get_texts()]
+    assert left[0] == pytest.approx(left[1])  # two columns
+    assert left[0] < left[2]
