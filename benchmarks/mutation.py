@@ -7,11 +7,11 @@
 
 Each mutant is one wrong operator, constant, sign, name, attribute or key. It is killed when a fast
 test of the mirrored file (``tests/PATH/test_X.py``, or those of `TESTS`) fails, does not end in
-time, or can not be collected. Mutants live in a copy of the tree, so that no wrong source is left
-when the run is killed. The seed and the module alone decide which mutants are picked. ``--random``
-draws them from the whole package, where every possible change is equally likely. With
-``--whole-suite`` a mutant survives only if it passes every fast test. A survivor is a gap in the
-tests, or a change that changes nothing.
+time, or can not be collected; parameters and studies have ``tests/test_defaults.py`` too. Mutants
+live in a copy of the tree, so that no wrong source is left when the run is killed. The seed and the
+module alone decide which mutants are picked. ``--random`` draws them from the whole package, where
+every possible change is equally likely. With ``--whole-suite`` a mutant survives only if it passes
+every fast test. A survivor is a gap in the tests, or a change that changes nothing.
 """
 
 from __future__ import annotations
@@ -243,6 +243,8 @@ def mirrored(module: str, root: Path = ROOT) -> list[str]:
         name = name.removesuffix("_report").removesuffix("_figures")
     names = TESTS.get(module) or TESTS.get(f"{folder}/{name}")
     names = names or (f"{folder}/test_{name}".lstrip("/"),)
+    if module.startswith(("parameters/", "studies/", "analysis/frequency_response")):
+        names = (*names, "test_defaults")
     paths = [f"tests/{test}.py" for test in names]
     return [path for path in paths if (root / path).exists()]
 

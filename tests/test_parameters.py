@@ -14,7 +14,6 @@ from hypothesis import given, strategies as st
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from kneexo import parameters
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import (
     G1,
@@ -56,9 +55,7 @@ from kneexo.parameters.quantity import (
     source_of,
     unit_of,
 )
-from kneexo.studies import paper
 from kneexo.studies.bandwidth import BandwidthSettings
-from kneexo.studies.catalogue import STUDIES
 from kneexo.studies.paper import IDEAL_SMC
 
 
@@ -194,70 +191,6 @@ def test_classes_are_documented_and_frozen(model: type[Parameters]) -> None:
         with pytest.raises(ValidationError, match="frozen"):
             setattr(instance, name, getattr(instance, name))
     assert hash(instance) == hash(instance.model_copy())
-
-
-# ------------------------------------------------------------------------------ snapshot
-
-SNAPSHOT = Path(__file__).with_name("parameters.txt")
-
-
-def plain(value: typing.Any) -> str:
-    """A value as text: floats to 12 digits, of parameter objects what differs from the defaults."""
-    if isinstance(value, float):
-        return f"{value:.12g}"
-    if isinstance(value, dict):
-        return f"{{{', '.join(f'{key}: {plain(item)}' for key, item in value.items())}}}"
-    if isinstance(value, tuple):
-        return f"({', '.join(map(plain, value))})"
-    if isinstance(value, Parameters):
-        fields = type(value).model_fields.items()
-        changes = [(n, getattr(value, n)) for n, f in fields if getattr(value, n) != f.default]
-        shown = ", ".join(f"{name}={plain(item)}" for name, item in changes if item != "")
-        return f"{type(value).__name__}({shown})"
-    return repr(value)
-
-
-def field_line(name: str, field: FieldInfo) -> str:
-    """Default, unit and bounds of a field."""
-    names = ("ge", "gt", "le", "min_length", "max_length")
-    bounds = [
-        f"{name} {plain(getattr(bound, name))}"
-        for name in names
-        for bound in field.metadata
-        if getattr(bound, name, None) is not None
-    ]
-    if typing.get_origin(field.annotation) is typing.Literal:
-        bounds.append(f"one of {plain(typing.get_args(field.annotation))}")
-    default = "required" if field.is_required() else plain(field.default)
-    return " | ".join([name, default, unit_of(field), ", ".join(bounds)]).rstrip()
-
-
-def snapshot() -> str:
-    """A line for each field of scenarios and of studies' settings, each constant, each setup."""
-    settings = [model for study in STUDIES.values() for model in classes_of(study.settings)]
-    lines = ["field | default | unit | bounds"]
-    for model in dict.fromkeys(CLASSES + settings):
-        lines += [
-            field_line(f"{model.__name__}.{name}", field)
-            for name, field in model.model_fields.items()
-        ]
-    for module in (parameters, paper):
-        for name, value in vars(module).items():
-            if name.isupper() and name[0] != "_" and name not in ("LINKAGES", "UNCERTAINTY"):
-                lines.append(f"{name} | {plain(value)}")
-    for path, value in UNCERTAINTY.values.items():
-        lines.append(f"UNCERTAINTY {path} | {plain(value.model_copy(update={'source': ''}))}")
-    lines += [
-        f"kneexo {study.command} | {plain(study.scenario)}"
-        for study in STUDIES.values()
-        if study.setup
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def test_every_default_unit_and_bound_is_that_of_the_snapshot() -> None:
-    """After a change that is meant: ``python tests/test_parameters.py`` writes the snapshot."""
-    assert snapshot().splitlines() == SNAPSHOT.read_text(encoding="utf-8").splitlines()
 
 
 # -------------------------------------------------------------------- the paper's tables
@@ -679,7 +612,3 @@ def test_proportional_action_alone_errs_as_fig_12_shows():
     pid = PidParameters()
     assert (pid.integral_per_s2, pid.derivative) == (0.0, 0.0)
     assert 30.0 * math.tau * 0.1 / pid.proportional_per_s == pytest.approx(4.0, abs=0.5)
-
-
-if __name__ == "__main__":
-    SNAPSHOT.write_text(snapshot(), encoding="utf-8")
