@@ -2,13 +2,16 @@
 
 import dataclasses
 import errno
+import importlib.util
 import os
 import random
+import stat
 import subprocess
 import sys
 import tempfile
 import time
 import warnings
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -16,26 +19,27 @@ from pydrake.symbolic import Variable
 from pydrake.systems.primitives import SymbolicVectorSystem
 
 import kneexo
-from kneexo.compilation import State, cache
+from kneexo.compilation import State
 from kneexo.compilation.equations import Equations, Limit, Section, Update
 from kneexo.compilation.graph import Graph
 from kneexo.compilation.machine_code import equations_key
 from kneexo.errors import OutputError
 
 HOUR_S = 3600.0
+CACHE = importlib.util.find_spec("kneexo.compilation.cache")
+cache = None  # of each test: the module as a new process has it
 
 
 @pytest.fixture(autouse=True)
 def directory(tmp_path, monkeypatch):
-    """An empty cache, and a process that has warned of nothing yet."""
+    """An empty cache, and in `cache` a module that has warned of nothing yet."""
+    global cache
     monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.delenv("KNEEXO_CACHE_SIZE_MB", raising=False)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(cache, "_unwritable", set())
-    monkeypatch.setattr(cache, "_warnings_given", set())
-    cache._private_directory.cache_clear()
-    yield tmp_path / "cache"
-    cache._private_directory.cache_clear()
+    cache = importlib.util.module_from_spec(CACHE)
+    CACHE.loader.exec_module(cache)
+    return tmp_path / "cache"
 
 
 @pytest.fixture
@@ -99,11 +103,8 @@ def test_every_part_of_equations_is_in_their_key():
     assert len({equations_key(base), *keys}) == 1 + len(others)
 
 
-def test_an_entry_of_another_key_is_refused(monkeypatch):
-    cache.store("another", b"code")
-    name = cache._name("another")
-    monkeypatch.setattr(cache, "_name", lambda key: name)
-    assert cache.load("another") == b"code"
+def test_an_entry_of_another_key_is_refused():
+    entry_path("another").rename(entry_path("key"))
     with pytest.warns(UserWarning, match="damaged; it is made anew"):
         assert cache.load("key") is None
 
@@ -153,11 +154,11 @@ def test_a_file_without_content_is_damaged(length):
         assert cache.load("key") is None
 
 
-def test_another_format_version_is_refused(monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(cache, "_FORMAT", b"kneexo code 0\n")
-        cache.store("key", b"code")
-        assert cache.load("key") == b"code"
+def test_another_format_version_is_refused():
+    path = entry_path("key")
+    whole = path.read_bytes()
+    assert whole.startswith(b"kneexo code 1\n")
+    path.write_bytes(whole.replace(b"code 1", b"code 0", 1))
     with pytest.warns(UserWarning, match="damaged"):
         assert cache.load("key") is None
 
@@ -208,22 +209,25 @@ def test_a_file_that_others_may_write_is_refused(mode):
 
 def test_a_file_of_another_user_is_refused(monkeypatch):
     entry_path("key")
-    monkeypatch.setattr(cache, "_refusal", lambda directory: "")
-    monkeypatch.setattr(os, "geteuid", lambda uid=os.geteuid(): uid + 1)
+
+    def another_user(file, status=os.fstat):
+        values = list(status(file))
+        values[stat.ST_UID] += 1
+        return os.stat_result(values)
+
+    monkeypatch.setattr(os, "fstat", another_user)
     with pytest.warns(UserWarning, match="damaged"):
         assert cache.load("key") is None
 
 
-def test_a_file_that_is_too_large_is_not_read(monkeypatch):
+def test_a_file_that_is_too_large_is_not_read(directory):
     path = entry_path("key")
     os.truncate(path, 2**40)  # a sparse file
     with pytest.warns(UserWarning, match="damaged"):
         assert cache.load("key") is None
-    monkeypatch.setattr(cache, "_LARGEST_ENTRY_BYTES", 2**20)
-    with pytest.warns(UserWarning, match="too large for the cache"):
-        cache.store("large", bytes(2**20))
-    cache.store("fits", bytes(2**20 - 46))
-    assert cache.load("fits") == bytes(2**20 - 46)
+    with pytest.warns(UserWarning, match="of 256 MiB: too large for the cache"):
+        cache.store("large", bytes(2**28 - 45))  # one byte too many with the header
+    assert list(directory.iterdir()) == [path]
 
 
 def test_files_and_directories_are_closed_to_other_users(directory, monkeypatch):
@@ -254,17 +258,18 @@ def test_an_interrupt_leaves_the_old_entry_and_no_temporary_file(
     if interrupted == "replace":
         monkeypatch.setattr(os, "replace", interrupt)
     else:
-        opened = cache._open_for_writing
+        opened = os.open
 
         def open_and_interrupt(*args):
             os.close(opened(*args))
             interrupt()
 
-        monkeypatch.setattr(cache, "_open_for_writing", open_and_interrupt)
+        monkeypatch.setattr(os, "open", open_and_interrupt)
     with pytest.raises(KeyboardInterrupt):
         cache.store("key", b"new")
+    monkeypatch.undo()
     assert list(directory.iterdir()) == [path]
-    assert cache.load("key") == b"code"
+    assert path.read_bytes().endswith(b"code")
 
 
 def test_the_next_store_removes_stale_temporary_files_of_the_cache_alone(directory):
@@ -366,15 +371,15 @@ def test_the_entry_just_stored_stays(monkeypatch):
 def test_an_entry_that_another_process_deletes_meanwhile_is_skipped(monkeypatch):
     paths = {entry_path(key) for key in "abc"}
 
-    class Deleting:
-        def fullmatch(self, name):
-            if len(paths) == 3:
-                (directory,) = {path.parent for path in paths}
-                paths.remove(directory / name)
-                (directory / name).unlink()
-            return True
+    @contextmanager
+    def deleting(directory, scan=os.scandir):
+        with scan(directory) as items:
+            first, *others = items
+        Path(first).unlink()
+        paths.remove(Path(first))
+        yield [first, *others]
 
-    monkeypatch.setattr(cache, "_ENTRY", Deleting())
+    monkeypatch.setattr(os, "scandir", deleting)
     assert {entry.path for entry in cache.entries()} == paths
 
 
@@ -523,7 +528,7 @@ def test_where_nothing_can_be_written_nothing_is_kept(directory, monkeypatch):
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory")
 
     directory.write_text("")
-    monkeypatch.setattr(cache.tempfile, "mkdtemp", fail)
+    monkeypatch.setattr(tempfile, "mkdtemp", fail)
     with warnings.catch_warnings(record=True, action="always") as warned:
         cache.store("key", b"code")
     refused, unwritable = [str(warning.message) for warning in warned]
