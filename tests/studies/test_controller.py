@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from kneexo.analysis.assessment import assess
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.output import to_json
 from kneexo.parameters import (
@@ -15,6 +14,7 @@ from kneexo.parameters import (
     SimulationParameters,
     SineReference,
     SlidingModeParameters,
+    StepReference,
 )
 from kneexo.parameters.paths import changed
 from kneexo.simulation.engines import simulate
@@ -199,33 +199,66 @@ def small(tmp_path_factory):
     return controller_study(BASE, SMALL, checkpoint=checkpoint), checkpoint
 
 
-def test_every_point_is_the_assessment_of_its_own_scenario(small):
+def settled(scenario, size_deg):
+    """Last time at which a step about 40° is more than 0.2° off; inf when that is the end."""
+    step = StepReference(start_deg=40 - size_deg / 2, end_deg=40 + size_deg / 2, time_s=0.0)
+    values = {"reference": step, "simulation.duration_s": 0.1}
+    run = simulate(changed(scenario, values), signals=("knee_angle",))
+    away = np.abs(np.degrees(run["knee_angle_rad"]) - step.end_deg)
+    last = run.time_s[away > 0.2].max()
+    return math.inf if last == run.time_s[-1] else last
+
+
+def with_slope(slope_per_s, observer_s):
+    phi = math.sqrt(1.8 / 1.4) * 2.8e5 / slope_per_s
+    values = {"controller.phi_m_s2": phi, "estimator.time_constant_s": observer_s}
+    return changed(BASE, values)
+
+
+def test_every_row_is_that_of_runs_and_margins_of_its_own_scenario(small, tracked, margins):
     study, _ = small
-    own = changed(BASE, {"controller.lambda_per_s": 40.0, "controller.phi_m_s2": 1.0})
-    expected = assess(own)
-    for name in ("max_error_deg", "mean_command_change_rpm", "disk_margin", "phase_margin_deg"):
-        assert study.values[name][1, 0, 0] == expected[name]
-    assert study.values["stable"][1, 0, 0] == 1.0
+    fast = SineReference(mean_deg=40.0, amplitude_deg=0.2, frequency_hz=10.0)
+    for i, j in product(range(2), range(2)):
+        gains = {"controller.lambda_per_s": (20.0, 40.0)[i], "controller.phi_m_s2": (1.0, 3.2)[j]}
+        scenario = changed(BASE, gains)
+        faster = changed(scenario, {"reference": fast, "simulation.duration_s": 0.2})
+        expected = tracked(scenario, 0.25) | margins(scenario, 40.0)
+        expected |= {
+            "fast_max_error_deg": tracked(faster, 0.1)["max_error_deg"],
+            "settling_s": settled(scenario, 2.0),
+            "large_settling_s": settled(scenario, 5.0),
+        }
+        row = {name: values[i, j, 0] for name, values in study.values.items()}
+        expected = {name: expected[name] for name in FIGURES}
+        assert row == pytest.approx(expected, rel=1e-9, nan_ok=True)
     assert study.failures == {}
 
 
-def test_the_map_has_its_own_observer_and_slope(small):
+def test_every_loop_of_the_map_has_its_own_observer_and_slope(small, tracked, margins):
     study, _ = small
-    law = SlidingModeParameters()
-    phi = law.gain_ratio * law.eta_m_s3 / 1e4
-    expected = assess(changed(BASE, {"controller.phi_m_s2": phi}))
-    assert study.map_values["max_error_deg"][1, 0] == pytest.approx(expected["max_error_deg"])
-    assert study.map_values["disk_margin"][1, 0] == pytest.approx(expected["disk_margin"])
+    for i, j in product(range(2), range(2)):
+        scenario = with_slope((1e4, 1e5)[j], (0.01, 0.02)[i])
+        expected = tracked(scenario, 0.25) | margins(scenario, 40.0)
+        row = {name: values[i, j] for name, values in study.map_values.items()}
+        assert row == pytest.approx({name: expected[name] for name in MAP_FIGURES}, rel=1e-6)
 
 
-def test_the_trap_has_its_variants(small):
+def test_the_trap_has_its_variants(small, tracked, margins):
     cases = {case.variant: case for case in small[0].trap}
-    assert set(cases) == {"as built", "exact encoder", "unlimited acceleration"}
+    variants = {
+        "as built": {},
+        "exact encoder": {"encoder.quantized": False},
+        "unlimited acceleration": {"plant.pump.acceleration_limit_rad_s2": 1e7},
+    }
+    assert set(cases) == set(variants)
+    for variant, values in variants.items():
+        scenario = changed(with_slope(1e4, 0.008), values)
+        expected = tracked(scenario, 0.25) | margins(scenario, 40.0)
+        for name in ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin"):
+            assert getattr(cases[variant], name) == pytest.approx(expected[name], rel=1e-6)
     # Linear loops know neither counts nor limits.
     assert len({case.disk_margin for case in cases.values()}) == 1
-    exact, built = cases["exact encoder"], cases["as built"]
-    assert exact.mean_command_change_rpm < 0.5 * built.mean_command_change_rpm
-    assert exact.time_s.shape == exact.error_deg.shape == (251,)
+    assert cases["exact encoder"].time_s.shape == cases["exact encoder"].error_deg.shape == (251,)
 
 
 def test_the_oscillation_at_rest_is_that_of_the_later_half_of_the_hold(small):

@@ -756,10 +756,15 @@ def real():
     return robustness_study(REAL, wide, budget)
 
 
-def test_every_visit_is_what_its_scenario_gives(real):
-    for visit in (real.nominal, real.samples[3], real.corners[1], real.one_at_a_time[2]):
-        scenario = realize(REAL, real.uncertainty, visit.values)
-        assert visit.figures == assess(scenario)
+def test_every_row_is_that_of_runs_and_margins_of_its_own_plant(real, tracked, margins):
+    visits = (real.nominal, *real.one_at_a_time, *real.samples, *real.corners)
+    assert len(visits) == 1 + 4 + 4 + 4
+    for visit in visits:
+        plant = changed(REAL, {"nominal": REAL.plant, **visit.values})  # only the plant changes
+        expected = tracked(plant, 0.25) | margins(plant, 40.0)
+        row = {name: visit.figures[name] for name in expected}
+        assert row == pytest.approx(expected, rel=1e-9)
+        assert visit.failures == ()
 
 
 def test_a_narrow_interval_moves_the_figures_as_the_local_sensitivity_says(real):
