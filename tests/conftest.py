@@ -145,11 +145,17 @@ def _says(cell, value):
 
 @pytest.fixture(scope="session")
 def check_cells():
-    """The function ``check_cells(table, rows)``: rows of text and numbers, without the head."""
+    """The function ``check_cells(table, rows)``: rows of text and numbers, without the head.
+
+    A row may give its values by the titles of their columns, which are then checked too.
+    """
 
     def check(table, rows):
         assert len(table) - 1 == len(rows)
         for cells, expected in zip(table[1:], rows, strict=True):
+            if isinstance(expected, dict):
+                assert table[0] == list(expected)
+                expected = expected.values()
             for title, cell, value in zip(table[0], cells, expected, strict=True):
                 good = cell == value if isinstance(value, str) else _says(cell, value)
                 assert good, f"{cells[0]}, {title}: {cell!r} is not {value!r}"

@@ -1,5 +1,6 @@
 """Full against reduced order: speeds, modes, bandwidth and the switching force."""
 
+import dataclasses
 import itertools
 import math
 from concurrent.futures import Executor
@@ -7,13 +8,15 @@ from concurrent.futures import Executor
 import numpy as np
 import pytest
 
+from kneexo.analysis import simulate
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.error_model import error_model
+from kneexo.analysis.plant_linearization import linearize_plant
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.tracking import track
 from kneexo.errors import ParameterError
 from kneexo.parameters import UNCERTAIN_KNEE, KneeLoadParameters, RampReference, Scenario
 from kneexo.parameters.paths import changed
-from kneexo.simulation.run import Run
-from kneexo.studies import order as module
 from kneexo.studies.order import (
     OrderSettings,
     OrderStudy,
@@ -21,8 +24,8 @@ from kneexo.studies.order import (
     in_order,
     order_study,
     speed_row,
+    switching_force_n,
     switching_row,
-    tracking_row,
 )
 from kneexo.studies.order_figures import figures
 from kneexo.studies.order_report import report
@@ -70,7 +73,7 @@ def test_speed_at_the_limit_follows_the_loaded_chamber(order, force, area, print
     assert found["rod_speed_mm_s"] == pytest.approx(printed, abs=0.1)
 
 
-@pytest.mark.parametrize("posture", [10.0, 40.0, 70.0])
+@pytest.mark.parametrize("posture", [10.0, 70.0])
 def test_modes_are_those_of_one_chamber_with_its_make_up_valve_or_of_both(posture):
     reduced = frequency_row(UNCERTAIN_KNEE, ("reduced", 60.0, posture))
     assert reduced["mode_hz"] == pytest.approx(447.0, abs=0.5)
@@ -106,69 +109,6 @@ def test_margins_fall_with_the_rod_side_loaded_and_grow_with_the_cap_side():
     assert (low, middle, high) == pytest.approx((51.1, 57.1, 61.5), abs=0.2)  # as measured
 
 
-def test_rows_of_a_known_run_are_those_of_its_later_part(monkeypatch):
-    time = np.arange(0.0, 2.0, 0.25)
-    late, wave = time >= 0.5, np.where(np.arange(time.size) % 2, 1.0, -1.0)
-    columns = {
-        "rod_velocity_m_s": np.where(late, 0.03 + 0.002 * wave, 9.0),
-        "rod_reference_velocity_m_s": np.where(late, 0.02, 5.0),
-        "knee_angle_rad": np.radians(np.where(late, 20.0 + 0.3 * wave, 80.0)),
-        "knee_reference_rad": np.radians(np.where(late, 20.1, 0.0)),
-        "cap_pressure_pa": np.where(late, 1e6 + 2e5 * wave, 9e6),
-        "rod_side_pressure_pa": np.where(late, 3e5, 0.0),
-        "motor_speed_command_rad_s": np.where(late & (time < 1.0), 5000.0 * math.pi / 30.0, 1.0),
-    }
-
-    def known(scenario, **options):
-        return Run(time, columns, scenario.simulation)
-
-    monkeypatch.setattr(module, "simulate", known)
-    found = switching_row(UNCERTAIN_KNEE, SETTINGS, (16.0, True))
-    assert found == pytest.approx(
-        {
-            "force_n": 16.0,
-            "direction": "in",
-            "velocity_swing_mm_s": 4.0,
-            "velocity_rms_mm_s": 2.0,
-            "load_pressure_swing_mpa": 0.4,
-            "max_error_deg": 0.4,
-            "oscillates": False,  # not by the 10 mm/s that count
-        }
-    )
-    found = speed_row(UNCERTAIN_KNEE, SETTINGS, ("full", 60.0, False))
-    assert found == pytest.approx(
-        {
-            "order": "full",
-            "force_n": 60.0,
-            "direction": "out",
-            "saturated_share": 2.0 / 6.0,
-            "rod_speed_mm_s": 30.0,
-        }
-    )
-
-
-def test_a_frequency_row_has_the_units_of_its_names():
-    found = frequency_row(UNCERTAIN_KNEE, ("reduced", 60.0, 40.0))
-    loop = linearize_loop(in_order(UNCERTAIN_KNEE, "reduced", 60.0), 40.0)
-    margins = loop.margins()
-    assert found["stable"] is True
-    assert found["failure"] == ""
-    assert found["delay_margin_ms"] == 1e3 * margins.delay_margin_s
-    assert found["delay_margin_ms"] == pytest.approx(187.0, abs=2.0)  # docs/validation.md
-    for name in ("phase_margin_deg", "gain_margin", "disk_margin"):
-        assert found[name] == getattr(margins, name)
-    assert found["bandwidth_hz"] == loop.bandwidth_hz()
-    # 60 N on the rod, and the weight of 1.6 kg at 0.2 m over the moment arm at 40°, in N.
-    arm = np.polyval(np.polyder(TABLE_1), 40.0) * 1e-3 * 180.0 / math.pi
-    weight = 1.6 * 9.81 * 0.2 * math.sin(math.radians(40.0)) / arm
-    assert found["rod_force_n"] == pytest.approx(60.0 + weight, rel=0.01)
-    trace = found["trace"]
-    assert trace["frequencies_hz"][0] == 1.0
-    # Well below motor and oil a radian of the motor moves D_m/(gear Ā) in m.
-    at_1_hz = abs(1.0 / (1.0 + 2j * math.pi * LAG)) * 0.8e-6 / (2.0 * math.pi) / 6.0 / MEAN_AREA
-    assert trace["plant_gain_m"][0] == pytest.approx(at_1_hz, rel=0.01)
-
-
 def test_no_linear_loop_is_said_in_words():
     signum = changed(UNCERTAIN_KNEE, {"controller.switching": "signum"})
     found = frequency_row(signum, ("full", 60.0, 40.0))
@@ -177,18 +117,165 @@ def test_no_linear_loop_is_said_in_words():
     assert found["mode_hz"] == pytest.approx(280.0, abs=1.0)  # the plant has its mode all the same
 
 
-def test_tracking_row_has_the_pressures_of_its_order():
-    brief = changed(UNCERTAIN_KNEE, {"simulation.duration_s": 1.0})
-    full, reduced = (tracking_row(brief, (order, 60.0)) for order in ("full", "reduced"))
-    assert set(full["trace"]["pressures_mpa"]) == {"cap", "rod_side"}
-    assert set(reduced["trace"]["pressures_mpa"]) == {"load_pressure"}
-    # 60 N and the weight's −8…−9 N at 10…16 deg, on P_1 against the reservoir's 0.2 MPa.
-    for force, value in ((51.6, full["cap_max_mpa"]), (50.0, full["cap_min_mpa"])):
-        expected = 1e-6 * (force + 0.2e6 * AREA_2) / AREA_1
-        assert value == pytest.approx(expected, rel=0.03)
-    assert full["rod_side_max_mpa"] == pytest.approx(0.2, abs=0.02)
-    assert full["relief_share"] == 0.0
-    assert reduced["load_pressure_max_mpa"] == pytest.approx(51.6e-6 / MEAN_AREA, rel=0.03)
+# ------------------------------------------------------------------------ one small comparison
+
+FORCE, POSTURE = 300.0, 40.0
+BRIEF = changed(
+    UNCERTAIN_KNEE,
+    {
+        "reference": {"kind": "sine", "mean_deg": 40.0, "amplitude_deg": 10.0, "frequency_hz": 2.0},
+        "simulation.duration_s": 3.198,
+        # Under `FORCE` P_1 passes the relief pressure now and then; little flows back.
+        "plant.full_order": {
+            "reservoir_pressure_pa": 0.25e6,
+            "relief_pressure_pa": 1.09e6,
+            "relief_conductance_m3_per_s_pa": 1e-12,
+        },
+    },
+)
+FULL = dict(BRIEF.plant.full_order)
+SMALL = OrderSettings(
+    disturbances_n=(0.0, FORCE), postures_deg=(POSTURE,), switching_forces_n=(16.0,)
+)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return order_study(BRIEF, SMALL)
+
+
+def plant_of(order, force, weight=True):
+    """The changes that make an order under a force, with or without the weight of the segment."""
+    load = {"kind": "knee", "disturbance_n": force} | ({} if weight else {"segment_mass_kg": 0.0})
+    return {"plant.load": load, "plant.full_order": FULL if order == "full" else None}
+
+
+def ramp(order, force, direction, rate_deg_s, duration_s, **values):
+    """A ramp between 30 and 50 deg without the weight of the segment; ``in`` flexes the knee."""
+    start, end = (30.0, 50.0) if direction == "in" else (50.0, 30.0)
+    reference = {"kind": "ramp", "start_deg": start, "end_deg": end, "time_s": 0.0}
+    changes = {"reference": reference | {"rate_deg_s": rate_deg_s}}
+    changes["simulation.duration_s"] = duration_s
+    return changed(BRIEF, plant_of(order, force, weight=False) | changes | values)
+
+
+def tracked(order, force):
+    result = track(changed(BRIEF, plant_of(order, force)), all_signals=True)
+    run, late = result.run, result.run.time_s >= 0.5 - 1e-9
+    error = np.degrees(run["knee_reference_rad"] - run["knee_angle_rad"])
+    command = run["motor_speed_command_rad_s"][late]
+    columns = {"load_pressure": "load_pressure_pa"}
+    if order == "full":
+        columns = {"cap": "cap_pressure_pa", "rod_side": "rod_side_pressure_pa"}
+    pressures = {name: 1e-6 * run[column] for name, column in columns.items()}
+    row = {
+        "order": order,
+        "disturbance_n": force,
+        "max_error_deg": np.abs(error[late]).max(),
+        "rms_error_deg": math.sqrt(np.mean(error[late] ** 2)),
+        "mean_command_change_rpm": np.abs(np.diff(command)).mean() * 30.0 / math.pi,
+        "saturated_share": np.mean(np.abs(command) > 5000.0 * math.pi / 30.0 * 0.99999),
+        # 1600 samples, of which a figure shows 800.
+        "trace": {
+            "time_s": run.time_s[::2],
+            "error_deg": error[::2],
+            "pressures_mpa": {name: values[::2] for name, values in pressures.items()},
+        },
+    }
+    row |= {f"{name}_min_mpa": values.min() for name, values in pressures.items()}
+    row |= {f"{name}_max_mpa": values.max() for name, values in pressures.items()}
+    if order == "full":
+        flows = {
+            name: run[f"cap_{name}_flow_m3_s"] + run[f"rod_side_{name}_flow_m3_s"]
+            for name in ("relief", "makeup")
+        }
+        row["relief_share"] = np.mean(flows["relief"] > 0.0)
+        row["peak_makeup_cm3_s"] = 1e6 * np.abs(flows["makeup"]).max()
+    return row
+
+
+def sped(order, direction):
+    run = simulate(ramp(order, FORCE, direction, 60.0, 1.0))
+    late = run.time_s >= 0.5
+    limited = np.abs(run["motor_speed_command_rad_s"]) > 5000.0 * math.pi / 30.0 * 0.99999
+    return {
+        "order": order,
+        "force_n": FORCE,
+        "direction": direction,
+        "saturated_share": np.mean(limited[late]),
+        "rod_speed_mm_s": 1e3 * np.abs(run["rod_velocity_m_s"][late]).mean(),
+    }
+
+
+def switched(direction):
+    # 20 deg at 15 deg/s, but for a twentieth.
+    runge_kutta = {"simulation.integrator": "rk4", "simulation.step_s": 2e-5}
+    run = simulate(ramp("full", 16.0, direction, 15.0, 0.95 * 20.0 / 15.0, **runge_kutta))
+    late = run.time_s >= 0.5
+    velocity = (run["rod_velocity_m_s"] - run["rod_reference_velocity_m_s"])[late]
+    error = np.degrees(run["knee_angle_rad"] - run["knee_reference_rad"])[late]
+    across = (run["cap_pressure_pa"] - run["rod_side_pressure_pa"])[late]
+    swing = velocity.max() - velocity.min()
+    return {
+        "force_n": 16.0,
+        "direction": direction,
+        "velocity_swing_mm_s": 1e3 * swing,
+        "velocity_rms_mm_s": 1e3 * velocity.std(),
+        "load_pressure_swing_mpa": 1e-6 * (across.max() - across.min()),
+        "max_error_deg": np.abs(error).max(),
+        "oscillates": bool(swing > 0.010),
+    }
+
+
+def linear(order, force):
+    scenario = changed(BRIEF, plant_of(order, force))
+    plant = linearize_plant(scenario.plant, POSTURE, outputs=("rod_velocity",))
+    loop = linearize_loop(scenario, POSTURE)
+    margins, mode = loop.margins(), plant.poles[np.argmax(plant.poles.imag)]
+    hertz = np.geomspace(1.0, 1000.0, 400)
+    return {
+        "order": order,
+        "disturbance_n": force,
+        "posture_deg": POSTURE,
+        "mode_hz": abs(mode) / (2.0 * math.pi),
+        "mode_damping": -mode.real / abs(mode),
+        "rod_force_n": plant.operating_point.rod_force_n,
+        "phase_margin_deg": margins.phase_margin_deg,
+        "gain_margin": margins.gain_margin,
+        "delay_margin_ms": 1e3 * margins.delay_margin_s,
+        "disk_margin": margins.disk_margin,
+        "bandwidth_hz": loop.bandwidth_hz(),
+        "stable": True,
+        "failure": "",
+        "trace": {"frequencies_hz": hertz, "plant_gain_m": np.abs(plant.response(hertz))},
+    }
+
+
+def test_every_row_is_that_of_its_own_run(small, flat):
+    cases = [(order, force) for force in (0.0, FORCE) for order in ("reduced", "full")]
+    expected = {
+        "tracking": [tracked(*case) for case in cases],
+        "speeds": [sped(order, d) for order in ("reduced", "full") for d in ("in", "out")],
+        "switching": [switched("in"), switched("out")],
+        "frequency": [linear(*case) for case in cases],
+        "bandwidth": [
+            {"order": order, "disturbance_n": force, "failure": ""}
+            | {"bandwidth_hz": large_signal_bandwidth_hz(changed(BRIEF, plant_of(order, force)))}
+            for order, force in cases
+        ],
+    }
+    for part, own in expected.items():
+        assert flat(list(getattr(small, part))) == pytest.approx(flat(own), nan_ok=True), part
+    # Each number has a chance to be wrong.
+    assert [row["oscillates"] for row in expected["switching"]] == [True, False]
+    assert all(0.1 < row["saturated_share"] < 0.9 for row in expected["tracking"])
+    assert any(0.1 < row["saturated_share"] < 0.9 for row in expected["speeds"])
+    assert 0.1 < expected["tracking"][-1]["relief_share"] < 0.9
+
+
+def test_the_switching_force_is_that_of_the_scenarios_own_reservoir():
+    assert switching_force_n(BRIEF) == pytest.approx(0.25e6 * (AREA_1 - AREA_2))
+    assert switching_force_n(UNCERTAIN_KNEE) == pytest.approx(0.2e6 * (AREA_1 - AREA_2))
 
 
 # ------------------------------------------------------------------------ the comparison
@@ -216,6 +303,12 @@ def comparison(tmp_path_factory):
 
 def rows(part, **labels):
     return [row for row in part if all(row[k] == v for k, v in labels.items())]
+
+
+def assert_line(line, x, y):
+    """Abscissae and ordinates of a line are those of its row."""
+    assert line[0] == pytest.approx(list(x))
+    assert line[1] == pytest.approx(list(y))
 
 
 @pytest.mark.slow
@@ -350,107 +443,182 @@ def test_results_are_the_rows_without_their_traces(by_hand, flat, check_rules):
     assert flat(numbers) == pytest.approx(flat(expected), nan_ok=True)
 
 
-def test_every_cell_of_the_report_is_in_the_results(by_hand, tables, check_cells):
-    tracking, speeds, bandwidth, frequency, switching = tables(report(by_hand))
-    # A range is shown as low…high, to a thousandth of a MPa.
-    names = ("load_pressure", "cap", "rod_side")
-    for row, own in zip(tracking[1:], by_hand.tracking, strict=True):
-        for n, name in enumerate(names):
-            ends = [own.get(f"{name}_{end}_mpa") for end in ("min", "max")]
-            expected = "" if ends[0] is None else f"{ends[0]:.3f}…{ends[1]:.3f}"
-            assert row[5 + n] == expected
-    assert tracking[0][5:] == ["P_L (MPa)", "P_1 (MPa)", "P_2 (MPa)"]
-    columns = ("disturbance_n", "rms_error_deg", "max_error_deg", "mean_command_change_rpm")
+@pytest.fixture(params=["by_hand", "small"])
+def study(request):
+    """Rows by hand, and those of a run."""
+    return request.getfixturevalue(request.param)
+
+
+def limits(row, name):
+    """Least and largest pressure, to a thousandth of a MPa; empty where the order has none."""
+    ends = [row.get(f"{name}_{end}_mpa") for end in ("min", "max")]
+    return "" if ends[0] is None else f"{ends[0]:.3f}…{ends[1]:.3f}"
+
+
+def small_signal(row):
+    if row["failure"] or not row["stable"]:
+        return row["failure"] or "unstable"
+    return "none below Nyquist" if math.isnan(row["bandwidth_hz"]) else row["bandwidth_hz"]
+
+
+def test_every_cell_of_the_report_is_in_its_row(study, tables, check_cells):
+    tracking, speeds, bandwidth, frequency, switching = tables(report(study))
+
+    def case(row):
+        return {"order": row["order"], "disturbance (N)": row["disturbance_n"]}
+
     check_cells(
-        [row[:5] for row in tracking],
-        [[r["order"], *(r[name] for name in columns)] for r in by_hand.tracking],
+        tracking,
+        [
+            case(row)
+            | {
+                "rms error (deg)": row["rms_error_deg"],
+                "largest error (deg)": row["max_error_deg"],
+                "change of command (rpm/sample)": row["mean_command_change_rpm"],
+                "P_L (MPa)": limits(row, "load_pressure"),
+                "P_1 (MPa)": limits(row, "cap"),
+                "P_2 (MPa)": limits(row, "rod_side"),
+            }
+            for row in study.tracking
+        ],
     )
     check_cells(
         speeds,
         [
-            [r["order"], "60", r["direction"], r["rod_speed_mm_s"], 100.0 * r["saturated_share"]]
-            for r in by_hand.speeds
+            {
+                "order": row["order"],
+                "force (N)": row["force_n"],
+                "direction": row["direction"],
+                "rod speed (mm/s)": row["rod_speed_mm_s"],
+                "saturated (%)": 100.0 * row["saturated_share"],
+            }
+            for row in study.speeds
         ],
     )
     check_cells(
-        bandwidth,
-        [[r["order"], r["disturbance_n"], r["bandwidth_hz"]] for r in by_hand.bandwidth],
+        bandwidth, [case(row) | {"bandwidth (Hz)": row["bandwidth_hz"]} for row in study.bandwidth]
     )
-    last = {0: "none below Nyquist", 1: "unstable", 2: "no rest"}
     check_cells(
         frequency,
         [
-            [
-                r["order"],
-                *(r[name] for name in ("disturbance_n", "posture_deg", *NAMES["frequency"][:-1])),
-                last.get(n, r["bandwidth_hz"]),
-            ]
-            for n, r in enumerate(by_hand.frequency)
+            case(row)
+            | {
+                "posture (deg)": row["posture_deg"],
+                "rod force (N)": row["rod_force_n"],
+                "mode (Hz)": row["mode_hz"],
+                "damping ratio": row["mode_damping"],
+                "phase margin (deg)": row["phase_margin_deg"],
+                "gain margin": row["gain_margin"],
+                "delay margin (ms)": row["delay_margin_ms"],
+                "disk margin": row["disk_margin"],
+                "small-signal −3 dB (Hz)": small_signal(row),
+            }
+            for row in study.frequency
         ],
     )
-    columns = ("velocity_swing_mm_s", "load_pressure_swing_mpa", "max_error_deg")
     check_cells(
         switching,
-        [[r["force_n"], r["direction"], *(r[n] for n in columns)] for r in by_hand.switching],
+        [
+            {
+                "force (N)": row["force_n"],
+                "direction": row["direction"],
+                "swing of the rod's velocity (mm/s)": row["velocity_swing_mm_s"],
+                "swing of P_L (MPa)": row["load_pressure_swing_mpa"],
+                "largest error (deg)": row["max_error_deg"],
+            }
+            for row in study.switching
+        ],
     )
+    rate = study.settings.switching_rate_deg_s
+    assert f"## Near the switching force, full order, {rate:g} deg/s\n" in report(study)
 
 
-def test_the_findings_have_the_extremes_of_each_order(by_hand):
-    text = report(by_hand)
+def test_the_findings_have_the_extremes_of_each_order(study):
+    text = report(study)
     for part, name, form in (
         ("tracking", "rms_error_deg", ".3f"),
         ("speeds", "rod_speed_mm_s", ".1f"),
         ("bandwidth", "bandwidth_hz", ".3f"),
+        ("frequency", "mode_hz", ".0f"),
         ("frequency", "mode_damping", ".2g"),
         ("frequency", "phase_margin_deg", ".1f"),
         ("frequency", "disk_margin", ".2f"),
     ):
-        said = []
+        extremes = []
         for order in ("reduced", "full"):
-            values = [r[name] for r in getattr(by_hand, part) if r["order"] == order]
+            values = [row[name] for row in getattr(study, part) if row["order"] == order]
             ends = sorted({f"{f(values):{form}}" for f in (np.nanmin, np.nanmax)}, key=float)
-            said.append(f"{order} {'…'.join(ends)}")
-        assert ", ".join(said) in text
+            extremes.append(f"{order} {'…'.join(ends)}")
+        assert ", ".join(extremes) in text
     assert "the paper measured 0.21 Hz" in text
-    assert by_hand.oscillating_n("in") == [16.0]
-    assert by_hand.oscillating_n("out") == []
+    assert study.oscillating_n("in") == [16.0]
+    assert study.oscillating_n("out") == []
     assert "oscillates at 16…16 N when it retracts" in text
     assert "oscillates at none of the forces when it extends" in text
 
 
-def test_every_line_of_the_figures_is_that_of_its_row(by_hand, curves):
-    drawn = figures(by_hand)
+def test_the_zone_of_oscillation_is_compared_with_what_lies_beside_it(by_hand):
+    # Forces of 6 and 16 N, inward and outward; it oscillates at 16 N inward alone.
+    beside, inside, *_ = by_hand.switching
+    numbers = (
+        f"swings by up to {inside['velocity_swing_mm_s']:.0f} mm/s and "
+        f"P_L by {inside['load_pressure_swing_mpa']:.2f} MPa, but the error is at most "
+        f"{inside['max_error_deg']:.2f} deg, beside the zone {beside['max_error_deg']:.2f} deg"
+    )
+    assert numbers in report(by_hand)
+    still = dataclasses.replace(by_hand, switching=(beside,))
+    assert "beside the zone" not in report(still)
+
+
+def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
+    drawn = figures(study)
     assert set(drawn) == {"order_tracking", "order_switching", "order_frequency"}
     panels = np.reshape(drawn["order_tracking"].axes, (2, 2))
     pressures = {"P_L, reduced": "load_pressure", "P_1, full": "cap", "P_2, full": "rod_side"}
-    for (error, pressure), load in zip(panels, (0.0, 60.0), strict=True):
-        assert f" {load:g} N" in error.get_title()
+    loads = study.settings.disturbances_n
+    for (error, pressure), load in zip(panels, loads, strict=True):
+        assert error.get_title() == f"disturbance {load:g} N"
+        assert (error.get_ylabel(), pressure.get_ylabel()) == ("error (deg)", "pressure (MPa)")
         lines, shown = curves(error), curves(pressure)
-        for r in rows(by_hand.tracking, disturbance_n=load):
-            assert lines[r["order"]][1] == pytest.approx(r["trace"]["error_deg"])
-            for name, values in r["trace"]["pressures_mpa"].items():
-                (label,) = (k for k, v in pressures.items() if v == name)
-                assert shown[label][1] == pytest.approx(values)
+        cases = rows(study.tracking, disturbance_n=load)
+        assert set(lines) == {row["order"] for row in cases} == {"reduced", "full"}
+        assert set(shown) == set(pressures)
+        for row in cases:
+            trace = row["trace"]
+            assert_line(lines[row["order"]], trace["time_s"], trace["error_deg"])
+            for label, name in pressures.items():
+                if name in trace["pressures_mpa"]:
+                    assert_line(shown[label], trace["time_s"], trace["pressures_mpa"][name])
+        (zero,) = (line for line in error.lines if line.get_label().startswith("_"))
+        assert list(zero.get_ydata()) == [0.0, 0.0]
+    assert [ax.get_xlabel() for ax in panels[-1]] == ["time (s)", "time (s)"]
     (ax,) = drawn["order_switching"].axes
     lines = curves(ax)
     for label, direction in (("retracting", "in"), ("extending", "out")):
-        own = rows(by_hand.switching, direction=direction)
-        assert lines[label][0] == pytest.approx([6.0, 16.0])
-        assert lines[label][1] == pytest.approx([r["velocity_swing_mm_s"] for r in own])
+        cases = rows(study.switching, direction=direction)
+        swings = [row["velocity_swing_mm_s"] for row in cases]
+        assert_line(lines[label], [row["force_n"] for row in cases], swings)
     (label,) = (label for label in lines if label.startswith("P_r"))
-    assert lines[label][0] == pytest.approx(0.2e6 * (AREA_1 - AREA_2))
-    assert label.endswith("= 15.7 N")
+    force = switching_force_n(study.scenario)
+    assert lines[label][0] == pytest.approx([force, force])
+    assert label == f"P_r(A_1 − A_2) = {force:.1f} N"
+    assert ax.get_xlabel() == "force on the rod (N)"
+    assert ax.get_ylabel() == "swing of the rod's velocity about v_d (mm/s)"
     (ax,) = drawn["order_frequency"].axes
     lines = curves(ax)
-    assert "(mm/rad)" in ax.get_ylabel()
-    assert "40 deg" in ax.get_title()
-    for r in rows(by_hand.frequency, posture_deg=40.0):
-        hertz, gain = lines[f"{r['order']}, {r['disturbance_n']:g} N"]
-        assert hertz == pytest.approx(r["trace"]["frequencies_hz"])
-        assert gain == pytest.approx([1e3 * value for value in r["trace"]["plant_gain_m"]])
-    assert lines["Nyquist, 250 Hz"][0] == pytest.approx(250.0)
-    for figure in drawn.values():
-        assert all(ax.get_ylabel() for ax in figure.axes)
+    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_title()) == (
+        "frequency (Hz)",
+        "rod velocity per command (mm/rad)",
+        "plant at 40 deg",
+    )
+    cases = rows(study.frequency, posture_deg=40.0)
+    for row in cases:
+        trace = row["trace"]
+        gain = [1e3 * value for value in trace["plant_gain_m"]]
+        line = lines.pop(f"{row['order']}, {row['disturbance_n']:g} N")
+        assert_line(line, trace["frequencies_hz"], gain)
+    assert lines.pop("Nyquist, 250 Hz")[0] == pytest.approx([250.0, 250.0])
+    assert lines == {}
 
 
 def test_a_comparison_without_forces_has_dashes_in_its_report():
