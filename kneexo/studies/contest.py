@@ -268,7 +268,7 @@ def _contest(
         if values["tracking_failure"]:
             raise SimulationError(f"the default SMC sets no budget: {values['tracking_failure']}")
     budget = float(np.mean([values["mean_command_change_rpm"] for values in changes]))
-    judge = partial(_judge, budget, settings.least_disk_margin)
+    judge = partial(objective_deg, budget, settings.least_disk_margin)
 
     def tune(name: str, seed: int) -> Tuning:
         contestant = settings.contestants[name]
@@ -362,7 +362,9 @@ def search(
 
 
 @needs_runs
-def _judge(budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]) -> Steps[float]:
+def objective_deg(
+    budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]
+) -> Steps[float]:
     """Objective of one candidate on its training plants, in deg.
 
     The mean of the largest errors. A run that fails or too much chattering makes it more than

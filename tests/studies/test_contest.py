@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from kneexo.analysis.assessment import assess
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.tracking import track
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.output import to_json
 from kneexo.parameters import (
@@ -14,13 +16,13 @@ from kneexo.parameters import (
     UNCERTAINTY,
     PidParameters,
     Scenario,
+    SimulationParameters,
     SineReference,
     SlidingModeParameters,
     Uncertainty,
     UncertaintySet,
 )
 from kneexo.parameters.paths import changed
-from kneexo.studies import contest as module
 from kneexo.studies.contest import (
     COLUMNS,
     CONTESTANTS,
@@ -30,6 +32,7 @@ from kneexo.studies.contest import (
     ContestStudy,
     Tuning,
     contest_study,
+    objective_deg,
     search,
 )
 from kneexo.studies.contest_figures import figures
@@ -79,54 +82,63 @@ def test_the_search_evaluates_whole_generations_and_repeats_itself():
 
 # --------------------------------------------------------------------------- the objective
 
-BUDGET, LEAST = 15.0, 0.5
+BASE = Scenario(
+    reference=SineReference(amplitude_deg=0.5, frequency_hz=10.0),
+    simulation=SimulationParameters(duration_s=0.2),
+)
+LAGS = (0.008, 0.016)
 
 
-def judged(monkeypatch, *plants):
-    """`_judge` of plants given as (error, command change, disk margin); nan fails."""
-
-    def given_figures(plant, *, tracking=True, margins=True):
-        error, change, margin = plant
-        found = {}
-        if tracking:
-            found |= {"max_error_deg": error, "mean_command_change_rpm": change}
-            found |= {"tracking_failure": "t = 1 s: gone" if math.isnan(error) else ""}
-        if margins:
-            found |= {"disk_margin": margin}
-        return found
-
-    monkeypatch.setattr(module, "assess", given_figures)
-    return module._judge(BUDGET, LEAST, plants)
+def plants(controller=SlidingModeParameters(), lags=LAGS, **values):
+    """Plants with different motors; the controller does not know."""
+    entered = changed(BASE, {"controller": controller.model_dump(), "nominal": {}} | values)
+    return [changed(entered, {"plant.pump.lag_s": lag}) for lag in lags]
 
 
-def test_a_feasible_candidate_is_judged_by_its_mean_error(monkeypatch):
-    assert judged(monkeypatch, (0.1, 15.0, 0.5), (0.3, 14.0, 2.0)) == pytest.approx(0.2)
-    # The budget holds for the mean over the plants, the margin for each.
-    assert judged(monkeypatch, (0.1, 20.0, 0.5), (0.3, 9.0, 2.0)) == pytest.approx(0.2)
-    assert judged(monkeypatch, (0.1, 15.0, 0.4), (0.3, 14.0, 2.0)) > INFEASIBLE_DEG
+def figure(scenarios, name):
+    return np.array([getattr(track(scenario).metrics, name) for scenario in scenarios])
 
 
-def test_violations_are_ordered(monkeypatch):
-    feasible = judged(monkeypatch, (80.0, 15.0, 0.5))
-    little = judged(monkeypatch, (0.1, 15.0, 0.49))
-    unstable = judged(monkeypatch, (0.1, 15.0, math.nan))
-    chattering = judged(monkeypatch, (0.1, 15.1, 2.0))
-    wild = judged(monkeypatch, (0.1, 1e6, 2.0))
-    one_failed = judged(monkeypatch, (0.1, 1.0, 2.0), (math.nan, math.nan, 2.0))
-    both_failed = judged(monkeypatch, (math.nan, math.nan, 2.0), (math.nan, math.nan, 2.0))
-    values = [feasible, little, unstable, chattering, wild, one_failed, both_failed]
-    assert values == sorted(values)
-    assert len(set(values)) == len(values)
+def disk_margins(scenarios):
+    return [linearize_loop(scenario, 40.0).margins().disk_margin for scenario in scenarios]
+
+
+def test_a_candidate_within_its_limits_has_its_mean_error():
+    scenarios = plants()
+    errors, changes = (
+        figure(scenarios, name) for name in ("max_error_deg", "mean_command_change_rpm")
+    )
+    # The budget holds for the mean over the plants, the margin for each; both may be used up.
+    budget, least = np.mean(changes), min(disk_margins(scenarios))
+    assert objective_deg(budget, least, scenarios) == pytest.approx(errors.mean(), rel=1e-12)
+    assert changes.max() > budget
+    assert errors.max() < INFEASIBLE_DEG
+
+
+def test_violations_are_counted_and_ordered():
+    scenarios = plants()
+    change = figure(scenarios, "mean_command_change_rpm").mean()
+    low, high = sorted(disk_margins(scenarios))
+    feasible = objective_deg(change, low, scenarios)
+    # On one plant, on both, and without any margin on the one whose loop is unstable.
+    little = objective_deg(change, 0.5 * (low + high), scenarios)
+    assert little == pytest.approx(90.0 * (1.0 + 0.5 * (1.0 - low / (0.5 * (low + high)))))
+    less = objective_deg(change, 2.0 * high, scenarios)
+    assert less == pytest.approx(90.0 * (2.0 - (low + high) / (4.0 * high)))
+    unstable = plants(PidParameters(proportional_per_s=200.0), (LAGS[0],))
+    assert not linearize_loop(unstable[0], 40.0).stable
+    none = objective_deg(1e6, 0.5, unstable)
+    assert none == pytest.approx(2.0 * 90.0)
+    chattering, wild = (objective_deg(share * change, low, scenarios) for share in (0.99, 1e-3))
+    assert (chattering, wild) == pytest.approx((90.0 * 2.01, 90.0 * 2.999))
+    # Above 90 deg at the start.
+    gone = plants(lags=LAGS[:1], **{"reference.mean_deg": 89.4, "initial_offset_m": -3.5e-3})
+    one, both = (objective_deg(1e6, low, gone + other) for other in (scenarios[:1], gone))
+    assert (one, both) == pytest.approx((90.0 * 3.5, 90.0 * 4.0))
+    values = [feasible, little, less, none, chattering, wild, one, both]
+    assert np.all(np.isfinite(values))
+    assert all(a < b for a, b in pairwise(values))
     assert feasible < INFEASIBLE_DEG < little
-
-
-def test_the_ends_of_the_cube_are_the_bounds_of_the_gains():
-    smc = CONTESTANTS["SMC"]
-    low, high = (module._gains(smc, np.full(4, end)) for end in (0.0, 1.0))
-    assert list(low.values()) == [one.low for one in smc.gains.values()]
-    assert list(high.values()) == [one.high for one in smc.gains.values()]
-    middle = module._gains(smc, np.full(4, 0.5))
-    assert middle["controller.lambda_per_s"] == pytest.approx(math.sqrt(2.0 * 200.0))
 
 
 def test_contestants_have_as_many_gains():
@@ -136,7 +148,7 @@ def test_contestants_have_as_many_gains():
 # ---------------------------------------------------------------------------- the outcome
 
 
-def figures_of(error, change=10.0, margin=0.8, stable=True):
+def figures_of(error, change=10.0, margin=0.8, stable=True, margins_failure=""):
     failed = math.isnan(error)
     return {
         "max_error_deg": error,
@@ -144,8 +156,12 @@ def figures_of(error, change=10.0, margin=0.8, stable=True):
         "tracking_failure": "gone" if failed else "",
         "stable": stable,
         "disk_margin": margin if stable else math.nan,
-        "margins_failure": "",
+        "margins_failure": margins_failure,
     }
+
+
+SHARES = (0.01, 0.03, 0.97, 0.99)
+"""Where the gains of a tuning lie between their bounds, by decades."""
 
 
 def made_up():
@@ -156,7 +172,10 @@ def made_up():
         Tuning(
             name,
             seed,
-            dict.fromkeys(CONTESTANTS[name].gains, 0.11),
+            {
+                path: span.low * (span.high / span.low) ** share
+                for (path, span), share in zip(CONTESTANTS[name].gains.items(), SHARES, strict=True)
+            },
             objective,
             64,
             converged,
@@ -172,7 +191,8 @@ def made_up():
     )
     tested = {
         "SMC": [figures_of(e, 10.0 + 10.0 * e, 0.8 - 0.1 * e) for e in (0.1, 0.2, 0.3, 0.4)],
-        "PID": [figures_of(e, 12.0, 0.9) for e in (0.05, 0.3, 0.5)] + [figures_of(math.nan)],
+        "PID": [figures_of(e, 12.0, 0.9) for e in (0.05, 0.3, 0.5)]
+        + [figures_of(math.nan, stable=None, margins_failure="does not rest")],
         "SMC, default": [figures_of(0.6, stable=False)] * 4,
     }
     elsewhere = {
@@ -197,7 +217,7 @@ def made_up():
 SUMMARY = {
     # of four: the second is the median, the last 95 %; a run that failed errs infinitely
     "SMC": (0.2, 0.4, 0.4, 12.5, 14.0, 0.77, 0.76, 0, 0, 0, 1.1, 1.3),
-    "PID": (0.3, math.inf, math.inf, 12.0, math.inf, 0.9, 0.8, 0, 0, 1, 2.1, 2.3),
+    "PID": (0.3, math.inf, math.inf, 12.0, math.inf, 0.9, 0.0, 0, 1, 1, 2.1, 2.3),
     "SMC, default": (0.6, 0.6, 0.6, 10.0, 10.0, 0.0, 0.0, 4, 0, 0, 3.1, 3.3),
 }
 """In the order of `COLUMNS`."""
@@ -226,65 +246,116 @@ def test_results_hold_what_was_tuned_and_tested(flat):
         )
 
 
-def test_every_cell_of_the_report_is_in_the_summary(tables, check_cells):
-    outcome, tunings = tables(report(made_up()))
-    assert outcome[0][1:] == list(SUMMARY)
+@pytest.fixture(params=["made up", "run"])
+def contest(request):
+    """A contest by hand, and one that was held."""
+    return made_up() if request.param == "made up" else request.getfixturevalue("small")[0]
+
+
+def said_gains(contest, tuning):
+    """Gains as the report has them: a mark on those within 2 % of the way from a bound."""
+    texts = []
+    for path, value in tuning.gains.items():
+        span = contest.settings.contestants[tuning.contestant].gains[path]
+        share = math.log(value / span.low) / math.log(span.high / span.low)
+        mark = "" if 0.02 < share < 0.98 else " (at its bound)"
+        texts.append(f"{path.split('.')[1]} = {value:.4g}{mark}")
+    return ", ".join(texts)
+
+
+def test_every_cell_of_the_report_is_in_the_summary(contest, tables, check_cells):
+    text, summary = report(contest), contest.summary()
+    outcome, tunings = tables(text)
+    assert outcome[0] == ["", *contest.entrants]
     check_cells(
         outcome,
-        [
-            [label, *(row[n] for row in SUMMARY.values())]
-            for n, label in enumerate(COLUMNS.values())
-        ],
+        [[COLUMNS[key], *(summary[name][key] for name in contest.entrants)] for key in COLUMNS],
     )
     for name, unit in (("_deg", "(deg)"), ("_rpm", "(rpm/sample)")):
         assert all(label.endswith(unit) for key, label in COLUMNS.items() if key.endswith(name))
-    # The gains, last, have a test of their own.
     check_cells(
-        [row[:-1] for row in tunings],
+        tunings,
         [
-            ["SMC", 1.0, 0.3, 64.0, "yes", 0.01],
-            ["SMC", 2.0, 0.2, 64.0, "**no**", 0.01],
-            ["PID", 1.0, "no feasible gains found", 64.0, "**no**", 0.01],
-            ["PID", 2.0, 0.4, 64.0, "yes", 0.01],
+            {
+                "contestant": tuning.contestant,
+                "seed": tuning.seed,
+                "objective (deg)": tuning.objective_deg
+                if tuning.objective_deg < 90.0
+                else "no feasible gains found",
+                "evaluations": tuning.evaluations,
+                "converged": "yes" if tuning.converged else "**no**",
+                "spread": tuning.spread,
+                "gains": said_gains(contest, tuning),
+            }
+            for tuning in contest.tunings
         ],
     )
+    settings, task = contest.settings, contest.settings.other_reference
+    for sentence in (
+        f"{len(contest.samples)} test plants, none",
+        f"elsewhere is {task.amplitude_deg:g}° at {task.frequency_hz:g} Hz, which",
+        f"at most {settings.population * settings.generations + settings.population} evaluations",
+        f"on {1 + settings.training_samples} training plants",
+        f"with at most {contest.budget_rpm:.1f} rpm per sample",
+        f"a disk margin of {settings.least_disk_margin:g} or more",
+    ):
+        assert sentence in text
 
 
-def test_the_outcome_shows_each_entrant_at_its_errors_and_margins(curves):
-    done = made_up()
-    here, there, margins = figures(done)["contest"].axes
-    share = [0.25, 0.5, 0.75, 1.0]
-    sorted_errors = {
-        "SMC": [0.1, 0.2, 0.3, 0.4],
-        "PID": [0.05, 0.3, 0.5, math.nan],
-        "SMC, default": [0.6] * 4,
-    }
-    for n, (name, errors) in enumerate(sorted_errors.items()):
-        x, y = curves(here)[name]
-        assert x == pytest.approx(errors, nan_ok=True)
+def test_the_outcome_shows_each_entrant_at_its_errors_and_margins(contest, curves):
+    here, there, margins = figures(contest)["contest"].axes
+    share = (np.arange(len(contest.samples)) + 1.0) / len(contest.samples)
+
+    def errors_of(assessed):
+        return [values["max_error_deg"] for values in assessed]
+
+    named = curves(here)
+    assert list(named) == list(contest.entrants)
+    for n, name in enumerate(contest.entrants):
+        x, y = named[name]
+        assert x == pytest.approx(np.sort(errors_of(contest.tested[name])), nan_ok=True)
         assert y == pytest.approx(share)
-        assert there.lines[n].get_xdata() == pytest.approx([1.0 + n + 0.1 * k for k in range(4)])
-        assert there.lines[n].get_ydata() == pytest.approx(share)
+        x, y = there.lines[n].get_data()
+        assert x == pytest.approx(np.sort(errors_of(contest.elsewhere[name])), nan_ok=True)
+        assert y == pytest.approx(share)
         x, y = margins.lines[n].get_data()
-        assert x == pytest.approx(errors, nan_ok=True)
-        expected = [one["disk_margin"] for one in done.tested[name]]
+        assert x == pytest.approx(errors_of(contest.tested[name]), nan_ok=True)
+        expected = [values["disk_margin"] for values in contest.tested[name]]
         assert y == pytest.approx(expected, nan_ok=True)
-    least = done.settings.least_disk_margin
-    (shown,) = (y for label, (_, y) in curves(margins).items() if f"{least:g}" in label)
-    assert list(shown) == [least, least]
+        tuned = name in contest.settings.contestants
+        for ax in (here, there):
+            assert ax.lines[n].get_linestyle() == ("-" if tuned else "--")
+        assert margins.lines[n].get_marker() == ("o" if tuned else "x")
+        assert len({ax.lines[n].get_color() for ax in (here, there, margins)}) == 1
+    least = contest.settings.least_disk_margin
+    assert list(curves(margins)[f"(c) least in the tuning, {least:g}"][1]) == [least, least]
+    assert {ax.get_xlabel() for ax in (here, there, margins)} == {"largest error (deg)"}
+    assert {ax.get_xscale() for ax in (here, there, margins)} == {"log"}
+    assert here.get_ylabel() == there.get_ylabel() == "share of the test plants"
+    assert margins.get_ylabel() == "disk margin"
+    task = contest.settings.other_reference
+    assert there.get_title() == f"(b) {task.amplitude_deg:g}° at {task.frequency_hz:g} Hz"
 
 
-def test_the_search_shows_the_best_of_each_generation():
-    done = made_up()
-    (ax,) = figures(done)["contest_search"].axes
-    size = done.settings.population
-    for line, tuning in zip(ax.lines, done.tunings, strict=True):
+def test_the_search_shows_the_best_of_each_generation(contest):
+    (ax,) = figures(contest)["contest_search"].axes
+    size = contest.settings.population
+    for line, tuning in zip(ax.lines, contest.tunings, strict=True):
         assert line.get_label().startswith(tuning.contestant)
         assert ("not converged" in line.get_label()) is not tuning.converged
         # The first generation follows the population that it starts from.
-        assert line.get_xdata() == pytest.approx([2 * size, 3 * size])
-        assert line.get_ydata() == pytest.approx([math.nan, 0.5], nan_ok=True)
+        count = len(tuning.history_deg)
+        assert line.get_xdata() == pytest.approx(size * np.arange(2, count + 2))
+        feasible = [value if value < 90.0 else math.nan for value in tuning.history_deg]
+        assert line.get_ydata() == pytest.approx(feasible, nan_ok=True)
         assert line.get_linestyle() == ("-" if tuning.seed == 1 else "--")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (
+        "evaluations",
+        "mean of the largest errors (deg)",
+    )
+    contestants = [tuning.contestant for tuning in contest.tunings]
+    colors = {(name, line.get_color()) for name, line in zip(contestants, ax.lines, strict=True)}
+    assert len(colors) == len({color for _, color in colors}) == len(set(contestants))
 
 
 def test_the_winner_of_each_figure_is_named_whoever_it_is():
@@ -305,21 +376,14 @@ def test_the_report_says_what_did_not_converge_or_fit():
     assert "- unstable:" not in text  # nobody was better there
     assert "| worst error (deg) | 0.4 | ∞ |" in text
     assert "∞" in text
-    # 0.11 lies within 2 % of the way (a factor of 1.22 of 0.1…2000) of a PID's lowest gains.
-    assert "integral_per_s2 = 0.11 (at its bound), derivative = 0.11, filter_s" in text
     assert "The scenario lacks plant.load.knee_torque_n_m." in text
 
 
-def test_figures_have_labels_and_name_everybody():
-    drawn = figures(made_up())
-    assert set(drawn) == {"contest", "contest_search"}
-    for figure in drawn.values():
-        figure.canvas.draw()
-        assert all(ax.get_xlabel() and ax.get_ylabel() for ax in figure.axes)
-        plt.close(figure)
-    legend = [text.get_text() for text in drawn["contest"].legends[0].get_texts()]
+def test_the_legend_names_everybody_once():
+    legend = [text.get_text() for text in figures(made_up())["contest"].legends[0].get_texts()]
     assert legend[:3] == ["SMC", "PID", "SMC, default"]
     assert legend[3:5] == ["(c) tuned here", "(c) not tuned here"]
+    assert len(legend) == 6
 
 
 def test_a_contest_whose_every_run_failed_is_drawn():
@@ -332,13 +396,15 @@ def test_a_contest_whose_every_run_failed_is_drawn():
 
 # -------------------------------------------------------------------------------- the runs
 
-BASE = Scenario(reference=SineReference(amplitude_deg=0.5, frequency_hz=10.0))
-MASS = UncertaintySet(values={"plant.cylinder.mass_kg": Uncertainty(low=1.4, high=1.8)})
+LAG = UncertaintySet(values={"plant.pump.lag_s": Uncertainty(low=0.005, high=0.02)})
 SMALL = ContestSettings(
     contestants={
-        "P": Contestant(
+        "PI": Contestant(
             controller=PidParameters(),
-            gains={"controller.proportional_per_s": Uncertainty(low=1.0, high=9.0, scale="log")},
+            gains={
+                "controller.proportional_per_s": Uncertainty(low=1.0, high=9.0, scale="log"),
+                "controller.integral_per_s2": Uncertainty(low=0.1, high=40.0, scale="log"),
+            },
         )
     },
     training_samples=1,
@@ -350,52 +416,75 @@ SMALL = ContestSettings(
     other_reference=SineReference(amplitude_deg=0.2, frequency_hz=20.0),
     other_duration_s=0.1,
 )
+UNTUNED = {
+    "SMC, default": SlidingModeParameters(),
+    "PID as in the paper": PID_PAPER,
+    "PID, error only": PID_TUNED,
+    "PID with reference velocity, error only": PID_FEEDFORWARD,
+}
 
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
     checkpoint = Checkpoint(tmp_path_factory.mktemp("contest") / "checkpoint.jsonl")
-    return contest_study(BASE, MASS, SMALL, checkpoint=checkpoint), checkpoint
+    # The study replaces duration and controller.
+    other = changed(BASE, {"simulation.duration_s": 7.0, "controller": PID_PAPER.model_dump()})
+    return contest_study(other, LAG, SMALL, checkpoint=checkpoint), checkpoint
 
 
-def test_entrants_are_assessed_on_the_test_plants(small):
-    done, _ = small
-    assert next(iter(done.entrants)) == "P"
-    assert len(done.entrants) == 5
-    assert len(done.samples) == 2
-    mass = done.samples[1]["plant.cylinder.mass_kg"]
-    tuning = min(done.tunings, key=lambda one: one.objective_deg)
-    assert done.tunings[0].objective_deg != done.tunings[1].objective_deg
-    gain = tuning.gains["controller.proportional_per_s"]
-    expected = assess(
-        Scenario(
-            plant={"cylinder": {"mass_kg": mass}},
-            nominal={},
-            controller={"kind": "pid", "proportional_per_s": gain},
-            reference=BASE.reference,
-            simulation={"duration_s": 0.2},
+def lags_of(seed, count):
+    return [sample["plant.pump.lag_s"] for sample in draw(LAG, count, seed)]
+
+
+def pi_gains(unit):
+    return {
+        "controller.proportional_per_s": 9.0 ** unit[0],
+        "controller.integral_per_s2": 0.1 * 400.0 ** unit[1],
+    }
+
+
+def test_every_entrant_is_assessed_on_every_test_plant(small, flat):
+    contest, _ = small
+    lags = lags_of(SMALL.test_seed, 2)
+    assert contest.samples == tuple({"plant.pump.lag_s": lag} for lag in lags)
+    best = min(contest.tunings, key=lambda tuning: tuning.objective_deg)
+    assert contest.tunings[0].objective_deg != contest.tunings[1].objective_deg
+    entrants = {"PI": (PidParameters(), best.gains)} | {n: (law, {}) for n, law in UNTUNED.items()}
+    assert list(contest.entrants) == list(entrants)
+    task = {
+        "reference.amplitude_deg": 0.2,
+        "reference.frequency_hz": 20.0,
+        "simulation.duration_s": 0.1,
+    }
+    for name, (law, gains) in entrants.items():
+        tested = [assess(plant) for plant in plants(law, lags, **gains)]
+        assert flat(contest.tested[name]) == flat(tested)
+        elsewhere = [assess(plant, margins=False) for plant in plants(law, lags, **gains, **task)]
+        assert flat(contest.elsewhere[name]) == flat(elsewhere)
+
+
+def test_the_search_is_for_the_smallest_objective_within_the_default_smcs_budget(small):
+    contest, _ = small
+    lags = [0.010, *lags_of(SMALL.training_seed, 1)]
+    budget = figure(plants(lags=lags), "mean_command_change_rpm").mean()
+    assert contest.budget_rpm == pytest.approx(budget, rel=1e-12)
+
+    def objective(units):
+        return np.array(
+            [
+                objective_deg(budget, 0.5, plants(PidParameters(), lags, **pi_gains(u)))
+                for u in units
+            ]
         )
-    )
-    assert done.tested["P"][1] == expected
-    assert done.elsewhere["P"][1]["max_error_deg"] != expected["max_error_deg"]
 
-
-def test_the_budget_is_what_the_default_smc_uses(small):
-    done, _ = small
-    training = draw(MASS, 1, SMALL.training_seed)[0]["plant.cylinder.mass_kg"]
-    changes = [
-        assess(
-            Scenario(
-                plant={"cylinder": {"mass_kg": mass}},
-                nominal={},
-                reference=BASE.reference,
-                simulation={"duration_s": 0.2},
-            ),
-            margins=False,
-        )["mean_command_change_rpm"]
-        for mass in (1.6, training)
-    ]
-    assert done.budget_rpm == pytest.approx(np.mean(changes), rel=1e-12)
+    optimum, history = search(objective, 2, SMALL, seed=2)
+    tuning = contest.tunings[1]
+    assert (tuning.contestant, tuning.seed) == ("PI", 2)
+    assert tuning.gains == pytest.approx(pi_gains(optimum.x), rel=1e-12)
+    assert tuning.objective_deg == pytest.approx(optimum.fun, rel=1e-12)
+    assert tuning.history_deg == pytest.approx(history, rel=1e-12)
+    energies = optimum.population_energies
+    assert tuning.spread == pytest.approx(energies.std() / energies.mean(), rel=1e-12)
 
 
 def test_a_search_without_enough_generations_is_flagged(small):
@@ -416,7 +505,7 @@ def test_a_resumed_contest_goes_on_and_gives_the_same(small):
     cut = checkpoint.path.with_name("cut.jsonl")
     # Interrupted in the second generation of the second search.
     cut.write_bytes(header + b"".join(lines[:19]))
-    resumed = contest_study(BASE, MASS, SMALL, checkpoint=Checkpoint(cut))
+    resumed = contest_study(done.scenario, LAG, SMALL, checkpoint=Checkpoint(cut))
     assert to_json(resumed.results()) == to_json(done.results())
     assert report(resumed) == report(done)
     assert len(cut.read_bytes().splitlines()) == 1 + 42
@@ -428,8 +517,9 @@ def test_a_resumed_contest_goes_on_and_gives_the_same(small):
 def test_uncertain_values_without_effect_are_left_out(small):
     done, checkpoint = small
     load = {"plant.load.segment_mass_kg": Uncertainty(low=0.0, high=3.0)}
-    more = UncertaintySet(values={**MASS.values, **load})
-    again = contest_study(BASE, more, SMALL, checkpoint=Checkpoint(checkpoint.path, resume=True))
+    more = UncertaintySet(values={**LAG.values, **load})
+    resumed = Checkpoint(checkpoint.path, resume=True)
+    again = contest_study(done.scenario, more, SMALL, checkpoint=resumed)
     assert again.left_out == ("plant.load.segment_mass_kg",)
     assert again.tested == done.tested
 
@@ -444,7 +534,7 @@ def test_values_that_no_scenario_has_are_one_line():
 def test_a_default_that_fails_sets_no_budget():
     wild = changed(BASE, {"reference.mean_deg": 89.4, "initial_offset_m": -3.5e-3})
     with pytest.raises(SimulationError, match="default SMC sets no budget: t = 0 s") as caught:
-        contest_study(wild, MASS, SMALL)
+        contest_study(wild, LAG, SMALL)
     assert "\n" not in str(caught.value)
 
 
@@ -475,8 +565,7 @@ def test_tuning_for_the_error_alone_leaves_no_margin_on_uncertain_plants():
 
     def judge(law):
         entered = base.model_copy(update={"controller": law})
-        plants = [realize(entered, UNCERTAINTY, sample) for sample in values]
-        return module._judge(15.0, 0.5, plants)
+        return objective_deg(15.0, 0.5, [realize(entered, UNCERTAINTY, s) for s in values])
 
     assert judge(SlidingModeParameters()) < 0.5
     for law in (PID_TUNED, PID_FEEDFORWARD):
