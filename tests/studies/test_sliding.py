@@ -1,6 +1,5 @@
 """The sliding condition: ds/dt against two oracles, the bounds on the error, and the verdicts."""
 
-import json
 import math
 
 import numpy as np
@@ -9,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.linalg import expm
 
 from kneexo.analysis import simulate
-from kneexo.errors import ParameterError
+from kneexo.errors import ParameterError, SimulationError
 from kneexo.output import to_json
 from kneexo.parameters import PidParameters, Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
@@ -217,25 +216,6 @@ def test_worst_rate_is_the_closed_form():
     assert np.all(np.abs(s) > 3.2)
 
 
-def test_a_run_that_leaves_the_range_of_motion_is_cut_short_and_says_so():
-    values = {"plant.full_order": {}, "plant.load.disturbance_n": -60.0}
-    found = check_sliding(SETTINGS, short(0.04, 2e-4, **START, **values))
-    assert "left the" in found["failure"]
-    assert found["duration_s"] == pytest.approx(0.02)
-    assert found["left_share"] > 0.5
-    assert found["worst_rate_m_s3"] > 2e4
-
-
-def test_half_of_the_rated_samples_are_the_first_outside_the_layer():
-    scenario = short(1e-3, 5e-5, **START | {"initial_offset_m": -0.02})  # ends outside the layer
-    found = check_sliding(SlidingSettings(rated_samples=10), scenario)
-    # 21 samples: five in a row, then five that are evenly spread to the last one.
-    times = 5e-5 * np.array([0, 1, 2, 3, 4, 5, 8, 12, 16, 20])
-    assert found["outside_share"] == 1.0
-    assert math.isnan(found["held_share"])  # of a sampled law alone
-    assert found["trace"]["outside_time_s"] == pytest.approx(times)
-
-
 def test_needed_eta_and_effective_masses_by_hand():
     needed = needed_eta(SLIDING_LAW)
     # 4094 rpm at the peak of 10…70 deg at 0.1 Hz is 33.1 mm/s.
@@ -252,9 +232,16 @@ def test_needed_eta_and_effective_masses_by_hand():
 # --------------------------------------------------------------------------------- study
 
 SMALL = SlidingSettings(
-    etas_m_s3=(1e3, 2.8e5), loads_n=(60.0,), start_duration_s=0.001, start_sample_time_s=5e-5
+    etas_m_s3=(1e3, 2.8e5),
+    loads_n=(60.0, -60.0),
+    start_duration_s=0.0135,
+    start_sample_time_s=2e-5,
+    sampled_eta_m_s3=200.0,
+    sampled_offset_m=-0.009,
+    settling_factor=0.1,
+    rated_samples=20,
 )
-SHORT = changed(SLIDING_LAW, {"simulation.duration_s": 0.004})
+SHORT = changed(SLIDING_LAW, {"simulation.duration_s": 0.08})
 
 
 @pytest.fixture(scope="module")
@@ -263,22 +250,163 @@ def small_study(tmp_path_factory):
     return sliding_study(SHORT, SMALL, checkpoint=Checkpoint(path)), path
 
 
-def test_study_has_every_case_and_plain_results(small_study):
+def small_cases():
+    """Labels and scenarios of the study with `SMALL`."""
+    masses = effective_masses_kg(changed(SHORT, {"plant.full_order": {}}))
+    gain = dict(zip(("controller.mass_min_kg", "controller.mass_max_kg"), masses, strict=True))
+    laws = {"paper": {}, "area": AREA_TERM, "area_gain": AREA_TERM | gain}
+    start = {
+        "initial_offset_m": -0.010,
+        "controller.sample_time_s": 2e-5,
+        "simulation.duration_s": 0.0135,
+    }
+    plants = [
+        (f"reduced, {mass:g} kg", "paper", load, {"plant.cylinder.mass_kg": mass})
+        for mass in (1.4, 1.8)
+        for load in (60.0,)
+    ]
+    plants += [
+        ("full", law, load, {"plant.full_order": {}} | values)
+        for law, values in laws.items()
+        for load in (60.0, -60.0)
+    ]
+    for part, eta, times in (("motion", 1e3, {}), ("motion", 2.8e5, {}), ("start", 1e3, start)):
+        for plant, law, load, values in plants:
+            forces = {"plant.load.disturbance_n": load, "controller.eta_m_s3": eta}
+            yield (part, plant, law, load, eta), changed(SHORT, times | values | forces)
+    exact = {
+        "encoder": {"quantized": False},
+        "estimator": {"kind": "exact"},
+        "controller.eta_m_s3": 200.0,
+    }
+    loops = {
+        "ideal motor": exact | {"plant.ideal_motor": True},
+        "motor": exact,
+        "motor, encoder, observer": {},
+    }
+    for order, full in (("reduced", None), ("full", {})):
+        for load in (60.0, -60.0):
+            for loop, values in loops.items():
+                plant = {"plant.rod_map": "polynomial", "plant.full_order": full}
+                plant["plant.load"] = {"kind": "knee", "segment_mass_kg": 0, "disturbance_n": load}
+                motion = {"initial_offset_m": -0.009, "simulation.duration_s": 0.08}
+                scenario = changed(Scenario(), plant | motion | values)
+                eta = scenario.controller.eta_m_s3
+                yield ("sampled", f"{order}, {loop}", "paper", load, eta), scenario
+
+
+def thinned(rows, count):
+    """The first half in a row, then evenly spread ones to the last."""
+    if len(rows) <= count:
+        return list(rows)
+    half = count // 2
+    return [*rows[:half], *(rows[int(k)] for k in np.linspace(half, len(rows) - 1, half))]
+
+
+def measured(scenario):
+    """What `check_sliding` says of a run, sample by sample."""
+    failures, run, duration = [], None, scenario.simulation.duration_s
+    while run is None:
+        try:
+            shorter = changed(scenario, {"simulation.duration_s": duration})
+            run = simulate(shorter, signals=sliding_signals(scenario))
+        except SimulationError as error:
+            failures, duration = [*failures, str(error)], 0.5 * duration
+    law = scenario.controller
+    phi, lambda_, eta = law.phi_m_s2, law.lambda_per_s, law.eta_m_s3 * (1.0 - 1e-6)
+    count = run.time_s.size - (not law.continuous)
+    # A command is logged before its update, so that of an interval is the next one.
+    time, command = run.time_s[:count], run["motor_speed_command_rad_s"][-count:]
+    e = (run["rod_extension_m"] - run["rod_reference_m"])[:count]
+    e_rate = (run["rod_velocity_m_s"] - run["rod_reference_velocity_m_s"])[:count]
+    s = run["sliding_variable_m_s2"]
+    if scenario.estimator.kind != "exact":
+        s = sliding_rates(scenario, run, range(count), command)[0]
+
+    def away(rows, commands):
+        values, rates = sliding_rates(scenario, run, rows, commands)
+        return np.sign(values) * rates
+
+    outside = [k for k in range(count) if abs(s[k]) > phi]
+    inside = [k for k in range(count) if abs(s[k]) <= phi]
+    result = dict.fromkeys(
+        (
+            *("holding_share", "attracting_share", "worst_rate_m_s3", "held_share", "mean_share"),
+            *("reaching_s", "left_share", "largest_s", "error_share", "rate_share"),
+            *("acceleration_share", "bounded_share", "largest_error_mm"),
+        ),
+        math.nan,
+    )
+    result |= {"failure": failures[0] if failures else "", "duration_s": duration}
+    result["outside_share"] = len(outside) / count
+    result["promised_s"] = max(0.0, abs(s[0]) - phi) / law.eta_m_s3
+    rated, rates, bound = thinned(outside, 20), [], np.full(count, math.nan)
+    if outside:
+        rates = away(rated, command[rated])
+        result["holding_share"] = np.mean([rate <= -eta for rate in rates])
+        result["attracting_share"] = np.mean([rate < 0.0 for rate in rates])
+        result["worst_rate_m_s3"] = max(rates)
+        if not law.continuous:
+            rated = [k for k in rated if k + 1 < count]
+            late = away([k + 1 for k in rated], command[rated])
+            result["held_share"] = np.mean([rate <= -eta for rate in late])
+            slopes = [math.copysign(1.0, s[k]) * (s[k + 1] - s[k]) / 0.002 for k in rated]
+            result["mean_share"] = np.mean([slope <= -eta for slope in slopes])
+    if inside:
+        first = inside[0]
+        later = [k for k in outside if k > first]
+        result["reaching_s"] = time[first]
+        result["left_share"] = len(later) / (count - first)
+        result["largest_s"] = max(abs(s[k]) for k in range(first, count)) / phi
+        kept = range(first, later[0] if later else count)
+        bound[kept], _ = error_bounds(
+            time[kept], e[first], e_rate[first], lambda_per_s=lambda_, phi_m_s2=phi
+        )
+        result["bounded_share"] = np.mean([abs(e[k]) <= 1.000001 * bound[k] for k in kept])
+        settled = [k for k in range(count) if time[k] >= time[first] + 0.1 / lambda_]
+        if settled:
+            e_2 = s[settled] - 2.0 * lambda_ * e_rate[settled] - lambda_**2 * e[settled]
+            error, rate, acceleration = (
+                max(abs(values)) for values in (e[settled], e_rate[settled], e_2)
+            )
+            result["largest_error_mm"] = 1e3 * error
+            result["error_share"] = error / (phi / lambda_**2)
+            result["rate_share"] = rate / (2.0 * phi / lambda_)
+            result["acceleration_share"] = acceleration / (4.0 * phi)
+    shown, drawn = thinned(range(count), 600), thinned(outside, 20)
+    return result | {
+        "trace": {
+            "time_s": time[shown],
+            "s_m_s2": s[shown],
+            "error_m": e[shown],
+            "bound_m": bound[shown],
+            "outside_time_s": time[drawn],
+            "away_m_s3": rates,
+        }
+    }
+
+
+def test_every_case_is_measured_in_its_own_run(small_study, flat):
+    study, _ = small_study
+    expected = list(small_cases())
+    assert len(study.cases) == len(expected) == 2 * 8 + 8 + 12
+    shares = {}
+    for case, (labels, scenario) in zip(study.cases, expected, strict=True):
+        assert (case.part, case.plant, case.law, case.load_n, case.eta_m_s3) == labels
+        own = measured(scenario)
+        assert flat(case.measured) == pytest.approx(flat(own), nan_ok=True), labels
+        for name, value in own.items():
+            shares.setdefault(name, set()).add(value if name != "trace" else "")
+    # Each share has a chance to be wrong, but for that of the bounds, which always hold.
+    for name in (n for n in shares if n.endswith("_share") and n != "bounded_share"):
+        assert any(0.0 < value < 1.0 for value in shares[name]), name
+
+
+def test_a_study_is_taken_up_again(small_study):
     study, path = small_study
-    assert len(study.of("motion")) == 2 * (2 + 3)
-    assert len(study.of("start")) == 2 + 3
-    assert len(study.of("sampled")) == 2 * 3
-    results = json.loads(to_json(study.results()))
-    assert results["cases"][0]["eta_m_s3"] == 1e3
-    assert all("trace" not in case for case in results["cases"])
     assert len(Checkpoint(path, resume=True)) == len(study.cases)
     resumed = sliding_study(SHORT, SMALL, checkpoint=Checkpoint(path, resume=True))
     assert to_json(resumed.results()) == to_json(study.results())
-
-
-def test_every_figure_can_be_drawn(small_study):
-    for figure in figures(small_study[0]).values():
-        figure.canvas.draw()
 
 
 SHARES = ("outside_share", "holding_share", "attracting_share", "left_share")
@@ -349,58 +477,80 @@ def test_results_are_the_cases_without_their_traces(by_hand, flat, check_rules):
     assert flat(found) == pytest.approx(flat(expected))
 
 
-def test_every_cell_of_the_report_is_in_the_cases(by_hand, tables, check_cells):
-    motion, start, sampled = tables(report(by_hand))
+@pytest.fixture(params=["by hand", "run"])
+def study(request):
+    """Cases by hand, and those of runs."""
+    if request.param == "by hand":
+        return request.getfixturevalue("by_hand")
+    return request.getfixturevalue("small_study")[0]
 
-    def labels(case):
-        return [case.plant, case.load_n, LAWS[case.law], case.eta_m_s3]
 
-    def percent(case, *names):
-        return [100.0 * case.measured[name] for name in names]
+def test_every_cell_of_the_report_is_in_its_case(study, tables, check_cells):
+    motion, start, sampled = tables(report(study))
 
-    def in_ms(case):
-        return [1e3 * case.measured[name] for name in ("reaching_s", "promised_s")]
+    def labels(case, plant="plant"):
+        law = {"paper": "Eq. 27", "area": "Eq. 27 + area", "area_gain": "Eq. 27 + area, gain"}
+        return {
+            plant: case.plant,
+            "load (N)": case.load_n,
+            "k": law[case.law],
+            "η (m/s³)": case.eta_m_s3,
+        }
 
+    def percent(case, **names):
+        return {title: 100.0 * case.measured[name] for name, title in names.items()}
+
+    def reaching(case):
+        return {
+            "reached after (ms)": 1e3 * case.measured["reaching_s"],
+            "promised (ms)": 1e3 * case.measured["promised_s"],
+            "outside again (%)": 100.0 * case.measured["left_share"],
+        }
+
+    holds = "s·ds/dt ≤ −η¦s¦"
     check_cells(
         motion,
         [
-            [
-                *labels(c),
-                *percent(c, "outside_share", "holding_share", "attracting_share"),
-                *(c.measured[name] for name in ("largest_s", "largest_error_mm")),
-                "left the range of motion" if c.measured["failure"] else "complete",
-            ]
-            for c in by_hand.of("motion")
+            labels(case)
+            | percent(
+                case,
+                outside_share="outside the layer (%)",
+                holding_share=f"there {holds} (%)",
+                attracting_share="there s·ds/dt < 0 (%)",
+            )
+            | {
+                "largest ¦s¦/Φ": case.measured["largest_s"],
+                "largest error (mm)": case.measured["largest_error_mm"],
+                "run": "left the range of motion" if case.measured["failure"] else "complete",
+            }
+            for case in study.of("motion")
         ],
     )
     check_cells(
         start,
         [
-            [
-                *labels(c),
-                *percent(c, "holding_share"),
-                c.measured["worst_rate_m_s3"],
-                *in_ms(c),
-                *percent(c, "left_share"),
-            ]
-            for c in by_hand.of("start")
+            labels(case)
+            | percent(case, holding_share=f"outside: {holds} (%)")
+            | {"largest sgn(s)·ds/dt (m/s³)": case.measured["worst_rate_m_s3"]}
+            | reaching(case)
+            for case in study.of("start")
         ],
     )
     check_cells(
         sampled,
         [
-            [
-                *labels(c),
-                *percent(c, "holding_share", "held_share", "mean_share"),
-                *in_ms(c),
-                *percent(c, "left_share"),
-                c.measured["largest_error_mm"],
-            ]
-            for c in by_hand.of("sampled")
+            labels(case, "loop")
+            | percent(
+                case,
+                holding_share=f"outside: {holds} (%) after an update",
+                held_share="before the next",
+                mean_share="on the mean",
+            )
+            | reaching(case)
+            | {"largest error (mm)": case.measured["largest_error_mm"]}
+            for case in study.of("sampled")
         ],
     )
-    for title, name in (("reached after (ms)", 6), ("promised (ms)", 7)):
-        assert start[0][name] == title
 
 
 def test_the_findings_have_the_numbers_of_the_results(by_hand):
@@ -417,50 +567,79 @@ def test_the_findings_have_the_numbers_of_the_results(by_hand):
         "from 1e+04 m/s³ on.",
         "η ≥ 3.3e+04 m/s³",
         "η ≥ 8.1e+04 m/s³",
+        # Default: 2.8e5 m/s³ times 2 ms over 3.2 m/s².
+        "175 times Φ for the default",
+        f"{GAIN['controller.mass_min_kg']:.2f}…{GAIN['controller.mass_max_kg']:.2f} kg in place "
+        "of 1.4…1.8 kg",
         *(f"{LAWS[n]} {min(s):.0f}…{max(s):.0f} % of a run" for n, s in shares.items()),
     ):
         assert said in text
 
 
-def test_every_line_of_the_figures_is_that_of_its_case(by_hand, curves):
-    drawn = figures(by_hand)
-    start, motion = drawn["sliding_condition"].axes
+def assert_line(line, x, y):
+    """Abscissae and ordinates of a line are those of its case; nan where there is none."""
+    assert line[0] == pytest.approx(x, nan_ok=True)
+    assert line[1] == pytest.approx(y, nan_ok=True)
+
+
+def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
+    drawn = figures(study)
+    assert set(drawn) == {"sliding_condition", "error_bound", "boundary_layer"}
+    first = study.settings.loads_n[0]
     # Over time the smallest η with which the paper's k ends its run; the first load alone.
-    for ax, part, scale in ((start, "start", 1e3), (motion, "motion", 1.0)):
+    own = study.of("motion", plant="full", law="paper", load_n=first)
+    smallest = min(case.eta_m_s3 for case in own if not case.measured["failure"])
+    panels = ("start", study.settings.start_eta_m_s3, 1e3), ("motion", smallest, 1.0)
+    for ax, (part, eta, scale) in zip(drawn["sliding_condition"].axes, panels, strict=True):
         lines = curves(ax)
-        for c in by_hand.of(part, plant="full", load_n=60.0, eta_m_s3=2e4):
-            x, y = lines[LAWS[c.law]]
-            assert x == pytest.approx([scale * t for t in c.measured["trace"]["outside_time_s"]])
-            assert y == pytest.approx(c.measured["trace"]["away_m_s3"])
-        (promised,) = (y for label, (_, y) in lines.items() if label.startswith("−η"))
-        assert promised == pytest.approx(-2e4)
+        for case in study.of(part, plant="full", load_n=first, eta_m_s3=eta):
+            trace = case.measured["trace"]
+            if len(trace["outside_time_s"]):
+                times = [scale * t for t in trace["outside_time_s"]]
+                assert_line(lines.pop(LAWS[case.law]), times, trace["away_m_s3"])
+        assert lines.pop(f"−η, η = {eta:g} m/s³")[1] == pytest.approx([-eta, -eta])
+        assert lines == {}
+        assert [list(line.get_ydata()) for line in ax.lines if line.get_label()[0] == "_"] == [
+            [0.0, 0.0]
+        ]
+        assert ax.get_ylim() == pytest.approx((-2.5 * eta, 2.0 * eta))
         assert ax.get_xlabel() == ("time (ms)" if part == "start" else "time (s)")
-    for ax, load in zip(drawn["error_bound"].axes, (60.0, -60.0), strict=True):
+        assert ax.get_ylabel() == "sgn(s)·ds/dt outside the layer (m/s³)"
+        assert ax.get_title().endswith(f", {first:g} N")
+    for ax, load in zip(drawn["error_bound"].axes, study.settings.loads_n, strict=True):
         lines = curves(ax)
-        for c in by_hand.of("motion", plant="full", load_n=load, eta_m_s3=2e4):
-            x, y = lines[LAWS[c.law]]
-            assert x == pytest.approx(c.measured["trace"]["time_s"])
-            assert y == pytest.approx([1e3 * abs(e) for e in c.measured["trace"]["error_m"]])
-        assert lines["Φ/λ² = 8 mm"][1] == pytest.approx(8.0)
-        assert ax.get_title().startswith(f"{load:g} N")
+        for case in study.of("motion", plant="full", load_n=load, eta_m_s3=smallest):
+            trace = case.measured["trace"]
+            error = [1e3 * abs(e) for e in trace["error_m"]]
+            assert_line(lines.pop(LAWS[case.law]), trace["time_s"], error)
+            if case.measured["failure"]:
+                cross = lines.pop(f"{LAWS[case.law]}: leaves the range of motion")
+                assert_line(cross, trace["time_s"][-1:], error[-1:])
+        assert lines.pop("Φ/λ² = 8 mm")[1] == pytest.approx([8.0, 8.0])
+        assert lines == {}
+        assert ax.get_title() == f"{load:g} N, η = {smallest:g} m/s³"
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("time (s)", "|e| (mm)")
     (ax,) = drawn["boundary_layer"].axes
     lines = curves(ax)
     for law, label in LAWS.items():
-        for load in (60.0, -60.0):
-            x, y = lines[f"{label}, {load:g} N"]
-            assert x == pytest.approx([1e4, 2e4])
-            own = by_hand.of("motion", plant="full", law=law, load_n=load)
-            expected = [math.nan if c.measured["failure"] else c.measured["largest_s"] for c in own]
-            assert y == pytest.approx(expected, nan_ok=True)
-    lost = {label: list(x) for label, (x, _) in lines.items() if "left" in label}
-    assert lost == {f"{LAWS['paper']}, 60 N: left the range": [1e4]}
-    assert lines["edge of the layer"][1] == pytest.approx(1.0)
-    needed = [line.get_xdata()[0] for line in ax.lines if line.get_color() == "0.5"]
-    assert needed == [3.3e4, 8.1e4]
-    assert {text.get_text().split()[-1]: text.get_position()[0] for text in ax.texts} == {
-        "speed": 3.3e4,
-        "stability": 8.1e4,
-    }
+        for load in study.settings.loads_n:
+            own = study.of("motion", plant="full", law=law, load_n=load)
+            failed = [case.eta_m_s3 for case in own if case.measured["failure"]]
+            largest = [
+                math.nan if case.measured["failure"] else case.measured["largest_s"] for case in own
+            ]
+            etas = [case.eta_m_s3 for case in own]
+            assert_line(lines.pop(f"{label}, {load:g} N"), etas, largest)
+            if failed:
+                assert_line(lines.pop(f"{label}, {load:g} N: left the range"), failed, [40.0])
+    assert lines.pop("edge of the layer")[1] == pytest.approx([1.0, 1.0])
+    assert lines == {}
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("η (m/s³)", "largest |s|/Φ along the reference")
+    needed = {"speed": study.needed.speed, "stability": study.needed.stability}
+    marks = [line.get_xdata()[0] for line in ax.lines if line.get_color() == "0.5"]
+    assert marks == list(needed.values())
+    texts = {text.get_text().split()[-1]: text.get_position()[0] for text in ax.texts}
+    assert texts == needed
 
 
 @pytest.mark.slow
@@ -482,6 +661,8 @@ def test_paper_s_k_suffices_from_the_closed_forms_on():
         assert case.measured["reaching_s"] > 50.0 * case.measured["promised_s"]
     default = study.of("sampled", plant="full, motor, encoder, observer")
     assert all(case.stays for case in default)
+    for figure in figures(study).values():
+        figure.canvas.draw()
 
 
 # ------------------------------------------------------------------------------ bad input
