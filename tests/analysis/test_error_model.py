@@ -6,15 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from kneexo.analysis.error_model import compare_error, error_model
+from kneexo.analysis import simulate
+from kneexo.analysis.error_model import ErrorComparison, compare_error, error_model
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import ParameterError
-from kneexo.parameters import (
-    CylinderParameters,
-    KneeLoadParameters,
-    PidParameters,
-    Scenario,
-)
+from kneexo.parameters import KneeLoadParameters, PidParameters, Scenario
 from kneexo.parameters.paths import changed
 
 # Lee et al. 2020, Tables 2 and 3.
@@ -90,6 +86,13 @@ def test_each_part_of_the_model_is_where_it_belongs():
     assert geared.speed_ratio == pytest.approx(1.1, rel=1e-12)
     completed = loop(**{"controller.area_uncertainty": 1.0 / 7.0})
     faster = error_model(completed, rod_speed_m_s=0.04)
+    bounds = {"stiffness_uncertainty_n_per_m": 300.0, "load_rate_uncertainty_n_per_s": 2e3}
+    bounded = loop(**{f"controller.{name}": value for name, value in bounds.items()})
+    phi = BETA * 2.8e5 / 1e5
+    more = error_model(bounded, rod_speed_m_s=0.04).slope_per_s - 1e5
+    assert more == pytest.approx((300.0 * 0.04 + 2e3) / M_HAT / phi, rel=1e-9)
+    pumped = error_model(loop(**{"plant.pump.displacement_m3_per_rad": 1e-7}))
+    assert pumped.speed_ratio == pytest.approx(0.8e-6 / (2.0 * math.pi) / 1e-7, rel=1e-12)
     # Both leakages take from the rod's speed, so the rod lags behind a load that pushes it in.
     leaks = {"plant.pump.internal_leakage_m3_per_s_pa": 2e-12}
     leaks |= {"plant.pump.external_leakage_m3_per_s_pa": 1e-12}
@@ -99,7 +102,6 @@ def test_each_part_of_the_model_is_where_it_belongs():
     gain = STIFFNESS / (20.0**2 * 1e5)
     assert leaking.error_m(0.0, 0.0, 3e5) == pytest.approx(-gain * lost * 3e5, rel=1e-9)
     # Φ = 3.1749 m/s² makes the slope 1e5 1/s at rest; ω̂²/7 · 0.04 m/s is 45 400 m/s³ more of k.
-    phi = BETA * 2.8e5 / 1e5
     assert faster.slope_per_s - 1e5 == pytest.approx(STIFFNESS / 7.0 * 0.04 / phi, rel=1e-9)
     assert error_model(completed).slope_per_s == pytest.approx(1e5, rel=1e-12)
 
@@ -197,6 +199,40 @@ def test_default_gains_make_the_predicted_error_in_a_short_run(share):
     assert found.correlation > 0.95
 
 
+def test_a_comparison_is_of_the_late_part_of_a_run_without_counts():
+    leaks = {"plant.pump.internal_leakage_m3_per_s_pa": 2e-12, "encoder.quantized": True}
+    load = {"plant.load": {"kind": "knee", "disturbance_n": 50.0}}
+    scenario = loop(
+        area_share=8.0 / 7.0, reference=LAG_SINE | {"frequency_hz": 0.5}, **leaks, **load
+    )
+    scenario = changed(scenario, {"simulation.duration_s": 0.6})
+    comparison = compare_error(scenario, settled_s=0.2)
+    names = ("measured_rod_extension", "rod_reference", "load_pressure")
+    run = simulate(changed(scenario, {"encoder.quantized": False}), signals=names)
+    late = slice(100, None)  # of 2 ms
+    assert comparison.time_s == pytest.approx(run.time_s[late])
+    error = (run["measured_rod_extension_m"] - run["rod_reference_m"])[late]
+    assert comparison.simulated_m == pytest.approx(error)
+    gain, alpha = STIFFNESS / (20.0**2 * 1e5), 8.0 / 7.0
+    lacking = (1.0 - alpha) * run["rod_reference_velocity_m_s"]
+    lacking -= alpha * (LAG + HOLD) * run["rod_reference_acceleration_m_s2"]
+    lacking -= 2e-12 / MEAN_AREA * run["load_pressure_pa"]
+    assert comparison.predicted_m == pytest.approx(gain * lacking[late], rel=1e-6)
+    e, predicted = comparison.simulated_m, comparison.predicted_m
+    assert comparison.ratio == pytest.approx(math.sqrt(np.sum(e**2) / np.sum(predicted**2)))
+    cosine = e @ predicted / math.sqrt(e @ e * (predicted @ predicted))
+    assert comparison.correlation == pytest.approx(cosine)
+    assert 0.5 < cosine < 0.999
+
+
+@pytest.mark.parametrize(("share", "correlation"), [(2.0, 1.0), (-0.5, -1.0), (1j, 0.0)])
+def test_errors_of_one_shape_correlate_wholly_whatever_their_size(share, correlation):
+    wave = np.exp(2j * np.pi * np.arange(8) / 8)
+    errors = ErrorComparison(error_model(), np.arange(8), (share * wave).real, 3.0 * wave.real)
+    assert errors.correlation == pytest.approx(correlation, abs=1e-12)
+    assert errors.ratio == pytest.approx(abs(share) / 3.0)
+
+
 # Measured over all corners of the decades: 0.992…1.000 (area), 0.998…1.014 (lag). 5 % is required.
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -285,8 +321,12 @@ def test_another_controller_is_refused():
         error_model(Scenario(controller=PidParameters()))
 
 
-def test_plot_shows_both_errors():
-    scenario = changed(loop(reference=LAG_SINE), {"simulation.duration_s": 1.0})
-    ax = compare_error(scenario).plot()
-    assert [line.get_label() for line in ax.lines] == ["simulated", "closed form"]
-    assert CylinderParameters().mean_area_m2 == pytest.approx(MEAN_AREA, rel=1e-12)
+def test_plot_shows_both_errors_in_mm(curves):
+    errors = ErrorComparison(error_model(), np.arange(3.0), np.arange(3.0), -np.arange(3.0))
+    ax = errors.plot()
+    lines = curves(ax)
+    assert list(lines) == ["simulated", "closed form"]
+    for label, sign in (("simulated", 1e3), ("closed form", -1e3)):
+        assert lines[label][0] == pytest.approx(np.arange(3.0))
+        assert lines[label][1] == pytest.approx(sign * np.arange(3.0))
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time (s)", "error of the rod (mm)")

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -23,6 +24,7 @@ from kneexo.parameters import (
     SineReference,
     StepReference,
 )
+from kneexo.parameters.paths import changed
 
 TIME = np.arange(0.0, 4.0, 0.002)
 
@@ -135,58 +137,101 @@ def test_power_over_rating_is_flagged():
     assert m.power_over_rating_share == pytest.approx(0.25)
 
 
-def test_tracking_a_fast_small_sine_gives_settings_signals_and_a_plot():
-    scenario = Scenario(
-        reference=SineReference(mean_deg=40.0, amplitude_deg=2.0, frequency_hz=1.0),
-        simulation=SimulationParameters(duration_s=1.5),
+BRISK = Scenario(
+    plant=PlantParameters(
+        pump=BldcPumpParameters(rated_power_w=0.3),
+        cylinder=CylinderParameters(pressure_rating_pa=7.3e4),
+        load=KneeLoadParameters(),
+    ),
+    reference=SineReference(mean_deg=40.0, amplitude_deg=5.0, frequency_hz=2.0),
+    simulation=SimulationParameters(duration_s=0.8),
+)
+
+
+@pytest.fixture(scope="module")
+def brisk():
+    return track(BRISK)
+
+
+def test_the_metrics_of_a_run_are_those_of_its_columns_limits_and_ratings(brisk):
+    run, m = brisk.run, brisk.metrics
+    assert brisk.scenario == BRISK
+    assert run.settings == BRISK.simulation
+    assert run.time_s == pytest.approx(0.002 * np.arange(401))
+    limit, late = 5000.0, slice(250, None)  # from one period on
+    error = np.degrees(run["knee_reference_rad"] - run["knee_angle_rad"])
+    assert brisk.error_deg == pytest.approx(error)
+    command = run["motor_speed_command_rad_s"] * 30.0 / math.pi
+    pressure, shaft = run["load_pressure_pa"], run["shaft_power_w"]
+    assert dataclasses.asdict(m) == pytest.approx(
+        {
+            "max_error_deg": np.abs(error[late]).max(),
+            "rms_error_deg": math.sqrt(np.mean(error[late] ** 2)),
+            "max_error_overall_deg": np.abs(error).max(),
+            "rms_error_overall_deg": math.sqrt(np.mean(error**2)),
+            "mean_command_change_rpm": np.abs(np.diff(command[late])).mean(),
+            "saturated_share": np.mean(np.abs(command[late]) > 0.999999 * limit),
+            "peak_command_rpm": np.abs(command).max(),
+            "peak_pressure_mpa": 1e-6 * np.abs(pressure).max(),
+            "pressure_over_rating_share": np.mean(np.abs(pressure) > 7.3e4),
+            "peak_shaft_power_w": np.abs(shaft).max(),
+            "power_over_rating_share": np.mean(np.abs(shaft) > 0.3),
+            "shaft_energy_j": np.trapezoid(shaft, run.time_s),
+            "shaft_energy_delivered_j": np.trapezoid(shaft.clip(0.0), run.time_s),
+            "hydraulic_energy_j": np.trapezoid(run["hydraulic_power_w"], run.time_s),
+        }
     )
-    result = track(scenario, all_signals=True)
-    assert result.metrics.max_error_deg < 0.5
-    assert result.run.settings == scenario.simulation
-    assert result.run.time_s[-1] == pytest.approx(1.5)
-    assert np.all(np.isfinite(np.stack(list(result.run.data.values()))))
-    axes = result.plot()
-    assert [text.get_text() for text in axes[2].get_legend().get_texts()] == ["limit ±5000 rpm"]
-    assert [ax.get_ylabel() for ax in axes] == [
+    for name in ("saturated", "power_over_rating", "pressure_over_rating"):
+        assert 0.1 < getattr(m, f"{name}_share") < 0.95
+    assert m.shaft_energy_j != pytest.approx(m.hydraulic_energy_j, rel=1e-3)
+
+
+def test_a_plot_shows_angle_error_and_command(brisk, curves):
+    run, time = brisk.run, brisk.run.time_s
+    angle, error, command = brisk.plot()
+    lines = curves(angle)
+    for label, name in (("knee angle", "knee_angle_rad"), ("reference", "knee_reference_rad")):
+        assert lines[label][0] == pytest.approx(time)
+        assert lines[label][1] == pytest.approx(np.degrees(run[name]))
+    line, zero = error.lines
+    assert line.get_xdata() == pytest.approx(time)
+    assert line.get_ydata() == pytest.approx(brisk.error_deg)
+    line, below, above = command.lines
+    assert line.get_xdata() == pytest.approx(time)
+    assert line.get_ydata() == pytest.approx(run["motor_speed_command_rad_s"] * 30.0 / math.pi)
+    levels = [list(line.get_ydata()) for line in (zero, below, above)]
+    assert levels == [pytest.approx(2 * [level]) for level in (0.0, -5000.0, 5000.0)]
+    assert [text.get_text() for text in command.get_legend().get_texts()] == ["limit ±5000 rpm"]
+    # Room for the legends above what is drawn.
+    assert command.get_ylim()[1] > 1.25 * 5000.0
+    assert angle.get_ylim()[1] > np.degrees(run["knee_reference_rad"]).max() + 2.0
+    assert [ax.get_xlabel() for ax in (angle, error, command)] == ["", "", "time (s)"]
+    assert [ax.get_ylabel() for ax in (angle, error, command)] == [
         "knee angle (deg)",
         "tracking error (deg)",
         "motor speed command (rpm)",
     ]
+    for ax in (brisk.plot_angle(), brisk.plot_error()):
+        assert ax.get_xlabel() == "time (s)"
 
 
-def test_the_metrics_of_a_run_are_those_of_its_columns_limits_and_ratings():
-    scenario = Scenario(
-        plant=PlantParameters(
-            pump=BldcPumpParameters(rated_power_w=0.3),
-            cylinder=CylinderParameters(pressure_rating_pa=7.3e4),
-            load=KneeLoadParameters(),
-        ),
-        reference=SineReference(mean_deg=40.0, amplitude_deg=2.0, frequency_hz=1.0),
-        simulation=SimulationParameters(duration_s=1.5),
-    )
-    result = track(scenario)
-    run, m = result.run, result.metrics
-    shaft, hydraulic = run["shaft_power_w"], run["hydraulic_power_w"]
-    assert m.shaft_energy_j == pytest.approx(np.trapezoid(shaft, run.time_s))
-    assert m.hydraulic_energy_j == pytest.approx(np.trapezoid(hydraulic, run.time_s))
-    assert m.shaft_energy_j != pytest.approx(m.hydraulic_energy_j, rel=1e-3)
-    assert m.power_over_rating_share == np.mean(np.abs(shaft) > 0.3)
-    assert m.pressure_over_rating_share == np.mean(np.abs(run["load_pressure_pa"]) > 7.3e4)
-    assert 0.0 < m.power_over_rating_share < 1.0
-    assert 0.0 < m.pressure_over_rating_share < 1.0
-    settled = run.time_s >= 1.0
-    error = np.degrees(run["knee_reference_rad"] - run["knee_angle_rad"])[settled]
-    assert m.max_error_deg == pytest.approx(np.abs(error).max())
+def test_a_command_without_limit_is_drawn_without_one(brisk):
+    ideal = {"plant.ideal_motor": True, "controller.command_limit_rad_s": 1e12}
+    boundless = changed(BRISK, ideal)
+    ax = dataclasses.replace(brisk, scenario=boundless).plot()[2]
+    assert len(ax.lines) == 1
+    assert ax.get_legend() is None
 
 
-def test_the_figures_alone_are_those_of_the_whole_result():
-    scenario = Scenario(
-        reference=SineReference(mean_deg=40.0, amplitude_deg=5.0, frequency_hz=2.0),
-        simulation=SimulationParameters(duration_s=0.8),
-    )
-    figures, metrics = track_figures(scenario), track(scenario).metrics
+def test_all_signals_are_finite():
+    result = track(BRISK, all_signals=True)
+    assert {"rod_extension_m", "motor_speed_rad_s"} <= set(result.run.data)
+    assert np.all(np.isfinite(np.stack(list(result.run.data.values()))))
+
+
+def test_the_figures_alone_are_those_of_the_whole_result(brisk):
+    figures, metrics = track_figures(BRISK), brisk.metrics
     assert figures == {name: getattr(metrics, name) for name in TRACKING_FIGURES}
-    assert figures["saturated_share"] > 0.1
 
 
 def test_a_step_saturates_and_settles():
