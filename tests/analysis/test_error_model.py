@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from kneexo.analysis import simulate
-from kneexo.analysis.error_model import ErrorComparison, compare_error, error_model
+from kneexo.analysis.error_model import ErrorComparison, ErrorModel, compare_error, error_model
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import ParameterError
 from kneexo.parameters import KneeLoadParameters, PidParameters, Scenario
@@ -170,6 +170,10 @@ def test_loaded_area_below_the_mean_is_negative_damping():
             assert linearize_loop(scenario, 40.0).stable is stable
             if lambda_ < 20.0:
                 assert error_model(scenario).stable is stable
+
+
+def test_a_loop_without_gain_is_not_stable():
+    assert not ErrorModel(20.0, 0.0, STIFFNESS, 1.0, 0.0, 0.0).stable
 
 
 # --------------------------------------------------------------------- against simulation

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from kneexo import linkage
 from kneexo.analysis import fit_polynomials
 from kneexo.analysis.signals import rms
 from kneexo.errors import LinkageError
@@ -36,9 +37,40 @@ def test_a_linkage_that_cannot_be_assembled_is_refused():
         fit_polynomials(LinkageParameters(a_2_m=0.2))
 
 
-def test_the_plot_has_the_two_maps_of_fig_5():
-    axes = fit_polynomials().plot()
-    assert [ax.get_xlabel() for ax in axes] == ["knee angle θ_p (deg)", "rod extension x (mm)"]
+def test_errors_are_linkage_minus_polynomial():
+    fit, table = fit_polynomials(samples=91), RodPolynomialParameters()
+    rod = 1e3 * linkage.rod_extension(LinkageParameters(), np.radians(np.arange(91.0)))
+    assert fit.angle_deg == pytest.approx(np.arange(91.0))
+    assert fit.extension_mm == pytest.approx(rod)
+    for error, argument, value, coefficients in (
+        (fit.p_error_mm, fit.angle_deg, rod, fit.p_mm_deg),
+        (fit.q_error_deg, rod, fit.angle_deg, fit.q_deg_mm),
+        (fit.table_p_error_mm, fit.angle_deg, rod, table.p_mm_deg),
+        (fit.table_q_error_deg, rod, fit.angle_deg, table.q_deg_mm),
+    ):
+        assert error == pytest.approx(value - np.polyval(coefficients, argument), abs=1e-9)
+    assert fit.p_sse_mm2 == pytest.approx(fit.p_error_mm @ fit.p_error_mm)
+    assert fit.q_sse_deg2 == pytest.approx(fit.q_error_deg @ fit.q_error_deg)
+
+
+def test_the_plot_has_the_two_maps_of_fig_5(curves):
+    fit, table = fit_polynomials(samples=91), RodPolynomialParameters()
+    angle, rod = "knee angle θ_p (deg)", "rod extension x (mm)"
+    axes = fit.plot()
+    assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in axes] == [(angle, rod), (rod, angle)]
+    values = {angle: fit.angle_deg, rod: fit.extension_mm}
+    for ax, own, printed in (
+        (axes[0], fit.p_mm_deg, table.p_mm_deg),
+        (axes[1], fit.q_deg_mm, table.q_deg_mm),
+    ):
+        x, y, lines = values[ax.get_xlabel()], values[ax.get_ylabel()], curves(ax)
+        for label, abscissa, ordinate in (
+            ("linkage (Eq. 1–9)", x[::30], y[::30]),
+            ("quintic fit", x, np.polyval(own, x)),
+            ("Table 1", x, np.polyval(printed, x)),
+        ):
+            assert lines[label][0] == pytest.approx(abscissa)
+            assert lines[label][1] == pytest.approx(ordinate)
 
 
 def test_quintics_fitted_to_g4_leave_the_printed_errors_of_fig_5():

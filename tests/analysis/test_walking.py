@@ -10,6 +10,7 @@ import pytest
 from kneexo import linkage
 from kneexo.analysis import simulate
 from kneexo.analysis.hardware import ACCELERATION_LIMIT, DISPLACEMENT, scaled, tuned
+from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import TRACKING_SIGNALS
 from kneexo.analysis.walking import (
     WALKING_FIGURES,
@@ -224,6 +225,21 @@ def test_a_run_that_fails_says_why():
     found = walking_metrics(scenario)
     assert all(math.isnan(found[name]) for name in WALKING_FIGURES)
     assert "left the range of motion" in found["failure"]
+
+
+def test_the_linear_error_is_that_of_forty_harmonics():
+    demand = walking_demand(WALKS, 1.25)
+    angle = np.radians(demand.knee_angle_deg[:-1])
+    rod = linkage.rod_extension(G1, angle)
+    loop = linearize_loop(WALKS, 0.5 * (demand.knee_angle_deg.min() + demand.knee_angle_deg.max()))
+    turn = 2j * math.pi * np.arange(1000) / 1000.0
+    error = np.zeros(1000)
+    for order in range(1, 41):
+        part = 2.0 * np.mean(rod * np.exp(-order * turn)) * np.exp(order * turn)
+        error += (part * (loop.output_response(order * 1.25)[0] - 1.0)).real
+    error = np.degrees(error / linkage.moment_arm(G1, angle))
+    expected = np.append(error, error[0])
+    assert linear_error_deg(WALKS, demand) == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_loop_that_walks_does_what_inverse_dynamics_and_the_linear_loop_say():
