@@ -217,6 +217,23 @@ def test_other_input_that_is_wrong_is_one_line_and_leaves_the_builder_as_it_was(
         add_meshcat_view(builder, {second: G1}, meshcat)
 
 
+def test_the_colour_is_full_at_the_rating_of_the_cylinder(meshcat, commands):
+    builder, inner = DiagramBuilder(), DiagramBuilder()
+    for port, value in (("knee_angle", 0.5), ("load_pressure", 0.7e6)):  # a fifth of 3.5 MPa
+        constant = inner.AddNamedSystem(port, ConstantVectorSource([value]))
+        inner.ExportOutput(constant.get_output_port(), port)
+    leg = builder.AddNamedSystem("leg", inner.Build())
+    add_meshcat_view(builder, {leg: G1}, meshcat)
+    diagram = builder.Build()
+    diagram.ForcedPublish(diagram.CreateDefaultContext())
+    colour = {
+        command["property"]: command["value"]
+        for command in commands(meshcat.StaticHtml())
+        if command.get("path") == "/drake/knees/leg/cylinder/cylinder/<object>"
+    }
+    assert [colour[f"material.color[{c}]"] for c in "rgb"] == pytest.approx([0.86, 0.71, 0.70])
+
+
 def test_a_view_goes_beside_the_scene_graph_of_a_user(meshcat):
     builder = DiagramBuilder()
     leg = source(builder, "mine")

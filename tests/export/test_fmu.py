@@ -326,6 +326,9 @@ def test_loaded_loop_of_full_order_follows_the_compiled_run(path, fmu_instance):
     rows = _loop_run(loop, _steps(data), *names)
     for name, values in zip(names, rows.T, strict=True):
         assert _relative(values, data[name]) < 1e-9, name
+    loop.fmu.reset()
+    loop.start(**{"initial.cap_pressure_pa": 3e5, "initial.rod_side_pressure_pa": 4e5})
+    assert loop.get("cap_pressure_pa", "rod_side_pressure_pa") == [3e5, 4e5]
 
 
 def test_sampled_reference_is_an_input(path, fmu_instance):
@@ -425,6 +428,23 @@ def test_initial_states_are_parameters(path, fmu_instance):
     )
     assert plant.get("rod_extension_m", "load_pressure_pa") == [0.1, 2.5e5]
     assert plant.get("rod_force_n") == pytest.approx(2.5e5 * 2.748893571891069e-4, rel=1e-12)
+
+
+def test_initial_states_of_a_plant_of_full_order_are_those_of_the_closed_loop():
+    loop = make_closed_loop(LOADED, signals=())
+    context = loop.CreateDefaultContext()
+    ports = ("motor_speed", "rod_extension", "rod_velocity", "chamber_pressures")
+    expected = [value for port in ports for value in loop.GetOutputPort(port).Eval(context)]
+    names = [name for port in ports for name in SIGNALS[port]]
+    fmu = make_fmu(LOADED, "plant")
+    initial = [p for p in fmu.parameters if p.name.startswith("initial.")]
+    assert [p.name for p in initial] == [f"initial.{name}" for name in names]
+    assert [p.start for p in initial] == pytest.approx(expected, rel=1e-12)
+    assert expected[3] != expected[4]
+    states = ["plant/motor.x[0]", *(f"plant/cylinder.x[{i}]" for i in range(4))]
+    assert list(fmu.source.equations.states) == states
+    assert [p.members for p in initial] == [(f"initial_x[{i}]",) for i in range(5)]
+    assert [p.divisor for p in initial] == [1e3, 1.0, 1.0, 1e6, 1e6]  # rad/s, m, m/s, Pa
 
 
 def test_beyond_its_stops_the_knee_fails_with_a_reason(path, fmu_instance):

@@ -5,7 +5,7 @@ import pytest
 
 from kneexo import linkage
 from kneexo.analysis import linearize_plant
-from kneexo.diagrams import make_closed_loop
+from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.errors import ParameterError
 from kneexo.export.target import WHAT, count_range, largest_step_s, require_step, target
 from kneexo.parameters import Scenario
@@ -49,6 +49,24 @@ def test_an_encoder_that_is_not_quantized_has_no_counts():
 def test_exact_states_are_an_input():
     exact = target(scenario_of(estimator={"kind": "exact"}), "controller", counts=True)
     assert exact.inputs == ("encoder_count", "knee_reference", "rod_state")
+
+
+def test_fields_of_the_rod_state_follow_its_port():
+    exported = target(scenario_of(estimator={"kind": "exact"}), "controller")
+    plant = make_plant()
+    context = plant.CreateDefaultContext()
+    state = np.array([0.3, 0.12, 0.034, 0.5])  # motor speed, extension, velocity, pressure
+    context.SetContinuousState(state)
+    plant.GetInputPort("motor_speed_command").FixValue(context, [0.0])
+    rates = plant.EvalTimeDerivatives(context).CopyToVector()
+    values = plant.GetOutputPort("rod_state").Eval(context)
+    expected = {
+        "rod_extension_m": plant.GetOutputPort("rod_extension").Eval(context)[0],
+        "rod_velocity_m_s": plant.GetOutputPort("rod_velocity").Eval(context)[0],
+        "rod_acceleration_m_s2": rates[2],
+    }
+    assert len(set(expected.values())) == 3
+    assert dict(zip(exported.interface.fields["rod_state"], values, strict=True)) == expected
 
 
 @pytest.mark.parametrize("fields", [{}, {"encoder": {"mounting_error_rad": 0.05}}])
