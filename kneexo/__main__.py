@@ -5,7 +5,12 @@ import sys
 
 
 def main() -> int:
-    """Run `kneexo.cli.main`; Ctrl-C before and after it is no traceback either."""
+    """Run `kneexo.cli.main`; Ctrl-C before and after it is no traceback either.
+
+    Modules of the working directory can be imported, as with ``python -m``.
+    """
+    if "" not in sys.path and not sys.flags.safe_path:
+        sys.path.append("")  # last: a file there replaces no module of others
     try:
         from kneexo.cli import main as command
 

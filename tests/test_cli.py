@@ -12,6 +12,7 @@ import time
 import warnings
 from contextlib import contextmanager, suppress
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -482,6 +483,23 @@ def test_an_interrupt_after_the_command_ends_python_at_once(monkeypatch):
         assert signal.getsignal(signal.SIGINT) == signal.SIG_DFL
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_modules_of_the_working_directory_are_found_after_all_others(monkeypatch, tmp_path):
+    (tmp_path / "my_law_of_control.py").write_text("GAIN = 7\n")
+    (tmp_path / "json.py").write_text("raise AssertionError\n")
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p not in ("", os.getcwd())])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.delitem(sys.modules, "json")
+    monkeypatch.chdir(tmp_path)
+
+    def command():
+        import_module("json")
+        return import_module("my_law_of_control").GAIN
+
+    monkeypatch.setattr(cli, "main", command)
+    assert command_line.main() == 7
+    monkeypatch.delitem(sys.modules, "my_law_of_control")
 
 
 def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp_path):

@@ -115,6 +115,13 @@ def test_make_and_cmake_build_the_folder(folder, no_targets):
     made = subprocess.run(["make", "test"], cwd=folder, capture_output=True, text=True, check=True)
     assert "20 steps, 0 failures" in made.stdout
     assert {path.name for path in folder.iterdir()} == FILES | {"build"}
+    # Another compiler or other flags make the objects anew, the same ones do not.
+    for flags, objects in (("-O1", 2), ("-O1", 0), ("-O0 -DQUOTED='a b'", 2)):
+        command = ["make", f"CFLAGS={flags}"]
+        made = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+        assert made.stdout.count(f"{flags} -c -o build/") == objects
+    made = subprocess.run(["make", "CC=true"], cwd=folder, capture_output=True, text=True)
+    assert made.stdout.count("true ") == 2
     subprocess.run(["make", "clean"], cwd=folder, capture_output=True, check=True)
     if shutil.which("cmake"):
         for command in (["cmake", "-B", "build"], ["cmake", "--build", "build"]):

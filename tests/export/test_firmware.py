@@ -1,7 +1,11 @@
 """C of a scenario: vectors against the closed loop, and the command line."""
 
 import json
+import os
+import re
 import shutil
+import subprocess
+import sysconfig
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +22,7 @@ from kneexo.parameters import Scenario
 from kneexo.simulation import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
 
+FIRMWARE_MD = Path(__file__).parents[2] / "docs" / "firmware.md"
 SHORT = {"simulation": {"duration_s": 0.4}}
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
 
@@ -267,6 +272,23 @@ def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch,
     result = json.loads(capsys.readouterr().out)
     assert result["replay"]["difference"]["motor_speed_command_rad_s"] < 1e-12 * 523.6
     assert "timer interrupt at 1000 Hz" in (out / "README.md").read_text()
+
+
+@pytest.mark.slow
+def test_the_documented_command_exports_the_users_controller_of_its_directory(tmp_path):
+    (command,) = re.findall(r"```sh\n(cd examples\n.*?)```", FIRMWARE_MD.read_text(), re.DOTALL)
+    shutil.copytree(FIRMWARE_MD.parents[1] / "examples", tmp_path / "examples")
+    scripts = sysconfig.get_path("scripts")
+    path = f"{scripts}{os.pathsep}{os.environ['PATH']}"
+    ran = subprocess.run(
+        ["sh", "-e", "-c", command],
+        cwd=tmp_path,
+        env=os.environ | {"PATH": path},
+        capture_output=True,
+        text=True,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert (tmp_path / "examples" / "firmware" / "controller.c").exists()
 
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path, short, capsys):
