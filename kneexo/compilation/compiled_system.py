@@ -10,8 +10,17 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
 
-from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, Runner, State
-from kneexo.compilation.time_loop import OK
+from kneexo.compilation.runner import (
+    STEP_S,
+    TOLERANCE,
+    Array,
+    InputTable,
+    Runner,
+    State,
+    element_name,
+    not_finite,
+)
+from kneexo.compilation.time_loop import OK, OUTPUT_NOT_FINITE
 
 if TYPE_CHECKING:
     from kneexo.compilation.model import CompiledModel
@@ -84,7 +93,7 @@ class CompiledSystem(LeafSystem):
             self.DeclareVectorOutputPort(
                 name,
                 size,
-                partial(self._copy_output, entry, slice(first, first + size)),
+                partial(self._copy_output, name, entry, slice(first, first + size)),
                 {entry.ticket()},
             )
             first += size
@@ -125,8 +134,13 @@ class CompiledSystem(LeafSystem):
         value.set_value(self._running.Eval(context).outputs(self._state(context), tick, inputs))
 
     @staticmethod
-    def _copy_output(entry: Any, part: slice, context: Any, output: Any) -> None:
-        output.set_value(entry.Eval(context)[part])
+    def _copy_output(name: str, entry: Any, part: slice, context: Any, output: Any) -> None:
+        values = entry.Eval(context)[part]
+        finite = np.isfinite(values)
+        if not finite.all():
+            element = int(np.argmin(finite))
+            raise not_finite(context.get_time(), element_name(name, element, values.size))
+        output.set_value(values)
 
 
 class _Running:
@@ -158,7 +172,8 @@ class _Running:
         size = self._system._size
         self._x[:, 0], self._d[:, 0], self._last[0] = state[:size], state[size:], last
         status = self._runner.go(first, last, rows, [inputs])
-        if status[0, 0] != OK:
+        # An output may be one that nobody reads.
+        if status[0, 0] not in (OK, OUTPUT_NOT_FINITE):
             model, timing = self._system.model, self._runner.timing
             after = State(self._x[:, 0].copy(), self._d[:, 0].copy())
             raise model.fault(status[0].tolist(), timing, self._parameters[0], after)

@@ -26,9 +26,10 @@ from kneexo.compilation.runner import (
     State,
     Timing,
     address,
+    not_finite,
     require_shape,
 )
-from kneexo.compilation.time_loop import NOT_FINITE, OK, TOO_ROUGH
+from kneexo.compilation.time_loop import NOT_FINITE, OK, OUTPUT_NOT_FINITE, TOO_ROUGH
 from kneexo.errors import (
     CompilationError,
     KneexoError,
@@ -179,8 +180,8 @@ class CompiledModel:
         Raises
         ------
         SimulationError
-            A state is not finite or a system left its limits; `StiffnessError` where the exact
-            hold cannot follow.
+            A state or a recorded output is not finite, or a system left its limits;
+            `StiffnessError` where the exact hold cannot follow.
         ParameterError
             A parameter is not finite.
         """
@@ -312,9 +313,13 @@ class CompiledModel:
         runs: list[Simulation | SimulationError] = []
         for lane, index in enumerate(indices):
             final = State(x[:, lane].copy(), d[:, lane].copy())
-            outcome = status[lane].tolist()
+            outcome = _outcome(status[lane], int(last[lane]), final)
             if outcome[0] != OK:
-                runs.append(self.fault(outcome, runner.timing, batch.parameters[index], final))
+                output = ""
+                if outcome[0] == OUTPUT_NOT_FINITE:
+                    output = runner.output_not_finite(record[lane, :, outcome[1] // every])
+                parameters = batch.parameters[index]
+                runs.append(self.fault(outcome, runner.timing, parameters, final, output))
                 continue
             rows = int(last[lane]) // every + 1
             runs.append(self._simulation(runner, times[:rows], record[lane, :, :rows], final))
@@ -344,12 +349,17 @@ class CompiledModel:
         if ticks.size:
             last = np.maximum(last, ticks[-1] + 1)
         runner.restart(batch.parameters)
-        (outcome,) = runner.run(x, d, 0, last, batch.inputs, kept=kept).tolist()
+        (status,) = runner.run(x, d, 0, last, batch.inputs, kept=kept)
         final = State(x[:, 0].copy(), d[:, 0].copy())
+        outcome = _outcome(status, int(last[0]), final)
         if outcome[0] != OK:
             return self.fault(outcome, runner.timing, batch.parameters[0], final)
-        record = runner.records_between(kept, batch.inputs[0], times, places.astype(np.int64))
-        return self._simulation(runner, times, record[0], final)
+        (record,) = runner.records_between(kept, batch.inputs[0], times, places.astype(np.int64))
+        finite = np.isfinite(record).all(axis=0)
+        if not finite.all():
+            row = int(np.argmin(finite))
+            return not_finite(times[row], runner.output_not_finite(record[:, row]))
+        return self._simulation(runner, times, record, final)
 
     def as_system(
         self, parameters: Array, state: State, *, tick_s: float | None = None, **options: Any
@@ -373,16 +383,24 @@ class CompiledModel:
         )
 
     def fault(
-        self, outcome: Sequence[int], timing: Timing, parameters: Array, state: State
+        self,
+        outcome: Sequence[int],
+        timing: Timing,
+        parameters: Array,
+        state: State,
+        output: str = "",
     ) -> SimulationError:
-        """What a run raises that ended with ``outcome``: status, tick, and which limit."""
+        """What a run raises that ended with ``outcome``: status, tick, and which limit.
+
+        ``output``: the name of the output that is not finite, where the run ended for that.
+        """
         status, tick, which = outcome
         time = timing.times(tick)
-        if status == NOT_FINITE:
-            name = self.state_names[int(np.argmin(np.isfinite(state.continuous)))]
-            return SimulationError(
-                f"t = {time:.6g} s: {name} is not finite; reduce the step or check the parameters"
-            )
+        if status in (NOT_FINITE, OUTPUT_NOT_FINITE):
+            finite = np.isfinite(np.concatenate((state.continuous, state.held)))
+            names = (*self.state_names, *self.held_names)
+            # A state that is not finite is the cause of such an output.
+            return not_finite(time, output if finite.all() else names[int(np.argmin(finite))])
         if status == TOO_ROUGH:
             return StiffnessError(
                 f"t = {time:.6g} s: the integrator exact_hold cannot hold its tolerance (the "
@@ -454,6 +472,14 @@ def state_of(root: Node, context: Any) -> State:
         for group in range(own.num_discrete_state_groups()):
             held += own.get_discrete_state(group).CopyToVector().tolist()
     return State(np.array(continuous), np.array(held))
+
+
+def _outcome(status: Integers, last: int, final: State) -> list[int]:
+    """Status, tick and limit of a run; discrete states are looked at only at its end."""
+    outcome: list[int] = status.tolist()
+    if outcome[0] == OK and not np.isfinite(final.held).all():
+        return [NOT_FINITE, last, 0]
+    return outcome
 
 
 def _columns(vectors: Sequence[Array]) -> Array:

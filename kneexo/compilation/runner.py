@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from kneexo.compilation import exact_hold
 from kneexo.compilation.printer import MEMO_LINES
 from kneexo.compilation.time_loop import BETWEEN, DOUBLES, INPUT, INTEGRATORS, OK, RUN
-from kneexo.errors import CompilationError
+from kneexo.errors import CompilationError, SimulationError
 
 if TYPE_CHECKING:
     from kneexo.compilation.model import CompiledModel
@@ -102,6 +102,18 @@ def require_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
     """Raise `ValueError` for another shape: machine code would not notice."""
     if values.shape != expected:
         raise ValueError(f"{name} has the shape {values.shape}: must be {expected}")
+
+
+def element_name(port: str, element: int, size: int) -> str:
+    """Name of an element of an output port of some size."""
+    return f"{port}[{element}]" if size > 1 else port
+
+
+def not_finite(time_s: float, name: str) -> SimulationError:
+    """What a run raises for a state or an output that is not finite."""
+    return SimulationError(
+        f"t = {time_s:.6g} s: {name} is not finite; reduce the step or check the parameters"
+    )
 
 
 def address(array: NDArray[Any]) -> int:
@@ -316,6 +328,16 @@ class Runner:
         arguments.row = row
         self._run(self._address)
         return self._status
+
+    def output_not_finite(self, values: Array) -> str:
+        """Name of the first of the recorded outputs (columns,) that is not finite."""
+        column = int(np.argmin(np.isfinite(values)))
+        for name in self.names:
+            size = self.model.outputs[name]
+            if column < size:
+                break
+            column -= size
+        return element_name(name, column, size)
 
     def records_between(
         self,

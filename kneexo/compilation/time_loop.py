@@ -43,9 +43,9 @@ from kneexo.compilation.printer import (
 INTEGRATORS = ("exact_hold", "rk4", "runge_kutta3")
 """Time integrators of every compiled model."""
 
-OK, NOT_FINITE, OUTSIDE, TOO_ROUGH = range(4)
-"""How a run ended: at its end, with a state that is not finite, outside a limit, or where the exact
-hold cannot hold its tolerance."""
+OK, NOT_FINITE, OUTSIDE, TOO_ROUGH, OUTPUT_NOT_FINITE = range(5)
+"""How a run ended: at its end, with a state that is not finite, outside a limit, where the exact
+hold cannot hold its tolerance, or with a recorded output that is not finite."""
 
 RUN = (
     *("c", "own_c", "x", "d", "inputs", "tick", "unit", "split", "first", "last", "longest"),
@@ -78,6 +78,8 @@ DOUBLES = ("tick", "unit", "step", "tolerance")
 
 INPUT = ("break_count", "breaks", "powers", "coefficients")
 """An input table: see `InputTable`."""
+
+_CHECKS = 4  # sums that go on at the same time
 
 _INLINED_STATES, _INLINED_NODES = 8, 1500  # beyond that derivatives are called
 
@@ -390,6 +392,8 @@ class _Run:
             firing = firing | fires[number]
         wanted, columns = a.array("wanted", BYTE), a.array("columns")
         margins: dict[int, Value] = {}
+        # NaN where an output of the lane is not finite, else 0. A single sum would take longer.
+        checks = [f.variable(f.constant(0.0, model.type)) for _ in range(_CHECKS)]
 
         def condition(of: tuple[str, int]) -> Value:
             kind, index = of
@@ -399,8 +403,12 @@ class _Run:
             kind, index = place
             if kind == "margin":
                 margins[index] = f.coerce(value, model.type)
+            elif kind == "after":
+                self.after[index] = value
             else:
-                (self.after if kind == "after" else model.y)[index] = value
+                model.y[index] = value
+                check = checks[index % _CHECKS]
+                check.set(f.fma(value, 0.0, check.get()))
 
         with f.when(recording | firing):
             if len(fires) > 1:  # else all of them are written
@@ -415,6 +423,11 @@ class _Run:
             looking = now.running | (now.present & recording)
             for which, margin in margins.items():
                 self._fail(looking & ~(margin >= 0.0), OUTSIDE, now.number, which)
+            total = checks[0].get()
+            for check in checks[1:]:
+                total = total + check.get()
+            bad = now.present & self.alive.get() & total.differs(0.0)
+            self._fail(bad, OUTPUT_NOT_FINITE, now.number)
             running = now.running & self.alive.get()
             with f.when(firing & f.any_lane(running)):
                 for i in f.each(model.held):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydrake.symbolic import Variable, sqrt
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
@@ -9,6 +10,7 @@ from pydrake.systems.primitives import (
     Gain,
     Integrator,
     LogVectorOutput,
+    SymbolicVectorSystem,
 )
 
 from kneexo.compilation import State, compile_diagram
@@ -122,6 +124,21 @@ def test_a_failed_run_raises_what_a_direct_one_raises():
     with pytest.raises(SimulationError) as wrapped:
         Simulator(model.as_system(parameters, state)).AdvanceTo(5.0)
     assert str(wrapped.value) == str(direct.value)
+
+
+def test_a_port_that_is_not_finite_raises_where_it_is_read():
+    """Ports with t and √(0.015 − t), and with t: a port that nobody reads may be anything."""
+    t = Variable("t")
+    builder = DiagramBuilder()
+    for name, output in (("roots", [t, sqrt(0.015 - t)]), ("clock", [t])):
+        part = builder.AddNamedSystem(name, SymbolicVectorSystem(time=t, output=output))
+        builder.ExportOutput(part.get_output_port(), name)
+    model = compile_diagram(builder.Build())
+    nothing = State(np.zeros(0), np.zeros(0))
+    (clock,), _ = run_logged(model.as_system([], nothing, tick_s=0.01), ["clock"], 0.05, 0.01)
+    np.testing.assert_allclose(clock.data()[0], clock.sample_times(), atol=1e-15)
+    with pytest.raises(SimulationError, match=r"^t = 0\.02 s: roots\[1\] is not finite"):
+        run_logged(model.as_system([], nothing, tick_s=0.01), ["roots"], 0.05, 0.01)
 
 
 def test_feedback_around_a_plant_is_no_algebraic_loop():

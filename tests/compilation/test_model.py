@@ -671,6 +671,81 @@ def test_a_state_that_is_not_finite_ends_the_run(integrator):
         model.simulate(parameters, bad, 0.1, integrator=integrator)
 
 
+@pytest.fixture(scope="module")
+def logarithm():
+    """Model with the outputs ``pair``, x and ln(a − t), and ``held``, the same held for 20 ms."""
+    t, x, a = (Variable(name) for name in "txa")
+    pair = [x, symbolic.log(a - t)]
+    system = SymbolicVectorSystem(time=t, state=[x], parameter=[a], dynamics=[-x], output=pair)
+    builder = DiagramBuilder()
+    source = builder.AddNamedSystem("source", system)
+    hold = builder.AddNamedSystem("hold", ZeroOrderHold(0.02, 2))
+    builder.Connect(source.get_output_port(), hold.get_input_port())
+    builder.ExportOutput(source.get_output_port(), "pair")
+    builder.ExportOutput(hold.get_output_port(), "held")
+    return compile_diagram(builder.Build())
+
+
+def message(model, a, **options):
+    """The error of a run of 0.1 s of the `logarithm`; empty where it has none."""
+    state = State(np.ones(1), np.zeros(2))
+    try:
+        model.simulate([a], state, 0.1, **{"record_period_s": 0.01} | options)
+    except SimulationError as error:
+        return str(error)
+    return ""
+
+
+NOT_FINITE = "is not finite; reduce the step or check the parameters"
+
+
+def test_a_recorded_output_that_is_not_finite_ends_the_run(logarithm):
+    for a, time in ((-1.0, "0"), (0.0, "0"), (0.015, "0.02"), (0.0999, "0.1")):
+        ours = message(logarithm, a, outputs=["pair"])
+        assert ours == f"t = {time} s: pair[1] {NOT_FINITE}"
+    assert message(logarithm, 0.11, outputs=["pair"]) == ""
+
+
+def test_a_discrete_state_that_is_not_finite_ends_the_run(logarithm):
+    # The hold takes nan at 0.02 s; a record there sees the state before.
+    assert message(logarithm, 0.015, outputs=["held"]) == f"t = 0.03 s: hold.0[1] {NOT_FINITE}"
+    for options in ({}, {"record_times_s": [0.001]}):
+        ours = message(logarithm, 0.015, outputs=[], **options)
+        assert ours == f"t = 0.1 s: hold.0[1] {NOT_FINITE}"
+
+
+def test_a_record_at_a_chosen_time_that_is_not_finite_ends_the_run(logarithm):
+    options = {"outputs": ["pair"], "record_times_s": [0.001, 0.0955, 0.0975]}
+    assert message(logarithm, 0.0965, **options) == f"t = 0.0975 s: pair[1] {NOT_FINITE}"
+    assert message(logarithm, 0.0985, **options) == ""
+
+
+def test_each_run_of_a_batch_has_its_own_outputs_that_are_not_finite(logarithm):
+    latest = np.array([0.2, 0.055, 0.2, 0.3, -1.0, 0.3, 0.3, 0.035, 0.095, 0.2])
+    runs = logarithm.simulate_batch(
+        latest[:, None],
+        State(np.ones(1), np.zeros(2)),
+        0.1,
+        record_period_s=0.01,
+        failures="return",
+        threads=1,
+    )
+    for a, run in zip(latest, runs, strict=True):
+        if a > 0.1:
+            np.testing.assert_allclose(run["pair"][:, 1], np.log(a - run.time_s), rtol=1e-12)
+        else:
+            assert str(run) == message(logarithm, a)
+            assert str(run).startswith(f"t = {max(0.0, np.ceil(100.0 * a) / 100.0):g} s: pair[1] ")
+
+
+def test_a_run_that_fails_at_its_start_fails_with_any_records(default):
+    model, (parameters, state, _) = default
+    out = State(state.continuous + np.array([0.0, 1.0, 0.0, 0.0]), state.held)  # the rod, by 1 m
+    for options in ({}, {"record_times_s": [0.0, 0.05]}, {"record_times_s": []}):
+        with pytest.raises(SimulationError, match=r"^t = 0 s: knee: knee_angle = -11\.7"):
+            model.simulate(parameters, out, 0.1, **options)
+
+
 def test_a_step_that_is_too_large_ends_the_run():
     with pytest.raises(SimulationError, match="reduce the"):
         simulate_compiled(scenario_of(1.0), integrator="rk4", step_s=2e-3)

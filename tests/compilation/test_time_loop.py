@@ -331,6 +331,17 @@ def plain_run(interpreted, equations, run, duration, tick, step, every):
     def rate(time, x):
         return values(equations.derivatives, time, x, d)
 
+    def fault(time, x, d, row=()):
+        """The text of the error for a state or an output that is not finite, the state first."""
+        labels = [
+            f"{name}[{i}]" if len(nodes) > 1 else name
+            for name, nodes in equations.outputs.items()
+            for i in range(len(nodes))
+        ]
+        names = (*equations.states, *equations.held, *labels)
+        finite = np.isfinite(np.concatenate([x, d, row]))
+        return None if finite.all() else f"t = {time:.6g} s: {names[np.argmin(finite)]} is not fini"
+
     outputs = [node for nodes in equations.outputs.values() for node in nodes]
     records = []
     last = round(duration / tick)
@@ -349,6 +360,8 @@ def plain_run(interpreted, equations, run, duration, tick, step, every):
             for limit in equations.limits:
                 if not values([limit.margin], time, x, d)[0] >= 0.0:
                     return records, f"t = {time:.6g} s: {limit.system} left its limits"
+        if number % every == 0 and not np.isfinite(records[-1]).all():
+            return records, fault(time, x, d, records[-1])
         d = new
         if number == last or not x.size:
             continue
@@ -362,9 +375,8 @@ def plain_run(interpreted, equations, run, duration, tick, step, every):
             k4 = rate(t + h, x + h * k3)
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         if not np.isfinite(x).all():
-            name = equations.states[int(np.argmin(np.isfinite(x)))]
-            return records, f"t = {(number + 1) * tick:.6g} s: {name} is not finite"
-    return records, np.concatenate([x, d])
+            return records, fault((number + 1) * tick, x, d)
+    return records, fault(last * tick, x, d) or np.concatenate([x, d])
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -85,7 +85,7 @@ def test_an_output_of_a_users_diagram_that_is_not_finite_ends_the_run():
     system = SymbolicVectorSystem(time=t, output=[sqrt(0.05 - t)])
     root = builder.AddNamedSystem("root", system)
     builder.ExportOutput(root.get_output_port(), "knee_angle")
-    with pytest.raises(SimulationError, match=r"\At = 0\.052 s: knee_angle_rad is not finite"):
+    with pytest.raises(SimulationError, match=r"\At = 0\.052 s: knee_angle is not finite"):
         simulate(SHORT, signals=("knee_angle",), diagram=builder.Build())
 
 
