@@ -159,7 +159,7 @@ def _rod_map(
 
 @lru_cache(maxsize=64)
 def _rod_extension(link: LinkageParameters, knee_angle_rad: float) -> float:
-    return float(linkage.rod_extension(link, knee_angle_rad))
+    return linkage.rounded_rod_extension(link, knee_angle_rad)
 
 
 def plant_start(
