@@ -163,9 +163,9 @@ class PlantLinearization(Result):
 
     @property
     def poles(self) -> Complex:
-        """Eigenvalues of A in 1/s, by magnitude."""
+        """Eigenvalues of A in 1/s, by magnitude; a pair begins with its positive imaginary part."""
         values = np.linalg.eigvals(self.a).astype(complex)
-        return values[np.argsort(np.abs(values))]
+        return values[np.argsort(np.abs(values), kind="stable")]
 
     @property
     def zeros(self) -> Complex:
@@ -192,12 +192,14 @@ class PlantLinearization(Result):
         zero; it counts as integrating while it is a hundred times slower than the next one, and
         the gain is zero otherwise (a spring holds the rod).
         """
-        values, right = np.linalg.eig(self.a)
-        index, following = np.argsort(np.abs(values))[:2]
-        if abs(values[index]) > 1e-2 * abs(values[following]):
+        pole, following = self.poles[:2]
+        if abs(pole) > 1e-2 * abs(following):
             return 0.0
-        left = np.linalg.inv(right)[index]
-        return float(np.real((self.c[0] @ right[:, index]) * (left @ self.b[:, 0])))
+        # Eigenvectors as null vectors: `eig` would balance A, and A's column of the rod's position
+        # is zero but for rounding, which balancing scales up.
+        left, _, right = np.linalg.svd(self.a - pole.real * np.eye(len(self.a)))
+        v, w = right[-1], left[:, -1]
+        return float((self.c[0] @ v) * (w @ self.b[:, 0]) / (w @ v))
 
     def to_control(self) -> Any:
         """As `control.StateSpace` in continuous time, with the names of inputs and outputs.

@@ -102,10 +102,11 @@ class SampledLoop(Result):
     def eigenvalues(self) -> Complex:
         """Eigenvalues of `monodromy`, the largest first: the loop is stable when all are below 1.
 
+        A conjugate pair begins with its positive imaginary part.
         States that never change (a PID's integral without integral action) are left out.
         """
         values = np.linalg.eigvals(self.monodromy).astype(complex)
-        return values[np.argsort(-np.abs(values))]
+        return values[np.argsort(-np.abs(values), kind="stable")]
 
     def poles(self) -> Complex:
         """`eigenvalues` that the output sees, as ln(z)/T in 1/s; z = 0 is left out."""

@@ -27,6 +27,7 @@ from kneexo.parameters import (
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
+    FullCylinderParameters,
     KneeLoadParameters,
     LinkageParameters,
     ObserverParameters,
@@ -329,6 +330,26 @@ def test_velocity_gain_is_displacement_over_area_less_leakage(name):
     assert rod == pytest.approx(gain, rel=1e-9)
     knee = linearize_plant(plant, 25.0).velocity_gain
     assert knee == pytest.approx(gain / slope_of_table_1(25.0), rel=1e-6)
+
+
+def test_velocity_gain_of_the_full_order_is_the_limit_of_its_response():
+    plant = linearize_plant(PlantParameters(full_order=FullCylinderParameters()))
+    frequency_hz = 1e-3
+    # The next pole is 1e5 times faster. Its phase is small, its effect on the magnitude smaller.
+    limit = (2j * np.pi * frequency_hz * plant.response(frequency_hz)[0]).real
+    assert plant.velocity_gain == pytest.approx(limit, rel=1e-8)
+
+
+def test_pairs_of_eigenvalues_begin_with_the_positive_imaginary_part():
+    # A sort that is not stable orders equal magnitudes by the processor's vector width.
+    plants = [PlantParameters(), PlantParameters(full_order=FullCylinderParameters())]
+    for values in (
+        *(linearize_plant(plant).poles for plant in plants),
+        linearize_loop(Scenario(encoder=EncoderParameters(quantized=False))).eigenvalues,
+    ):
+        imaginary = values.imag[values.imag != 0.0]
+        assert len(imaginary) >= 2
+        assert np.all(imaginary[::2] > 0.0)
 
 
 def test_a_strong_spring_leaves_no_velocity_gain():
