@@ -85,7 +85,7 @@ def test_a_full_device_is_a_line(arguments, scenario_file):
 
 
 def test_a_closed_output_is_no_failure():
-    line = ["sh", "-c", f"exec {sys.executable} -m kneexo params --yaml >&-"]
+    line = ["sh", "-c", 'exec "$0" -m kneexo params --yaml >&-', sys.executable]
     done = subprocess.run(line, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 

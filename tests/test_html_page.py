@@ -5,6 +5,7 @@ import gzip
 import html
 import json
 import re
+import shlex
 from html.parser import HTMLParser
 
 import matplotlib.pyplot as plt
@@ -104,7 +105,7 @@ def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
             assert float(value) == pytest.approx(numbers[name], rel=1e-5)
     assert re.search("duration_s: 0.5", text)
     assert ("knee_angle_deg: 40.0" in text) == (command == "linearize")
-    told = f"kneexo {command} {short} --set={change}"
+    told = html.escape(shlex.join(["kneexo", command, short, f"--set={change}"]))
     assert f"<title>{told}</title>" in text
     assert f"<p>kneexo {__version__}: <code>{told}</code></p>" in text
     assert len(text) < 3e6
@@ -117,8 +118,9 @@ def test_html_of_a_study_is_its_report(short, tmp_path, capsys):
     assert main(["bandwidth", short, "--out", str(out), "--html", *few, "--workers", "1"]) == 0
     text = (out / "bandwidth.html").read_text()
     cells = Page(text).cells
-    settings = "&#x27;--set=frequencies_hz=[2, 3, 4]&#x27; &#x27;--set=amplitudes_deg=[1]&#x27;"
-    assert f"<code>kneexo bandwidth {short} {settings}</code>" in text
+    settings = ["--set=frequencies_hz=[2, 3, 4]", "--set=amplitudes_deg=[1]"]
+    command = html.escape(shlex.join(["kneexo", "bandwidth", short, *settings]))
+    assert f"<code>{command}</code>" in text
     report = (out / "bandwidth.md").read_text()
     rows = (line.strip("|").split("|") for line in report.splitlines() if line[:1] == "|")
     of_report = [cell.strip() for row in rows for cell in row]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import time
 import types
 import typing
 from pathlib import Path
@@ -425,13 +424,11 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
         ("a: " + "[" * 400_000, "1: too deep or too many values"),
     ],
 )
-def test_large_files_are_refused_before_they_cost_time(
+def test_large_files_are_refused_before_their_end_is_read(
     file: File, text: str, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scenario_file, "_MOST_VALUES", 10_000)
-    start = time.perf_counter()
-    assert told in file.fault(text)
-    assert time.perf_counter() - start < 5.0
+    assert told in file.fault(text + "\n}")  # a syntax error, where it is read
 
 
 @pytest.mark.parametrize(

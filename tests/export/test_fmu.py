@@ -1,5 +1,6 @@
 """FMUs of scenarios: beside compiled runs, in FMPy and in libcosim."""
 
+import ctypes
 import fcntl
 import hashlib
 import json
@@ -478,6 +479,10 @@ def test_fmpy_simulates_the_loop_by_itself(path, fmi):
 def test_libcosim_couples_plant_and_controller(path, tmp_path):
     """A master of others: all step at once, so that the command arrives a sample later."""
     pytest.importorskip("libcosimpy", reason="needs libcosim: pip install 'kneexo[fmu]'")
+    try:
+        ctypes.CDLL("libatomic.so.1")
+    except OSError:
+        pytest.skip("libcosim needs libatomic: apt-get install libatomic1")
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimManipulator import CosimManipulator
     from libcosimpy.CosimObserver import CosimObserver

@@ -100,6 +100,7 @@ STRUCTURES = {
             load=KneeLoadParameters(),
             pump=BldcPumpParameters(external_leakage_m3_per_s_pa=1e-13),
         ),
+        initial_offset_m=-0.001,  # else 10 samples from rest are all rounding
     ),
     "ramped sine at 5 ms": Scenario(
         encoder=FREE,
