@@ -29,7 +29,9 @@ def _margins(scenario, angle_deg):
     loop = linearize_loop(scenario, angle_deg)
     names = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
     values = loop.margins() if loop.stable else None
-    return {"stable": float(loop.stable)} | {name: getattr(values, name, math.nan) for name in names}
+    return {"stable": float(loop.stable)} | {
+        name: getattr(values, name, math.nan) for name in names
+    }
 
 
 @pytest.fixture(scope="session")

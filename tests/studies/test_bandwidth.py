@@ -10,14 +10,21 @@ import pytest
 
 from kneexo.analysis import bandwidth
 from kneexo.analysis.bandwidth import (
+    acceleration_bound_hz,
+    follower_bandwidth_hz,
+    follower_response,
+    large_signal_bandwidth_hz,
     rod_amplitude_m,
     rod_limits,
+    speed_limit_reached_hz,
 )
 from kneexo.analysis.frequency_response import SineEstimate, SineEstimateSettings
+from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.output import to_json
 from kneexo.parameters import RampReference, Scenario
 from kneexo.parameters.paths import changed
+from kneexo.simulation.engines import simulate
 from kneexo.studies import bandwidth as study
 from kneexo.studies.bandwidth import BandwidthSettings, BandwidthStudy, bandwidth_study
 from kneexo.studies.bandwidth_figures import figures
@@ -67,6 +74,56 @@ def test_the_map_shows_where_the_limits_take_over(mapped):
         assert np.all(gain <= 1.05 * bound / rod_amplitude_m(sine(amplitude)))
 
 
+def projected(amplitude_deg, frequency_hz, *, quantized):
+    """Response of the knee to a sine: a fit of sine and drift to the last 2 of 6 cycles."""
+    values = {
+        "reference.frequency_hz": frequency_hz,
+        "reference.ramp_s": 0.6,
+        "simulation.duration_s": 0.6 + 6.0 / frequency_hz,
+        "encoder.quantized": quantized,
+    }
+    run = simulate(sine(amplitude_deg, **values), signals=("knee_reference", "knee_angle"))
+    time = run.time_s[-round(2.0 / frequency_hz / 0.002) :]
+    phase = 2.0 * math.pi * frequency_hz * time
+    terms = np.stack([np.cos(phase), np.sin(phase), np.ones_like(time), time - time.mean()], axis=1)
+    angle, reference = (
+        np.linalg.lstsq(terms, run[f"knee_{name}_rad"][-time.size :])[0]
+        for name in ("angle", "reference")
+    )
+    response = complex(*angle[:2]) / complex(*reference[:2])
+    return response.conjugate(), math.degrees(angle[2])
+
+
+def test_every_row_of_the_map_is_that_of_its_own_run(mapped, tables, check_cells):
+    result, _ = mapped
+    for i, amplitude in enumerate((0.3, 3.0)):
+        for j, frequency in enumerate((2.5, 5.0, 12.5)):
+            response, mean_deg = projected(amplitude, frequency, quantized=True)
+            # Other cycles: they differ by less than the uncertainty.
+            allowed = 5.0 * result.cells["uncertainty"][i, j] + 0.01 * abs(response)
+            assert result.response[i, j] == pytest.approx(response, abs=allowed)
+            assert result.cells["mean_deg"][i, j] == pytest.approx(mean_deg, abs=2.0)
+            if i == 0:
+                response, _ = projected(amplitude, frequency, quantized=False)
+                assert result.unquantized[j] == pytest.approx(response, rel=0.01)
+    loop = linearize_loop(Scenario(), 40.0)
+    assert result.linear == pytest.approx(loop.output_response(np.array([2.5, 5.0, 12.5])))
+    expected = []
+    for amplitude, name in ((0.3, "linear loop"), (3.0, "speed limit")):
+        at = sine(amplitude)
+        row = [large_signal_bandwidth_hz(at), loop.bandwidth_hz()]
+        row.append(acceleration_bound_hz(rod_limits(at)[1], rod_amplitude_m(at)))
+        row += [follower_bandwidth_hz(at), rod_limits(at)[0] / rod_amplitude_m(at)]
+        row[-1] /= 2.0 * math.pi * 0.555390  # ρ = R/(aω) at −3 dB of the closed form
+        expected.append([amplitude, *row, name, row[0] / row[1 if name == "linear loop" else 3]])
+    (shown,) = tables(report(result))
+    check_cells(shown, expected)
+    reached = result.bandwidths["speed_limit_reached_hz"]
+    assert reached == pytest.approx([speed_limit_reached_hz(sine(a)) for a in (0.3, 3.0)])
+    follower = [[follower_response(sine(a), f) for f in (2.5, 5.0, 12.5)] for a in (0.3, 3.0)]
+    assert result.follower == pytest.approx(np.array(follower))
+
+
 def test_a_bus_that_rounds_is_a_quantizer_of_the_map():
     settings = changed(SMALL_MAP, {"amplitudes_deg": (0.3,)})
     free = {"encoder.quantized": False}
@@ -101,7 +158,7 @@ def test_every_figure_of_a_map_can_be_drawn(mapped):
         figure.canvas.draw()
 
 
-GAINS = np.array([[0.99, 0.9, 0.5], [0.95, 0.6, 0.2]])
+GAINS = np.array([[0.99, 0.8, 0.5], [0.95, 0.6, 0.2]])
 PHASES = np.array([[-5.0, -20.0, -50.0], [-15.0, -70.0, -190.0]])
 LINEAR_GAINS, LINEAR_PHASES = np.array([1.0, 0.91, 0.52]), np.array([-4.0, -19.0, -45.0])
 FOLLOWER = np.array([[1.0, 1.0, 0.8], [0.97, 0.65, 0.25]])
@@ -139,7 +196,7 @@ def by_hand():
         linear=LINEAR_GAINS * np.exp(1j * np.radians(LINEAR_PHASES)),
         linear_failure="",
         follower=FOLLOWER * np.exp(0.2j),
-        unquantized=LINEAR_GAINS * np.exp(1j * np.radians(LINEAR_PHASES)) * [1.003, 0.98, 5.0],
+        unquantized=LINEAR_GAINS * np.exp(1j * np.radians(LINEAR_PHASES)) * [1.003, 0.905, 5.0],
         unlimited=np.array([True, True, False]),
         failures=("30 deg, 9 Hz: left the range",),
         scenario=Scenario(),
@@ -154,7 +211,7 @@ def test_results_of_a_map_are_those_of_its_cells(by_hand, flat, check_rules):
     check_rules(found)
     deviation = max(  # of the two sines off the limits
         abs(g * np.exp(1j * math.radians(a - b)) / h - 1.0)
-        for g, a, h, b in ((0.99, -5.0, 1.0, -4.0), (0.9, -20.0, 0.91, -19.0))
+        for g, a, h, b in ((0.99, -5.0, 1.0, -4.0), (0.8, -20.0, 0.91, -19.0))
     )
     expected = {
         "frequencies_hz": FREQUENCIES,
@@ -163,7 +220,7 @@ def test_results_of_a_map_are_those_of_its_cells(by_hand, flat, check_rules):
             "phase_deg": LINEAR_PHASES,
             "failure": "",
             "largest_deviation": deviation,
-            "largest_deviation_without_quantizer": 0.02,
+            "largest_deviation_without_quantizer": 0.095,
         },
         "amplitudes": [
             {
@@ -207,7 +264,7 @@ def test_every_cell_of_the_report_is_in_the_map(by_hand, tables, check_cells):
         "the linear loop at 1°; the speed limit at 30°",
         f"at most {1e3 * speed:.3g} mm/s and {acceleration:.3g} m/s²",
         f"below {1e3 * speed**2 / acceleration:.2g} mm of rod",
-        "by at most 2 % without quantizers, 2.1 % with them",
+        "by at most 9.5 % without quantizers, 12 % with them",
         "- 30 deg, 9 Hz: left the range",
     ):
         assert said in text
