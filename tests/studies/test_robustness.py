@@ -48,7 +48,7 @@ from kneexo.studies.robustness import (
     short_names,
     worst,
 )
-from kneexo.studies.robustness_figures import figures
+from kneexo.studies.robustness_figures import distribution, figures, tornado
 from kneexo.studies.robustness_report import report
 from kneexo.sweeps import parallel, parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint
@@ -612,6 +612,11 @@ def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells)
 
 def test_the_words_count_as_the_results_do(by_hand):
     text = report(by_hand)
+    assert "Controller smc, reference sine 10 … 70 deg, 30 s. 3 uncertain values; the" in text
+    assert "believes in the nominal plant. Not in this scenario" in text
+    assert "With 95 % confidence at least" in text
+    assert "of the 5 samples (seed 2020)" in text
+    assert "No local sensitivity: tracking: too long." in text
     assert "1 of the 5 samples (20 %) fail in part" in text
     assert "- 1 times: t = 1 s: out of range" in text
     assert "None of the 3 corners fails" in text
@@ -619,6 +624,34 @@ def test_the_words_count_as_the_results_do(by_hand):
     assert "worse than every corner visited in: largest error (deg)." in text
     assert "3 of 12 corners" in text
     assert "left out: plant.load.knee_torque_n_m." in text
+
+
+def test_values_above_chance_and_those_that_the_controller_knows_are_told(by_hand):
+    known = SMALL.values["plant.pump.lag_s"].model_copy(update={"known": True})
+    samples = tuple(visit(n, 1.5, 0.01 + 1e-3 * n, n % 3) for n in range(1, 8))
+    text = report(
+        dataclasses.replace(
+            by_hand,
+            uncertainty=UncertaintySet(values=SMALL.values | {"plant.pump.lag_s": known}),
+            samples=(*samples, visit(8.0, 1.6, 0.02, 0)),
+            local_failures=(),
+        )
+    )
+    assert "believes in the nominal plant, but knows lag_s." in text
+    # Of eight samples √(3.84/7) = 0.74 may be chance: ρ is 1 of the lag, 0.58 of the mass.
+    idle = "Not above chance (95 %): mass_kg, latency_samples."
+    assert text.count(idle) == 3
+    assert "No local sensitivity" not in text
+
+
+def test_unstable_loops_whose_runs_end_are_counted_with_their_errors(by_hand):
+    lost = {"stable": False, "disk_margin": math.nan}
+    unstable = [visit(n, 1.5, 0.01, 0, **lost) for n in (3.0, 7.0, 5.0)]
+    stopped = visit(1.0, 1.5, 0.01, 0, **lost, max_error_deg=math.nan)
+    text = report(dataclasses.replace(by_hand, corners=(*unstable, stopped)))
+    assert "4 of the 4 corners (100 %) fail in part or are unstable" in text
+    assert "- 3 runs of those 4 unstable loops go to their end all the same, with" in text
+    assert "largest errors of 3 … 7 deg" in text
 
 
 def test_failures_are_told_as_a_share(by_hand):
@@ -676,6 +709,46 @@ def test_the_tornado_has_each_level_at_its_figure(by_hand):
         for row, name in enumerate(rows):
             values = [1.0, *(value for value, _ in alone[name])]
             assert bars[row] == pytest.approx([UNITS[merit] * f(values) for f in (min, max)])
+
+
+def test_a_figure_over_more_than_a_decade_has_a_logarithmic_axis(by_hand):
+    wide = dataclasses.replace(by_hand, corners=(visit(21.0, 1.4, 0.005, 0),))
+    for study, expected in ((by_hand, "linear"), (wide, "log")):
+        axes = distribution(study).axes
+        assert axes[0].get_xlabel() == "largest error (deg)"
+        assert axes[0].get_xscale() == expected  # from 0.9 to 2.3 or 21
+        assert [ax.get_ylabel() for ax in axes[::3]] == ["share of the samples"] * 2
+        (legend,) = axes[0].figure.legends
+        shown = [text.get_text() for text in legend.get_texts()]
+        assert shown == ["samples", "nominal", "worst corner"]
+
+
+def test_what_fails_is_crossed_beyond_the_worst_end(by_hand):
+    nothing = dict.fromkeys(UNITS, math.nan)
+    failed = (visit(1.1, 1.4, None, None, **nothing), *by_hand.one_at_a_time[1:])
+    samples = (*by_hand.samples[:4], visit(1.0, 1.5, 0.01, 0, **nothing))
+    study = dataclasses.replace(by_hand, one_at_a_time=failed, samples=samples)
+    drawn = tornado(study)
+    for ax, merit, sign in zip(
+        drawn.axes,
+        ("max_error_deg", "bandwidth_hz", "disk_margin"),
+        (1.0, -1.0, -1.0),
+        strict=True,
+    ):
+        (cross,) = [line for line in ax.lines if line.get_marker() == "x"]
+        # 15 % of the way from 0.7 to 1.6 beyond its worse end, in the row that is on top.
+        at = 1.6 + 0.15 * 0.9 if sign > 0.0 else 0.7 - 0.15 * 0.9
+        assert cross.get_xdata()[0] == pytest.approx(UNITS[merit] * at)
+        assert cross.get_color() == "C3"
+        rows = [tick.get_text() for tick in ax.get_yticklabels()]
+        assert rows[round(cross.get_ydata()[0])] == rows[-1] == "mass_kg"
+    (legend,) = drawn.legends
+    shown = [text.get_text() for text in legend.get_texts()]
+    options = [f"option {n}" for n in (1, 2, 3)]
+    assert shown == ["low end", "high end", *options, "fails or is unstable", "nominal"]
+    titles = {ax.get_xlabel(): ax.get_title() for ax in distribution(study).axes}
+    assert titles["disk margin"] == "1 of 5 fail or are unstable"
+    assert titles["chattering (rpm per sample)"] == "1 of 5 fail"
 
 
 def test_importance_has_correlations_beside_linear_effects(by_hand):
