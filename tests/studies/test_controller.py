@@ -372,6 +372,15 @@ def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
         assert row[4] == f"**{claim.verdict}**"
         for cell, share in ((row[3], claim.share), (row[6], claim.sound_share)):
             assert cell == ("–" if math.isnan(share) else f"{100 * share:.0f} %")
+    assert claims[0][5] == "between loops of disk margin ≥ 0.5: cases"
+    assert [row[0] for row in claims[1:]] == [f"“{claim.quote}”" for claim in by_hand.claims()]
+    assert [row[1] for row in claims[1:]] == [claim.case for claim in by_hand.claims()]
+    for table in lines:
+        assert table[0][1:] == [
+            *("k/Φ (1/s)", "max error (deg)", "command change (rpm/sample)", "saturated share"),
+            *("max error at 1 Hz (deg)", "settling, 2° (s)", "settling, 20° (s)"),
+            *("disk margin", "phase margin (deg)"),
+        ]
     # Along λ, Φ and η through the default: λ = 20, Φ = 3.2, η = 2.8e5.
     assert by_hand.centre == (1, 2, 1)
     columns = (
@@ -420,6 +429,11 @@ def test_the_words_have_the_largest_error_of_a_stable_loop(by_hand):
     for said in (
         "30 points; 1 of them have a run that failed",
         f"mean change is {demand:.2g} times",
+        "## A trap: T_f = 8 ms, k/Φ = 10000 1/s",
+        "brings a step of 2° within 10 % sooner",
+        "Φ at least 3 times larger or smaller",
+        "more than 2 times as much per sample",
+        "less than 1 % of its samples saturated",
         "errs by up to 0.33° (T_f = 20 ms, k/Φ = 1e+04 1/s)",
         f"The step of {GRID.large_step_deg:g}° takes",
         "λ, at Φ (m/s²) = 3.2, η (m/s³) = 280000\n",
@@ -505,7 +519,23 @@ def test_the_lines_of_the_claims_are_those_of_the_grid(by_hand, curves):
         xs, ys = curves(collapse)[f"{eta:g}"]
         assert xs == pytest.approx(beta * eta / np.array(GRID.phis_m_s2))
         assert ys == pytest.approx(values["max_error_deg"][1, :, n])
-    lines = curves(drawn["study_trap"].axes[0])
+    spans = (  # with room for the legend above the highest value
+        (faster, "λ (1/s)", "settling time (s)"),
+        (chattering, "Φ (m/s²)", "mean command change (rpm/sample)"),
+        (adherent, "η (m/s³)", "max error (deg)"),
+        (collapse, "k/Φ (1/s)", "max error (deg)"),
+    )
+    for ax, across, up in spans:
+        assert (ax.get_xlabel(), ax.get_ylabel()) == (across, up)
+        assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+        highest = max(np.max(y[np.isfinite(y)]) for _, y in curves(ax).values())
+        assert ax.get_ylim()[1] > highest
+    assert [float(label) for label in curves(chattering)] == [10.0, 20.0, 40.0]
+    assert [float(label) for label in curves(adherent)] == [0.32, 1.0, 3.2, 10.0, 32.0]
+    trap = drawn["study_trap"].axes[0]
+    assert (trap.get_xlabel(), trap.get_ylabel()) == ("time (s)", "tracking error (deg)")
+    assert trap.get_title().endswith("λ = 20 1/s")
+    lines = curves(trap)
     shown = [c for c in by_hand.trap if c.lambda_per_s == GRID.trap_lambdas_per_s[0]]
     assert list(lines) == [case.variant for case in shown]
     for case in shown:
