@@ -92,6 +92,24 @@ def test_trials_are_seeded_and_within_their_ranges():
     assert all(0.0 <= trial.encoder_phase_rad <= count for trial in trials)
 
 
+def test_trials_are_drawn_in_a_fixed_order():
+    """Each range in turn, log-uniform where only the order of magnitude is known."""
+    random = np.random.default_rng(2020)
+    for trial in draw_trials(Scenario(), SinestreamSettings(trials=3)):
+        leakage, limit, modulus, mass, phase = random.random(5)
+        assert vars(trial) == pytest.approx(
+            {
+                "internal_leakage_m3_per_s_pa": 2e-14 * 100.0**leakage,
+                "acceleration_limit_rad_s2": 2e3 * 5.0**limit,
+                "bulk_modulus_pa": 0.2e9 * 8.6**modulus,
+                "mass_kg": 1.4 + 0.4 * mass,
+                "encoder_phase_rad": 2.0 * math.pi / 4096.0 * phase,
+            },
+            rel=1e-9,
+            abs=0.0,
+        )
+
+
 def test_a_trial_changes_the_plant_and_not_what_the_controller_believes():
     scenario = Scenario()
     trial = draw_trials(scenario, SinestreamSettings())[0]
@@ -157,9 +175,23 @@ def test_a_small_sine_within_the_speed_limit_is_followed():
 
 def test_the_plot_marks_3_db_and_has_plain_ticks():
     f = np.array([0.2, 0.4, 0.8])
-    response = np.array([[1.0, 0.8, 0.4]], complex)
+    response = np.array([[1.0, 0.8, 0.4]]) * np.exp(-1j * f)
     plotted = FrequencyResponse(f, response, 0.5, -40.0, (), Scenario(), SinestreamSettings())
     magnitude, phase = plotted.plot()
+    for axis, label, values in (
+        (magnitude, "magnitude (dB)", 20.0 * np.log10([1.0, 0.8, 0.4])),
+        (phase, "phase (deg)", np.degrees(-f)),
+    ):
+        assert (axis.get_xlabel(), axis.get_ylabel()) == ("frequency (Hz)", label)
+        assert axis.get_xscale() == "log"
+        lines = {line.get_label(): line.get_data() for line in axis.lines}
+        np.testing.assert_allclose(lines["mean"], (f, values), atol=1e-12)
+        np.testing.assert_allclose(axis.lines[0].get_data(), (f, values), atol=1e-12)
+        assert "1 trials" in lines
+        fine, curve = lines["PCHIP"]
+        assert (fine[0], fine[-1]) == (0.2, 0.8)
+        assert curve[[0, -1]] == pytest.approx(values[[0, -1]], abs=1e-9)
+        assert set(lines["−3 dB at 0.500 Hz"][0]) == {0.5}
     (level,) = (line for line in magnitude.lines if len(set(line.get_ydata())) == 1)
     assert level.get_ydata()[0] == pytest.approx(-10.0 * math.log10(2.0))
     for axis in (magnitude, phase):
@@ -170,8 +202,13 @@ def test_the_plot_marks_3_db_and_has_plain_ticks():
 def test_harmonics_of_the_knee_stay_out_of_a_sinestream(monkeypatch):
     def simulate(scenario, *, signals):
         time = np.arange(round(scenario.simulation.duration_s / 0.002) + 1) * 0.002
-        phase = 2 * np.pi * scenario.reference.frequency_hz * time
-        return columns_run(time, 3 + np.sin(phase) + 0.5 * np.cos(2 * phase), np.sin(phase))
+        frequency = scenario.reference.frequency_hz
+        phase = 2 * np.pi * frequency * time
+        knee = 3 + np.sin(phase) + 0.5 * np.cos(2 * phase)
+        # Neither the cycle of the transient nor the last sample, a fourth period's first, counts.
+        assert time[-1] == pytest.approx(4 / frequency)
+        knee[time < 1 / frequency - 1e-9] = knee[-1] = 100.0
+        return columns_run(time, knee, np.sin(phase))
 
     monkeypatch.setattr(frequency_response, "simulate", simulate)
     # Orthogonal to the fundamental over whole periods, of 1000, 500 and 250 samples, alone.
