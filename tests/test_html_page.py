@@ -57,7 +57,7 @@ def figure():
 
 def test_a_page_has_tables_pictures_and_origin(figure):
     report = "# Title\n\n| a (m) | b |\n|---|---|\n| 1.5 | <x> & y |\n\n## Part\n\nText.\n"
-    origin = {"kneexo": "9.9", "scenario": {"plant": {"mass_kg": 1.6}}}
+    origin = {"kneexo": "9.9", "scenario": {"plant": {"mass_kg": 1.6}}, "of": "µ", "a": 1}
     text = html_page("kneexo test", report, {"speed": figure}, origin)
     page = Page(text)
     assert page.cells == ["a (m)", "b", "1.5", "<x> & y"]
@@ -66,7 +66,8 @@ def test_a_page_has_tables_pictures_and_origin(figure):
     assert text.count("<svg") == 1
     assert "<figcaption>speed</figcaption>" in text
     assert "kneexo 9.9" in text
-    assert "mass_kg: 1.6" in text
+    assert "mass_kg: 1.6\nof: µ\na: 1\n" in text  # in the order given
+    assert 'aria-label="Enlarge speed"' in text
     assert text.count("<h1>") == 1
     assert 'name="viewport"' in text
 
