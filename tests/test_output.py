@@ -142,6 +142,8 @@ def test_leftovers_of_the_dead_are_deleted_and_of_the_living_are_not(tmp_path):
     (tmp_path / ".kneexo-mine" / "text").write_text("mine")
     (tmp_path / ".kneexo-file").write_text("mine")
     (tmp_path / ".kneexo-empty").mkdir()
+    (tmp_path / ".kneexo-half").mkdir()  # killed while it was deleted
+    (tmp_path / ".kneexo-half" / "kneexo.lock").touch()
     with output_directory(tmp_path) as directory:
         assert not left.exists()
         write(tmp_path)

@@ -981,8 +981,11 @@ def test_an_unstable_loop_says_so(unstable):
     assert not unstable.margins().stable
     with raises_one_line(LinearizationError, "unstable .* it has no bandwidth"):
         unstable.bandwidth_hz()
-    assert "unstable" in str(unstable)
-    assert "margin " not in str(unstable)
+    largest = max(abs(unstable.eigenvalues))
+    assert str(unstable) == (  # the rest lies where Table 1 and the linkage agree
+        f"knee at 40.01 deg, T = 0.002 s: unstable, largest eigenvalue {largest:.6g}; "
+        f"it has no margins"
+    )
 
 
 def test_a_loop_with_hardly_any_gain_has_no_gain_margin():
@@ -994,12 +997,30 @@ def test_a_loop_with_hardly_any_gain_has_no_gain_margin():
 def test_a_loop_prints_its_margins_and_plots(loops):
     loop = loops["smc"]
     m, text = loop.margins(), str(loop)
-    assert "knee at 40 deg, T = 0.002 s: stable" in text
-    for number in (m.gain_margin, m.phase_margin_deg, 1e3 * m.delay_margin_s, m.disk_margin):
-        assert f"{number:.4g}" in text
-    assert f"gain {m.disk_gain_margin:.4g}, phase {m.disk_phase_margin_deg:.4g} deg" in text
-    assert f"bandwidth {loop.bandwidth_hz():.4g} Hz" in text
+    f_gain, f_phase, f_disk = (
+        getattr(m, f"{name}_margin_frequency_hz") for name in ("gain", "phase", "disk")
+    )
+    assert text.splitlines() == [
+        f"knee at 40 deg, T = 0.002 s: stable, largest eigenvalue {max(abs(loop.eigenvalues)):.6g}",
+        f"  gain margin {m.gain_margin:.4g} at {f_gain:.4g} Hz",
+        f"  phase margin {m.phase_margin_deg:.4g} deg at {f_phase:.4g} Hz, "
+        f"delay margin {1e3 * m.delay_margin_s:.4g} ms",
+        f"  disk margin {m.disk_margin:.4g} at {f_disk:.4g} Hz: "
+        f"gain {m.disk_gain_margin:.4g}, phase {m.disk_phase_margin_deg:.4g} deg",
+        f"  small-signal bandwidth {loop.bandwidth_hz():.4g} Hz",
+    ]
     magnitude, phase = loop.plot()
+    labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in (magnitude, phase)]
+    assert labels == [("", "loop magnitude (dB)"), ("frequency (Hz)", "loop phase (deg)")]
+    lines = {line.get_label(): line.get_data() for ax in (phase, magnitude) for line in ax.lines}
+    assert set(lines["Nyquist, 250 Hz"][0]) == {250.0}
+    f, zero = lines[f"crossover {m.phase_margin_frequency_hz:.3g} Hz"]
+    assert (*f, *zero) == pytest.approx((m.phase_margin_frequency_hz, 0.0))
+    f, ends = lines[f"phase margin {m.phase_margin_deg:.3g}°"]
+    assert f == pytest.approx([m.phase_margin_frequency_hz] * 2)
+    assert ends == pytest.approx([-180.0, m.phase_margin_deg - 180.0], abs=0.01)
+    for ax, level in ((magnitude, 0.0), (phase, -180.0)):
+        assert [line for line in ax.lines if set(line.get_ydata()) == {level}]
     line = magnitude.lines[0]
     at_1_hz = np.interp(0.0, np.log10(line.get_xdata()), line.get_ydata())
     assert at_1_hz == pytest.approx(20.0 * math.log10(abs(loop.loop_response(1.0)[0])), abs=0.01)
@@ -1037,6 +1058,17 @@ def test_a_loop_without_gain_has_plots_too():
 @pytest.mark.parametrize("name", ["smc", "pid_tuned", "difference", "can_2"])
 def test_the_loop_touches_the_disk_that_it_keeps_out(loops, margins, name):
     axes = loops[name].plot_nyquist()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("real part of L", "imaginary part of L")
+    lines = {line.get_label(): line.get_data() for line in axes.lines}
+    real, imaginary = lines["L, f > 0"]
+    np.testing.assert_array_equal(lines["L, f < 0"], (real, -imaginary))
+    assert np.hypot(*lines["|L| = 1"]) == pytest.approx(np.ones(361))
+    assert np.ravel(lines["−1"]).tolist() == [-1.0, 0.0]
+    # L has one value at each frequency, and 250 Hz makes it real.
+    assert imaginary[-1] == pytest.approx(0.0, abs=1e-6)
+    assert real[-1] == pytest.approx(loops[name].loop_response(250.0)[0].real, abs=1e-6)
+    shown = axes.patches[0].get_label()
+    assert shown == f"disk margin {margins[name].disk_margin:.3g}"
     circle = axes.patches[0].get_path().vertices @ [1.0, 1.0j]
     m = margins[name]
     # On the real axis the disk spans the gains that the loop stands.
@@ -1067,6 +1099,12 @@ def test_the_pole_plot_tells_unstable_eigenvalues(loops, unstable):
         outside = [line for line in marks if line.get_label() == "unstable"]
         assert bool(outside) is not loop.stable
         plt.close(axes.figure)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("real part of z", "imaginary part of z")
+    assert [line.get_label() for line in axes.lines[-2:]] == ["stable", "unstable"]
+    for text, damping in zip(axes.texts, (0.1, 0.3, 0.5, 0.7, 0.9), strict=True):
+        z = np.log(complex(*text.get_position()))
+        assert -z.real / abs(z) == pytest.approx(damping, rel=1e-9)
+        assert text.get_text() == f"ζ = {damping:g}"
     # A line of damping ζ: z = e^{(−ζ + j√(1 − ζ²))ωT}.
     line = axes.lines[2]
     z = np.log(line.get_xdata()[1:] + 1j * line.get_ydata()[1:])
