@@ -982,7 +982,7 @@ def test_an_unstable_loop_says_so(unstable):
     with raises_one_line(LinearizationError, "unstable .* it has no bandwidth"):
         unstable.bandwidth_hz()
     largest = max(abs(unstable.eigenvalues))
-    assert str(unstable) == (  # the rest lies where Table 1 and the linkage agree
+    assert str(unstable) == (  # exact states hold the rod that Table 1 has at 40 deg
         f"knee at 40.01 deg, T = 0.002 s: unstable, largest eigenvalue {largest:.6g}; "
         f"it has no margins"
     )
