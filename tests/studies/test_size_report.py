@@ -513,6 +513,15 @@ def test_maps_have_the_flow_across_and_the_acceleration_limit_up(sized, drawn, c
             assert text == ("–" if math.isnan(value) else f"{value:.2g}")
 
 
+def test_a_map_in_which_every_run_fails_has_its_axes_all_the_same(sized):
+    none = dataclasses.replace(sized, bandwidth_map_hz=np.full((3, 3), math.nan))
+    ax = figures(none)["sizing_maps"].axes[0]
+    assert [text.get_text() for text in ax.texts] == ["every run fails"]
+    assert ax.get_xlim() == pytest.approx((0.5 * SPEED_MM_S, 2.0 * SPEED_MM_S))
+    assert ax.get_ylim() == pytest.approx((5e3, 2e4))
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+
+
 def test_maps_show_the_limits_and_the_sized_hardware(sized, drawn, curves):
     left, right = (curves(ax) for ax in drawn["sizing_maps"].axes[:2])
     motor, amplitude = 5000.0 * math.pi / 30.0, sized.results()["limits"]["rod_amplitude_mm"]
@@ -627,6 +636,7 @@ def test_every_axis_has_its_own_label_and_title(drawn):
     assert all(ax.get_xscale() == ax.get_yscale() == "log" for ax in (*sweeps, left, right))
     assert left.get_title(loc="right") == "−3 dB bandwidth (Hz)"
     assert right.get_title(loc="right") == "largest error (deg)"
+    assert left.get_title(loc="left") == "(a) controller as it is"
     assert right.get_title(loc="left") == "(b) walking at 1 Hz, sized controller"
     (bound,) = [line for line in sweeps[2].lines if "bound" in line.get_label()]
     assert bound.get_label() == "(c) bound of the paper, 2°"
