@@ -9,7 +9,7 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.simulation.engines import simulate
 
 
-def _tracked(scenario, period_s):
+def _in_numbers(scenario, period_s):
     run = simulate(
         scenario, signals=("knee_reference", "knee_angle", "motor_speed_command", "load_pressure")
     )
@@ -35,9 +35,9 @@ def _margins(scenario, angle_deg):
 
 
 @pytest.fixture(scope="session")
-def tracked():
-    """The function ``tracked(scenario, period_s)``: figures after the first period, by NumPy."""
-    return _tracked
+def in_numbers():
+    """The function ``in_numbers(scenario, period_s)``: a run after its first period, by NumPy."""
+    return _in_numbers
 
 
 @pytest.fixture(scope="session")

@@ -215,16 +215,16 @@ def with_slope(slope_per_s, observer_s):
     return changed(BASE, values)
 
 
-def test_every_row_is_that_of_runs_and_margins_of_its_own_scenario(small, tracked, margins):
+def test_every_row_is_that_of_runs_and_margins_of_its_own_scenario(small, in_numbers, margins):
     study, _ = small
     fast = SineReference(mean_deg=40.0, amplitude_deg=0.2, frequency_hz=10.0)
     for i, j in product(range(2), range(2)):
         gains = {"controller.lambda_per_s": (20.0, 40.0)[i], "controller.phi_m_s2": (1.0, 3.2)[j]}
         scenario = changed(BASE, gains)
         faster = changed(scenario, {"reference": fast, "simulation.duration_s": 0.2})
-        expected = tracked(scenario, 0.25) | margins(scenario, 40.0)
+        expected = in_numbers(scenario, 0.25) | margins(scenario, 40.0)
         expected |= {
-            "fast_max_error_deg": tracked(faster, 0.1)["max_error_deg"],
+            "fast_max_error_deg": in_numbers(faster, 0.1)["max_error_deg"],
             "settling_s": settled(scenario, 2.0),
             "large_settling_s": settled(scenario, 5.0),
         }
@@ -234,16 +234,16 @@ def test_every_row_is_that_of_runs_and_margins_of_its_own_scenario(small, tracke
     assert study.failures == {}
 
 
-def test_every_loop_of_the_map_has_its_own_observer_and_slope(small, tracked, margins):
+def test_every_loop_of_the_map_has_its_own_observer_and_slope(small, in_numbers, margins):
     study, _ = small
     for i, j in product(range(2), range(2)):
         scenario = with_slope((1e4, 1e5)[j], (0.01, 0.02)[i])
-        expected = tracked(scenario, 0.25) | margins(scenario, 40.0)
+        expected = in_numbers(scenario, 0.25) | margins(scenario, 40.0)
         row = {name: values[i, j] for name, values in study.map_values.items()}
         assert row == pytest.approx({name: expected[name] for name in MAP_FIGURES}, rel=1e-6)
 
 
-def test_the_trap_has_its_variants(small, tracked, margins):
+def test_the_trap_has_its_variants(small, in_numbers, margins):
     cases = {case.variant: case for case in small[0].trap}
     variants = {
         "as built": {},
@@ -253,7 +253,7 @@ def test_the_trap_has_its_variants(small, tracked, margins):
     assert set(cases) == set(variants)
     for variant, values in variants.items():
         scenario = changed(with_slope(1e4, 0.008), values)
-        expected = tracked(scenario, 0.25) | margins(scenario, 40.0)
+        expected = in_numbers(scenario, 0.25) | margins(scenario, 40.0)
         for name in ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin"):
             assert getattr(cases[variant], name) == pytest.approx(expected[name], rel=1e-6)
     # Linear loops know neither counts nor limits.

@@ -14,15 +14,16 @@ from kneexo.analysis import (
     TrackingResult,
     linearize_loop,
     simulate,
-    track,
 )
 from kneexo.analysis.frequency_response import SinestreamSettings, Trial
 from kneexo.output import to_json
 from kneexo.parameters import RodPolynomialParameters, Scenario, SimulationParameters
-from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12, IDEAL_SMC
+from kneexo.parameters.paths import changed
+from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12
 from kneexo.studies.reproduce import (
     Reproduction,
     growth_rate,
+    reproduce_study,
     rod_error_mm,
     speed_demand,
 )
@@ -387,41 +388,96 @@ def test_growth_rate_of_a_growing_oscillation():
     assert growth_rate(run) == pytest.approx(1.2, abs=0.02)
 
 
-def test_fig_9_starts_89_mm_off_and_closes_as_the_sliding_surface_says():
-    settings = IDEAL_SMC.simulation.model_copy(update={"duration_s": 1.01})
-    run = simulate(
-        IDEAL_SMC.model_copy(update={"simulation": settings}),
-        signals=("rod_reference", "rod_extension"),
-    )
+# ----------------------------------------------------------------------------- real runs
+
+
+@pytest.fixture(scope="module")
+def real():
+    """The whole study, with three frequencies and one trial."""
+    settings = SinestreamSettings(frequencies_hz=(0.2, 0.22, 0.24), trials=1)
+    return reproduce_study(settings=settings)
+
+
+def projected(scenario, frequency_hz):
+    """Gain and phase in deg of the knee over the last 3 of 4 periods, by sums over samples."""
+    values = {"reference.frequency_hz": frequency_hz, "simulation.duration_s": 4.0 / frequency_hz}
+    run = simulate(changed(scenario, values), signals=("knee_reference", "knee_angle"))
+    late = (run.time_s >= 1.0 / frequency_hz) & (run.time_s < 4.0 / frequency_hz - 1e-9)
+    wave = np.exp(-2j * math.pi * frequency_hz * run.time_s[late])
+    angle, reference = (run[f"knee_{name}_rad"][late] for name in ("angle", "reference"))
+    mean = reference.mean()
+    ratio = np.sum(wave * (angle - mean)) / np.sum(wave * (reference - mean))
+    return abs(ratio), math.degrees(np.angle(ratio))
+
+
+def test_every_row_is_that_of_its_own_run(real, in_numbers, tables):
+    results = real.results()
+    for name, case in FIG_12.items():
+        row = results["fig12"][name]
+        expected = in_numbers(case, 10.0)
+        assert {key: row[key] for key in expected} == pytest.approx(expected, rel=1e-9)
+    for name, case in EQ_27_DIFFERENCES.items():
+        expected = in_numbers(case, 10.0)
+        row = results["eq27_differences"][name]
+        assert row == pytest.approx({key: expected[key] for key in row}, rel=1e-9)
+    trial = real.fig13.trials[0].applied(Scenario())
+    responses = [projected(trial, f) for f in (0.2, 0.22, 0.24)]
+    # 0.22 and 0.24 Hz: a period is no whole number of samples.
+    assert results["fig13"]["gain"] == pytest.approx([g for g, _ in responses], rel=5e-3)
+    assert results["fig13"]["phase_deg"] == pytest.approx([p for _, p in responses], abs=0.5)
+
+    def crossing(gains, frequencies):
+        return np.interp(-math.sqrt(0.5), -np.array(gains), frequencies)
+
+    expected = crossing([gain for gain, _ in responses], (0.2, 0.22, 0.24))
+    assert results["fig13"]["bandwidth_hz"] == pytest.approx(expected, rel=0.01)
+    scaling, grid = results["scaling"], (0.4, 0.42, 0.44, 0.46, 0.48)
+    for name, values in (
+        ("gear_3", {"plant.pump.gear_ratio": 3.0}),
+        ("half_amplitude", {"reference.amplitude_deg": 15.0}),
+    ):
+        scenario = changed(Scenario(), values)
+        expected = crossing([projected(scenario, f)[0] for f in grid], grid)
+        assert scaling[name]["bandwidth_hz"] == pytest.approx(expected, rel=0.01)
+        ratio = expected / scaling["nominal"]["bandwidth_hz"]
+        assert scaling[name]["ratio"] == pytest.approx(ratio, rel=0.01)
+    shown = {row[0]: row for row in tables(report(real))[0]}
+    row = shown["largest error with SMC (Fig. 12, “less than 2°”)"]
+    error = results["fig12"]["smc"]["max_error_deg"]
+    assert row[1:5] == ["deg", "2", f"{error:.3f}", f"{error - 2.0:+.3g}"]
+
+
+def test_fig_9_starts_89_mm_off_and_closes_as_the_sliding_surface_says(real):
+    run = real.fig9
     error = rod_error_mm(run)
     assert error[0] == pytest.approx(-89.0, abs=1e-6)
     # (1 + λt) e^{−λt} at λ = 10 1/s.
     expected = -89.0 * 11.0 * math.exp(-10.0)
     assert np.interp(1.0, run.time_s, error) == pytest.approx(expected, abs=2e-4)
+    assert real.results()["fig9"]["error_after_1s_mm"] == pytest.approx(-expected, abs=2e-4)
 
 
 @pytest.mark.parametrize("name", list(EQ_27_EXACT_STATES))
-def test_the_oscillation_at_2_ms_grows_as_the_eigenvalues_say(name):
-    case = EQ_27_EXACT_STATES[name]
-    eigenvalues = linearize_loop(case, 30.0).eigenvalues
+def test_the_oscillation_at_2_ms_grows_as_the_eigenvalues_say(real, name):
+    eigenvalues = linearize_loop(EQ_27_EXACT_STATES[name], 30.0).eigenvalues
     # The mode of the oil, 447 Hz, appears at 500 − 447 = 53 Hz.
     hertz = np.abs(np.angle(eigenvalues)) / (2.0 * np.pi * 0.002)
     mode = eigenvalues[np.argmin(np.abs(hertz - 53.0))]
-    run = simulate(case, signals=("load_pressure", "motor_speed_command"))
+    row = real.results()["eq27_exact_states"][name]
     # The fit's blocks of 0.15 s hold eight periods.
-    assert growth_rate(run) == pytest.approx(np.log(abs(mode)) / 0.002, abs=0.02)
-    assert (growth_rate(run) > 0.0) == (name == "13000")
+    assert row["growth_rate_per_s"] == pytest.approx(np.log(abs(mode)) / 0.002, abs=0.02)
+    assert (row["growth_rate_per_s"] > 0.0) == (name == "13000")
 
 
-@pytest.mark.parametrize("name", list(EQ_27_DIFFERENCES))
-def test_differences_of_the_encoder_make_degrees_of_error(name):
-    assert 5.0 < track(EQ_27_DIFFERENCES[name]).metrics.max_error_deg < 26.0
+def test_differences_of_the_encoder_make_degrees_of_error(real):
+    for case in real.eq27_differences.values():
+        assert 5.0 < case.metrics.max_error_deg < 26.0
 
 
-def test_the_tuned_pids_stay_within_the_chattering_of_the_sliding_mode():
-    smc = track(FIG_12["smc"]).metrics
+def test_the_tuned_pids_stay_within_the_chattering_of_the_sliding_mode(real):
+    smc = real.fig12["smc"].metrics
     assert smc.max_error_deg <= 0.30
     for name in ("pid_tuned", "pid_feedforward"):
-        pid = track(FIG_12[name]).metrics
+        pid = real.fig12[name].metrics
         assert pid.mean_command_change_rpm <= smc.mean_command_change_rpm
         assert pid.max_error_deg < 0.1

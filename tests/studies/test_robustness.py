@@ -829,12 +829,12 @@ def real():
     return robustness_study(REAL, wide, budget)
 
 
-def test_every_row_is_that_of_runs_and_margins_of_its_own_plant(real, tracked, margins):
+def test_every_row_is_that_of_runs_and_margins_of_its_own_plant(real, in_numbers, margins):
     visits = (real.nominal, *real.one_at_a_time, *real.samples, *real.corners)
     assert len(visits) == 1 + 4 + 4 + 4
     for visit in visits:
         plant = changed(REAL, {"nominal": REAL.plant, **visit.values})  # only the plant changes
-        expected = tracked(plant, 0.25) | margins(plant, 40.0)
+        expected = in_numbers(plant, 0.25) | margins(plant, 40.0)
         row = {name: visit.figures[name] for name in expected}
         assert row == pytest.approx(expected, rel=1e-9)
         assert visit.failures == ()
