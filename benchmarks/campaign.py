@@ -14,6 +14,9 @@ in one line what is wrong, without a traceback.
 
 ``files``, ``linear``, ``corners``, ``random``: see ``campaign_scenarios.py``.
 
+``inputs``: CSV files, controller modules, folders of results and special files; see
+``campaign_inputs.py``.
+
 ``--count``: cases of each part. The same seed gives the same cases; where a kill hits depends on
 the machine. Prints a table with counts, and each violation; exit code 1 if there is any.
 """
@@ -339,10 +342,22 @@ def _scenarios(name: str, part: Part) -> None:
     import campaign_scenarios  # beside this file; needs Drake
 
     seed = part.random.randrange(2**32)
-    for kind, message, text in campaign_scenarios.outcomes(name, part.count, seed):
+    _count(part, campaign_scenarios.outcomes(name, part.count, seed), campaign_scenarios.BAD)
+
+
+def _inputs(part: Part) -> None:
+    import campaign_inputs  # beside this file; needs Drake
+
+    seed = part.random.randrange(2**32)
+    _count(part, campaign_inputs.inputs(part.count, seed), campaign_inputs.BAD)
+
+
+def _count(part: Part, outcomes: Iterator[tuple[str, str, str]], bad: Sequence[str]) -> None:
+    """Count cases by outcome; those of ``bad`` are violations."""
+    for kind, message, text in outcomes:
         part.counts["cases"] += 1
         part.counts[kind] += 1
-        part.require(kind not in campaign_scenarios.BAD, kind, f"{message}\n{text}")
+        part.require(kind not in bad, kind, f"{message}\n{text}")
 
 
 PARTS: dict[str, tuple[Callable[[Part], None], int]] = {
@@ -352,6 +367,7 @@ PARTS: dict[str, tuple[Callable[[Part], None], int]] = {
     "linear": (partial(_scenarios, "linear"), 0),
     "corners": (partial(_scenarios, "corners"), 0),
     "random": (partial(_scenarios, "random"), 5_000),
+    "inputs": (_inputs, 3_000),
 }
 """Each gets a folder, a random generator and the number of cases, and counts what it does; and the
 number of cases by default."""

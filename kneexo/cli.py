@@ -6,19 +6,23 @@ import argparse
 import codecs
 import io
 import json
+import math
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from kneexo import commands, system
-from kneexo.errors import KneexoError, WorkerError
+from kneexo.errors import KneexoError, WorkerError, escaped, shortened, shown
 from kneexo.interruption import Terminated, interrupt_later, sigterm_raises
 from kneexo.studies.catalogue import PAPER, STUDIES, Study
+from kneexo.user_code import cause_of, place_in_user_code
+from kneexo.user_file import NUMBER
 from kneexo.version import __version__
 
 FIRST_STEPS = """\
@@ -50,6 +54,18 @@ Exit codes: 0 success, 2 wrong input or a run that failed (one line says why),
 130 interrupted, 143 terminated.
 """
 """The examples below ``kneexo --help``."""
+
+
+_LONGEST_LINE = 1200
+"""Characters of a message at most."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Escapes arguments in its messages."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print usage and message, and exit with 2."""
+        super().error(shortened(escaped(message), _LONGEST_LINE))
 
 
 class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
@@ -94,18 +110,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _fail(f"this system lacks {library}; install the package that has it")
         except OSError as error:
             if sys.stdout is not None:  # what it still holds would fail again at exit
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                with suppress(OSError):  # a stream without a file
+                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             if isinstance(error, BrokenPipeError):  # the reader went away, as with `| head`
                 return 0
             with suppress(OSError):
-                where = f"{error.filename}: " if error.filename else ""
+                where = f"{shown(error.filename)}: " if error.filename else ""
                 _fail(f"{where}{error.strerror or error}")
             return 2
 
 
 def _fail(line: str, code: int = 2) -> int:
     """Print one line on stderr; returns the exit code."""
-    print(f"kneexo: {line}", file=sys.stderr)
+    print(_one_line(line), end="", file=sys.stderr)
     return code
 
 
@@ -154,12 +171,18 @@ def _run(options: argparse.Namespace, arguments: Sequence[str] | None) -> int:
     try:
         options.run(options)
     except KneexoError as error:
-        scenario = getattr(options, "scenario", None)
+        scenario = shown(getattr(options, "scenario", None) or "")
         where = f"{scenario}: " if scenario and scenario not in str(error) else ""
         pieces = commands.kept(options) if isinstance(error, WorkerError) else ""
         return _fail(f"{where}{error}{pieces and f'; {pieces}'}")
     except MemoryError:
-        return _fail("out of memory; reduce simulation.duration_s, or the processes with --workers")
+        workers = ", or the processes with --workers" if hasattr(options, "workers") else ""
+        return _fail(f"out of memory; reduce simulation.duration_s{workers}")
+    except (Exception, SystemExit) as error:
+        of_user = isinstance(error, SystemExit) or place_in_user_code(error) is not None
+        if not of_user or isinstance(error, OSError | ImportError) or _interrupt_behind(error):
+            raise
+        return _fail(f"{cause_of(error)}; correct that code")
     finally:
         warnings.formatwarning = format_before
     return 0
@@ -173,14 +196,14 @@ def _needs_drake(options: argparse.Namespace) -> bool:
 
 
 def _one_line(message: Warning | str, *_: Any, **__: Any) -> str:
-    return f"kneexo: {message}\n"
+    return f"kneexo: {shortened(escaped(str(message)), _LONGEST_LINE)}\n"
 
 
 # ----------------------------------------------------------------------------------- parser
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="kneexo",
         description="Polycentric knee exoskeleton with electro-hydraulic actuator, on Drake: "
         "reproduces Lee et al. 2020 and simulates designs of your own.",
@@ -226,7 +249,7 @@ def _add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
             )
         where = sub.add_mutually_exclusive_group()
         where.add_argument(
-            "--workers", type=int, metavar="N", help="processes; left out: one for each core"
+            "--workers", type=_integer, metavar="N", help="processes; left out: one for each core"
         )
         where.add_argument(
             "--dask",
@@ -256,7 +279,11 @@ def _add_single_runs(subparsers: Any) -> None:
     _add_scenario(sub)
     _add_values(sub)
     sub.add_argument(
-        "--knee-angle", type=float, default=40.0, metavar="DEG", help="posture, knee angle in deg"
+        "--knee-angle",
+        type=_decimal,
+        default=40.0,
+        metavar="DEG",
+        help="posture, knee angle in deg",
     )
     _add_out(sub, "linearization.json; loop, nyquist and poles as PNG and PDF")
     _add_html(sub)
@@ -312,7 +339,7 @@ def _add_exports(subparsers: Any) -> None:
         "in float; the parameters behind it are fixed then",
     )
     sub.add_argument(
-        "--vectors-s", type=float, metavar="S", help="time of the test vectors in s; left out: 2"
+        "--vectors-s", type=_decimal, metavar="S", help="time of the test vectors in s; left out: 2"
     )
     _add_out(sub, "the files, which no other files may share")
 
@@ -326,7 +353,7 @@ def _add_exports(subparsers: Any) -> None:
     )
     _add_target(sub, "encoder reading (rad)")
     sub.add_argument(
-        "--fmi", type=int, choices=(2, 3), default=3, help="version of the FMI standard"
+        "--fmi", type=_integer, choices=(2, 3), default=3, help="version of the FMI standard"
     )
     sub.add_argument(
         "--out",
@@ -350,7 +377,7 @@ def _add_target(sub: argparse.ArgumentParser, measured: str) -> None:
     )
     sub.add_argument(
         "--step-s",
-        type=float,
+        type=_decimal,
         metavar="S",
         help="largest step of RK4 of plant and loop in s; left out: from the plant's fastest mode, "
         "at most 0.0002",
@@ -423,6 +450,19 @@ def _complete_paths(parser: argparse.ArgumentParser, file: object, directory: ob
             vars(action)["complete"] = directory
         elif action.metavar == "RUN" or str(action.metavar).endswith((".yaml", ".html", ".fmu")):
             vars(action)["complete"] = file
+
+
+def _decimal(text: str) -> float:
+    """A finite number; `float` also takes nan, ``1_0`` and the digits of other scripts."""
+    if NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
+        return value
+    raise argparse.ArgumentTypeError(f"{shown(text)!r} must be a finite number in the digits 0-9")
+
+
+def _integer(text: str) -> int:
+    if re.fullmatch(r"[-+]?[0-9]{1,9}", text):
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{shown(text)!r} must be an integer in the digits 0-9")
 
 
 def _command(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shlex
 import shutil
 import subprocess
@@ -19,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kneexo.errors import OutputError, ParameterError
+from kneexo.errors import OutputError, ParameterError, shown
 from kneexo.studies.catalogue import Study
 from kneexo.version import __version__
 from kneexo.whole_file import require_mark
@@ -48,7 +49,7 @@ def _with_values(parameters: _P, texts: Sequence[str]) -> _P:
     for text in texts:
         name, separator, value = text.partition("=")
         if not separator:
-            raise ParameterError(f"--set {text}: must be NAME=VALUE")
+            raise ParameterError(f"--set {shown(text)}: must be NAME=VALUE")
         values[name] = read_value(f"--set {name}", value)
     return changed(parameters, values)
 
@@ -163,16 +164,20 @@ def kept(options: argparse.Namespace) -> str:
     checkpoint = getattr(options, "checkpoint", None)
     if checkpoint is not None:
         count = len(checkpoint)
-        return f"{count} finished pieces are kept in {checkpoint.path}; {_AGAIN}" if count else ""
+        return (
+            f"{count} finished pieces are kept in {shown(checkpoint.path)}; {_AGAIN}"
+            if count
+            else ""
+        )
     if hasattr(options, "restart") and _checkpoint_path(options).exists():
-        return f"finished pieces are kept in {_checkpoint_path(options)}; {_AGAIN}"
+        return f"finished pieces are kept in {shown(_checkpoint_path(options))}; {_AGAIN}"
     return ""
 
 
 def left(options: argparse.Namespace) -> str:
     """What an interrupted command has left."""
     if getattr(options, "written", False):
-        return f"the results are in {options.out}"
+        return f"the results are in {shown(options.out)}"
     return kept(options) or "nothing was written"
 
 
@@ -230,10 +235,10 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
     if options.others:
         print(
             f"kneexo: {options.others} finished pieces of other settings stay in "
-            f"{checkpoint.path}; --restart deletes them",
+            f"{shown(checkpoint.path)}; --restart deletes them",
             file=sys.stderr,
         )
-    print(document if options.json else f"{report}\nIn {options.out}: {files}\n", end="")
+    print(document if options.json else f"{report}\nIn {shown(options.out)}: {files}\n", end="")
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -266,7 +271,7 @@ def simulate(options: argparse.Namespace) -> None:
         return
     for name, text in rows:
         print(f"{name:28s} {text}")
-    print(f"In {options.out}: {files}")
+    print(f"In {shown(options.out)}: {files}")
 
 
 def _track_with_bar(scenario: Scenario) -> TrackingResult:
@@ -320,7 +325,7 @@ def linearize(options: argparse.Namespace) -> None:
         print(text, end="")
         return
     print(f"plant: {plant}\nloop: {loop}")
-    print(f"In {options.out}: {files}")
+    print(f"In {shown(options.out)}: {files}")
 
 
 def _section(title: str, text: str) -> list[str | list[str]]:
@@ -380,7 +385,7 @@ def diagram(options: argparse.Namespace) -> None:
     if options.json:
         print(json.dumps({**_origin(scenario), "directory": str(options.out), "files": files}))
         return
-    print(f"{', '.join(files)} {'are' if len(files) > 1 else 'is'} in {options.out}")
+    print(f"{', '.join(files)} {'are' if len(files) > 1 else 'is'} in {shown(options.out)}")
     if not graphviz:
         print(
             "For a picture install Graphviz (Debian, Ubuntu: apt-get install graphviz) and run "
@@ -402,7 +407,9 @@ def view(options: argparse.Namespace) -> None:
     if len(options.runs) > MOST_LEGS:
         raise ParameterError(f"{len(options.runs)} runs: a page shows {MOST_LEGS} at most")
     if options.values and (results := [run for run in options.runs if Path(run).is_dir()]):
-        raise ParameterError(f"--set: {results[0]} holds a finished run; its values are fixed")
+        raise ParameterError(
+            f"--set: {shown(results[0])} holds a finished run; its values are fixed"
+        )
     legs = []
     for name, run in _named_runs(options.runs):
         if run is not None and Path(run).is_dir():
@@ -414,7 +421,7 @@ def view(options: argparse.Namespace) -> None:
         leg, failure = leg_of_scenario(caption, _scenario(options))
         options.scenario = None
         if failure:
-            print(f"kneexo: {caption}: {failure}; shown up to there", file=sys.stderr)
+            print(f"kneexo: {shown(caption)}: {failure}; shown up to there", file=sys.stderr)
         legs.append(leg)
     if (end_s := shown_s(legs)) < max(leg.time_s[-1] for leg in legs):
         print(f"kneexo: only the first {end_s:.3g} s are shown: the page is full", file=sys.stderr)
@@ -424,9 +431,12 @@ def view(options: argparse.Namespace) -> None:
     if options.json:
         print(to_json({"kneexo": __version__, "page": str(options.out), "runs": names}), end="")
     else:
-        print(f"{options.out}: {', '.join(names)}; open it in a browser")
+        listed = ", ".join(map(shown, names))
+        print(f"{shown(options.out)}: {listed}; open it in a browser")
     if options.open and not webbrowser.open(options.out.resolve().as_uri()):
-        raise OutputError(f"--open: no browser here; {options.out} is written, open it elsewhere")
+        raise OutputError(
+            f"--open: no browser here; {shown(options.out)} is written, open it elsewhere"
+        )
 
 
 def _named_runs(runs: Sequence[str] | None) -> list[tuple[str, str | None]]:
@@ -437,7 +447,7 @@ def _named_runs(runs: Sequence[str] | None) -> list[tuple[str, str | None]]:
     """
     if not runs:
         return [("the paper's setup", None)]
-    paths = [Path(run).resolve() for run in runs]
+    paths = [Path(os.path.realpath(run)) for run in runs]
     names = [path.name if path.is_dir() else path.stem for path in paths]
     in_parent = [f"{path.parent.name}/{name}" for path, name in zip(paths, names, strict=True)]
     for longer in (in_parent, runs):
@@ -476,7 +486,7 @@ def export_c(options: argparse.Namespace) -> None:
     if options.json:
         print(to_json(_origin(scenario) | asdict(measured)), end="")
         return
-    print(f"{options.what} in {options.precision} precision: {options.out}")
+    print(f"{options.what} in {options.precision} precision: {shown(options.out)}")
     print(f"  {sum(measured.operations.values())} operations a step")
     print(f"  {measured.state_bytes} bytes of state")
     if measured.replay:
@@ -501,7 +511,7 @@ def export_fmu(options: argparse.Namespace) -> None:
     if options.json:
         print(to_json(_origin(scenario) | asdict(file)), end="")
         return
-    print(f"{options.what} as FMU by FMI {options.fmi}: {file.path}")
+    print(f"{options.what} as FMU by FMI {options.fmi}: {shown(file.path)}")
     print(f"  inputs: {', '.join(file.inputs)}")
     print(f"  outputs: {', '.join(file.outputs)}")
     print(

@@ -1,8 +1,32 @@
 """The errors that kneexo raises for wrong input or a failed run; each message is one line."""
 
+from __future__ import annotations
+
+
+def escaped(text: str) -> str:
+    r"""Text on one line: characters that do not print become escapes, such as ``\n``."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def shortened(text: str, most: int = 120) -> str:
+    """Text without its middle where it has more than ``most`` characters."""
+    if len(text) <= most:
+        return text
+    return f"{text[: most // 2]} … {text[-(most // 2) + 3 :]}"
+
+
+def shown(name: object) -> str:
+    """The name of a file or setting for a message: one line of at most 300 characters."""
+    return shortened(escaped(str(name)), 300)
+
 
 class KneexoError(Exception):
-    """Base of every error that kneexo raises on purpose."""
+    """Base of every error that kneexo raises on purpose; its message is escaped to one line."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(escaped(message))
 
 
 class ParameterError(KneexoError, ValueError):

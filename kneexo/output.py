@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kneexo.errors import OutputError
+from kneexo.errors import OutputError, shown
 from kneexo.interruption import interrupt_later
 
 if TYPE_CHECKING:
@@ -40,9 +40,10 @@ def output_directory(
     Raises `OutputError` before the body when ``path`` cannot be written, and when writing fails.
     """
     target = Path(path)
-    made = [folder for folder in (target, *target.parents) if not folder.exists()]
+    made: list[Path] = []
     workspace, lock = None, None
     try:
+        made = [folder for folder in (target, *target.parents) if not folder.exists()]
         with interrupt_later():
             target.mkdir(parents=True, exist_ok=True)
             _delete_leftovers(target)
@@ -122,8 +123,8 @@ def _replace(target: Path, workspace: Path) -> None:
         place = target / file.name
         if place.is_dir():
             raise OutputError(
-                f"--out {target}: {file.name} is a directory there; move it away or choose another "
-                f"directory"
+                f"--out {shown(target)}: {file.name} is a directory there; move it away or "
+                f"choose another directory"
             )
         if os.path.lexists(place):
             try:
@@ -152,7 +153,9 @@ def _remove_empty(folders: list[Path]) -> None:
 
 def _output_error(path: Path, error: OSError) -> OutputError:
     reason = error.strerror or str(error)
-    return OutputError(f"--out {path}: cannot write there ({reason}); choose another directory")
+    return OutputError(
+        f"--out {shown(path)}: cannot write there ({reason}); choose another directory"
+    )
 
 
 def plain(value: Any) -> Any:

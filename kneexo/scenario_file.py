@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -19,17 +18,17 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from yaml.reader import ReaderError
 
-from kneexo.errors import ParameterError, ScenarioError
+from kneexo.errors import ParameterError, ScenarioError, shortened, shown
 from kneexo.parameters import UNCERTAIN_KNEE, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import require_applicable
-from kneexo.parameters.quantity import Parameters, allowed_range, one_line, shortened, unit_of
+from kneexo.parameters.quantity import Parameters, allowed_range, one_line, unit_of
+from kneexo.user_file import MIB, file_error, read_text
 
 _Path = tuple[str | int, ...]
 _TAG = "tag:yaml.org,2002:"
-_MOST_BYTES = 2**20
+_MOST_BYTES = MIB
 _MOST_VALUES = 100_000  # two seconds; aliases can multiply a short text without end
 _DEEPEST = 20
-_LONGEST_MESSAGE = 800
 
 
 def load_scenario(path: str | os.PathLike[str]) -> Scenario:
@@ -47,12 +46,12 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
         The file cannot be read, is not YAML, or has a duplicate, unknown, missing or wrong entry.
     """
     name = os.fspath(path)
-    data, lines = _read(name, _text(name))
+    data, lines = _read(name, read_text(name, _MOST_BYTES))
     try:
         return Scenario.model_validate(data, context={"directory": Path(name).parent})
     except ValidationError as error:
         location, message = one_line(Scenario, error)
-    raise _fault(name, _line(lines, location), message)
+    raise file_error(name, _line(lines, location), message)
 
 
 def load_uncertainty(
@@ -74,13 +73,13 @@ def load_uncertainty(
         As `load_scenario`; also for an empty file, and for a value that is out of range.
     """
     name = os.fspath(path)
-    data, lines = _read(name, _text(name))
+    data, lines = _read(name, read_text(name, _MOST_BYTES))
     if not data:
-        raise _fault(name, None, "has no uncertain values")
+        raise file_error(name, None, "has no uncertain values")
     values = {}
     for place, value in data.items():
         if not isinstance(value, dict):
-            raise _fault(name, lines[place,], f"{place}: must have low and high, or options")
+            raise file_error(name, lines[place,], f"{place}: must have low and high, or options")
         try:
             values[place] = Uncertainty.model_validate(value)
             require_applicable(scenario, place, values[place], data)
@@ -88,9 +87,9 @@ def load_uncertainty(
             location, message = one_line(Uncertainty, error)
             separator = "." if location else ": "
             line = _line(lines, (place, *location))
-            raise _fault(name, line, f"{place}{separator}{message}") from None
+            raise file_error(name, line, f"{place}{separator}{message}") from None
         except ParameterError as error:
-            raise _fault(name, lines[place,], str(error)) from None
+            raise file_error(name, lines[place,], str(error)) from None
     return UncertaintySet(values=values)
 
 
@@ -109,7 +108,7 @@ def read_value(name: str, text: str) -> Any:
     """
     data, _ = _read(name, f"value: {text}")
     if list(data) != ["value"]:
-        raise ScenarioError(f"{name}: must be a single value, not more lines of YAML")
+        raise ScenarioError(f"{shown(name)}: must be a single value, not more lines of YAML")
     return data["value"]
 
 
@@ -135,14 +134,14 @@ class _Loader(yaml.SafeLoader):
         if self._depth > _DEEPEST + 1 or self._composed > 2 * _MOST_VALUES:
             # PyYAML's stubs leave peek_event() untyped.
             line = self.peek_event().start_mark.line + 1  # type: ignore[no-untyped-call]
-            raise _fault(self.name, line, _TOO_MUCH)
+            raise file_error(self.name, line, _TOO_MUCH)
         node: yaml.Node | None = super().compose_node(parent, index)
         self._depth -= 1
         return node
 
     def fault(self, node: yaml.Node, path: _Path, message: str) -> ScenarioError:
         where = f"{_dotted(path)}: " if path else ""
-        return _fault(self.name, node.start_mark.line + 1, where + message)
+        return file_error(self.name, node.start_mark.line + 1, where + message)
 
     def plain(self, node: yaml.Node, path: _Path) -> Any:
         """Dictionaries, tuples and scalars of a node; notes the line of each path in ``lines``."""
@@ -190,26 +189,6 @@ def _line(lines: Mapping[_Path, int], location: _Path) -> int:
     return lines[location]
 
 
-def _text(name: str) -> str:
-    """The text of a file in UTF-8."""
-    try:
-        mode = os.stat(name).st_mode
-        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # a pipe or device may never end
-            raise OSError("is not a regular file")
-        with Path(name).open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
-        if len(data) > _MOST_BYTES:
-            raise OSError(f"is too large, must have at most {_MOST_BYTES} bytes")
-        return data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
-        raise _fault(name, line, f"is not UTF-8: byte 0x{byte:02x}") from None
-    except OSError as error:
-        raise _fault(name, None, f"cannot be read: {error.strerror or error}") from error
-    except ValueError:  # in words that change with the version of Python
-        raise _fault(name, None, "cannot be read: a null byte in its name") from None
-
-
 def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
     """The top-level mapping of a YAML text, and the line of each path in it."""
     try:
@@ -219,17 +198,19 @@ def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
         problem = ", ".join(part for part in (error.context, error.problem) if part)
         mark = error.problem_mark
         line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-        raise _fault(name, line, f"YAML syntax, column {column}: {problem}") from None
+        raise file_error(name, line, f"YAML syntax, column {column}: {problem}") from None
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        raise _fault(name, line, f"YAML syntax: {text[error.position]!a}: {error.reason}") from None
+        raise file_error(
+            name, line, f"YAML syntax: {text[error.position]!a}: {error.reason}"
+        ) from None
     except (ArithmeticError, ValueError, RecursionError) as error:  # an absurd \U, %YAML, nesting
-        raise _fault(name, None, f"YAML syntax: {error}") from None
+        raise file_error(name, None, f"YAML syntax: {error}") from None
     if root is None or (data := loader.plain(root, ())) is None:
         return {}, loader.lines
     if not isinstance(data, dict):
         kind = "a list" if isinstance(data, tuple) else "a single value"
-        raise _fault(name, loader.lines[()], f"the top level must be a mapping, not {kind}")
+        raise file_error(name, loader.lines[()], f"the top level must be a mapping, not {kind}")
     return data, loader.lines
 
 
@@ -265,9 +246,3 @@ def _note(field: FieldInfo) -> str:
 
 def _dotted(path: _Path) -> str:
     return shortened(".".join(str(key) for key in path))
-
-
-def _fault(name: str, line: int | None, message: str) -> ScenarioError:
-    message = shortened(message, _LONGEST_MESSAGE)
-    text = f"{name}: {message}" if line is None else f"{name}:{line}: {message}"
-    return ScenarioError("".join(c if c.isprintable() else " " for c in text))

@@ -7,14 +7,22 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from kneexo.errors import OutputError
+from kneexo.errors import OutputError, shown
+from kneexo.user_file import MIB, read_bytes
+
+_MOST_BYTES = 256 * MIB  # no page of ours is larger
 
 
 def require_mark(path: Path, mark: str, kind: str) -> None:
     """Raise `OutputError` for a file that is no ``kind`` of ours, which have ``mark`` in them."""
-    # A pipe or device may never end.
-    if path.exists() and not (path.is_file() and mark in path.read_text("utf-8", "replace")):
-        raise OutputError(f"{path} exists and is no {kind}; choose another --out")
+    try:
+        marked = mark.encode() in read_bytes(path, _MOST_BYTES)
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError:
+        marked = False
+    if not marked:
+        raise OutputError(f"{shown(path)} exists and is no {kind}; choose another --out")
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -22,8 +30,9 @@ def write_whole(path: Path, content: bytes) -> None:
 
     Raises `OutputError` where that cannot be; then the earlier file stays, and no new folder.
     """
-    missing = [folder for folder in path.parents if not folder.exists()]  # innermost first
+    missing: list[Path] = []
     try:
+        missing = [folder for folder in path.parents if not folder.exists()]  # innermost first
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".kneexo-") as folder:
             whole = Path(folder, path.name)
@@ -34,4 +43,4 @@ def write_whole(path: Path, content: bytes) -> None:
             with suppress(OSError):
                 empty.rmdir()
         reason = error.strerror or error
-        raise OutputError(f"--out {path}: cannot write there ({reason})") from None
+        raise OutputError(f"--out {shown(path)}: cannot write there ({reason})") from None

@@ -12,6 +12,7 @@ import time
 import warnings
 from contextlib import contextmanager, suppress
 from dataclasses import fields
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -118,7 +119,7 @@ def test_too_little_memory_is_a_line(capsys, monkeypatch, tmp_path):
 
     monkeypatch.setattr(commands, "simulate", refuse)
     assert main(["simulate", "--out", str(tmp_path)]) == 2
-    assert "simulation.duration_s" in capsys.readouterr().err
+    assert capsys.readouterr().err == "kneexo: out of memory; reduce simulation.duration_s\n"
 
 
 def test_a_run_that_would_not_fit_into_memory_is_refused(capsys, scenario_file, tmp_path):
@@ -511,6 +512,74 @@ def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp
         error = capsys.readouterr().err
         assert "cannot write there" in error
         assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            ["simulate", "a\nb\x1b", "--out", "o"],
+            "kneexo: a\\nb\\x1b: cannot be read: No such file",
+        ),
+        (["simulate", "x" * 5000, "--out", "o"], "kneexo: " + "x" * 150 + " … xxx"),
+        (["simulate", "--out", "o/" + "x" * 5000], "kneexo: --out o/" + "x" * 148 + " … xxx"),
+        (["simulate", "--set", "a\nb", "--out", "o"], "kneexo: --set a\\nb: must be NAME=VALUE"),
+        (["simulate", "--set", "x" * 5000 + "=1", "--out", "o"], "kneexo: Scenario: xxx"),
+        (["view", "--out", "k", "loop"], "kneexo: loop: cannot be read: Too many levels of symb"),
+    ],
+)
+def test_names_are_short_and_on_one_line(capsys, tmp_path, monkeypatch, arguments, told):
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    assert main(arguments) == 2
+    line = capsys.readouterr().err
+    assert line.startswith(told)
+    assert line.count("\n") == 1
+    assert len(line) < 1000
+    assert os.listdir() == ["loop"]
+
+
+@pytest.mark.parametrize("number", ["1_0", "٣", "nan", "inf", "1e999", "0x1", ""])
+@pytest.mark.parametrize("option", ["--knee-angle", "--workers"])
+def test_numbers_of_options_have_the_digits_0_to_9(capsys, option, number):
+    command = "linearize" if option == "--knee-angle" else "bandwidth"
+    with pytest.raises(SystemExit) as caught:
+        main([command, option, number, "--out", "o"])
+    assert caught.value.code == 2
+    assert f"argument {option}: {number!r} must be a" in capsys.readouterr().err
+
+
+def test_unknown_arguments_are_short_and_on_one_line(capsys):
+    with pytest.raises(SystemExit):
+        main(["params", "a", "b\n" + "x" * 5000])
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.startswith("kneexo: error: unrecognized arguments: b\\nxxx")
+    assert len(line) < 1300
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (SystemExit(5), "kneexo: SystemExit: 5 ("),
+        (ZeroDivisionError("mine"), "kneexo: ZeroDivisionError: mine ("),
+    ],
+)
+def test_an_error_of_the_users_code_is_one_line_with_its_place(capsys, monkeypatch, error, told):
+    def fail(options):
+        raise error
+
+    monkeypatch.setattr(commands, "params", fail)
+    assert main(["params", "--schema"]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith(told)
+    assert line.endswith("; correct that code\n")
+    assert "test_cli.py, line " in line
+
+
+def test_a_mistake_of_ours_has_its_traceback(monkeypatch):
+    monkeypatch.setattr(commands, "params", partial(commands._checkpoint_path))
+    with pytest.raises(AttributeError):
+        main(["params", "--schema"])
 
 
 def test_workers_below_one_are_refused(capsys, tmp_path):

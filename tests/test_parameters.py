@@ -579,10 +579,17 @@ def test_csv_reference_reads_two_columns(tmp_path: Path) -> None:
     [
         ("", "gait.csv: is empty"),
         ("t,hip\n0,1\n", "gait.csv: has no column 'knee'; it has t, hip"),
-        ("t,knee\n0,1\n1,two\n", "gait.csv:3: knee: 'two'; must be a number"),
-        ("t,knee\n0,1\n1\n", "gait.csv:3: knee: no value; must be a number"),
+        ("t,knee\n0,1\n1,two\n", "gait.csv:3: knee: 'two'; must be a finite number"),
+        ("t,knee\n0,1\n1\n", "gait.csv:3: knee: no value; must be a finite number"),
         ("t,knee\n0,1\n1,2\n", "gait.csv: times_s has 2 values: must have at least 3"),
-        ("t,knee\n0,1\n0,2\n1,2\n", "gait.csv: times_s must increase by at least 1e-6 s"),
+        (
+            "t,knee\n0,1\n0,2\n1,2\n",
+            "gait.csv:3: t = 0 s after 0 s: must increase by at least 1e-06 s",
+        ),
+        (
+            "t,knee\n0,1\n1,2\n2e5,2\n",
+            "gait.csv:4: t = 200000 s is out of range: must be >= -100000",
+        ),
     ],
 )
 def test_faults_of_a_csv_reference_name_file_and_line(tmp_path: Path, text: str, line: str) -> None:

@@ -284,7 +284,7 @@ KNOWN = ", ".join(sorted(Scenario.model_fields))
         ),
         (
             '"plant\\n": {}\n',
-            f"1: plant : unknown name; known here: {KNOWN}; did you mean 'plant'?",
+            f"1: plant\\n: unknown name; known here: {KNOWN}; did you mean 'plant'?",
         ),
         # names that are wrong in YAML itself
         (
@@ -318,7 +318,7 @@ KNOWN = ", ".join(sorted(Scenario.model_fields))
         ),
         ("plant: *p\n", "1: YAML syntax, column 8: found undefined alias 'p'"),
         ("plant: {}\n\n# \x07\n", "3: YAML syntax: '\\x07': special characters are not allowed"),
-        (b"plant: {}\n# caf\xe9\n", "2: is not UTF-8: byte 0xe9"),
+        (b"plant: {}\n# caf\xe9\n", "2: is not UTF-8: byte 0xe9; save it as UTF-8"),
         (
             "plant: !!python/object:os.system {}\n",
             "1: plant: tag 'tag:yaml.org,2002:python/object:os.system' is not supported",
@@ -397,13 +397,13 @@ def test_file_that_cannot_be_read(
     absent = tmp_path / "absent.yaml"
     assert message(absent) == f"{absent}: cannot be read: No such file or directory"
     assert message(str(tmp_path)) == f"{tmp_path}: cannot be read: Is a directory"
-    assert message("a\0b") == "a b: cannot be read: a null byte in its name"
-    assert message("a\nb").startswith("a b: cannot be read: ")
+    assert message("a\0b") == "a\\x00b: cannot be read: a null byte in its name"
+    assert message("a\nb").startswith("a\\nb: cannot be read: ")
 
-    def refuse(path: Path, mode: str) -> bytes:
-        raise PermissionError(13, "Permission denied", str(path))
+    def refuse(path: str, flags: int) -> int:
+        raise PermissionError(13, "Permission denied", path)
 
-    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     assert message(file.path) == f"{file.path}: cannot be read: Permission denied"
 
 

@@ -47,6 +47,8 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
     with pytest.raises(OutputError, match="cannot write there") as error:
         write_whole(tmp_path / "file" / "inner", b"content")
     assert "\n" not in str(error.value)
+    with pytest.raises(OutputError, match="File name too long"):
+        write_whole(tmp_path / ("x" * 256) / "file", b"content")
 
 
 def test_only_a_file_with_the_mark_may_be_replaced(tmp_path):
@@ -56,7 +58,9 @@ def test_only_a_file_with_the_mark_may_be_replaced(tmp_path):
     require_mark(ours, "<mark>", "page")
     require_mark(tmp_path / "missing", "<mark>", "page")
     os.mkfifo(tmp_path / "pipe")
-    for path in (other, tmp_path, tmp_path / "pipe"):
+    with (tmp_path / "huge").open("wb") as huge:
+        huge.truncate(2**40)
+    for path in (other, tmp_path, tmp_path / "pipe", tmp_path / "huge"):
         with pytest.raises(OutputError) as error:
             require_mark(path, "<mark>", "page")
         assert str(error.value) == f"{path} exists and is no page; choose another --out"

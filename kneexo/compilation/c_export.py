@@ -23,7 +23,7 @@ from kneexo.compilation.c_source import MARK, CSource
 from kneexo.compilation.c_template import filled
 from kneexo.compilation.model import DiagramModel, compile_diagram
 from kneexo.compilation.runner import Array, InputTable, State
-from kneexo.errors import CompilationError, OutputError
+from kneexo.errors import CompilationError, OutputError, shown
 
 TOLERANCES = {"double": 1e-9, "float": 1e-3}
 """What the harness takes for equal, as a part of the largest value of an output."""
@@ -292,7 +292,8 @@ def require_folder(directory: str | os.PathLike[str]) -> None:
     for file in sorted(folder.iterdir()) if folder.is_dir() else ():
         if not (file.name == _BUILD or _is_unfinished(file) or _is_export(file)):
             raise OutputError(
-                f"--out {folder}: {file.name} is not of an export; choose another directory"
+                f"--out {shown(folder)}: {shown(file.name)} is not of an export; choose another "
+                f"directory"
             )
 
 
@@ -318,7 +319,7 @@ def write_folder(directory: str | os.PathLike[str], files: Mapping[str, str]) ->
                 file.unlink()
     except OSError as error:
         reason = error.strerror or error
-        raise OutputError(f"--out {folder}: cannot write there ({reason})") from None
+        raise OutputError(f"--out {shown(folder)}: cannot write there ({reason})") from None
 
 
 def _is_unfinished(file: Path) -> bool:

@@ -26,7 +26,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from kneexo.errors import OutputError
+from kneexo.errors import OutputError, shortened
 
 _FORMAT = b"kneexo code 1\n"  # raise the number when the layout of the files changes
 _HEADER_BYTES = len(_FORMAT) + hashlib.sha256().digest_size
@@ -133,12 +133,12 @@ def size_limit() -> int:
     """Largest total size of the entries in bytes."""
     text = os.environ.get("KNEEXO_CACHE_SIZE_MB") or str(_DEFAULT_LIMIT_MB)
     try:
-        limit_mb = int(text)
+        limit_mb = int(text) if text.isascii() and "_" not in text else -1
     except ValueError:
         limit_mb = -1
     if not 0 <= limit_mb <= _LARGEST_LIMIT_MB:
         _warn_once(
-            f"KNEEXO_CACHE_SIZE_MB = {text!r}: must be a whole number of MiB from 0 to "
+            f"KNEEXO_CACHE_SIZE_MB = {shortened(text)!r}: must be a whole number of MiB from 0 to "
             f"{_LARGEST_LIMIT_MB}; the limit is {_DEFAULT_LIMIT_MB} MiB"
         )
         limit_mb = _DEFAULT_LIMIT_MB

@@ -35,6 +35,7 @@ _STANDARDS = {2: "2.0", 3: "3.0"}
 _PLATFORMS = {2: "linux64", 3: "x86_64-linux"}
 _FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest of a zip file: equal FMUs have equal bytes
 _ERRORS = "logStatusError"
+_LONGEST_DESCRIPTION = 2**26
 
 Causality = Literal["independent", "input", "parameter", "output", "local"]
 """What a variable of an FMU is to its importer."""
@@ -386,9 +387,13 @@ class Fmu:
 def generation_tool(archive: bytes) -> str | None:
     """The tool that made an FMU, empty where it is not told; None for what is no FMU."""
     try:
-        with zipfile.ZipFile(io.BytesIO(archive)) as files:
-            root = ElementTree.fromstring(files.read("modelDescription.xml"))
-    except (zipfile.BadZipFile, KeyError, ElementTree.ParseError):
+        with (
+            zipfile.ZipFile(io.BytesIO(archive)) as files,
+            files.open("modelDescription.xml") as file,
+        ):
+            # A short archive may unpack to a long text.
+            root = ElementTree.fromstring(file.read(_LONGEST_DESCRIPTION))
+    except Exception:  # whatever a damaged or encrypted archive makes of these libraries
         return None
     return root.get("generationTool", "") if root.tag == "fmiModelDescription" else None
 

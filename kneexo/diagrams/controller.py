@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder, System
 
 from kneexo import systems
 from kneexo.diagrams.part import Part, add_parts
-from kneexo.errors import KneexoError, ParameterError
+from kneexo.errors import ParameterError, shortened
 from kneexo.parameters import (
     CustomControllerParameters,
     ObserverParameters,
@@ -23,6 +23,7 @@ from kneexo.systems import (
     pid_controller,
     sliding_mode_controller,
 )
+from kneexo.user_code import user_code
 
 
 def make_controller(scenario: Scenario = Scenario(), law: System | None = None) -> System:
@@ -177,23 +178,10 @@ def known_to_controller(scenario: Scenario) -> Scenario:
 
 
 def _custom_controller(scenario: Scenario, parameters: CustomControllerParameters) -> System:
-    told = f"controller.make = {parameters.make!r}"
-    module, _, path = parameters.make.partition(":")
-    try:
-        make: Any = import_module(module)
-        for name in path.split("."):
-            make = getattr(make, name)
-    except (ImportError, AttributeError) as error:
-        raise ParameterError(
-            f"{told}: {error}; must be module:function on the Python path"
-        ) from None
-    try:
+    told = f"controller.make = {shortened(parameters.make)!r}"
+    make = _function(parameters.make, told)
+    with user_code(f"{told}: the function fails"):
         controller = make(known_to_controller(scenario))
-    except KneexoError:
-        raise
-    except Exception as error:  # whatever the user's function raises: its reason is told
-        reason = str(error).partition("\n")[0]
-        raise ParameterError(f"{told}: {type(error).__name__}: {reason}") from error
     require_controller(controller, told)
     timing = controller.GetUniquePeriodicDiscreteUpdateAttribute()
     if timing is not None and timing.period_sec() != parameters.sample_time_s:
@@ -203,6 +191,33 @@ def _custom_controller(scenario: Scenario, parameters: CustomControllerParameter
         )
     controller.set_name("controller")
     return controller
+
+
+def _function(name: str, told: str) -> Any:
+    """Import a function by its name ``module:function``."""
+    module, _, path = name.partition(":")
+    try:
+        with user_code(f"{told}: the module cannot be imported"):
+            make: Any = import_module(module)
+    except ParameterError as error:
+        cause = error.__cause__
+        missing = cause.name if isinstance(cause, ModuleNotFoundError) else None
+        if missing is None or not f"{module}.".startswith(f"{missing}."):
+            raise
+        raise ParameterError(
+            f"{told}: no module named {shortened(missing)!r}; must be module:function on the "
+            f"Python path"
+        ) from None
+    with user_code(f"{told}: the module fails"):
+        for attribute in path.split("."):
+            try:
+                make = getattr(make, attribute)
+            except AttributeError as error:
+                raise ParameterError(
+                    f"{told}: {shortened(str(error), 300)}; must be module:function on the Python "
+                    f"path"
+                ) from None
+    return make
 
 
 def controller_outputs(scenario: Scenario) -> dict[str, int]:

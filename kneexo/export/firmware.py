@@ -78,10 +78,16 @@ def make_firmware(
     duration_s = scenario.simulation.duration_s
     if vectors_s is None:
         vectors_s = min(VECTORS_S, duration_s)
-    if not scenario.controller.sample_time_s <= vectors_s <= duration_s:
+    sample_time_s = scenario.controller.sample_time_s
+    if duration_s < sample_time_s:
         raise ParameterError(
-            f"vectors_s = {vectors_s:g} s: must be {scenario.controller.sample_time_s:g} … "
-            f"{duration_s:g} s, the scenario's sample time and duration"
+            f"simulation.duration_s = {duration_s:g} s: must be at least {sample_time_s:g} s, the "
+            f"sample time, for test vectors"
+        )
+    if not sample_time_s <= vectors_s <= duration_s:
+        raise ParameterError(
+            f"vectors_s = {vectors_s:g} s: must be {sample_time_s:g} … {duration_s:g} s, the "
+            f"scenario's sample time and duration"
         )
     to_print = target(scenario, what, counts=True)
     model = compile_diagram(to_print.diagram, inputs=to_print.inputs)

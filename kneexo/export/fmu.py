@@ -15,7 +15,7 @@ from kneexo.compilation.c_source import CSource
 from kneexo.compilation.fmu import VERSIONS, Fmu, Parameter, generation_tool
 from kneexo.compilation.model import compile_diagram
 from kneexo.diagrams.closed_loop import make_closed_loop
-from kneexo.errors import KneexoError, OutputError, ParameterError
+from kneexo.errors import KneexoError, OutputError, ParameterError, shown
 from kneexo.export.target import Target, require_step, target
 from kneexo.parameters import CustomControllerParameters, Scenario, SlidingModeParameters
 from kneexo.parameters.paths import changed, value_at
@@ -24,6 +24,7 @@ from kneexo.simulation.compiled import scenario_start, scenario_values, structur
 from kneexo.systems import knee_reference
 from kneexo.systems.bldc_pump import RAD_S_PER_KRAD_S
 from kneexo.systems.cylinder import PA_PER_MPA
+from kneexo.user_file import MIB, read_bytes
 from kneexo.version import __version__
 from kneexo.whole_file import write_whole
 
@@ -36,6 +37,8 @@ _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
 _AT_REST = "; the initial state does not follow"
 
 _LONGEST_TUPLE = 8  # coefficients, but no samples
+
+_MOST_BYTES = 256 * MIB  # no FMU of ours is larger
 
 _STATES = {
     "plant/motor.x[0]": ("initial.motor_speed_rad_s", RAD_S_PER_KRAD_S),
@@ -314,12 +317,13 @@ def _starts(scenario: Scenario, of: Target, source: CSource) -> dict[str, float]
 
 def _require_own(file: Path) -> None:
     """Raise `OutputError` where something lies that we did not make."""
-    if file.exists() and not file.is_file():  # a pipe or device may never end
-        raise OutputError(f"--out {file}: is no regular file; choose another file")
     try:
-        tool = generation_tool(file.read_bytes()) if file.exists() else TOOL
+        tool = generation_tool(read_bytes(file, _MOST_BYTES))
+    except (FileNotFoundError, NotADirectoryError):
+        return
     except OSError as error:
-        raise OutputError(f"--out {file}: cannot be read ({error.strerror or error})") from None
+        reason = error.strerror or error
+        raise OutputError(f"--out {shown(file)}: {reason}; choose another file") from None
     if not (tool or "").startswith(TOOL):
         what = "no FMU" if tool is None else f"an FMU of {tool or 'another tool'}"
-        raise OutputError(f"--out {file}: is {what}; choose another file")
+        raise OutputError(f"--out {shown(file)}: is {what}; choose another file")

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import field_validator, model_validator
 
+from kneexo.errors import shortened
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, ordered_limits, quantity
 
@@ -219,6 +220,9 @@ class CustomControllerParameters(Parameters):
     @classmethod
     def _has_both_names(cls, make: str) -> str:
         module, _, function = make.partition(":")
-        if not module or not all(name.isidentifier() for name in function.split(".")):
-            raise ValueError(f"{make!r}: must be module:function")
+        names = function.split(".")
+        if not all(module.split(".")) or not all(name.isidentifier() for name in names):
+            raise ValueError(
+                f"{shortened(make)!r}: must be module:function, by the absolute name of the module"
+            )
         return make

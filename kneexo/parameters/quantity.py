@@ -24,7 +24,7 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 
-from kneexo.errors import ParameterError
+from kneexo.errors import ParameterError, shortened
 
 
 def quantity(
@@ -141,13 +141,6 @@ def source_of(field: FieldInfo) -> str:
     """The provenance of a field made by `quantity` or `choice`, or an empty string."""
     extra = field.json_schema_extra
     return str(extra.get("source", "")) if isinstance(extra, dict) else ""
-
-
-def shortened(text: str, most: int = 120) -> str:
-    """``text``, its middle left out where it has more than ``most`` characters."""
-    if len(text) <= most:
-        return text
-    return f"{text[: most // 2]} … {text[-(most // 2) + 3 :]}"
 
 
 def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:

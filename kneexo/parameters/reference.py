@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,6 +12,7 @@ from pydantic import Field, model_validator
 from kneexo.errors import ParameterError
 from kneexo.gait import gait_knee_flexion
 from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.user_file import file_error, read_table
 
 
 def _flexion(default: float, source: str) -> Any:
@@ -20,6 +20,9 @@ def _flexion(default: float, source: str) -> Any:
 
 
 _SHORTEST_RAMP_S = 1e-3  # its third power divides the jerk
+_SHORTEST_SAMPLE_S = 1e-6
+LONGEST_TIME_S = 1e5
+"""The largest time of a sample in s, before or after zero."""
 
 
 class _KneeReference(Parameters):
@@ -125,10 +128,11 @@ class SampledReference(_KneeReference):
                 f"times_s has {len(self.times_s)} values and angles_deg has "
                 f"{len(self.angles_deg)}: must be as many"
             )
-        if any(b - a < 1e-6 for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
+        steps = zip(self.times_s, self.times_s[1:], strict=False)
+        if any(b - a < _SHORTEST_SAMPLE_S for a, b in steps):
             raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
-        if max(abs(self.times_s[0]), abs(self.times_s[-1])) > 1e5:
-            raise ValueError("times_s must lie within ±100000 s")
+        if max(abs(self.times_s[0]), abs(self.times_s[-1])) > LONGEST_TIME_S:
+            raise ValueError(f"times_s must lie within ±{LONGEST_TIME_S:g} s")
         return self
 
     @property
@@ -159,48 +163,23 @@ class CsvReference(Parameters):
     def samples(self, directory: str | os.PathLike[str] = ".") -> SampledReference:
         """The samples; ``directory`` is what a relative path starts from.
 
-        Lines that are empty or start with ``#`` are left out. Raises `ParameterError` when the
-        file cannot be read, or a column or number is missing.
+        Lines that are empty or start with ``#`` are left out. Raises `ScenarioError`, a
+        `ParameterError`, where the file cannot be read, and where a column or a number is missing
+        or wrong.
         """
         path = Path(directory, self.file)
-        try:
-            with path.open(encoding="utf-8-sig", newline="") as stream:
-                lines = [
-                    (number, line)
-                    for number, line in enumerate(stream, 1)
-                    if line.strip() and not line.startswith("#")
-                ]
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "is not UTF-8"
-            raise ParameterError(f"{path}: cannot be read: {reason}") from None
-        if not lines:
-            raise ParameterError(f"{path}: is empty")
-        header, *rows = csv.reader(line for _, line in lines)
-        names = [name.strip() for name in header]
-        columns: dict[str, list[float]] = {}
-        for name in (self.time, self.angle):
-            if name not in names:
-                raise ParameterError(f"{path}: has no column {name!r}; it has {', '.join(names)}")
-            columns[name] = []
-            place = names.index(name)
-            for (number, _), row in zip(lines[1:], rows, strict=False):
-                try:
-                    columns[name].append(float(row[place]))
-                except (IndexError, ValueError):
-                    value = repr(row[place]) if place < len(row) else "no value"
-                    raise ParameterError(
-                        f"{path}:{number}: {name}: {value}; must be a number"
-                    ) from None
+        table = read_table(path, (self.time, self.angle))
+        table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, "s")
+        table.require_increase(self.time, _SHORTEST_SAMPLE_S, "s")
         try:
             return SampledReference(
-                times_s=tuple(columns[self.time]),
-                angles_deg=tuple(columns[self.angle]),
+                times_s=tuple(table.columns[self.time]),
+                angles_deg=tuple(table.columns[self.angle]),
                 interpolation=self.interpolation,
             )
         except ParameterError as error:
-            raise ParameterError(
-                f"{path}: {str(error).removeprefix('SampledReference: ')}"
-            ) from None
+            reason = str(error).removeprefix("SampledReference: ")
+            raise file_error(path, None, reason) from None
 
 
 class GaitReference(Parameters):

@@ -8,9 +8,10 @@ from typing import Any
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
-from kneexo.errors import SimulationError
+from kneexo.errors import KneexoError, SimulationError
 from kneexo.parameters import SimulationParameters
 from kneexo.simulation.run import Run
+from kneexo.user_code import cause_of, place_in_user_code
 
 
 def simulate_diagram(
@@ -24,7 +25,8 @@ def simulate_diagram(
 
     ``context`` is the root Context to start from; it is changed. ``progress`` gets the simulated
     time every 0.25 s. Drake's ``radau3`` stands in for the compiled engine's integrators. Raises
-    `SimulationError` when the run diverges, stalls or leaves the range of motion.
+    `SimulationError` when the run diverges, stalls or leaves the range of motion, and when a
+    system of the user's own fails.
     """
     settings = settings.with_drake()
     log = diagram.GetSubsystemByName("log").FindMutableLog(context)
@@ -45,12 +47,17 @@ def simulate_diagram(
         end = min(end + 0.25, start + settings.duration_s)
         try:
             simulator.AdvanceTo(end)  # initializes, the first time
-        except (RuntimeError, ValueError) as error:
-            if isinstance(error, SimulationError):
+        except (Exception, SystemExit) as error:
+            if isinstance(error, KneexoError):
+                raise
+            time = f"t = {context.get_time():.6g} s"
+            if place_in_user_code(error) is not None or isinstance(error, SystemExit):
+                raise SimulationError(f"{time}: {cause_of(error)}; correct that code") from error
+            if not isinstance(error, RuntimeError | ValueError):
                 raise
             reason = str(error).splitlines()[0]
             raise SimulationError(
-                f"t = {context.get_time():.6g} s: {diagram.get_name()}: the integrator "
+                f"{time}: {diagram.get_name()}: the integrator "
                 f"{settings.integrator} gave up at step_s = {settings.step_s:g} s ({reason}); "
                 f"reduce the step"
             ) from None

@@ -18,10 +18,12 @@ from weakref import WeakValueDictionary, finalize
 
 from pydantic import BaseModel
 
-from kneexo.errors import OutputError
+from kneexo.errors import OutputError, shown
+from kneexo.user_file import MIB, read_bytes
 from kneexo.version import __version__
 
 _HEADER = b'{"kneexo checkpoint": 1}'  # raise the number when the lines change
+_MOST_BYTES = 4096 * MIB
 
 
 class Checkpoint:
@@ -72,8 +74,8 @@ class Checkpoint:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise OutputError(
-                    f"checkpoint {path}: another process is at work on it; wait until it has "
-                    f"ended, or choose another directory"
+                    f"checkpoint {shown(path)}: another process is at work on it; wait until "
+                    f"it has ended, or choose another directory"
                 ) from None
             except OSError:  # a file system without locks
                 pass
@@ -84,7 +86,7 @@ class Checkpoint:
         return self._file
 
     def _read(self, path: Path) -> None:
-        data = path.read_bytes()
+        data = read_bytes(path, _MOST_BYTES)
         if _HEADER.startswith(data):  # empty, or the first write was cut short
             self._open(path).truncate(0)
             return
@@ -103,8 +105,8 @@ class Checkpoint:
             raise _foreign(path)
         if damaged:
             warnings.warn(
-                f"checkpoint {path}: {damaged} damaged {'line is' if damaged == 1 else 'lines are'}"
-                f" skipped",
+                f"checkpoint {shown(path)}: {damaged} damaged "
+                f"{'line is' if damaged == 1 else 'lines are'} skipped",
                 stacklevel=4,
             )
 
@@ -215,11 +217,11 @@ _ENCODER = json.JSONEncoder(sort_keys=True, default=_plain)
 
 def _fault(path: Path, error: OSError) -> OutputError:
     reason = error.strerror or str(error)
-    return OutputError(f"checkpoint {path}: {reason}; the pieces that it holds are kept")
+    return OutputError(f"checkpoint {shown(path)}: {reason}; the pieces that it holds are kept")
 
 
 def _foreign(path: Path) -> OutputError:
     return OutputError(
-        f"checkpoint {path}: this is not a checkpoint of kneexo; move it away or choose another "
-        f"directory"
+        f"checkpoint {shown(path)}: this is not a checkpoint of kneexo; move it away or choose "
+        f"another directory"
     )

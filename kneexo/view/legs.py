@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import warnings
+import math
 from pathlib import Path
 
-import numpy as np
-
-from kneexo.errors import ScenarioError, SimulationError
+from kneexo.errors import ScenarioError, SimulationError, shown
 from kneexo.parameters import Scenario
+from kneexo.parameters.reference import LONGEST_TIME_S
 from kneexo.simulation import Run, simulate
+from kneexo.user_file import read_table
 from kneexo.view.page import COLUMNS, Leg
 
 SIGNALS = ("knee_angle", "knee_reference", "load_pressure")
 """Signals of a run that a page shows."""
+
+_SHORTEST_STEP_S = 1e-9  # a file of a run has ten digits
+_HIGHEST_PRESSURE_PA = 1e12
+_SLACK_RAD = 1e-6
 
 
 def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
@@ -49,27 +53,21 @@ def _leg(name: str, scenario: Scenario, run: Run) -> Leg:
 def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
     """The run in a directory that ``kneexo simulate`` wrote: signals.csv of the scenario.
 
-    Raises `ScenarioError` where it is missing or not of such a run.
+    Raises `ScenarioError` where signals.csv is missing or not of such a run: a column is missing,
+    the time does not rise, or a value is out of range. Knee angle and reference must lie within
+    the range of motion and the overshoot that the scenario allows.
     """
     path = directory / "signals.csv"
-    try:
-        with path.open(encoding="utf-8") as file:
-            names = file.readline().strip().split(",")
-            missing = [column for column in COLUMNS if column not in names]
-            if missing:
-                raise ScenarioError(f"{path}: has no column {missing[0]}")
-            places = [names.index(column) for column in COLUMNS]
-            with warnings.catch_warnings(action="ignore"):  # no rows: told below
-                table = np.loadtxt(file, delimiter=",", usecols=places, ndmin=2)
-    except ScenarioError:
-        raise
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from None
-    except ValueError as error:
-        reason = str(error).partition("\n")[0]
-        raise ScenarioError(f"{path}: is not a table of numbers ({reason})") from None
-    if not (table.size and np.isfinite(table).all()):
-        raise ScenarioError(f"{path}: has no rows, or numbers that are not finite")
-    if table[0, 0] < 0.0 or (np.diff(table[:, 0]) <= 0.0).any():
-        raise ScenarioError(f"{path}: time_s must rise from 0 s or later")
-    return Leg(name, scenario.plant.linkage, *table.T)
+    table = read_table(path, COLUMNS)
+    if not table.lines:
+        raise ScenarioError(f"{shown(path)}: has no rows below the names of its columns")
+    knee = scenario.plant.knee
+    low = math.radians(knee.flexion_min_deg - knee.overshoot_deg) - _SLACK_RAD
+    high = math.radians(knee.flexion_max_deg + knee.overshoot_deg) + _SLACK_RAD
+    time, angle, reference, pressure = COLUMNS
+    table.require(time, 0.0, LONGEST_TIME_S, "s")
+    table.require_increase(time, _SHORTEST_STEP_S, "s")
+    table.require(angle, low, high, "rad")
+    table.require(reference, low, high, "rad")
+    table.require(pressure, -_HIGHEST_PRESSURE_PA, _HIGHEST_PRESSURE_PA, "Pa")
+    return Leg.of_signals(name, scenario.plant.linkage, table.columns)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource, LinearSystem, ZeroOrderHold
 
 import kneexo
@@ -14,7 +15,7 @@ from kneexo.analysis import linearize_loop, simulate, track
 from kneexo.analysis.assessment import assess
 from kneexo.diagrams import SIGNALS, make_closed_loop, make_controller
 from kneexo.diagrams.controller import known_to_controller, require_controller
-from kneexo.errors import LinearizationError, ParameterError
+from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.parameters import (
     CustomControllerParameters,
     ExactParameters,
@@ -201,7 +202,7 @@ def no_system(scenario):
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        ("nowhere:make", "No module named 'nowhere'; must be module:function on the Python path"),
+        ("nowhere:make", "no module named 'nowhere'; must be module:function on the Python path"),
         ("math:nothing", "has no attribute 'nothing'; must be module:function on the Python path"),
         (failing, "ZeroDivisionError: by hand"),
         (no_system, "int is not a Drake system"),
@@ -216,12 +217,79 @@ def test_what_is_no_controller_is_one_line(make, told):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("def make(:\n", "SyntaxError: invalid syntax (FILE, line 1)"),
+        ("x = 1\n1 / 0\n", "ZeroDivisionError: division by zero (FILE, line 2)"),
+        ("import sys\nsys.exit(5)\n", "SystemExit: 5 (FILE, line 2)"),
+        ("raise ValueError('two\\nlines')\n", "ValueError: two (FILE, line 1)"),
+        ("import nowhere_else\n", "No module named 'nowhere_else' (FILE, line 1)"),
+        ("from .other import x\n", "no known parent package (FILE, line 1)"),
+        (
+            "import json\njson.loads('[')\n",
+            "Expecting value: line 1 column 2 (char 1) (FILE, line 2)",
+        ),
+        ("def f(): f()\nf()\n", "RecursionError: maximum recursion depth exceeded (FILE, line 1)"),
+    ],
+)
+def test_a_module_that_fails_is_one_line_with_its_place(tmp_path, monkeypatch, text, told):
+    module = tmp_path / "failing_controller.py"
+    module.write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ParameterError) as caught:
+        make_controller(custom("failing_controller:make"))
+    line = str(caught.value).replace(str(module), "FILE")
+    assert line.startswith("controller.make = 'failing_controller:make': the module cannot be imp")
+    assert told in line
+    assert line.isprintable()
+
+
+def test_a_maker_that_exits_is_one_line():
+    with pytest.raises(ParameterError, match=r"'sys:exit': the function fails: SystemExit: Scenar"):
+        make_controller(custom("sys:exit"))
+
+
+class Failing(LeafSystem):
+    """A controller whose output runs a function."""
+
+    def __init__(self, function):
+        super().__init__()
+        self._function = function
+        self.DeclareVectorOutputPort("motor_speed_command", 1, self._calc)
+
+    def _calc(self, context, output):
+        self._function()
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("mine"), SystemExit(5), RuntimeError("mine")])
+def test_a_controller_that_fails_in_a_run_is_one_line_with_its_place(monkeypatch, error):
+    def fail():
+        raise error
+
+    monkeypatch.setitem(globals(), "failing_run", lambda scenario: Failing(fail))
+    scenario = custom(f"{__name__}:failing_run")
+    scenario = changed(scenario, {"simulation.integrator": "radau3"})
+    told = (
+        rf"^t = 0 s: {type(error).__name__}: (mine|5) \(.*test_controller.py, line \d+\); correct"
+    )
+    with pytest.raises(SimulationError, match=told):
+        simulate(scenario)
+
+
+def test_an_interrupt_of_the_users_code_is_an_interrupt(tmp_path, monkeypatch):
+    (tmp_path / "interrupted_controller.py").write_text("raise KeyboardInterrupt\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        make_controller(custom("interrupted_controller:make"))
+
+
 def test_its_sample_time_is_that_of_the_scenario():
     with pytest.raises(ParameterError, match=r"sample_time_s = 0.004 s: must be 0.002 s"):
         track(custom(ours, 0.004))
 
 
-@pytest.mark.parametrize("make", ["", "make", "a.b", "a:", ":b", "a:b c"])
+@pytest.mark.parametrize("make", ["", "make", "a.b", "a:", ":b", "a:b c", ".a:b", "a..b:c"])
 def test_make_has_module_and_function(make):
     with pytest.raises(ParameterError, match="must be module:function"):
         custom(make)

@@ -144,6 +144,13 @@ def test_vectors_are_as_long_as_asked_or_as_the_run():
             make_firmware(scenario_of(), vectors_s=wrong)
 
 
+def test_a_duration_below_a_sample_is_refused():
+    scenario = Scenario(simulation={"duration_s": 0.001})
+    for vectors_s in (None, 0.002):
+        with pytest.raises(ParameterError, match=r"duration_s = 0.001 s: must be at least 0.002 s"):
+            make_firmware(scenario, vectors_s=vectors_s)
+
+
 # --------------------------------------------------------------------------- command line
 
 

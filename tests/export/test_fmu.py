@@ -623,7 +623,7 @@ def test_a_file_without_an_end_is_not_read(tmp_path, capsys):
     file = tmp_path / "knee.fmu"
     os.mknod(file, stat.S_IFSOCK | 0o600)
     assert main(["export", "fmu", "--out", str(file)]) == 2
-    told = f"kneexo: --out {file}: is no regular file; choose another file\n"
+    told = f"kneexo: --out {file}: is not a regular file; choose another file\n"
     assert capsys.readouterr().err == told
 
 

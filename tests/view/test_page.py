@@ -104,12 +104,21 @@ def test_results_of_simulate_are_a_leg(tmp_path, capsys):
     signals = out / "signals.csv"
     head = "time_s,knee_angle_rad,knee_reference_rad,load_pressure_pa\n"
     for text, match in (
-        ("time_s,knee_angle_rad\n0,1\n", "signals.csv: has no column knee_reference_rad$"),
-        (f"{head}0,1,2,x\n", "is not a table of numbers"),
+        (
+            "time_s,knee_angle_rad\n0,1\n",
+            "signals.csv: has no column 'knee_reference_rad'; it has time_s, knee_angle_rad$",
+        ),
+        (f"{head}0,1,1,x\n", "signals.csv:2: load_pressure_pa: 'x'; must be a finite number"),
         (head, "has no rows"),
-        (f"{head}0,1,2,nan\n", "not finite"),
-        (f"{head}-1,1,2,3\n0,1,2,3\n", "time_s must rise from 0 s or later$"),
-        (f"{head}0,1,2,3\n1,1,2,3\n1,1,2,3\n", "time_s must rise from 0 s or later$"),
+        (f"{head}0,1,1,nan\n", "signals.csv:2: load_pressure_pa: 'nan'; must be a finite number"),
+        (
+            f"{head}-1,1,1,3\n0,1,1,3\n",
+            "signals.csv:2: time_s = -1 s is out of range: must be >= 0",
+        ),
+        (f"{head}0,1,1,3\n1,1,1,3\n1,1,1,3\n", "signals.csv:4: time_s = 1 s after 1 s: must incre"),
+        (f"{head}0,1e308,1,3\n", r"signals.csv:2: knee_angle_rad = 1e\+308 rad is out of range"),
+        (f"{head}0,1,1,3\n1,1,-1e308,3\n", r"signals.csv:3: knee_reference_rad = -1e\+308 rad is"),
+        (f"{head}0,1,1,1e308\n", r"signals.csv:2: load_pressure_pa = 1e\+308 Pa is out of range"),
     ):
         signals.write_text(text)
         with pytest.raises(ScenarioError, match=match):

@@ -1,0 +1,69 @@
+"""Errors of a user's code that runs within kneexo: one line with their cause, file and line."""
+
+from __future__ import annotations
+
+import os
+import sysconfig
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from kneexo.errors import KneexoError, ParameterError, shortened, shown
+
+_PACKAGE = f"{Path(__file__).parent}{os.sep}"
+_LIBRARIES = tuple(
+    f"{sysconfig.get_path(name)}{os.sep}" for name in ("stdlib", "purelib", "platlib")
+)
+
+
+@contextmanager
+def user_code(failure: str) -> Iterator[None]:
+    """Context manager for a body that runs code of the user.
+
+    Turns every error in the body into a `ParameterError` of one line: ``failure``, the error, and
+    file and line of its cause. A call of ``sys.exit`` is an error too. A `KneexoError` and a
+    `KeyboardInterrupt` pass.
+    """
+    try:
+        yield
+    except (KneexoError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise ParameterError(
+            f"{failure}: {cause_of(error)}; correct that code, or name another module:function"
+        ) from error
+
+
+def cause_of(error: BaseException) -> str:
+    """The type of an error, the first line of its message, and file and line in a user's code."""
+    place: tuple[str | None, int | None] | None
+    if isinstance(error, SyntaxError):
+        reason, place = error.msg, (error.filename, error.lineno)
+    else:
+        # Unlike str(error), this never fails.
+        _, _, reason = traceback.format_exception_only(error)[0].strip().partition(": ")
+        place = place_in_user_code(error) or _innermost(error)
+    message = ": ".join(part for part in (type(error).__name__, reason.partition("\n")[0]) if part)
+    where = f" ({shown(place[0])}, line {place[1]})" if place and place[0] else ""
+    return f"{shortened(message, 300)}{where}"
+
+
+def place_in_user_code(error: BaseException) -> tuple[str, int] | None:
+    """File and line of the innermost frame of an error that is neither in kneexo nor a library."""
+    places = [place for place in _places(error) if not place[0].startswith(_LIBRARIES)]
+    return places[-1] if places else None
+
+
+def _innermost(error: BaseException) -> tuple[str, int] | None:
+    """File and line of the innermost frame of an error outside kneexo."""
+    places = _places(error)
+    return places[-1] if places else None
+
+
+def _places(error: BaseException) -> list[tuple[str, int]]:
+    return [
+        (frame.f_code.co_filename, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if not frame.f_code.co_filename.startswith((_PACKAGE, "<frozen "))
+    ]

@@ -1,0 +1,212 @@
+"""Files that a user names: only regular files are read, up to a size, and as UTF-8."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import math
+import os
+import re
+import stat
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+from kneexo.errors import ScenarioError, shortened, shown
+
+MIB = 2**20
+"""Bytes of one MiB."""
+
+MOST_BYTES_OF_TABLE = 256 * MIB
+"""Size of the largest CSV file that is read."""
+
+NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+"""A decimal number. `float` also takes ``1_0``, ``nan`` and the digits of other scripts."""
+
+_CHUNK = MIB
+_LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF32_BE)
+
+
+def read_bytes(path: str | os.PathLike[str], most_bytes: int) -> bytes:
+    """Read a regular file of at most ``most_bytes`` bytes.
+
+    Raises `OSError` for every other file. A pipe or a device may never end.
+    """
+    try:
+        mode = os.stat(path).st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+            raise OSError("is not a regular file")
+        # A file of the kernel may wait for data, and a pipe may have replaced the file.
+        with open(path, "rb", buffering=0, opener=_open_without_waiting) as file:
+            size = os.fstat(file.fileno()).st_size
+            chunks: list[bytes] = []
+            while size <= most_bytes:
+                chunk = file.read(_CHUNK)
+                if chunk is None:
+                    raise OSError("has no data now; must be an ordinary file")
+                if not chunk:
+                    return b"".join(chunks)
+                chunks.append(chunk)
+                size = max(size, sum(map(len, chunks)))
+    except MemoryError:
+        raise OSError("is too large for the free memory") from None
+    except ValueError:  # in words that change with the version of Python
+        raise OSError("a null byte in its name") from None
+    raise OSError(f"is too large, must have at most {most_bytes} bytes")
+
+
+def read_text(path: str | os.PathLike[str], most_bytes: int) -> str:
+    """Read a text file in UTF-8, with or without a byte order mark; see `read_bytes`.
+
+    Raises `ScenarioError`, one line with file and reason.
+    """
+    try:
+        data = read_bytes(path, most_bytes)
+        if data.startswith(_UTF_16):
+            raise file_error(path, None, "is in UTF-16 or UTF-32; save it as UTF-8")
+        if (place := data.find(b"\0")) >= 0:
+            message = "has a null byte; must be text in UTF-8, not UTF-16 or binary data"
+            raise file_error(path, data.count(b"\n", 0, place) + 1, message)
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
+        message = f"is not UTF-8: byte 0x{byte:02x}; save it as UTF-8"
+        raise file_error(path, line, message) from None
+    except OSError as error:
+        raise file_error(path, None, f"cannot be read: {error.strerror or error}") from error
+    except MemoryError:
+        message = "cannot be read: is too large for the free memory"
+        raise file_error(path, None, message) from None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of numbers of a CSV file.
+
+    ``lines`` holds the number of the line on which each row starts. ``columns`` holds the finite
+    values of each column by its name.
+    """
+
+    path: str | os.PathLike[str]
+    lines: list[int]
+    columns: dict[str, list[float]]
+
+    def require(self, name: str, low: float, high: float, unit: str) -> None:
+        """Raise `ScenarioError` for a value of a column outside ``low`` … ``high``."""
+        for line, value in zip(self.lines, self.columns[name], strict=True):
+            if not low <= value <= high:
+                message = (
+                    f"{name} = {value:g} {unit} is out of range: must be >= {low:.6g} and "
+                    f"<= {high:.6g} {unit}"
+                )
+                raise file_error(self.path, line, message)
+
+    def require_increase(self, name: str, step: float, unit: str) -> None:
+        """Raise `ScenarioError` where a column rises by less than ``step`` from row to row."""
+        values = self.columns[name]
+        for line, before, value in zip(self.lines[1:], values, values[1:], strict=False):
+            if not value - before >= step:
+                message = (
+                    f"{name} = {value:.10g} {unit} after {before:.10g} {unit}: must increase by at "
+                    f"least {step:g} {unit} from row to row"
+                )
+                raise file_error(self.path, line, message)
+
+
+def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
+    """Read columns of a CSV file, whose first record holds the names of the columns.
+
+    Lines between records are left out if they are empty or start with ``#``.
+
+    Parameters
+    ----------
+    path
+        A regular file of at most 256 MiB in UTF-8.
+    names
+        The columns to read. Spaces around a name in the file do not count.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, a record is damaged or too long, a column is missing or there
+        twice, or a value is no finite number in decimal digits.
+    """
+    try:
+        records = _records(path, read_text(path, MOST_BYTES_OF_TABLE))
+        _, header = next(records, (0, None))
+        if header is None:
+            raise file_error(path, None, "is empty; must have a line with the names of columns")
+        header = [name.strip() for name in header]
+        places = [_place(path, header, name) for name in names]
+        lines: list[int] = []
+        values: list[list[float]] = [[] for _ in names]
+        for line, row in records:
+            if any(field.strip() for field in row[len(header) :]):
+                message = f"has {len(row)} values; must have {len(header)}, one of each column"
+                raise file_error(path, line, message)
+            lines.append(line)
+            for name, place, column in zip(names, places, values, strict=True):
+                column.append(_number(path, line, name, row[place] if place < len(row) else ""))
+    except MemoryError:
+        message = "cannot be read: has too many rows for the free memory"
+        raise file_error(path, None, message) from None
+    return Table(path, lines, dict(zip(names, values, strict=True)))
+
+
+def file_error(path: str | os.PathLike[str], line: int | None, message: str) -> ScenarioError:
+    """The error of a file: its name, the line if there is one, and the message."""
+    place = "" if line is None else f":{line}"
+    return ScenarioError(f"{shown(os.fspath(path))}{place}: {shortened(message, 800)}")
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY)
+
+
+def _records(path: str | os.PathLike[str], text: str) -> Iterator[tuple[int, list[str]]]:
+    """Each record, with the number of its first line. A quoted field may span lines."""
+    count = 0
+
+    def next_lines() -> Iterator[str]:
+        nonlocal count
+        for match in _LINE.finditer(text):
+            count += 1
+            yield match[0]
+
+    lines = next_lines()
+    for line in lines:
+        if not line.strip() or line.startswith("#"):
+            continue
+        first = count
+        try:
+            yield first, next(csv.reader(chain([line], lines), skipinitialspace=True, strict=True))
+        except csv.Error as error:
+            if "unexpected end" in str(error):
+                reason = "a quotation mark opens a field that does not end"
+            elif "field larger" in str(error):
+                reason = f"a field has more than {csv.field_size_limit()} characters"
+            else:
+                reason = f"{error}"
+            raise file_error(path, first, f"{reason}; must be a record of CSV") from None
+
+
+def _place(path: str | os.PathLike[str], header: list[str], name: str) -> int:
+    places = [place for place, other in enumerate(header) if other == name]
+    quoted = repr(shortened(name))
+    if not places:
+        listed = shortened(", ".join(header), 300)
+        raise file_error(path, None, f"has no column {quoted}; it has {listed}")
+    if len(places) > 1:
+        message = f"has {len(places)} columns {quoted}; must have one column of this name"
+        raise file_error(path, None, message)
+    return places[0]
+
+
+def _number(path: str | os.PathLike[str], line: int, name: str, text: str) -> float:
+    text = text.strip(" \t")
+    if NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
+        return value
+    given = repr(shortened(text, 60)) if text else "no value"
+    message = f"{shortened(name)}: {given}; must be a finite number in the digits 0-9"
+    raise file_error(path, line, message)
