@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextvars import ContextVar
 from importlib import import_module
 from typing import Any
 
@@ -180,8 +181,16 @@ def known_to_controller(scenario: Scenario) -> Scenario:
 def _custom_controller(scenario: Scenario, parameters: CustomControllerParameters) -> System:
     told = f"controller.make = {shortened(parameters.make)!r}"
     make = _function(parameters.make, told)
-    with user_code(f"{told}: the function fails"):
-        controller = make(known_to_controller(scenario))
+    if parameters.make in _running.get():
+        raise ParameterError(
+            f"{told}: the function makes the controller that it is asked for; must make another one"
+        )
+    token = _running.set(_running.get() | {parameters.make})
+    try:
+        with user_code(f"{told}: the function fails"):
+            controller = make(known_to_controller(scenario))
+    finally:
+        _running.reset(token)
     require_controller(controller, told)
     timing = controller.GetUniquePeriodicDiscreteUpdateAttribute()
     if timing is not None and timing.period_sec() != parameters.sample_time_s:
@@ -238,6 +247,9 @@ def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
 
 
 _outputs: dict[str, dict[str, int]] = {}
+
+_running: ContextVar[frozenset[str]] = ContextVar("running", default=frozenset())
+"""Names of the functions that make a controller at this moment."""
 
 _INPUTS = {"encoder_reading": 1, "knee_reference": 4, "rod_state": 3}
 _LAW_INPUTS = {

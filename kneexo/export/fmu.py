@@ -325,5 +325,5 @@ def _require_own(file: Path) -> None:
         reason = error.strerror or error
         raise OutputError(f"--out {shown(file)}: {reason}; choose another file") from None
     if not (tool or "").startswith(TOOL):
-        what = "no FMU" if tool is None else f"an FMU of {tool or 'another tool'}"
+        what = "no FMU" if tool is None else f"an FMU of {shown(tool) or 'another tool'}"
         raise OutputError(f"--out {shown(file)}: is {what}; choose another file")

@@ -195,6 +195,10 @@ def without_command(scenario):
     return ZeroOrderHold(0.002, 1)
 
 
+def asking_itself(scenario):
+    return make_controller(scenario)
+
+
 def no_system(scenario):
     return 42
 
@@ -205,6 +209,10 @@ def no_system(scenario):
         ("nowhere:make", "no module named 'nowhere'; must be module:function on the Python path"),
         ("math:nothing", "has no attribute 'nothing'; must be module:function on the Python path"),
         (failing, "ZeroDivisionError: by hand"),
+        (
+            asking_itself,
+            "the function makes the controller that it is asked for; must make another",
+        ),
         (no_system, "int is not a Drake system"),
         (without_command, "has an input port u of size 1; must be of encoder_reading (1)"),
     ],

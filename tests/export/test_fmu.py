@@ -600,6 +600,27 @@ def _foreign(file):
         archive.writestr("modelDescription.xml", text)
 
 
+@pytest.mark.parametrize("damage", ["encrypted", "other method", "bad data", "bomb"])
+def test_a_damaged_archive_is_no_fmu(damage, tmp_path, monkeypatch):
+    file = tmp_path / "knee.fmu"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        text = f'<fmiModelDescription generationTool="{exports.TOOL}"/>'
+        archive.writestr("modelDescription.xml", " " * 10_000 * (damage == "bomb") + text)
+    data = bytearray(file.read_bytes())
+    assert damage == "bomb" or generation_tool(bytes(data)) == exports.TOOL
+    if damage == "encrypted":
+        data[6] |= 1
+        data[data.index(b"PK\x01\x02") + 8] |= 1
+    elif damage == "other method":
+        data[8] = 99
+        data[data.index(b"PK\x01\x02") + 10] = 99
+    elif damage == "bad data":
+        data[50:60] = bytes([255] * 10)
+    else:
+        monkeypatch.setattr("kneexo.compilation.fmu._LONGEST_DESCRIPTION", 5000)
+    assert generation_tool(bytes(data)) is None
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -168,6 +168,15 @@ def test_a_pipe_is_refused(tmp_path):
         Checkpoint(tmp_path / "pipe")
 
 
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "huge"
+    with path.open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(OutputError, match="huge: is too large, must have at most 4294967296 bytes"):
+        Checkpoint(path)
+    assert path.stat().st_size == 2**40
+
+
 HOLD = """
 import sys
 from pathlib import Path
