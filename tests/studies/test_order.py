@@ -387,13 +387,14 @@ def by_hand():
 
     def row(part, **labels):
         values = {name: round(0.00617 * next(counter), 5) for name in NAMES[part]}
+        values |= {name: value / 5.0 for name, value in values.items() if "share" in name}
         if labels.get("order") == "full":
             gone = [name for name in values if name.startswith("load_pressure")]
         else:
             gone = [name for name in values if name.startswith(("cap", "rod_side"))]
         return labels | {k: v for k, v in values.items() if k not in gone}
 
-    loads, postures = (0.0, 60.0), (10.0, 40.0, 70.0)
+    loads, postures = (0.0, 60.0, -60.0), (10.0, 40.0, 70.0)
     both = [(order, load) for load in loads for order in ("reduced", "full")]
     tracking = [row("tracking", order=o, disturbance_n=f) for o, f in both]
     for n, one in enumerate(tracking):
@@ -573,9 +574,9 @@ def test_the_zone_of_oscillation_is_compared_with_what_lies_beside_it(by_hand):
 def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
     drawn = figures(study)
     assert set(drawn) == {"order_tracking", "order_switching", "order_frequency"}
-    panels = np.reshape(drawn["order_tracking"].axes, (2, 2))
     pressures = {"P_L, reduced": "load_pressure", "P_1, full": "cap", "P_2, full": "rod_side"}
     loads = study.settings.disturbances_n
+    panels = np.reshape(drawn["order_tracking"].axes, (len(loads), 2))
     for (error, pressure), load in zip(panels, loads, strict=True):
         assert error.get_title() == f"disturbance {load:g} N"
         assert (error.get_ylabel(), pressure.get_ylabel()) == ("error (deg)", "pressure (MPa)")
@@ -619,6 +620,9 @@ def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
         assert_line(line, trace["frequencies_hz"], gain)
     assert lines.pop("Nyquist, 250 Hz")[0] == pytest.approx([250.0, 250.0])
     assert lines == {}
+    # An order has a colour, a load a dash: lines of two loads may coincide.
+    styles = {(line.get_color(), line.get_linestyle()) for line in ax.lines[: len(cases)]}
+    assert len(styles) == len(cases) == 2 * len(loads)
 
 
 def test_a_comparison_without_forces_has_dashes_in_its_report():
