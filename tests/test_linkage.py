@@ -246,8 +246,8 @@ def test_wrapped_angle_lies_within_half_a_turn_and_differs_by_whole_turns(angle)
 def test_moment_arm_is_minus_the_slope_of_the_rod(name):
     link, h = LINKAGES[name], 1e-5
     slope = (rod_extension(link, RANGE + h) - rod_extension(link, RANGE - h)) / (2.0 * h)
-    # Truncation h²x‴/6 ~ 2e-12 m, rounding 1e-16/h ~ 1e-11 m.
-    np.testing.assert_allclose(moment_arm(link, RANGE), -slope, rtol=0.0, atol=1e-10)
+    # Truncation h²x‴/6 ~ 2e-12 m, rounding 2e-16 m/h ~ 2e-11 m, times 10.
+    np.testing.assert_allclose(moment_arm(link, RANGE), -slope, rtol=0.0, atol=2e-10)
 
 
 @names
