@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kneexo.analysis.hardware import sliding_mode
-from kneexo.analysis.plant_linearization import Complex
+from kneexo.analysis.plant_linearization import Complex, frequency_array
 from kneexo.analysis.signals import rms
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, Scenario
@@ -84,7 +84,7 @@ class ErrorModel(Result):
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
         """e/x_d at frequencies in Hz, (n,), without the approximation of a slow reference."""
-        p = 2j * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+        p = 2j * np.pi * frequency_array(frequencies_hz)
         kappa = self.slope_per_s / self.stiffness_per_s2
         driving = (1.0 - self.speed_ratio) * p - self.speed_ratio * self.delay_s * p**2
         return np.asarray(driving / (kappa * (p + self.lambda_per_s) ** 2 - driving))

@@ -15,7 +15,7 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 
-from kneexo.analysis.plant_linearization import MID_RANGE_DEG, NEWTON_STEPS
+from kneexo.analysis.plant_linearization import MID_RANGE_DEG, NEWTON_STEPS, OUTSIDE
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values
 from kneexo.diagrams.controller import known_to_controller
@@ -166,25 +166,26 @@ def find_rest(
     z = np.concatenate([context.get_discrete_state(i).CopyToVector() for i in groups])
     n, m = x.size, z.size
     point = np.concatenate([x, z])
-    residual = math.inf
+    residual, finite = math.inf, True
     rest = Rest(automatic, context, point, n, reference, period_s)
     for _ in range(NEWTON_STEPS):
         values, gradient, _ = rest.gradients(point, reference, "knee_angle")
         values = np.concatenate([values[:n], values[n:] - point[n:]])
         jacobian = gradient[:, : n + m].copy()
         jacobian[n:, n:] -= np.eye(m)
-        residual = float(np.max(np.abs(values)))
-        if not (np.isfinite(jacobian).all() and math.isfinite(residual)):
+        finite = bool(np.isfinite(jacobian).all() and np.isfinite(values).all())
+        if not finite:
             break
+        residual = float(np.max(np.abs(values)))
         # Minimum norm: a state without influence (an unused integral) stays where it is.
         step = np.linalg.lstsq(jacobian, values, rcond=1e-14)[0]
         point = point - step
         if np.max(np.abs(step) / (1.0 + np.abs(point))) < 1e-13:
             break
-    if not residual < 1e-6:
+    if not (finite and residual < 1e-6):
+        left = f"the largest residual left is {residual:.3g}" if finite else OUTSIDE
         raise LinearizationError(
-            f"the loop does not rest at knee angle {knee_angle_deg:g} deg: the largest residual "
-            f"left is {residual:.3g}; reduce the load"
+            f"the loop does not rest at knee angle {knee_angle_deg:g} deg: {left}; reduce the load"
         )
     _set_point(diagram, context, point, reference, n)
     _require_linear(diagram, context, fixed)

@@ -24,6 +24,8 @@ Complex = NDArray[np.complex128]
 
 NEWTON_STEPS = 50
 """Most Newton steps on the way to an equilibrium."""
+OUTSIDE = "Newton's method goes where the equations are not finite"
+"""Why it ends before."""
 MID_RANGE_DEG = 40.0
 """Middle of the paper's 10…70°."""
 
@@ -105,22 +107,26 @@ def find_operating_point(
         np.asarray(diagram.CreateDefaultContext().get_continuous_state_vector().CopyToVector()), 0.0
     )
     target = math.radians(knee_angle_deg)
-    residual = math.inf
+    residual, finite = math.inf, True
     for _ in range(NEWTON_STEPS):
         values, gradient = _plant_gradients(
             automatic, point, ("knee_angle",), knee_torque_n_m, disturbance_n
         )
         values[-1] -= target
+        finite = bool(np.isfinite(gradient).all() and np.isfinite(values).all())
+        if not finite:
+            break
         residual = float(np.max(np.abs(values)))
         step = np.linalg.lstsq(gradient, values, rcond=None)[0]
         point = point - step
         if np.max(np.abs(step)) < 1e-13:
             break
-    if not residual < 1e-8:
+    if not (finite and residual < 1e-8):
+        left = f"the largest derivative left is {residual:.3g}" if finite else OUTSIDE
         raise LinearizationError(
             f"no equilibrium at knee angle {knee_angle_deg:g} deg with knee_torque = "
-            f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: the largest "
-            f"derivative left is {residual:.3g}; reduce the load or the leakage"
+            f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: {left}; reduce the "
+            f"load or the leakage"
         )
     context = diagram.CreateDefaultContext()
     context.SetContinuousState(point[:-1])
@@ -220,7 +226,7 @@ class PlantLinearization(Result):
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
         """G(j2πf) of the first output, (n,)."""
-        s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+        s = 2j * np.pi * frequency_array(frequencies_hz)
         eye = np.eye(self.a.shape[0])
         return np.array(
             [(self.c[0] @ np.linalg.solve(v * eye - self.a, self.b) + self.d[0])[0] for v in s]
@@ -263,6 +269,7 @@ def linearize_plant(
         knee_torque_n_m,
         disturbance_n,
     )
+    require_finite(gradient, n, knee_angle_deg)
     return PlantLinearization(
         a=gradient[:n, :n],
         b=gradient[:n, n:],
@@ -272,6 +279,33 @@ def linearize_plant(
         operating_point=point,
         states=tuple(_state_names(diagram)),
     )
+
+
+def frequency_array(frequencies_hz: ArrayLike) -> Array:
+    """Frequencies in Hz as an array (n,).
+
+    Raises `LinearizationError` for one that is not finite.
+    """
+    frequencies = np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+    finite = np.isfinite(frequencies)
+    if not finite.all():
+        raise LinearizationError(f"frequency = {frequencies[~finite][0]:g} Hz: must be finite")
+    return frequencies
+
+
+def require_finite(gradient: Array, states: int, knee_angle_deg: float) -> None:
+    """Raise `LinearizationError` for a ``gradient`` of rates and then outputs that is not finite.
+
+    ``states``: number of rates, the first rows.
+    """
+    finite = np.isfinite(gradient).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        what = f"the rate of state {row}" if row < states else f"output {row - states}"
+        raise LinearizationError(
+            f"the derivative of {what} is not finite at knee angle {knee_angle_deg:g} deg: there "
+            f"is no linear model"
+        )
 
 
 def _state_names(system: Any, path: str = "") -> Iterator[str]:

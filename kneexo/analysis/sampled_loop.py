@@ -22,7 +22,12 @@ from numpy.typing import ArrayLike
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
 from kneexo.analysis.loop_equilibrium import command_and_live, find_rest
-from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex
+from kneexo.analysis.plant_linearization import (
+    MID_RANGE_DEG,
+    Complex,
+    frequency_array,
+    require_finite,
+)
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.result import Result, axes_or_new
@@ -155,7 +160,7 @@ class SampledLoop(Result):
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
         """L(e^{j2πfT}) at frequencies in Hz, (n,); L is periodic in the sampling frequency."""
         a, b, c = self.loop_matrices
-        z = np.exp(2j * np.pi * _frequencies(frequencies_hz) * self.sample_time_s)
+        z = np.exp(2j * np.pi * frequency_array(frequencies_hz) * self.sample_time_s)
         shifted = z[:, None, None] * np.eye(a.shape[0]) - a
         return np.asarray(c @ np.linalg.solve(shifted, b[None, :, :]), dtype=complex)[:, 0, 0]
 
@@ -182,7 +187,7 @@ class SampledLoop(Result):
         folded. The held command U e^{jωkT} contains U (1 − e^{−jωT})/(jωT) at ω, which the plant
         turns into G(jω) times that; the other components lie at ω + 2πk/T.
         """
-        f = _frequencies(frequencies_hz)
+        f = frequency_array(frequencies_hz)
         if np.any(f <= 0.0):
             raise LinearizationError(f"frequency = {f.min():g} Hz: must be > 0")
         dt = self.sample_time_s
@@ -417,10 +422,6 @@ class SampledLoop(Result):
         return ax
 
 
-def _frequencies(frequencies_hz: ArrayLike) -> Array:
-    return np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
-
-
 def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:
     """Zeros of ``function``, whose ``values`` on ``grid`` are known to a few digits."""
     changes = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
@@ -468,6 +469,8 @@ def linearize_loop(
         for side in (-1.0, 1.0)
     ]
     gradient = 0.5 * (both[0] + both[1])
+    rows = np.vstack([gradient, np.pad(c, ((0, 0), (0, gradient.shape[1] - n)))])
+    require_finite(rows, n + m, knee_angle_deg)
     held, command, live = command_and_live(gradient, n)
     update = gradient[n:]
     return SampledLoop(

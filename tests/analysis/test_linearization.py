@@ -9,13 +9,15 @@ import control
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from pydrake.symbolic import Variable, exp
 from pydrake.systems.analysis import InitializeParams, ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput
+from pydrake.systems.primitives import LogVectorOutput, SymbolicVectorSystem
 from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
 from kneexo.analysis import loop_equilibrium
+from kneexo.analysis.error_model import error_model
 from kneexo.analysis.plant_linearization import find_operating_point, linearize_plant
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.diagrams import make_closed_loop, make_plant
@@ -1163,6 +1165,54 @@ def test_a_command_limit_below_the_leakage_leaves_no_rest(share, kind):
     controller = kind(command_limit_rad_s=share * speed)
     with raises_one_line(LinearizationError, "does not rest at knee angle 40 deg"):
         linearize_loop(Scenario(plant=plant, controller=controller))
+
+
+def test_a_search_that_leaves_the_linkage_says_so():
+    plant = PlantParameters(load=KneeLoadParameters(disturbance_n=2000.0))
+    where = "Newton's method goes where the equations are not finite; reduce the load"
+    with raises_one_line(LinearizationError, f"does not rest at knee angle 45 deg: {where}"):
+        linearize_loop(Scenario(plant=plant, controller=PidParameters()), 45.0)
+
+
+def overflowing(diagram):
+    """A diagram with the ports of another one, and an output ``overflow`` that is infinite."""
+    builder, x, rest = DiagramBuilder(), Variable("x"), Variable("rest")
+    inner = builder.AddNamedSystem("inner", diagram)
+    for index in range(diagram.num_input_ports()):
+        port = inner.get_input_port(index)
+        builder.ExportInput(port, port.get_name())
+    for index in range(diagram.num_output_ports()):
+        port = inner.get_output_port(index)
+        builder.ExportOutput(port, port.get_name())
+    symbolic = SymbolicVectorSystem(  # without a state Drake refuses it in a continuous diagram
+        state=[rest], input=[x], dynamics=[-rest], output=[exp(1e6 * x)]
+    )
+    system = builder.AddNamedSystem("overflow", symbolic)
+    builder.Connect(inner.GetOutputPort("knee_angle"), system.get_input_port())
+    builder.ExportOutput(system.get_output_port(), "overflow")
+    return builder.Build()
+
+
+def test_a_derivative_that_is_not_finite_is_no_linearization():
+    plant = overflowing(make_plant())
+    message = "the derivative of output 1 is not finite at knee angle 40 deg: there is no linear"
+    with raises_one_line(LinearizationError, message):
+        linearize_plant(plant, outputs=("knee_angle", "overflow"))
+    posture = StepReference(start_deg=40.0, end_deg=40.0)
+    scenario = Scenario(reference=posture).without_quantizers()
+    loop = overflowing(make_closed_loop(scenario, signals=(), external_reference=True))
+    with raises_one_line(LinearizationError, message.replace("output 1", "output 0")):
+        linearize_loop(scenario, output="overflow", diagram=loop)
+
+
+@pytest.mark.parametrize("frequency", [math.nan, math.inf, -math.inf])
+def test_frequencies_must_be_finite(frequency):
+    plant, loop = linearize_plant(), linearize_loop()
+    for response in (plant.response, loop.loop_response, loop.output_response, loop.sensitivity):
+        with raises_one_line(LinearizationError, f"frequency = {frequency:g} Hz: must be finite"):
+            response([1.0, frequency])
+    with raises_one_line(LinearizationError, f"frequency = {frequency:g} Hz: must be finite"):
+        error_model().response(frequency)
 
 
 def test_a_rest_at_the_speed_limit_is_refused():
