@@ -9,6 +9,10 @@ SIGINT, most sweeps twice. After each kill no process may be left for longer tha
 piece may be lost, and there must be no traceback (SIGKILL: other processes may have one). The next
 run must delete what was left and write the bytes of a run that nobody interrupted.
 
+``sweeps``: the same for sweeps with two workers, once a number of pieces is finished; further the
+kill of a worker, a full disk (needs the right to mount a tmpfs) and a limit of the file's size,
+each of which must end in one line that says so.
+
 ``damage``: files of the cache and checkpoints are damaged. A run must write the same bytes, or say
 in one line what is wrong, without a traceback.
 
@@ -26,6 +30,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -48,12 +53,20 @@ COMMANDS = {
         *("robustness", "--workers", "2", "--set", "samples=20", "--set", "corners_max=10"),
         *("--set", "bandwidth=false", "--set", "sensitivity_duration_s=0"),
     ],
+    "contest": [
+        *("study", "contest", "--workers", "2", "--set", "test_samples=12"),
+        *("--set", "training_samples=2", "--set", "population=5", "--set", "generations=2"),
+        *("--set", "optimizer_seeds=[1]"),
+    ],
     "simulate": ["simulate", "scenario.yaml"],
     "reproduce": ["reproduce", "--workers", "2"],
 }
+SWEEPS = ("bandwidth", "robustness", "contest")
 DAMAGED = COMMANDS["bandwidth, 1 worker"]
 SIGNALS = {signal.SIGKILL: -9, signal.SIGTERM: 143, signal.SIGINT: 130}
 ORPHANS_S = 5.0
+
+Process = subprocess.Popen[bytes]
 
 
 @dataclass
@@ -105,30 +118,26 @@ def run(
     part: Part,
     command: Sequence[str],
     out: Path,
-    number: signal.Signals | None = None,
-    after_s: float = 0.0,
+    attack: Callable[[Process], object] | None = None,
 ) -> Ended:
-    """Run a command in the part's folder; it gets the signal after that time, if it still runs."""
+    """Run a command in the part's folder, and attack its process."""
     begin = time.monotonic()
-    environment = os.environ | {"KNEEXO_CACHE_DIR": str(part.folder / "cache")}
+    temporary = part.folder / "tmp"
+    temporary.mkdir(exist_ok=True)
+    folders = {"KNEEXO_CACHE_DIR": str(part.folder / "cache"), "TMPDIR": str(temporary)}
     with (part.folder / "error").open("w+") as error:
         process = subprocess.Popen(
             [sys.executable, "-m", "kneexo", *command, "--out", str(out)],
             cwd=part.folder,
-            env=environment,
+            env=os.environ | folders,
             stdout=subprocess.DEVNULL,
             stderr=error,
             start_new_session=True,
         )
         try:
-            try:
-                process.wait(after_s if number else None)
-            except subprocess.TimeoutExpired:
-                if number == signal.SIGINT:  # a terminal sends it to all processes
-                    os.killpg(process.pid, number)
-                else:
-                    process.send_signal(number or signal.SIGKILL)
-                process.wait()
+            if attack is not None:
+                attack(process)
+            process.wait()
             seconds = time.monotonic() - begin
             end = time.monotonic() + ORPHANS_S
             while (left := alive(process.pid)) and time.monotonic() < end:
@@ -139,6 +148,22 @@ def run(
                     os.kill(orphan, signal.SIGKILL)
         error.seek(0)
         return Ended(process.returncode, error.read(), seconds, len(left))
+
+
+def send(process: Process, number: signal.Signals) -> None:
+    """Send a signal, unless the process has ended."""
+    if number == signal.SIGINT:  # a terminal sends it to all processes
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+    else:
+        process.send_signal(number)
+
+
+def send_after(number: signal.Signals, after_s: float, process: Process) -> None:
+    """Send a signal after that time."""
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(after_s)
+    send(process, number)
 
 
 def results(out: Path) -> dict[str, bytes]:
@@ -175,29 +200,28 @@ def kills(part: Part) -> None:
         for _ in range(part.random.choice((1, 2))):
             number = part.random.choice(list(SIGNALS))
             after_s = part.random.uniform(0.02, seconds)
-            _kill(part, name, out, number, after_s, expected)
-        label = f"{case} {name}, again"
-        ended = run(part, COMMANDS[name], out)
-        part.require(ended.code == 0, label, last_line(ended))
-        part.require(results(out) == expected, label, "other bytes")
-        names = {file.name for file in out.iterdir()}
-        part.require(names == set(expected), label, f"leftovers {names}")
-        part.counts["runs compared"] += 1
+            attack = partial(send_after, number, after_s)
+            label = f"{name}, after {after_s:.2f} s"
+            _attacked(part, name, out, number.name, SIGNALS[number], attack, expected, label)
+        _again(part, name, out, expected)
         shutil.rmtree(out)
 
 
-def _kill(
+def _attacked(
     part: Part,
     name: str,
     out: Path,
-    number: signal.Signals,
-    after_s: float,
+    kind: str,
+    code: int,
+    attack: Callable[[Process], object],
     expected: dict[str, bytes],
+    label: str,
 ) -> None:
-    label = f"{out.name} {name}, {number.name} after {after_s:.2f} s"
+    """Run a command of `COMMANDS` that an attack of that kind ends with an exit code."""
+    label = f"{out.name} {kind} {label}"
     pieces, before = _checkpoint(out), set(out.glob(".kneexo-*"))
-    ended = run(part, COMMANDS[name], out, number, after_s)
-    part.counts[number.name] += 1
+    ended = run(part, COMMANDS[name], out, attack)
+    part.counts[kind] += 1
     part.require(not ended.orphans, label, f"{ended.orphans} processes after {ORPHANS_S:g} s")
     now = _checkpoint(out)
     if ended.code == 0:
@@ -207,28 +231,144 @@ def _kill(
         part.require(kept, label, "finished pieces are lost")
         part.counts["pieces kept"] += now.count(b"\n")
     part.require(results(out) in ({}, expected), label, "not all files or none")
-    if number == signal.SIGKILL or ended.code == 0:
+    if kind == "SIGKILL" or ended.code == 0:
         return
     # Python itself had not yet begun, or has already ended: there is nothing, or everything.
-    outside = ended.code == -number and (results(out) == expected or not list(out.glob("*")))
+    quiet = results(out) == expected or not list(out.glob("*"))
+    outside = code > 128 and ended.code == 128 - code and quiet
     part.counts["before or after Python code"] += outside
     # What an earlier SIGKILL left goes when a run gets as far as its output.
     left = set(out.glob(".kneexo-*")) - before
     part.require(not left, label, "a temporary directory is left")
     if outside:
         return
-    part.require(
-        ended.code == SIGNALS[number], label, f"exit code {ended.code}: {last_line(ended)}"
-    )
+    part.require(ended.code == code, label, f"exit code {ended.code}: {last_line(ended)}")
     part.require("Traceback" not in ended.error, label, f"traceback: {ended.error[-1500:]}")
     line = last_line(ended)
     part.require(line.startswith("kneexo: "), label, f"said {line!r}")
-    true = not now or "kept in" in line or "results are in" in line or line.endswith("interrupted")
-    part.require(true, label, f"said {line!r}")
+    told = ("kept in", "are kept", "results are in", "interrupted", "cannot write")
+    part.require(not now or any(text in line for text in told), label, f"said {line!r}")
+
+
+def _again(part: Part, name: str, out: Path, expected: dict[str, bytes]) -> None:
+    """Run a command where it was ended before: it must write what it writes undisturbed."""
+    label = f"{out.name} {name}, again"
+    ended = run(part, COMMANDS[name], out)
+    part.require(ended.code == 0, label, last_line(ended))
+    part.require(not ended.orphans, label, f"{ended.orphans} processes after {ORPHANS_S:g} s")
+    part.require(results(out) == expected, label, "other bytes")
+    names = {file.name for file in out.iterdir()}
+    part.require(names == set(expected), label, f"leftovers {names}")
+    left = sorted(file.name for file in (part.folder / "tmp").iterdir())
+    part.require(not left, label, f"temporary files {left}")
+    part.counts["runs compared"] += 1
 
 
 def _checkpoint(out: Path) -> bytes:
-    return b"".join(file.read_bytes() for file in out.glob("*.checkpoint.jsonl"))
+    data = b""
+    for file in out.glob("*.checkpoint.jsonl"):
+        with suppress(FileNotFoundError):  # it has just been deleted
+            data += file.read_bytes()
+    return data
+
+
+# --------------------------------------------------------------------------------- sweeps
+
+
+@dataclass(frozen=True)
+class Undisturbed:
+    """A sweep that nobody interrupts."""
+
+    files: dict[str, bytes]
+    pieces: int
+
+
+def sweeps(part: Part) -> None:
+    """See the docstring of this file; ``count`` is that of the attacks."""
+    disk = part.folder / "disk"
+    disk.mkdir()
+    kinds = [number.name for number in SIGNALS] + ["SIGKILL of a worker", "file size limit"]
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=32m", "none", disk]).returncode == 0:
+        kinds.append("full disk")
+    try:
+        whole = {name: _undisturbed(part, name) for name in SWEEPS}
+        number = 0
+        while number < part.count:
+            name = SWEEPS[part.counts["runs compared"] % len(SWEEPS)]
+            out = disk / f"case {part.counts['runs compared']}"
+            for _ in range(min(part.random.choice((1, 2, 3)), part.count - number)):
+                _attack_within(part, name, out, kinds[number % len(kinds)], whole[name])
+                number += 1
+            _again(part, name, out, whole[name].files)
+            shutil.rmtree(out)
+    finally:
+        if "full disk" in kinds:
+            subprocess.run(["umount", "--lazy", disk], check=True)
+
+
+def _undisturbed(part: Part, name: str) -> Undisturbed:
+    """Run a sweep and count its pieces."""
+    out, pieces = part.folder / name, 0
+
+    def watch(process: Process) -> None:
+        nonlocal pieces
+        while process.poll() is None:
+            pieces = max(pieces, _pieces(out))
+            time.sleep(0.02)
+
+    ended = run(part, COMMANDS[name], out, watch)
+    part.require(ended.code == 0, name, last_line(ended))
+    return Undisturbed(results(out), pieces)
+
+
+def _attack_within(part: Part, name: str, out: Path, kind: str, whole: Undisturbed) -> None:
+    """Attack a sweep once so many of its pieces are finished that a few or all are left."""
+    finished = min(_pieces(out), whole.pieces - 1)  # without those that a full disk cut
+    pieces = part.random.randint(finished + 1, whole.pieces)
+    pause_s, room = part.random.uniform(0.0, 0.3), part.random.randint(1, 4000)
+    filler, before = out.parent / "filler", set(out.glob(".kneexo-*"))
+
+    def attack(process: Process) -> None:
+        # Earlier runs may have left many pieces: this one is at work when it has its workspace.
+        while process.poll() is None and not (
+            _pieces(out) >= pieces and set(out.glob(".kneexo-*")) - before
+        ):
+            time.sleep(0.02)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(pause_s)
+        with suppress(ProcessLookupError):  # it has just ended
+            if kind == "full disk":
+                with suppress(OSError), filler.open("wb", buffering=0) as file:
+                    while True:
+                        file.write(bytes(4096))
+            elif kind == "file size limit":
+                size = len(_checkpoint(out)) + room
+                resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size, size))
+            elif kind == "SIGKILL of a worker":
+                for worker in _workers(process.pid)[:1]:  # none while it writes its results
+                    os.kill(worker, signal.SIGKILL)
+            else:
+                send(process, signal.Signals[kind])
+
+    code = {number.name: code for number, code in SIGNALS.items()}.get(kind, 2)
+    label = f"{name}, {pieces} of {whole.pieces} pieces"
+    _attacked(part, name, out, kind, code, attack, whole.files, label)
+    filler.unlink(missing_ok=True)
+
+
+def _pieces(out: Path) -> int:
+    """Lines of the checkpoint behind its header."""
+    return max(0, _checkpoint(out).count(b"\n") - 1)
+
+
+def _workers(session: int) -> list[int]:
+    """The worker processes of a session."""
+    numbers = []
+    for number in alive(session):
+        with suppress(OSError):  # it has just ended
+            if b"spawn_main" in Path(f"/proc/{number}/cmdline").read_bytes():
+                numbers.append(number)
+    return numbers
 
 
 # --------------------------------------------------------------------------------- damage
@@ -327,7 +467,7 @@ def _kept(part: Part) -> tuple[dict[Path, bytes], bytes]:
     after_s = 0.5
     while True:
         out = part.folder / "killed"
-        run(part, DAMAGED, out, signal.SIGKILL, after_s)
+        run(part, DAMAGED, out, partial(send_after, signal.SIGKILL, after_s))
         checkpoint = _checkpoint(out)
         shutil.rmtree(out, ignore_errors=True)
         if checkpoint.count(b"\n") > 5:
@@ -362,6 +502,7 @@ def _count(part: Part, outcomes: Iterator[tuple[str, str, str]], bad: Sequence[s
 
 PARTS: dict[str, tuple[Callable[[Part], None], int]] = {
     "kills": (kills, 100),
+    "sweeps": (sweeps, 60),
     "damage": (damage, 100),
     "files": (partial(_scenarios, "files"), 10_000),
     "linear": (partial(_scenarios, "linear"), 0),
