@@ -206,6 +206,7 @@ def test_a_plot_shows_angle_error_and_command(brisk, curves):
     assert command.get_ylim()[1] > 1.25 * 5000.0
     assert angle.get_ylim()[1] > np.degrees(run["knee_reference_rad"]).max() + 2.0
     assert [ax.get_xlabel() for ax in (angle, error, command)] == ["", "", "time (s)"]
+    assert all(angle.get_shared_x_axes().joined(angle, ax) for ax in (error, command))
     assert [ax.get_ylabel() for ax in (angle, error, command)] == [
         "knee angle (deg)",
         "tracking error (deg)",

@@ -593,6 +593,8 @@ def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
         (zero,) = (line for line in error.lines if line.get_label().startswith("_"))
         assert list(zero.get_ydata()) == [0.0, 0.0]
     assert [ax.get_xlabel() for ax in panels[-1]] == ["time (s)", "time (s)"]
+    first = panels[0, 0]
+    assert all(first.get_shared_x_axes().joined(first, ax) for ax in panels.flat)
     (ax,) = drawn["order_switching"].axes
     lines = curves(ax)
     for label, direction in (("retracting", "in"), ("extending", "out")):
