@@ -351,6 +351,48 @@ def test_the_closed_form_is_drawn_over_the_demand_of_speed(by_hand, curves):
     assert y[triangle] == pytest.approx(20.0 * np.log10(4.0 / math.pi / x[triangle]), abs=1e-6)
 
 
+def test_every_axis_has_its_label_scale_limits_and_legend(by_hand):
+    drawn = figures(by_hand)
+    across, up, gain = "frequency (Hz)", "amplitude (deg)", "gain (dB)"
+    labels = {
+        "amplitude_map": [("", up), ("", ""), (across, up), (across, "")],
+        "bode_by_amplitude": [("", gain), (across, "phase (deg)")],
+        "rate_limited_sine": [
+            ("time (periods)", "position (amplitudes)"),
+            ("speed demand aω/R = 1/ρ (1)", gain),
+        ],
+    }
+    legends = {
+        "amplitude_map": [6, None, 2, 1],
+        "bode_by_amplitude": [5, None],
+        "rate_limited_sine": [4, 4],
+    }
+    for name, expected in labels.items():
+        axes = drawn[name].axes[: len(expected)]
+        assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in axes] == expected
+        for ax, count in zip(axes, legends[name], strict=True):
+            legend = ax.get_legend()
+            assert (None if legend is None else len(legend.get_texts())) == count, name
+    sine, demand = drawn["rate_limited_sine"].axes
+    for ax in (*drawn["amplitude_map"].axes[:4], *drawn["bode_by_amplitude"].axes, demand):
+        assert ax.get_xscale() == "log"
+    for ax in (demand, drawn["bode_by_amplitude"].axes[0]):
+        assert ax.get_ylim() == (-45.0, 5.0)
+    # The last one and a half of four periods, the sine and three followers of it.
+    for line in sine.lines:
+        assert line.get_xdata()[[0, -1]] == pytest.approx([0.0, 1.5])
+        assert np.abs(line.get_ydata()).max() <= 1.0 + 1e-9
+    assert sine.lines[0].get_ydata() == pytest.approx(
+        np.sin(2.0 * math.pi * (sine.lines[0].get_xdata() + 2.5)), abs=1e-9
+    )
+    for line, ratio in zip(sine.lines[1:], (0.8, 0.555390, 0.3), strict=True):
+        assert line.get_label() == f"ρ = {ratio:.3g}"
+        rate = np.abs(np.diff(line.get_ydata())).max() * 1000.0
+        assert rate == pytest.approx(2.0 * math.pi * ratio, rel=1e-3)
+    (norm, *_) = (ax.collections[0].norm for ax in drawn["amplitude_map"].axes[:1])
+    assert (norm.vmin, norm.vmax) == (-20.0, 3.0)
+
+
 def test_an_interrupted_map_goes_on_with_identical_results(mapped):
     result, path = mapped
     lines = path.read_bytes().splitlines(keepends=True)
@@ -396,7 +438,8 @@ def test_a_run_that_fails_leaves_its_cell_empty(monkeypatch):
         (Scenario(reference=RampReference()), {}, "reference = ramp"),
     ],
 )
-def test_a_map_that_means_nothing_is_refused(scenario, values, told):
+def test_a_map_that_means_nothing_is_refused_before_any_run(monkeypatch, scenario, values, told):
+    monkeypatch.setattr(study, "estimate_sine", None)
     with pytest.raises(ParameterError, match=told):
         bandwidth_study(scenario, BandwidthSettings(**values))
 

@@ -155,6 +155,28 @@ def test_larger_eta_tracks_better_where_nothing_saturates():
     assert (claim.cases, claim.share, claim.verdict) == (15, 1.0, "true")
 
 
+@pytest.mark.parametrize(
+    ("unsound", "sound_cases"),
+    [
+        # Of 20 pairs of λ, 24 wrong Φ and 15 pairs of η: those without an unsound loop.
+        (lambda lambda_, phi, eta: lambda_ == 10.0, (10, 16, 10)),
+        (lambda lambda_, phi, eta: lambda_ == 40.0, (10, 16, 10)),
+        (lambda lambda_, phi, eta: phi == 32.0, (16, 18, 12)),
+        (lambda lambda_, phi, eta: eta == 2.8e4, (10, 12, 0)),
+        (lambda lambda_, phi, eta: eta == 2.8e5, (10, 12, 0)),
+    ],
+)
+def test_a_sound_case_lies_between_sound_loops(unsound, sound_cases):
+    claims = made_up(
+        settling_s=lambda lambda_, phi, eta: 4.0 / lambda_,
+        mean_command_change_rpm=lambda lambda_, phi, eta: 10.0 * math.exp(abs(math.log(phi))),
+        max_error_deg=lambda lambda_, phi, eta: phi / eta,
+        disk_margin=lambda *point: 0.4999 if unsound(*point) else 0.5,
+    ).claims()
+    assert [claim.cases for claim in claims] == [20, 24, 15]
+    assert tuple(claim.sound_cases for claim in claims) == sound_cases
+
+
 def test_saturated_and_unstable_points_are_counted_apart():
     claim = made_up(
         max_error_deg=lambda lambda_, phi, eta: eta / phi,
@@ -478,6 +500,17 @@ def test_the_maps_have_their_axes_where_the_labels_say(by_hand, check_heat_map):
             marked = sorted(zip(*crosses.get_data(), strict=True))
             assert np.array(marked) == pytest.approx(np.array(unstable))
             assert np.ravel(star.get_data()) == pytest.approx(default)
+            if title == "study_phi_eta":  # dashed: where k/Φ = βη/Φ is a power of ten
+                low = ax.get_xlim()[0], ax.get_ylim()[0]
+                for line, text, power in zip(ax.lines[2:], ax.texts, (4, 5, 6), strict=True):
+                    phis, etas = (np.asarray(values) for values in line.get_data())
+                    assert beta * etas / phis == pytest.approx([10.0**power] * 2)
+                    at = text.get_position()
+                    assert beta * at[1] / at[0] == pytest.approx(10.0**power)
+                    # Beside the left or above the lower edge, whichever the line meets.
+                    away = at[0] / low[0] / 1.1, at[1] / low[1] / 1.7
+                    assert min(away) == pytest.approx(1.0)
+                    assert text.get_text() == f"10$^{power}$"
     _, error, margin, *_ = drawn["study_trap"].axes
     for ax, name in ((error, "max_error_deg"), (margin, "disk_margin")):
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("T_f (ms)", "k/Φ (1/s)")

@@ -327,6 +327,8 @@ def test_every_line_of_the_figures_is_that_of_its_run(known, curves):
         assert wrong.lines[0].get_ydata() == pytest.approx((n + 1) * np.array([0, 1, -2, 3.0]))
         assert f"max {(n + 1) * 0.11:.2f}°" in wrong.get_title()
         assert ("PID" in angle.get_title()) == (n > 0)
+    assert all(panels[0, 0].get_shared_x_axes().joined(panels[0, 0], ax) for ax in panels.flat)
+    assert [ax.get_xlabel() for ax in panels.flat] == [""] * 4 + ["time (s)"] * 2
     exact, counts = drawn["eq27_at_2ms"].axes
     for name, run in known.eq27_exact.items():
         x, y = curves(exact)[name]
@@ -361,6 +363,7 @@ def test_fig_13_has_trials_means_our_crossing_and_the_papers(known, curves):
         if len(set(line.get_xdata())) == 1
     }
     paper = [label for label in vertical if label.startswith("paper")]
+    assert paper[0] in [text.get_text() for text in gain.get_legend().get_texts()]
     assert [vertical[label] for label in paper] == [0.21]
     assert "0.21 Hz" in paper[0]
     assert sorted(vertical.values()) == [0.21, 0.22]
