@@ -1,6 +1,6 @@
 """Run the tests as other machines would.
 
-    python benchmarks/machine_variants.py [--only NAME] [--seed N] [--margins FOLDER] [PYTEST ARGUMENT ...]
+    python benchmarks/machine_variants.py [--only NAME] [--margins FOLDER] [PYTEST ARGUMENT ...]
 
 Each variant (or those that ``--only`` names, once for each) runs the tests in a copy of the tree
 and prints what pytest says last, and the CPU time.
@@ -18,7 +18,7 @@ without fma
     Machine code for x86-64-v2. Runs take many times as long: tests of compilation and simulation.
 elsewhere
     Another user with another home (as root), a path with spaces and other letters, a Turkish
-    locale, tests in random order (``--seed``), at most 256 open files, one core.
+    locale, tests in random order (``--seed N``), at most 256 open files, one core.
 load
     While stress-ng keeps every core busy four times over.
 """

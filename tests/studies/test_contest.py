@@ -499,8 +499,9 @@ def test_a_search_without_enough_generations_is_flagged(small):
 def test_a_resumed_contest_goes_on_and_gives_the_same(small):
     done, checkpoint = small
     header, *lines = checkpoint.path.read_bytes().splitlines(keepends=True)
-    # 2 for the budget, twice 10 evaluations, 5 entrants on 2 plants and 2 tasks.
-    assert len(lines) == len(checkpoint) == 42
+    # 2 for the budget, twice 10 evaluations, 5 entrants on 2 plants and 2 tasks. A search may try a
+    # candidate twice, which depends on SciPy's version, and computes it once.
+    assert 2 + 2 * 5 + 20 < len(lines) == len(checkpoint) <= 42
 
     cut = checkpoint.path.with_name("cut.jsonl")
     # Interrupted in the second generation of the second search.
@@ -508,7 +509,7 @@ def test_a_resumed_contest_goes_on_and_gives_the_same(small):
     resumed = contest_study(done.scenario, LAG, SMALL, checkpoint=Checkpoint(cut))
     assert to_json(resumed.results()) == to_json(done.results())
     assert report(resumed) == report(done)
-    assert len(cut.read_bytes().splitlines()) == 1 + 42
+    assert len(cut.read_bytes().splitlines()) == 1 + len(lines)
 
 
 # ------------------------------------------------------------------------------- bad input
