@@ -273,7 +273,7 @@ def _add_single_runs(subparsers: Any) -> None:
         subparsers,
         "linearize",
         commands.linearize,
-        "poles, margins and small-signal bandwidth of plant and sampled loop",
+        "poles, margins and small-signal bandwidths of plant and sampled loop",
         "At a posture; the quantizer is bypassed.",
     )
     _add_scenario(sub)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shlex
 import shutil
@@ -296,6 +297,9 @@ def linearize(options: argparse.Namespace) -> None:
         plant = linearize_plant(scenario.plant, options.knee_angle)
         loop = linearize_loop(scenario, options.knee_angle)
         frequency, damping = plant.damping
+        margins = asdict(loop.margins())
+        if not loop.stable:  # distances to stability are no margins
+            margins = dict.fromkeys(margins, math.nan) | {"stable": False}
         origin = _origin(scenario) | {"settings": {"knee_angle_deg": options.knee_angle}}
         text = to_json(
             {
@@ -306,13 +310,16 @@ def linearize(options: argparse.Namespace) -> None:
                 "plant_damping_ratios": damping,
                 "plant_velocity_gain": plant.velocity_gain,
                 "loop_eigenvalues": [[z.real, z.imag] for z in loop.eigenvalues],
-                "margins": asdict(loop.margins()),
+                "margins": margins,
                 "bandwidth_hz": loop.bandwidth_hz() if loop.stable else None,
+                "complementary_sensitivity_bandwidth_hz": (
+                    loop.complementary_sensitivity_bandwidth_hz() if loop.stable else None
+                ),
             }
         )
         axes = {"loop": loop.plot()[0], "nyquist": loop.plot_nyquist(), "poles": loop.plot_poles()}
         figures = {name: ax.figure for name, ax in axes.items()}
-        rows = [(name, number(value, ".6g")) for name, value in asdict(loop.margins()).items()]
+        rows = [(name, number(value, ".6g")) for name, value in margins.items()]
         report = document(
             *_section("Plant", str(plant)),
             *_section("Loop", str(loop)),

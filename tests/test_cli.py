@@ -643,9 +643,22 @@ def test_linearize_writes_what_it_finds_and_refuses_a_posture_out_of_range(capsy
         for name, value in vars(margins).items()
     }
     assert printed["bandwidth_hz"] == loop.bandwidth_hz()
+    feedback = loop.complementary_sensitivity_bandwidth_hz()
+    assert printed["complementary_sensitivity_bandwidth_hz"] == feedback
     assert main(["linearize", "--knee-angle", "200", "--out", str(tmp_path / "no")]) == 2
     assert "knee angle = 200 deg" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
+
+
+def test_the_margins_and_bandwidths_of_an_unstable_loop_are_null(capsys, tmp_path, undrawn):
+    # Exact states at k/Φ = 1.3e4 1/s: docs/eq27_at_2ms.md.
+    command = ["linearize", "--set", "estimator={kind: exact}", "--set", "controller.phi_m_s2=24.4"]
+    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["margins"].pop("stable") is False
+    assert set(printed["margins"].values()) == {None}
+    assert printed["bandwidth_hz"] is None
+    assert printed["complementary_sensitivity_bandwidth_hz"] is None
 
 
 def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):

@@ -47,9 +47,17 @@ rest apart: above the rounding of the estimates, and nothing next to the boundar
 class Margins(Result):
     """Stability margins of a sampled loop, broken at the motor speed command.
 
-    ``stable`` says whether the closed loop is; if not, the numbers are distances to stability and
-    no margins. Frequencies in Hz; ``gain_margin`` and ``disk_gain_margin`` are factors,
-    ``disk_margin`` is that of the balanced disk (S − T)/2. inf where a crossing does not exist.
+    Each margin is the smallest change of the loop that puts a closed-loop eigenvalue on the unit
+    circle. A stable loop bears less than that change. Of an unstable loop, ``stable`` False, the
+    numbers are distances to that circle and no margins.
+
+    Gain and phase have a margin in both directions, each above zero. A conditionally stable loop
+    may lose stability by less gain (``lower_gain_margin``) or by a phase lead
+    (``phase_lead_margin_deg``). python-control returns the smaller of both phase margins, a lead
+    as a negative number.
+
+    Frequencies are in Hz. ``gain_margin`` and ``disk_gain_margin`` are factors. ``disk_margin`` is
+    that of the balanced disk (S − T)/2. A margin without a crossing is inf, its frequency nan.
     """
 
     stable: bool
@@ -58,7 +66,11 @@ class Margins(Result):
     lower_gain_margin: float
     """Largest factor below 1 at which the loop loses stability; 0 where there is none."""
     phase_margin_deg: float
+    """Smallest phase lag, 0…360°, at which the loop loses stability."""
     phase_margin_frequency_hz: float
+    phase_lead_margin_deg: float
+    """Smallest phase lead, 0…360°, at which the loop loses stability."""
+    phase_lead_margin_frequency_hz: float
     delay_margin_s: float
     delay_margin_frequency_hz: float
     disk_margin: float
@@ -204,15 +216,29 @@ class SampledLoop(Result):
         return np.asarray(plant * held, dtype=complex)[:, 0, 0]
 
     def bandwidth_hz(self) -> float:
-        """Small-signal −3 dB bandwidth of `output_response` in Hz: its first fall below 1/√2.
+        """Small-signal −3 dB bandwidth in Hz of `output_response`, the output over its reference.
 
-        Relative to the gain at 0.01 Hz; searched up to the Nyquist frequency, nan when there is
-        none. The gain may rise again beyond: the sliding-mode controller's does, because it feeds
-        the reference's jerk forward. For an unstable loop it has no meaning: `LinearizationError`.
+        The lowest frequency at which the gain falls below 1/√2 of that at 0.01 Hz, up to the
+        Nyquist frequency; nan where there is none. The response contains the feedforward of the
+        reference and its derivatives, which this linear loop knows exactly. So the gain may rise
+        again beyond, or never fall. `complementary_sensitivity_bandwidth_hz` is that of the
+        feedback alone. Raises `LinearizationError` for an unstable loop.
         """
+        return self._first_fall_hz(self.output_response)
+
+    def complementary_sensitivity_bandwidth_hz(self) -> float:
+        """−3 dB bandwidth in Hz of `complementary_sensitivity`, T = L/(1 + L).
+
+        Feedback acts up to about this frequency, whatever the controller feeds forward. Threshold,
+        range and errors are those of `bandwidth_hz`.
+        """
+        return self._first_fall_hz(self.complementary_sensitivity)
+
+    def _first_fall_hz(self, response: Callable[[ArrayLike], Complex]) -> float:
+        """Lowest frequency at which a gain is 1/√2 of that at 0.01 Hz; nan where there is none."""
         self._require_stable("bandwidth")
         grid = np.geomspace(1e-2, 0.5 / self.sample_time_s, 2000)
-        gain = np.abs(self.output_response(grid))
+        gain = np.abs(response(grid))
         threshold = MINUS_3_DB * gain[0]
         low = gain < threshold
         if not low.any():
@@ -220,7 +246,7 @@ class SampledLoop(Result):
         index = int(np.argmax(low))
 
         def excess(frequency: float) -> float:
-            return float(np.abs(self.output_response(frequency)[0])) - threshold
+            return float(np.abs(response(frequency)[0])) - threshold
 
         return float(scipy.optimize.brentq(excess, grid[index - 1], grid[index]))
 
@@ -260,19 +286,16 @@ class SampledLoop(Result):
 
         on_real_axis = [*_crossings(imaginary, grid, loop.imag), nyquist]  # L(nyquist) is real
         gains = [(-1.0 / loop_at(f).real, f) for f in on_real_axis if loop_at(f).real < 0.0]
-        phases = [
+        lags = [
             (180.0 + math.degrees(cmath.phase(loop_at(f))), f)
             for f in _crossings(level, grid, np.abs(loop) - 1.0)
         ]
         none = (math.inf, math.nan)
         upper = min((c for c in gains if c[0] > 1.0), default=none)
         lower = max((c for c in gains if c[0] < 1.0), default=(0.0, math.nan))
-        phase = min(
-            ((p if p <= 180.0 else p - 360.0, f) for p, f in phases),
-            key=lambda c: abs(c[0]),
-            default=none,
-        )
-        delay = min(((p / 360.0 / f, f) for p, f in phases), default=none)
+        lag = min(lags, default=none)
+        lead = min(((360.0 - p, f) for p, f in lags), default=none)
+        delay = min(((p / 360.0 / f, f) for p, f in lags), default=none)
         frequency = self._disk_frequency(grid, loop)
         disk = float(_disk_distance(loop_at(frequency)))
         reach = 0.5 * disk
@@ -281,8 +304,10 @@ class SampledLoop(Result):
             gain_margin=upper[0],
             gain_margin_frequency_hz=upper[1],
             lower_gain_margin=lower[0],
-            phase_margin_deg=phase[0],
-            phase_margin_frequency_hz=phase[1],
+            phase_margin_deg=lag[0],
+            phase_margin_frequency_hz=lag[1],
+            phase_lead_margin_deg=lead[0],
+            phase_lead_margin_frequency_hz=lead[1],
             delay_margin_s=delay[0],
             delay_margin_frequency_hz=delay[1],
             disk_margin=disk,
@@ -313,23 +338,36 @@ class SampledLoop(Result):
         )
         if not margins.stable:
             return head + f"unstable, largest eigenvalue {largest:.6g}; it has no margins"
-        m, bandwidth = margins, self.bandwidth_hz()
-        nyquist = 0.5 / self.sample_time_s
-        fall = f"{bandwidth:.4g}" if math.isfinite(bandwidth) else f"none below {nyquist:g}"
+        m = margins
+        lower = f", lower {m.lower_gain_margin:.4g}" if m.lower_gain_margin > 0.0 else ""
+        lead = ""
+        if m.phase_lead_margin_deg < 180.0:
+            lead = (
+                f", lead {m.phase_lead_margin_deg:.4g} deg at "
+                f"{m.phase_lead_margin_frequency_hz:.4g} Hz"
+            )
         return (
             head + f"stable, largest eigenvalue {largest:.6g}\n"
-            f"  gain margin {m.gain_margin:.4g} at {m.gain_margin_frequency_hz:.4g} Hz\n"
-            f"  phase margin {m.phase_margin_deg:.4g} deg at {m.phase_margin_frequency_hz:.4g} Hz, "
-            f"delay margin {1e3 * m.delay_margin_s:.4g} ms\n"
+            f"  gain margin {m.gain_margin:.4g} at {m.gain_margin_frequency_hz:.4g} Hz{lower}\n"
+            f"  phase margin {m.phase_margin_deg:.4g} deg at {m.phase_margin_frequency_hz:.4g} Hz"
+            f"{lead}, delay margin {1e3 * m.delay_margin_s:.4g} ms\n"
             f"  disk margin {m.disk_margin:.4g} at {m.disk_margin_frequency_hz:.4g} Hz: "
             f"gain {m.disk_gain_margin:.4g}, phase {m.disk_phase_margin_deg:.4g} deg\n"
-            f"  small-signal bandwidth {fall} Hz"
+            f"  small-signal bandwidth {self._in_hz(self.bandwidth_hz())}, with feedforward\n"
+            f"  complementary sensitivity bandwidth "
+            f"{self._in_hz(self.complementary_sensitivity_bandwidth_hz())}, feedback alone"
         )
 
-    def plot(self, ax: Any = None) -> Any:
-        """Bode plot of the loop up to its Nyquist frequency, with its margins; ``ax``: two axes.
+    def _in_hz(self, bandwidth: float) -> str:
+        """A bandwidth with its unit, or that there is none."""
+        if math.isnan(bandwidth):
+            return f"none below {0.5 / self.sample_time_s:g} Hz"
+        return f"{bandwidth:.4g} Hz"
 
-        The phase is unwrapped and starts in −270…90°.
+    def plot(self, ax: Any = None) -> Any:
+        """Bode plot of the loop up to its Nyquist frequency; ``ax``: two axes.
+
+        The phase is unwrapped and starts in −270…90°. A stable loop is shown with its margins.
         """
         ax = axes_or_new(ax, 2, 1, sharex=True, figsize=(7, 6))
         nyquist = 0.5 / self.sample_time_s
@@ -344,13 +382,13 @@ class SampledLoop(Result):
             axis.axvline(nyquist, color="C3", ls="--", lw=1, label=f"Nyquist, {nyquist:g} Hz")
             axis.grid(alpha=0.3)
         crossover = margins.phase_margin_frequency_hz
-        if math.isfinite(crossover):
+        if self.stable and math.isfinite(crossover):
             there = float(np.interp(crossover, f, phase))
             ax[0].plot([crossover], [0.0], "C2.", label=f"crossover {crossover:.3g} Hz")
             ends = [there - margins.phase_margin_deg, there]
             label = f"phase margin {margins.phase_margin_deg:.3g}°"
             ax[1].plot([crossover] * 2, ends, "C2.-", lw=2, label=label)
-        if math.isfinite(margins.gain_margin):
+        if self.stable and math.isfinite(margins.gain_margin):
             at = margins.gain_margin_frequency_hz
             decibels = 20.0 * math.log10(margins.gain_margin)
             label = f"gain margin {margins.gain_margin:.3g} ({decibels:.3g} dB)"

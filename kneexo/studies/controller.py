@@ -16,7 +16,7 @@ from typing import Any, Unpack
 
 import numpy as np
 import scipy
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.hardware import tuned
@@ -73,8 +73,13 @@ class ControllerSettings(Parameters):
     step_duration_s: float = quantity(
         4.0, "s", "assumption: four times what the large step takes", ge=0.01, le=1e3
     )
-    settled_share: float = quantity(
-        0.1, "1", "assumption: of the small step; two counts of the encoder", ge=1e-3, le=0.9
+    settling_band_deg: float = quantity(
+        0.2,
+        "deg",
+        "assumption: a step has settled when its error stays within ± this; a tenth of the small "
+        "step, a hundredth of the large one, two counts of the encoder",
+        ge=1e-3,
+        le=45,
     )
     fast_amplitude_deg: float = quantity(
         2.5, "deg", "assumption: at 1 Hz it stays below the speed limit", ge=1e-3, le=45
@@ -96,7 +101,7 @@ class ControllerSettings(Parameters):
     sound_disk_margin: float = quantity(
         0.5,
         "1",
-        "assumption: gain by a factor of 0.6…1.67 and phase by 28°, alone; a loop below it is "
+        "assumption: 28° of phase or a gain of 0.6…1.67, each alone; a loop below it is "
         "counted apart",
         ge=1e-3,
         le=2,
@@ -133,6 +138,16 @@ class ControllerSettings(Parameters):
         "lambdas_per_s", "phis_m_s2", "etas_m_s3", "map_time_constants_s", "map_slopes_per_s"
     )(require_increasing)
 
+    @model_validator(mode="after")
+    def _band_within_the_steps(self) -> ControllerSettings:
+        smallest = min(self.step_deg, self.large_step_deg)
+        if self.settling_band_deg >= smallest:
+            raise ValueError(
+                f"settling_band_deg = {self.settling_band_deg:g} deg: must be less than the "
+                f"smaller step, {smallest:g} deg"
+            )
+        return self
+
 
 FIGURES = (
     "max_error_deg",
@@ -146,7 +161,9 @@ FIGURES = (
     "phase_margin_deg",
 )
 """What is measured at each point of the grid. The margins of an unstable loop are nan, and so is
-what a failed run leaves out; the settling time of a step that does not settle in its run is inf."""
+what a failed run leaves out. ``settling_s`` and ``large_settling_s`` are the times after which the
+error of the small and of the large step stays within ± ``settling_band_deg``; inf for a step that
+does not settle in its run."""
 
 MAP_FIGURES = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin")
 """What the maps over two gains keep of a run."""
@@ -377,7 +394,7 @@ def _measure(settings: ControllerSettings, scenario: Scenario) -> Steps[dict[str
     for name, key in (("step", "settling_s"), ("large_step", "large_settling_s")):
         try:
             step = yield from steps(track, cases[name])
-            band = settings.settled_share * settings.step_deg
+            band = settings.settling_band_deg
             figures[key] = settling_time_s(step.run.time_s, step.error_deg, band)
         except KneexoError as failure:
             figures[key] = math.nan
@@ -478,17 +495,19 @@ def _faster(study: ControllerStudy) -> Claim:
     small, large = settling[:-1], settling[1:]
     decided = ~np.isnan(small) & ~np.isnan(large) & (np.isfinite(small) | np.isfinite(large))
     _, phi, eta = study.centre
-    ideal = ideal_settling_time_s(np.array(grid.lambdas_per_s), grid.settled_share)
+    band = grid.settling_band_deg
+    ideal = ideal_settling_time_s(np.array(grid.lambdas_per_s), band / grid.step_deg)
     return Claim(
         quote="the larger the value of λ, the faster the robot attempted to follow the desired "
         "target value",
         case="two neighbouring λ at equal Φ and η; holds when the larger one brings a step of "
-        f"{grid.step_deg:g}° within {100 * grid.settled_share:g} % sooner",
+        f"{grid.step_deg:g}° to within ±{band:g}° of its end sooner",
         **_counted(large < small, decided, sound[1:] & sound[:-1]),
         finding=f"λ = {_numbers(grid.lambdas_per_s)} 1/s at the default Φ and η: the step of "
-        f"{grid.step_deg:g}° settles in {_numbers(settling[:, phi, eta])} s; s = 0 alone would "
-        f"take {_numbers(ideal)} s. The step of {grid.large_step_deg:g}° takes "
-        f"{_numbers(study.values['large_settling_s'][:, phi, eta])} s: the speed limit bounds it.",
+        f"{grid.step_deg:g}° settles to ±{band:g}° in {_numbers(settling[:, phi, eta])} s; s = 0 "
+        f"alone would take {_numbers(ideal)} s. The step of {grid.large_step_deg:g}° settles to "
+        f"the same ±{band:g}° in {_numbers(study.values['large_settling_s'][:, phi, eta])} s: the "
+        f"speed limit bounds it.",
     )
 
 

@@ -49,7 +49,8 @@ def lambda_and_slope(study: ControllerStudy) -> Figure:
         (
             at("settling_s"),
             LogNorm(0.1, 1.0),
-            f"settling of a {study.settings.step_deg:g}° step (s)",
+            f"{study.settings.step_deg:g}° step, settling to "
+            f"±{study.settings.settling_band_deg:g}° (s)",
         ),
         (at("disk_margin"), _SHARE_NORM, "disk margin"),
     )
@@ -117,9 +118,10 @@ def claims(study: ControllerStudy) -> Figure:
         ("settling_s", grid.step_deg, "C0o-"),
     ):
         faster.loglog(lambdas, values[name][:, phi, eta], style, ms=5, label=f"step of {size:g}°")
-    ideal = ideal_settling_time_s(np.array(lambdas), grid.settled_share)
+    band = grid.settling_band_deg
+    ideal = ideal_settling_time_s(np.array(lambdas), band / grid.step_deg)
     faster.loglog(lambdas, ideal, "k--", lw=1, label="s = 0 alone")
-    faster.set(xlabel="λ (1/s)", ylabel="settling time (s)", title="(a) larger λ")
+    faster.set(xlabel="λ (1/s)", ylabel=f"settling time to ±{band:g}° (s)", title="(a) larger λ")
     plain_ticks(faster.xaxis, lambdas[::2])
     plain_ticks(faster.yaxis, (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0))
     for n in _spread(len(lambdas), lambda_):

@@ -39,7 +39,7 @@ def report(study: ControllerStudy) -> str:
 
 def _line_tables(study: ControllerStudy) -> Iterator[str | list[str]]:
     """One table along each axis through the grid's centre."""
-    grid, centre = study.settings, study.centre
+    grid, centre, band = study.settings, study.centre, study.settings.settling_band_deg
     axes = {
         "λ (1/s)": grid.lambdas_per_s,
         "Φ (m/s²)": grid.phis_m_s2,
@@ -50,8 +50,8 @@ def _line_tables(study: ControllerStudy) -> Iterator[str | list[str]]:
         "command change (rpm/sample)": "mean_command_change_rpm",
         "saturated share": "saturated_share",
         f"max error at {grid.fast_frequency_hz:g} Hz (deg)": "fast_max_error_deg",
-        f"settling, {grid.step_deg:g}° (s)": "settling_s",
-        f"settling, {grid.large_step_deg:g}° (s)": "large_settling_s",
+        f"{grid.step_deg:g}° step, settling to ±{band:g}° (s)": "settling_s",
+        f"{grid.large_step_deg:g}° step, settling to ±{band:g}° (s)": "large_settling_s",
         "disk margin": "disk_margin",
         "phase margin (deg)": "phase_margin_deg",
     }

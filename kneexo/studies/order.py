@@ -84,6 +84,9 @@ class OrderSettings(Parameters):
 ORDERS = ("reduced", "full")
 """The plants that are compared."""
 
+_LOOP_BANDWIDTHS = ("bandwidth_hz", "complementary_sensitivity_bandwidth_hz")
+"""Columns of a frequency row, and the methods of `SampledLoop` that give them."""
+
 _TRACE_POINTS = 800
 _START_S = 0.5
 """Of a ramp, before anything is measured."""
@@ -221,7 +224,8 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
     at = in_order(scenario, order, force)
     row: dict[str, Any] = {"order": order, "disturbance_n": force, "posture_deg": posture}
     names = ("mode_hz", "mode_damping", "rod_force_n", "phase_margin_deg", "gain_margin")
-    row |= dict.fromkeys((*names, "delay_margin_ms", "disk_margin", "bandwidth_hz"), math.nan)
+    names += ("delay_margin_ms", "disk_margin", *_LOOP_BANDWIDTHS)
+    row |= dict.fromkeys(names, math.nan)
     row |= {"stable": None, "failure": ""}
     try:
         plant = linearize_plant(at.plant, posture, outputs=("rod_velocity",))
@@ -243,7 +247,7 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
             row["gain_margin"] = margins.gain_margin
             row["delay_margin_ms"] = 1e3 * margins.delay_margin_s
             row["disk_margin"] = margins.disk_margin
-            row["bandwidth_hz"] = loop.bandwidth_hz()
+            row |= {name: getattr(loop, name)() for name in _LOOP_BANDWIDTHS}
     except LinearizationError as error:
         row["failure"] = str(error)
     return row

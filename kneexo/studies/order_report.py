@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from kneexo.studies.markdown import Cell, document, number, row_table
@@ -56,7 +57,12 @@ def report(study: OrderStudy) -> str:
                 "gain margin": ("gain_margin", ".3g"),
                 "delay margin (ms)": ("delay_margin_ms", ".3g"),
                 "disk margin": ("disk_margin", ".3g"),
-                "small-signal −3 dB (Hz)": _small_signal,
+                "small-signal −3 dB, with feedforward (Hz)": partial(
+                    _small_signal, name="bandwidth_hz"
+                ),
+                "complementary sensitivity −3 dB (Hz)": partial(
+                    _small_signal, name="complementary_sensitivity_bandwidth_hz"
+                ),
             },
         ),
         f"## Near the switching force, full order, {study.settings.switching_rate_deg_s:g} deg/s",
@@ -119,11 +125,11 @@ def _findings(study: OrderStudy) -> list[str]:
     return lines
 
 
-def _small_signal(row: Mapping[str, Any]) -> str:
-    """The −3 dB frequency of the linear loop, or why there is none."""
+def _small_signal(row: Mapping[str, Any], *, name: str) -> str:
+    """A −3 dB frequency of the linear loop, or why there is none."""
     if row["failure"] or not row["stable"]:
         return row["failure"] or "unstable"
-    hz = row["bandwidth_hz"]
+    hz = row[name]
     return "none below Nyquist" if math.isnan(hz) else number(hz)
 
 

@@ -112,7 +112,7 @@ class SizeSettings(Parameters):
     )
     observer_s: tuple[float, ...] = positive_values((0.010, 0.020), "s", "assumption: T_f to try")
     disk_margin_min: float = quantity(
-        0.5, "1", "assumption: 28° of phase and a gain of 1.67 at the same time", ge=1e-3, le=2
+        0.5, "1", "assumption: 28° of phase or a gain of 0.6…1.67, each alone", ge=1e-3, le=2
     )
     command_change_ratio_max: float = quantity(
         1.5,

@@ -830,6 +830,61 @@ def test_the_delay_margin_is_the_smallest_of_all_crossings(loops, margins, name)
     assert margins[name].delay_margin_s == pytest.approx(expected, rel=1e-5)
 
 
+# ------------------------------------------------------------------ a conditionally stable loop
+
+
+@pytest.fixture(scope="module")
+def conditional():
+    """A wide boundary layer: three crossings of |L| = 1, of which one has turned past −180°."""
+    return linearize_loop(Scenario(controller=SlidingModeParameters(phi_m_s2=18.0)))
+
+
+@pytest.mark.filterwarnings("ignore:stability_margins")
+def test_a_conditionally_stable_loop_has_a_phase_margin_in_both_directions(conditional):
+    m = conditional.margins()
+    _, phases, *_ = control.stability_margins(conditional.to_control(), returnall=True)
+    assert m.stable
+    assert m.phase_margin_deg == pytest.approx(phases[phases > 0.0].min(), rel=1e-6)
+    assert m.phase_lead_margin_deg == pytest.approx(-phases[phases < 0.0].max(), rel=1e-6)
+    assert (m.phase_margin_deg, m.phase_lead_margin_deg) == pytest.approx((22.5, 9.07), abs=0.05)
+    # The smaller one, as a negative number, is what python-control calls the phase margin.
+    assert control.stability_margins(conditional.to_control())[1] == pytest.approx(
+        -m.phase_lead_margin_deg, rel=1e-6
+    )
+    assert m.disk_phase_margin_deg < min(m.phase_margin_deg, m.phase_lead_margin_deg)
+
+
+@pytest.mark.parametrize(
+    ("name", "sign"), [("phase_margin", -1.0), ("phase_lead_margin", 1.0)], ids=["lag", "lead"]
+)
+def test_a_turn_by_the_margin_puts_an_eigenvalue_on_the_unit_circle(conditional, name, sign):
+    m = conditional.margins()
+    turn = np.exp(1j * sign * math.radians(getattr(m, f"{name}_deg")))
+    system = conditional.to_control()
+    values = np.linalg.eigvals(system.A - turn * (system.B @ system.C))
+    critical = np.exp(2j * math.pi * getattr(m, f"{name}_frequency_hz") * T)
+    assert abs(nearest(values, critical) - critical) < 1e-6
+
+
+def test_a_conditionally_stable_loop_prints_both_phase_margins(conditional):
+    m, text = conditional.margins(), str(conditional)
+    lag = f"phase margin {m.phase_margin_deg:.4g} deg at {m.phase_margin_frequency_hz:.4g} Hz"
+    lead = f"lead {m.phase_lead_margin_deg:.4g} deg at {m.phase_lead_margin_frequency_hz:.4g} Hz"
+    assert f"{lag}, {lead}, delay margin" in text
+    assert "lower" not in text
+
+
+def test_a_loop_that_loses_stability_with_less_gain_prints_that_margin():
+    # Three integrators with the feedback (s + 10/s)³ less s³: Routh asks for a gain above 1/9.
+    three = delayed(np.eye(3, k=1), np.array([[0.0], [0.0], [1.0]]), 1.0, 0)
+    loop = dataclasses.replace(three, g_x=-np.array([[1e3, 3e2, 30.0]]))
+    m = loop.margins()
+    assert m.lower_gain_margin == pytest.approx(1.0 / 9.0, rel=0.05)  # T adds a short delay
+    assert scaled(loop, 1.001 * m.lower_gain_margin).stable
+    assert not scaled(loop, 0.999 * m.lower_gain_margin).stable
+    assert f", lower {m.lower_gain_margin:.4g}\n" in str(loop)
+
+
 def delayed(a, b, gain, samples):
     """The first state of a plant, fed back with a gain after a delay."""
     size = samples + 1
@@ -870,9 +925,11 @@ def test_the_phase_margin_of_a_delayed_integrator_is_that_of_the_closed_form(del
     angle = 2.0 * math.asin(0.5 * g)
     margin = 90.0 - math.degrees((delay + 0.5) * angle)
     m = loop.margins()
-    assert m.stable is (margin > 0.0)  # 53.1° and −94.4°: as much is missing
-    assert m.phase_margin_deg == pytest.approx(margin, rel=1e-9)
+    assert m.stable is (margin > 0.0)  # 53.1° and −94.4°: a lead of 94.4° is missing
+    assert m.phase_margin_deg == pytest.approx(margin % 360.0, rel=1e-9)
+    assert m.phase_lead_margin_deg == pytest.approx(-margin % 360.0, rel=1e-9)
     assert m.phase_margin_frequency_hz == pytest.approx(angle / (2.0 * math.pi * T), rel=1e-9)
+    assert m.phase_lead_margin_frequency_hz == m.phase_margin_frequency_hz
     # A delay only turns the phase back: an unstable loop is as far from −180° the other way round.
     turn = margin % 360.0 / 360.0
     assert m.delay_margin_s == pytest.approx(turn / m.phase_margin_frequency_hz, rel=1e-9)
@@ -973,6 +1030,35 @@ def test_the_bandwidth_does_not_depend_on_the_unit_of_the_output(loops):
     assert loud.bandwidth_hz() == pytest.approx(loops["smc"].bandwidth_hz(), rel=1e-9)
 
 
+def test_the_bandwidth_of_the_complementary_sensitivity_is_that_of_the_closed_form():
+    # L = g/(z − 1): T = g/(z − 1 + g), and |T|² = 1/2 at cos ωT = (1 + (1 − g)² − 2g²)/(2(1 − g)).
+    g = 0.3
+    loop = delayed(np.array([[0.0]]), np.array([[1.0 / T]]), g, 0)
+    angle = math.acos((1.0 + (1.0 - g) ** 2 - 2.0 * g**2) / (2.0 * (1.0 - g)))
+    expected = angle / (2.0 * math.pi * T)
+    # It is relative to the gain at 0.01 Hz: 1 − 9e-8.
+    assert loop.complementary_sensitivity_bandwidth_hz() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "can_2", "difference"])
+def test_the_bandwidth_of_the_complementary_sensitivity_is_that_of_python_control(loops, name):
+    loop = loops[name]
+    bandwidth = loop.complementary_sensitivity_bandwidth_hz()
+    closed = control.feedback(loop.to_control(), 1)
+    f = np.concatenate([[0.01], np.geomspace(0.02, bandwidth, 400)])
+    gain = np.abs(closed(np.exp(2j * math.pi * f * T)))
+    assert gain[-1] == pytest.approx(gain[0] / math.sqrt(2.0), rel=1e-6)
+    assert gain[:-1].min() > gain[0] / math.sqrt(2.0)
+
+
+def test_the_feedforward_is_no_part_of_the_complementary_sensitivity(loops):
+    smc = loops["smc"]
+    without = dataclasses.replace(smc, g_r=smc.g_r * [1.0, 0.0, 0.0, 0.0])
+    feedback = smc.complementary_sensitivity_bandwidth_hz()
+    assert without.bandwidth_hz() < 0.6 * smc.bandwidth_hz()
+    assert without.complementary_sensitivity_bandwidth_hz() == feedback
+
+
 def test_a_torque_on_a_plant_without_load_is_refused():
     with raises_one_line(LinearizationError, "knee_torque = 5 N·m: the plant has no load"):
         find_operating_point(PlantParameters(), 40.0, knee_torque_n_m=5.0)
@@ -981,13 +1067,18 @@ def test_a_torque_on_a_plant_without_load_is_refused():
 def test_an_unstable_loop_says_so(unstable):
     assert not unstable.stable
     assert not unstable.margins().stable
-    with raises_one_line(LinearizationError, "unstable .* it has no bandwidth"):
-        unstable.bandwidth_hz()
+    for bandwidth in (unstable.bandwidth_hz, unstable.complementary_sensitivity_bandwidth_hz):
+        with raises_one_line(LinearizationError, "unstable .* it has no bandwidth"):
+            bandwidth()
     largest = max(abs(unstable.eigenvalues))
     assert str(unstable) == (  # exact states hold the rod that Table 1 has at 40 deg
         f"knee at 40.01 deg, T = 0.002 s: unstable, largest eigenvalue {largest:.6g}; "
         f"it has no margins"
     )
+    axes = unstable.plot()
+    shown = [text.get_text() for ax in axes for text in ax.get_legend().get_texts()]
+    assert shown == ["Nyquist, 250 Hz"] * 2
+    plt.close(axes[0].figure)
 
 
 def test_a_loop_with_hardly_any_gain_has_no_gain_margin():
@@ -999,6 +1090,7 @@ def test_a_loop_with_hardly_any_gain_has_no_gain_margin():
 def test_a_loop_prints_its_margins_and_plots(loops):
     loop = loops["smc"]
     m, text = loop.margins(), str(loop)
+    feedback = loop.complementary_sensitivity_bandwidth_hz()
     f_gain, f_phase, f_disk = (
         getattr(m, f"{name}_margin_frequency_hz") for name in ("gain", "phase", "disk")
     )
@@ -1009,7 +1101,8 @@ def test_a_loop_prints_its_margins_and_plots(loops):
         f"delay margin {1e3 * m.delay_margin_s:.4g} ms",
         f"  disk margin {m.disk_margin:.4g} at {f_disk:.4g} Hz: "
         f"gain {m.disk_gain_margin:.4g}, phase {m.disk_phase_margin_deg:.4g} deg",
-        f"  small-signal bandwidth {loop.bandwidth_hz():.4g} Hz",
+        f"  small-signal bandwidth {loop.bandwidth_hz():.4g} Hz, with feedforward",
+        f"  complementary sensitivity bandwidth {feedback:.4g} Hz, feedback alone",
     ]
     magnitude, phase = loop.plot()
     labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in (magnitude, phase)]

@@ -203,7 +203,7 @@ SMALL = ControllerSettings(
     lambdas_per_s=(20.0, 40.0),
     phis_m_s2=(1.0, 3.2),
     etas_m_s3=(2.8e5,),
-    step_duration_s=0.1,
+    step_duration_s=0.4,
     large_step_deg=5.0,
     fast_duration_s=0.2,
     fast_frequency_hz=10.0,
@@ -224,7 +224,7 @@ def small(tmp_path_factory):
 def settled(scenario, size_deg):
     """Last time at which a step about 40° is more than 0.2° off; inf when that is the end."""
     step = StepReference(start_deg=40 - size_deg / 2, end_deg=40 + size_deg / 2, time_s=0.0)
-    values = {"reference": step, "simulation.duration_s": 0.1}
+    values = {"reference": step, "simulation.duration_s": 0.4}
     run = simulate(changed(scenario, values), signals=("knee_angle",))
     away = np.abs(np.degrees(run["knee_angle_rad"]) - step.end_deg)
     last = run.time_s[away > 0.2].max()
@@ -254,6 +254,11 @@ def test_every_row_is_that_of_runs_and_margins_of_its_own_scenario(small, in_num
         expected = {name: expected[name] for name in FIGURES}
         assert row == pytest.approx(expected, rel=1e-9, nan_ok=True)
     assert study.failures == {}
+
+
+def test_the_band_of_settling_is_smaller_than_the_steps():
+    with pytest.raises(ParameterError, match=r"settling_band_deg = 0\.2 deg: must be less than"):
+        ControllerSettings(step_deg=0.2)
 
 
 def test_every_loop_of_the_map_has_its_own_observer_and_slope(small, in_numbers, margins):
@@ -400,7 +405,8 @@ def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
     for table in lines:
         assert table[0][1:] == [
             *("k/Φ (1/s)", "max error (deg)", "command change (rpm/sample)", "saturated share"),
-            *("max error at 1 Hz (deg)", "settling, 2° (s)", "settling, 20° (s)"),
+            "max error at 1 Hz (deg)",
+            *(f"{size}° step, settling to ±0.2° (s)" for size in (2, 20)),
             *("disk margin", "phase margin (deg)"),
         ]
     # Along λ, Φ and η through the default: λ = 20, Φ = 3.2, η = 2.8e5.
@@ -452,12 +458,12 @@ def test_the_words_have_the_largest_error_of_a_stable_loop(by_hand):
         "30 points; 1 of them have a run that failed",
         f"mean change is {demand:.2g} times",
         "## A trap: T_f = 8 ms, k/Φ = 10000 1/s",
-        "brings a step of 2° within 10 % sooner",
+        "brings a step of 2° to within ±0.2° of its end sooner",
         "Φ at least 3 times larger or smaller",
         "more than 2 times as much per sample",
         "less than 1 % of its samples saturated",
         "errs by up to 0.33° (T_f = 20 ms, k/Φ = 1e+04 1/s)",
-        f"The step of {GRID.large_step_deg:g}° takes",
+        "The step of 20° settles to the same ±0.2° in",
         "λ, at Φ (m/s²) = 3.2, η (m/s³) = 280000\n",
         "Φ, at λ (1/s) = 20, η (m/s³) = 280000\n",
         "η, at λ (1/s) = 20, Φ (m/s²) = 3.2\n",
@@ -534,7 +540,7 @@ def test_the_lines_of_the_claims_are_those_of_the_grid(by_hand, curves):
         assert lines[label][0] == pytest.approx(GRID.lambdas_per_s)
         assert lines[label][1] == pytest.approx(values[name][:, 2, 1])
     assert lines["s = 0 alone"][1] == pytest.approx(
-        [ideal_settling_time_s(x, GRID.settled_share) for x in GRID.lambdas_per_s]
+        [ideal_settling_time_s(x, 0.2 / GRID.step_deg) for x in GRID.lambdas_per_s]
     )
     for ax, labels, x, of in (
         (

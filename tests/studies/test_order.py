@@ -245,6 +245,7 @@ def linear(order, force):
         "delay_margin_ms": 1e3 * margins.delay_margin_s,
         "disk_margin": margins.disk_margin,
         "bandwidth_hz": loop.bandwidth_hz(),
+        "complementary_sensitivity_bandwidth_hz": loop.complementary_sensitivity_bandwidth_hz(),
         "stable": True,
         "failure": "",
         "trace": {"frequencies_hz": hertz, "plant_gain_m": np.abs(plant.response(hertz))},
@@ -375,6 +376,7 @@ NAMES = {
     "frequency": (
         *("rod_force_n", "mode_hz", "mode_damping", "phase_margin_deg", "gain_margin"),
         *("delay_margin_ms", "disk_margin", "bandwidth_hz"),
+        "complementary_sensitivity_bandwidth_hz",
     ),
     "bandwidth": ("bandwidth_hz",),
 }
@@ -412,7 +414,7 @@ def by_hand():
     for n, one in enumerate(frequency):
         one["trace"] = {"frequencies_hz": [1.0, 10.0], "plant_gain_m": [1e-3 * (n + 1), 2e-5 * n]}
     lost = dict.fromkeys(NAMES["frequency"][3:], math.nan)
-    frequency[0] |= {"bandwidth_hz": math.nan}
+    frequency[0] |= dict.fromkeys(NAMES["frequency"][-2:], math.nan)
     frequency[1] |= lost | {"stable": False}
     frequency[2] |= lost | {"stable": None, "failure": "no rest"}
     return OrderStudy(
@@ -456,10 +458,10 @@ def limits(row, name):
     return "" if ends[0] is None else f"{ends[0]:.3f}…{ends[1]:.3f}"
 
 
-def small_signal(row):
+def small_signal(row, name):
     if row["failure"] or not row["stable"]:
         return row["failure"] or "unstable"
-    return "none below Nyquist" if math.isnan(row["bandwidth_hz"]) else row["bandwidth_hz"]
+    return "none below Nyquist" if math.isnan(row[name]) else row[name]
 
 
 def test_every_cell_of_the_report_is_in_its_row(study, tables, check_cells):
@@ -512,7 +514,10 @@ def test_every_cell_of_the_report_is_in_its_row(study, tables, check_cells):
                 "gain margin": row["gain_margin"],
                 "delay margin (ms)": row["delay_margin_ms"],
                 "disk margin": row["disk_margin"],
-                "small-signal −3 dB (Hz)": small_signal(row),
+                "small-signal −3 dB, with feedforward (Hz)": small_signal(row, "bandwidth_hz"),
+                "complementary sensitivity −3 dB (Hz)": small_signal(
+                    row, "complementary_sensitivity_bandwidth_hz"
+                ),
             }
             for row in study.frequency
         ],
