@@ -9,6 +9,7 @@ from kneexo.parameters import Scenario, SimulationParameters
 if __name__ == "__main__":
     print("integrator, step | max error (deg) | mean change (rpm) | peak pressure (kPa)")
     for integrator, step_s in (
+        ("exact_hold", 2e-3),
         ("radau3", 2e-3),
         ("radau3", 1e-3),
         ("radau3", 5e-4),

@@ -50,9 +50,10 @@ def wrap(angle: Any, xp: Any = np) -> Any:
 def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: Any = np) -> Any:
     """Knee angle θ_p of the angle θ_4 of link 4 (Eq. 3–7), wrapped to (−π, π].
 
-    Eq. 6 in the form θ_3 = atan2(A, B) ± acos(C/√(A² + B²)), because B + C passes through zero
-    inside the range of motion. ``link`` has the lengths and φ of `LinkageParameters`;
-    ``eq6_sign`` comes from `eq6_sign`. Where the linkage cannot be assembled the result is nan.
+    Eq. 6 in the form θ_3 = atan2(A, B) ± acos(C/√(A² + B²)), because B + C may pass through zero
+    inside the range of motion, as for G1 and G2. ``link`` has the lengths and φ of
+    `LinkageParameters`; ``eq6_sign`` comes from `eq6_sign`. Where the linkage cannot be assembled
+    the result is nan.
     """
     c_1 = link.o_b_x_m - link.o_a_x_m + link.a_4_m * xp.cos(encoder_angle)
     c_2 = link.o_b_y_m - link.o_a_y_m + link.a_4_m * xp.sin(encoder_angle)

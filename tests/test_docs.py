@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import math
 import pickle
 import re
 import shutil
@@ -14,17 +15,25 @@ import numpy as np
 import pytest
 
 from kneexo import systems
+from kneexo.analysis import fit_polynomials, linearize_loop
+from kneexo.analysis.signals import rms
 from kneexo.parameters import (
     G1,
+    LINKAGES,
     BldcPumpParameters,
     CylinderParameters,
     EncoderParameters,
     PlantParameters,
+    RodPolynomialParameters,
     Scenario,
     SimulationParameters,
     SlidingModeParameters,
 )
 from kneexo.simulation import simulate
+from kneexo.studies.controller import controller_study
+from kneexo.studies.order import order_study
+from kneexo.studies.paper import FIG_12
+from kneexo.studies.reproduce import reproduce_study
 from kneexo.systems._leaf import NamedLeaf
 
 ROOT = Path(__file__).parents[1]
@@ -35,6 +44,12 @@ PAGES = sorted(
     if page.name != "README.md" or page.parent == ROOT
 )
 TUTORIALS = [page for page in PAGES if page.parent.name == "tutorials" and page.stem != "index"]
+EXECUTED = [
+    page
+    for page in PAGES
+    if re.search(r"^```\{code-cell\}.*\n[^:-]", page.read_text("utf-8"), re.M)
+]
+"""Pages that show their cells: the tutorials, and others whose numbers the build computes."""
 LINK = re.compile(r"\[((?:[^\]\[]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 
 
@@ -124,9 +139,13 @@ def test_a_tutorial_ends_with_a_picture_and_a_number(tutorial):
     assert f"{{nb-download}}`{tutorial.stem}.ipynb`" in text
 
 
-@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda page: page.stem)
-def test_no_code_of_a_tutorial_is_wider_than_its_box(tutorial):
-    cells = re.findall(r"^```\{code-cell\}.*?^```", tutorial.read_text("utf-8"), re.S | re.M)
+def test_the_tutorials_are_executed():
+    assert set(TUTORIALS) < set(EXECUTED)
+
+
+@pytest.mark.parametrize("page", EXECUTED, ids=lambda page: page.stem)
+def test_no_code_of_an_executed_page_is_wider_than_its_box(page):
+    cells = re.findall(r"^```\{code-cell\}.*?^```", page.read_text("utf-8"), re.S | re.M)
     assert cells
     assert [line for cell in cells for line in cell.split("\n") if len(line) > 100] == []
 
@@ -140,7 +159,7 @@ def numbers(text):
 
 
 def untold_numbers(text):
-    """Numbers of a tutorial that are no input of its cells: in the prose, and in what is printed.
+    """Numbers of a page that are no input of its cells: in the prose, and in what is printed.
 
     What a run gives is an expression in an f-string, so a cell computes it when it is read.
     """
@@ -165,9 +184,9 @@ def untold_numbers(text):
     return (numbers(prose) | numbers(printed)) - inputs
 
 
-@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda page: page.stem)
-def test_every_number_of_a_tutorial_comes_from_a_cell(tutorial):
-    assert untold_numbers(tutorial.read_text(encoding="utf-8")) == set()
+@pytest.mark.parametrize("page", EXECUTED, ids=lambda page: page.stem)
+def test_every_number_of_an_executed_page_comes_from_a_cell(page):
+    assert untold_numbers(page.read_text(encoding="utf-8")) == set()
 
 
 def test_a_number_that_no_cell_has_is_seen():
@@ -262,6 +281,171 @@ def test_the_timing_is_that_of_a_run(drawings):
         ends = run["motor_speed_rad_s"][row : row + 2] * 30.0 / np.pi
         assert ends.min() - 0.1 <= np.interp(middle, *speed.get_data()) <= ends.max() + 0.1
     plt.close(figure)
+
+
+# ------------------------------------------- numbers that take too long for a build of the pages
+
+
+def unsaid(page, *texts):
+    """Which of the texts a page lacks; numbers as the pages print them."""
+    printed = (DOCS / page).read_text("utf-8")
+    shown = [re.sub(r"e([+-])0", r"e\1", text).replace("°-", "°−") for text in texts]
+    return [text for text in shown if text not in printed]
+
+
+def test_a_number_that_a_page_lacks_is_seen():
+    assert unsaid("validation.md", "| pole of the moon |", "1.7e-09 mm") == ["| pole of the moon |"]
+
+
+def both_ends(values, form):
+    ends = [f"{end:{form}}" for end in (min(values), max(values))]
+    return ends[0] if ends[0] == ends[1] else "…".join(ends)
+
+
+def test_what_the_rounding_of_table_1_explains():
+    table = RodPolynomialParameters().p_mm_deg
+    powers = 70.0 ** np.arange(5, 0, -1)
+    digits = [f"{value:.4g}" for value in table[:5]]  # as the paper prints them
+    last = [10.0 ** math.floor(math.log10(abs(float(d))) - 3) for d in digits]
+    reach, missing = 0.5 * np.dot(last, powers), 38.98 - np.polyval(table, 70.0)
+    assert 0.9 < missing / reach < 1.0
+    texts = f"at most {reach:.4f} mm, and {missing:.4f} mm are missing"
+    assert unsaid("model.md", texts) == []
+
+
+@pytest.mark.slow
+def test_the_validation_has_the_numbers_of_reproduce():
+    found = reproduce_study().results()
+    table, g4, fig9, fig12 = (found[n] for n in ("table1", "table1_g4", "fig9", "fig12"))
+    fig13, scaling, limit = (found[n] for n in ("fig13", "scaling", "speed_limit"))
+    at = [list(fig13["frequencies_hz"]).index(f) for f in (0.2, 0.21, 0.22, 0.24)]
+    smc = fig12["smc"]
+    texts = [
+        f"| {table['linkage_rmse_mm']:.5f}, {table['linkage_max_mm']:.5f} mm |",
+        f"| {table['x_at_10deg_mm']:.2f}, {table['x_at_70deg_mm']:.2f} mm |",
+        f"| {fig9['error_after_1s_mm']:.4f} mm, {fig9['final_error_mm']:.1e} mm |",
+        f"| {smc['max_error_deg']:.3f}°, {smc['mean_command_change_rpm']:.2f} rpm |",
+        f"| {fig12['pid']['max_error_deg']:.3f}° |",
+        "| " + " / ".join(f"{fig13['gain'][n]:.3f}" for n in at) + " |",
+        f"| {fig13['bandwidth_hz']:.4f} Hz, −{-fig13['phase_at_bandwidth_deg']:.1f}° |",
+        f"| × {scaling['gear_3']['ratio']:.3f}, × {scaling['half_amplitude']['ratio']:.3f} |",
+        f"| {limit['peak_speed_demand_at_0.1hz_rpm']:.0f} rpm, "
+        f"{limit['saturation_from_hz']:.3f} Hz | `kneexo reproduce` (`speed_limit`)",
+        f"the SMC commands up to {smc['peak_command_rpm']:.0f} rpm",
+        f"by {fig13['gain_spread'][at[2]]:.4f} between the five trials",
+        f"| {g4['refit_p_sse_mm2']:.4f} mm², {g4['refit_q_sse_deg2']:.3f} deg² |",
+        f"| {g4['refit_p_rmse_mm']:.4f} mm, {g4['refit_q_rmse_deg']:.4f}° |",
+    ]
+    labels = {
+        "smc": "SMC, defaults",
+        "pid": "PID as in the paper (P, 5 1/s)",
+        "pid_tuned": "PID, tuned",
+        "pid_feedforward": "PID, tuned, with reference velocity",
+    }
+    for name, label in labels.items():
+        margins, metrics = linearize_loop(FIG_12[name], 40.0).margins(), fig12[name]
+        texts.append(
+            f"| {label} | {metrics['max_error_deg']:.3f} | "
+            f"{metrics['mean_command_change_rpm']:.2f} | {margins.phase_margin_deg:.1f} | "
+            f"{1e3 * margins.delay_margin_s:.3g} |"
+        )
+    assert unsaid("validation.md", *texts) == []
+    loop = linearize_loop(FIG_12["smc"], 40.0)
+    gain = abs(loop.output_response(100.0)[0])
+    texts = [
+        f"falls below −3 dB at {loop.bandwidth_hz():.2f} Hz and rises again beyond "
+        f"({gain:.2f} at 100 Hz)",
+        f"falls below −3 dB at {loop.complementary_sensitivity_bandwidth_hz():.2f} Hz (`kneexo",
+    ]
+    assert unsaid("frequency_response.md", *texts) == []
+
+
+def test_the_refits_of_fig_5_over_the_whole_range():
+    knee = np.linspace(0.0, 90.0, 901)
+    rod = np.polyval(RodPolynomialParameters().p_mm_deg, knee)
+    left = np.polynomial.Polynomial.fit(rod, knee, 5)(rod) - knee
+    fits = [rms(fit_polynomials(LINKAGES[name]).q_error_deg) for name in ("G1", "G2", "G3")]
+    texts = [f"{fit:.3f}° on {name}" for fit, name in zip(fits, ("G1", "G2", "G3"), strict=True)]
+    assert unsaid("validation.md", *texts, f"at the same points, leaves {rms(left):.3f}°") == []
+
+
+@pytest.mark.slow
+def test_the_error_model_has_the_numbers_of_the_order_study():
+    study = order_study()
+    cases = [("reduced", None), ("full", 60.0), ("full", -60.0)]
+
+    def values(part, name, case, **at):
+        order, force = case
+        return [
+            row[name]
+            for row in getattr(study, part)
+            if row["order"] == order
+            and force in (None, row.get("disturbance_n", row.get("force_n")))
+            and all(row[key] == value for key, value in at.items())
+        ]
+
+    def line(label, *cells):
+        return f"| {label} | {' | '.join(cells)} |"
+
+    def row(label, part, name, form):
+        return line(label, *(both_ends(values(part, name, case), form) for case in cases))
+
+    modes = [
+        [values("frequency", "mode_hz", case, posture_deg=p)[0] for p in (10.0, 40.0, 70.0)]
+        for case in cases
+    ]
+    modes = [
+        sorted({f"{v:.0f}" for v in m}) if n == 0 else [f"{v:.0f}" for v in m]
+        for n, m in enumerate(modes)
+    ]
+    inside = [r for r in study.switching if r["oscillates"]]
+    beside = [r for r in study.switching if not r["oscillates"] and r["direction"] == "in"]
+    forces = study.oscillating_n("in")
+    texts = [
+        row("rod speed at 5000 rpm (mm/s)", "speeds", "rod_speed_mm_s", ".1f"),
+        row("−3 dB (Hz; the paper: 0.21)", "bandwidth", "bandwidth_hz", ".3f"),
+        row("rms tracking error (deg)", "tracking", "rms_error_deg", ".3f"),
+        line("mode of the oil at 10 / 40 / 70° (Hz)", *(" / ".join(m) for m in modes)),
+        line(
+            "phase margin (deg), disk margin",
+            *(
+                ", ".join(
+                    f"{values('frequency', name, case, posture_deg=40.0)[0]:{form}}"
+                    for name, form in (("phase_margin_deg", ".0f"), ("disk_margin", ".2f"))
+                )
+                for case in cases
+            ),
+        ),
+        f"at {min(forces):g}…{max(forces):g} N of those tried in steps of 1 N: "
+        f"{max(r['velocity_swing_mm_s'] for r in inside):.0f} mm/s of rod velocity and "
+        f"{max(r['load_pressure_swing_mpa'] for r in inside):.2f} MPa",
+        f"{max(r['max_error_deg'] for r in inside):.2f}° in place of "
+        f"{max(r['max_error_deg'] for r in beside):.2f}°",
+    ]
+    assert unsaid("model_error.md", *texts) == []
+
+
+@pytest.mark.slow
+def test_the_page_of_the_controllers_has_the_numbers_of_their_study():
+    study = controller_study()
+    grid, (_, phi, eta) = study.settings, study.centre
+    ten, eighty = grid.lambdas_per_s.index(10.0), grid.lambdas_per_s.index(80.0)
+
+    def settling(name):
+        return "…".join(f"{study.values[name][n, phi, eta]:.3g}" for n in (ten, eighty))
+
+    built = {c.lambda_per_s: c for c in study.trap if c.variant == "as built"}
+    exact = {c.lambda_per_s: c for c in study.trap if c.variant == "exact encoder"}
+    assert grid.settling_band_deg == 0.2
+    texts = [f"| {claim.cases} | {100 * claim.share:.0f} % |" for claim in study.claims()]
+    texts += [
+        f"its end in {settling('settling_s')} s",
+        f"in {settling('large_settling_s')} s. It is",
+        f"of {built[20.0].disk_margin:.4f} at λ = 20 1/s and of {built[10.0].disk_margin:.4f} at",
+        f"by {built[20.0].max_error_deg:.1f}° and by {built[10.0].max_error_deg:.1f}° once",
+        f"{exact[20.0].max_error_deg:.2f}° and {exact[10.0].max_error_deg:.1f}° with an exact",
+    ]
+    assert unsaid("controllers.md", *texts) == []
 
 
 def undocumented(source):

@@ -58,6 +58,20 @@ changes."""
 
 LEFT_OUT = ("simulation", "step", "pressure", "power", "energy")
 
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frequency_hz", [0.1, 0.21])
+def test_the_exact_hold_is_small_steps_of_rk4(frequency_hz):
+    at = {"reference.frequency_hz": frequency_hz, "simulation.duration_s": 30.0}
+    scenario, name = changed(Scenario(), at), "rod_extension_m"
+    exact = simulate(scenario, signals=("rod_extension",))[name]
+    stroke = scenario.plant.cylinder.stroke_m
+    for step_s in (4e-6, 2e-6, 1e-6):
+        settings = {"simulation.integrator": "rk4", "simulation.step_s": step_s}
+        run = simulate(changed(scenario, settings), signals=("rod_extension",))
+        assert np.abs(run[name] - exact).max() < 1e-9 * stroke  # 1.1e-10: docs/validation.md
+
+
 SMOOTH = changed(
     Scenario(),
     {

@@ -102,6 +102,19 @@ def test_polynomial_derivatives_equal_numpy_for_every_order():
 
 
 @pytest.mark.parametrize(
+    ("name", "at_deg"), [("G1", [12.91]), ("G2", [68.94]), ("G3", []), ("G4", [])]
+)
+def test_the_denominator_of_eq_6_vanishes_in_the_range_of_g1_and_g2(name, at_deg):
+    link, knee_deg = LINKAGES[name], np.linspace(0.0, 90.0, 9001)
+    at = pose(link, np.radians(knee_deg))
+    # Eq. 4: with C_1 + jC_2 from O_A to B, B + C = a_2² − a_3² − |C|² − 2 a_3 C_1.
+    ground = complex(link.o_b_x_m - link.o_a_x_m, link.o_b_y_m - link.o_a_y_m)
+    to_b = ground + link.a_4_m * np.exp(1j * at.theta_4)
+    both = link.a_2_m**2 - link.a_3_m**2 - np.abs(to_b) ** 2 - 2.0 * link.a_3_m * to_b.real
+    assert knee_deg[np.flatnonzero(np.diff(np.sign(both)))] == pytest.approx(at_deg, abs=0.02)
+
+
+@pytest.mark.parametrize(
     ("name", "rmse", "largest"),
     [("G1", 0.0295, 0.153), ("G2", 0.0294, 0.152), ("G3", 0.0161, 0.070), ("G4", 0.0453, 0.217)],
 )

@@ -1,7 +1,7 @@
 """SMC against PID, fairly: one optimizer, one budget, one set of measurements, many plants.
 
 Lee et al. 2020 compare their sliding-mode controller with one PID on one plant. Here each
-contestant is tuned by the same search with the same number of evaluations, on the same encoder, at
+contestant is tuned by the same search with at most as many evaluations, on the same encoder, at
 the same sample time and speed limit, within the same chattering, and with a margin that it must
 keep on every plant it is tuned on: a search for the smallest error alone buys error with margin.
 Then all of them meet plants that nobody was tuned on.

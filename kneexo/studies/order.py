@@ -54,7 +54,7 @@ class OrderSettings(Parameters):
         60.0, "deg/s", "assumption: beyond the speed limit at every posture", ge=1e-3, le=1e4
     )
     switching_forces_n: tuple[float, ...] = quantities(
-        tuple(float(force) for force in range(0, 41, 2)),
+        tuple(float(force) for force in range(41)),
         "N",
         "assumption: about the switching force P_r (A_1 − A_2) = 15.7 N",
         ge=-1e4,

@@ -117,7 +117,7 @@ class Reproduction(Result):
                 for name, scaled in self.scaling.items()
             },
             "speed_limit": {
-                "peak_command_at_0.1hz_rpm": peak_rpm,
+                "peak_speed_demand_at_0.1hz_rpm": peak_rpm,
                 "saturation_from_hz": saturation_hz,
             },
             "eq27_exact_states": {

@@ -23,7 +23,7 @@ _COMPARED: dict[str, tuple[_Row, ...]] = {
         ),
         (
             *("x at 70° (Section 5)", "mm", 38.98, "x_at_70deg_mm", ".2f"),
-            "Eq. 10 with Table 1, whose printed coefficients are rounded",
+            "Eq. 10 with Table 1; the paper's number is most likely a misprint (docs/model.md)",
         ),
         (
             *("rod travel in one period (Section 5)", "mm", 200.14, "strokes_per_period_mm", ".2f"),
@@ -152,10 +152,10 @@ def report(reproduction: Reproduction) -> str:
         "> The reason why the error did not converge to zero, unlike the ideal system, was that "
         "the Maxon motor's permissible maximum speed was limited to 5000 rpm",
         f"Its own numbers do not bear this out: at 0.1 Hz the reference asks for "
-        f"{speed['peak_command_at_0.1hz_rpm']:.0f} rpm at its peak (Eq. 10, Tables 1 to 3, gear "
-        f"6:1), and the speed limit is reached from {speed['saturation_from_hz']:.3f} Hz on. In "
-        f"the SMC run above the command peaks at {smc['peak_command_rpm']:.0f} rpm and is at its "
-        f"limit in {100 * smc['saturated_share']:.1f} % of the samples after the first period.",
+        f"{speed['peak_speed_demand_at_0.1hz_rpm']:.0f} rpm at its peak (Eq. 10, Tables 1 to 3, "
+        f"gear 6:1), and the speed limit is reached from {speed['saturation_from_hz']:.3f} Hz on. "
+        f"In the SMC run above the command peaks at {smc['peak_command_rpm']:.0f} rpm and is at "
+        f"its limit in {100 * smc['saturated_share']:.1f} % of the samples after the first period.",
         "## Eq. 27 taken literally at 2 ms",
         "Two separate failures. With exact states the sampled 447 Hz mode of the oil is unstable "
         "when k/Φ is too large:",

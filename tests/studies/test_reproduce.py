@@ -195,7 +195,7 @@ def test_every_number_of_the_results_is_the_one_that_its_name_says(known, flat, 
             "half_amplitude": {"bandwidth_hz": 0.3, "ratio": 1.5},
         },
         "speed_limit": {
-            "peak_command_at_0.1hz_rpm": peak_rpm,
+            "peak_speed_demand_at_0.1hz_rpm": peak_rpm,
             "saturation_from_hz": saturation_hz,
         },
         "eq27_exact_states": {
