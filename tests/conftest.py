@@ -10,6 +10,7 @@ import math
 import os
 import re
 import select
+import shlex
 import shutil
 import signal
 import subprocess
@@ -23,6 +24,10 @@ from types import SimpleNamespace
 
 # As in sweeps: workers of pytest have a core each, and threads of BLAS would only wait for it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported
+
+# The tests start dozens of Pythons: none translates every module anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import hypothesis
 import msgpack
@@ -46,6 +51,26 @@ def pytest_collection_modifyitems(items):
 def pytest_collection_finish():
     """Leave modules and tests, which stay to the end, out of the searches for garbage."""
     gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compilers_remember(request, tmp_path_factory):
+    """C compilers on the PATH keep in the cache of pytest what they made (`--cache-clear`)."""
+    script = Path(__file__).with_name("remembering_compiler.py")
+    folder = tmp_path_factory.mktemp("compilers")
+    try:
+        store = request.config.cache.mkdir("compilers")
+    except (AttributeError, OSError):  # without that cache they compile each time
+        yield
+        return
+    for name in ("cc", "gcc", "g++", "clang", "arm-none-eabi-gcc"):
+        if compiler := shutil.which(name):
+            line = shlex.join([sys.executable, "-IS", str(script), str(store), compiler])
+            (folder / name).write_text(f'#!/bin/sh\nexec {line} "$@"\n', encoding="utf-8")
+            (folder / name).chmod(0o755)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", str(folder), prepend=os.pathsep)
+        yield
 
 
 def _walk(link, theta_4):

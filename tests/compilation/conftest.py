@@ -1,6 +1,7 @@
 """Shared by the tests of compilation: IR text as functions, an interpreter, and a diagram."""
 
 import ctypes
+import hashlib
 import itertools
 import math
 import shutil
@@ -8,6 +9,7 @@ import subprocess
 from collections import Counter
 from fractions import Fraction
 from functools import reduce
+from pathlib import Path
 from types import SimpleNamespace
 
 import llvmlite.binding as llvm
@@ -24,9 +26,10 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
+from kneexo.compilation import cache, native as native_code
 from kneexo.compilation.graph import COMPARISONS, SOURCES, UNARY, Graph
 from kneexo.compilation.ir import BYTE, DOUBLE, POINTER, Array, Module
-from kneexo.compilation.native import Library, compile_text
+from kneexo.compilation.native import Library, compile_text, processor
 from kneexo.compilation.passes import ALWAYS, Group
 from kneexo.compilation.printer import MEMO_LINES, Printer, sources
 
@@ -224,6 +227,24 @@ def random_graphs():
     return SimpleNamespace(graphs=_graphs, samples=_samples, edges=EDGES, exact=EXACT, sizes=SIZES)
 
 
+# ---------------------------------------------------------------------------- machine code
+
+
+def remembered(make, *arguments):
+    """``make(*arguments)``, machine code: that of an earlier test or run where there is one.
+
+    The key holds the files that compile, so that a change of them counts.
+    """
+    makers = b"".join(Path(file).read_bytes() for file in (__file__, native_code.__file__))
+    parts = (make.__name__, arguments, llvm.llvm_version_info, hashlib.sha256(makers).hexdigest())
+    key = repr(parts)
+    code = cache.load(key)
+    if code is None:
+        code = make(*arguments)
+        cache.store(key, code)
+    return code
+
+
 # ---------------------------------------------------------------------------- printed code
 
 
@@ -249,7 +270,7 @@ class _Code:
         for count in lanes:
             self._define(module, count)
         self.text = module.text()
-        self.library = Library(compile_text(self.text, target))
+        self.library = Library(remembered(compile_text, self.text, target or processor()))
 
     def _define(self, module, lanes):
         type_ = DOUBLE.of(lanes)
@@ -325,7 +346,8 @@ def native():
     """``native(text)(name, result, *arguments)``: a function of IR text, with ctypes' types."""
 
     def load(text, cpu=None):
-        code = object_code(text, cpu)
+        host = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+        code = remembered(object_code, text, *((cpu, "") if cpu else host))
         machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
