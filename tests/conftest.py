@@ -25,14 +25,14 @@ from types import SimpleNamespace
 # As in sweeps: workers of pytest have a core each, and threads of BLAS would only wait for it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported
 
-# The tests start dozens of Pythons: none translates every module anew.
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-sys.dont_write_bytecode = False
-
 import hypothesis
 import msgpack
 import numpy as np
 import pytest
+
+# The tests start dozens of Pythons: none translates every module anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # A shell starts `pytest &` with Ctrl-C ignored, and so would every command that a test interrupts.
 signal.signal(signal.SIGINT, signal.default_int_handler)

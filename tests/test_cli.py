@@ -1,6 +1,7 @@
 import csv
 import fcntl
 import inspect
+import io
 import json
 import math
 import os
@@ -67,16 +68,23 @@ def run_command(*arguments, **options):
     )
 
 
-def test_a_stream_without_greek_letters_gets_escapes(scenario_file):
-    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
-    command = ["params", scenario_file(SHORT), "--json"]  # which needs no Drake
-    done = run_command(*command, stdout=subprocess.PIPE, env=environment)
-    assert done.returncode == 0
-    assert not done.stderr
-    assert any(row["unit"] == "m/s²" for row in json.loads(done.stdout)["parameters"])
+def test_a_stream_without_greek_letters_gets_escapes(scenario_file, monkeypatch):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", stream)
+    assert main(["params", scenario_file(SHORT), "--json"]) == 0
+    stream.flush()
+    rows = json.loads(stream.buffer.getvalue())["parameters"]
+    assert any(row["unit"] == "m/s²" for row in rows)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["params", "SCENARIO"], ["params", "--yaml"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--help"],
+        pytest.param(["params", "SCENARIO"], marks=pytest.mark.slow),
+        ["params", "--yaml"],
+    ],
+)
 def test_a_full_device_is_a_line(arguments, scenario_file):
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
     words = [scenario_file(SHORT) if word == "SCENARIO" else word for word in arguments]
@@ -86,15 +94,15 @@ def test_a_full_device_is_a_line(arguments, scenario_file):
 
 
 def test_a_closed_output_is_no_failure():
-    line = ["sh", "-c", 'exec "$0" -m kneexo params --yaml >&-', sys.executable]
+    line = ["sh", "-c", 'exec "$0" -m kneexo cache >&-', sys.executable]
     done = subprocess.run(line, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_an_unknown_matplotlib_backend_does_not_matter():
-    code = "from kneexo import cli; cli.main(['cache']); import matplotlib"
-    environment = os.environ | {"MPLBACKEND": "bogus"}
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True)
+def test_an_unknown_matplotlib_backend_does_not_matter(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "bogus")
+    assert main(["cache"]) == 0
+    assert os.environ["MPLBACKEND"] == "Agg"  # before Matplotlib is imported
 
 
 def test_no_home_directory_is_a_line(tmp_path):
@@ -334,7 +342,10 @@ SWEEP = ["bandwidth", "--workers", "2"]
 
 @pytest.mark.parametrize(
     ("number", "told", "code"),
-    [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)],
+    [
+        pytest.param(signal.SIGINT, "interrupted", 130, marks=pytest.mark.slow),
+        (signal.SIGTERM, "terminated", 143),
+    ],
 )
 def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, told, code):
     out = tmp_path / "deep" / "out"
@@ -350,6 +361,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, told, cod
         wait_for(lambda: not alive(process.pid), 5.0)
 
 
+@pytest.mark.slow
 def test_a_killed_sweep_leaves_no_process_and_its_pieces(tmp_path):
     path = tmp_path / "bandwidth.checkpoint.jsonl"
     with started(*SWEEP, "--out", tmp_path) as process:
@@ -392,9 +404,9 @@ runpy.run_module("kneexo", run_name="__main__", alter_sys=True)
     [
         ("kneexo.cli", "interrupted"),
         ("argparse", "interrupted"),
-        ("kneexo.parameters", "interrupted; KEPT"),
+        pytest.param("kneexo.parameters", "interrupted; KEPT", marks=pytest.mark.slow),
         ("pydrake", "interrupted; KEPT"),
-        ("matplotlib", "interrupted; KEPT"),
+        pytest.param("matplotlib", "interrupted; KEPT", marks=pytest.mark.slow),
     ],
 )
 def test_an_interrupt_of_an_import_is_one_true_line(tmp_path, module, told):
@@ -768,6 +780,33 @@ def stand_in(monkeypatch, compute):
         return FakeStudy(settings)
 
     replace_study(monkeypatch, "bandwidth", study)
+
+
+@pytest.mark.parametrize("pieces", [0, 2])
+@pytest.mark.parametrize(
+    ("interrupt", "told", "code"),
+    [(KeyboardInterrupt, "interrupted", 130), (Terminated, "terminated", 143)],
+)
+def test_an_interrupt_tells_how_many_pieces_are_kept(
+    capsys, tmp_path, monkeypatch, interrupt, told, code, pieces
+):
+    def interrupted(checkpoint):
+        for n in range(pieces):
+            checkpoint.keep(f"piece {n}", n)
+        raise interrupt
+
+    stand_in(monkeypatch, interrupted)
+    out = tmp_path / "deep" / "out"
+    path = out / "bandwidth.checkpoint.jsonl"
+    assert main(["bandwidth", "--out", str(out)]) == code
+    fate = (
+        f"{pieces} finished pieces are kept in {path}; the same command goes on from them"
+        if pieces
+        else "nothing was written"
+    )
+    assert capsys.readouterr().err.splitlines() == [f"kneexo: {told}; {fate}"]
+    assert list((tmp_path / "deep").rglob("*.*")) == ([path] if pieces else [])
+    assert (tmp_path / "deep").exists() == bool(pieces)
 
 
 def test_finished_pieces_go_only_when_asked(capsys, tmp_path, monkeypatch):

@@ -1,8 +1,7 @@
+import fcntl
 import hashlib
 import math
 import os
-import subprocess
-import sys
 from dataclasses import dataclass
 from functools import partial
 from io import FileIO
@@ -177,31 +176,21 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
     assert path.stat().st_size == 2**40
 
 
-HOLD = """
-import sys
-from pathlib import Path
-from kneexo.sweeps.checkpoint import Checkpoint
-checkpoint = Checkpoint(Path(sys.argv[1]))
-checkpoint.keep("theirs", 1)
-print("locked", flush=True)
-sys.stdin.read()
-"""
-
-
 @pytest.mark.parametrize("resume", [True, False])
 def test_a_second_process_is_refused_until_the_first_has_died(tmp_path, resume):
+    """A lock belongs to an open file: another one stands for that of another process."""
     path = tmp_path / "sweep.jsonl"
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLD, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as first:
-        try:
-            assert first.stdout.readline() == b"locked\n"
-            with pytest.raises(OutputError, match="another process is at work on it") as caught:
-                Checkpoint(path, resume=resume)
-            assert "\n" not in str(caught.value)
-        finally:
-            first.kill()
-    assert ("theirs" in Checkpoint(path, resume=resume)) == resume
+    ours = Checkpoint(path)
+    ours.keep("ours", 1)
+    with path.open() as other:
+        with pytest.raises(BlockingIOError):
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        ours.close()
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with pytest.raises(OutputError, match="another process is at work on it") as caught:
+            Checkpoint(path, resume=resume)
+        assert "\n" not in str(caught.value)
+    assert ("ours" in Checkpoint(path, resume=resume)) == resume
 
 
 def test_this_process_may_open_its_checkpoint_again(tmp_path):
