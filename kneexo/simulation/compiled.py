@@ -35,7 +35,7 @@ from kneexo.diagrams.closed_loop import loop_values, make_closed_loop
 from kneexo.diagrams.controller import known_to_controller, make_controller
 from kneexo.diagrams.plant import plant_start, start_pressures_pa
 from kneexo.diagrams.signals import SIGNALS, chosen_signals, columns
-from kneexo.errors import KneexoError, SimulationError
+from kneexo.errors import KneexoError
 from kneexo.parameters import (
     CustomControllerParameters,
     SampledReference,
@@ -368,9 +368,6 @@ def simulate_together(
             settings = scenarios[index].simulation
             if any(getattr(settings, name) != value for name, value in how.items()):
                 settings = settings.model_copy(update=how)
-            try:
-                result = Run(result.time_s, dict(zip(labels, data, strict=True)), settings)
-            except SimulationError as error:
-                result = error
+            result = Run(result.time_s, dict(zip(labels, data, strict=True)), settings)
         results[index] = result
     return results

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
@@ -63,6 +64,12 @@ def simulate_diagram(
             ) from None
         if progress is not None:
             progress(end - start)
-    return Run(
-        log.sample_times().copy(), dict(zip(names, log.data().copy(), strict=True)), settings
-    )
+    times, data = log.sample_times().copy(), log.data().copy()
+    finite = np.isfinite(data)
+    if not finite.all():
+        row = int(np.argmin(finite.all(axis=0)))
+        raise SimulationError(
+            f"t = {times[row]:.6g} s: {names[int(np.argmin(finite[:, row]))]} is not finite; "
+            f"reduce the step or check the parameters"
+        )
+    return Run(times, dict(zip(names, data, strict=True)), settings)

@@ -10,7 +10,6 @@ from kneexo.parameters import Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
 from kneexo.simulation import compiled, engines
 from kneexo.simulation.engines import RunRequest, answers
-from kneexo.simulation.run import Run
 
 SHORT = Scenario(simulation=SimulationParameters(duration_s=0.2))
 
@@ -67,16 +66,6 @@ def test_progress_ends_at_the_duration(integrator):
     settings = SimulationParameters(duration_s=0.1, integrator=integrator)
     simulate(Scenario(simulation=settings), signals=("knee_angle",), progress=told.append)
     assert told[-1] == pytest.approx(0.1)
-
-
-def test_the_first_value_that_is_not_finite_is_told():
-    time = np.array([0.0, 0.5, 1.0, 1.5])
-    good = np.full(4, 1e308)  # finite, unlike its sum
-    late = np.array([0.0, 1.0, np.nan, np.nan])
-    early = np.array([0.0, -np.inf, np.inf, 0.0])
-    assert Run(time, {"force_n": good}, SHORT.simulation)["force_n"] is good
-    with pytest.raises(SimulationError, match=r"\At = 0\.5 s: angle_rad is not finite; reduce "):
-        Run(time, {"force_n": good, "speed": late, "angle_rad": early}, SHORT.simulation)
 
 
 def test_an_output_of_a_users_diagram_that_is_not_finite_ends_the_run():
