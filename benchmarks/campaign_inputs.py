@@ -362,7 +362,7 @@ SPECIAL: dict[str, Callable[[Path, random.Random], Any]] = {
             *("/dev/zero", "/dev/full", "/dev/null", "/dev/random", "/dev/tty", "/dev/stdin"),
             *("/proc/self/mem", "/proc/kmsg", "/proc/kcore", "/proc/self/environ", "/proc/version"),
             *("/proc/self/fd/0", "/proc/self/maps", "/proc/self/cmdline", "/proc", "/proc/1/mem"),
-            *("/sys/kernel/profiling", "/proc/sysrq-trigger", "/proc/self/clear_refs", "/nowhere"),
+            *("/sys/kernel/profiling", "/proc/self/clear_refs", "/nowhere"),
         )
     },
     "pipe": lambda path, rng: os.mkfifo(path),
@@ -388,13 +388,13 @@ PLACES: dict[str, tuple[str, list[str]]] = {
     "scenario of a run": ("s.yaml", ["view", "s.yaml", "--out", "k.html"]),
     "uncertainty": (
         "u.yaml",
-        ["robustness", "--uncertainty", "u.yaml", "--out", "o", "--set", "samples=0"],
+        ["robustness", "--uncertainty", "u.yaml", "--out", "o"],
     ),
     "CSV": ("r.csv", ["params", "csv.yaml", "--yaml"]),
     "signals": ("run/signals.csv", ["view", "run", "--out", "k.html"]),
     "scenario of results": ("run/scenario.yaml", ["view", "run", "--out", "k.html"]),
     "page": ("k.html", ["view", "run", "--out", "k.html"]),
-    "FMU": ("k.fmu", ["export", "fmu", "--out", "k.fmu", "--what", "plan"]),
+    "FMU": ("k.fmu", ["export", "fmu", "--out", "k.fmu"]),
     "results": ("o", ["linearize", "--out", "o", "--knee-angle", "1000"]),
     "checkpoint": ("o/bandwidth.checkpoint.jsonl", ["bandwidth", "--out", "o", "--workers", "1"]),
     "report": ("o/linearize.html", ["linearize", "--html", "--out", "o"]),
@@ -406,8 +406,13 @@ def special_case(folder: Path, rng: random.Random) -> Case:
     place = rng.choice(list(PLACES))
     name, command = PLACES[place]
     what = rng.choice(list(SPECIAL))
-    if place in ("page", "report", "checkpoint", "results") and what in ("missing", "/nowhere"):
+    if place in ("page", "report", "checkpoint", "results", "FMU") and what in (
+        "missing",
+        "/nowhere",
+    ):
         what = "pipe"  # nothing would be wrong
+    if place == "FMU" and what in ("directory", "/proc"):
+        what = "binary"  # a folder for the file
     if place == "checkpoint" and what == "empty":
         what = "binary"
     path = folder / name
@@ -498,21 +503,26 @@ KINDS: dict[Callable[[Path, random.Random], Case], int] = {
 
 def inputs(count: int, seed: int) -> Iterator[tuple[str, str, str]]:
     """Outcome, message and text of each case."""
-    _warm_up()
+    warm_up()
     for number in range(count):
-        rng = random.Random(f"{seed} {number}")
-        make = rng.choices(list(KINDS), list(KINDS.values()))[0]
-        folder = Path(tempfile.mkdtemp(prefix="campaign-"))
-        try:
-            case = make(folder, rng)
-            kind, message = outcome(case, folder, alone=number % PROCESSES == 0)
-            label = f"case {number} of seed {seed}: kneexo {case.command!r:.500}\n{case.note}"
-            yield (kind if kind in BAD else f"{case.kind}: {kind}"), message, label
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+        yield one_case(number, seed)
 
 
-def _warm_up() -> None:
+def one_case(number: int, seed: int) -> tuple[str, str, str]:
+    """Outcome, message and text of a case, which its number and the seed decide."""
+    rng = random.Random(f"{seed} {number}")
+    make = rng.choices(list(KINDS), list(KINDS.values()))[0]
+    folder = Path(tempfile.mkdtemp(prefix="campaign-"))
+    try:
+        case = make(folder, rng)
+        kind, message = outcome(case, folder, alone=number % PROCESSES == 0)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    label = f"case {number} of seed {seed}: kneexo {case.command!r:.500}\n{case.note}"
+    return (kind if kind in BAD else f"{case.kind}: {kind}"), message, label
+
+
+def warm_up() -> None:
     """Import and compile what the forks share."""
     import matplotlib.pyplot  # noqa: F401
 

@@ -81,8 +81,10 @@ def export_fmu(
     ``path``: the file, or a directory for ``knee_plant.fmu``. Raises `OutputError` where something
     lies there that is no FMU of ours, and what `make_fmu` raises.
     """
-    fmu = make_fmu(scenario, what, fmi=fmi, step_s=step_s)
     file = Path(path)
+    if not file.is_dir():
+        _require_own(file)  # before the work
+    fmu = make_fmu(scenario, what, fmi=fmi, step_s=step_s)
     if file.is_dir() or (file.suffix != ".fmu" and not file.exists()):
         file /= f"{fmu.name}.fmu"
     _require_own(file)
