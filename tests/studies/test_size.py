@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.hardware import (
     ACCELERATION_LIMIT,
     DISPLACEMENT,
@@ -20,6 +21,7 @@ from kneexo.analysis.hardware import (
     sliding_mode,
     tuned,
 )
+from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.walking import walking_metrics
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.output import to_json
@@ -120,7 +122,8 @@ def test_settings_that_contradict_themselves_are_refused(values, told):
 # ------------------------------------------------------------------------------ whole study
 
 
-def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypatch):
+@pytest.fixture
+def by_formula(monkeypatch):
     """At f Hz with λ = 80 1/s, 10 f times the flow and 2e4 f rad/s² leave an error of 2°."""
     own = UNCERTAIN_KNEE.plant.pump.displacement_m3_per_rad
 
@@ -136,17 +139,51 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
     def judge(scenario, **_):
         return {"disk_margin": 0.6, "bandwidth_hz": np.nan}
 
-    def fail(*_):
-        raise SimulationError("not asked for here")
-
     monkeypatch.setattr(size, "walking_metrics", walking)
     monkeypatch.setattr(size, "walk", lambda scenario, f, cycles: {"error": error(scenario, f)})
     monkeypatch.setattr(size, "assess", judge)
+
+
+@pytest.mark.usefixtures("by_formula")
+def test_every_row_of_the_sweeps_is_that_of_its_own_hardware(in_numbers):
+    own = changed(
+        Scenario(),
+        {
+            "reference": {"kind": "sine", "amplitude_deg": 2.0, "frequency_hz": 4.0},
+            "simulation.duration_s": 0.5,
+        },
+    )
+    few = {"factors": (2.0,), "walking_factors": (1.0,), "lambda_per_s": (80.0,)}
+    found = size_study(own, changed(SMALL, few))
+    rows = {path: row for path, (row,) in found.sweeps.items()}
+    assert list(rows) == list(HARDWARE)
+    for path, row in (("", found.nominal), *rows.items()):
+        hardware = scaled(own, {path: 2.0}) if path else own
+        expected = in_numbers(hardware, 0.25) | {
+            "expected_bandwidth_hz": expected_bandwidth_hz(hardware),
+            "bandwidth_hz": large_signal_bandwidth_hz(hardware),
+            "small_signal_bandwidth_hz": linearize_loop(hardware, 40.0).bandwidth_hz(),
+        }
+        names = set(row) - {"failure"}
+        assert len(names) == 6
+        assert row["failure"] == ""
+        assert {n: row[n] for n in names} == pytest.approx({n: expected[n] for n in names})
+
+
+@pytest.mark.usefixtures("by_formula")
+def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypatch):
+    def fail(*_):
+        raise SimulationError("not asked for here")
+
     for name in ("large_signal_bandwidth_hz", "linearize_loop", "track"):
         monkeypatch.setattr(size, name, fail)
     settings = changed(SMALL, {"stride_frequencies_hz": (0.5, 1.0), "search_tolerance": 1e-3})
     found = size_study(settings=settings)
 
+    lost = ["bandwidth_hz", "small_signal_bandwidth_hz", "max_error_deg", "rms_error_deg"]
+    for row in (found.nominal, found.design_at_reference, *found.sweeps[DISPLACEMENT]):
+        assert all(math.isnan(row[name]) for name in (*lost, "mean_command_change_rpm"))
+        assert row["failure"] == "; ".join(["not asked for here"] * 3)
     # Ample: 25 times the flow and 1e5 rad/s²; the hardest stride is that of 1 Hz.
     assert found.best_gains["lambda_per_s"] == 80.0
     assert found.best_gains["max_error_deg"] == pytest.approx(2.0 * 10.0 / 25.0)
