@@ -773,6 +773,7 @@ def test_margins_are_those_of_python_control_on_the_state_space(loops, margins, 
     assert m.phase_margin_deg == pytest.approx(phase, rel=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:Setting the shape:DeprecationWarning:control")  # its own code
 @pytest.mark.parametrize("name", STABLE)
 def test_disk_margins_are_those_of_python_control(loops, margins, name):
     loop, m = loops[name], margins[name]
