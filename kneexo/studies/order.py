@@ -224,8 +224,7 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
     at = in_order(scenario, order, force)
     row: dict[str, Any] = {"order": order, "disturbance_n": force, "posture_deg": posture}
     names = ("mode_hz", "mode_damping", "rod_force_n", "phase_margin_deg", "gain_margin")
-    names += ("delay_margin_ms", "disk_margin", *_LOOP_BANDWIDTHS)
-    row |= dict.fromkeys(names, math.nan)
+    row |= dict.fromkeys((*names, "delay_margin_ms", "disk_margin", *_LOOP_BANDWIDTHS), math.nan)
     row |= {"stable": None, "failure": ""}
     try:
         plant = linearize_plant(at.plant, posture, outputs=("rod_velocity",))

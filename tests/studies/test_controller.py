@@ -559,7 +559,7 @@ def test_the_lines_of_the_claims_are_those_of_the_grid(by_hand, curves):
         assert xs == pytest.approx(beta * eta / np.array(GRID.phis_m_s2))
         assert ys == pytest.approx(values["max_error_deg"][1, :, n])
     spans = (  # with room for the legend above the highest value
-        (faster, "λ (1/s)", "settling time (s)"),
+        (faster, "λ (1/s)", "settling time to ±0.2° (s)"),
         (chattering, "Φ (m/s²)", "mean command change (rpm/sample)"),
         (adherent, "η (m/s³)", "max error (deg)"),
         (collapse, "k/Φ (1/s)", "max error (deg)"),
