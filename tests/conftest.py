@@ -30,6 +30,8 @@ import msgpack
 import numpy as np
 import pytest
 
+from kneexo.compilation.cache import cache_directory
+
 # The tests start dozens of Pythons: none translates every module anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
@@ -54,13 +56,14 @@ def pytest_collection_finish():
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _compilers_remember(request, tmp_path_factory):
-    """C compilers on the PATH keep in the cache of pytest what they made (`--cache-clear`)."""
+def _compilers_remember(tmp_path_factory):
+    """C compilers on the PATH keep what they made beside the compiled models."""
     script = Path(__file__).with_name("remembering_compiler.py")
     folder = tmp_path_factory.mktemp("compilers")
+    store = cache_directory() / "compilers"
     try:
-        store = request.config.cache.mkdir("compilers")
-    except (AttributeError, OSError):  # without that cache they compile each time
+        store.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError:  # they compile each time
         yield
         return
     for name in ("cc", "gcc", "g++", "clang", "arm-none-eabi-gcc"):

@@ -16,7 +16,7 @@ LIMIT = 1500
 
 
 def main(store, compiler, *arguments):
-    if not _can_be_remembered(arguments):
+    if not can_be_remembered(arguments):
         os.execv(compiler, [compiler, *arguments])
     entry = os.path.join(store, _key(compiler, arguments))
     try:
@@ -40,7 +40,7 @@ def main(store, compiler, *arguments):
     return code
 
 
-def _can_be_remembered(arguments):
+def can_be_remembered(arguments):
     """Sources are files, and what is made of them stays below the working directory."""
     targets = [arguments[n + 1] for n, argument in enumerate(arguments[:-1]) if argument == "-o"]
     return (
