@@ -63,6 +63,13 @@ def test_the_follower_of_the_papers_sine_falls_to_0_2247_hz():
     assert follower_bandwidth_hz(Scenario()) == pytest.approx(0.2247, abs=3e-4)
 
 
+@pytest.mark.parametrize("mean_deg", [30.0, 60.0])
+def test_a_slow_sine_is_followed_to_the_ends_of_the_range(mean_deg):
+    slow = sine(30.0, **{"reference.mean_deg": mean_deg})
+    # The map is interpolated over 20 001 points.
+    assert follower_response(slow, 1e-3) == pytest.approx(1.0, abs=1e-6)
+
+
 def test_the_follower_of_a_small_sine_is_the_closed_form():
     # A knee sine of 0.1° is one in the rod but for 1e-5 of curvature.
     scenario = sine(0.1)
@@ -92,6 +99,7 @@ def measured_as(monkeypatch, gain):
     asked = []
 
     def estimate(scenario, settings):
+        assert (settings.averaged_cycles, settings.largest_cycles) == (2, 6)
         frequency = scenario.reference.frequency_hz
         asked.append(frequency)
         return SineEstimate(
