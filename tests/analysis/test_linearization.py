@@ -918,6 +918,20 @@ def test_the_phase_in_a_bode_plot_starts_below_90_deg():
     assert magnitude.lines[0].get_ydata()[:-1] == pytest.approx(20.0 * np.log10(gain), abs=1e-3)
 
 
+def test_a_bode_plot_leaves_out_the_margin_that_a_loop_has_not():
+    # An integrator crosses |L| = 1; a lag with less gain than one does not. Both reach −180°.
+    integrator = delayed(np.array([[0.0]]), np.array([[1.0 / T]]), 0.1, 0)
+    small = delayed(np.array([[-500.0]]), np.array([[100.0]]), 0.5, 1)
+    for loop, phase_margin, gain_margin in ((integrator, True, True), (small, False, True)):
+        magnitude, phase = loop.plot()
+        assert math.isfinite(loop.margins().phase_margin_deg) == phase_margin
+        assert math.isfinite(loop.margins().gain_margin) == gain_margin
+        shown = [line.get_label() for axis in (magnitude, phase) for line in axis.lines]
+        assert any("crossover" in label for label in shown) == phase_margin
+        assert any("phase margin" in label for label in shown) == phase_margin
+        assert any("gain margin" in label for label in shown) == gain_margin
+
+
 @pytest.mark.parametrize("delay", [0, 2])
 def test_the_phase_margin_of_a_delayed_integrator_is_that_of_the_closed_form(delay):
     # L = g z⁻ⁿ/(z − 1) has |L| = 1 at 2 sin(ωT/2) = g, and there the phase −90° − (n + ½) ωT.
@@ -1134,6 +1148,10 @@ def test_the_phase_of_a_bode_plot_is_unwrapped_also_through_a_resonance(loops):
     f, values = phase.lines[0].get_data()
     assert np.abs(np.diff(values)).max() < 30.0
     assert -270.0 <= values[0] < 90.0
+    mode = np.abs(np.angle(loop.eigenvalues)) / (2.0 * math.pi * T)
+    (mode,) = mode[np.abs(mode - 53.0) < 3.0][:1]
+    near = f[np.abs(f / mode - 1.0) < 0.09]
+    assert np.diff(near).max() <= 1.01e-3 * mode  # five times as dense as elsewhere
     turned = np.degrees(np.angle(loop.loop_response(f))) - values
     assert turned == pytest.approx(360.0 * np.round(turned / 360.0), abs=1e-6)
     assert magnitude.get_legend().get_texts()[0].get_text() == "Nyquist, 250 Hz"
@@ -1201,6 +1219,9 @@ def test_the_pole_plot_tells_unstable_eigenvalues(loops, unstable):
         z = np.log(complex(*text.get_position()))
         assert -z.real / abs(z) == pytest.approx(damping, rel=1e-9)
         assert text.get_text() == f"ζ = {damping:g}"
+    for line in axes.lines[:12]:
+        assert line.get_xdata()[0] == 1.0
+        assert line.get_ydata()[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-12)
     # A line of damping ζ: z = e^{(−ζ + j√(1 − ζ²))ωT}.
     line = axes.lines[2]
     z = np.log(line.get_xdata()[1:] + 1j * line.get_ydata()[1:])

@@ -389,8 +389,12 @@ def test_every_axis_has_its_label_scale_limits_and_legend(by_hand):
         assert line.get_label() == f"ρ = {ratio:.3g}"
         rate = np.abs(np.diff(line.get_ydata())).max() * 1000.0
         assert rate == pytest.approx(2.0 * math.pi * ratio, rel=1e-3)
-    (norm, *_) = (ax.collections[0].norm for ax in drawn["amplitude_map"].axes[:1])
+    first = drawn["amplitude_map"].axes[0]
+    norm = first.collections[0].norm
     assert (norm.vmin, norm.vmax) == (-20.0, 3.0)
+    assert list(first.get_yticks()) == [1.0, 30.0]
+    for ax in (first, drawn["bode_by_amplitude"].axes[0]):
+        assert list(ax.get_xticks()) == [0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]
 
 
 def test_an_interrupted_map_goes_on_with_identical_results(mapped):

@@ -569,6 +569,8 @@ def test_the_lines_of_the_claims_are_those_of_the_grid(by_hand, curves):
         assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
         highest = max(np.max(y[np.isfinite(y)]) for _, y in curves(ax).values())
         assert ax.get_ylim()[1] > highest
+    assert list(faster.get_yticks()) == [0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0]
+    assert list(faster.get_xticks()) == [10.0, 40.0]
     assert [float(label) for label in curves(chattering)] == [10.0, 20.0, 40.0]
     assert [float(label) for label in curves(adherent)] == [0.32, 1.0, 3.2, 10.0, 32.0]
     trap = drawn["study_trap"].axes[0]

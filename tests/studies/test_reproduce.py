@@ -330,6 +330,15 @@ def test_every_line_of_the_figures_is_that_of_its_run(known, curves):
     assert all(panels[0, 0].get_shared_x_axes().joined(panels[0, 0], ax) for ax in panels.flat)
     assert [ax.get_xlabel() for ax in panels.flat] == [""] * 4 + ["time (s)"] * 2
     exact, counts = drawn["eq27_at_2ms"].axes
+    assert (exact.get_ylim(), counts.get_ylim()) == ((1e-2, 1e4), (-24.0, 16.0))
+    assert [ax.get_ylabel() for ax in (exact, counts)] == [
+        *("|load pressure| (Pa)", "tracking error (deg)")
+    ]
+    for ax in (exact, counts):
+        assert (ax.get_xlabel(), ax.get_legend().get_title().get_text()) == (
+            "time (s)",
+            "k/Φ (1/s)",
+        )
     for name, run in known.eq27_exact.items():
         x, y = curves(exact)[name]
         assert x == pytest.approx(run.time_s)
