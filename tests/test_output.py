@@ -2,6 +2,7 @@ import fcntl
 import json
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -52,6 +53,7 @@ def test_an_unwritable_directory_is_refused_before_the_body(tmp_path, where):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot write there") as caught:
         write_and_fail(tmp_path / where, "", AssertionError("the body was entered"))
+    assert f"{where}: cannot write there (" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -150,6 +152,20 @@ def test_leftovers_of_the_dead_are_deleted_and_of_the_living_are_not(tmp_path):
         assert directory.exists()
     names = {".kneexo-mine", ".kneexo-file", "a.csv", "b.csv", "c.csv"}
     assert {file.name for file in tmp_path.iterdir()} == names
+
+
+def test_the_lock_of_a_workspace_is_deleted_last(tmp_path, monkeypatch):
+    deleted, delete = [], shutil.rmtree
+
+    def note(folder, **options):
+        deleted.append((folder.name, any(tmp_path.glob(".kneexo-*/kneexo.lock"))))
+        delete(folder, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", note)
+    write(tmp_path)
+    *parts, (last, _) = deleted
+    assert parts == [("new", True), ("old", True)]
+    assert last.startswith(".kneexo-")
 
 
 def test_a_directory_taken_for_a_leftover_is_made_again(tmp_path, monkeypatch):
