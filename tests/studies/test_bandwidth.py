@@ -238,6 +238,17 @@ def test_results_of_a_map_are_those_of_its_cells(by_hand, flat, check_rules):
     assert flat(found) == pytest.approx(flat(expected))
 
 
+def test_the_frame_has_a_row_for_each_cell(by_hand, monkeypatch):
+    monkeypatch.setattr(study, "data_frame", lambda columns: columns)  # needs no pandas
+    columns = by_hand.to_dataframe()
+    assert columns["amplitude_deg"].tolist() == [1.0, 1.0, 1.0, 30.0, 30.0, 30.0]
+    assert columns["frequency_hz"].tolist() == [0.1, 0.2, 0.4] * 2
+    assert columns["gain"] == pytest.approx(GAINS.ravel())
+    assert columns["phase_deg"] == pytest.approx(PHASES.ravel())
+    for name, values in by_hand.cells.items():
+        assert columns[name].tolist() == values.ravel().tolist()
+
+
 def test_every_cell_of_the_report_is_in_the_map(by_hand, tables, check_cells):
     text = report(by_hand)
     (shown,) = tables(text)
