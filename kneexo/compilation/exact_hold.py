@@ -5,10 +5,20 @@ exactly, by the functions of z = A h
 
     phi_1 = (e^z - 1)/z,  phi_2 = (phi_1 - 1)/z,  phi_3 = (phi_2 - 1/2)/z,
 
-and takes g as a parabola through the start, the middle and the end: ETD3RK of Cox and Matthews
-(2002, J. Comput. Phys. 176), of third order, and exact while g is constant. Its difference from the
-same with a straight line is the error estimate. A step that fails tries the Jacobian at its start,
-and then halves; corners (a clip, a valve) are passed by halving.
+and takes g as a parabola through the start, the middle and the end (Cox and Matthews 2002,
+J. Comput. Phys. 176). With g relative to its value at the start, g_a at the middle and g_b at the
+end, the states are
+
+    middle          x + h/2 phi_1(z/2) dx/dt,
+    predicted end   x + h phi_1 dx/dt + 2 h (phi_2 + phi_2(z/2)) g_a,
+    end             x + h phi_1 dx/dt + 2 h phi_2 g_a + h (phi_2 - 4 phi_3) (2 g_a - g_b).
+
+The factor of g_a in the predicted end makes the order three with any A (Hochbruck and Ostermann
+2005, SIAM J. Numer. Anal. 43); with A the Jacobian at the start the order is four. The last term is
+the difference from the same with a straight line for g, which has the order two, and is the error
+estimate. A step that fails tries the Jacobian at its start, however small it is, and then halves;
+corners (a clip, a valve) are passed by halving. Where a tick takes eight steps or more, each keeps
+a fifth of the tolerance, since their errors add up.
 
 Each lane has its own step, Jacobians and their tables, so a lane gets the bits that it gets alone;
 a lane that has reached the end of the tick waits for the others.
@@ -44,8 +54,10 @@ FINEST = 12
 SLOTS = 4
 """Jacobians that a run remembers."""
 
+_MANY = 3  # halvings from which the steps of a tick are many
+_SHARE = 0.2  # of the tolerance for each of many steps
+_EASY = 0.05  # error estimate by the tolerance of a step that may double
 _NEGLIGIBLE = 0.01  # share of the tolerance that is not worth a correction
-_STIFF = 0.5  # norm of A h below which the choice of A does not matter
 _MOST_EXCESS = 1e-2  # sum of the errors of its finest steps that miss the tolerance
 _WHOLE = 1 << FINEST  # a tick, in finest steps
 
@@ -63,7 +75,6 @@ class Memory:
             "made": 1,  # slots filled so far
             "slot": 1,  # the one in use
             "excess": 1,
-            "norms": SLOTS,
             "jacobians": SLOTS * square,
             "candidate": square,  # the Jacobian at the last rejected step
             "change": size,
@@ -72,15 +83,15 @@ class Memory:
         }
         places = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
         self.filled, self.made, self.slot, self.excess = (places[k] for k in list(sizes)[:4])
-        self.norms, self.jacobians, self.candidate = (places[k] for k in list(sizes)[4:7])
-        self.change, self.rest, self.tables = (places[k] for k in list(sizes)[7:])
+        self.jacobians, self.candidate, self.change = (places[k] for k in list(sizes)[4:7])
+        self.rest, self.tables = (places[k] for k in list(sizes)[7:])
         self.head = self.jacobians
         """Elements that must be zero at the start."""
         self.size = -(-sum(sizes.values()) // 8) * 8
 
     def shared(self, lanes: int) -> int:
         """Size of the memory of all lanes together: level, Jacobian and tables in use."""
-        return (1 + self.square + self.table + self.square) * lanes
+        return (1 + self.square + self.table + 2 * self.square) * lanes
 
 
 def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
@@ -162,11 +173,11 @@ def define_fill_tables(module: Module, size: int) -> Function:
     """``fill_tables(a, tick, tables)``: h phi_1, h phi_2, h (phi_2 - 4 phi_3) of each step.
 
     Step ``level`` is h = tick/2^level. The functions of all halvings come from the smallest by
-    doubling (Skaflestad and Wright 2009, Appl. Numer. Math. 59). Returns the norm of A.
+    doubling (Skaflestad and Wright 2009, Appl. Numer. Math. 59).
     """
     square = size * size
     arguments = {"a": POINTER, "tick": DOUBLE, "tables": POINTER}
-    f = module.function("fill_tables", arguments, DOUBLE, attributes="noinline")
+    f = module.function("fill_tables", arguments, attributes="noinline")
     a, tables = (Array(f.arguments[name], DOUBLE) for name in ("a", "tables"))
     tick, columns = f.arguments["tick"], _Columns(f, size)
     z, power, spare, mixed, phi_1, phi_2, phi_3 = (columns.zero() for _ in range(7))
@@ -216,7 +227,6 @@ def define_fill_tables(module: Module, size: int) -> Function:
             z[e] = z[e] * 2.0
         h.set(step * 2.0)
         level.set(level.get() - 1)
-    f.give(norm.get())
     return f
 
 
@@ -267,17 +277,14 @@ def define_choose_slot(module: Module, size: int) -> Function:
     for e in f.loop(square):
         jacobians[slot * square + e] = candidate[e]
     tables = memory.shifted(slot * ((FINEST + 2) * at.table) + at.tables)
-    norm = f.call(
-        fill_tables, jacobians.address(slot * square), f.arguments["tick"], tables.pointer
-    )
-    memory[slot + at.norms] = norm
+    f.call(fill_tables, jacobians.address(slot * square), f.arguments["tick"], tables.pointer)
     whole[at.slot] = slot
     return f
 
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of ETD3RK, not yet accepted."""
+    """A step, not yet accepted."""
 
     end: Array
     """State at its end."""
@@ -294,7 +301,8 @@ def _step(
 ) -> _Step:
     """A step ``h`` from ``tick.x``, whose rate there is ``slope``."""
     f, size, square = tick.function, tick.size, tick.size**2
-    middle, end, f_a, g_a, f_b, g_b, part, move = (tick.vector() for _ in range(8))
+    middle, predicted, end = (tick.vector() for _ in range(3))
+    f_a, g_a, f_b, g_b, part, move = (tick.vector() for _ in range(6))
     multiplied(f, size, tables.shifted(3 * square), slope, middle)
     multiplied(f, size, tables, slope, end)
     for i in f.each(size):
@@ -313,11 +321,15 @@ def _step(
 
     remainder(f.fma(h, 0.5, time), middle, f_a, g_a)
     large = ~(h * left.get() < _NEGLIGIBLE)
+    for i in f.each(size):
+        predicted[i] = end[i]
     with f.when(f.any_lane(large)):
         multiplied(f, size, tables.shifted(square), g_a, part)
+        multiplied(f, size, tables.shifted(4 * square), g_a, move)
         for i in f.each(size):
             end[i] = f.select(large, f.fma(part[i], 2.0, end[i]), end[i])
-    remainder(time + h, end, f_b, g_b)
+            predicted[i] = f.select(large, f.fma(move[i], 4.0, end[i]), end[i])
+    remainder(time + h, predicted, f_b, g_b)
     worst = f.variable(f.constant(0.0, tick.type))
     large = ~(h * left.get() < _NEGLIGIBLE)
     with f.when(f.any_lane(large)):
@@ -357,7 +369,7 @@ class ExactHold:
         tables = own.shifted((slot * (FINEST + 2) + level) * at.table + at.tables)
         for i in f.loop(at.square):
             self.shared[(f.coerce(i, INT) + 1) * lanes + lane] = jacobian[i]
-        for i in f.loop(at.table + at.square):  # and the first function of half the step
+        for i in f.loop(at.table + 2 * at.square):  # and two functions of half the step
             self.shared[(f.coerce(i, INT) + (1 + at.square)) * lanes + lane] = tables[i]
 
     def prepare(self, tick: Tick) -> None:
@@ -394,10 +406,12 @@ class ExactHold:
             span = f.coerce(f.constant(_WHOLE, ints), ints) >> level.get()
             h = f.coerce(self.tick_s, type_) * (f.to_double(span) * (1.0 / _WHOLE))
             step = _step(tick, time, h, slope, weight, tables, jacobian)
-            good = f.variable(step.worst <= 1.0)
+            many = level.get() >= _MANY
+            worst = step.worst * f.select(many, f.constant(1.0 / _SHARE, type_), 1.0)
+            good = f.variable(worst <= 1.0)
             bad = active & ~good.get()
             with f.when(f.any_lane(bad), rare=True):
-                self._refine(tick, step, time, h, bad, level, tried, good, rough)
+                self._refine(tick, step, time, bad, level, tried, good, rough)
             taken = active & good.get()
             moved.set(f.any_lane(taken))
             before = position.get()
@@ -409,9 +423,9 @@ class ExactHold:
             for i in f.each(size):
                 tick.x[i] = step.end[i]
             tried.set(f.select(taken, 0, tried.get()))
-            easy = taken & (level.get() > 0) & (step.worst <= 0.05)
+            easy = taken & (level.get() > 0) & (worst <= _EASY)
             with f.when(f.any_lane(easy)):
-                self._coarsen(tick, step.worst, easy, position.get(), level)
+                self._coarsen(tick, worst, easy, position.get(), level)
         Array(self.shared.pointer, ints)[0] = level.get()
         return rough.get()
 
@@ -420,7 +434,6 @@ class ExactHold:
         tick: Tick,
         step: _Step,
         time: Value,
-        h: Value,
         bad: Value,
         level: Variable,
         tried: Variable,
@@ -429,7 +442,7 @@ class ExactHold:
     ) -> None:
         """Lanes whose step failed, one by one: another Jacobian, or half the step."""
         f, size, lanes, at = tick.function, tick.size, tick.type.lanes, Memory(tick.size)
-        times, spans, worsts = (_spilled(f, value) for value in (time, h, step.worst))
+        times, worsts = _spilled(f, time), _spilled(f, step.worst)
         levels, tries = _spilled(f, level.get()), _spilled(f, tried.get())
         bads, goods = (_spilled(f, f.flags(value)) for value in (bad, good.get()))
         roughs = _spilled(f, f.flags(rough.get()))
@@ -441,8 +454,7 @@ class ExactHold:
             with f.when(bads[lane].differs(0)):
                 whole = own.cast(INT)
                 slot, again = whole[at.slot], f.variable(f.constant(0, BOOL))
-                stiff = spans[lane] * own[slot + at.norms] > _STIFF
-                with f.when(tries[lane].equals(0) & stiff):
+                with f.when(tries[lane].equals(0)):
                     tries[lane] = 1
                     for i in f.loop(size):
                         place = f.coerce(i, INT)
@@ -481,7 +493,7 @@ class ExactHold:
             with f.when(flags[lane].differs(0)):
                 before = levels[lane]
                 with f.forever() as loop:
-                    loop.stop_if(~((levels[lane] > 0) & (worsts[lane] <= 0.05)))
+                    loop.stop_if(~((levels[lane] > 0) & (worsts[lane] <= _EASY)))
                     twice = f.constant(2 * _WHOLE, INT) >> levels[lane]
                     loop.stop_if((positions[lane] % twice).differs(0))
                     levels[lane] = levels[lane] - 1
