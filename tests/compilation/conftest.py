@@ -323,10 +323,12 @@ def printed():
 # -------------------------------------------------------------------------------- diagrams
 
 
+llvm.initialize_all_targets()
+llvm.initialize_all_asmprinters()
+
+
 def object_code(text, cpu=None, features="", triple=None):
     """Machine code of IR text, for this processor or another one."""
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
     if cpu is None:
         cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
     target = llvm.Target.from_triple(triple or llvm.get_process_triple())
