@@ -270,7 +270,12 @@ class _Code:
         for count in lanes:
             self._define(module, count)
         self.text = module.text()
-        self.library = Library(remembered(compile_text, self.text, target or processor()))
+        code = (
+            compile_text(self.text, target)  # which may warn
+            if target
+            else remembered(compile_text, self.text, processor())
+        )
+        self.library = Library(code)
 
     def _define(self, module, lanes):
         type_ = DOUBLE.of(lanes)
