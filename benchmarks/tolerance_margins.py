@@ -77,8 +77,8 @@ class Recorder:
         """Keep the largest share of a tolerance, and of the expected value, in each line."""
         if math.isfinite(share):
             worst = self.shares.setdefault((self.test, line, kind), [0.0, 0.0])
-            worst[0] = max(worst[0], share)
-            worst[1] = max(worst[1], relative)
+            worst[0] = max(worst[0], float(share))
+            worst[1] = max(worst[1], float(relative))
 
     def compare(self, left: Any, operator: str, right: Any, line: str, tolerance: bool) -> Any:
         """``left operator right``, recorded."""

@@ -113,8 +113,9 @@ def test_a_damaged_line_is_skipped_and_counted_alone(tmp_path, name):
     path.write_bytes(header + lines[0] + DAMAGE[name](lines[1]) + lines[2])
     with pytest.warns(UserWarning, match="1 damaged line is skipped") as told:
         checkpoint = Checkpoint(path)
-    assert len(told) == 1
-    assert "\n" not in str(told[0].message)
+    # In random order, a file that an earlier test left open may be collected here, with a warning.
+    (warning,) = [w for w in told if w.category is not ResourceWarning]
+    assert "\n" not in str(warning.message)
     assert [f"piece {n}" in checkpoint for n in range(3)] == [True, False, True]
     assert checkpoint["piece 2"] == {"value": 2.5}
     checkpoint.keep("piece 1", {"value": 1.5})
