@@ -340,7 +340,10 @@ class SampledLoop(Result):
             return head + f"unstable, largest eigenvalue {largest:.6g}; it has no margins"
         m = margins
         lower = f", lower {m.lower_gain_margin:.4g}" if m.lower_gain_margin > 0.0 else ""
-        lead = ""
+        phase, delay, lead = "infinite", "infinite", ""
+        if math.isfinite(m.phase_margin_deg):
+            phase = f"{m.phase_margin_deg:.4g} deg at {m.phase_margin_frequency_hz:.4g} Hz"
+            delay = f"{1e3 * m.delay_margin_s:.4g} ms"
         if m.phase_lead_margin_deg < 180.0:
             lead = (
                 f", lead {m.phase_lead_margin_deg:.4g} deg at "
@@ -349,8 +352,7 @@ class SampledLoop(Result):
         return (
             head + f"stable, largest eigenvalue {largest:.6g}\n"
             f"  gain margin {m.gain_margin:.4g} at {m.gain_margin_frequency_hz:.4g} Hz{lower}\n"
-            f"  phase margin {m.phase_margin_deg:.4g} deg at {m.phase_margin_frequency_hz:.4g} Hz"
-            f"{lead}, delay margin {1e3 * m.delay_margin_s:.4g} ms\n"
+            f"  phase margin {phase}{lead}, delay margin {delay}\n"
             f"  disk margin {m.disk_margin:.4g} at {m.disk_margin_frequency_hz:.4g} Hz: "
             f"gain {m.disk_gain_margin:.4g}, phase {m.disk_phase_margin_deg:.4g} deg\n"
             f"  small-signal bandwidth {self._in_hz(self.bandwidth_hz())}, with feedforward\n"

@@ -1169,6 +1169,14 @@ def test_a_loop_without_gain_has_plots_too():
         plt.close(axes.figure)
 
 
+def test_a_loop_below_gain_one_has_an_infinite_phase_margin_in_words():
+    # A spring holds the rod, and the controller pushes it by a thousandth of what is needed.
+    controller = PidParameters(proportional_per_s=0.001)
+    loop = linearize_loop(Scenario(plant=plant_parameters(SPRING), controller=controller))
+    assert "  phase margin infinite, delay margin infinite\n" in str(loop)
+    assert "nan" not in str(loop)
+
+
 @pytest.mark.parametrize("name", ["smc", "pid_tuned", "difference", "can_2"])
 def test_the_loop_touches_the_disk_that_it_keeps_out(loops, margins, name):
     axes = loops[name].plot_nyquist()
