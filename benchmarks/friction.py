@@ -1,10 +1,11 @@
-"""How exact the exact hold is where friction changes its sign; prints a table.
+"""How exact the exact hold is where friction or a controller changes its sign; prints a table.
 
     python benchmarks/friction.py [--duration SECONDS]
 
-Full order with the encoder's quantizer, 0.1 Hz. Errors are the largest at the samples: of the load
-pressure relative to its peak, and of the knee angle. The reference is RK4 with the step that the
-table names, its own error the change from twice that step. Times are processor times of one run.
+With the encoder's quantizer, 0.1 Hz; full order where a case names friction. Errors are the largest
+at the samples: of the load pressure relative to its peak, and of the knee angle. The reference is
+RK4 with the step that the table names, its own error the change from twice that step. Times are
+processor times of one run.
 """
 
 from __future__ import annotations
@@ -22,16 +23,27 @@ from kneexo.simulation import compile_scenario, scenario_run
 
 CASES = {
     "Stribeck 15 N, Coulomb 20 N, 1.5 % air": (
-        {"stribeck_friction_n": 15.0, "coulomb_friction_n": 20.0, "entrained_air": 0.015},
+        {
+            "plant.full_order": {
+                "stribeck_friction_n": 15.0,
+                "coulomb_friction_n": 20.0,
+                "entrained_air": 0.015,
+            }
+        },
         2.5e-6,
     ),
     "Stribeck 15 N, Coulomb 20 N, no air": (
-        {"stribeck_friction_n": 15.0, "coulomb_friction_n": 20.0},
+        {"plant.full_order": {"stribeck_friction_n": 15.0, "coulomb_friction_n": 20.0}},
         5e-7,
     ),
-    "Coulomb 40 N, no air": ({"coulomb_friction_n": 40.0}, 2.5e-6),
+    "Stribeck 15 N, Coulomb 21 N, no air": (
+        {"plant.full_order": {"stribeck_friction_n": 15.0, "coulomb_friction_n": 21.0}},
+        5e-7,
+    ),
+    "Coulomb 40 N, no air": ({"plant.full_order": {"coulomb_friction_n": 40.0}}, 2.5e-6),
+    "controller with signum": ({"controller.switching": "signum"}, 2.5e-6),
 }
-"""Parameters of the full-order cylinder, and the step of the reference in s."""
+"""Changes of the default scenario, and the step of the reference in s."""
 
 WAYS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("RK4, 20 µs", {"integrator": "rk4", "step_s": 2e-5}),
@@ -66,10 +78,8 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=10.0, metavar="SECONDS")
     duration_s = parser.parse_args().duration
     print("case | way | pressure error by peak | angle error (deg) | processor time (s)")
-    for name, (full_order, fine_s) in CASES.items():
-        scenario = changed(
-            Scenario(), {"plant.full_order": full_order, "simulation.duration_s": duration_s}
-        )
+    for name, (changes, fine_s) in CASES.items():
+        scenario = changed(Scenario(), {**changes, "simulation.duration_s": duration_s})
         reference, _ = run(scenario, integrator="rk4", step_s=fine_s)
         peak = np.abs(reference[:, 0]).max()
         coarser = (f"RK4, {2e6 * fine_s:g} µs", {"integrator": "rk4", "step_s": 2.0 * fine_s})

@@ -13,12 +13,19 @@ end, the states are
     predicted end   x + h phi_1 dx/dt + 2 h (phi_2 + phi_2(z/2)) g_a,
     end             x + h phi_1 dx/dt + 2 h phi_2 g_a + h (phi_2 - 4 phi_3) (2 g_a - g_b).
 
-The factor of g_a in the predicted end makes the order three with any A (Hochbruck and Ostermann
-2005, SIAM J. Numer. Anal. 43); with A the Jacobian at the start the order is four. The last term is
-the difference from the same with a straight line for g, which has the order two, and is the error
-estimate. A step that fails tries the Jacobian at its start, however small it is, and then halves;
-corners (a clip, a valve) are passed by halving. Where a tick takes eight steps or more, each keeps
-a fifth of the tolerance, since their errors add up.
+The order is three with any A. For along the solution g starts as g' t; without the rest, the middle
+misses (h/2)^2 phi_2(z/2) g', and the predicted end h^2 (phi_2 - a/2) g' if h a is its factor of
+g_a. The end has g_a with h (4 phi_2 - 8 phi_3) and g_b with h (4 phi_3 - phi_2), about 2/3 h and
+h/6, so these errors cancel where a = 2 (phi_2 + phi_2(z/2)). That is the weak form of a condition
+of Hochbruck and Ostermann (2005, SIAM J. Numer. Anal. 43). With A the Jacobian at the start and g
+free of time, g' is zero and the order is four.
+
+The last term is the difference from the same with a straight line for g, which has the order two,
+and is the error estimate. A step that fails tries the Jacobian at its start, however small it is,
+and then halves; corners (a clip, a valve) are passed by halving. Where a tick takes eight steps or
+more, each keeps a tenth of the tolerance, since their errors add up. Every sixteenth of them tries
+the Jacobian at its start even if it passes: an old one may do for small steps alone, and the step
+would stay small.
 
 Each lane has its own step, Jacobians and their tables, so a lane gets the bits that it gets alone;
 a lane that has reached the end of the tick waits for the others.
@@ -55,7 +62,8 @@ SLOTS = 4
 """Jacobians that a run remembers."""
 
 _MANY = 3  # halvings from which the steps of a tick are many
-_SHARE = 0.2  # of the tolerance for each of many steps
+_SHARE = 0.1  # of the tolerance for each of many steps
+_CHECK = 16  # of many steps, from one that tries the Jacobian to the next
 _EASY = 0.05  # error estimate by the tolerance of a step that may double
 _NEGLIGIBLE = 0.01  # share of the tolerance that is not worth a correction
 _MOST_EXCESS = 1e-2  # sum of the errors of its finest steps that miss the tolerance
@@ -76,7 +84,7 @@ class Memory:
             "slot": 1,  # the one in use
             "excess": 1,
             "jacobians": SLOTS * square,
-            "candidate": square,  # the Jacobian at the last rejected step
+            "candidate": square,  # the Jacobian tried last
             "change": size,
             "rest": size,
             "tables": SLOTS * (FINEST + 2) * self.table,
@@ -409,9 +417,13 @@ class ExactHold:
             many = level.get() >= _MANY
             worst = step.worst * f.select(many, f.constant(1.0 / _SHARE, type_), 1.0)
             good = f.variable(worst <= 1.0)
-            bad = active & ~good.get()
-            with f.when(f.any_lane(bad), rare=True):
-                self._refine(tick, step, time, bad, level, tried, good, rough)
+            limit = f.select(many, f.constant(_EASY, type_), 1.0)
+            doubted = active & ~(worst <= limit)
+            with f.when(f.any_lane(doubted), rare=True):
+                due = (position.get() & (span * _CHECK - 1)).equals(0) & tried.get().equals(0)
+                doubted = doubted & (due | ~good.get())
+                with f.when(f.any_lane(doubted)):
+                    self._refine(tick, step, time, doubted, level, tried, good, rough)
             taken = active & good.get()
             moved.set(f.any_lane(taken))
             before = position.get()
@@ -434,24 +446,24 @@ class ExactHold:
         tick: Tick,
         step: _Step,
         time: Value,
-        bad: Value,
+        doubted: Value,
         level: Variable,
         tried: Variable,
         good: Variable,
         rough: Variable,
     ) -> None:
-        """Lanes whose step failed, one by one: another Jacobian, or half the step."""
+        """Doubted lanes, one by one: another Jacobian, or half the step if it failed."""
         f, size, lanes, at = tick.function, tick.size, tick.type.lanes, Memory(tick.size)
         times, worsts = _spilled(f, time), _spilled(f, step.worst)
         levels, tries = _spilled(f, level.get()), _spilled(f, tried.get())
-        bads, goods = (_spilled(f, f.flags(value)) for value in (bad, good.get()))
+        doubts, goods = (_spilled(f, f.flags(value)) for value in (doubted, good.get()))
         roughs = _spilled(f, f.flags(rough.get()))
         change, rest = f.array(size * lanes), f.array(size * lanes)
         for i in f.each(size):
             _spill(change, i, step.middle[i] - tick.x[i])
             _spill(rest, i, step.rest[i])
         for lane, own in self._lanes(tick):
-            with f.when(bads[lane].differs(0)):
+            with f.when(doubts[lane].differs(0)):
                 whole = own.cast(INT)
                 slot, again = whole[at.slot], f.variable(f.constant(0, BOOL))
                 with f.when(tries[lane].equals(0)):
@@ -462,7 +474,10 @@ class ExactHold:
                         own[place + at.rest] = rest[place * lanes + lane]
                     self.choose(tick, lane, own, times[lane])
                     again.set(whole[at.slot].differs(slot))
-                with f.when(~again.get()):
+                failed = goods[lane].equals(0)
+                with f.when(again.get()):
+                    goods[lane] = 0
+                with f.when(failed & ~again.get()):
                     finest = levels[lane].equals(FINEST)
                     with f.when(finest):
                         worst = worsts[lane]

@@ -4,13 +4,21 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.linalg
+import scipy.special
 from pydrake.symbolic import Variable, sin, tanh
 from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
 
 import kneexo
 from kneexo.compilation import State
-from kneexo.compilation.exact_hold import FINEST, define_fill_tables
-from kneexo.compilation.ir import DOUBLE, POINTER, Array, Module
+from kneexo.compilation.exact_hold import (
+    FINEST,
+    ExactHold,
+    Memory,
+    define_choose_slot,
+    define_fill_tables,
+)
+from kneexo.compilation.integrators import Tick
+from kneexo.compilation.ir import BOOL, DOUBLE, INT, POINTER, Array, Module
 from kneexo.compilation.native import Library, compile_text
 from kneexo.compilation.runner import Runner
 
@@ -47,6 +55,102 @@ def test_tables_are_the_functions_of_the_matrix_exponential(size):
             tables[level], (h * phi_1, h * phi_2, h * (phi_2 - 4.0 * phi_3)), strict=True
         ):
             np.testing.assert_allclose(ours, exact, rtol=0, atol=1e-11 * np.abs(exact).max())
+
+
+SQUARED_MODULUS = 0.7
+"""Of the elliptic functions sn, cn, dn, which turn as a rigid body without torque."""
+
+
+@pytest.fixture(scope="module")
+def rigid_body():
+    """``run(start, tick_s, matrices, tolerance)``: state at the end, and how many rates it took.
+
+    There is a tick for each of the matrices; they take the place of the Jacobian at the start of a
+    step, unless they are None.
+    """
+    module = Module()
+    choose_slot = define_choose_slot(module, 3)
+    names = ("x", "matrix", "numbers", "memory", "shared", "failed")
+    f = module.function("run", dict.fromkeys(names, POINTER), internal=False)
+    x, matrix, numbers, memory, shared = (Array(f.arguments[n], DOUBLE) for n in names[:-1])
+    tick_s, tolerance, fixed = (numbers[i] for i in range(3))
+
+    def rate(_time, x, out):
+        numbers[3] = numbers[3] + 1.0
+        out[0] = x[1] * x[2]
+        out[1] = -x[0] * x[2]
+        out[2] = -SQUARED_MODULUS * x[0] * x[1]
+
+    def choose(_tick, _lane, own, _time):
+        zero = f.constant(0.0)
+        by_columns = [
+            *(zero, -x[2], -SQUARED_MODULUS * x[1]),
+            *(x[2], zero, -SQUARED_MODULUS * x[0]),
+            *(x[1], -x[0], zero),
+        ]
+        candidate = own.shifted(Memory(3).candidate)
+        for i, element in enumerate(by_columns):
+            candidate[i] = f.select(fixed.differs(0.0), matrix[i], element)
+        f.call(choose_slot, x.pointer, own.pointer, tick_s)
+
+    running = f.constant(1, BOOL)
+    tick = Tick(f, 3, DOUBLE, f.constant(0.0), tick_s, x, running, rate, tick_s)
+    hold = ExactHold(tick_s, tolerance, memory, shared, choose)
+    hold.prepare(tick)
+    Array(f.arguments["failed"], INT)[0] = f.flags(hold.advance(tick))
+    library = Library(compile_text(module.text()))
+    advance = library.function("run", len(names))
+
+    def run(start, tick_s, matrices, tolerance):
+        at = Memory(3)
+        x, memory, shared = np.array(start), np.zeros(at.size), np.zeros(at.shared(1))
+        numbers, failed = np.array([tick_s, tolerance, 0.0, 0.0]), np.zeros(1, dtype=np.int64)
+        for matrix in matrices:
+            numbers[2] = matrix is not None
+            by_columns = np.zeros(9) if matrix is None else matrix.T.ravel()
+            arrays = (x, by_columns, numbers, memory, shared, failed)
+            advance(*(array.ctypes.data for array in arrays))
+            assert not failed[0]
+        return x, round(numbers[3])
+
+    return run
+
+
+SOME_MATRIX = np.array([[-0.2, 0.9, 0.3], [-1.1, -0.4, 0.2], [0.5, -0.6, -0.3]])
+
+
+def turned(time_s):
+    """The state that was 0, 1, 1."""
+    return np.array(scipy.special.ellipj(time_s, SQUARED_MODULUS)[:3])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "order"),
+    [(np.zeros((3, 3)), 3), (SOME_MATRIX, 3), (None, 4)],
+    ids=["no matrix", "some matrix", "Jacobian"],
+)
+def test_order(rigid_body, matrix, order):
+    """All steps miss such a tolerance, so they are the finest."""
+    errors = []
+    for ticks in (1, 2):
+        end, _ = rigid_body(turned(0.0), 40.0 / ticks, [matrix] * ticks, 1e-18)
+        errors.append(np.abs(end - turned(40.0)).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-8])
+def test_many_steps_share_the_tolerance(rigid_body, tolerance):
+    """With the whole tolerance for each step the error is 24 and 30 times the tolerance."""
+    end, _ = rigid_body(turned(0.0), 2.0, [SOME_MATRIX] * 20, tolerance)
+    assert np.abs(end - turned(40.0)).max() <= 10.0 * tolerance
+
+
+def test_small_steps_that_pass_find_a_better_jacobian(rigid_body):
+    """A body that turns and sways a little, and a matrix that was far off at the first tick."""
+    start = np.array([1e-3, 0.0, 1.0])
+    _, first = rigid_body(start, 2.0, [SOME_MATRIX], 1e-8)
+    _, count = rigid_body(start, 2.0, [SOME_MATRIX] + 9 * [None], 1e-8)
+    assert count <= 3 * first
 
 
 def test_steps_are_as_small_as_each_run_needs():
