@@ -24,6 +24,7 @@ def bad(outcomes):
     return [outcome for outcome in outcomes if outcome[0] in campaign.BAD]
 
 
+@pytest.mark.slow
 def test_damaged_files_are_scenarios_or_one_line():
     outcomes = list(campaign.files(200, seed=1))
     assert not bad(outcomes)

@@ -238,6 +238,7 @@ def test_diagram_always_writes_the_dot_file(capsys, tmp_path, monkeypatch):
     assert "digraph" in text
     assert "controller" in text
     captured = capsys.readouterr()
+    assert f"closed_loop.dot is in {tmp_path / 'out'}\n" in captured.out
     assert "install Graphviz" in captured.err
     assert len(captured.err.splitlines()) == 1
 

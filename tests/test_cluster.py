@@ -144,7 +144,7 @@ SWEEPS = {
 }
 
 
-SLOW = ("study contest", "study sliding", "study order", "size")
+SLOW = set(SWEEPS) - {"bandwidth", "study controller"}
 
 
 @pytest.mark.parametrize(
@@ -353,6 +353,7 @@ def files_of_at_most(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:checkpoint")
 def test_a_full_disk_is_one_line_and_what_is_finished_stays(capsys, tmp_path, monkeypatch):
     # One figure is more than the room that is left, and is drawn faster than all.

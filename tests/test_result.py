@@ -59,7 +59,7 @@ def test_repr_names_each_field_in_a_few_words():
 def test_notebooks_get_a_table_with_a_row_a_field():
     html = EXAMPLE._repr_html_()
     assert html.count("<tr>") == 4
-    assert "<td>0.333333</td>" in html
+    assert "left'>gain</th><td>0.333333</td>" in html
     escaped = Example(0.0, np.zeros(1), {"<b>": 1}, ())
     assert "<b>" not in escaped._repr_html_()
 

@@ -74,6 +74,11 @@ def test_with_one_limit_the_bandwidth_is_its_own_closed_form():
     )
 
 
+def test_no_gain_is_above_one():
+    limits = {"speed_limit": 1e3, "acceleration_limit": 1e6, "amplitude": 1e-3}
+    assert limited_gain(0.1, **limits) == 1.0
+
+
 def test_where_the_acceleration_limit_takes_over():
     speed, amplitude = 0.04, 0.05
 

@@ -221,9 +221,13 @@ def test_an_operating_point_prints_in_the_papers_units():
 
 @pytest.mark.parametrize("torque", [3e3, 1e5, 1e9, -1e6])
 def test_a_load_that_the_motor_cannot_hold_has_no_equilibrium(torque):
-    with raises_one_line(LinearizationError, "no equilibrium at knee angle 40 deg"):
+    load = rf"knee_torque = {torque:g} N·m and disturbance = 7 N".replace("+", r"\+")
+    with raises_one_line(LinearizationError, f"no equilibrium at knee angle 40 deg with {load}"):
         find_operating_point(
-            plant_parameters(PAPER, load=KneeLoadParameters()), 40.0, knee_torque_n_m=torque
+            plant_parameters(PAPER, load=KneeLoadParameters()),
+            40.0,
+            knee_torque_n_m=torque,
+            disturbance_n=7.0,
         )
 
 
@@ -1162,6 +1166,7 @@ def test_the_phase_of_a_bode_plot_is_unwrapped_also_through_a_resonance(loops):
     plt.close(phase.figure)
 
 
+@pytest.mark.slow
 def test_a_loop_without_gain_has_plots_too():
     loop = linearize_loop(Scenario(controller=PidParameters(proportional_per_s=0.0)))
     for axes in (*loop.plot(), loop.plot_nyquist(), loop.plot_poles()):
@@ -1189,6 +1194,7 @@ def test_the_loop_touches_the_disk_that_it_keeps_out(loops, margins, name):
     # L has one value at each frequency, and 250 Hz makes it real.
     assert imaginary[-1] == pytest.approx(0.0, abs=1e-6)
     assert real[-1] == pytest.approx(loops[name].loop_response(250.0)[0].real, abs=1e-6)
+    assert (axes.get_xlim(), axes.get_ylim()) == ((-3.5, 1.5), (-2.5, 2.5))
     shown = axes.patches[0].get_label()
     assert shown == f"disk margin {margins[name].disk_margin:.3g}"
     circle = axes.patches[0].get_path().vertices @ [1.0, 1.0j]
@@ -1405,7 +1411,10 @@ def assert_response(scenario, frequency_hz, *settings):
 
 # Amplitudes stay inside the boundary layer, whose s grows with f², and below the motor's
 # acceleration limit, 100 rad/s of sudden command.
-@pytest.mark.parametrize(("frequency_hz", "amplitude_deg"), [(20.0, 1e-3), (100.0, 1e-4)])
+@pytest.mark.parametrize(
+    ("frequency_hz", "amplitude_deg"),
+    [pytest.param(20.0, 1e-3, marks=pytest.mark.slow), (100.0, 1e-4)],
+)
 def test_the_response_to_a_small_sine_is_that_of_the_simulator(frequency_hz, amplitude_deg):
     assert_response(SCENARIOS["smc"], frequency_hz, amplitude_deg, 0.5, 0.1, 2e-4)
 

@@ -110,6 +110,7 @@ def test_the_harness_reports_differences(precision, no_targets):
     assert wrong.difference["y0"] == pytest.approx(0.01 * right, rel=1e-3)  # three digits
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_make_and_cmake_build_the_folder(folder, no_targets):
     made = subprocess.run(["make", "test"], cwd=folder, capture_output=True, text=True, check=True)
@@ -138,6 +139,7 @@ def test_the_readme_tells_what_was_measured(folder):
     source = source_of(compile_diagram(low_pass(), inputs=["u0"]), "filter")
     assert "call it from a timer interrupt at 100 Hz" in text
     assert "| `u0` | double | finite |" in text
+    assert "    inputs.u0 = ...;\n" in text
     assert f"| operations in a step | {source.operations.total()}: 1 *, 1 + |" in text
     assert f"| RAM of `filter_state_t` | {source.state_bytes} bytes |" in text
     assert "20 recorded steps" in text

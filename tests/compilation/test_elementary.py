@@ -267,6 +267,7 @@ def test_aarch64_is_built(assembled):
     assert struct.unpack_from("<H", code, 18) == (183,)  # AArch64
 
 
+@pytest.mark.slow
 def test_constants_are_the_fitted_ones():
     spec = importlib.util.spec_from_file_location("fit_elementary", FIT)
     fit = importlib.util.module_from_spec(spec)

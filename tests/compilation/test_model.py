@@ -1,5 +1,6 @@
 """Compiled models at full speed: integrators, several sample times, faults."""
 
+import inspect
 import sys
 
 import numpy as np
@@ -36,7 +37,7 @@ from kneexo.compilation import (
 from kneexo.compilation.equations import read_equations
 from kneexo.compilation.machine_code import equations_key
 from kneexo.compilation.passes import Program
-from kneexo.compilation.runner import BufferPool, timing as timing_of
+from kneexo.compilation.runner import BufferPool, Runner, timing as timing_of
 from kneexo.compilation.time_loop import run_text
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import CompilationError, ParameterError, ScenarioError, SimulationError
@@ -305,12 +306,24 @@ def test_a_batch_is_its_runs_one_by_one(default):
     )
     assert kept == [run.final.continuous[1] for run in batch]
     assert model.simulate_batch(rows[:0], state, 0.1) == []
-    durations = [0.02, 0.1, 0.0, 0.05, 0.1]
-    for run, expected, duration in zip(
-        model.simulate_batch(rows, state, durations), alone, durations, strict=True
+
+
+def test_lanes_end_at_different_times(default):
+    model, (parameters, state, _) = default
+    durations = [0.02, 0.1, 0.0, 0.05, 0.1, 0.04, 0.1, 0.06, 0.08]  # 8 lanes, then one
+    rows = varied(model, parameters, len(durations))
+    for row, run, duration in zip(
+        rows, model.simulate_batch(rows, state, durations), durations, strict=True
     ):
         assert run.time_s[-1] == pytest.approx(duration)
-        np.testing.assert_array_equal(run["rod_velocity"], expected[: run.time_s.size])
+        alone = model.simulate(row, state, duration)
+        np.testing.assert_array_equal(run["rod_velocity"], alone["rod_velocity"])
+
+
+def test_defaults_of_the_integrators():
+    signature = inspect.signature(Runner)
+    defaults = {name: signature.parameters[name].default for name in ("step_s", "tolerance")}
+    assert defaults == {"step_s": 2e-4, "tolerance": 1e-8}
 
 
 def test_a_run_may_record_nothing_but_time(default):

@@ -520,6 +520,7 @@ def test_libcosim_couples_plant_and_controller(path, tmp_path):
     assert _relative(values, data["rod_extension_m"]) < 1e-9
 
 
+@pytest.mark.slow
 def test_step_s_of_the_command_line_is_that_of_the_sources(tmp_path, no_compiler):
     file = tmp_path / "plant.fmu"
     assert main(["export", "fmu", "--what", "plant", "--step-s", "5e-4", "--out", str(file)]) == 0

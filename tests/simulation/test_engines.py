@@ -51,6 +51,12 @@ def test_a_run_of_too_many_steps_is_refused(integrator):
         simulate(Scenario(simulation=settings), signals=("knee_angle",))
 
 
+def test_the_exact_hold_chooses_its_own_steps():
+    settings = SimulationParameters(duration_s=101.0, step_s=1e-7)
+    assert settings.duration_s / settings.step_s > engines.MOST_STEPS
+    assert simulate(Scenario(simulation=settings), signals=("knee_angle",)).time_s[-1] == 101.0
+
+
 def test_a_run_that_would_not_fit_into_memory_is_refused_by_its_size(monkeypatch):
     # 0.2 s/2 ms = 100 samples of 8 bytes.
     monkeypatch.setattr(engines, "LARGEST_RUN_BYTES", 799)

@@ -153,6 +153,7 @@ def test_the_report_names_the_sine_whose_mean_wanders_most(by_hand):
     assert "(7.6°) at 30° and 0.2 Hz" in text
 
 
+@pytest.mark.slow
 def test_every_figure_of_a_map_can_be_drawn(mapped):
     for figure in figures(mapped[0]).values():
         figure.canvas.draw()

@@ -318,6 +318,7 @@ def test_a_finished_study_is_taken_from_its_checkpoint(small, monkeypatch):
     assert report(again) == report(study)
 
 
+@pytest.mark.slow
 def test_every_figure_can_be_drawn(small):
     for figure in figures(small[0]).values():
         figure.canvas.draw()

@@ -923,7 +923,7 @@ def one_by_one():
     return judge, points, repr(found)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_plants_figures_do_not_depend_on_the_workers(one_by_one, workers):
     judge, points, expected = one_by_one
     assert repr(parallel_map(judge, points, workers=workers)) == expected

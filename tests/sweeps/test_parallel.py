@@ -77,6 +77,7 @@ def test_processes_give_the_same_as_this_process(pool):
 # A worker imports the module of its function; those of Python take no pytest along.
 
 
+@pytest.mark.slow
 def test_processes_do_not_share_their_cores_with_threads_of_blas(monkeypatch):
     name = "OPENBLAS_NUM_THREADS"
     monkeypatch.delenv(name, raising=False)
@@ -434,6 +435,7 @@ def test_a_sweep_shows_the_bars_that_have_a_description(capsys, monkeypatch, pro
     assert ("roots: 100%" in capsys.readouterr().err) == progress
 
 
+@pytest.mark.slow
 def test_a_sweep_has_no_other_options():
     with pytest.raises(TypeError, match="'worker'"), open_sweep(worker=2):
         pass

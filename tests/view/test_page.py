@@ -288,6 +288,7 @@ def test_a_page_holds_the_parts_where_the_live_view_has_them(linkage, commands):
             np.testing.assert_allclose(*axes, atol=1e-6, err_msg=part)
 
 
+@pytest.mark.slow
 def test_a_page_tells_where_it_ends_and_stays_small(tmp_path, capsys):
     time = np.linspace(0.0, 400.0, 4001)
     angle = 0.6 + 0.5 * np.sin(time)
