@@ -320,6 +320,12 @@ def test_lanes_end_at_different_times(default):
         np.testing.assert_array_equal(run["rod_velocity"], alone["rod_velocity"])
 
 
+def test_a_piece_of_a_run_has_as_many_steps_whatever_their_size(default):
+    model = default[0]
+    pieces = {step: Runner(model, integrator="rk4", step_s=step).piece for step in (2e-4, 2e-5)}
+    assert pieces == {2e-4: 16_000, 2e-5: 1_600}  # ticks of 2 ms
+
+
 def test_defaults_of_the_integrators():
     signature = inspect.signature(Runner)
     defaults = {name: signature.parameters[name].default for name in ("step_s", "tolerance")}
