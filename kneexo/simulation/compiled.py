@@ -283,7 +283,7 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     parameters, start = _parameters(scenario, model), scenario_start(scenario)
     state = State(
         np.array([start.get(name, 0.0) for name in model.state_names]),
-        np.array([start.get(name, 0.0) for name in model.held_names]),
+        np.zeros(len(model.held_names)),
     )
     inputs = reference_table(reference) if isinstance(reference, SampledReference) else _NO_INPUTS
     return parameters, model.initialized(parameters, state, inputs), inputs

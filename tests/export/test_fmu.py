@@ -128,7 +128,7 @@ def test_description_is_valid(what, fmi, path):
     assert validate_fmu(path(what, fmi)) == []
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_fields_of_the_three_targets(path, fmi):
     fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
     fields = {}

@@ -856,6 +856,7 @@ def test_a_narrow_interval_moves_the_figures_as_the_local_sensitivity_says(real)
     assert math.isnan(real.linear_effect("max_error_deg", "plant.pump.lag_s"))
 
 
+@pytest.mark.slow
 def test_every_figure_can_be_drawn(real):
     drawn = figures(real)
     for figure in drawn.values():
