@@ -12,6 +12,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from unittest.mock import Mock
 
 import pytest
 
@@ -273,6 +274,19 @@ def test_a_dask_scheduler_that_dies_is_one_line_and_resumes(cluster, tmp_path):
     assert 20 <= len(kept) < len(points)
     resumed = parallel_map(judge, points, checkpoint=kept)
     assert json.dumps(resumed) == json.dumps(parallel_map(judge, points))
+
+
+@pytest.mark.parametrize(
+    ("answer", "has"), [("0.0.0", "kneexo 0.0.0"), (ImportError("none"), r"no kneexo \(none\)")]
+)
+def test_a_worker_of_another_version_is_named(monkeypatch, answer, has):
+    client = Mock(status="running", **{"run.return_value": {"tcp://w:1": answer}})
+    monkeypatch.setattr("distributed.Client", Mock(return_value=client))
+    with (
+        pytest.raises(WorkerError, match=f"worker tcp://w:1 has {has}: must have kneexo"),
+        dask_cluster("tcp://s:1"),
+    ):
+        pass
 
 
 @pytest.mark.slow
