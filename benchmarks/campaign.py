@@ -9,9 +9,9 @@ SIGINT, most sweeps twice. After each kill no process may be left for longer tha
 piece may be lost, and there must be no traceback (SIGKILL: other processes may have one). The next
 run must delete what was left and write the bytes of a run that nobody interrupted.
 
-``sweeps``: the same for sweeps with two workers, once a number of pieces is finished; further the
-kill of a worker, a full disk (needs the right to mount a tmpfs) and a limit of the file's size,
-each of which must end in one line that says so.
+``sweeps``: the same for sweeps with two workers, after a random number of pieces is finished. There
+are three more attacks: the kill of a worker, a full disk (requires the right to mount a tmpfs) and
+a limit of the file's size. The command must end with one line that names the cause.
 
 ``damage``: files of the cache and checkpoints are damaged. A run must write the same bytes, or say
 in one line what is wrong, without a traceback.
@@ -160,7 +160,7 @@ def send(process: Process, number: signal.Signals) -> None:
 
 
 def send_after(number: signal.Signals, after_s: float, process: Process) -> None:
-    """Send a signal after that time."""
+    """Send a signal after ``after_s`` seconds."""
     with suppress(subprocess.TimeoutExpired):
         process.wait(after_s)
     send(process, number)
@@ -217,7 +217,7 @@ def _attacked(
     expected: dict[str, bytes],
     label: str,
 ) -> None:
-    """Run a command of `COMMANDS` that an attack of that kind ends with an exit code."""
+    """Run a command of `COMMANDS` under an attack, which must end it with exit code ``code``."""
     label = f"{out.name} {kind} {label}"
     pieces, before = _checkpoint(out), set(out.glob(".kneexo-*"))
     ended = run(part, COMMANDS[name], out, attack)
@@ -246,12 +246,12 @@ def _attacked(
     part.require("Traceback" not in ended.error, label, f"traceback: {ended.error[-1500:]}")
     line = last_line(ended)
     part.require(line.startswith("kneexo: "), label, f"said {line!r}")
-    told = ("kept in", "are kept", "results are in", "interrupted", "cannot write")
-    part.require(not now or any(text in line for text in told), label, f"said {line!r}")
+    phrases = ("kept in", "are kept", "results are in", "interrupted", "cannot write")
+    part.require(not now or any(text in line for text in phrases), label, f"said {line!r}")
 
 
 def _again(part: Part, name: str, out: Path, expected: dict[str, bytes]) -> None:
-    """Run a command where it was ended before: it must write what it writes undisturbed."""
+    """Run a command again after attacks. It must write the bytes of an undisturbed run."""
     label = f"{out.name} {name}, again"
     ended = run(part, COMMANDS[name], out)
     part.require(ended.code == 0, label, last_line(ended))
@@ -259,8 +259,8 @@ def _again(part: Part, name: str, out: Path, expected: dict[str, bytes]) -> None
     part.require(results(out) == expected, label, "other bytes")
     names = {file.name for file in out.iterdir()}
     part.require(names == set(expected), label, f"leftovers {names}")
-    left = sorted(file.name for file in (part.folder / "tmp").iterdir())
-    part.require(not left, label, f"temporary files {left}")
+    leftovers = sorted(file.name for file in (part.folder / "tmp").iterdir())
+    part.require(not leftovers, label, f"temporary files {leftovers}")
     part.counts["runs compared"] += 1
 
 
@@ -322,14 +322,14 @@ def _undisturbed(part: Part, name: str) -> Undisturbed:
 
 
 def _attack_within(part: Part, name: str, out: Path, kind: str, whole: Undisturbed) -> None:
-    """Attack a sweep once so many of its pieces are finished that a few or all are left."""
-    finished = min(_pieces(out), whole.pieces - 1)  # without those that a full disk cut
+    """Attack a sweep after a random number of its pieces is finished."""
+    finished = min(_pieces(out), whole.pieces - 1)  # not counting a line that a full disk cut
     pieces = part.random.randint(finished + 1, whole.pieces)
     pause_s, room = part.random.uniform(0.0, 0.3), part.random.randint(1, 4000)
     filler, before = out.parent / "filler", set(out.glob(".kneexo-*"))
 
     def attack(process: Process) -> None:
-        # Earlier runs may have left many pieces: this one is at work when it has its workspace.
+        # The run is at work when it has a workspace. Its pieces may be those of earlier runs.
         while process.poll() is None and not (
             _pieces(out) >= pieces and set(out.glob(".kneexo-*")) - before
         ):
@@ -357,7 +357,7 @@ def _attack_within(part: Part, name: str, out: Path, kind: str, whole: Undisturb
 
 
 def _pieces(out: Path) -> int:
-    """Lines of the checkpoint behind its header."""
+    """Number of lines of the checkpoint after its header."""
     return max(0, _checkpoint(out).count(b"\n") - 1)
 
 

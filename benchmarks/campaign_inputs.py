@@ -1,4 +1,4 @@
-"""Files and modules that a user names: none may end in a traceback, a hang or a nan.
+"""Give damaged files and modules to the commands; none may cause a traceback, a hang or a nan.
 
 This is the part *inputs* of ``campaign.py``. Each case is one command of kneexo in a folder of its
 own, with
@@ -49,10 +49,10 @@ from kneexo.simulation import simulate
 from kneexo.view import page
 from kneexo.view.legs import SIGNALS
 
-LIMIT_S = 120.0  # of a busy machine; a hang is a hang
+LIMIT_S = 120.0  # long enough for a busy machine
 MEMORY_BYTES = 4 * 2**30
 LONGEST_LINE = 1300
-PROCESSES = 100  # one case of this number is a process of its own
+PROCESSES = 100  # one case in this number runs in a new process
 BAD = ("traceback", "hang", "died", "exit code", "lines", "nan", "new file", "wrong samples")
 
 
@@ -139,7 +139,7 @@ def damaged_csv(text: str, rng: random.Random) -> bytes:
 
 
 def csv_case(folder: Path, rng: random.Random) -> Case:
-    """A reference in a CSV file, printed as a scenario."""
+    """Return a case that prints a scenario whose reference is a CSV file."""
     text, times, angles = csv_text(rng)
     whole = rng.random() < 0.25
     data = text.encode() if whole else damaged_csv(text, rng)
@@ -251,7 +251,7 @@ NAMES = (
 
 
 def module_case(folder: Path, rng: random.Random) -> Case:
-    """A controller of the user's own that has mistakes."""
+    """Return a case with a user's controller that has mistakes."""
     way = rng.randrange(3)
     top = rng.choice(AT_IMPORT) if way == 0 else ""
     body = rng.choice(BODIES) if way != 0 else "return make_controller(Scenario())"
@@ -293,7 +293,7 @@ def signals_text(rng: random.Random) -> str:
 
 
 def folder_case(folder: Path, rng: random.Random) -> Case:
-    """The view of a folder whose files are damaged."""
+    """Return a case that views a folder with damaged files."""
     run = folder / rng.choice(("run", "run", "a b", "new\nline", "é\x1b", "x" * 250, "n\udcff"))
     run.mkdir()
     text = signals_text(rng)
@@ -341,7 +341,7 @@ def _sparse(size: int) -> Callable[[Path, random.Random], Any]:
 
 
 def _socket(path: Path, rng: random.Random) -> None:
-    with socket.socket(socket.AF_UNIX) as server:  # its path may have 107 bytes
+    with socket.socket(socket.AF_UNIX) as server:  # the path of a socket has at most 107 bytes
         here = os.getcwd()
         os.chdir(path.parent)
         try:
@@ -402,7 +402,7 @@ PLACES: dict[str, tuple[str, list[str]]] = {
 
 
 def special_case(folder: Path, rng: random.Random) -> Case:
-    """A file that is none, where a command reads one."""
+    """Return a case with a special file where a command reads a file."""
     place = rng.choice(list(PLACES))
     name, command = PLACES[place]
     what = rng.choice(list(SPECIAL))
@@ -478,7 +478,7 @@ COMMANDS: tuple[list[str], ...] = (
 
 
 def command_case(folder: Path, rng: random.Random) -> Case:
-    """Odd names and numbers on the command line."""
+    """Return a case with odd names and numbers on the command line."""
     (folder / "run").mkdir()
     (folder / "run" / "signals.csv").write_text(signals_text(rng))
     (folder / "run" / "scenario.yaml").write_text("{}\n")
@@ -502,14 +502,14 @@ KINDS: dict[Callable[[Path, random.Random], Case], int] = {
 
 
 def inputs(count: int, seed: int) -> Iterator[tuple[str, str, str]]:
-    """Outcome, message and text of each case."""
+    """Yield outcome, message and text of each case."""
     warm_up()
     for number in range(count):
         yield one_case(number, seed)
 
 
 def one_case(number: int, seed: int) -> tuple[str, str, str]:
-    """Outcome, message and text of a case, which its number and the seed decide."""
+    """Run a case, which its number and the seed decide; return outcome, message and text."""
     rng = random.Random(f"{seed} {number}")
     make = rng.choices(list(KINDS), list(KINDS.values()))[0]
     folder = Path(tempfile.mkdtemp(prefix="campaign-"))
@@ -523,7 +523,7 @@ def one_case(number: int, seed: int) -> tuple[str, str, str]:
 
 
 def warm_up() -> None:
-    """Import and compile what the forks share."""
+    """Import modules and compile models that the forks share."""
     import matplotlib.pyplot  # noqa: F401
 
     import kneexo.analysis
@@ -537,7 +537,7 @@ def warm_up() -> None:
 
 
 def outcome(case: Case, folder: Path, *, alone: bool) -> tuple[str, str]:
-    """What becomes of a case, and the message."""
+    """Run a case in ``folder``; return its outcome and message."""
     before = _names(folder)
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as error:
         run = _run_process if alone else _run_fork
@@ -582,7 +582,7 @@ def outcome(case: Case, folder: Path, *, alone: bool) -> tuple[str, str]:
 
 
 def _names(folder: Path) -> set[str]:
-    """What is in a folder, but for what Python and no command makes."""
+    """Return the paths in a folder, without Python's bytecode."""
     return {str(path) for path in folder.rglob("*") if "__pycache__" not in str(path)}
 
 
@@ -597,13 +597,13 @@ def _run_process(case: Case, folder: Path, out: int, error: int) -> int | None:
 
 
 def _run_fork(case: Case, folder: Path, out: int, error: int) -> int | None:
-    """The exit code of a case in a fork of this process; None for a hang."""
+    """Run a case in a fork of this process; return its exit code, None for a hang."""
     sys.stdout.flush()
     child = os.fork()
     if not child:
         try:
             os._exit(_child(case, folder, out, error))
-        except BaseException:  # a campaign counts whatever comes
+        except BaseException:  # counted as a traceback
             os.write(error, traceback.format_exc().encode("utf-8", "replace"))
             os._exit(1)
     end = time.monotonic() + LIMIT_S
@@ -643,7 +643,7 @@ def _child(case: Case, folder: Path, out: int, error: int) -> int:
 
 
 def _finite(legs: Any) -> Any:
-    """The legs of a page; `AssertionError` for what would show nan."""
+    """Return the legs of a page; raise `AssertionError` for one that would show nan."""
     for leg in legs:
         for values in (leg.time_s, leg.knee_angle_rad, leg.reference_rad, leg.pressure_pa):
             assert np.isfinite(values).all()

@@ -1,11 +1,12 @@
-"""How exact the exact hold is where friction or a controller changes its sign; prints a table.
+"""Print the error of the exact hold where friction or a controller changes its sign.
 
     python benchmarks/friction.py [--duration SECONDS]
 
-With the encoder's quantizer, 0.1 Hz; full order where a case names friction. Errors are the largest
-at the samples: of the load pressure relative to its peak, and of the knee angle. The reference is
-RK4 with the step that the table names, its own error the change from twice that step. Times are
-processor times of one run.
+All runs have the encoder's quantizer and a reference of 0.1 Hz. Cases with friction take the
+full-order plant. Errors are the largest at the samples, of the load pressure relative to its peak
+and of the knee angle. They are relative to a run of RK4 with a fine step. The first row of each
+case shows RK4 with twice that step, which estimates the error of the fine run. Times are processor
+times of one run.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ CASES = {
     "Coulomb 40 N, no air": ({"plant.full_order": {"coulomb_friction_n": 40.0}}, 2.5e-6),
     "controller with signum": ({"controller.switching": "signum"}, 2.5e-6),
 }
-"""Changes of the default scenario, and the step of the reference in s."""
+"""Changes of the default scenario, and the step of the fine run in s."""
 
 WAYS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("RK4, 20 µs", {"integrator": "rk4", "step_s": 2e-5}),

@@ -1,21 +1,22 @@
-"""Run the tests as other machines would.
+"""Run the tests under the conditions of other machines.
 
     python benchmarks/machine_variants.py [--only NAME] [--margins FOLDER] [PYTEST ARGUMENT ...]
 
-Each variant (or those that ``--only`` names, once for each) runs the tests in a copy of the tree
-and prints what pytest says last, and the CPU time.
-``--margins`` records tolerances in ``FOLDER/NAME`` as ``benchmarks/tolerance_margins.py`` does, and
-shows the smallest margins at the end. Exit code 1 if a variant fails or a margin is below 10.
+Each variant runs the tests in a copy of the tree, and prints the last line of pytest and the CPU
+time. ``--only`` picks a variant and may be repeated. ``--margins`` records tolerances in
+``FOLDER/NAME`` as ``benchmarks/tolerance_margins.py`` does, and shows the smallest margins at the
+end. The exit code is 1 if a variant fails or a margin is below 10.
 
 native
     This machine as it is.
 old kernels
-    Linear algebra for Nehalem, NumPy's functions without vectors, the C library without AVX2 and
-    FMA: what an old or emulated processor takes.
+    Linear algebra for Nehalem, NumPy's functions without vectors, and the C library without AVX2
+    and FMA, as on an old or emulated processor.
 haswell, skylake
-    The kernels of OpenBLAS for these, and machine code for x86-64-v3 and x86-64-v4.
+    OpenBLAS's kernels for Haswell and for SkylakeX, and machine code for x86-64-v3 and x86-64-v4.
 without fma
-    Machine code for x86-64-v2. Runs take many times as long: tests of compilation and simulation.
+    Machine code for x86-64-v2. Runs take many times as long, so only the tests of compilation and
+    simulation run by default.
 elsewhere
     Another user with another home (as root), a path with spaces and other letters, a Turkish
     locale, tests in random order (``--seed N``), at most 256 open files, one core.
@@ -49,17 +50,17 @@ SEED = "KNEEXO_TEST_ORDER"
 
 @dataclass(frozen=True)
 class Variant:
-    """What a machine has that this one has not."""
+    """The conditions of another machine, relative to this one."""
 
     environment: dict[str, str] = field(default_factory=dict)
     tests: tuple[str, ...] = ()
-    """The tests to run if the command names none."""
+    """The tests to run if the command line names none."""
     elsewhere: bool = False
     load: bool = False
 
 
 def numpy_features() -> str:
-    """The features that NumPy may be told to do without, in the names of its version."""
+    """Return the processor features that NumPy can switch off, in the names of its version."""
     import numpy as np
 
     if np.lib.NumpyVersion(np.__version__) >= "2.4.0":
@@ -85,7 +86,7 @@ VARIANTS = {
 
 
 def pytest_collection_modifyitems(items: list[Any]) -> None:
-    """As a plugin of pytest: files, and the tests in each, in random order."""
+    """Hook of pytest: put the files, and the tests in each file, in random order."""
     if SEED not in os.environ:
         return
     order = random.Random(int(os.environ[SEED]))
@@ -96,7 +97,7 @@ def pytest_collection_modifyitems(items: list[Any]) -> None:
 
 @contextmanager
 def busy_cores() -> Iterator[None]:
-    """Four processes of stress-ng for each core."""
+    """Context manager: four processes of stress-ng for each core run during its body."""
     count = str(4 * (os.cpu_count() or 1))
     stress = subprocess.Popen(
         ["stress-ng", "--cpu", count, "--quiet"], stdout=subprocess.DEVNULL
@@ -109,7 +110,7 @@ def busy_cores() -> Iterator[None]:
 
 
 def copy_tree(target: Path) -> None:
-    """The tree without what git ignores."""
+    """Copy the folders of `TREE` and the files beside them, without Python's bytecode."""
     for name in TREE:
         shutil.copytree(ROOT / name, target / name, ignore=shutil.ignore_patterns("__pycache__"))
     for file in ROOT.iterdir():
@@ -118,18 +119,18 @@ def copy_tree(target: Path) -> None:
 
 
 def turkish_locale(folder: Path) -> dict[str, str]:
-    """Environment with tr_TR.UTF-8, which is made if the system can."""
-    made = subprocess.run(
+    """Return environment variables for tr_TR.UTF-8, after making this locale in ``folder``."""
+    result = subprocess.run(
         ["localedef", "-i", "tr_TR", "-f", "UTF-8", str(folder / "tr_TR.UTF-8")],
         capture_output=True,
     )
-    if made.returncode not in (0, 1):  # 1: warnings
+    if result.returncode not in (0, 1):  # 1: warnings
         print("   no Turkish locale: localedef failed")
     return {"LC_ALL": "tr_TR.UTF-8", "LOCPATH": str(folder)}
 
 
 def public_python() -> str:
-    """A Python of this version that other users can run."""
+    """Return a Python of this version that other users can run."""
     if any(not folder.stat().st_mode & 1 for folder in Path(sys.executable).resolve().parents):
         name = f"python{sys.version_info.major}.{sys.version_info.minor}"
         public = shutil.which(name, path="/usr/local/bin:/usr/bin")
@@ -140,7 +141,7 @@ def public_python() -> str:
 
 
 def limits(identity: tuple[int, int] | None) -> Callable[[], None]:
-    """What a process of "elsewhere" does before it starts."""
+    """Return a function that a process of "elsewhere" calls before it starts."""
 
     def apply() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
@@ -154,7 +155,7 @@ def limits(identity: tuple[int, int] | None) -> Callable[[], None]:
 
 
 def run(name: str, variant: Variant, arguments: list[str], margins: Path | None, seed: int) -> bool:
-    """Run the tests as ``name``; whether they pass."""
+    """Run the tests under a variant; return whether they pass."""
     # Turkish: dotted and dotless i; Greek, as in the messages.
     folder = "knee ıİ θ's" if variant.elsewhere else "knee"
     with tempfile.TemporaryDirectory() as scratch:
@@ -179,11 +180,15 @@ def run(name: str, variant: Variant, arguments: list[str], margins: Path | None,
             environment |= {"HOME": str(home), "TMPDIR": str(temporary), SEED: str(seed)}
             environment |= turkish_locale(Path(scratch))
             prepare = limits(identity)
-        here = margins and (margins / name).resolve()
-        if here:
-            here.mkdir(parents=True, exist_ok=True)
-            here.chmod(0o777)
-        pytest = ["benchmarks/tolerance_margins.py", "run", str(here)] if here else ["-m", "pytest"]
+        records = margins and (margins / name).resolve()
+        if records:
+            records.mkdir(parents=True, exist_ok=True)
+            records.chmod(0o777)
+        pytest = (
+            ["benchmarks/tolerance_margins.py", "run", str(records)]
+            if records
+            else ["-m", "pytest"]
+        )
         tests = arguments or list(variant.tests)
         command = [python, *pytest, "-p", "machine_variants", "-p", "no:cacheprovider", "-q"]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -221,12 +226,12 @@ def main() -> int:
     options, rest = parser.parse_known_args()
     names = options.only or list(VARIANTS)
     passed = [run(name, VARIANTS[name], rest, options.margins, options.seed) for name in names]
-    least = True
+    enough = True
     if options.margins:
         from tolerance_margins import show
 
-        least = show([options.margins / name for name in names], worst=20) == 0
-    return int(not (all(passed) and least))
+        enough = show([options.margins / name for name in names], worst=20) == 0
+    return int(not (all(passed) and enough))
 
 
 if __name__ == "__main__":

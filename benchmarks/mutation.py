@@ -7,7 +7,8 @@
 
 Each mutant is one wrong operator, constant, sign, name, attribute or key. It is killed when a fast
 test of the mirrored file (``tests/PATH/test_X.py``, or those of `TESTS`) fails, does not end in
-time, or can not be collected; parameters and studies have ``tests/test_defaults.py`` too. Mutants
+time, or cannot be collected. Mutants of parameters and studies also face
+``tests/test_defaults.py``. Mutants
 live in a copy of the tree, so that no wrong source is left when the run is killed. The seed and the
 module alone decide which mutants are picked. ``--random`` draws them from the whole package, where
 every possible change is equally likely. With ``--whole-suite`` a mutant survives only if it passes
@@ -229,7 +230,10 @@ def mutants(source: str, count: int, seed: str) -> list[Mutant]:
 
 
 def drawn(count: int, seed: int, root: Path = ROOT) -> dict[str, int]:
-    """How many of ``count`` random mutants fall on each module, by the number of its changes."""
+    """Draw ``count`` mutants; return how many of them each module gets.
+
+    Modules are drawn in proportion to the number of their possible changes.
+    """
     names = modules_of(root)
     sources = [(root / "kneexo" / f"{name}.py").read_text(encoding="utf-8") for name in names]
     sizes = [sum(1 for _ in _changes(ast.parse(s), random.Random(0))) for s in sources]
@@ -263,11 +267,13 @@ _SERVER = multiprocessing.get_context("forkserver")
 _SERVER.set_forkserver_preload(
     ["pytest", "hypothesis", "pydrake.all", "matplotlib.pyplot", "scipy"]
 )
-"""Each run of pytest begins with these modules imported, which takes most of its time else."""
+"""A server process imports these modules once; each run of pytest is a fork of it.
+
+Importing them again would take most of the time of a run."""
 
 
 def _pytest(tree: Path, tests: Sequence[str]) -> None:
-    """Exit with the code of pytest, in a process group of its own."""
+    """Run pytest in a new process group, and exit with its code."""
     os.setsid()
     os.chdir(tree)
     null = os.open(os.devnull, os.O_RDWR)
@@ -284,7 +290,7 @@ def _pytest(tree: Path, tests: Sequence[str]) -> None:
 
 
 def run_tests(tree: Path, tests: Sequence[str], limit_s: float) -> str:
-    """``passed``, ``failed`` or ``timeout``: the fast tests in a copy of the tree."""
+    """Run fast tests in a copy of the tree; return ``passed``, ``failed`` or ``timeout``."""
     process = _SERVER.Process(target=_pytest, args=(tree, tests))
     process.start()
     process.join(limit_s)
@@ -299,7 +305,7 @@ def run_tests(tree: Path, tests: Sequence[str], limit_s: float) -> str:
 def judge(
     tree: Path, module: str, picked: Sequence[Mutant], *, whole_suite: bool, slack_s: float
 ) -> list[Mutant]:
-    """Survivors among the mutants of a module, which are put into the tree one after another.
+    """Put the mutants of a module into the tree, one after another; return the survivors.
 
     A mutant may take three times as long as the tests do without it, and ``slack_s`` more.
     """
@@ -329,7 +335,7 @@ def run(
     slack_s: float = 30.0,
     root: Path = ROOT,
 ) -> dict[str, tuple[int, list[Mutant]]]:
-    """Killed mutants (how many) and survivors of each module; prints them as they come.
+    """Return the number of killed mutants and the survivors of each module; print them too.
 
     ``counts``: mutants of each module.
     """

@@ -1,8 +1,8 @@
-"""When the knee that was sized for walking leaves its range of motion with friction, by solver.
+"""Print when the knee sized for walking leaves its range of motion with friction, by solver.
 
 python benchmarks/size_friction.py
 
-The design is the one of docs/sizing.md for 1 Hz, on the full-order cylinder, with the seal friction
+The design is that of docs/sizing.md for 1 Hz, on the full-order cylinder, with the seal friction
 of `SizeSettings`. Friction that changes its sign within a fraction of a millisecond makes the last
 part of such a run depend on the solver.
 """

@@ -1,9 +1,9 @@
-"""How near each tolerance of the tests came, and what another processor changes in it.
+"""Record how much of each tolerance the tests use, and how this depends on the processor.
 
     python benchmarks/tolerance_margins.py run FOLDER [PYTEST ARGUMENT ...]
-    python benchmarks/tolerance_margins.py show FOLDER [FOLDER ...] [--worst N] [--claims]
+    python benchmarks/tolerance_margins.py show FOLDER [FOLDER ...] [--worst N]
 
-``run`` runs the tests and writes what it records to ``FOLDER``. Run it once as it is and once with
+``run`` runs the tests and writes its records to ``FOLDER``. Do this once as it is and once with
 the kernels of another machine (``benchmarks/machine_variants.py --margins`` does both). ``show``
 compares the folders, prints the smallest margins, and exits with 1 if any is below 10.
 
@@ -18,12 +18,13 @@ rounding
     is below 1e-12 of the expected value. Margin: 1/r.
 deterministic
     Truncation, printed digits or a bound of the physics: every machine has the same deviation, but
-    for rounding. Margin: how often Δr fits into what is left, (1 − r)/Δr.
+    for rounding. Margin: the unused share over the change, (1 − r)/Δr.
 
 Inequalities count as tolerances where the smaller side is a magnitude (``abs``, ``hypot``,
 ``norm``, a name with ``error``, ``deviation``, ``distance``, ``relative`` or ``difference``) or the
 bound is a number of at most 1e-6. All others are claims (``margin > 30.0``), to which the rule of
-deterministic tolerances applies. ``EXEMPT`` names what is left, with reasons.
+deterministic tolerances applies. ``EXEMPT`` names the tests that may have a smaller margin, with
+reasons.
 """
 
 from __future__ import annotations
@@ -40,13 +41,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 EXEMPT: dict[str, str] = {}
-"""Reasons why a margin below 10 is right, by the part of a test's name that tells it apart."""
+"""Reasons why a margin below 10 is right, by a part of the test's name."""
 
 LEAST = 10.0
 ROUNDING = 1e-12
 """Relative deviations below this are rounding."""
 CHANGED = 1e-3
-"""Share of a deviation that another machine changes only if the deviation is rounding."""
+"""A deviation that another machine changes by more than this share of itself is rounding."""
 
 MAGNITUDES = ("abs", "hypot", "norm", "ptp", "std")
 WORDS = ("error", "deviation", "distance", "relative", "difference", "residual", "worst")
@@ -74,14 +75,17 @@ class Recorder:
         (self.folder / f"{os.getpid()}.json").write_text(json.dumps(records))
 
     def add(self, kind: str, line: str, share: float, relative: float) -> None:
-        """Keep the largest share of a tolerance, and of the expected value, in each line."""
+        """Keep the largest ``share`` and ``relative`` of each line.
+
+        ``share``: deviation over tolerance; ``relative``: deviation over expected value.
+        """
         if math.isfinite(share):
             worst = self.shares.setdefault((self.test, line, kind), [0.0, 0.0])
             worst[0] = max(worst[0], float(share))
             worst[1] = max(worst[1], float(relative))
 
     def compare(self, left: Any, operator: str, right: Any, line: str, tolerance: bool) -> Any:
-        """``left operator right``, recorded."""
+        """Return ``left operator right``, and record how near it is to its bound."""
         import numpy as np
 
         results = {
@@ -98,7 +102,7 @@ class Recorder:
         with np.errstate(all="ignore"):
             if tolerance:
                 share = np.where(small > 0.0, small / large, 0.0)
-            else:  # of a claim it is the distance to the bound that counts
+            else:  # a claim: 1 minus the relative distance to the bound
                 share = 1.0 - (large - small) / np.maximum(np.abs(small), np.abs(large))
         if share.size:
             worst = float(np.nanmax(share)) if np.any(np.isfinite(share)) else math.nan
@@ -109,7 +113,7 @@ class Recorder:
 
 
 def numeric(value: Any) -> bool:
-    """Whether a value is a real number, or an array of some."""
+    """Return whether a value is a float, or an array of floats."""
     import numpy as np
 
     if isinstance(value, bool) or not isinstance(value, Number | np.ndarray):
@@ -118,7 +122,7 @@ def numeric(value: Any) -> bool:
 
 
 def test_line() -> str:
-    """The innermost line of a test file that is being run."""
+    """Return file and number of the innermost line of a test file on the stack."""
     frame = sys._getframe(1)
     while frame is not None:
         path = frame.f_code.co_filename
@@ -175,7 +179,9 @@ def patch(recorder: Recorder) -> None:
         rewrite_asserts(tree, source, path, *rest)
 
     rewrite.rewrite_asserts = rewrite_all
-    rewrite._read_pyc = lambda *_args, **_options: None  # code that pytest rewrote before
+    rewrite._read_pyc = lambda *_args, **_options: (
+        None
+    )  # ignore asserts that pytest rewrote in an earlier run
     sys.dont_write_bytecode = True
     import builtins
 
@@ -216,7 +222,7 @@ class Inequalities(ast.NodeTransformer):
 
 
 def run(folder: Path, arguments: list[str]) -> int:
-    """Run pytest in this process; hypothesis draws the same examples each time."""
+    """Run pytest in this process, with the same examples of hypothesis each time."""
     import hypothesis
     import pytest
 
@@ -231,7 +237,7 @@ def run(folder: Path, arguments: list[str]) -> int:
 
 
 class Margin(NamedTuple):
-    """A tolerance of one test, from all folders."""
+    """The margin of one tolerance, over all folders."""
 
     margin: float
     kind: str
@@ -243,7 +249,7 @@ class Margin(NamedTuple):
 
 
 def margins(folders: list[Path]) -> Iterator[Margin]:
-    """Every tolerance that was recorded in each folder."""
+    """Yield the margin of each tolerance that any folder has."""
     by_folder = []
     for folder in folders:
         shares: dict[tuple[str, ...], list[float]] = {}
@@ -269,7 +275,7 @@ def margins(folders: list[Path]) -> Iterator[Margin]:
 
 
 def show(folders: list[Path], worst: int) -> int:
-    """Print counts by kind and the smallest margins."""
+    """Print counts by kind and the smallest margins; return 1 if a margin is below 10, else 0."""
     everything = sorted(margins(folders))
     print(f"{len(everything)} tolerances in {len({m.test for m in everything})} tests")
     for kind in ("exact", "rounding", "deterministic", "claim"):

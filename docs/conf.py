@@ -80,7 +80,8 @@ toc_object_entries_show_parents = "hide"
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
 
-# Pages with cells run at every build; an exception or a word on stderr is a warning, and -W stops.
+# The build runs the pages with cells. An exception or text on stderr is a warning, which -W makes
+# an error.
 nb_execution_mode = "force"
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True

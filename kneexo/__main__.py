@@ -5,12 +5,12 @@ import sys
 
 
 def main() -> int:
-    """Run `kneexo.cli.main`; Ctrl-C before and after it is no traceback either.
+    """Run `kneexo.cli.main` and return its exit code; Ctrl-C outside it prints no traceback.
 
     Modules of the working directory can be imported, as with ``python -m``.
     """
     if "" not in sys.path and not sys.flags.safe_path:
-        sys.path.append("")  # last: a file there replaces no module of others
+        sys.path.append("")  # last, so that a file there hides no installed module
     try:
         from kneexo.cli import main as command
 

@@ -57,14 +57,14 @@ Exit codes: 0 success, 2 wrong input or a run that failed (one line says why),
 
 
 _LONGEST_LINE = 1200
-"""Characters of a message at most."""
+"""Largest number of characters of a message."""
 
 
 class _Parser(argparse.ArgumentParser):
-    """Escapes arguments in its messages."""
+    """A parser whose error messages escape and shorten the arguments that they quote."""
 
     def error(self, message: str) -> NoReturn:
-        """Print usage and message, and exit with 2."""
+        """Print usage and message, and exit with code 2."""
         super().error(shortened(escaped(message), _LONGEST_LINE))
 
 
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _fail(f"this system lacks {library}; install the package that has it")
         except OSError as error:
             if sys.stdout is not None:  # what it still holds would fail again at exit
-                with suppress(OSError):  # a stream without a file
+                with suppress(OSError):  # a stream without a file descriptor
                     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             if isinstance(error, BrokenPipeError):  # the reader went away, as with `| head`
                 return 0
@@ -453,7 +453,7 @@ def _complete_paths(parser: argparse.ArgumentParser, file: object, directory: ob
 
 
 def _decimal(text: str) -> float:
-    """A finite number; `float` also takes nan, ``1_0`` and the digits of other scripts."""
+    """Return a finite number. `float` also accepts nan, ``1_0`` and digits of other scripts."""
     if NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
         return value
     raise argparse.ArgumentTypeError(f"{shown(text)!r} must be a finite number in the digits 0-9")

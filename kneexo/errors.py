@@ -4,21 +4,21 @@ from __future__ import annotations
 
 
 def escaped(text: str) -> str:
-    r"""Text on one line: characters that do not print become escapes, such as ``\n``."""
+    r"""Return the text on one line. Characters that do not print become escapes, such as ``\n``."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def shortened(text: str, most: int = 120) -> str:
-    """Text without its middle where it has more than ``most`` characters."""
+    """Return the text; without its middle if it has more than ``most`` characters."""
     if len(text) <= most:
         return text
     return f"{text[: most // 2]} … {text[-(most // 2) + 3 :]}"
 
 
 def shown(name: object) -> str:
-    """The name of a file or setting for a message: one line of at most 300 characters."""
+    """Return the name of a file or setting as one line of at most 300 characters for a message."""
     return shortened(escaped(str(name)), 300)
 
 

@@ -303,8 +303,8 @@ def fit_rod_inverse(
     The fit is computed with 50 decimal digits and rounded once, so every processor and every
     numerical library gives the same bits.
 
-    Raises `LinkageError` when the linkage cannot be assembled, the rod does not fall as the knee
-    flexes over −2…91°, or the fit is off by more than 1e-8 rad.
+    Raises `LinkageError` when the linkage cannot be assembled, the rod extension does not fall as
+    the knee flexes over −2…91°, or the error of the fit is above 1e-8 rad.
     """
     if table_1 is None:
 
@@ -343,7 +343,10 @@ def _fit(
     rod_and_arm: Callable[[Array], tuple[Array, Array]],
     decimal_rod_and_arm: Callable[[Decimal], tuple[Decimal, Decimal]],
 ) -> RodInverse:
-    """Fit by discrete orthogonality of Chebyshev polynomials, in decimal numbers."""
+    """Fit `RodInverse` by discrete orthogonality of Chebyshev polynomials, in decimal numbers.
+
+    ``dead_centre_angle``: see `_dead_centre_angle`.
+    """
     first, last = Decimal(float(angles[0])), Decimal(float(angles[-1]))
     extension, arm = decimal_rod_and_arm(first)
     if dead_centre_angle is None:
@@ -354,7 +357,7 @@ def _fit(
     w_high = (Decimal(dead_centre) - decimal_rod_and_arm(last)[0]).sqrt()
     centre, half_width = float((w_low + w_high) / 2), float((w_high - w_low) / 2)
 
-    size = FIT_DEGREE + 7  # the first neglected term that aliases has degree 2 · size − 25 = 39
+    size = FIT_DEGREE + 7  # the first neglected degree that aliases is 2 · size − 25 = 39
     nodes = [_cos_sin(_PI * (2 * k + 1) / (2 * size))[0] for k in range(size)]
     extensions = [
         Decimal(dead_centre) - (Decimal(centre) + Decimal(half_width) * t) ** 2 for t in nodes
@@ -363,7 +366,7 @@ def _fit(
     knee_angles, encoder_angles, arms = [], [], []
     for x, near, near_4 in zip(extensions, start, encoder_angle(link, start), strict=True):
         angle = Decimal(float(near))
-        for _ in range(2):  # Newton's method: 15 digits, 30, all
+        for _ in range(2):  # Newton's method: 15 correct digits at the start, then 30, then all
             extension, arm = decimal_rod_and_arm(angle)
             angle += (extension - x) / arm
         knee_angles.append(angle)
@@ -389,12 +392,12 @@ def _fit(
 
 
 def _in_powers(nodes: Sequence[Decimal], values: Sequence[Decimal]) -> tuple[float, ...]:
-    """Coefficients of the Chebyshev series of degree `FIT_DEGREE`, in powers, highest first.
+    """Return the Chebyshev series of degree `FIT_DEGREE` as coefficients of powers, highest first.
 
-    ``values`` are those at ``nodes``, the zeros of a Chebyshev polynomial.
+    ``values`` are the function's values at ``nodes``, the zeros of a Chebyshev polynomial.
     """
     total = [Decimal(0)] * (FIT_DEGREE + 1)
-    # T_n and T_{n+1}: at the nodes, and their whole coefficients in powers, lowest first.
+    # T_n and T_{n+1}: values at the nodes, and coefficients of powers (integers), lowest first.
     at_nodes, next_at_nodes = [Decimal(1)] * len(nodes), list(nodes)
     powers, next_powers = [1], [0, 1]
     for n in range(FIT_DEGREE + 1):
@@ -410,7 +413,7 @@ def _in_powers(nodes: Sequence[Decimal], values: Sequence[Decimal]) -> tuple[flo
 
 
 def rounded_rod_extension(link: LinkageParameters, knee_angle_rad: float) -> float:
-    """Rod extension x(θ_p) in m, rounded once: the same bits on every processor.
+    """Return the rod extension x(θ_p) in m, rounded once, so with the same bits on every processor.
 
     Raises `LinkageError` where the links do not close.
     """
@@ -453,7 +456,7 @@ def _decimal_pose(
 
 @lru_cache(maxsize=256)
 def _cos_sin(angle: Decimal) -> tuple[Decimal, Decimal]:
-    """Cosine and sine by their series."""
+    """Return cosine and sine from their power series."""
     sums, term, n = [Decimal(0), Decimal(0)], Decimal(1), 0
     while abs(term) > Decimal("1e-55"):
         sums[n % 2] += -term if n % 4 > 1 else term
@@ -463,20 +466,20 @@ def _cos_sin(angle: Decimal) -> tuple[Decimal, Decimal]:
 
 
 def _angle(vector: tuple[Decimal, Decimal], near: Decimal) -> Decimal:
-    """Angle of a vector, from an angle ``near`` that is off by rounding of doubles only."""
+    """Return the angle of a vector. ``near`` is this angle but for the rounding of doubles."""
     x, y = vector
     cos, sin = _cos_sin(near)
-    return near + (y * cos - x * sin) / (x * x + y * y).sqrt()  # the arc sine of 1e-15 is 1e-15
+    return near + (y * cos - x * sin) / (x * x + y * y).sqrt()  # arcsin(y) = y for 1e-15
 
 
 def _dead_centre_angle(
     rod_and_arm: Callable[[Array], tuple[Array, Array]], start: float
 ) -> float | None:
-    """Knee angle where r = 0, below ``start``.
+    """Return the knee angle below ``start`` where r = 0, the dead centre.
 
-    A linkage without a dead centre within 60° (or that cannot be assembled so far) has None. Its
-    fit gets a fictitious one, well outside: the fit only needs a square root that is analytic in
-    its range.
+    Returns None for a linkage that has no dead centre within 60°, or that cannot be assembled so
+    far. `_fit` then takes a fictitious dead centre well outside, because the fit only requires a
+    square root that is analytic in its range.
     """
     angles = np.linspace(start, start - np.radians(60.0), 241)
     previous = angles[0]

@@ -36,7 +36,7 @@ def user_code(failure: str) -> Iterator[None]:
 
 
 def cause_of(error: BaseException) -> str:
-    """The type of an error, the first line of its message, and file and line in a user's code."""
+    """Return type of an error, first line of its message, and file and line of its cause."""
     place: tuple[str | None, int | None] | None
     if isinstance(error, SyntaxError):
         reason, place = error.msg, (error.filename, error.lineno)
@@ -50,13 +50,13 @@ def cause_of(error: BaseException) -> str:
 
 
 def place_in_user_code(error: BaseException) -> tuple[str, int] | None:
-    """File and line of the innermost frame of an error that is neither in kneexo nor a library."""
+    """Return file and line of the innermost frame outside kneexo and all libraries, else None."""
     places = [place for place in _places(error) if not place[0].startswith(_LIBRARIES)]
     return places[-1] if places else None
 
 
 def _innermost(error: BaseException) -> tuple[str, int] | None:
-    """File and line of the innermost frame of an error outside kneexo."""
+    """Return file and line of the innermost frame outside kneexo, else None."""
     places = _places(error)
     return places[-1] if places else None
 

@@ -1,4 +1,4 @@
-"""Files that a user names: only regular files are read, up to a size, and as UTF-8."""
+"""Read files that a user names: regular files up to a size, text in UTF-8, tables in CSV."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF32_BE)
 def read_bytes(path: str | os.PathLike[str], most_bytes: int) -> bytes:
     """Read a regular file of at most ``most_bytes`` bytes.
 
-    Raises `OSError` for every other file. A pipe or a device may never end.
+    Raises `OSError` for every other file, because reading a pipe or a device may never end.
     """
     try:
         mode = os.stat(path).st_mode
@@ -51,7 +51,7 @@ def read_bytes(path: str | os.PathLike[str], most_bytes: int) -> bytes:
                 size = max(size, sum(map(len, chunks)))
     except MemoryError:
         raise OSError("is too large for the free memory") from None
-    except ValueError:  # in words that change with the version of Python
+    except ValueError:  # its message changes with the version of Python
         raise OSError("a null byte in its name") from None
     raise OSError(f"is too large, must have at most {most_bytes} bytes")
 
@@ -155,7 +155,7 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
 
 
 def file_error(path: str | os.PathLike[str], line: int | None, message: str) -> ScenarioError:
-    """The error of a file: its name, the line if there is one, and the message."""
+    """Return an error whose message is the name of the file, the line if given, and ``message``."""
     place = "" if line is None else f":{line}"
     return ScenarioError(f"{shown(os.fspath(path))}{place}: {shortened(message, 800)}")
 
@@ -165,7 +165,7 @@ def _open_without_waiting(path: str, flags: int) -> int:
 
 
 def _records(path: str | os.PathLike[str], text: str) -> Iterator[tuple[int, list[str]]]:
-    """Each record, with the number of its first line. A quoted field may span lines."""
+    """Yield each record with the number of its first line. A quoted field may span lines."""
     count = 0
 
     def next_lines() -> Iterator[str]:

@@ -10,11 +10,11 @@ from pathlib import Path
 from kneexo.errors import OutputError, shown
 from kneexo.user_file import MIB, read_bytes
 
-_MOST_BYTES = 256 * MIB  # no page of ours is larger
+_MOST_BYTES = 256 * MIB  # no page of kneexo is larger
 
 
 def require_mark(path: Path, mark: str, kind: str) -> None:
-    """Raise `OutputError` for a file that is no ``kind`` of ours, which have ``mark`` in them."""
+    """Raise `OutputError` for a file without our ``mark``; ``kind`` names it in the message."""
     try:
         marked = mark.encode() in read_bytes(path, _MOST_BYTES)
     except (FileNotFoundError, NotADirectoryError):

@@ -309,8 +309,8 @@ def test_what_the_rounding_of_table_1_explains():
     last = [10.0 ** math.floor(math.log10(abs(float(d))) - 3) for d in digits]
     reach, missing = 0.5 * np.dot(last, powers), 38.98 - np.polyval(table, 70.0)
     assert 0.9 < missing / reach < 1.0
-    texts = f"at most {reach:.4f} mm, and {missing:.4f} mm are missing"
-    assert unsaid("model.md", texts) == []
+    texts = [f"The difference is {missing:.4f} mm.", f"moves x(70°) by at most {reach:.4f} mm"]
+    assert unsaid("model.md", *texts) == []
 
 
 @pytest.mark.slow
@@ -356,7 +356,7 @@ def test_the_validation_has_the_numbers_of_reproduce():
     texts = [
         f"falls below −3 dB at {loop.bandwidth_hz():.2f} Hz and rises again beyond "
         f"({gain:.2f} at 100 Hz)",
-        f"falls below −3 dB at {loop.complementary_sensitivity_bandwidth_hz():.2f} Hz (`kneexo",
+        f"falls below −3 dB at {loop.complementary_sensitivity_bandwidth_hz():.2f} Hz. `kneexo",
     ]
     assert unsaid("frequency_response.md", *texts) == []
 
@@ -417,7 +417,7 @@ def test_the_error_model_has_the_numbers_of_the_order_study():
                 for case in cases
             ),
         ),
-        f"at {min(forces):g}…{max(forces):g} N of those tried in steps of 1 N: "
+        f"those of {min(forces):g}…{max(forces):g} N do this. The oscillation has "
         f"{max(r['velocity_swing_mm_s'] for r in inside):.0f} mm/s of rod velocity and "
         f"{max(r['load_pressure_swing_mpa'] for r in inside):.2f} MPa",
         f"{max(r['max_error_deg'] for r in inside):.2f}° in place of "
@@ -443,8 +443,8 @@ def test_the_page_of_the_controllers_has_the_numbers_of_their_study():
         f"its end in {settling('settling_s')} s",
         f"in {settling('large_settling_s')} s. It is",
         f"of {built[20.0].disk_margin:.4f} at λ = 20 1/s and of {built[10.0].disk_margin:.4f} at",
-        f"by {built[20.0].max_error_deg:.1f}° and by {built[10.0].max_error_deg:.1f}° once",
-        f"{exact[20.0].max_error_deg:.2f}° and {exact[10.0].max_error_deg:.1f}° with an exact",
+        f"by {built[20.0].max_error_deg:.1f}° and by {built[10.0].max_error_deg:.1f}°, with an",
+        f"encoder by {exact[20.0].max_error_deg:.2f}° and by {exact[10.0].max_error_deg:.1f}°",
     ]
     assert unsaid("controllers.md", *texts) == []
 

@@ -183,9 +183,10 @@ def find_rest(
         if np.max(np.abs(step) / (1.0 + np.abs(point))) < 1e-13:
             break
     if not (finite and residual < 1e-6):
-        left = f"the largest residual left is {residual:.3g}" if finite else OUTSIDE
+        reason = f"the largest residual left is {residual:.3g}" if finite else OUTSIDE
         raise LinearizationError(
-            f"the loop does not rest at knee angle {knee_angle_deg:g} deg: {left}; reduce the load"
+            f"the loop does not rest at knee angle {knee_angle_deg:g} deg: {reason}; "
+            f"reduce the load"
         )
     _set_point(diagram, context, point, reference, n)
     _require_linear(diagram, context, fixed)

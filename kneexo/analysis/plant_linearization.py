@@ -25,7 +25,7 @@ Complex = NDArray[np.complex128]
 NEWTON_STEPS = 50
 """Most Newton steps on the way to an equilibrium."""
 OUTSIDE = "Newton's method goes where the equations are not finite"
-"""Why it ends before."""
+"""Reason in the message where Newton's method stops early."""
 MID_RANGE_DEG = 40.0
 """Middle of the paper's 10…70°."""
 
@@ -122,10 +122,10 @@ def find_operating_point(
         if np.max(np.abs(step)) < 1e-13:
             break
     if not (finite and residual < 1e-8):
-        left = f"the largest derivative left is {residual:.3g}" if finite else OUTSIDE
+        reason = f"the largest derivative left is {residual:.3g}" if finite else OUTSIDE
         raise LinearizationError(
             f"no equilibrium at knee angle {knee_angle_deg:g} deg with knee_torque = "
-            f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: {left}; reduce the "
+            f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: {reason}; reduce the "
             f"load or the leakage"
         )
     context = diagram.CreateDefaultContext()
@@ -169,7 +169,10 @@ class PlantLinearization(Result):
 
     @property
     def poles(self) -> Complex:
-        """Eigenvalues of A in 1/s, by magnitude; a pair begins with its positive imaginary part."""
+        """Eigenvalues of A in 1/s, by magnitude.
+
+        In a conjugate pair, the eigenvalue with positive imaginary part comes first.
+        """
         values = np.linalg.eigvals(self.a).astype(complex)
         return values[np.argsort(np.abs(values), kind="stable")]
 
@@ -201,8 +204,8 @@ class PlantLinearization(Result):
         pole, following = self.poles[:2]
         if abs(pole) > 1e-2 * abs(following):
             return 0.0
-        # Eigenvectors as null vectors: `eig` would balance A, and A's column of the rod's position
-        # is zero but for rounding, which balancing scales up.
+        # Eigenvectors as null vectors. `eig` would balance A and so scale up the rounding errors in
+        # the column of the rod's position, which is zero otherwise.
         left, _, right = np.linalg.svd(self.a - pole.real * np.eye(len(self.a)))
         v, w = right[-1], left[:, -1]
         return float((self.c[0] @ v) * (w @ self.b[:, 0]) / (w @ v))
@@ -282,9 +285,9 @@ def linearize_plant(
 
 
 def frequency_array(frequencies_hz: ArrayLike) -> Array:
-    """Frequencies in Hz as an array (n,).
+    """Return frequencies in Hz as an array (n,).
 
-    Raises `LinearizationError` for one that is not finite.
+    Raises `LinearizationError` for a frequency that is not finite.
     """
     frequencies = np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
     finite = np.isfinite(frequencies)
@@ -294,16 +297,16 @@ def frequency_array(frequencies_hz: ArrayLike) -> Array:
 
 
 def require_finite(gradient: Array, states: int, knee_angle_deg: float) -> None:
-    """Raise `LinearizationError` for a ``gradient`` of rates and then outputs that is not finite.
+    """Raise `LinearizationError` where ``gradient`` is not finite.
 
-    ``states``: number of rates, the first rows.
+    The first ``states`` rows are the derivatives of the states' rates, the others of the outputs.
     """
     finite = np.isfinite(gradient).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))
-        what = f"the rate of state {row}" if row < states else f"output {row - states}"
+        name = f"the rate of state {row}" if row < states else f"output {row - states}"
         raise LinearizationError(
-            f"the derivative of {what} is not finite at knee angle {knee_angle_deg:g} deg: there "
+            f"the derivative of {name} is not finite at knee angle {knee_angle_deg:g} deg: there "
             f"is no linear model"
         )
 

@@ -48,8 +48,8 @@ class Margins(Result):
     """Stability margins of a sampled loop, broken at the motor speed command.
 
     Each margin is the smallest change of the loop that puts a closed-loop eigenvalue on the unit
-    circle. A stable loop bears less than that change. Of an unstable loop, ``stable`` False, the
-    numbers are distances to that circle and no margins.
+    circle. A stable loop stays stable with any smaller change. If ``stable`` is False, the loop is
+    unstable; the numbers are then distances to that circle and no margins.
 
     Gain and phase have a margin in both directions, each above zero. A conditionally stable loop
     may lose stability by less gain (``lower_gain_margin``) or by a phase lead
@@ -119,7 +119,7 @@ class SampledLoop(Result):
     def eigenvalues(self) -> Complex:
         """Eigenvalues of `monodromy`, the largest first: the loop is stable when all are below 1.
 
-        A conjugate pair begins with its positive imaginary part.
+        In a conjugate pair, the eigenvalue with positive imaginary part comes first.
         States that never change (a PID's integral without integral action) are left out.
         """
         values = np.linalg.eigvals(self.monodromy).astype(complex)
@@ -218,11 +218,11 @@ class SampledLoop(Result):
     def bandwidth_hz(self) -> float:
         """Small-signal −3 dB bandwidth in Hz of `output_response`, the output over its reference.
 
-        The lowest frequency at which the gain falls below 1/√2 of that at 0.01 Hz, up to the
-        Nyquist frequency; nan where there is none. The response contains the feedforward of the
+        Returns the lowest frequency up to the Nyquist frequency at which the gain falls below 1/√2
+        of that at 0.01 Hz, or nan where there is none. The response contains the feedforward of the
         reference and its derivatives, which this linear loop knows exactly. So the gain may rise
-        again beyond, or never fall. `complementary_sensitivity_bandwidth_hz` is that of the
-        feedback alone. Raises `LinearizationError` for an unstable loop.
+        again beyond, or never fall. `complementary_sensitivity_bandwidth_hz` is the bandwidth of
+        the feedback alone. Raises `LinearizationError` for an unstable loop.
         """
         return self._first_fall_hz(self.output_response)
 
@@ -361,7 +361,7 @@ class SampledLoop(Result):
         )
 
     def _in_hz(self, bandwidth: float) -> str:
-        """A bandwidth with its unit, or that there is none."""
+        """Return a bandwidth with its unit; ``none below`` the Nyquist frequency for nan."""
         if math.isnan(bandwidth):
             return f"none below {0.5 / self.sample_time_s:g} Hz"
         return f"{bandwidth:.4g} Hz"

@@ -172,7 +172,7 @@ class _Running:
         size = self._system._size
         self._x[:, 0], self._d[:, 0], self._last[0] = state[:size], state[size:], last
         status = self._runner.go(first, last, rows, [inputs])
-        # An output may be one that nobody reads.
+        # Reading a port raises the error of an output that is not finite; nobody may read it.
         if status[0, 0] not in (OK, OUTPUT_NOT_FINITE):
             model, timing = self._system.model, self._runner.timing
             after = State(self._x[:, 0].copy(), self._d[:, 0].copy())

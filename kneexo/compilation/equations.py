@@ -524,7 +524,7 @@ def _symbolic(where: str, evaluate: Callable[[], Any]) -> Any:
     """What ``evaluate()`` returns; `CompilationError` when it has no symbolic value."""
     try:
         return evaluate()
-    except (Exception, SystemExit) as error:  # whatever a leaf of the user raises
+    except (Exception, SystemExit) as error:  # a leaf of the user may raise any error
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CompilationError(f"{where}: has no symbolic form ({reason})") from error
 

@@ -13,19 +13,20 @@ end, the states are
     predicted end   x + h phi_1 dx/dt + 2 h (phi_2 + phi_2(z/2)) g_a,
     end             x + h phi_1 dx/dt + 2 h phi_2 g_a + h (phi_2 - 4 phi_3) (2 g_a - g_b).
 
-The order is three with any A. For along the solution g starts as g' t; without the rest, the middle
-misses (h/2)^2 phi_2(z/2) g', and the predicted end h^2 (phi_2 - a/2) g' if h a is its factor of
-g_a. The end has g_a with h (4 phi_2 - 8 phi_3) and g_b with h (4 phi_3 - phi_2), about 2/3 h and
-h/6, so these errors cancel where a = 2 (phi_2 + phi_2(z/2)). That is the weak form of a condition
-of Hochbruck and Ostermann (2005, SIAM J. Numer. Anal. 43). With A the Jacobian at the start and g
-free of time, g' is zero and the order is four.
+The order is three with any A. Near the start of the step, g along the solution is g' t to first
+order. The middle lacks the term (h/2)^2 phi_2(z/2) g'. The predicted end lacks the term
+h^2 (phi_2 - a/2) g', where h a is the factor of g_a in the formula above. The end contains g_a with
+the factor h (4 phi_2 - 8 phi_3), about 2/3 h, and g_b with the factor h (4 phi_3 - phi_2), about
+h/6. So the two errors cancel where a = 2 (phi_2 + phi_2(z/2)). This is the weak form of a condition
+of Hochbruck and Ostermann (2005, SIAM J. Numer. Anal. 43). If A is the Jacobian at the start and g
+does not depend on time, g' is zero and the order is four.
 
-The last term is the difference from the same with a straight line for g, which has the order two,
-and is the error estimate. A step that fails tries the Jacobian at its start, however small it is,
-and then halves; corners (a clip, a valve) are passed by halving. Where a tick takes eight steps or
-more, each keeps a tenth of the tolerance, since their errors add up. Every sixteenth of them tries
-the Jacobian at its start even if it passes: an old one may do for small steps alone, and the step
-would stay small.
+A straight line for g in place of the parabola gives a method of order two. The last term above is
+the difference between the two ends, and is the error estimate. A step that fails tries the Jacobian
+at its start, whatever its length, and then halves. Halving passes corners (a clip, a valve). If a
+tick takes eight steps or more, each step keeps a tenth of the tolerance, because the errors add up.
+Every sixteenth of these steps tries the Jacobian at its start even if it meets the tolerance. An
+old Jacobian may be good enough for small steps only, and the steps would then stay small.
 
 Each lane has its own step, Jacobians and their tables, so a lane gets the bits that it gets alone;
 a lane that has reached the end of the tick waits for the others.
@@ -61,10 +62,10 @@ FINEST = 12
 SLOTS = 4
 """Jacobians that a run remembers."""
 
-_MANY = 3  # halvings from which the steps of a tick are many
-_SHARE = 0.1  # of the tolerance for each of many steps
-_CHECK = 16  # of many steps, from one that tries the Jacobian to the next
-_EASY = 0.05  # error estimate by the tolerance of a step that may double
+_MANY = 3  # halvings from which on a tick has "many" steps
+_SHARE = 0.1  # share of the tolerance that each of many steps keeps
+_CHECK = 16  # many steps: one in this number tries the Jacobian at its start
+_EASY = 0.05  # share of the tolerance below which a step may double
 _NEGLIGIBLE = 0.01  # share of the tolerance that is not worth a correction
 _MOST_EXCESS = 1e-2  # sum of the errors of its finest steps that miss the tolerance
 _WHOLE = 1 << FINEST  # a tick, in finest steps
@@ -452,7 +453,7 @@ class ExactHold:
         good: Variable,
         rough: Variable,
     ) -> None:
-        """Doubted lanes, one by one: another Jacobian, or half the step if it failed."""
+        """Emit code that tries another Jacobian in each doubted lane, or halves a failed step."""
         f, size, lanes, at = tick.function, tick.size, tick.type.lanes, Memory(tick.size)
         times, worsts = _spilled(f, time), _spilled(f, step.worst)
         levels, tries = _spilled(f, level.get()), _spilled(f, tried.get())
@@ -483,7 +484,8 @@ class ExactHold:
                         worst = worsts[lane]
                         own[at.excess] = f.fma(worst, self.tolerance, own[at.excess])
                         goods[lane] = 1
-                        # A worst that is not finite comes with such a state: accepted, it is told.
+                        # Accept an error estimate that is not finite. The state is not finite
+                        # either, and a later check of the state reports this.
                         finite = (worst - worst).equals(0.0)
                         with f.when(finite & (own[at.excess] > _MOST_EXCESS)):
                             goods[lane] = 0

@@ -385,7 +385,7 @@ class Fmu:
 
 
 def generation_tool(archive: bytes) -> str | None:
-    """The tool that made an FMU, empty where it is not told; None for what is no FMU."""
+    """Return the name of the tool that made an FMU, "" for none given; None if it is no FMU."""
     try:
         with (
             zipfile.ZipFile(io.BytesIO(archive)) as files,
@@ -393,7 +393,7 @@ def generation_tool(archive: bytes) -> str | None:
         ):
             # A short archive may unpack to a long text.
             root = ElementTree.fromstring(file.read(_LONGEST_DESCRIPTION))
-    except Exception:  # whatever a damaged or encrypted archive makes of these libraries
+    except Exception:  # a damaged or encrypted archive may raise any error
         return None
     return root.get("generationTool", "") if root.tag == "fmiModelDescription" else None
 

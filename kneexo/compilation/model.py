@@ -390,16 +390,16 @@ class CompiledModel:
         state: State,
         output: str = "",
     ) -> SimulationError:
-        """What a run raises that ended with ``outcome``: status, tick, and which limit.
+        """Return the error of a run that ended with ``outcome``: status, tick, index of the limit.
 
-        ``output``: the name of the output that is not finite, where the run ended for that.
+        ``output``: name of the output that is not finite, if this ended the run.
         """
         status, tick, which = outcome
         time = timing.times(tick)
         if status in (NOT_FINITE, OUTPUT_NOT_FINITE):
             finite = np.isfinite(np.concatenate((state.continuous, state.held)))
             names = (*self.state_names, *self.held_names)
-            # A state that is not finite is the cause of such an output.
+            # If a state is not finite too, the state is the cause.
             return not_finite(time, output if finite.all() else names[int(np.argmin(finite))])
         if status == TOO_ROUGH:
             return StiffnessError(
@@ -475,7 +475,7 @@ def state_of(root: Node, context: Any) -> State:
 
 
 def _outcome(status: Integers, last: int, final: State) -> list[int]:
-    """Status, tick and limit of a run; discrete states are looked at only at its end."""
+    """Return status, tick and index of the limit; checks discrete states at the end of the run."""
     outcome: list[int] = status.tolist()
     if outcome[0] == OK and not np.isfinite(final.held).all():
         return [NOT_FINITE, last, 0]

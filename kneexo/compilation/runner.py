@@ -105,12 +105,12 @@ def require_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
 
 
 def element_name(port: str, element: int, size: int) -> str:
-    """Name of an element of an output port of some size."""
+    """Return ``port``, or ``port[element]`` for a port with more than one element."""
     return f"{port}[{element}]" if size > 1 else port
 
 
 def not_finite(time_s: float, name: str) -> SimulationError:
-    """What a run raises for a state or an output that is not finite."""
+    """Return the error for a state or an output that is not finite."""
     return SimulationError(
         f"t = {time_s:.6g} s: {name} is not finite; reduce the step or check the parameters"
     )
@@ -330,7 +330,7 @@ class Runner:
         return self._status
 
     def output_not_finite(self, values: Array) -> str:
-        """Name of the first of the recorded outputs (columns,) that is not finite."""
+        """Return the name of the first recorded output that is not finite in a row (columns,)."""
         column = int(np.argmin(np.isfinite(values)))
         for name in self.names:
             size = self.model.outputs[name]

@@ -79,7 +79,7 @@ DOUBLES = ("tick", "unit", "step", "tolerance")
 INPUT = ("break_count", "breaks", "powers", "coefficients")
 """An input table: see `InputTable`."""
 
-_CHECKS = 4  # sums that go on at the same time
+_CHECKS = 4  # independent sums, which the processor can compute at the same time
 
 _INLINED_STATES, _INLINED_NODES = 8, 1500  # beyond that derivatives are called
 
@@ -392,7 +392,7 @@ class _Run:
             firing = firing | fires[number]
         wanted, columns = a.array("wanted", BYTE), a.array("columns")
         margins: dict[int, Value] = {}
-        # NaN where an output of the lane is not finite, else 0. A single sum would take longer.
+        # Each sum is NaN in a lane where an output is not finite, else 0.
         checks = [f.variable(f.constant(0.0, model.type)) for _ in range(_CHECKS)]
 
         def condition(of: tuple[str, int]) -> Value:

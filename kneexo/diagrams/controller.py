@@ -179,19 +179,20 @@ def known_to_controller(scenario: Scenario) -> Scenario:
 
 
 def _custom_controller(scenario: Scenario, parameters: CustomControllerParameters) -> System:
-    told = f"controller.make = {shortened(parameters.make)!r}"
-    make = _function(parameters.make, told)
+    subject = f"controller.make = {shortened(parameters.make)!r}"
+    make = _function(parameters.make, subject)
     if parameters.make in _running.get():
         raise ParameterError(
-            f"{told}: the function makes the controller that it is asked for; must make another one"
+            f"{subject}: the function asks for its own controller; must build it, or ask for "
+            f"one of another kind"
         )
     token = _running.set(_running.get() | {parameters.make})
     try:
-        with user_code(f"{told}: the function fails"):
+        with user_code(f"{subject}: the function fails"):
             controller = make(known_to_controller(scenario))
     finally:
         _running.reset(token)
-    require_controller(controller, told)
+    require_controller(controller, subject)
     timing = controller.GetUniquePeriodicDiscreteUpdateAttribute()
     if timing is not None and timing.period_sec() != parameters.sample_time_s:
         raise ParameterError(
@@ -202,11 +203,14 @@ def _custom_controller(scenario: Scenario, parameters: CustomControllerParameter
     return controller
 
 
-def _function(name: str, told: str) -> Any:
-    """Import a function by its name ``module:function``."""
+def _function(name: str, subject: str) -> Any:
+    """Import and return a function by its name ``module:function``.
+
+    ``subject`` begins the message of every `ParameterError`.
+    """
     module, _, path = name.partition(":")
     try:
-        with user_code(f"{told}: the module cannot be imported"):
+        with user_code(f"{subject}: the module cannot be imported"):
             make: Any = import_module(module)
     except ParameterError as error:
         cause = error.__cause__
@@ -214,17 +218,17 @@ def _function(name: str, told: str) -> Any:
         if missing is None or not f"{module}.".startswith(f"{missing}."):
             raise
         raise ParameterError(
-            f"{told}: no module named {shortened(missing)!r}; must be module:function on the "
+            f"{subject}: no module named {shortened(missing)!r}; must be module:function on the "
             f"Python path"
         ) from None
-    with user_code(f"{told}: the module fails"):
+    with user_code(f"{subject}: the module fails"):
         for attribute in path.split("."):
             try:
                 make = getattr(make, attribute)
             except AttributeError as error:
                 raise ParameterError(
-                    f"{told}: {shortened(str(error), 300)}; must be module:function on the Python "
-                    f"path"
+                    f"{subject}: {shortened(str(error), 300)}; must be module:function on the "
+                    f"Python path"
                 ) from None
     return make
 
@@ -249,7 +253,7 @@ def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
 _outputs: dict[str, dict[str, int]] = {}
 
 _running: ContextVar[frozenset[str]] = ContextVar("running", default=frozenset())
-"""Names of the functions that make a controller at this moment."""
+"""Names of the functions of users that are making a controller now."""
 
 _INPUTS = {"encoder_reading": 1, "knee_reference": 4, "rod_state": 3}
 _LAW_INPUTS = {
@@ -261,19 +265,19 @@ _LAW_INPUTS = {
 }
 
 
-def require_controller(controller: Any, told: str = "controller") -> None:
+def require_controller(controller: Any, subject: str = "controller") -> None:
     """Raise `ParameterError` for what is no system with the ports of `make_controller`."""
-    _require_ports(controller, _INPUTS, told)
+    _require_ports(controller, _INPUTS, subject)
 
 
-def _require_ports(system: Any, inputs: dict[str, int], told: str) -> None:
+def _require_ports(system: Any, inputs: dict[str, int], subject: str) -> None:
     if not isinstance(system, System):
-        raise ParameterError(f"{told}: {type(system).__name__} is not a Drake system")
+        raise ParameterError(f"{subject}: {type(system).__name__} is not a Drake system")
     for name, size in port_sizes(system, inputs=True).items():
         if inputs.get(name) != size:
             expected = ", ".join(f"{name} ({size})" for name, size in inputs.items())
             raise ParameterError(
-                f"{told}: has an input port {name} of size {size}; must be of {expected}"
+                f"{subject}: has an input port {name} of size {size}; must be of {expected}"
             )
     if port_sizes(system).get("motor_speed_command") != 1:
-        raise ParameterError(f"{told}: must have an output port motor_speed_command of size 1")
+        raise ParameterError(f"{subject}: must have an output port motor_speed_command of size 1")

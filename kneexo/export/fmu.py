@@ -38,7 +38,7 @@ _AT_REST = "; the initial state does not follow"
 
 _LONGEST_TUPLE = 8  # coefficients, but no samples
 
-_MOST_BYTES = 256 * MIB  # no FMU of ours is larger
+_MOST_BYTES = 256 * MIB  # no FMU of kneexo is larger
 
 _STATES = {
     "plant/motor.x[0]": ("initial.motor_speed_rad_s", RAD_S_PER_KRAD_S),
@@ -83,7 +83,7 @@ def export_fmu(
     """
     file = Path(path)
     if not file.is_dir():
-        _require_own(file)  # before the work
+        _require_own(file)  # before the FMU is made, which takes long
     fmu = make_fmu(scenario, what, fmi=fmi, step_s=step_s)
     if file.is_dir() or (file.suffix != ".fmu" and not file.exists()):
         file /= f"{fmu.name}.fmu"

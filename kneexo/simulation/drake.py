@@ -26,8 +26,8 @@ def simulate_diagram(
 
     ``context`` is the root Context to start from; it is changed. ``progress`` gets the simulated
     time every 0.25 s. Drake's ``radau3`` stands in for the compiled engine's integrators. Raises
-    `SimulationError` when the run diverges, stalls or leaves the range of motion, and when a
-    system of the user's own fails.
+    `SimulationError` when the run diverges, stalls or leaves the range of motion, and when the
+    code of a user's system fails.
     """
     settings = settings.with_drake()
     log = diagram.GetSubsystemByName("log").FindMutableLog(context)

@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 class Run(Result):
     """Logged signals of one simulation: ``time_s`` (n,) and ``data`` by column name, each (n,).
 
-    A command at time t is the one held up to t. ``settings`` are those of the solver. Every value
-    of a run by either engine is finite.
+    A command at time t is the value that was held up to t. ``settings`` are those of the solver.
+    All values of a run are finite, with either engine.
     """
 
     time_s: Array

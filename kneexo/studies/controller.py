@@ -160,10 +160,11 @@ FIGURES = (
     "disk_margin",
     "phase_margin_deg",
 )
-"""What is measured at each point of the grid. The margins of an unstable loop are nan, and so is
-what a failed run leaves out. ``settling_s`` and ``large_settling_s`` are the times after which the
-error of the small and of the large step stays within ± ``settling_band_deg``; inf for a step that
-does not settle in its run."""
+"""Quantities that are measured at each point of the grid.
+
+The margins of an unstable loop are nan, and so are the results of a failed run. ``settling_s`` and
+``large_settling_s`` are the times after which the error of the small and of the large step stays
+within ± ``settling_band_deg``. They are inf for a step that does not settle in its run."""
 
 MAP_FIGURES = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin")
 """What the maps over two gains keep of a run."""

@@ -85,7 +85,7 @@ ORDERS = ("reduced", "full")
 """The plants that are compared."""
 
 _LOOP_BANDWIDTHS = ("bandwidth_hz", "complementary_sensitivity_bandwidth_hz")
-"""Columns of a frequency row, and the methods of `SampledLoop` that give them."""
+"""Columns of a frequency row, with the names of the methods of `SampledLoop` that compute them."""
 
 _TRACE_POINTS = 800
 _START_S = 0.5

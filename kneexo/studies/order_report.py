@@ -126,7 +126,7 @@ def _findings(study: OrderStudy) -> list[str]:
 
 
 def _small_signal(row: Mapping[str, Any], *, name: str) -> str:
-    """A −3 dB frequency of the linear loop, or why there is none."""
+    """Return the −3 dB frequency ``name`` of the linear loop, or why there is none."""
     if row["failure"] or not row["stable"]:
         return row["failure"] or "unstable"
     hz = row[name]

@@ -15,7 +15,7 @@ from kneexo.view.page import COLUMNS, Leg
 SIGNALS = ("knee_angle", "knee_reference", "load_pressure")
 """Signals of a run that a page shows."""
 
-_SHORTEST_STEP_S = 1e-9  # a file of a run has ten digits
+_SHORTEST_STEP_S = 1e-9  # the times in signals.csv have ten digits
 _HIGHEST_PRESSURE_PA = 1e12
 _SLACK_RAD = 1e-6
 
@@ -53,8 +53,8 @@ def _leg(name: str, scenario: Scenario, run: Run) -> Leg:
 def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
     """The run in a directory that ``kneexo simulate`` wrote: signals.csv of the scenario.
 
-    Raises `ScenarioError` where signals.csv is missing or not of such a run: a column is missing,
-    the time does not rise, or a value is out of range. Knee angle and reference must lie within
+    Raises `ScenarioError` where signals.csv is missing or damaged: a column is missing, the
+    time does not rise, or a value is out of range. Knee angle and reference must lie within
     the range of motion and the overshoot that the scenario allows.
     """
     path = directory / "signals.csv"

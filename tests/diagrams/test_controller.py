@@ -211,7 +211,7 @@ def no_system(scenario):
         (failing, "ZeroDivisionError: by hand"),
         (
             asking_itself,
-            "the function makes the controller that it is asked for; must make another",
+            "the function asks for its own controller; must build it, or ask for one of another",
         ),
         (no_system, "int is not a Drake system"),
         (without_command, "has an input port u of size 1; must be of encoder_reading (1)"),
