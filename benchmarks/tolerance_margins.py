@@ -144,8 +144,9 @@ def patch(recorder: Recorder) -> None:
     def approx_equals(self: Any, actual: Any) -> bool:
         result = equals(self, actual)
         if isinstance(actual, Number) and isinstance(self.expected, Number):
-            deviation, tolerance = abs(self.expected - actual), self.tolerance
-            if math.isfinite(deviation) and math.isfinite(tolerance):
+            deviation = abs(self.expected - actual)
+            # Relative to nan there is no tolerance.
+            if math.isfinite(deviation) and math.isfinite(tolerance := self.tolerance):
                 relative = deviation / abs(self.expected) if self.expected else deviation
                 share = deviation / tolerance if tolerance else float(deviation > 0.0)
                 kind = "approx" if share <= 1.0 else "approx, differs"

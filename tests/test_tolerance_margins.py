@@ -3,6 +3,8 @@
 import ast
 import importlib.util
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -36,6 +38,21 @@ def test_a_magnitude_below_a_bound_has_a_share_of_it(tool):
         "test_a.py:2": ("inequality", 0.5),
         "test_a.py:3": ("claim", 0.25),
     }
+
+
+@pytest.mark.slow  # starts pytest
+def test_a_comparison_with_nan_has_no_tolerance(tmp_path):
+    source = "import pytest\ndef test_x():\n    assert 1.1 == pytest.approx(1.0, rel=0.4)\n"
+    source += "    assert float('nan') == pytest.approx(float('nan'), nan_ok=True)\n"
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_a.py").write_text(source)
+    command = [sys.executable, TOOL, "run", "records", "-q", "tests"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert "1 passed" in result.stdout
+    shown = subprocess.run(
+        [sys.executable, TOOL, "show", "records"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert shown.stdout.startswith("1 tolerances in 1 tests")
 
 
 def test_an_inequality_that_fails_still_fails(tool):
