@@ -180,10 +180,9 @@ def patch(recorder: Recorder) -> None:
         rewrite_asserts(tree, source, path, *rest)
 
     rewrite.rewrite_asserts = rewrite_all
-    rewrite._read_pyc = lambda *_args, **_options: (
-        None
-    )  # ignore asserts that pytest rewrote in an earlier run
-    sys.dont_write_bytecode = True
+    # Neither read asserts that pytest rewrote in an earlier run, nor leave ours to a later one.
+    rewrite._read_pyc = lambda *_args, **_options: None
+    rewrite._write_pyc = lambda *_args, **_options: False
     import builtins
 
     builtins.__compare__ = recorder.compare  # type: ignore[attr-defined]

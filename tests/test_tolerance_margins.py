@@ -46,9 +46,11 @@ def test_a_comparison_with_nan_has_no_tolerance(tmp_path):
     source += "    assert float('nan') == pytest.approx(float('nan'), nan_ok=True)\n"
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests" / "test_a.py").write_text(source)
+    (tmp_path / "tests" / "conftest.py").write_text("import sys\nsys.dont_write_bytecode = False\n")
     command = [sys.executable, TOOL, "run", "records", "-q", "tests"]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert "1 passed" in result.stdout
+    assert not list(tmp_path.rglob("*.pyc"))  # a later pytest would find these asserts
     shown = subprocess.run(
         [sys.executable, TOOL, "show", "records"], cwd=tmp_path, capture_output=True, text=True
     )
