@@ -10,10 +10,10 @@ own, with
   UTF-16, or a name that is long or has control characters, where a command reads a file, or
 - a number or a name on the command line.
 
-A case runs `kneexo.cli.main` in a fork of this process, with limits of time and memory; one in a
-hundred is a process of its own. It must end with exit code 0 or 2. On failure it prints one short
-line of printable characters and leaves no new file. No number of a result is nan, and the samples
-of an undamaged CSV file arrive as they were written.
+A case runs the function `main` of kneexo in a fork of this process, with limits of time and memory;
+one in a hundred is a process of its own. It must end with exit code 0 or 2. On failure it prints
+one short line of printable characters and leaves no new file. No number of a result is nan; the
+samples of an undamaged CSV file arrive as they were written.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from typing import Any
 import numpy as np
 import yaml
 
-from kneexo.cli import main
-from kneexo.mechanism import points
+from kneexo.command_line.main import main
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.scenario_file import dump_scenario
+from kneexo.parameters.scenario_file import dump_scenario
 from kneexo.simulation import simulate
 from kneexo.view import page
 from kneexo.view.legs import SIGNALS
+from kneexo.view.mechanism import points
 
 LIMIT_S = 120.0  # long enough for a busy machine
 MEMORY_BYTES = 4 * 2**30
@@ -529,7 +529,7 @@ def warm_up() -> None:
     import kneexo.analysis
     import kneexo.export.firmware
     import kneexo.export.fmu
-    import kneexo.studies.bandwidth  # noqa: F401
+    import kneexo.studies.bandwidth.study  # noqa: F401
 
     for integrator in ("exact_hold", "radau3"):
         short = {"simulation.duration_s": 0.02, "simulation.integrator": integrator}

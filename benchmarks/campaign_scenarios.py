@@ -35,11 +35,11 @@ from kneexo.errors import (
 from kneexo.parameters import UNCERTAIN_KNEE, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters
-from kneexo.scenario_file import dump_scenario, load_scenario
+from kneexo.parameters.scenario_file import dump_scenario, load_scenario
 from kneexo.simulation.compiled import scenario_start, scenario_values
 from kneexo.simulation.engines import answers
 from kneexo.studies.paper import FIG_12, IDEAL_SMC
-from kneexo.studies.sliding import SLIDING_LAW
+from kneexo.studies.sliding.study import SLIDING_LAW
 
 FILE_LIMIT_S = 5.0
 RUN_LIMIT_S = 120.0  # the first run of a structure compiles it

@@ -41,7 +41,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from kneexo.compilation import Simulation
+from kneexo.compiler import Simulation
 from kneexo.diagrams import columns, make_closed_loop
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed

@@ -27,7 +27,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem_
 from pydrake.systems.primitives import Integrator
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from kneexo.compilation import compile_diagram
+from kneexo.compiler import compile_diagram
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.simulation import compile_scenario, scenario_run

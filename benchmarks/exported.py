@@ -15,9 +15,9 @@ import numpy as np
 from hand_written import c_compiler
 from numpy.typing import NDArray
 
-from kneexo.compilation.c_export import recorded_vectors, source_of
-from kneexo.compilation.c_source import CSource
-from kneexo.compilation.model import compile_diagram
+from kneexo.compiler.c.export import recorded_vectors, source_of
+from kneexo.compiler.c.source import CSource
+from kneexo.compiler.model import compile_diagram
 from kneexo.export.firmware import loop_inputs
 from kneexo.export.target import ENCODER_COUNT, Target, target
 from kneexo.parameters import Scenario

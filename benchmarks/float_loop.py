@@ -23,8 +23,8 @@ import numpy as np
 from exported import Loop, Replay, exported_source, replayed, without_kahan
 from pydrake.systems.primitives import DiscreteTimeIntegrator
 
-from kneexo.compilation.c_export import source_of
-from kneexo.compilation.model import compile_diagram
+from kneexo.compiler.c.export import source_of
+from kneexo.compiler.model import compile_diagram
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE

@@ -79,7 +79,7 @@ VARIANTS = {
     ),
     "haswell": Variant({"OPENBLAS_CORETYPE": "Haswell", "KNEEXO_CPU": "x86-64-v3"}),
     "skylake": Variant({"OPENBLAS_CORETYPE": "SkylakeX", "KNEEXO_CPU": "x86-64-v4"}),
-    "without fma": Variant({"KNEEXO_CPU": "x86-64-v2"}, ("tests/compilation", "tests/simulation")),
+    "without fma": Variant({"KNEEXO_CPU": "x86-64-v2"}, ("tests/compiler", "tests/simulation")),
     "elsewhere": Variant({SEED: "1"}, elsewhere=True),
     "load": Variant(load=True),
 }

@@ -25,9 +25,9 @@ from functools import partial
 import numpy as np
 
 from kneexo.analysis.assessment import assess
-from kneexo.compilation.cores import available_cores
+from kneexo.compiler.native.cores import available_cores
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
-from kneexo.studies.robustness import assess_plant, draw
+from kneexo.studies.robustness.study import assess_plant, draw
 from kneexo.sweeps import parallel_map
 
 REDUCED = {path: one for path, one in UNCERTAINTY.values.items() if path != "plant.full_order"}

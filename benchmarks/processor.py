@@ -24,7 +24,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from kneexo.compilation.c_export import files_of
+from kneexo.compiler.c.export import files_of
 from kneexo.export.firmware import make_firmware
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed

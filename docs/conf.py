@@ -28,7 +28,7 @@ from sphinx.util.inspect import signature, stringify_signature
 from sphinx.util.nodes import make_refnode
 
 import kneexo
-from kneexo.cli import main
+from kneexo.command_line.main import main
 from kneexo.parameters.quantity import (
     Parameters,
     allowed_range,
@@ -99,7 +99,7 @@ _startup.write_text(
     """\
 import warnings
 warnings.filterwarnings("error", module="__main__|kneexo|matplotlib|numpy|pydrake|scipy")
-from kneexo.compilation import machine_code
+from kneexo.compiler.native import machine_code
 machine_code.ANNOUNCED_AFTER_S = 1e6
 del machine_code, warnings
 """,
@@ -116,7 +116,7 @@ EXTERNAL = {
     *("RotaryEncoders", "PassThrough", "DiscreteTimeDelay", "VectorLogSink", "TrajectorySource"),
     *("Linearize", "ValueError", "TypeError", "SystemExit", "pydrake.math"),
     *("Expression", "FramePoseVector", "MeshcatVisualizer"),
-    *("kneexo.compilation.equations.T", "kneexo.simulation.coroutines.Result"),
+    *("kneexo.compiler.equations.reader.T", "kneexo.simulation.coroutines.Result"),
     *("control.StateSpace", "pandas.DataFrame", "concurrent.futures.Executor"),
 }
 

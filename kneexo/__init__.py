@@ -1,7 +1,7 @@
 """kneexo: a polycentric knee exoskeleton with electro-hydraulic actuator, on Drake.
 
 Subpackages, each of which knows only those before it: ``kneexo.parameters`` (every physical
-number), ``kneexo.systems`` (leaf systems), ``kneexo.diagrams`` (builders), ``kneexo.compilation``
+number), ``kneexo.systems`` (leaf systems), ``kneexo.diagrams`` (builders), ``kneexo.compiler``
 (diagrams as machine code), ``kneexo.simulation`` (one run), ``kneexo.sweeps`` (many runs),
 ``kneexo.analysis`` (measures of one scenario) and ``kneexo.studies`` (comparisons of many).
 ``kneexo.linkage`` has the four-bar mathematics as plain functions.
@@ -18,7 +18,7 @@ from kneexo.version import __version__ as __version__
 if TYPE_CHECKING:
     from pydrake.systems.framework import System
 
-    from kneexo.compilation import CompiledModel, DiagramModel
+    from kneexo.compiler import CompiledModel, DiagramModel
     from kneexo.parameters import Scenario
 
 
@@ -35,7 +35,7 @@ def compile(
 ) -> CompiledModel:
     """Compile the closed loop of a scenario or of a scenario file, or a diagram.
 
-    See `kneexo.simulation.compile_scenario` and `kneexo.compilation.compile_diagram`.
+    See `kneexo.simulation.compile_scenario` and `kneexo.compiler.compile_diagram`.
 
     Parameters
     ----------
@@ -53,10 +53,10 @@ def compile(
         a scenario, whose inputs follow from its reference.
     """
     # LLVM and Drake only when asked for.
-    from kneexo.compilation import compile_diagram
+    from kneexo.compiler import compile_diagram
     from kneexo.errors import CompilationError
     from kneexo.parameters import Scenario
-    from kneexo.scenario_file import load_scenario
+    from kneexo.parameters.scenario_file import load_scenario
     from kneexo.simulation import compile_scenario
 
     if isinstance(system, str | PathLike):

@@ -5,14 +5,14 @@ import sys
 
 
 def main() -> int:
-    """Run `kneexo.cli.main` and return its exit code; Ctrl-C outside it prints no traceback.
+    """Run the command line and return its exit code; Ctrl-C outside it prints no traceback.
 
     Modules of the working directory can be imported, as with ``python -m``.
     """
     if "" not in sys.path and not sys.flags.safe_path:
         sys.path.append("")  # last, so that a file there hides no installed module
     try:
-        from kneexo.cli import main as command
+        from kneexo.command_line.main import main as command
 
         return command()
     except KeyboardInterrupt:

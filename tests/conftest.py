@@ -30,7 +30,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from kneexo.compilation.cache import cache_directory
+from kneexo.compiler.native.cache import cache_directory
 
 # The tests start dozens of Pythons: none translates every module anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

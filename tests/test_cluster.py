@@ -20,20 +20,20 @@ from kneexo import __version__
 from kneexo.analysis import sinestream
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.frequency_response import SinestreamSettings
-from kneexo.cli import main
+from kneexo.command_line.main import main
+from kneexo.command_line.output import to_json
 from kneexo.errors import OutputError, WorkerError
-from kneexo.output import to_json
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
 from kneexo.parameters.paths import changed
-from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
-from kneexo.studies.bandwidth_figures import plot_bode
-from kneexo.studies.contest import ContestSettings, contest_study
-from kneexo.studies.controller import ControllerSettings, controller_study
-from kneexo.studies.order import OrderSettings, order_study
-from kneexo.studies.reproduce import reproduce_study
-from kneexo.studies.robustness import RobustnessSettings, assess_plant, draw, robustness_study
-from kneexo.studies.size import SizeSettings, size_study
-from kneexo.studies.sliding import SLIDING_LAW, SlidingSettings, sliding_study
+from kneexo.studies.bandwidth.figures import plot_bode
+from kneexo.studies.bandwidth.study import BandwidthSettings, bandwidth_study
+from kneexo.studies.contest.study import ContestSettings, contest_study
+from kneexo.studies.controller.study import ControllerSettings, controller_study
+from kneexo.studies.order.study import OrderSettings, order_study
+from kneexo.studies.reproduce.study import reproduce_study
+from kneexo.studies.robustness.study import RobustnessSettings, assess_plant, draw, robustness_study
+from kneexo.studies.size.study import SizeSettings, size_study
+from kneexo.studies.sliding.study import SLIDING_LAW, SlidingSettings, sliding_study
 from kneexo.sweeps import parallel, parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint
 from kneexo.sweeps.parallel import dask_cluster
@@ -372,7 +372,7 @@ def files_of_at_most(size):
 def test_a_full_disk_is_one_line_and_what_is_finished_stays(capsys, tmp_path, monkeypatch):
     # One figure is more than the room that is left, and is drawn faster than all.
     monkeypatch.setattr(
-        "kneexo.studies.bandwidth_figures.figures", lambda study: {"bode": plot_bode(study)}
+        "kneexo.studies.bandwidth.figures.figures", lambda study: {"bode": plot_bode(study)}
     )
     command = [*SMALL_MAP, "--workers", "1", "--json", "--out"]
     assert main([*command, str(tmp_path / "whole")]) == 0

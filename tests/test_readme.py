@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from kneexo.analysis import linearize_plant
-from kneexo.cli import main
+from kneexo.command_line.main import main
 from kneexo.parameters import Cia402Parameters, Scenario
-from kneexo.scenario_file import load_scenario
+from kneexo.parameters.scenario_file import load_scenario
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

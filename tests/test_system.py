@@ -9,7 +9,7 @@ from unittest.mock import Mock
 import pytest
 
 from kneexo import system
-from kneexo.cli import main
+from kneexo.command_line.main import main
 
 ROOT = Path(__file__).parents[1]
 REMEDY = "Debian, Ubuntu (as root): apt-get update && apt-get install -y"
@@ -68,14 +68,16 @@ def test_an_installation_lacks_venv_as_well(monkeypatch, capsys):
 
 def test_a_library_that_we_do_not_know_is_one_line_too(monkeypatch, capsys):
     text = "libx.so.1: cannot open shared object file: No such file or directory"
-    monkeypatch.setattr("kneexo.commands.params", Mock(side_effect=ImportError(text)))
+    monkeypatch.setattr("kneexo.command_line.commands.params", Mock(side_effect=ImportError(text)))
     assert main(["params"]) == 2
     told = "kneexo: this system lacks libx.so.1; install the package that has it\n"
     assert capsys.readouterr().err == told
 
 
 def test_another_import_error_is_raised(monkeypatch):
-    monkeypatch.setattr("kneexo.commands.params", Mock(side_effect=ImportError("no name 'x'")))
+    monkeypatch.setattr(
+        "kneexo.command_line.commands.params", Mock(side_effect=ImportError("no name 'x'"))
+    )
     with pytest.raises(ImportError, match="name 'x'"):
         main(["params"])
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kneexo.compilation.c_export import (
+from kneexo.compiler.c.export import (
     Measurement,
     Vectors,
     exported,
@@ -16,9 +16,9 @@ from kneexo.compilation.c_export import (
     source_of,
     write_folder,
 )
-from kneexo.compilation.c_source import CSource
-from kneexo.compilation.model import compile_diagram
-from kneexo.compilation.runner import Array
+from kneexo.compiler.c.source import CSource
+from kneexo.compiler.model import compile_diagram
+from kneexo.compiler.native.runner import Array
 from kneexo.errors import ParameterError
 from kneexo.export.target import ENCODER_COUNT, Target, require_step, target
 from kneexo.parameters import SampledReference, Scenario

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kneexo.compilation.c_export import source_of
-from kneexo.compilation.c_source import CSource
-from kneexo.compilation.fmu import VERSIONS, Fmu, Parameter, generation_tool
-from kneexo.compilation.model import compile_diagram
+from kneexo.compiler.c.export import source_of
+from kneexo.compiler.c.source import CSource
+from kneexo.compiler.fmu.fmu import VERSIONS, Fmu, Parameter, generation_tool
+from kneexo.compiler.model import compile_diagram
 from kneexo.diagrams.closed_loop import make_closed_loop
 from kneexo.errors import KneexoError, OutputError, ParameterError, shown
 from kneexo.export.target import Target, require_step, target

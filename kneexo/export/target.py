@@ -11,9 +11,9 @@ from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Gain
 
 from kneexo import linkage
-from kneexo.compilation.c_source import Interface
-from kneexo.compilation.model import compile_diagram
-from kneexo.compilation.step_size import rk4_step_s
+from kneexo.compiler.c.source import Interface
+from kneexo.compiler.c.step_size import rk4_step_s
+from kneexo.compiler.model import compile_diagram
 from kneexo.diagrams.closed_loop import add_encoder, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
 from kneexo.diagrams.signals import SIGNALS, available_signals

@@ -1,6 +1,6 @@
 """One run of a closed loop: by compiled equations or by Drake's Simulator.
 
-`compiled` makes structure, parameters and initial state of a scenario for `kneexo.compilation`;
+`compiled` makes structure, parameters and initial state of a scenario for `kneexo.compiler`;
 `drake` runs a diagram; `engines` chooses between both; `run` is the result of either.
 """
 

@@ -21,16 +21,16 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from kneexo.compilation.equations import Equations, Node, read_equations
-from kneexo.compilation.machine_code import MachineCode, equations_key
-from kneexo.compilation.model import (
+from kneexo.compiler.equations.reader import Equations, Node, read_equations
+from kneexo.compiler.model import (
     CompiledModel,
     parameters_of,
     set_parameters,
     state_of,
 )
-from kneexo.compilation.runner import STEP_S, TOLERANCE, Array, InputTable, State
-from kneexo.compilation.trajectories import input_table
+from kneexo.compiler.native.machine_code import MachineCode, equations_key
+from kneexo.compiler.native.runner import STEP_S, TOLERANCE, Array, InputTable, State
+from kneexo.compiler.trajectories import input_table
 from kneexo.diagrams.closed_loop import loop_values, make_closed_loop
 from kneexo.diagrams.controller import known_to_controller, make_controller
 from kneexo.diagrams.plant import plant_start, start_pressures_pa
@@ -51,8 +51,8 @@ from kneexo.systems.cylinder import PA_PER_MPA
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (
     *(
-        f"{folder}/*.py"
-        for folder in ("parameters", "systems", "diagrams", "compilation", "simulation")
+        f"{folder}/**/*.py"
+        for folder in ("parameters", "systems", "diagrams", "compiler", "simulation")
     ),
     "linkage.py",
 )

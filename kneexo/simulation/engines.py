@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from kneexo.compilation.model import DiagramModel, compile_diagram
+from kneexo.compiler.model import DiagramModel, compile_diagram
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.errors import KneexoError, ParameterError, StiffnessError
 from kneexo.parameters import Scenario
@@ -47,7 +47,7 @@ def answers(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | Kne
     The compiled engine gets the runs of each structure together; those in which the exact hold
     gives up follow, by RK4 with steps of 20 µs. No run depends on which others there are.
     """
-    from kneexo.compilation.runner import ROUGH_STEP_S
+    from kneexo.compiler.native.runner import ROUGH_STEP_S
 
     ways: dict[Any, list[int]] = {}
     for index, request in requests.items():

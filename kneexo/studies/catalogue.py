@@ -1,8 +1,8 @@
 """The studies of the command line, a row each.
 
-A study NAME is ``kneexo.studies.NAME`` with ``NAMESettings`` and ``NAME_study(scenario, …)``, whose
-result goes to ``NAME_report.report`` and ``NAME_figures.figures``. What the command line,
-``kneexo params`` and the tests know of studies, they read here.
+A study NAME is a folder ``kneexo/studies/NAME``. Its module ``study`` has ``NAMESettings`` and
+``NAME_study(scenario, …)``, ``report.report`` writes the result as Markdown, and
+``figures.figures`` draws it. The command line and the tests read this catalogue.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Study:
     @property
     def settings(self) -> type[Parameters]:
         """The class of its settings."""
-        settings_class: type[Parameters] = self._part("", f"{self.name.capitalize()}Settings")
+        settings_class: type[Parameters] = self._part("study", f"{self.name.capitalize()}Settings")
         return settings_class
 
     @property
@@ -64,7 +64,7 @@ class Study:
         study is `resumable` ``checkpoint`` and where it is `uncertain` ``uncertainty``. Its result
         has ``results()``.
         """
-        function: Callable[..., Any] = self._part("", f"{self.name}_study")
+        function: Callable[..., Any] = self._part("study", f"{self.name}_study")
         return function
 
     @property
@@ -75,23 +75,23 @@ class Study:
 
     def report(self, result: Any) -> str:
         """Markdown of a result."""
-        text: str = self._part("_report", "report")(result)
+        text: str = self._part("report", "report")(result)
         return text
 
     def figures(self, result: Any) -> dict[str, Figure]:
         """Pictures of a result, by name."""
-        pictures: dict[str, Figure] = self._part("_figures", "figures")(result)
+        pictures: dict[str, Figure] = self._part("figures", "figures")(result)
         return pictures
 
     def motions(self, result: Any) -> dict[str, Motion]:
         """Runs of a result that tell something in three dimensions, by name."""
         if not self.moving:
             return {}
-        runs: dict[str, Motion] = self._part("_figures", "motions")(result)
+        runs: dict[str, Motion] = self._part("figures", "motions")(result)
         return runs
 
-    def _part(self, suffix: str, name: str) -> Any:
-        return getattr(import_module(f"kneexo.studies.{self.name}{suffix}"), name)
+    def _part(self, module: str, name: str) -> Any:
+        return getattr(import_module(f"kneexo.studies.{self.name}.{module}"), name)
 
 
 STUDIES = {

@@ -3,5 +3,5 @@
 - `legs` takes a scenario or the files of an earlier run;
 - `page` makes one HTML file of them, with a time slider.
 
-A Drake simulation while it runs: `kneexo.diagrams.meshcat_view`.
+A Drake simulation while it runs: `kneexo.view.meshcat_view`.
 """

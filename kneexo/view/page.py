@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
 
-from kneexo.mechanism import (
+from kneexo.parameters import LinkageParameters
+from kneexo.version import __version__
+from kneexo.view.mechanism import (
     BARS,
     GHOST,
     ICR_COLOUR,
@@ -30,8 +32,6 @@ from kneexo.mechanism import (
     pressure_colours,
     shapes,
 )
-from kneexo.parameters import LinkageParameters
-from kneexo.version import __version__
 from kneexo.whole_file import require_mark, write_whole
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from kneexo.parameters import (
     SimulationParameters,
     SlidingModeParameters,
 )
-from kneexo.scenario_file import dump_scenario, load_scenario
+from kneexo.parameters.scenario_file import dump_scenario, load_scenario
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
 AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)

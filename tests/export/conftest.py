@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from kneexo.compilation import c_build
+from kneexo.compiler.c import build as c_build
 
 ROOT = Path(__file__).parents[2]
 

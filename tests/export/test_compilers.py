@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from pydrake.systems.primitives import Gain, Integrator, ZeroOrderHold
 
-from kneexo.compilation.c_export import files_of, source_of
-from kneexo.compilation.model import compile_diagram
+from kneexo.compiler.c.export import files_of, source_of
+from kneexo.compiler.model import compile_diagram
 from kneexo.export.firmware import make_firmware
 from kneexo.export.target import count_range, reference_range_rad
 from kneexo.parameters import Scenario

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import simulate
-from kneexo.cli import main
-from kneexo.compilation import c_build, c_export
+from kneexo.command_line.main import main
+from kneexo.compiler.c import build as c_build, export as c_export
 from kneexo.errors import ParameterError
 from kneexo.export import firmware
 from kneexo.export.firmware import loop_inputs, make_firmware

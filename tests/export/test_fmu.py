@@ -19,16 +19,16 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from kneexo.cli import main
-from kneexo.compilation import c_build
-from kneexo.compilation.fmu import generation_tool
+from kneexo.command_line.main import main
+from kneexo.command_line.parameter_list import parameter_rows
+from kneexo.compiler.c import build as c_build
+from kneexo.compiler.fmu.fmu import generation_tool
 from kneexo.diagrams import make_closed_loop, make_controller
 from kneexo.diagrams.signals import SIGNALS, available_signals, columns
 from kneexo.errors import OutputError, ParameterError
 from kneexo.export import fmu as exports
 from kneexo.export.fmu import export_fmu, parameter_effects
 from kneexo.export.target import WHAT, largest_step_s
-from kneexo.parameter_list import parameter_rows
 from kneexo.parameters import (
     CustomControllerParameters,
     FullCylinderParameters,
@@ -618,7 +618,7 @@ def test_a_damaged_archive_is_no_fmu(damage, tmp_path, monkeypatch):
     elif damage == "bad data":
         data[50:60] = bytes([255] * 10)
     else:
-        monkeypatch.setattr("kneexo.compilation.fmu._LONGEST_DESCRIPTION", 5000)
+        monkeypatch.setattr("kneexo.compiler.fmu.fmu._LONGEST_DESCRIPTION", 5000)
     assert generation_tool(bytes(data)) is None
 
 

@@ -17,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kneexo.compilation.c_export import recorded_vectors
-from kneexo.compilation.equations import Node
-from kneexo.compilation.model import parameters_of, state_of
+from kneexo.compiler.c.export import recorded_vectors
+from kneexo.compiler.equations.reader import Node
+from kneexo.compiler.model import parameters_of, state_of
 from kneexo.export.firmware import loop_inputs
 from kneexo.export.target import largest_step_s, target
 from kneexo.parameters import Scenario
@@ -27,7 +27,7 @@ from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY
 from kneexo.simulation import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
-from kneexo.studies.robustness import draw, realize
+from kneexo.studies.robustness.study import draw, realize
 
 RPM = 2.0 * math.pi / 60.0
 FULL_SPEED = 5000.0 * RPM

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from kneexo.compilation.equations import Node, read_equations
-from kneexo.compilation.machine_code import equations_key
-from kneexo.compilation.model import parameters_of, state_of
+from kneexo.compiler.equations.reader import Node, read_equations
+from kneexo.compiler.model import parameters_of, state_of
+from kneexo.compiler.native.machine_code import equations_key
 from kneexo.diagrams import SIGNALS, make_closed_loop
 from kneexo.errors import LinkageError, ParameterError, SimulationError
 from kneexo.parameters import (

@@ -10,14 +10,14 @@ import pytest
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
-from kneexo.cli import main
+from kneexo.command_line.main import main
 from kneexo.errors import ScenarioError, SimulationError
-from kneexo.mechanism import PINS, points, pressure_colours
 from kneexo.parameters import LINKAGES, Scenario
-from kneexo.scenario_file import load_scenario
+from kneexo.parameters.scenario_file import load_scenario
 from kneexo.simulation import simulate
-from kneexo.systems.knee_frames import poses
+from kneexo.view.knee_frames import poses
 from kneexo.view.legs import leg_of_results, leg_of_scenario
+from kneexo.view.mechanism import PINS, points, pressure_colours
 from kneexo.view.page import (
     FRAMES_PER_S,
     MARK,

@@ -1,0 +1,1 @@
+"""The command ``kneexo``: arguments, files, messages and pages of reports."""

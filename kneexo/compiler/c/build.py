@@ -1,0 +1,144 @@
+"""What compilers say of an exported model: differences on this machine, size on a target."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import CompilationError
+
+COMPILERS = ("cc", "gcc", "clang")
+"""Compilers for this machine, in the order in which they are looked for."""
+
+TARGETS = {
+    "Cortex-M4F": "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16",
+    "Cortex-M7": "-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-d16",
+}
+"""Options of arm-none-eabi-gcc for each target."""
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
+"""Flags of the C compiler; no contraction to fused operations, which round otherwise."""
+
+
+class BuildError(CompilationError):
+    """A compiler is missing or fails: nothing is known of the code."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Largest difference and largest value of each output over the test vectors."""
+
+    difference: dict[str, float]
+    largest: dict[str, float]
+    passed: bool
+
+
+@dataclass(frozen=True)
+class CodeSize:
+    """Bytes on a target, without those of the C library."""
+
+    flash: int
+    """Code and constants, parameters among them."""
+    stack: int
+    """Of a step: its own frame and those of all functions that it may call."""
+
+
+def replay(name: str, files: Mapping[str, str]) -> Replay:
+    """Build the harness for this machine and run it.
+
+    Raises `BuildError` without a compiler and when it does not build, `CompilationError` when the
+    harness does not reach its end.
+    """
+    compiler = _compiler()
+    if compiler is None:
+        raise BuildError(f"this machine has no C compiler ({', '.join(COMPILERS)})")
+    with _written(files) as folder:
+        _run(folder, compiler, *FLAGS, *_sources(files), "-o", "harness", "-lm")
+        done = _ended(folder, str(folder / "harness"))
+    rows = re.findall(r"^(\w+): difference (\S+), largest value (\S+)$", done.stdout, re.MULTILINE)
+    if not rows:
+        raise CompilationError(f"{name}: the harness printed no difference")
+    return Replay(
+        {field: float(difference) for field, difference, _ in rows},
+        {field: float(largest) for field, _, largest in rows},
+        done.returncode == 0,
+    )
+
+
+def shared_library(files: Mapping[str, str]) -> bytes | None:
+    """A shared library for this machine that shows only what is marked; None without a compiler.
+
+    Raises `CompilationError` when it does not build.
+    """
+    compiler = _compiler()
+    if compiler is None:
+        return None
+    options = ("-shared", "-fPIC", "-fvisibility=hidden", "-s")
+    with _written(files) as folder:
+        _run(folder, compiler, *FLAGS, *options, *_sources(files), "-o", "library.so", "-lm")
+        return (folder / "library.so").read_bytes()
+
+
+def _compiler() -> str | None:
+    return next(filter(None, map(shutil.which, COMPILERS)), None)
+
+
+def _sources(files: Mapping[str, str]) -> list[str]:
+    return sorted(file for file in files if file.endswith(".c"))
+
+
+def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
+    """Flash and stack on each of `TARGETS`; `BuildError` where arm-none-eabi-gcc gives none."""
+    compiler, size = map(shutil.which, ("arm-none-eabi-gcc", "arm-none-eabi-size"))
+    if compiler is None or size is None:
+        raise BuildError("this machine has no arm-none-eabi-gcc")
+    sizes = {}
+    for target, options in TARGETS.items():
+        with _written(files) as folder:
+            objects = []
+            for source in (f"{name}.c", f"{name}_params.c"):
+                flags = (*FLAGS, *options.split(), "-fstack-usage")
+                _run(folder, compiler, *flags, "-c", source)
+                objects.append(source.replace(".c", ".o"))
+            table = _run(folder, size, *objects).splitlines()[1:]
+            usage = (folder / f"{name}.su").read_text()
+        stack = {
+            line.split(":")[3].split("\t")[0]: int(line.split("\t")[1])
+            for line in usage.splitlines()
+        }
+        outside = (f"{name}_init", f"{name}_update_parameters", f"{name}_outputs")
+        sizes[target] = CodeSize(
+            sum(int(line.split()[0]) for line in table),
+            sum(bytes_ for function, bytes_ in stack.items() if function not in outside),
+        )
+    return sizes
+
+
+@contextmanager
+def _written(files: Mapping[str, str]) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="kneexo-") as folder:
+        for name, text in files.items():
+            Path(folder, name).write_text(text, encoding="utf-8")
+        yield Path(folder)
+
+
+def _run(folder: Path, *command: str) -> str:
+    done = _ended(folder, *command)
+    if done.returncode:
+        lines = done.stderr.splitlines() or ["no message"]
+        line = next((line for line in lines if "error" in line.lower()), lines[0])
+        raise BuildError(f"{Path(command[0]).name}: {line.strip()}")
+    return done.stdout
+
+
+def _ended(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise BuildError(f"{Path(command[0]).name}: {error.strerror}") from None

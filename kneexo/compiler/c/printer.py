@@ -1,0 +1,285 @@
+"""Nodes of a graph as C99 statements, in double or single precision."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+import unicodedata
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..equations.graph import COMPARISONS, SOURCES, UNARY, Graph
+from ..equations.reader import Section
+from ..errors import CompilationError
+
+WIDTH = 96
+"""Longest line of C."""
+
+_LONGEST_EXPRESSION = 160
+_CONDITIONS = (*COMPARISONS, "and", "or", "not")
+_LOGIC = {"and": " && ", "or": " || "}
+_FUNCTIONS = {"abs": "fabs", "power": "pow", "atan2": "atan2"} | {
+    name: name for name in UNARY if name != "abs"
+}
+
+Load = Callable[[str, int], str]
+"""C text of an element of a source (`graph.SOURCES`), or of a ``constant`` of `CPrinter.fixed`."""
+
+
+@dataclass(frozen=True)
+class Precision:
+    """A floating-point type of C."""
+
+    name: str
+    suffix: str
+    """Of literals and of functions of the C library."""
+    largest: float
+    smallest: float
+    """Smallest normal number."""
+    round: Callable[[float], np.floating]
+
+
+DOUBLE = Precision("double", "", 1.7976931348623157e308, 2.2250738585072014e-308, np.float64)
+"""C's ``double``: 64 bits."""
+FLOAT = Precision("float", "f", 3.4028234663852886e38, 1.1754943508222875e-38, np.float32)
+"""C's ``float``: 32 bits."""
+PRECISIONS = {precision.name: precision for precision in (DOUBLE, FLOAT)}
+"""Each precision by its name in C."""
+
+
+def literal(value: float, precision: Precision, what: str = "a constant") -> str:
+    """A number as C text; `CompilationError` where the type cannot hold it."""
+    if not math.isfinite(value):
+        raise CompilationError(f"{what} = {value}: must be finite")
+    if value != 0.0 and not precision.smallest <= abs(value) <= precision.largest:
+        raise CompilationError(
+            f"{what} = {value:g}: lies outside {precision.smallest:g} … {precision.largest:g}, "
+            f"what a normal {precision.name} holds"
+        )
+    text = np.format_float_scientific(precision.round(value), trim="0")
+    plain = np.format_float_positional(precision.round(value), trim="0")
+    return (plain if len(plain) <= len(text) else text) + precision.suffix
+
+
+@dataclass
+class CPrinter:
+    """Prints what a function computes; what depends on parameters alone is computed before."""
+
+    graph: Graph
+    precision: Precision
+    sections: Sequence[Section]
+    """In whose order statements come, each under a comment."""
+    fixed: dict[int, int] = field(default_factory=dict)
+    """Nodes that depend on parameters alone, with their number among the constants."""
+    tables: dict[int, int] = field(default_factory=dict)
+    """Nodes that are looked up, with the number of their table."""
+    functions: set[str] = field(default_factory=set)
+    """Functions of the C library that some block calls."""
+    operations: Counter[str] = field(default_factory=Counter)
+    """What all blocks so far do: operators, and functions by their names."""
+
+    def collect_fixed(self, roots: Iterable[int]) -> None:
+        """Find what of ``roots`` is worth computing once: it is fixed, but more than a load."""
+        graph, roots = self.graph, list(roots)
+        used, kept = set(roots), []
+        for node in reversed(graph.reachable(roots)):
+            if node not in used:
+                continue
+            kind = graph.nodes[node][0]
+            if graph.is_fixed(node) and kind not in (*_CONDITIONS, *SOURCES):
+                kept.append(node)
+            elif node not in self.tables:
+                used.update(graph.arguments(node))
+        self.fixed = {node: number for number, node in enumerate(reversed(kept))}
+
+    def block(
+        self,
+        targets: Sequence[tuple[str, int]],
+        load: Load,
+        *,
+        fixed: Mapping[int, int] | None = None,
+        indent: str = "    ",
+    ) -> list[str]:
+        """Statements that compute nodes and assign each to its target."""
+        constants = self.fixed if fixed is None else fixed
+        loads = {node: ("constant", number) for node, number in constants.items()}
+        loads |= {node: ("table", number) for node, number in self.tables.items()}
+        return _Block(self, load, loads, indent).lines(targets)
+
+
+class _Block:
+    def __init__(
+        self, printer: CPrinter, load: Load, loads: Mapping[int, tuple[str, int]], indent: str
+    ) -> None:
+        """``loads``: nodes that are not computed here, and what to load for them."""
+        self.printer, self.graph, self.load, self.loads = printer, printer.graph, load, loads
+        self.real = printer.precision
+        self.indent = indent
+        self.names: dict[int, str] = {}
+        self.text: dict[int, str] = {}
+
+    def lines(self, targets: Sequence[tuple[str, int]]) -> list[str]:
+        needed = self._reachable([node for _, node in targets])
+        uses = Counter(node for _, node in targets)
+        for node in needed:
+            uses.update(self._arguments(node))
+        lines: list[str] = []
+        waiting, unset = set(needed), list(targets)
+        for section in self.printer.sections:
+            within = sorted(waiting & self._reachable(section.nodes))
+            waiting.difference_update(within)
+            inside = [target for target in unset if target[1] in section.nodes]
+            unset = [target for target in unset if target not in inside]
+            statements = self._statements(within, uses) + self._assignments(inside)
+            if statements:
+                lines += comment_lines(f"{section.where}. {section.equation}", self.indent)
+            lines += statements
+        return lines + self._statements(sorted(waiting), uses) + self._assignments(unset)
+
+    def _statements(self, nodes: Sequence[int], uses: Counter[int]) -> list[str]:
+        """Computation of nodes that are used several times, or are long."""
+        lines = []
+        for node in nodes:
+            text = self._expression(node)
+            simple = not self._arguments(node)
+            if simple or (uses[node] == 1 and len(text) < _LONGEST_EXPRESSION):
+                self.text[node] = text
+                continue
+            condition = self.graph.nodes[node][0] in _CONDITIONS
+            name = f"{'is' if condition else 'v'}{len(self.names)}"
+            self.names[node] = self.text[node] = name
+            kind = "bool" if condition else "real"
+            lines.append(self._line(f"const {kind} {name} = {self._bare(text)};"))
+        return lines
+
+    def _assignments(self, targets: Sequence[tuple[str, int]]) -> list[str]:
+        return [self._line(f"{place} = {self._bare(self.text[node])};") for place, node in targets]
+
+    def _arguments(self, node: int) -> tuple[int, ...]:
+        return () if node in self.loads else self.graph.arguments(node)
+
+    def _reachable(self, roots: Iterable[int]) -> set[int]:
+        return set(self.graph.reachable(roots, self._arguments))
+
+    def _line(self, text: str) -> str:
+        return "\n".join(
+            textwrap.wrap(
+                text,
+                WIDTH,
+                initial_indent=self.indent,
+                subsequent_indent=f"{self.indent}    ",
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+        )
+
+    @staticmethod
+    def _bare(text: str) -> str:
+        """An expression without the parentheses around the whole."""
+        if not (text.startswith("(") and text.endswith(")")):
+            return text
+        depth = 0
+        for place, character in enumerate(text):
+            depth += (character == "(") - (character == ")")
+            if depth == 0:
+                return text[1:-1] if place == len(text) - 1 else text
+        return text
+
+    def _count(self, operation: str, times: int = 1) -> None:
+        self.printer.operations[operation] += times
+
+    def _expression(self, node: int) -> str:
+        if node in self.loads:
+            return self.load(*self.loads[node])
+        kind, *rest = self.graph.nodes[node]
+        kind = str(kind)
+        if kind == "constant":
+            text = literal(float(rest[0]), self.real)
+            return f"({text})" if text.startswith("-") else text
+        if kind in SOURCES:
+            return self.load(kind, int(rest[0]))
+        arguments = self.graph.arguments(node)
+        a = [self.text[argument] for argument in arguments]
+        if kind == "add":
+            return self._sum(arguments)
+        if kind == "multiply":
+            return self._product(node)
+        if kind == "divide":
+            self._count("/")
+            return f"({a[0]} / {a[1]})"
+        if kind in COMPARISONS:
+            self._count("compare")
+            return f"({a[0]} {COMPARISONS[kind]} {a[1]})"
+        if kind in _LOGIC:
+            return f"({_LOGIC[kind].join(a)})"
+        if kind == "not":
+            return f"(!{a[0]})"
+        if kind == "where":
+            self._count("choose")
+            return f"({a[0]} ? {a[1]} : {a[2]})"
+        if kind in ("min", "max"):
+            # As std::min and std::max: the first where one is not a number.
+            self._count(kind)
+            return f"{kind}imum({a[0]}, {a[1]})"
+        name = f"{_FUNCTIONS[kind]}{self.real.suffix}"
+        self._count(name)
+        self.printer.functions.add(name)
+        return f"{name}({', '.join(map(self._bare, a))})"
+
+    def _sum(self, terms: Sequence[int]) -> str:
+        self._count("+", len(terms) - 1)
+        text = ""
+        for term in terms:
+            minus = self._negated(term)
+            value = self.text[term] if minus is None else minus
+            sign = "" if minus is None else "-"
+            text += f" {sign or '+'} {value}" if text else f"{sign}{value}"
+        return f"({text})"
+
+    def _negated(self, node: int) -> str | None:
+        """Text of -x, for a product with the factor -1 that has no name yet."""
+        kind, *_ = self.graph.nodes[node]
+        text = self.text[node]
+        return text[2:-1] if kind == "multiply" and text.startswith("(-") else None
+
+    def _product(self, node: int) -> str:
+        negative, factors = False, []
+        for argument in self.graph.arguments(node):
+            if self.graph.value(argument) == -1.0:
+                negative = not negative
+            else:
+                factors.append(self.text[argument])
+        self._count("*", max(len(factors) - 1, 0))
+        product = " * ".join(factors) or literal(1.0, self.real)
+        if negative:
+            return f"(-{product})" if len(factors) < 2 else f"(-({product}))"
+        return f"({product})" if len(factors) > 1 else product
+
+
+def comment_lines(text: str, indent: str = "") -> list[str]:
+    """Text as a comment of C, in ASCII: Greek letters become their names."""
+    text = re.sub(r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)", " ", plain_line(text))
+    return textwrap.wrap(
+        f"/* {text} */", WIDTH, initial_indent=indent, subsequent_indent=f"{indent} * "
+    )
+
+
+def plain_line(text: str) -> str:
+    """Text in a single line of ASCII that no file takes for anything but text."""
+
+    def plain(character: str) -> str:
+        if character.isascii():
+            return character if character.isprintable() else "-"
+        name = unicodedata.name(character, "?")
+        if name.startswith("GREEK"):
+            letter = name.rpartition("LETTER ")[2].partition(" ")[0].lower()
+            return letter.replace("lamda", "lambda")  # Unicode spells it so
+        base = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
+        return base or "-"
+
+    words = "".join(map(plain, " ".join(text.split()))).split()
+    return " ".join(words).replace("\\", "/")  # no splice of lines

@@ -1,0 +1,179 @@
+"""A compiled model as a leaf system, for Drake's Simulator, loggers and Meshcat."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
+
+from .native.runner import (
+    STEP_S,
+    TOLERANCE,
+    Array,
+    InputTable,
+    Runner,
+    State,
+    element_name,
+    not_finite,
+)
+from .native.time_loop import OK, OUTPUT_NOT_FINITE
+
+if TYPE_CHECKING:
+    from .model import CompiledModel
+
+
+class CompiledSystem(LeafSystem):
+    """A compiled model that advances by one tick in each discrete update.
+
+    Ports: the open inputs of the model, held over a tick, and its outputs, under their own names.
+    Numeric parameters: ``model.parameter_names``. Discrete state: x and d of the model. The tick is
+    the model's sample time, or the longest that divides all of them.
+
+    As in every discrete system the state changes right after an update: at the ticks, outputs and
+    logs are those of the diagram that was compiled, and in between they are those of the next tick.
+    An input that a discrete system drives arrives one tick later, for an update sees what was
+    before it: compile that system too.
+    What the integrator remembers is a cache entry, so a run agrees with another one that started
+    from its state within the tolerance.
+    """
+
+    def __init__(
+        self,
+        model: CompiledModel,
+        parameters: Array,
+        state: State,
+        *,
+        integrator: str = "exact_hold",
+        step_s: float = STEP_S,
+        tolerance: float = TOLERANCE,
+        tick_s: float | None = None,
+    ) -> None:
+        """``parameters`` and ``state``: defaults, before the initialization events of the diagram,
+        which this system has too. ``integrator``, ``step_s`` and ``tolerance`` as in
+        `CompiledModel.simulate`, whose errors each update raises. ``tick_s``: a shorter tick;
+        needed for a model without sample time, else `ValueError`.
+        """
+        if tick_s is None and not model.sample_times_s:
+            raise ValueError("tick_s is needed: the model has no sample time")
+        if tick_s is not None and not 0.0 < tick_s < math.inf:
+            raise ValueError(f"tick_s = {tick_s} s: must be finite and > 0")
+        super().__init__()
+        self.model = model
+        self._options: dict[str, Any] = {
+            "integrator": integrator,
+            "step_s": step_s,
+            "tolerance": tolerance,
+            "record_period_s": tick_s,
+        }
+        self._tick = Runner(model, **self._options).timing.tick
+        self.DeclareNumericParameter(BasicVector(np.asarray(parameters, dtype=float)))
+        self.DeclareDiscreteState(np.concatenate((state.continuous, state.held)))
+        for name, size in model.inputs.items():
+            self.DeclareVectorInputPort(name, size)
+        self._running = self.DeclareCacheEntry(
+            "runner",
+            ValueProducer(lambda: Value[object](), self._make_runner),
+            {self.all_parameters_ticket()},
+        )
+        of_state = {self.time_ticket(), self.all_state_ticket(), self.all_parameters_ticket()}
+        entries = [
+            self.DeclareCacheEntry(
+                "outputs", ValueProducer(lambda: Value[object](), partial(self._record, used)), by
+            )
+            for used, by in ((False, of_state), (True, of_state | {self.all_input_ports_ticket()}))
+        ]
+        self._size, self._width = len(model.state_names), sum(model.outputs.values())
+        first = 0
+        for name, size in model.outputs.items():
+            entry = entries[name in model.feedthrough]
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                partial(self._copy_output, name, entry, slice(first, first + size)),
+                {entry.ticket()},
+            )
+            first += size
+        self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
+        self.DeclarePeriodicDiscreteUpdateEvent(self._tick, 0.0, self._advance)
+
+    def _make_runner(self, context: Any, value: Any) -> None:
+        parameters = self.model.checked_parameters(context.get_numeric_parameter(0).value()[None])
+        value.set_value(_Running(self, parameters))
+
+    def _state(self, context: Any) -> Array:
+        """A copy of the discrete state: x and d of the model."""
+        values: Array = context.get_discrete_state(0).CopyToVector()
+        return values
+
+    def _inputs(self, context: Any) -> InputTable:
+        if not self.model.inputs:
+            return self.model.no_inputs
+        ports = (self.get_input_port(i).Eval(context) for i in range(self.num_input_ports()))
+        return InputTable(np.empty(0), np.concatenate(list(ports))[None, :, None])
+
+    def _initialize(self, context: Any, discrete_state: Any) -> None:
+        values = self._state(context)
+        before = State(values[: self._size], values[self._size :])
+        parameters = context.get_numeric_parameter(0).CopyToVector()
+        state = self.model.initialized(parameters, before, self._inputs(context))
+        discrete_state.set_value(0, np.concatenate((state.continuous, state.held)))
+
+    def _advance(self, context: Any, discrete_state: Any) -> None:
+        tick = round(context.get_time() / self._tick)
+        running = self._running.Eval(context)
+        values = running.advanced(self._state(context), tick, self._inputs(context))
+        discrete_state.set_value(0, values)
+
+    def _record(self, with_inputs: bool, context: Any, value: Any) -> None:
+        tick = math.ceil(context.get_time() / self._tick - 1e-9)
+        inputs = self._inputs(context) if with_inputs else self.model.no_inputs
+        value.set_value(self._running.Eval(context).outputs(self._state(context), tick, inputs))
+
+    @staticmethod
+    def _copy_output(name: str, entry: Any, part: slice, context: Any, output: Any) -> None:
+        values = entry.Eval(context)[part]
+        finite = np.isfinite(values)
+        if not finite.all():
+            element = int(np.argmin(finite))
+            raise not_finite(context.get_time(), element_name(name, element, values.size))
+        output.set_value(values)
+
+
+class _Running:
+    """A runner with the parameters of a Context, and memory for its state and outputs."""
+
+    def __init__(self, system: CompiledSystem, parameters: Array) -> None:
+        self._system, self._parameters = system, parameters
+        self._runner = Runner(system.model, **system._options).restart(parameters)
+        self._x, self._d = np.empty((system._size, 1)), np.empty((len(system.model.held_names), 1))
+        self._last = np.zeros(1, dtype=np.int64)
+        self._outputs = np.empty((1, system._width, 1))
+        self._runner.bind(self._x, self._d, self._last, self._outputs)
+
+    def __deepcopy__(self, memo: Any) -> _Running:
+        """A new one, with the memory empty: Drake copies cache entries with a Context."""
+        return _Running(self._system, self._parameters)
+
+    def advanced(self, state: Array, tick: int, inputs: InputTable) -> Array:
+        """The state a tick later; raises what `CompiledModel.simulate` raises."""
+        self._run(state, tick, tick + 1, 0, inputs)
+        return np.concatenate((self._x[:, 0], self._d[:, 0]))
+
+    def outputs(self, state: Array, tick: int, inputs: InputTable) -> Array:
+        """All outputs, one after the other."""
+        self._run(state, tick, tick, 1, inputs)
+        return self._outputs[0, :, 0].copy()
+
+    def _run(self, state: Array, first: int, last: int, rows: int, inputs: InputTable) -> None:
+        size = self._system._size
+        self._x[:, 0], self._d[:, 0], self._last[0] = state[:size], state[size:], last
+        status = self._runner.go(first, last, rows, [inputs])
+        # Reading a port raises the error of an output that is not finite; nobody may read it.
+        if status[0, 0] not in (OK, OUTPUT_NOT_FINITE):
+            model, timing = self._system.model, self._runner.timing
+            after = State(self._x[:, 0].copy(), self._d[:, 0].copy())
+            raise model.fault(status[0].tolist(), timing, self._parameters[0], after)

@@ -1,0 +1,1 @@
+"""Equations of a Drake diagram, as one graph."""

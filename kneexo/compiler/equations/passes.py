@@ -1,0 +1,323 @@
+"""What of a diagram's equations becomes machine code, and in which form.
+
+`Program` rewrites the graph of `Equations` for speed: products by fixed factors are put together,
+what depends on parameters alone is computed once a run, and functions of one whole number, such as
+an encoder count, are kept in a table. The rewriting changes last bits; what is compared or rounded
+to a whole number keeps its form, so decisions stay as Drake makes them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from .graph import COMPARISONS, SOURCES, Graph
+from .reader import Equations
+
+ALWAYS = ("always", 0)
+"""Condition of a group that is computed at every instant."""
+
+Place = tuple[str, int]
+"""Where a value goes: ``margin``, ``after`` (a discrete state) or ``output``, and its index."""
+
+_ROUNDINGS = ("floor", "ceil")
+_TERMS = 6  # of the longest sum that a fixed factor is distributed over
+_LARGE = 10  # cost of an operation that is not a sum or a product
+_WORTHWHILE = 30  # cost beyond which a look-up is faster
+
+
+@dataclass(frozen=True)
+class Group:
+    """Nodes that are computed under one condition, each with the place of its value."""
+
+    condition: tuple[str, int]
+    """`ALWAYS`, ``update`` (the sample period that fires) or ``wanted`` (the output port)."""
+    targets: tuple[tuple[Place, int], ...]
+
+
+@dataclass(frozen=True)
+class Memo:
+    """Nodes whose values follow from one whole number, the value of the node ``count``."""
+
+    count: int
+    nodes: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names and sizes of a compiled model: all that a run must know besides the machine code."""
+
+    parameters: tuple[str, ...]
+    states: tuple[str, ...]
+    held: tuple[str, ...]
+    inputs: tuple[tuple[str, int], ...]
+    """Input ports that stay open, with their sizes."""
+    outputs: tuple[tuple[str, int], ...]
+    """Output ports with their sizes."""
+    feedthrough: tuple[str, ...]
+    """Output ports whose value depends on an open input at once."""
+    periods: tuple[tuple[float, float], ...]
+    """Sample periods and their offsets in s."""
+    limits: tuple[str, ...]
+    """Paths of the systems that stop a run when their margin falls below zero."""
+    constants: int
+    """Number of values that depend on parameters alone."""
+    memos: tuple[int, ...]
+    """Number of values in a line of each table of whole-number functions."""
+
+    @property
+    def input_count(self) -> int:
+        """Elements of all open inputs."""
+        return sum(size for _, size in self.inputs)
+
+    def plain(self) -> dict[str, Any]:
+        """The same as plain JSON data."""
+        return asdict(self)
+
+    @classmethod
+    def from_plain(cls, data: dict[str, Any]) -> Layout:
+        """The layout of such data."""
+
+        def tuples(value: Any) -> Any:
+            return tuple(map(tuples, value)) if isinstance(value, list | tuple) else value
+
+        return cls(**{name: tuples(value) for name, value in data.items()})
+
+
+class Program:
+    """Nodes of one graph, ready to be printed: each list belongs to one function of the code."""
+
+    def __init__(self, equations: Equations) -> None:
+        self.equations = equations
+        self.graph = graph = equations.graph
+        self.size = len(equations.states)
+        rows = graph.gradients(equations.derivatives)
+        elements = [
+            (column * self.size + row, node)
+            for row, gradient in enumerate(rows)
+            for column, node in gradient.items()
+        ]
+        nodes = regrouped(graph, [node for _, node in elements])
+        self.jacobian = [(at, node) for (at, _), node in zip(elements, nodes, strict=True)]
+        """Places, column by column, and nodes of the elements of df/dx that are not zero."""
+        self.derivatives = regrouped(graph, equations.derivatives)
+        self.initial_held = equations.initial_held
+        self.groups = self._groups()
+        self.instant = [node for group in self.groups for _, node in group.targets]
+        self.hoisted = self._hoisted()
+        """Nodes that depend on parameters alone, with their number among the constants."""
+        self.memos = self._memos()
+        self.deciding = _deciding(graph, graph.reachable(self._roots()))
+        """Nodes that are compared or rounded to a whole number, and what is behind them."""
+
+    @property
+    def layout(self) -> Layout:
+        """Names and sizes."""
+        equations, graph = self.equations, self.graph
+        return Layout(
+            parameters=tuple(equations.parameters),
+            states=tuple(equations.states),
+            held=tuple(equations.held),
+            inputs=tuple(equations.inputs.items()),
+            outputs=tuple((port, len(nodes)) for port, nodes in equations.outputs.items()),
+            feedthrough=tuple(
+                port
+                for port, nodes in equations.outputs.items()
+                if any("input" in graph.depends[node] for node in nodes)
+            ),
+            periods=tuple((update.period_s, update.offset_s) for update in equations.updates),
+            limits=tuple(limit.system for limit in equations.limits),
+            constants=len(self.hoisted),
+            memos=tuple(len(memo.nodes) for memo in self.memos),
+        )
+
+    def _groups(self) -> list[Group]:
+        """What is computed at an instant: margins, updates, outputs."""
+        equations = self.equations
+        groups = [
+            Group(
+                ALWAYS,
+                tuple((("margin", i), limit.margin) for i, limit in enumerate(equations.limits)),
+            )
+        ]
+        for number, update in enumerate(equations.updates):
+            # With one sample period nearly every instant updates: share freely.
+            condition = ALWAYS if len(equations.updates) == 1 else ("update", number)
+            groups.append(Group(condition, tuple((("after", i), n) for i, n in update.values)))
+        first = 0
+        for number, nodes in enumerate(equations.outputs.values()):
+            targets = tuple((("output", first + i), node) for i, node in enumerate(nodes))
+            groups.append(Group(("wanted", number), targets))
+            first += len(nodes)
+        faster = iter(regrouped(self.graph, [n for group in groups for _, n in group.targets]))
+        return [
+            Group(group.condition, tuple((place, next(faster)) for place, _ in group.targets))
+            for group in groups
+        ]
+
+    def _roots(self) -> list[int]:
+        elements = [node for _, node in self.jacobian]
+        return [*self.derivatives, *self.initial_held, *self.instant, *elements]
+
+    def _hoisted(self) -> dict[int, int]:
+        graph, roots = self.graph, self._roots()
+        used = set(roots)
+        fixed = []  # numbers: a condition is computed where it is used
+        for node in reversed(graph.reachable(roots)):
+            condition = graph.nodes[node][0] in _CONDITIONS
+            if not graph.is_fixed(node) or (node in used and condition):
+                used.update(graph.arguments(node))
+            elif node in used and graph.value(node) is None:
+                fixed.append(node)
+        return {node: number for number, node in enumerate(reversed(fixed))}
+
+    def _memos(self) -> tuple[Memo, ...]:
+        """Nodes of an instant that one rounded value decides, and that cost more than a look-up.
+
+        Of such nodes only those are kept that something else uses.
+        """
+        graph = self.graph
+        free = frozenset("*")  # depends on what is no rounded value
+        of: dict[int, frozenset[Any]] = {}
+        cost: dict[int, int] = {}
+        nodes = graph.reachable(self.instant)
+        for node in nodes:
+            kind, arguments = graph.nodes[node][0], graph.arguments(node)
+            cost[node] = 0
+            if graph.is_fixed(node):
+                of[node] = frozenset()
+            elif kind in SOURCES:
+                of[node] = free
+            else:
+                of[node] = frozenset().union(*(of[argument] for argument in arguments))
+                if kind in _ROUNDINGS and free <= of[node]:
+                    of[node] = frozenset([node])
+                else:
+                    operation = 1 if kind in ("add", "multiply") else _LARGE
+                    cost[node] = operation + sum(cost[argument] for argument in arguments)
+
+        def decided(node: int) -> bool:
+            return len(of[node]) == 1 and not free <= of[node] and cost[node] > _WORTHWHILE
+
+        users = [(root, frozenset[Any]()) for root in self.instant]
+        users += [(argument, of[node]) for node in nodes for argument in graph.arguments(node)]
+        kept: dict[int, set[int]] = {}
+        for node, by in users:
+            if decided(node) and by != of[node] and graph.nodes[node][0] not in _CONDITIONS:
+                (count,) = of[node]
+                kept.setdefault(count, set()).add(node)
+        return tuple(Memo(count, tuple(sorted(kept[count]))) for count in sorted(kept))
+
+
+_CONDITIONS = (*COMPARISONS, "and", "or", "not")
+
+
+# ------------------------------------------------------------------------------- regrouping
+
+_Sum = tuple[dict[int, int], int | None]
+"""A sum: the fixed factor of each term, and a fixed term."""
+
+
+def regrouped(graph: Graph, roots: Sequence[int]) -> list[int]:
+    """The same values from fewer operations that are not fixed.
+
+    Quotients by what is fixed become products, fixed factors and fixed terms go together and into
+    the sums that they multiply, fourth powers become squares of squares.
+    """
+    return _Regrouping(graph, roots).roots
+
+
+class _Regrouping:
+    def __init__(self, graph: Graph, roots: Sequence[int]) -> None:
+        self.graph = graph
+        nodes = graph.reachable(roots)
+        self.kept = _deciding(graph, nodes)
+        self.uses = Counter(argument for node in nodes for argument in graph.arguments(node))
+        self.uses.update(roots)
+        self.sums: dict[int, _Sum] = {}  # new nodes with a single use, as sums
+        self.new: dict[int, int] = {}
+        for node in nodes:
+            self.new[node] = self._rewritten(node)
+        self.roots = [self.new[root] for root in roots]
+
+    def _rewritten(self, node: int) -> int:
+        graph = self.graph
+        kind, *_ = graph.nodes[node]
+        if kind in SOURCES:
+            return node
+        a = [self.new[argument] for argument in graph.arguments(node)]
+        if node not in self.kept and not all(map(graph.is_fixed, a)):
+            if kind == "divide" and graph.is_fixed(a[1]):
+                reciprocal = graph.operation("divide", graph.one, a[1])
+                return self._product(node, [reciprocal, a[0]])
+            if kind == "multiply":
+                return self._product(node, a)
+            if kind == "add":
+                return self._sum(node, a)
+        return graph.operation(kind, *a)
+
+    def _product(self, node: int, factors: list[int]) -> int:
+        graph = self.graph
+        fixed = [k for k in factors if graph.is_fixed(k)]
+        rest = [k for k in factors if not graph.is_fixed(k)]
+        if len(fixed) > 1:
+            fixed = [graph.operation("multiply", *fixed)]
+        if fixed and len(rest) == 1:
+            terms, term = self.sums.get(rest[0], ({rest[0]: graph.one}, None))
+            if sum(factor == graph.one for factor in terms.values()) <= 1:
+                scaled = {k: self._times(factor, fixed[0]) for k, factor in terms.items()}
+                total = scaled, None if term is None else self._times(term, fixed[0])
+                return self._noted(node, total)
+        for k, count in Counter(rest).items():
+            if count == 4:
+                square = graph.operation("multiply", k, k)
+                rest = [*(other for other in rest if other != k), square, square]
+        return graph.operation("multiply", *fixed, *rest)
+
+    def _sum(self, node: int, terms: list[int]) -> int:
+        graph = self.graph
+        total: dict[int, int] = {}
+        fixed: int | None = None
+        for k in terms:
+            if graph.is_fixed(k):
+                fixed = self._plus(fixed, k)
+                continue
+            inner, term = self.sums.get(k, ({k: graph.one}, None))
+            fixed = fixed if term is None else self._plus(fixed, term)
+            for inner_node, factor in inner.items():
+                total[inner_node] = self._plus(total.get(inner_node), factor)
+        return self._noted(node, (total, fixed))
+
+    def _noted(self, node: int, total: _Sum) -> int:
+        """The node of a sum, which stays open when a single other node uses it."""
+        graph = self.graph
+        terms, fixed = total
+        parts = [] if fixed is None else [fixed]
+        parts += [
+            k if factor == graph.one else graph.operation("multiply", factor, k)
+            for k, factor in terms.items()
+        ]
+        new = parts[0] if len(parts) == 1 else graph.operation("add", *parts)
+        if self.uses[node] == 1 and len(terms) <= _TERMS:
+            self.sums[new] = total
+        return new
+
+    def _plus(self, a: int | None, b: int) -> int:
+        return b if a is None else self.graph.operation("add", a, b)
+
+    def _times(self, a: int, b: int) -> int:
+        graph = self.graph
+        return b if a == graph.one else a if b == graph.one else graph.operation("multiply", a, b)
+
+
+def _deciding(graph: Graph, nodes: Iterable[int]) -> set[int]:
+    """Nodes that are compared or rounded to a whole number, and the exact operations behind."""
+    kept: set[int] = set()
+    for node in sorted(nodes, reverse=True):
+        kind = graph.nodes[node][0]
+        exact = kind in ("add", "multiply", "divide", "sqrt", "min", "max", "abs", "where")
+        if kind in COMPARISONS or kind in _ROUNDINGS or (node in kept and exact):
+            kept.update(graph.arguments(node))
+    return kept

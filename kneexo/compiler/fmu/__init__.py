@@ -1,0 +1,1 @@
+"""Equations as a functional mock-up unit (FMU)."""

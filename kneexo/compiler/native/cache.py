@@ -1,0 +1,306 @@
+"""Machine code on disk: compiled once, loaded by every later process.
+
+Each entry is one file that holds a format version, a SHA-256 seal over key and content, and the
+content. The files stand in ``KNEEXO_CACHE_DIR``, else in ``kneexo`` below ``XDG_CACHE_HOME``, else
+in ``~/.cache/kneexo``. That directory may be deleted at any time. Its size is limited to 512 MiB,
+or to ``KNEEXO_CACHE_SIZE_MB`` MiB; the entries with the oldest last use are deleted first.
+
+The seal detects damage, but anybody can compute it. Trust rests on file ownership: a directory or
+file that another user could have written is never used.
+"""
+
+from __future__ import annotations
+
+import atexit
+import errno
+import hashlib
+import os
+import re
+import shutil
+import stat
+import tempfile
+import time
+import warnings
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from ..errors import OutputError, shortened
+
+_FORMAT = b"kneexo code 1\n"  # raise the number when the layout of the files changes
+_HEADER_BYTES = len(_FORMAT) + hashlib.sha256().digest_size
+_LARGEST_ENTRY_BYTES = 256 * 2**20
+_DEFAULT_LIMIT_MB = 512
+_LARGEST_LIMIT_MB = 10**9
+_LONGEST_WARNING = 400  # characters
+_STALE_S = 3600.0
+_ENTRY = re.compile(r"[0-9a-f]{32}\.kneexo")
+_TEMPORARY = re.compile(r"\.[0-9a-f]{32}\.kneexo\.[0-9a-f]{16}")
+
+_unwritable: set[Path] = set()
+_warnings_given: set[str] = set()
+
+
+class Entry(NamedTuple):
+    """One file of the cache."""
+
+    path: Path
+    size_bytes: int
+    last_use_s: float
+    """Unix time in seconds."""
+
+
+# ----------------------------------------------------------------------------- entries
+
+
+def load(key: str) -> bytes | None:
+    """Content of the entry of that key, or None when there is none.
+
+    A damaged entry gives a warning and None. The call records the time of use.
+    """
+    for directory in reversed(_directories()):
+        path = directory / _name(key)
+        try:
+            with open(path, "rb", opener=_open_for_reading) as file:
+                if _is_trusted(os.fstat(file.fileno())):
+                    header, content = file.read(_HEADER_BYTES), file.read()
+                    if header == _header(key, content):
+                        with suppress(OSError):  # a read-only file system
+                            os.utime(file.fileno())
+                        return content
+        except OSError as error:
+            if error.errno != errno.ELOOP:  # ELOOP: a symbolic link, which is not followed
+                continue
+        warnings.warn(f"{path}: damaged; it is made anew", stacklevel=2)
+    return None
+
+
+def store(key: str, content: bytes) -> None:
+    """Write the entry of that key, all or nothing, and delete old entries beyond the limit.
+
+    Never raises `OSError`: where the directory cannot be written, one warning says so and a
+    private directory of this process takes its place. Content above 256 MiB is not kept.
+    """
+    if _HEADER_BYTES + len(content) > _LARGEST_ENTRY_BYTES:
+        _warn_once(f"compiled model of {len(content) / 2**20:.0f} MiB: too large for the cache")
+        return
+    directory = cache_directory()
+    path = directory / _name(key)
+    try:
+        _make_directory(directory)
+        _write(path, _header(key, content) + content)
+    except OSError as error:
+        reason = f"cannot be written ({error.strerror or error})"
+        if directory == _private_directory():
+            _warn_once(f"{directory}: {reason}; compiled models are not kept")
+            return
+        _unwritable.add(directory)
+        _warn_replaced(f"{directory}: {reason}")
+        store(key, content)
+    else:
+        _delete_stale(directory)
+        _shrink(path)
+
+
+def entries() -> list[Entry]:
+    """All entries, the one used last first."""
+    files = [entry for directory in _directories() for entry in _files(directory, _ENTRY)]
+    return sorted(files, key=lambda entry: entry.last_use_s, reverse=True)
+
+
+def clear() -> int:
+    """Delete all entries, and temporary files of killed processes; returns the number of entries.
+
+    Raises `OutputError` when an entry cannot be deleted.
+    """
+    count = 0
+    for directory in _directories():
+        _delete_stale(directory)
+        for entry in _files(directory, _ENTRY):
+            try:
+                entry.path.unlink()
+                count += 1
+            except FileNotFoundError:  # another process deleted it
+                pass
+            except OSError as error:
+                reason = error.strerror or error
+                raise OutputError(f"{entry.path}: cannot be deleted ({reason})") from None
+    return count
+
+
+def size_limit() -> int:
+    """Largest total size of the entries in bytes."""
+    text = os.environ.get("KNEEXO_CACHE_SIZE_MB") or str(_DEFAULT_LIMIT_MB)
+    try:
+        limit_mb = int(text) if text.isascii() and "_" not in text else -1
+    except ValueError:
+        limit_mb = -1
+    if not 0 <= limit_mb <= _LARGEST_LIMIT_MB:
+        _warn_once(
+            f"KNEEXO_CACHE_SIZE_MB = {shortened(text)!r}: must be a whole number of MiB from 0 to "
+            f"{_LARGEST_LIMIT_MB}; the limit is {_DEFAULT_LIMIT_MB} MiB"
+        )
+        limit_mb = _DEFAULT_LIMIT_MB
+    return limit_mb * 2**20
+
+
+# ----------------------------------------------------------------------------- files
+
+
+def _name(key: str) -> str:
+    return hashlib.sha256(key.encode()).hexdigest()[:32] + ".kneexo"
+
+
+def _header(key: str, content: bytes) -> bytes:
+    seal = hashlib.sha256(hashlib.sha256(key.encode()).digest())
+    seal.update(content)
+    return _FORMAT + seal.digest()
+
+
+def _open_for_reading(path: str, flags: int) -> int:
+    # Opening a pipe would block without O_NONBLOCK.
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
+
+
+def _open_for_writing(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)
+
+
+def _is_trusted(status: os.stat_result) -> bool:
+    """Whether an open file is regular, of this user alone, and of reasonable size."""
+    return (
+        stat.S_ISREG(status.st_mode)
+        and status.st_uid == os.geteuid()
+        and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        and status.st_size <= _LARGEST_ENTRY_BYTES
+    )
+
+
+def _write(path: Path, data: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
+    try:
+        with open(temporary, "xb", opener=_open_for_writing) as file:
+            file.write(data)
+        os.replace(temporary, path)
+    except BaseException:  # KeyboardInterrupt too
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def _files(directory: Path, names: re.Pattern[str]) -> list[Entry]:
+    """Files of a directory whose whole name matches; empty where it cannot be read."""
+    files = []
+    with suppress(OSError), os.scandir(directory) as items:
+        for item in items:
+            if names.fullmatch(item.name) and not item.is_dir(follow_symlinks=False):
+                with suppress(FileNotFoundError):  # another process deleted it
+                    status = item.stat(follow_symlinks=False)
+                    files.append(Entry(Path(item.path), status.st_size, status.st_mtime))
+    return files
+
+
+def _delete_stale(directory: Path) -> None:
+    """Delete temporary files that killed processes left."""
+    for file in _files(directory, _TEMPORARY):
+        if file.last_use_s < time.time() - _STALE_S:
+            with suppress(OSError):
+                file.path.unlink()
+
+
+def _shrink(stored: Path) -> None:
+    """Keep the entry just stored and, of the others, those used last that fit the limit."""
+    limit, total = size_limit(), 0
+    files = _files(stored.parent, _ENTRY)
+    for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
+        total += entry.size_bytes
+        if total > limit and entry.path != stored:
+            with suppress(OSError):
+                entry.path.unlink()
+
+
+# ----------------------------------------------------------------------------- directories
+
+
+def cache_directory() -> Path:
+    """Directory that new entries are written to; it may not exist yet.
+
+    The chosen directory is replaced by a private one of this process, with a warning, when its
+    path cannot be determined, when it is unsafe (of another user, or writable by group or others),
+    and after it could not be written.
+    """
+    return _directories()[-1]
+
+
+def _directories() -> list[Path]:
+    """Directories that may hold entries; new ones are written to the last."""
+    try:
+        chosen = _chosen_directory()
+    except (RuntimeError, OSError) as error:  # no home directory, or no working directory
+        _warn_replaced(f"cache directory: cannot be determined ({str(error).rstrip('.')})")
+        return [_private_directory()]
+    if reason := _refusal(chosen):
+        _warn_replaced(f"{chosen}: {reason}")
+        return [_private_directory()]
+    return [chosen, _private_directory()] if chosen in _unwritable else [chosen]
+
+
+def _chosen_directory() -> Path:
+    if directory := os.environ.get("KNEEXO_CACHE_DIR"):
+        return Path(directory).expanduser().absolute()
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    if os.path.isabs(base):  # the XDG base directory specification ignores relative paths
+        return Path(base, "kneexo")
+    return Path.home().absolute() / ".cache" / "kneexo"
+
+
+def _refusal(directory: Path) -> str:
+    """Why machine code must not be loaded from a directory; empty when it may be."""
+    try:
+        status = directory.stat()
+    except OSError:  # absent; `store` says why when it cannot be made
+        return ""
+    if not stat.S_ISDIR(status.st_mode):
+        return "is not a directory"
+    if status.st_uid != os.geteuid():
+        return f"belongs to another user (uid {status.st_uid})"
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return f"others may write to it (mode {stat.S_IMODE(status.st_mode):o}; use chmod go-w)"
+    return ""
+
+
+@cache
+def _private_directory() -> Path:
+    """A directory of this process alone, deleted at its end."""
+    try:
+        directory = Path(tempfile.mkdtemp(prefix="kneexo-"))
+    except OSError:  # no temporary directory either: a path that no file can have
+        return Path(os.devnull, "kneexo")
+    atexit.register(_delete_directory, directory, os.getpid())
+    return directory
+
+
+def _delete_directory(directory: Path, process: int) -> None:
+    if os.getpid() == process:  # not in a fork
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+def _make_directory(directory: Path) -> None:
+    """Make a directory and its parents, closed to other users."""
+    if not directory.is_dir():
+        _make_directory(directory.parent)
+        directory.mkdir(mode=0o700, exist_ok=True)
+
+
+def _warn_replaced(reason: str) -> None:
+    _warn_once(f"{reason}; this process keeps compiled models in {_private_directory()}")
+
+
+def _warn_once(message: str) -> None:
+    if len(message) > _LONGEST_WARNING:  # a value or a path of any length
+        half = _LONGEST_WARNING // 2 - 2
+        message = f"{message[:half]} … {message[-half:]}"
+    if message not in _warnings_given:
+        _warnings_given.add(message)
+        warnings.warn(message, stacklevel=3)

@@ -1,0 +1,286 @@
+"""Elementary functions as instructions, for scalars and lanes alike: the same bits in both.
+
+Each has the edges of C's function of that name (signed zeros, infinities, nan, numbers below the
+smallest normal one) and an error below 2 units in the last place. What differs between lanes is
+selected; only large arguments of sine and cosine take a branch. ``benchmarks/fit_elementary.py``
+prints the constants.
+
+The methods are those of W. J. Cody and W. Waite, Software Manual for the Elementary Functions
+(Prentice-Hall, 1980): reduce the argument with a constant in several parts, evaluate a polynomial,
+scale back. Estrin's scheme evaluates the polynomials.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+
+from .ir import Function, Module, Operand, Type, Value
+
+SIN = (  # relative error 1.3e-17
+    -0.16666666666666666,
+    0.008333333333330967,
+    -0.00019841269836758655,
+    2.755731610255217e-06,
+    -2.5051131845003737e-08,
+    1.5918129294866835e-10,
+)
+"""Coefficients of the sine's polynomial."""
+COS = (  # relative error 6.0e-19
+    0.041666666666666664,
+    -0.0013888888888887378,
+    2.480158729876558e-05,
+    -2.7557317271730026e-07,
+    2.087614626840273e-09,
+    -1.1382632425522016e-11,
+)
+"""Coefficients of the cosine's polynomial."""
+ATAN = (  # relative error 3.4e-17
+    -0.33333333333333326,
+    0.1999999999999753,
+    -0.14285714285384132,
+    0.11111111093490826,
+    -0.09090908590891934,
+    0.07692298971033217,
+    -0.06666564699289104,
+    0.058815068777936554,
+    -0.052579733342841106,
+    0.04737749579527779,
+    -0.04260356632601652,
+    0.03749486812535247,
+    -0.031277189066996385,
+    0.023696731580048622,
+    -0.015535152475414177,
+    0.008368931178450162,
+    -0.0034958859739163102,
+    0.001049603508496851,
+    -0.00019996189377901387,
+    1.8061954618612127e-05,
+)
+"""Coefficients of the arc tangent's polynomial."""
+ASIN = (  # relative error 3.4e-18
+    0.16666666666666669,
+    0.0749999999999843,
+    0.04464285714635542,
+    0.03038194413853124,
+    0.022372172942149885,
+    0.017352392720869962,
+    0.013971212973552935,
+    0.01147917741518491,
+    0.010322814350185783,
+    0.005457506718640357,
+    0.01740087944269402,
+    -0.014851887071247198,
+    0.02875785136742157,
+)
+"""Coefficients of the arc sine's polynomial."""
+EXP = (  # relative error 1.5e-17
+    0.5000000000000001,
+    0.1666666666666667,
+    0.0416666666666242,
+    0.008333333333330058,
+    0.0013888888917196734,
+    0.00019841269863040545,
+    2.4801521322368695e-05,
+    2.755726848031006e-06,
+    2.762007587998331e-07,
+    2.5100375832561274e-08,
+)
+"""Coefficients of the exponential's polynomial."""
+LOG = (  # relative error 4.3e-18
+    0.666666666666667,
+    0.39999999999899527,
+    0.28571428625975426,
+    0.22222211134795133,
+    0.18182889125261753,
+    0.15331721600556042,
+    0.14616449685043353,
+)
+"""Coefficients of the logarithm's polynomial."""
+HALF_PI = (  # relative error 3.5e-50
+    1.5707963267948966,
+    6.123233995736766e-17,
+    -1.4973849048591698e-33,
+)
+"""π/2 as a sum of doubles, the largest first."""
+LN_2 = (  # relative error 8.2e-34
+    0.6931471805599453,
+    2.3190468138462996e-17,
+)
+"""The natural logarithm of 2 as a sum of doubles, the largest first."""
+
+LARGE = 1e9
+"""Larger arguments of sin and cos take the reduction of the C library."""
+
+ROUNDING = 1.5 * 2.0**52
+"""Its unit in the last place is 1: added to a number it leaves a whole one in the lowest bits."""
+
+
+def _bits(value: float) -> int:
+    (bits,) = struct.unpack("<q", struct.pack("<d", value))
+    return bits
+
+
+SIGN = _bits(-0.0)
+"""The sign bit of a double."""
+ROOT_HALF = _bits(math.sqrt(0.5))
+"""The bits of √½ as a double."""
+EXPONENT = 52  # lowest bit of a double's exponent
+"""The lowest bit of a double's exponent."""
+BIAS = 1023
+"""What a double's exponent field holds for 2⁰."""
+
+
+def estrin(f: Function, coefficients: Sequence[float], x: Value) -> Value:
+    """c₀ + c₁ x + c₂ x² + … by Estrin's scheme: products that do not wait for one another."""
+    terms = [f.coerce(c, x.type) for c in coefficients]
+    power = x
+    while len(terms) > 1:
+        pairs = zip(terms[::2], terms[1::2], strict=False)
+        alone = terms[-1:] if len(terms) % 2 else []
+        terms = [f.fma(power, high, low) for low, high in pairs] + alone
+        power = power * power
+    return terms[0]
+
+
+def sincos(f: Function, x: Value) -> tuple[Value, Value]:
+    """Sine and cosine.
+
+    The remainder by π/2 keeps its relative precision next to a multiple: the first step is exact,
+    the second is rounded once, and what three parts leave out (1e-40) is far smaller than the
+    distance of the closest double up to `LARGE` (6e-19).
+    """
+    sine, cosine = _of_large(f, ("sin", "cos"), x, _sincos(f, x))
+    return sine, cosine
+
+
+def _sincos(f: Function, x: Value) -> tuple[Value, Value]:
+    magnitude = f.absolute(x)
+    shifted = f.fma(magnitude, 2.0 / math.pi, ROUNDING)
+    quarters = shifted - ROUNDING
+    r = magnitude
+    for part in HALF_PI:
+        r = f.fma(quarters, -part, r)
+    z = r * r
+    sine = f.fma(r * z, estrin(f, SIN, z), r)
+    cosine = f.fma(z * z, estrin(f, COS, z), f.fma(z, -0.5, 1.0))
+    quadrant = f.bits(shifted)
+    odd = (quadrant & 1).differs(0)
+    sign = ((quadrant << 62) ^ f.bits(x)) & SIGN  # bit 1 of the quadrant
+    cosine_sign = ((quadrant + 1) << 62) & SIGN
+    return (
+        f.from_bits(f.bits(f.select(odd, cosine, sine)) ^ sign),
+        f.from_bits(f.bits(f.select(odd, sine, cosine)) ^ cosine_sign),
+    )
+
+
+def _of_large(f: Function, names: Sequence[str], x: Value, values: Sequence[Value]) -> list[Value]:
+    """The values, but those of the C library in the lanes where the argument is `LARGE`."""
+    results = [f.variable(value) for value in values]
+    with f.when(f.any_lane(f.absolute(x) > LARGE)):
+        for name, value, result in zip(names, values, results, strict=True):
+            result.set(f.call(_library_if_large(f.module, name, x.type), x, value))
+    return [result.get() for result in results]
+
+
+def _library_if_large(module: Module, name: str, type_: Type) -> Function:
+    """A function apart, so that its calls cost nothing where they are not made."""
+
+    def make() -> Function:
+        arguments = {"x": type_, "value": type_}
+        new = module.function(full, arguments, type_, attributes="cold noinline")
+        x = new.arguments["x"]
+        large = new.absolute(x) > LARGE
+        new.give(new.select(large, new.library(name, x), new.arguments["value"]))
+        return new
+
+    full = f"{name}_if_large_{type_.lanes}"
+    return module.shared(full, make)
+
+
+def atan2(f: Function, y: Operand, x: Operand) -> Value:
+    """Angle of the point (x, y): ± base ± the angle between the point and the nearer axis."""
+    y, x = f.alike(y, x)
+    across, up = f.absolute(x), f.absolute(y)
+    steep, behind = across < up, f.bits(x) < 0
+    small, large = f.select(steep, across, up), f.select(steep, up, across)
+    large = f.select(large.equals(0.0), 1.0, large)
+    t = f.select(small.equals(large), 1.0, small / large)  # both may be infinite
+    high, low = (f.select(steep, part, f.select(behind, 2.0 * part, 0.0)) for part in HALF_PI[:2])
+    z, t = t * t, f.select(steep ^ behind, -t, t)
+    return f.copysign((high + t) + f.fma(t * z, estrin(f, ATAN, z), low), y)
+
+
+def atan(f: Function, x: Value) -> Value:
+    """Arc tangent."""
+    return atan2(f, x, 1.0)
+
+
+def asin(f: Function, x: Value) -> Value:
+    """Arc sine; nan beyond ±1."""
+    s, rest, far = _arc(f, f.absolute(x))
+    factor = f.select(far, -2.0, 1.0)
+    high, low = (f.select(far, part, 0.0) for part in HALF_PI[:2])
+    total = f.fma(factor, s, high)
+    lost = f.fma(factor, s, high - total)
+    return f.copysign(total + (f.fma(factor, rest, low) + lost), x)
+
+
+def acos(f: Function, x: Value) -> Value:
+    """Arc cosine; nan beyond ±1."""
+    s, rest, far = _arc(f, f.absolute(x))
+    behind = x < 0.0
+    factor = f.select(far, 2.0, -1.0)
+    factor = f.select(behind, -factor, factor)
+    high, low = (f.select(far, f.select(behind, 2.0 * part, 0.0), part) for part in HALF_PI[:2])
+    return f.fma(factor, s, high) + f.fma(factor, rest, low)
+
+
+def _arc(f: Function, magnitude: Value) -> tuple[Value, Value, Value]:
+    """An angle's sine s, the angle less s, and where the angle is half of that to x = 1.
+
+    That is where x > ½: then s = √((1 - x) / 2), else s = x.
+    """
+    far = magnitude > 0.5
+    z = f.select(far, f.fma(magnitude, -0.5, 0.5), magnitude * magnitude)
+    s = f.select(far, f.sqrt(z), magnitude)
+    return s, s * z * estrin(f, ASIN, z), far
+
+
+def exp(f: Function, x: Value) -> Value:
+    """Exponential: of the remainder by ln 2, scaled in two steps so that neither overflows."""
+    x = f.maximum(f.minimum(x, 720.0), -760.0)  # ∞ and 0 from there on
+    shifted = f.fma(x, 1.0 / math.log(2.0), ROUNDING)
+    doublings = shifted - ROUNDING
+    r = x
+    for part in LN_2:
+        r = f.fma(doublings, -part, r)
+    total = 1.0 + r
+    lost = (1.0 - total) + r
+    power = total + f.fma(r * r, estrin(f, EXP, r), lost)
+    exponent = f.bits(shifted) - _bits(ROUNDING)
+    half = ((exponent + 2 * BIAS) >> 1) - BIAS
+    for share in (half, exponent - half):
+        power = power * f.from_bits((share + BIAS) << EXPONENT)
+    return power
+
+
+def log(f: Function, x: Value) -> Value:
+    """Natural logarithm: x = 2ᵏ (1 + u) with √½ ≤ 1 + u < √2, and log(1 + u) = 2 artanh u/(2 + u).
+
+    u - u²/2 is taken out of that series, as in Sun's fdlibm, for what is left is small.
+    """
+    tiny = x < 2.0**-1022
+    bits = f.bits(f.select(tiny, x * 2.0**54, x)) - ROOT_HALF
+    doublings = f.to_double(((bits + (BIAS << EXPONENT)) >> EXPONENT) - BIAS)
+    doublings = f.select(tiny, doublings - 54.0, doublings)
+    u = f.from_bits((bits & ((1 << EXPONENT) - 1)) + ROOT_HALF) - 1.0
+    s = u / (u + 2.0)
+    z = s * s
+    half_square = 0.5 * u * u
+    rest = f.fma(s, f.fma(z, estrin(f, LOG, z), half_square), doublings * LN_2[1])
+    value = f.fma(doublings, LN_2[0], u - (half_square - rest))
+    value = f.select(x < math.inf, value, x)  # ∞ and nan
+    value = f.select(x.equals(0.0), -math.inf, value)
+    return f.select(x < 0.0, math.nan, value)

@@ -1,0 +1,532 @@
+"""The exact hold: an exponential integrator with error control, for one lane or several.
+
+It splits dx/dt = A x + g(t, x), with A a Jacobian met before. A step h solves the linear part
+exactly, by the functions of z = A h
+
+    phi_1 = (e^z - 1)/z,  phi_2 = (phi_1 - 1)/z,  phi_3 = (phi_2 - 1/2)/z,
+
+and takes g as a parabola through the start, the middle and the end (Cox and Matthews 2002,
+J. Comput. Phys. 176). With g relative to its value at the start, g_a at the middle and g_b at the
+end, the states are
+
+    middle          x + h/2 phi_1(z/2) dx/dt,
+    predicted end   x + h phi_1 dx/dt + 2 h (phi_2 + phi_2(z/2)) g_a,
+    end             x + h phi_1 dx/dt + 2 h phi_2 g_a + h (phi_2 - 4 phi_3) (2 g_a - g_b).
+
+The order is three with any A. Near the start of the step, g along the solution is g' t to first
+order. The middle lacks the term (h/2)^2 phi_2(z/2) g'. The predicted end lacks the term
+h^2 (phi_2 - a/2) g', where h a is the factor of g_a in the formula above. The end contains g_a with
+the factor h (4 phi_2 - 8 phi_3), about 2/3 h, and g_b with the factor h (4 phi_3 - phi_2), about
+h/6. So the two errors cancel where a = 2 (phi_2 + phi_2(z/2)). This is the weak form of a condition
+of Hochbruck and Ostermann (2005, SIAM J. Numer. Anal. 43). If A is the Jacobian at the start and g
+does not depend on time, g' is zero and the order is four.
+
+A straight line for g in place of the parabola gives a method of order two. The last term above is
+the difference between the two ends, and is the error estimate. A step that fails tries the Jacobian
+at its start, whatever its length, and then halves. Halving passes corners (a clip, a valve). If a
+tick takes eight steps or more, each step keeps a tenth of the tolerance, because the errors add up.
+Every sixteenth of these steps tries the Jacobian at its start even if it meets the tolerance. An
+old Jacobian may be good enough for small steps only, and the steps would then stay small.
+
+Each lane has its own step, Jacobians and their tables, so a lane gets the bits that it gets alone;
+a lane that has reached the end of the tick waits for the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import accumulate
+
+from .integrators import Tick
+from .ir import (
+    BOOL,
+    DOUBLE,
+    INT,
+    POINTER,
+    UNROLLED,
+    Array,
+    Function,
+    Module,
+    Operand,
+    Value,
+    Variable,
+)
+
+ChooseSlot = Callable[[Tick, Value, Array, Value], None]
+"""``choose(tick, lane, memory, time)``: Jacobian of one lane at its state, and the slot for it."""
+
+FINEST = 12
+"""The exact hold halves its step at most so often."""
+
+SLOTS = 4
+"""Jacobians that a run remembers."""
+
+_MANY = 3  # halvings from which on a tick has "many" steps
+_SHARE = 0.1  # share of the tolerance that each of many steps keeps
+_CHECK = 16  # many steps: one in this number tries the Jacobian at its start
+_EASY = 0.05  # share of the tolerance below which a step may double
+_NEGLIGIBLE = 0.01  # share of the tolerance that is not worth a correction
+_MOST_EXCESS = 1e-2  # sum of the errors of its finest steps that miss the tolerance
+_WHOLE = 1 << FINEST  # a tick, in finest steps
+
+
+class Memory:
+    """Where the memory of one lane has what, in elements of eight bytes."""
+
+    def __init__(self, size: int) -> None:
+        square = size * size
+        self.square = square
+        self.table = 3 * square
+        """Elements of the functions for one step of one Jacobian."""
+        sizes = {
+            "filled": 1,  # slots in use
+            "made": 1,  # slots filled so far
+            "slot": 1,  # the one in use
+            "excess": 1,
+            "jacobians": SLOTS * square,
+            "candidate": square,  # the Jacobian tried last
+            "change": size,
+            "rest": size,
+            "tables": SLOTS * (FINEST + 2) * self.table,
+        }
+        places = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
+        self.filled, self.made, self.slot, self.excess = (places[k] for k in list(sizes)[:4])
+        self.jacobians, self.candidate, self.change = (places[k] for k in list(sizes)[4:7])
+        self.rest, self.tables = (places[k] for k in list(sizes)[7:])
+        self.head = self.jacobians
+        """Elements that must be zero at the start."""
+        self.size = -(-sum(sizes.values()) // 8) * 8
+
+    def shared(self, lanes: int) -> int:
+        """Size of the memory of all lanes together: level, Jacobian and tables in use."""
+        return (1 + self.square + self.table + 2 * self.square) * lanes
+
+
+def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
+    """``out`` = matrix · vector; the matrix column by column."""
+    if size <= UNROLLED:
+        for row in range(size):
+            total = matrix[row] * vector[0]
+            for column in range(1, size):
+                total = f.fma(matrix[column * size + row], vector[column], total)
+            out[row] = total
+        return
+    for i in f.each(size):
+        out[i] = 0.0
+    for k in f.each(size):
+        factor, elements = vector[k], matrix.shifted(k * size)
+        for i in f.each(size):
+            out[i] = f.fma(elements[i], factor, out[i])
+
+
+class _Columns:
+    """Square matrices whose columns are vectors, so that an operation takes a column at once.
+
+    Rows beyond the size are zero.
+    """
+
+    def __init__(self, f: Function, size: int) -> None:
+        self.f, self.size = f, size
+        self.width = 4 if size <= 4 else 8
+        self.blocks = -(-size // self.width)
+        """Vectors of a column."""
+        self.rows = self.blocks * self.width
+        self.type = DOUBLE.of(self.width)
+
+    def zero(self) -> Array:
+        """A matrix of zeros."""
+        matrix = self.f.array(self.size * self.blocks, self.type)
+        for i in self.each():
+            matrix[i] = 0.0
+        return matrix
+
+    def each(self) -> Iterator[Operand]:
+        """Numbers of the vectors of a matrix."""
+        return self.f.each(self.size * self.blocks)
+
+    def element(self, row: Operand, column: Operand) -> Value:
+        """Place of an element among the doubles of a matrix."""
+        return self.f.coerce(column, INT) * self.rows + row
+
+    def multiply(self, left: Array, right: Array, out: Array) -> None:
+        """``out`` = left · right."""
+        f, blocks = self.f, range(self.blocks)
+        for j in f.each(self.size):
+            totals = [f.variable(f.constant(0.0, self.type)) for _ in blocks]
+            for k in f.each(self.size):
+                factor = right.cast(DOUBLE)[self.element(k, j)]
+                column = left.shifted(f.coerce(k, INT) * self.blocks)
+                for block, total in zip(blocks, totals, strict=True):
+                    total.set(f.fma(column[block], f.coerce(factor, self.type), total.get()))
+            for block, total in zip(blocks, totals, strict=True):
+                out[f.coerce(j, INT) * self.blocks + block] = total.get()
+
+    def store(self, matrix: Callable[[Operand], Value], out: Array) -> None:
+        """Write a matrix, given its vectors, column by column without the rows of zeros."""
+        f, last = self.f, (self.size - 1) * self.blocks
+        for j in f.each(self.size - 1):  # the next column overwrites the zeros
+            for block in range(self.blocks):
+                place = f.coerce(j, INT) * self.size + block * self.width
+                out.shifted(place).cast(self.type)[0] = matrix(
+                    f.coerce(j, INT) * self.blocks + block
+                )
+        for block in range(self.blocks):
+            values = matrix(last + block)
+            first = (self.size - 1) * self.size + block * self.width
+            for lane in range(min(self.width, self.size - block * self.width)):
+                out[first + lane] = f.lane(values, lane)
+
+
+def define_fill_tables(module: Module, size: int) -> Function:
+    """``fill_tables(a, tick, tables)``: h phi_1, h phi_2, h (phi_2 - 4 phi_3) of each step.
+
+    Step ``level`` is h = tick/2^level. The functions of all halvings come from the smallest by
+    doubling (Skaflestad and Wright 2009, Appl. Numer. Math. 59).
+    """
+    square = size * size
+    arguments = {"a": POINTER, "tick": DOUBLE, "tables": POINTER}
+    f = module.function("fill_tables", arguments, attributes="noinline")
+    a, tables = (Array(f.arguments[name], DOUBLE) for name in ("a", "tables"))
+    tick, columns = f.arguments["tick"], _Columns(f, size)
+    z, power, spare, mixed, phi_1, phi_2, phi_3 = (columns.zero() for _ in range(7))
+    norm = f.variable(f.constant(0.0))
+    for i in f.loop(size):
+        row = f.variable(f.constant(0.0))
+        for j in f.loop(size):
+            row.set(row.get() + f.absolute(a[f.coerce(j, INT) * size + i]))
+        norm.set(f.maximum(norm.get(), row.get()))
+    level = f.variable(f.constant(FINEST + 1, INT))
+    limit = f.variable(f.constant(0.1 * 2.0 ** (FINEST + 1)))
+    h = f.variable(tick * 0.5 ** (FINEST + 1))
+    with f.forever() as loop:
+        loop.stop_if(~((norm.get() * tick > limit.get()) & (level.get() < 200)))
+        level.set(level.get() + 1)
+        limit.set(limit.get() * 2.0)
+        h.set(h.get() * 0.5)
+    for j in f.loop(size):
+        for i in f.loop(size):
+            z.cast(DOUBLE)[columns.element(i, j)] = h.get() * a[f.coerce(j, INT) * size + i]
+        power.cast(DOUBLE)[columns.element(j, j)] = 1.0
+    factorial = 1.0
+    for order in range(1, 10):  # Taylor: the next term is below 0.1^9/10!
+        factorial *= order
+        for e in columns.each():
+            term = power[e]
+            phi_1[e] = f.fma(term, 1.0 / factorial, phi_1[e])
+            phi_2[e] = f.fma(term, 1.0 / factorial / (order + 1), phi_2[e])
+            phi_3[e] = f.fma(term, 1.0 / factorial / ((order + 1) * (order + 2)), phi_3[e])
+        columns.multiply(power, z, spare)
+        power, spare = spare, power
+    with f.forever() as loop:
+        step = h.get()
+        with f.when(level.get() <= FINEST + 1):
+            to = tables.shifted(level.get() * (3 * square))
+            columns.store(lambda e: step * phi_1[e], to)
+            columns.store(lambda e: step * phi_2[e], to.shifted(square))
+            columns.store(lambda e: step * f.fma(phi_3[e], -4.0, phi_2[e]), to.shifted(2 * square))
+        loop.stop_if(level.get().equals(0))
+        columns.multiply(phi_1, phi_1, spare)
+        columns.multiply(phi_1, phi_2, mixed)
+        columns.multiply(z, spare, power)
+        for e in columns.each():
+            phi_3[e] = 0.125 * (mixed[e] + f.fma(phi_3[e], 2.0, phi_2[e]))
+            phi_2[e] = 0.25 * f.fma(phi_2[e], 2.0, spare[e])
+            phi_1[e] = f.fma(power[e], 0.5, phi_1[e])
+            z[e] = z[e] * 2.0
+        h.set(step * 2.0)
+        level.set(level.get() - 1)
+    return f
+
+
+def define_choose_slot(module: Module, size: int) -> Function:
+    """``choose_slot(x, memory, tick)``: the slot of the candidate Jacobian at the state ``x``.
+
+    Keeps the current Jacobian unless the candidate cuts the defect ``rest``, left by the state
+    change ``change``, by a tenth. The tables of a new Jacobian are made.
+    """
+    fill_tables = define_fill_tables(module, size)
+    at, square = Memory(size), size * size
+    arguments = {"x": POINTER, "memory": POINTER, "tick": DOUBLE}
+    f = module.function("choose_slot", arguments, attributes="noinline cold")
+    x, memory = (Array(f.arguments[name], DOUBLE) for name in ("x", "memory"))
+    whole = memory.cast(INT)
+    filled, current = whole[at.filled], whole[at.slot]
+    jacobians, candidate = memory.shifted(at.jacobians), memory.shifted(at.candidate)
+    for e in f.loop(square):
+        with f.when((candidate[e] - candidate[e]).differs(0.0)):
+            candidate[e] = 0.0  # a root at zero; any matrix will do, if slowly
+    with f.when(filled > 0):
+        explained, left = f.variable(f.constant(0.0)), f.variable(f.constant(0.0))
+        for i in f.loop(size):
+            total = f.variable(f.constant(0.0))
+            for k in f.loop(size):
+                place = f.coerce(k, INT) * size + i
+                difference = candidate[place] - jacobians[current * square + place]
+                change = memory[f.coerce(k, INT) + at.change]
+                total.set(f.fma(difference, change, total.get()))
+            scale = 1.0 + f.absolute(x[i])
+            explained.set(explained.get() + f.absolute(total.get()) / scale)
+            left.set(left.get() + f.absolute(memory[f.coerce(i, INT) + at.rest]) / scale)
+        f.give_if(explained.get() < 0.1 * left.get())
+    for slot in f.loop(SLOTS):
+        number = f.coerce(slot, INT)
+        with f.when(number < filled):
+            same = f.variable(f.constant(1, BOOL))
+            for e in f.loop(square):
+                equal = jacobians[number * square + e].equals(candidate[e])
+                same.set(same.get() & equal)
+            with f.when(same.get()):
+                whole[at.slot] = number
+                f.give_if(f.constant(1, BOOL))
+    slot = whole[at.made] % SLOTS
+    whole[at.made] = whole[at.made] + 1
+    with f.when(filled < SLOTS):
+        whole[at.filled] = filled + 1
+    for e in f.loop(square):
+        jacobians[slot * square + e] = candidate[e]
+    tables = memory.shifted(slot * ((FINEST + 2) * at.table) + at.tables)
+    f.call(fill_tables, jacobians.address(slot * square), f.arguments["tick"], tables.pointer)
+    whole[at.slot] = slot
+    return f
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step, not yet accepted."""
+
+    end: Array
+    """State at its end."""
+    worst: Value
+    """Error estimate by the tolerance: at most 1 where it is good."""
+    middle: Array
+    """State at its middle."""
+    rest: Array
+    """What the linear part leaves of dx/dt there."""
+
+
+def _step(
+    tick: Tick, time: Value, h: Value, slope: Array, weight: Array, tables: Array, jacobian: Array
+) -> _Step:
+    """A step ``h`` from ``tick.x``, whose rate there is ``slope``."""
+    f, size, square = tick.function, tick.size, tick.size**2
+    middle, predicted, end = (tick.vector() for _ in range(3))
+    f_a, g_a, f_b, g_b, part, move = (tick.vector() for _ in range(6))
+    multiplied(f, size, tables.shifted(3 * square), slope, middle)
+    multiplied(f, size, tables, slope, end)
+    for i in f.each(size):
+        middle[i] = tick.x[i] + middle[i]
+        end[i] = tick.x[i] + end[i]
+    left = f.variable(f.constant(0.0, tick.type))
+
+    def remainder(t: Value, y: Array, rate: Array, rest: Array) -> None:
+        tick.rate(t, y, rate)
+        for i in f.each(size):
+            move[i] = y[i] - tick.x[i]
+        multiplied(f, size, jacobian, move, part)
+        for i in f.each(size):
+            rest[i] = (rate[i] - slope[i]) - part[i]
+            left.set(f.fma(f.absolute(rest[i]), weight[i], left.get()))
+
+    remainder(f.fma(h, 0.5, time), middle, f_a, g_a)
+    large = ~(h * left.get() < _NEGLIGIBLE)
+    for i in f.each(size):
+        predicted[i] = end[i]
+    with f.when(f.any_lane(large)):
+        multiplied(f, size, tables.shifted(square), g_a, part)
+        multiplied(f, size, tables.shifted(4 * square), g_a, move)
+        for i in f.each(size):
+            end[i] = f.select(large, f.fma(part[i], 2.0, end[i]), end[i])
+            predicted[i] = f.select(large, f.fma(move[i], 4.0, end[i]), end[i])
+    remainder(time + h, predicted, f_b, g_b)
+    worst = f.variable(f.constant(0.0, tick.type))
+    large = ~(h * left.get() < _NEGLIGIBLE)
+    with f.when(f.any_lane(large)):
+        for i in f.each(size):
+            g_b[i] = f.fma(g_a[i], 2.0, -g_b[i])
+        multiplied(f, size, tables.shifted(2 * square), g_b, part)
+        for i in f.each(size):
+            end[i] = f.select(large, end[i] + part[i], end[i])
+            total = f.fma(f.absolute(part[i]), weight[i], worst.get())
+            worst.set(f.select(large, total, worst.get()))
+    return _Step(end, worst.get(), middle, g_a)
+
+
+class ExactHold:
+    """Traces the exact hold into a function; `prepare` once a run, `advance` at each tick."""
+
+    def __init__(
+        self, tick_s: Value, tolerance: Value, memory: Array, shared: Array, choose: ChooseSlot
+    ) -> None:
+        """``memory``: of each lane, one after the other; ``shared``: of all lanes together."""
+        self.tick_s, self.tolerance = tick_s, tolerance
+        self.memory, self.shared = memory, shared
+        self.choose = choose
+
+    def _lanes(self, tick: Tick) -> Iterator[tuple[Value, Array]]:
+        """Number and memory of each lane, in a loop."""
+        at = Memory(tick.size)
+        for lane in tick.function.loop(tick.type.lanes):
+            number = tick.function.coerce(lane, INT)
+            yield number, self.memory.shifted(number * at.size)
+
+    def _refresh(self, tick: Tick, lane: Value, own: Array, level: Value) -> None:
+        """Copy Jacobian and tables of one lane to where all lanes are read at once."""
+        f, at, lanes = tick.function, Memory(tick.size), tick.type.lanes
+        slot = own.cast(INT)[at.slot]
+        jacobian = own.shifted(slot * at.square + at.jacobians)
+        tables = own.shifted((slot * (FINEST + 2) + level) * at.table + at.tables)
+        for i in f.loop(at.square):
+            self.shared[(f.coerce(i, INT) + 1) * lanes + lane] = jacobian[i]
+        for i in f.loop(at.table + 2 * at.square):  # and two functions of half the step
+            self.shared[(f.coerce(i, INT) + (1 + at.square)) * lanes + lane] = tables[i]
+
+    def prepare(self, tick: Tick) -> None:
+        """At the first tick of a run: the tables in use."""
+        levels = self.shared.cast(INT)
+        for lane, own in self._lanes(tick):
+            with tick.function.when(own.cast(INT)[Memory(tick.size).filled].equals(0)):
+                self.choose(tick, lane, own, tick.start)
+            self._refresh(tick, lane, own, levels[lane])
+
+    def advance(self, tick: Tick) -> Value:
+        """Advance by a tick; returns the lanes that cannot hold the tolerance."""
+        f, size, type_ = tick.function, tick.size, tick.type
+        lanes, at = type_.lanes, Memory(size)
+        ints, mask = INT.of(lanes), BOOL.of(lanes)
+        jacobian = Array(self.shared.address(lanes), type_)
+        tables = Array(self.shared.address((1 + at.square) * lanes), type_)
+        level = f.variable(Array(self.shared.pointer, ints)[0])
+        position, tried = (f.variable(f.constant(0, ints)) for _ in range(2))
+        rough = f.variable(f.constant(0, mask))
+        moved = f.variable(f.constant(1, BOOL))
+        slope, weight = tick.vector(), tick.vector()
+        with f.forever() as loop:
+            active = (position.get() < _WHOLE) & ~rough.get()
+            if lanes > 1:
+                active = active & tick.running
+            loop.stop_if(~f.any_lane(active))
+            share = f.to_double(position.get()) * (1.0 / _WHOLE)
+            time = f.fma(f.coerce(self.tick_s, type_), share, f.coerce(tick.start, type_))
+            with f.when(moved.get()):
+                tick.rate(time, tick.x, slope)
+                for i in f.each(size):
+                    weight[i] = 1.0 / (self.tolerance * (1.0 + f.absolute(tick.x[i])))
+            span = f.coerce(f.constant(_WHOLE, ints), ints) >> level.get()
+            h = f.coerce(self.tick_s, type_) * (f.to_double(span) * (1.0 / _WHOLE))
+            step = _step(tick, time, h, slope, weight, tables, jacobian)
+            many = level.get() >= _MANY
+            worst = step.worst * f.select(many, f.constant(1.0 / _SHARE, type_), 1.0)
+            good = f.variable(worst <= 1.0)
+            limit = f.select(many, f.constant(_EASY, type_), 1.0)
+            doubted = active & ~(worst <= limit)
+            with f.when(f.any_lane(doubted), rare=True):
+                due = (position.get() & (span * _CHECK - 1)).equals(0) & tried.get().equals(0)
+                doubted = doubted & (due | ~good.get())
+                with f.when(f.any_lane(doubted)):
+                    self._refine(tick, step, time, doubted, level, tried, good, rough)
+            taken = active & good.get()
+            moved.set(f.any_lane(taken))
+            before = position.get()
+            position.set(before + span)
+            with f.when(f.any_lane(~taken), rare=True):
+                for i in f.each(size):
+                    step.end[i] = f.select(taken, step.end[i], tick.x[i])
+                position.set(f.select(taken, before + span, before))
+            for i in f.each(size):
+                tick.x[i] = step.end[i]
+            tried.set(f.select(taken, 0, tried.get()))
+            easy = taken & (level.get() > 0) & (worst <= _EASY)
+            with f.when(f.any_lane(easy)):
+                self._coarsen(tick, worst, easy, position.get(), level)
+        Array(self.shared.pointer, ints)[0] = level.get()
+        return rough.get()
+
+    def _refine(
+        self,
+        tick: Tick,
+        step: _Step,
+        time: Value,
+        doubted: Value,
+        level: Variable,
+        tried: Variable,
+        good: Variable,
+        rough: Variable,
+    ) -> None:
+        """Emit code that tries another Jacobian in each doubted lane, or halves a failed step."""
+        f, size, lanes, at = tick.function, tick.size, tick.type.lanes, Memory(tick.size)
+        times, worsts = _spilled(f, time), _spilled(f, step.worst)
+        levels, tries = _spilled(f, level.get()), _spilled(f, tried.get())
+        doubts, goods = (_spilled(f, f.flags(value)) for value in (doubted, good.get()))
+        roughs = _spilled(f, f.flags(rough.get()))
+        change, rest = f.array(size * lanes), f.array(size * lanes)
+        for i in f.each(size):
+            _spill(change, i, step.middle[i] - tick.x[i])
+            _spill(rest, i, step.rest[i])
+        for lane, own in self._lanes(tick):
+            with f.when(doubts[lane].differs(0)):
+                whole = own.cast(INT)
+                slot, again = whole[at.slot], f.variable(f.constant(0, BOOL))
+                with f.when(tries[lane].equals(0)):
+                    tries[lane] = 1
+                    for i in f.loop(size):
+                        place = f.coerce(i, INT)
+                        own[place + at.change] = change[place * lanes + lane]
+                        own[place + at.rest] = rest[place * lanes + lane]
+                    self.choose(tick, lane, own, times[lane])
+                    again.set(whole[at.slot].differs(slot))
+                failed = goods[lane].equals(0)
+                with f.when(again.get()):
+                    goods[lane] = 0
+                with f.when(failed & ~again.get()):
+                    finest = levels[lane].equals(FINEST)
+                    with f.when(finest):
+                        worst = worsts[lane]
+                        own[at.excess] = f.fma(worst, self.tolerance, own[at.excess])
+                        goods[lane] = 1
+                        # Accept an error estimate that is not finite. The state is not finite
+                        # either, and a later check of the state reports this.
+                        finite = (worst - worst).equals(0.0)
+                        with f.when(finite & (own[at.excess] > _MOST_EXCESS)):
+                            goods[lane] = 0
+                            roughs[lane] = 1
+                    with f.when(~finest):
+                        levels[lane] = levels[lane] + 1
+                self._refresh(tick, lane, own, levels[lane])
+        ints = INT.of(lanes)
+        level.set(levels.cast(ints)[0])
+        tried.set(tries.cast(ints)[0])
+        good.set(goods.cast(ints)[0].differs(0))
+        rough.set(roughs.cast(ints)[0].differs(0))
+
+    def _coarsen(
+        self, tick: Tick, worst: Value, easy: Value, position: Value, level: Variable
+    ) -> None:
+        """Lanes with a step that was far too good, one by one: double the next one."""
+        f = tick.function
+        flags, positions = _spilled(f, f.flags(easy)), _spilled(f, position)
+        levels, worsts = _spilled(f, level.get()), _spilled(f, worst)
+        for lane, own in self._lanes(tick):
+            with f.when(flags[lane].differs(0)):
+                before = levels[lane]
+                with f.forever() as loop:
+                    loop.stop_if(~((levels[lane] > 0) & (worsts[lane] <= _EASY)))
+                    twice = f.constant(2 * _WHOLE, INT) >> levels[lane]
+                    loop.stop_if((positions[lane] % twice).differs(0))
+                    levels[lane] = levels[lane] - 1
+                    # The estimate is of third order, and one more in a step.
+                    worsts[lane] = worsts[lane] * 16.0
+                with f.when(levels[lane].differs(before)):
+                    self._refresh(tick, lane, own, levels[lane])
+        level.set(levels.cast(INT.of(tick.type.lanes))[0])
+
+
+def _spilled(f: Function, value: Value) -> Array:
+    """The lanes of a value in memory."""
+    memory = f.array(value.type.lanes, value.type.of(1))
+    _spill(memory, 0, value)
+    return memory
+
+
+def _spill(memory: Array, index: Operand, value: Value) -> None:
+    memory.cast(value.type)[index] = value

@@ -1,0 +1,97 @@
+"""Fixed-step integrators over one tick, traced for one lane or several."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from .ir import INT, Array, Function, Operand, Type, Value
+
+Rate = Callable[[Operand, Array, Array], None]
+"""``rate(t, x, out)`` writes dx/dt at time t, with the inputs at that time."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """One tick as an integrator sees it: it advances ``x`` where ``running`` holds."""
+
+    function: Function
+    size: int
+    """Number of continuous states."""
+    type: Type
+    """Doubles, one a lane."""
+    start: Value
+    end: Value
+    """Times in s, the same in all lanes."""
+    x: Array
+    running: Value
+    """The lanes that advance; with a single lane it always does."""
+    rate: Rate
+    step: Value
+    """Largest step in s."""
+
+    def vector(self) -> Array:
+        """Memory for one value of each state."""
+        return self.function.array(self.size, self.type)
+
+    def along(self, out: Array, *terms: tuple[Operand, Array]) -> None:
+        """``out`` = x + the sum of factor · vector."""
+        f = self.function
+        for i in f.each(self.size):
+            total = self.x[i]
+            for factor, vector in terms:
+                total = f.fma(f.coerce(factor, self.type), vector[i], total)
+            out[i] = total
+
+    def accept(self, new: Array) -> None:
+        """Take new values of the states in the lanes that advance."""
+        for i in self.function.each(self.size):
+            if self.type.lanes == 1:
+                self.x[i] = new[i]
+            else:
+                self.x[i] = self.function.select(self.running, new[i], self.x[i])
+
+
+def advance_rk4(tick: Tick) -> None:
+    """Equal steps of the classical fourth-order Runge-Kutta method."""
+    f = tick.function
+    span = tick.end - tick.start
+    steps = f.maximum(f.ceil(span / tick.step - 1e-9), 1.0)
+    h = span / steps
+    z, k1, k2, k3, k4 = (tick.vector() for _ in range(5))
+    for number in f.loop(f.to_int(steps)):
+        t = f.fma(f.to_double(f.coerce(number, INT)), h, tick.start)
+        tick.rate(t, tick.x, k1)
+        tick.along(z, (0.5 * h, k1))
+        tick.rate(t + 0.5 * h, z, k2)
+        tick.along(z, (0.5 * h, k2))
+        tick.rate(t + 0.5 * h, z, k3)
+        tick.along(z, (h, k3))
+        tick.rate(t + h, z, k4)
+        sixth = f.coerce(h * (1.0 / 6.0), tick.type)
+        for i in f.each(tick.size):
+            middle = f.fma(k2[i] + k3[i], 2.0, k1[i] + k4[i])
+            z[i] = f.fma(sixth, middle, tick.x[i])
+        tick.accept(z)
+
+
+def advance_runge_kutta3(tick: Tick) -> None:
+    """The steps of Drake's RungeKutta3Integrator, of which the last may stretch by 1 %."""
+    f = tick.function
+    z, k1, k2, k3 = (tick.vector() for _ in range(4))
+    time = f.variable(tick.start)
+    with f.forever() as loop:
+        t = time.get()
+        loop.stop_if(t >= tick.end)
+        last = f.fma(tick.step, 1.01, t) >= tick.end
+        h = f.select(last, tick.end - t, tick.step)
+        tick.rate(t, tick.x, k1)
+        tick.along(z, (0.5 * h, k1))
+        tick.rate(t + 0.5 * h, z, k2)
+        tick.along(z, (-h, k1), (2.0 * h, k2))
+        tick.rate(t + h, z, k3)
+        sixth = f.coerce(h * (1.0 / 6.0), tick.type)
+        for i in f.each(tick.size):
+            z[i] = f.fma(sixth, f.fma(k2[i], 4.0, k1[i] + k3[i]), tick.x[i])
+        tick.accept(z)
+        time.set(f.select(last, tick.end, t + h))

@@ -1,0 +1,135 @@
+"""Machine code of a model, part by part: from the cache, or compiled when it is first used."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from functools import cache
+from importlib.metadata import version
+from multiprocessing import parent_process
+from pathlib import Path
+from threading import RLock, Timer
+
+from ..equations.passes import Layout, Program
+from ..equations.reader import Equations
+from . import cache as entries
+from .llvm import Library, compile_text, processor
+from .time_loop import between_text, run_text, start_text
+
+Source = Equations | Callable[[], Equations]
+"""Equations, or what reads them when machine code of them must be made."""
+
+ANNOUNCED_AFTER_S = 1.0
+"""A compilation that takes longer is told on stderr."""
+
+_lock = RLock()  # threads may want the same code
+_libraries: dict[str, Library] = {}
+_layouts: dict[str, Layout] = {}
+
+
+class MachineCode:
+    """The functions of one model.
+
+    ``key`` is text that is equal for equal equations alone. Pickled, it takes key and source along:
+    another process loads the code from the cache, or makes it.
+    """
+
+    def __init__(self, key: str, source: Source) -> None:
+        self.key, self._source = key, source
+        self._program: Program | None = None
+
+    def __reduce__(self) -> tuple[type[MachineCode], tuple[str, Source]]:
+        return MachineCode, (self.key, self._source)
+
+    @property
+    def layout(self) -> Layout:
+        """Names and sizes."""
+        with _lock:
+            key = self._entry("layout")
+            if key not in _layouts:
+                content = entries.load(key)
+                if content is None:
+                    with _announced():
+                        _layouts[key] = self.program.layout
+                    entries.store(key, json.dumps(_layouts[key].plain()).encode())
+                else:
+                    _layouts[key] = Layout.from_plain(json.loads(content))
+            return _layouts[key]
+
+    @property
+    def program(self) -> Program:
+        """What is printed; made when it is first needed."""
+        with _lock:
+            if self._program is None:
+                source = self._source
+                self._program = Program(source if isinstance(source, Equations) else source())
+            return self._program
+
+    def start(self, name: str) -> Callable[..., None]:
+        """``constants`` or ``initialize``."""
+        arguments = {"constants": 2, "initialize": 5}[name]
+        return self._library("start", lambda: start_text(self.program)).function(name, arguments)
+
+    def run(self, integrator: str, lanes: int) -> Callable[..., None]:
+        """``run`` of `time_loop`."""
+        part = f"run, {integrator}, {lanes} lanes"
+        library = self._library(part, lambda: run_text(self.program, integrator, lanes))
+        return library.function("run", 1)
+
+    def between(self) -> Callable[..., None]:
+        """``between`` of `time_loop`."""
+        library = self._library("between", lambda: between_text(self.program))
+        return library.function("between", 1)
+
+    def _library(self, part: str, text: Callable[[], str]) -> Library:
+        with _lock:
+            key = self._entry(part)
+            if key not in _libraries:
+                code = entries.load(key)
+                if code is None:
+                    with _announced():
+                        code = compile_text(text())
+                    entries.store(key, code)
+                _libraries[key] = Library(code)
+            return _libraries[key]
+
+    def _entry(self, part: str) -> str:
+        """Key of a part: everything that makes its bytes."""
+        return "\n".join((self.key, _sources(), processor().key, part))
+
+
+@contextmanager
+def _announced() -> Iterator[None]:
+    """A line on stderr when the body takes more than a second; worker processes are silent."""
+    if parent_process() is not None:
+        yield
+        return
+    line = f"compiling equations; machine code is kept in {entries.cache_directory()}"
+    # A wait without a word looks like a hang; there is no logger to say it.
+    timer = Timer(ANNOUNCED_AFTER_S, lambda: print(line, file=sys.stderr, flush=True))  # noqa: T201
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@cache
+def _sources() -> str:
+    """Fingerprint of what turns equations into machine code."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def equations_key(equations: Equations) -> str:
+    """Key of equations by their content."""
+    named = [(field.name, getattr(equations, field.name)) for field in fields(equations)]
+    content = [value.nodes if name == "graph" else value for name, value in named]
+    return hashlib.sha256(repr((version("drake"), content)).encode()).hexdigest()

@@ -1,0 +1,339 @@
+"""Nodes of a graph as instructions of a function, for one lane or several."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+from ..equations.graph import COMPARISONS, SOURCES
+from ..equations.passes import ALWAYS, Group, Memo, Place, Program
+from . import elementary
+from .ir import (
+    DOUBLE,
+    INT,
+    POINTER,
+    Array,
+    Function,
+    Module,
+    Operand,
+    Type,
+    Value,
+)
+
+MEMO_LINES = 4096
+"""Lines of a table of whole-number functions, a power of two: all counts of a 12-bit encoder."""
+
+Load = Callable[[str, int], Operand]
+"""Gives an element of a source (`graph.SOURCES`), or of a ``constant`` computed once a run."""
+
+_LIBRARY = {"power": "pow"}  # of the C library, where its name is another one
+_EXACT = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "abs": "absolute"}
+_CHOICES = {"min": "minimum", "max": "maximum"}
+_OWN = ("acos", "asin", "atan", "atan2", "exp", "log")
+
+
+class Printer:
+    """Traces nodes of a program into a function."""
+
+    def __init__(
+        self,
+        function: Function,
+        program: Program,
+        load: Load,
+        *,
+        hoisted: Mapping[int, int] | None = None,
+        memory: Sequence[Array] | None = None,
+        given: Mapping[int, Operand] | None = None,
+    ) -> None:
+        """``hoisted``: nodes to load as constants, those of the program by default.
+
+        ``memory``: for each memo of the program its tags and its values; without them nothing is
+        looked up. ``given``: values of nodes that are known already.
+        """
+        self.function, self.program, self.graph = function, program, program.graph
+        self.load = load
+        self.hoisted = program.hoisted if hoisted is None else hoisted
+        self.memory = memory
+        self.given = given or {}
+        self.memo_of: dict[int, tuple[int, Memo]] = {}
+        if memory is not None:
+            for number, memo in enumerate(program.memos):
+                self.memo_of |= dict.fromkeys(memo.nodes, (number, memo))
+        self._made: dict[Any, Any] = {}  # pairs of sine and cosine, and lines that were looked up
+
+    def _arguments(self, node: int) -> tuple[int, ...]:
+        if node in self.hoisted or node in self.given:
+            return ()
+        if node in self.memo_of:
+            return (self.memo_of[node][1].count,)
+        return self.graph.arguments(node)
+
+    def _reachable(self, roots: Iterable[int]) -> set[int]:
+        return set(self.graph.reachable(roots, self._arguments))
+
+    def groups(
+        self,
+        groups: Sequence[Group],
+        condition: Callable[[tuple[str, int]], Value],
+        store: Callable[[Place, Operand], None],
+    ) -> None:
+        """Compute groups and store their targets; what two groups share comes first."""
+        users: dict[int, list[str]] = {}
+        needed: dict[int, set[int]] = {}
+        for number, group in enumerate(groups):
+            for node in self._reachable(node for _, node in group.targets):
+                needed.setdefault(node, set()).add(-1 if group.condition == ALWAYS else number)
+            for _, node in group.targets:
+                users.setdefault(node, []).append("target")
+        for node in needed:
+            kind = "memo" if node in self.memo_of else self.graph.nodes[node][0]
+            for argument in self._arguments(node):
+                users.setdefault(argument, []).append(kind)
+        fused = {
+            node
+            for node, kinds in users.items()
+            if kinds == ["add"] and self._operation(node) == "multiply"
+        } - self.program.deciding
+        values: dict[int, Operand] = {}
+        shared = sorted(n for n, numbers in needed.items() if len(numbers) > 1 or -1 in numbers)
+        self._compute(shared, values, fused)
+        for number, group in enumerate(groups):
+            if group.condition == ALWAYS:
+                for place, node in group.targets:
+                    store(place, values[node])
+            elif group.targets:
+                with self.function.when(condition(group.condition)), self._block():
+                    inner = dict(values)
+                    own = sorted(n for n, numbers in needed.items() if numbers == {number})
+                    self._compute(own, inner, fused)
+                    for place, node in group.targets:
+                        store(place, inner[node])
+
+    def always(
+        self, targets: Iterable[tuple[Place, int]], store: Callable[[Place, Operand], None]
+    ) -> None:
+        """Compute targets without a condition."""
+        no_condition = Value(self.function, "", INT)
+        self.groups([Group(ALWAYS, tuple(targets))], lambda _: no_condition, store)
+
+    @contextmanager
+    def _block(self) -> Iterator[None]:
+        """What is made within a block is unknown behind it."""
+        before = dict(self._made)
+        yield
+        self._made = before
+
+    def _operation(self, node: int) -> str:
+        """The operation that is printed for a node, empty when it is loaded or known."""
+        known = node in self.hoisted or node in self.given or node in self.memo_of
+        return "" if known else str(self.graph.nodes[node][0])
+
+    def _compute(self, nodes: Iterable[int], values: dict[int, Operand], fused: set[int]) -> None:
+        for node in nodes:
+            if node not in fused:
+                values[node] = self._value(node, values, fused)
+
+    def _value(self, node: int, values: Mapping[int, Operand], fused: set[int]) -> Operand:
+        f = self.function
+        if node in self.given:
+            return self.given[node]
+        if node in self.hoisted:
+            return self.load("constant", self.hoisted[node])
+        if node in self.memo_of:
+            return self._looked_up(values[self.memo_of[node][1].count], *self.memo_of[node])[node]
+        kind, *_ = self.graph.nodes[node]
+        if kind == "constant":
+            return float(self.graph.nodes[node][1])
+        if kind in SOURCES:
+            return self.load(kind, self.graph.nodes[node][1])
+        if kind == "add":
+            return self._sum(self.graph.arguments(node), values, fused)
+        if kind == "multiply":
+            sign, factors = self._factors(node, values)
+            total = self._product(factors)
+            return total if sign > 0 else -total
+        arguments = self.graph.arguments(node)
+        a: list[Operand] = [values[argument] for argument in arguments]
+        if kind == "where":
+            return f.select(_condition(f, a[0]), *a[1:])
+        if not any(isinstance(operand, Value) for operand in a):
+            a[0] = f.coerce(a[0], DOUBLE)  # LLVM folds constants, as the processor would
+        if kind == "divide":
+            return f.binary("div", *a)
+        if kind in COMPARISONS:
+            return f.compare(kind, *a)
+        if kind in ("and", "or"):
+            result = a[0]
+            for other in a[1:]:
+                result = f.binary(kind, result, other)
+            return result
+        if kind == "not":
+            return ~_condition(f, a[0])
+        if kind in _CHOICES:
+            return self._call(getattr(f, _CHOICES[kind]), a)
+        if kind in _EXACT:
+            return self._call(getattr(f, _EXACT[kind]), a)
+        if kind in ("sin", "cos"):
+            pair = ("sin and cos", arguments[0])
+            if pair not in self._made:
+                self._made[pair] = elementary.sincos(f, *f.alike(a[0]))
+            return self._made[pair][kind == "cos"]
+        if kind in _OWN:
+            return self._call(partial(getattr(elementary, kind), f), a)
+        return f.library(_LIBRARY.get(str(kind), str(kind)), *a)
+
+    @staticmethod
+    def _call(function: Callable[..., Operand], arguments: Sequence[Operand]) -> Operand:
+        return function(*arguments)
+
+    def _sum(self, terms: Sequence[int], values: Mapping[int, Operand], fused: set[int]) -> Operand:
+        """A sum, into which its products are fused."""
+        total: Operand | None = None
+        for term in terms:
+            if term not in fused:
+                total = values[term] if total is None else total + values[term]
+        for term in terms:
+            if term not in fused:
+                continue
+            sign, factors = self._factors(term, values)
+            *most, last = factors or [1.0]
+            if most:
+                first = self._product(most)
+                first = first if sign > 0 else -first
+                total = first * last if total is None else self.function.fma(first, last, total)
+            elif total is None:
+                total = last if sign > 0 else -last
+            else:
+                total = total + last if sign > 0 else total - last
+        assert total is not None
+        return total
+
+    def _factors(self, node: int, values: Mapping[int, Operand]) -> tuple[int, list[Operand]]:
+        """Sign and factors of a product; those that are -1 only change the sign."""
+        sign, factors = 1, []
+        for argument in self.graph.arguments(node):
+            if self.graph.value(argument) == -1.0:
+                sign = -sign
+            else:
+                factors.append(values[argument])
+        return sign, factors
+
+    @staticmethod
+    def _product(factors: Sequence[Operand]) -> Operand:
+        total = factors[0] if factors else 1.0
+        for factor in factors[1:]:
+            total = total * factor
+        return total
+
+    # ------------------------------------------------------------------- whole-number functions
+
+    def _looked_up(self, count: Operand, number: int, memo: Memo) -> dict[int, Operand]:
+        """Values of a memo's nodes; a line that is missing is computed and kept."""
+        if ("line", number) in self._made:
+            line: dict[int, Operand] = self._made["line", number]
+            return line
+        f = self.function
+        assert self.memory is not None
+        assert isinstance(count, Value)
+        lanes, width = count.type.lanes, len(memo.nodes)
+        tags, kept = self.memory[2 * number], self.memory[2 * number + 1]
+        small = f.absolute(count) < 2.0**31
+        index = f.to_int(f.select(small, count, 0.0)) & (MEMO_LINES - 1)
+        place = index * lanes + f.lane_numbers(lanes)
+        places = [f.lane(place, lane) for lane in range(lanes)]
+        tag = f.gathered(lanes, lambda lane: tags[places[lane]])
+        first = [place * width for place in places]
+        known = tag.equals(count) & f.bits(tag).equals(f.bits(count))  # 0 is not -0
+        with f.when(f.any_lane(~known)):
+            inner = Printer(f, self.program, self.load, given={memo.count: count})
+            for lane in range(lanes):
+                tags[places[lane]] = f.lane(count, lane)
+
+            def keep(at: Place, value: Operand) -> None:
+                value = f.coerce(value, count.type)
+                for lane in range(lanes):
+                    kept[first[lane] + at[1]] = f.lane(value, lane)
+
+            inner.always(((("memo", i), node) for i, node in enumerate(memo.nodes)), keep)
+
+        def value(column: int) -> Value:
+            return f.gathered(lanes, lambda lane: kept[first[lane] + column])
+
+        self._made["line", number] = {node: value(i) for i, node in enumerate(memo.nodes)}
+        return self._looked_up(count, number, memo)
+
+
+def _condition(function: Function, value: Operand) -> Value:
+    return value if isinstance(value, Value) else function.constant(value, Type("i1"))
+
+
+# ------------------------------------------------------------------ functions without events
+
+
+def define_constants(module: Module, program: Program) -> None:
+    """``constants(parameters, c)``: what depends on parameters alone."""
+    f = module.function("constants", dict.fromkeys(("p", "c"), POINTER), internal=False)
+    parameters, c = (Array(f.arguments[name], DOUBLE) for name in ("p", "c"))
+
+    def store(place: Place, value: Operand) -> None:
+        c[place[1]] = value
+
+    targets = [(("constant", number), node) for node, number in program.hoisted.items()]
+    Printer(f, program, lambda _, index: parameters[index], hoisted={}).always(targets, store)
+
+
+def sources(time: Operand, **arrays: Array) -> Load:
+    """A `Load` from arrays by the name of their source."""
+    return lambda kind, index: time if kind == "time" else arrays[kind][index]
+
+
+def define_initialize(module: Module, program: Program) -> None:
+    """``initialize(x, d, u, c, after)``: discrete states after the initialization events."""
+    names = ("x", "d", "u", "c", "after")
+    f = module.function("initialize", dict.fromkeys(names, POINTER), internal=False)
+    x, d, u, c, after = (Array(f.arguments[name], DOUBLE) for name in names)
+
+    def store(place: Place, value: Operand) -> None:
+        after[place[1]] = value
+
+    targets = [(("after", i), node) for i, node in enumerate(program.initial_held)]
+    Printer(f, program, sources(0.0, state=x, held=d, input=u, constant=c)).always(targets, store)
+
+
+def define_derivatives(module: Module, program: Program, lanes: int, attributes: str) -> Function:
+    """``derivatives(t, x, d, u, c, out)``: dx/dt."""
+    f, load, out = _of_state(module, program, "derivatives", lanes, attributes)
+
+    def store(place: Place, value: Operand) -> None:
+        out[place[1]] = value
+
+    targets = [(("derivative", i), node) for i, node in enumerate(program.derivatives)]
+    Printer(f, program, load).always(targets, store)
+    return f
+
+
+def define_jacobian(module: Module, program: Program) -> Function:
+    """``jacobian(t, x, d, u, c, out)``: df/dx, column by column, of one lane."""
+    f, load, out = _of_state(module, program, "jacobian", 1, "noinline")
+    for i in f.loop(program.size**2):
+        out[i] = 0.0
+
+    def store(place: Place, value: Operand) -> None:
+        out[place[1]] = value
+
+    Printer(f, program, load).always(((("jacobian", at), n) for at, n in program.jacobian), store)
+    return f
+
+
+def _of_state(
+    module: Module, program: Program, name: str, lanes: int, attributes: str
+) -> tuple[Function, Load, Array]:
+    type_ = DOUBLE.of(lanes)
+    names = ("x", "d", "u", "c", "out")
+    arguments = {"t": type_} | dict.fromkeys(names, POINTER)
+    f = module.function(name, arguments, attributes=attributes)
+    x, d, u, c, out = (Array(f.arguments[key], type_) for key in names)
+    load = sources(f.arguments["t"], state=x, held=d, input=u, constant=c)
+    return f, load, out

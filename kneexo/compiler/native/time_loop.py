@@ -1,0 +1,515 @@
+"""Machine code of a model: its time loop, for one lane or several, as IR text.
+
+One text for each part of a model, so that only what is used is compiled:
+`start_text` (constants and initialization), `run_text` (a run with one integrator) and
+`between_text` (records between two ticks).
+
+``x``: continuous states, ``d``: discrete states, held between two events, ``u``: open inputs,
+``c``: constants of the run, ``y``: outputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ..equations.passes import Group, Place, Program
+from . import exact_hold
+from .integrators import Tick, advance_rk4, advance_runge_kutta3
+from .ir import (
+    BOOL,
+    BYTE,
+    DOUBLE,
+    INT,
+    POINTER,
+    Array,
+    Function,
+    Module,
+    Operand,
+    Type,
+    Value,
+    Variable,
+)
+from .printer import (
+    MEMO_LINES,
+    Printer,
+    define_constants,
+    define_derivatives,
+    define_initialize,
+    define_jacobian,
+    sources,
+)
+
+INTEGRATORS = ("exact_hold", "rk4", "runge_kutta3")
+"""Time integrators of every compiled model."""
+
+OK, NOT_FINITE, OUTSIDE, TOO_ROUGH, OUTPUT_NOT_FINITE = range(5)
+"""How a run ended: at its end, with a state that is not finite, outside a limit, where the exact
+hold cannot hold its tolerance, or with a recorded output that is not finite."""
+
+RUN = (
+    *("c", "own_c", "x", "d", "inputs", "tick", "unit", "split", "first", "last", "longest"),
+    *("periods", "offsets", "record_every", "row", "rows", "wanted", "columns"),
+    *("column_count", "record"),
+    *("step", "tolerance", "memory", "shared", "tags", "values", "status"),
+    *("kept", "kept_count", "kept_x", "kept_d"),
+)
+"""Arguments of ``run``, each in eight bytes: numbers, or addresses of arrays.
+
+``c`` (constants, lanes), ``own_c`` (lanes, constants), ``x`` (states, lanes), ``d`` (held, lanes),
+``inputs`` (lanes, `INPUT`), the ``tick`` in s and the ``unit``, which has ``split`` ticks: see
+``_Clock``; ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and ``offsets``
+(periods,) in ticks, the ``row`` of the first record, ``wanted`` (output ports,) bytes, ``columns``
+(column_count,) of the elements of all outputs, ``record`` (lanes, column_count, rows), ``memory``
+and ``shared`` of the exact hold, ``tags`` and ``values`` of the tables of whole-number functions,
+``status`` (lanes, 3): outcome, tick, and which limit; ``kept`` (kept_count,) ticks whose states
+after the events go into ``kept_x`` (kept_count, states) and ``kept_d``, with a single lane.
+"""
+
+BETWEEN = (
+    *("c", "inputs", "tick", "unit", "split", "wanted", "columns", "column_count", "record"),
+    *("rows", "step", "kept", "kept_x", "kept_d", "times", "places"),
+)
+"""Arguments of ``between``: the same, and ``times`` (rows,) with the ``places`` (rows,) of the kept
+states that they start from."""
+
+DOUBLES = ("tick", "unit", "step", "tolerance")
+"""Those of both that are doubles; the others are integers or addresses."""
+
+INPUT = ("break_count", "breaks", "powers", "coefficients")
+"""An input table: see `InputTable`."""
+
+_CHECKS = 4  # independent sums, which the processor can compute at the same time
+
+_INLINED_STATES, _INLINED_NODES = 8, 1500  # beyond that derivatives are called
+
+
+def start_text(program: Program) -> str:
+    """``constants`` and ``initialize``."""
+    module = Module()
+    define_constants(module, program)
+    define_initialize(module, program)
+    return module.text()
+
+
+def run_text(program: Program, integrator: str, lanes: int) -> str:
+    """``run`` with one of `INTEGRATORS`."""
+    module = Module()
+    _Run(module, program, integrator, lanes).trace()
+    return module.text()
+
+
+def between_text(program: Program) -> str:
+    """``between``: records at any times, each by RK4 from a kept state."""
+    module = Module()
+    _trace_between(module, program)
+    return module.text()
+
+
+# ------------------------------------------------------------------------------ model parts
+
+
+class _Clock:
+    """Time of one tick after the other; whole units are not rounded twice, as in `Timing.times`."""
+
+    def __init__(self, f: Function, arguments: _Arguments, tick: Value) -> None:
+        self.f, self.a = f, arguments
+        split = arguments["split"]
+        whole = f.instruction(f"sdiv i64 {tick.name}, {split.name}", INT)
+        self.whole, self.part = f.variable(whole), f.variable(tick - whole * split)
+
+    def time(self) -> Value:
+        """Time of the tick in s."""
+        part = self.f.to_double(self.part.get()) * self.a["tick"]
+        return self.f.fma(self.f.to_double(self.whole.get()), self.a["unit"], part)
+
+    def advance(self) -> None:
+        """Go to the next tick."""
+        f, part = self.f, self.part.get() + 1
+        is_whole = part.equals(self.a["split"])
+        self.whole.set(self.whole.get() + f.flags(is_whole))
+        self.part.set(f.select(is_whole, 0, part))
+
+
+class _Arguments:
+    """The arguments of a function, behind one pointer."""
+
+    def __init__(self, f: Function, names: Sequence[str]) -> None:
+        self.f = f
+        memory = Array(f.arguments["arguments"], INT)
+        self.values = {
+            name: memory.cast(DOUBLE)[i] if name in DOUBLES else memory[i]
+            for i, name in enumerate(names)
+        }
+
+    def __getitem__(self, name: str) -> Value:
+        return self.values[name]
+
+    def array(self, name: str, type_: Type = INT) -> Array:
+        """The array behind an address."""
+        return Array(self.f.pointer(self.values[name]), type_)
+
+
+def _define_inputs(module: Module, program: Program) -> Function:
+    """``evaluate_inputs(t, table, u)``: the open inputs of one lane, as `InputTable` says.
+
+    The first segment ends and the last one starts at a break, where a value belongs to the segment
+    on its right; at the last of several breaks, the end of a spline, to that on its left.
+    """
+    arguments = {"t": DOUBLE, "table": POINTER, "u": POINTER}
+    f = module.function("evaluate_inputs", arguments)
+    t, table = f.arguments["t"], Array(f.arguments["table"], INT)
+    count, powers = table[INPUT.index("break_count")], table[INPUT.index("powers")]
+    breaks, coefficients = (
+        Array(f.pointer(table[INPUT.index(name)]), DOUBLE) for name in ("breaks", "coefficients")
+    )
+    low, high = f.variable(f.constant(0, INT)), f.variable(count)
+    with f.forever() as loop:  # the number of breaks that are not after t
+        loop.stop_if(low.get() >= high.get())
+        middle = (low.get() + high.get()) >> 1
+        before = breaks[middle] <= t
+        low.set(f.select(before, middle + 1, low.get()))
+        high.set(f.select(before, high.get(), middle))
+    segment, start = low, f.variable(f.constant(0.0))
+    with f.when(segment.get() > 0):
+        last = (segment.get() > 1) & segment.get().equals(count)
+        at_end = last & t.equals(breaks[segment.get() - 1])
+        segment.set(f.select(at_end, segment.get() - 1, segment.get()))
+        start.set(breaks[segment.get() - 1])
+    s, u = t - start.get(), Array(f.arguments["u"], DOUBLE)
+    # Before the first break the powers count from t = 0.
+    size = sum(program.equations.inputs.values())
+    for i in f.each(size):
+        first = (segment.get() * size + i) * powers
+        value, power = f.variable(f.constant(0.0)), f.variable(powers)
+        with f.forever() as loop:
+            loop.stop_if(power.get() <= 0)
+            power.set(power.get() - 1)
+            value.set(value.get() * s + coefficients[first + power.get()])
+        u[i] = value.get()
+    return f
+
+
+class _Model:
+    """What run and records between ticks share: the equations in some number of lanes."""
+
+    def __init__(self, f: Function, program: Program, lanes: int, arguments: _Arguments) -> None:
+        self.f, self.program, self.lanes = f, program, lanes
+        self.type = DOUBLE.of(lanes)
+        equations = program.equations
+        self.held = len(equations.held)
+        self.input_count = sum(equations.inputs.values())
+        self.output_count = sum(map(len, equations.outputs.values()))
+        large = program.size > _INLINED_STATES or (
+            len(program.graph.reachable(program.derivatives)) - len(program.hoisted)
+            > _INLINED_NODES
+        )
+        attributes = "noinline" if large else "alwaysinline"
+        self.derivatives = define_derivatives(f.module, program, lanes, attributes)
+        self.evaluate = _define_inputs(f.module, program) if self.input_count else None
+        self.inputs = arguments.array("inputs")
+        self.c = arguments.array("c", self.type)
+        self.x = f.array(program.size, self.type)
+        self.d = f.array(self.held, self.type)
+        self.u = f.array(self.input_count, self.type)
+        self.y = f.array(self.output_count, self.type)
+        self._of_lane = f.array(self.input_count)
+        self.states = (("kept_x", self.x, program.size), ("kept_d", self.d, self.held))
+        """States, their number, and the name of the argument that keeps them."""
+
+    def inputs_of(self, lane: Operand, time: Value, u: Array) -> None:
+        """Write the inputs of one lane."""
+        if self.evaluate is not None:
+            table = self.inputs.address(self.f.coerce(lane, INT) * len(INPUT))
+            self.f.call(self.evaluate, time, table, u.pointer)
+
+    def set_inputs(self, time: Operand) -> None:
+        """Write the inputs of all lanes at their times."""
+        if self.evaluate is None:
+            return
+        f, u = self.f, self._of_lane
+        times = f.coerce(time, self.type)
+        for lane in range(self.lanes):
+            self.inputs_of(lane, f.lane(times, lane), u)
+            for i in f.each(self.input_count):
+                self.u.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane] = u[i]
+
+    def rate(self, time: Operand, x: Array, out: Array) -> None:
+        """``out`` = dx/dt, with the inputs at that time."""
+        self.set_inputs(time)
+        pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
+        self.f.call(self.derivatives, self.f.coerce(time, self.type), *pointers)
+
+    def tick(self, start: Value, end: Value, step: Value, running: Value) -> Tick:
+        """A tick of an integrator."""
+        return Tick(
+            self.f, self.program.size, self.type, start, end, self.x, running, self.rate, step
+        )
+
+    def instant(
+        self,
+        time: Value,
+        groups: Sequence[Group],
+        condition: Callable[[tuple[str, int]], Value],
+        store: Callable[[Place, Operand], None],
+        memory: Sequence[Array] | None = None,
+    ) -> None:
+        """Compute groups at a time."""
+        self.set_inputs(time)
+        load = sources(time, state=self.x, held=self.d, input=self.u, constant=self.c)
+        printer = Printer(self.f, self.program, load, memory=memory)
+        printer.groups(groups, condition, store)
+
+    def record(self, columns: Array, count: Value, record: Array, rows: Value, row: Value) -> None:
+        """Write columns of the outputs into a row of each lane's record."""
+        f = self.f
+        for column in f.loop(count):
+            value = self.y[columns[column]]
+            for lane in range(self.lanes):
+                place = (count * lane + column) * rows + row
+                record[place] = f.lane(value, lane)
+
+
+# ------------------------------------------------------------------------------------- run
+
+
+@dataclass(frozen=True)
+class _Now:
+    """One pass of the time loop."""
+
+    number: Value
+    """Of the tick."""
+    time: Value
+    present: Value
+    """The lanes whose run has not ended; with one lane it holds always."""
+    running: Value
+    """Those of them that go on from here."""
+
+
+class _Run:
+    """Traces ``run``: from tick ``first`` to tick ``last`` of each lane.
+
+    Events at t see the states before them, as in Drake; those at ``last`` are left to the next run.
+    """
+
+    def __init__(self, module: Module, program: Program, integrator: str, lanes: int) -> None:
+        self.f = f = module.function("run", {"arguments": POINTER}, internal=False)
+        self.program, self.integrator, self.lanes = program, integrator, lanes
+        self.a = a = _Arguments(f, RUN)
+        self.model = _Model(f, program, lanes, a)
+        self.mask = BOOL.of(lanes)
+        self.alive = f.variable(f.constant(1, self.mask))
+        self.after = f.array(self.model.held, self.model.type)
+        self.status = a.array("status")
+        if integrator == "exact_hold" and program.size:
+            self._prepare_hold()
+
+    def _prepare_hold(self) -> None:
+        f, a, program = self.f, self.a, self.program
+        own_c = a.array("own_c", DOUBLE)
+        choose_slot = exact_hold.define_choose_slot(f.module, program.size)
+        jacobian = define_jacobian(f.module, program)
+        x, d, u = (f.array(k) for k in (program.size, self.model.held, self.model.input_count))
+        at = exact_hold.Memory(program.size)
+
+        def choose(tick: Tick, lane: Value, own: Array, time: Value) -> None:
+            sizes = (program.size, self.model.held)
+            for values, single, count in zip(
+                (self.model.x, self.model.d), (x, d), sizes, strict=True
+            ):
+                spilled = f.array(count, self.model.type)
+                for i in f.each(count):
+                    spilled[i] = values[i]
+                for i in f.loop(count):
+                    single[i] = spilled.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane]
+            self.model.inputs_of(lane, time, u)
+            c = own_c.address(lane * len(program.hoisted))
+            pointers = (x.pointer, d.pointer, u.pointer, c, own.address(at.candidate))
+            f.call(jacobian, time, *pointers)
+            f.call(choose_slot, x.pointer, own.pointer, a["tick"])
+
+        self.hold = exact_hold.ExactHold(
+            a["tick"], a["tolerance"], a.array("memory", DOUBLE), a.array("shared", DOUBLE), choose
+        )
+
+    def trace(self) -> None:
+        """Trace the whole function."""
+        f, a, model = self.f, self.a, self.model
+        outer_x, outer_d = a.array("x", model.type), a.array("d", model.type)
+        for i in f.each(self.program.size):
+            model.x[i] = outer_x[i]
+        for i in f.each(model.held):
+            model.d[i] = outer_d[i]
+        ends = a.array("last", INT.of(self.lanes))[0]
+        number, clock = f.variable(a["first"]), _Clock(f, a, a["first"])
+        row, keep = f.variable(a["row"]), f.variable(f.constant(0, INT))
+        if self.lanes == 1:
+            self._keep(keep, a["first"] - 1)
+        with f.forever() as loop:
+            k = number.get()
+            loop.stop_if(k > a["longest"])
+            time = clock.time()
+            ticks = f.coerce(k, INT.of(self.lanes))
+            alive = self.alive.get()
+            now = _Now(k, time, alive & (ticks <= ends), alive & (ticks < ends))
+            self._events(now, row)
+            if self.lanes == 1:
+                self._keep(keep, k)
+            running = self.alive.get() & (ticks < ends)
+            loop.stop_if(~f.any_lane(running))
+            clock.advance()
+            if self.program.size:
+                self._advance(_Now(k, time, now.present, running), clock.time())
+            loop.stop_if(~f.any_lane(self.alive.get()))
+            number.set(k + 1)
+        for i in f.each(self.program.size):
+            outer_x[i] = model.x[i]
+        for i in f.each(model.held):
+            outer_d[i] = model.d[i]
+
+    def _keep(self, keep: Variable, tick: Value) -> None:
+        """Keep the state, when the next of the kept ticks is this one."""
+        f, a, model = self.f, self.a, self.model
+        kept, number = a.array("kept"), keep.get()
+        with f.when(number < a["kept_count"]), f.when(kept[number].equals(tick)):
+            for name, values, count in model.states:
+                memory = a.array(name, DOUBLE).shifted(number * count)
+                for i in f.each(count):
+                    memory[i] = values[i]
+            keep.set(number + 1)
+
+    def _events(self, now: _Now, row: Variable) -> None:
+        """Record and update at an instant, where there is anything to do."""
+        f, a, model, program = self.f, self.a, self.model, self.program
+        recording = (now.number % a["record_every"]).equals(0) & (row.get() < a["rows"])
+        going = f.any_lane(now.running)
+        periods, offsets = a.array("periods"), a.array("offsets")
+        fires = []
+        firing = f.constant(0, BOOL)
+        for number in range(len(program.equations.updates)):
+            since = now.number - offsets[number]
+            fires.append(going & (since >= 0) & (since % periods[number]).equals(0))
+            firing = firing | fires[number]
+        wanted, columns = a.array("wanted", BYTE), a.array("columns")
+        margins: dict[int, Value] = {}
+        # Each sum is NaN in a lane where an output is not finite, else 0.
+        checks = [f.variable(f.constant(0.0, model.type)) for _ in range(_CHECKS)]
+
+        def condition(of: tuple[str, int]) -> Value:
+            kind, index = of
+            return fires[index] if kind == "update" else wanted[index].differs(0) & recording
+
+        def store(place: Place, value: Operand) -> None:
+            kind, index = place
+            if kind == "margin":
+                margins[index] = f.coerce(value, model.type)
+            elif kind == "after":
+                self.after[index] = value
+            else:
+                model.y[index] = value
+                check = checks[index % _CHECKS]
+                check.set(f.fma(value, 0.0, check.get()))
+
+        with f.when(recording | firing):
+            if len(fires) > 1:  # else all of them are written
+                for i in f.each(model.held):
+                    self.after[i] = model.d[i]
+            model.instant(now.time, program.groups, condition, store, self._memory())
+            with f.when(recording):
+                record = a.array("record", DOUBLE)
+                model.record(columns, a["column_count"], record, a["rows"], row.get())
+                row.set(row.get() + 1)
+            # Alone, a run looks at its last instant only to record.
+            looking = now.running | (now.present & recording)
+            for which, margin in margins.items():
+                self._fail(looking & ~(margin >= 0.0), OUTSIDE, now.number, which)
+            total = checks[0].get()
+            for check in checks[1:]:
+                total = total + check.get()
+            bad = now.present & self.alive.get() & total.differs(0.0)
+            self._fail(bad, OUTPUT_NOT_FINITE, now.number)
+            running = now.running & self.alive.get()
+            with f.when(firing & f.any_lane(running)):
+                for i in f.each(model.held):
+                    before = model.d[i]
+                    model.d[i] = self.after[i]
+                    if self.lanes > 1:
+                        model.d[i] = f.select(running, self.after[i], before)
+
+    def _memory(self) -> list[Array]:
+        """Tags and values of each memo, one after the other."""
+        tags, values = (self.a.array(name, DOUBLE) for name in ("tags", "values"))
+        memory = []
+        first = 0
+        for number, memo in enumerate(self.program.memos):
+            lines = MEMO_LINES * self.lanes
+            memory += [tags.shifted(number * lines), values.shifted(first * lines)]
+            first += len(memo.nodes)
+        return memory
+
+    def _fail(self, lanes: Value, code: int, tick: Value, which: int = 0) -> None:
+        """End the runs of lanes."""
+        f = self.f
+        with f.when(f.any_lane(lanes), rare=True):
+            for lane in range(self.lanes):
+                with f.when(f.lane(lanes, lane)):
+                    self.status[3 * lane] = code
+                    self.status[3 * lane + 1] = tick
+                    self.status[3 * lane + 2] = which
+            self.alive.set(self.alive.get() & ~lanes)
+
+    def _advance(self, now: _Now, end: Value) -> None:
+        f, a, model = self.f, self.a, self.model
+        tick = model.tick(now.time, end, a["step"], now.running)
+        rough = None
+        if self.integrator == "exact_hold":
+            with f.when(now.number.equals(a["first"])):
+                self.hold.prepare(tick)
+            rough = self.hold.advance(tick)
+        elif self.integrator == "rk4":
+            advance_rk4(tick)
+        else:
+            advance_runge_kutta3(tick)
+        total = f.variable(f.constant(0.0, model.type))
+        for i in f.each(self.program.size):
+            total.set(f.fma(model.x[i], 0.0, total.get()))
+        self._fail(now.running & total.get().differs(0.0), NOT_FINITE, now.number + 1)
+        if rough is not None:
+            self._fail(rough & self.alive.get(), TOO_ROUGH, now.number)
+
+
+# ------------------------------------------------------------------------ between two ticks
+
+
+def _trace_between(module: Module, program: Program) -> None:
+    f = module.function("between", {"arguments": POINTER}, internal=False)
+    a = _Arguments(f, BETWEEN)
+    model = _Model(f, program, 1, a)
+    columns, wanted = a.array("columns"), a.array("wanted", BYTE)
+    times, places, kept = a.array("times", DOUBLE), a.array("places"), a.array("kept")
+    groups = [group for group in program.groups if group.condition[0] == "wanted"]
+    place, time = f.variable(f.constant(-1, INT)), f.variable(f.constant(0.0))
+
+    def condition(of: tuple[str, int]) -> Value:
+        return wanted[of[1]].differs(0)
+
+    def store(at: Place, value: Operand) -> None:
+        model.y[at[1]] = value
+
+    for row in f.loop(a["rows"]):
+        now, of = times[row], places[row]
+        with f.when(of.differs(place.get())):
+            place.set(of)
+            for name, values, count in model.states:
+                memory = a.array(name, DOUBLE).shifted(of * count)
+                for i in f.each(count):
+                    values[i] = memory[i]
+            start = f.select(kept[of] > 0, kept[of], 0)
+            time.set(_Clock(f, a, start).time())
+        if program.size:
+            with f.when(now > time.get()):
+                advance_rk4(model.tick(time.get(), now, a["step"], f.constant(1, BOOL)))
+                time.set(now)
+        model.instant(now, groups, condition, store)
+        record = a.array("record", DOUBLE)
+        model.record(columns, a["column_count"], record, a["rows"], f.coerce(row, INT))

@@ -1,0 +1,96 @@
+"""Drake's trajectories as inputs of a compiled model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from pydrake.trajectories import PiecewisePolynomial
+
+from .native.runner import Array, InputTable
+
+
+def input_table(
+    trajectory: Any, derivatives: int = 0, *, zero_derivatives_beyond_limits: bool = True
+) -> InputTable:
+    """The output of ``TrajectorySource(trajectory, derivatives)`` as a table.
+
+    Parameters
+    ----------
+    trajectory
+        A PiecewisePolynomial with one column. Before its start and after its end it keeps the
+        value that it has there.
+    derivatives
+        How many time derivatives follow the value: an input of ``rows · (1 + derivatives)``.
+    zero_derivatives_beyond_limits
+        Whether the derivatives are zero before the start and after the end, or keep their value.
+
+    Raises
+    ------
+    ValueError
+        Another kind of trajectory, several columns, or a negative number of derivatives.
+    """
+    if not isinstance(trajectory, PiecewisePolynomial):
+        raise ValueError(
+            f"trajectory: is a {type(trajectory).__name__}; must be a PiecewisePolynomial, for "
+            f"instance PiecewisePolynomial.CubicShapePreserving of its samples"
+        )
+    if trajectory.cols() != 1:
+        raise ValueError(f"trajectory: has {trajectory.cols()} columns; must have 1")
+    if derivatives < 0:
+        raise ValueError(f"derivatives = {derivatives}: must be >= 0")
+    orders = [trajectory.derivative(order) for order in range(derivatives + 1)]
+    times = np.array(trajectory.get_segment_times())
+    if not np.isfinite(times).all():  # a constant, without start and end
+        value = np.concatenate([order.value(0.0)[:, 0] for order in orders])
+        return InputTable(coefficients=value[None, :, None])
+    rows = trajectory.rows()
+    width = 1 + max(
+        trajectory.getSegmentPolynomialDegree(segment, row)
+        for segment in range(times.size - 1)
+        for row in range(rows)
+    )
+    table = np.zeros((times.size + 1, rows * len(orders), width))
+    for number, order in enumerate(orders):
+        first = number * rows
+        if number == 0 or not zero_derivatives_beyond_limits:
+            for segment, time in ((0, times[0]), (-1, times[-1])):
+                table[segment, first : first + rows, 0] = order.value(time)[:, 0]
+        for segment in range(times.size - 1):
+            for row in range(rows):
+                powers = order.getPolynomial(segment, row, 0).GetCoefficients()
+                table[segment + 1, first + row, : powers.size] = powers
+    return InputTable(times, table)
+
+
+def stack_tables(*tables: InputTable) -> InputTable:
+    """One table of the inputs of several, in their order.
+
+    The breaks of the result are those of all tables; polynomials are rewritten for the break that
+    precedes them.
+    """
+    breaks = np.unique(np.concatenate([_breaks(table) for table in tables]))
+    inputs = sum(table.coefficients.shape[1] for table in tables)
+    width = max(table.coefficients.shape[2] for table in tables)
+    stacked = np.zeros((breaks.size + 1, inputs, width))
+    for segment in range(breaks.size + 1):
+        start = breaks[segment - 1] if segment else -np.inf
+        first = 0
+        for table in tables:
+            ends = _breaks(table)
+            number = int(np.searchsorted(ends, start, side="right"))
+            shift = start - table.breaks[number - 1] if number else 0.0
+            for powers in table.coefficients[number]:
+                moved = Polynomial(powers)(Polynomial([shift, 1.0])).coef
+                stacked[segment, first, : moved.size] = moved
+                first += 1
+    return InputTable(breaks, stacked)
+
+
+def _breaks(table: InputTable) -> Array:
+    """The breaks of a table; the end of a spline still belongs to it."""
+    breaks = table.breaks.copy()
+    if breaks.size > 1:
+        breaks[-1] = np.nextafter(breaks[-1], np.inf)
+    return breaks

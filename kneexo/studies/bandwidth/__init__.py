@@ -1,0 +1,1 @@
+"""The -3 dB bandwidth of the closed loop."""

@@ -1,0 +1,158 @@
+"""Pictures of `kneexo.studies.bandwidth.study`."""
+
+from __future__ import annotations
+
+import math
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from kneexo.analysis.frequency_response import MINUS_3_DB
+from kneexo.analysis.rate_limit import (
+    rate_limit_bandwidth_hz,
+    rate_limited_follower,
+    rate_limited_gain,
+)
+from kneexo.studies.bandwidth.study import BandwidthStudy, decibel, unwrapped_deg
+from kneexo.studies.plots import heat_map, plain_ticks
+
+_MINUS_3_DB = 20.0 * math.log10(MINUS_3_DB)
+_RATIO_AT_MINUS_3_DB = 1.0 / (math.tau * rate_limit_bandwidth_hz(1.0, 1.0))  # ρ = 0.55539
+_TICKS_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+
+
+def figures(study: BandwidthStudy) -> dict[str, Figure]:
+    """The map, the Bode plots over each other, and the closed form of the rate-limited sine."""
+    return {
+        "amplitude_map": plot_map(study),
+        "bode_by_amplitude": plot_bode(study),
+        "rate_limited_sine": plot_rate_limit(study),
+    }
+
+
+def plot_map(study: BandwidthStudy) -> Figure:
+    """Gain, phase and the motor's limits over frequency and amplitude."""
+    figure, axes = plt.subplots(
+        2, 2, figsize=(11, 7.5), sharex=True, sharey=True, layout="constrained"
+    )
+    f, amplitudes = study.frequencies_hz, study.amplitudes_deg
+    share, phase = Normalize(0.0, 1.0), study.phase_deg
+    low, high = np.nanmin(phase, initial=0.0), np.nanmax(phase, initial=0.0)
+    speed_limited, acceleration_limited = (
+        study.cells[f"{limit}_limited_share"] for limit in ("speed", "acceleration")
+    )
+    panels = (
+        (study.gain_db, Normalize(-20.0, 3.0), "gain (dB)"),
+        (phase, Normalize(low, high), "phase (deg)"),
+        (speed_limited, share, "share of time at the speed limit"),
+        (acceleration_limited, share, "share of time at the acceleration limit"),
+    )
+    for axis, (values, norm, label) in zip(axes.flat, panels, strict=True):
+        heat_map(axis, f, amplitudes, values.T, norm=norm, label=label)
+    for axis in axes[1]:
+        measured = study.bandwidths["measured_hz"]
+        axis.plot(measured, amplitudes, "wo", mec="k", ms=5, label="−3 dB, measured")
+        axis.legend(loc="lower left", fontsize=8, facecolor="0.75")
+        axis.set_xlabel("frequency (Hz)")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("amplitude (deg)")
+    _plot_bandwidths(study, axes[0, 0])
+    reached = study.bandwidths["speed_limit_reached_hz"]
+    axes[1, 0].plot(reached, amplitudes, "C3.-", label="the reference asks for more speed")
+    axes[1, 0].legend(loc="lower left", fontsize=8, facecolor="0.75")
+    plain_ticks(axes[0, 0].xaxis, _TICKS_HZ)
+    plain_ticks(axes[0, 0].yaxis, amplitudes)
+    return figure
+
+
+def _plot_bandwidths(study: BandwidthStudy, axis: Axes) -> None:
+    """The −3 dB frequencies, measured and predicted, over amplitude."""
+    if study.amplitudes_deg.size > 1:
+        axis.contour(
+            study.frequencies_hz,
+            study.amplitudes_deg,
+            study.gain_db,
+            levels=[_MINUS_3_DB],
+            colors="w",
+            linestyles="-",
+        )
+    axis.plot([], [], "w-", label="−3 dB, interpolated in the map")
+    for name, style, label in (
+        ("measured_hz", "wo", "−3 dB, measured"),
+        ("rate_limit_hz", "C3.-", "speed limit, closed form"),
+        ("follower_hz", "C1x", "speed limit, follower through x(θ)"),
+        ("acceleration_bound_hz", "C6.--", "acceleration bound"),
+        ("linear_loop_hz", "C9.:", "linear loop"),
+    ):
+        edge = "k" if name == "measured_hz" else None
+        axis.plot(study.bandwidths[name], study.amplitudes_deg, style, label=label, mec=edge)
+    axis.legend(loc="lower left", fontsize=8, facecolor="0.75")
+
+
+def plot_bode(study: BandwidthStudy) -> Figure:
+    """Bode plots by amplitude, over the linear loop and the rate-limited follower."""
+    figure, axes = plt.subplots(2, 1, sharex=True, figsize=(7.5, 7.5), layout="constrained")
+    colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, study.amplitudes_deg.size))
+    relative = study.relative_uncertainty
+    panels = (
+        (study.gain_db, 20.0 * np.log10(1.0 + relative), decibel),
+        (study.phase_deg, np.degrees(np.arcsin(np.minimum(relative, 1.0))), unwrapped_deg),
+    )
+    for axis, (measured, errors, shown) in zip(axes, panels, strict=True):
+        for i, amplitude in enumerate(study.amplitudes_deg):
+            axis.errorbar(
+                study.frequencies_hz,
+                measured[i],
+                errors[i],
+                fmt="o-",
+                ms=3,
+                lw=1.2,
+                color=colours[i],
+                label=f"{amplitude:g}°",
+            )
+            axis.plot(study.frequencies_hz, shown(study.follower[i]), ":", lw=1.2, color=colours[i])
+        axis.plot(study.frequencies_hz, shown(study.linear), "k--", lw=1.2, label="linear loop")
+        axis.plot([], [], ":", color="0.4", label="rate-limited follower")
+        axis.grid(alpha=0.3)
+    axes[0].axhline(_MINUS_3_DB, color="0.5", lw=0.8, label="−3 dB")
+    axes[0].set(ylabel="gain (dB)", ylim=(-45.0, 5.0), xscale="log")
+    axes[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
+    plain_ticks(axes[0].xaxis, _TICKS_HZ)
+    axes[0].legend(loc="lower left", fontsize=8, ncols=2)
+    return figure
+
+
+def plot_rate_limit(study: BandwidthStudy) -> Figure:
+    """Rate-limited sines in time; gains of all amplitudes over aω/R, with the closed form."""
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    time = np.linspace(0.0, 4.0, 4001)
+    target, shown = np.sin(math.tau * time), slice(2500, None)
+    axes[0].plot(time[shown] - 2.5, target[shown], "k", lw=1, label="sine")
+    for ratio in (0.8, _RATIO_AT_MINUS_3_DB, 0.3):
+        follower = rate_limited_follower(time, target, math.tau * ratio)
+        axes[0].plot(time[shown] - 2.5, follower[shown], label=f"ρ = {ratio:.3g}")
+    axes[0].set(xlabel="time (periods)", ylabel="position (amplitudes)", ylim=(-1.1, 1.6))
+    axes[0].legend(loc="upper center", fontsize=8, ncols=4)
+    reached = study.frequencies_hz / study.bandwidths["rate_limit_hz"][:, None]
+    demand = reached / _RATIO_AT_MINUS_3_DB
+    colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, study.amplitudes_deg.size))
+    for i, amplitude in enumerate(study.amplitudes_deg):
+        axes[1].plot(
+            demand[i], study.gain_db[i], "o", ms=3, color=colours[i], label=f"{amplitude:g}°"
+        )
+    grid = np.geomspace(demand.min(), demand.max(), 400)
+    closed = decibel(rate_limited_gain(1.0 / grid))
+    axes[1].plot(grid, closed, "C3", lw=1.2, label="closed form")
+    axes[1].axhline(_MINUS_3_DB, color="0.5", lw=0.8, label="−3 dB")
+    axes[1].set(
+        xlabel="speed demand aω/R = 1/ρ (1)",
+        ylabel="gain (dB)",
+        xscale="log",
+        ylim=(-45.0, 5.0),
+    )
+    axes[1].grid(alpha=0.3)
+    axes[1].legend(loc="lower left", fontsize=8)
+    return figure

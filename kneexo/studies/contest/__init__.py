@@ -1,0 +1,1 @@
+"""Controllers compared under equal conditions."""

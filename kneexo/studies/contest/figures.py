@@ -1,0 +1,82 @@
+"""Figures of a `kneexo.studies.contest.study.ContestStudy`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from kneexo.simulation import Array
+from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestStudy, errors_of
+from kneexo.studies.plots import decimal_ticks, legend_below
+
+
+def outcome(study: ContestStudy) -> Figure:
+    """Errors over the test plants, at both tasks, and the margin beside them."""
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
+    share = (np.arange(len(study.samples)) + 1.0) / len(study.samples)
+    for index, name in enumerate(study.entrants):
+        tuned = name in study.settings.contestants
+        style: dict[str, Any] = {"color": f"C{index}", "lw": 2.0 if tuned else 1.0}
+        style["ls"] = "-" if tuned else "--"
+        errors, elsewhere = (_drawn(errors_of(of[name])) for of in (study.tested, study.elsewhere))
+        axes[0].step(np.sort(errors), share, where="post", label=name, **style)
+        axes[1].step(np.sort(elsewhere), share, where="post", **style)
+        margins = [values["disk_margin"] for values in study.tested[name]]
+        axes[2].plot(
+            errors, margins, "o" if tuned else "x", ms=3.5, color=f"C{index}", alpha=0.6, mew=0.8
+        )
+    other = study.settings.other_reference
+    axes[0].set(ylabel="share of the test plants", title="(a) the task of the tuning")
+    axes[1].set(
+        ylabel="share of the test plants",
+        title=f"(b) {other.amplitude_deg:g}° at {other.frequency_hz:g} Hz",
+    )
+    axes[2].set(ylabel="disk margin", title="(c) margins at (a), of the stable loops")
+    for ax in axes:
+        if not np.isfinite(ax.dataLim.minposx):  # every run failed
+            ax.set_xlim(0.1, 10.0)
+        ax.set(xscale="log", xlabel="largest error (deg)")
+        decimal_ticks(ax.xaxis)
+        ax.grid(alpha=0.3)
+    for marker, label in (("o", "tuned here"), ("x", "not tuned here")):
+        axes[2].plot([], [], marker, color="0.3", ms=3.5, mew=0.8, ls="none", label=f"(c) {label}")
+    least = study.settings.least_disk_margin
+    label = f"(c) least in the tuning, {least:g}"
+    axes[2].axhline(least, color="0.4", ls=":", lw=1, label=label)
+    legend_below(figure, (axes[0], axes[2]), ncols=5, fontsize=8)
+    return figure
+
+
+def _drawn(errors: Array) -> Array:
+    """Errors on an axis that has no place for those of failed runs, which are infinite."""
+    return np.where(np.isfinite(errors), errors, np.nan)
+
+
+def search(study: ContestStudy) -> Figure:
+    """The best objective of each search over its evaluations; the first seed solid."""
+    figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    names = list(study.settings.contestants)
+    for tuning in study.tunings:
+        best = np.array(tuning.history_deg)
+        evaluations = study.settings.population * (np.arange(best.size) + 2)
+        first = tuning.seed == study.settings.optimizer_seeds[0]
+        ax.semilogy(
+            evaluations,
+            np.where(best < INFEASIBLE_DEG, best, np.nan),
+            color=f"C{names.index(tuning.contestant)}",
+            ls="-" if first else "--",
+            label=tuning.contestant + ("" if tuning.converged else " (not converged)"),
+        )
+    ax.set(xlabel="evaluations", ylabel="mean of the largest errors (deg)")
+    decimal_ticks(ax.yaxis)
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=8)
+    return figure
+
+
+def figures(study: ContestStudy) -> dict[str, Figure]:
+    """Figures by name; the caller closes them."""
+    return {"contest": outcome(study), "contest_search": search(study)}

@@ -1,0 +1,450 @@
+"""SMC against PID, fairly: one optimizer, one budget, one set of measurements, many plants.
+
+Lee et al. 2020 compare their sliding-mode controller with one PID on one plant. Here each
+contestant is tuned by the same search with at most as many evaluations, on the same encoder, at
+the same sample time and speed limit, within the same chattering, and with a margin that it must
+keep on every plant it is tuned on: a search for the smallest error alone buys error with margin.
+Then all of them meet plants that nobody was tuned on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Annotated, Any, Unpack
+
+import numpy as np
+import scipy
+from pydantic import Field
+
+from kneexo.analysis.assessment import assess
+from kneexo.errors import SimulationError
+from kneexo.parameters import (
+    UNCERTAIN_KNEE,
+    UNCERTAINTY,
+    PidParameters,
+    Scenario,
+    SineReference,
+    SlidingModeParameters,
+    Uncertainty,
+    UncertaintySet,
+)
+from kneexo.parameters.paths import applicable, changed
+from kneexo.parameters.quantity import Parameters, quantities, quantity
+from kneexo.progress import progress_bar
+from kneexo.result import Result
+from kneexo.simulation import Array, Steps, needs_runs, steps
+from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
+from kneexo.studies.robustness.study import Values, draw, realize
+from kneexo.sweeps import Sweep, SweepOptions, open_sweep
+
+_WIDE = "assumption: wide enough that the optimum lies inside"
+
+
+def _gain(low: float, high: float, source: str = _WIDE) -> Uncertainty:
+    return Uncertainty(low=low, high=high, scale="log", source=source)
+
+
+class Contestant(Parameters):
+    """A controller, and which of a scenario's values the optimizer may set, by dotted path."""
+
+    controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")]
+    gains: dict[str, Uncertainty] = Field(min_length=1)
+
+
+_PID_GAINS = {
+    "controller.proportional_per_s": _gain(0.1, 100.0),
+    "controller.integral_per_s2": _gain(0.1, 2000.0),
+    "controller.derivative": _gain(1e-4, 1.0, _WIDE + "; the lowest is none"),
+    "controller.filter_s": _gain(0.002, 0.1, _WIDE + "; not below one sample"),
+}
+
+CONTESTANTS = {
+    "SMC": Contestant(
+        controller=SlidingModeParameters(),
+        gains={
+            "controller.lambda_per_s": _gain(2.0, 200.0),
+            "controller.phi_m_s2": _gain(0.1, 100.0),
+            "controller.eta_m_s3": _gain(1e4, 1e7),
+            "estimator.time_constant_s": _gain(0.002, 0.1, _WIDE + "; not below one sample"),
+        },
+    ),
+    "PID": Contestant(controller=PidParameters(), gains=_PID_GAINS),
+    "PID with reference velocity": Contestant(
+        controller=PidParameters(velocity_feedforward=1.0), gains=_PID_GAINS
+    ),
+}
+"""Who is tuned in `kneexo.studies.contest.study`: four gains each."""
+
+UNTUNED = {
+    "SMC, default": SlidingModeParameters(),
+    "PID as in the paper": PID_PAPER,
+    "PID, error only": PID_TUNED,
+    "PID with reference velocity, error only": PID_FEEDFORWARD,
+}
+"""Who runs beside them: the default, the paper's, and those tuned for the error of Fig. 12 alone
+(``benchmarks/tune_pid.py``)."""
+
+
+class ContestSettings(Parameters):
+    """Tuning under one budget, and the test of what it finds."""
+
+    contestants: dict[str, Contestant] = Field(default=CONTESTANTS, min_length=1)
+    training_samples: int = quantity(
+        6,
+        "1",
+        "assumption: of the uncertainty, beside the nominal plant; each costs a run "
+        "in every evaluation",
+        ge=1,
+        le=10_000,
+    )
+    training_seed: int = quantity(1, "1", "assumption: any number", ge=0)
+    test_samples: int = quantity(
+        200, "1", "assumption: the 95 % level then stands on ten samples", ge=1, le=100_000
+    )
+    test_seed: int = quantity(2, "1", "assumption: any other number", ge=0)
+    optimizer_seeds: tuple[int, ...] = quantities(
+        (1, 2), "1", "assumption: two searches that end alike have converged", ge=0
+    )
+    population: int = quantity(32, "1", "assumption: eight for each gain", ge=5, le=10_000)
+    generations: int = quantity(
+        60, "1", "assumption: the most; the budget of each", ge=1, le=100_000
+    )
+    tolerance: float = quantity(
+        0.05,
+        "1",
+        "assumption: spread of the population's objectives, relative to their mean, at which a "
+        "search has converged",
+        ge=1e-6,
+        le=1,
+    )
+    least_disk_margin: float = quantity(
+        0.5,
+        "1",
+        "assumption: gain by a factor of 0.6…1.67 and phase by 28°, alone, on every training plant",
+        ge=1e-3,
+        le=2,
+    )
+    duration_s: float = quantity(
+        20.0, "s", "assumption: two periods of 0.1 Hz, of which the second counts", ge=1e-3, le=1e5
+    )
+    other_reference: SineReference = SineReference(amplitude_deg=2.5, frequency_hz=1.0)
+    """A task that nobody is tuned for, below the speed limit."""
+    other_duration_s: float = quantity(5.0, "s", "assumption: five of its periods", ge=0.01, le=1e5)
+
+
+INFEASIBLE_DEG = 90.0
+"""Objective from which on a candidate breaks a constraint: no run inside the range of motion errs
+by so much."""
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """One search: what it found, and whether it converged.
+
+    ``objective_deg``: mean over the training plants of the largest error, or beyond
+    `INFEASIBLE_DEG`. ``history_deg``: the best of each generation. ``spread``: standard deviation
+    of the last population's objectives over their mean.
+    """
+
+    contestant: str
+    seed: int
+    gains: Mapping[str, float]
+    objective_deg: float
+    evaluations: int
+    converged: bool
+    spread: float
+    history_deg: tuple[float, ...]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every constraint holds."""
+        return self.objective_deg < INFEASIBLE_DEG
+
+
+@dataclass(frozen=True, repr=False)
+class ContestStudy(Result):
+    """Tuned and untuned controllers on the test plants.
+
+    ``entrants``: by name, what each sets in the scenario. ``tested`` and ``elsewhere``: by
+    entrant, `assess` of each test plant at the scenario's reference and, without margins, at one
+    that nobody was tuned for. ``budget_rpm``: mean change of command per sample of the default
+    SMC over the training plants.
+    """
+
+    scenario: Scenario
+    uncertainty: UncertaintySet
+    left_out: tuple[str, ...]
+    settings: ContestSettings
+    budget_rpm: float
+    tunings: tuple[Tuning, ...]
+    entrants: Mapping[str, Values]
+    samples: tuple[Values, ...]
+    tested: Mapping[str, Sequence[Values]]
+    elsewhere: Mapping[str, Sequence[Values]]
+
+    def summary(self) -> dict[str, dict[str, Any]]:
+        """Figures of each entrant over the test plants."""
+        return {name: _summary(self.tested[name], self.elsewhere[name]) for name in self.entrants}
+
+    def better_share(self, name: str, other: str) -> float:
+        """Share of the test plants on which entrant ``name`` has the smaller largest error."""
+        return float(np.mean(errors_of(self.tested[name]) < errors_of(self.tested[other])))
+
+    def winners(self) -> dict[str, list[str]]:
+        """The tuned contestants with the best value of each figure of `summary`."""
+        summary, tuned = self.summary(), self.settings.contestants
+        best = {
+            figure: (max if "margin" in figure else min)(summary[name][figure] for name in tuned)
+            for figure in COLUMNS
+        }
+        return {
+            figure: [name for name in tuned if summary[name][figure] == value]
+            for figure, value in best.items()
+        }
+
+    def results(self) -> dict[str, Any]:
+        """Plain data."""
+        tuned = list(self.settings.contestants)
+        return {
+            "uncertainty": self.uncertainty.model_dump(mode="json")["values"],
+            "left_out": self.left_out,
+            "settings": self.settings.model_dump(mode="json"),
+            "budget_rpm": self.budget_rpm,
+            "tunings": [asdict(t) | {"feasible": t.feasible} for t in self.tunings],
+            "entrants": self.entrants,
+            "summary": self.summary(),
+            "winners": self.winners(),
+            "better_share": {a: {b: self.better_share(a, b) for b in tuned} for a in tuned},
+            "samples": self.samples,
+            "tested": self.tested,
+            "elsewhere": self.elsewhere,
+        }
+
+
+# ------------------------------------------------------------------------------------- runs
+
+
+def contest_study(
+    scenario: Scenario = UNCERTAIN_KNEE,
+    uncertainty: UncertaintySet = UNCERTAINTY,
+    settings: ContestSettings = ContestSettings(),
+    **options: Unpack[SweepOptions],
+) -> ContestStudy:
+    """Tune every contestant, then test all.
+
+    The controller of ``scenario`` is replaced, and uncertain values that it does not have are left
+    out. ``options``: see `kneexo.sweeps.SweepOptions`; a search that goes on replays what the
+    checkpoint has. A search that did not converge is no error: `Tuning` says so.
+
+    Raises `ParameterError` for uncertain values that no scenario has, that are out of range, and
+    when none of them applies; `SimulationError` when the default SMC fails on a training plant,
+    because it then gives no budget.
+    """
+    with open_sweep(**options) as sweep:
+        return _contest(scenario, uncertainty, settings, sweep)
+
+
+def _contest(
+    scenario: Scenario, uncertainty: UncertaintySet, settings: ContestSettings, sweep: Sweep
+) -> ContestStudy:
+    uncertainty, left_out = applicable(scenario, uncertainty)
+    base = changed(scenario, {"simulation.duration_s": settings.duration_s})
+    training = [{}, *draw(uncertainty, settings.training_samples, settings.training_seed)]
+
+    def plants(entrant: Values, samples: Iterable[Values] = training) -> list[Scenario]:
+        entered = changed(base, entrant)
+        return [realize(entered, uncertainty, values) for values in samples]
+
+    untuned: dict[str, Values] = {
+        name: {"controller": law.model_dump()} for name, law in UNTUNED.items()
+    }
+    default = plants({"controller": SlidingModeParameters().model_dump()})
+    without_margins = partial(assess, margins=False)
+    changes = sweep.map(without_margins, default, "budget of chattering")
+    for values in changes:
+        if values["tracking_failure"]:
+            raise SimulationError(f"the default SMC sets no budget: {values['tracking_failure']}")
+    budget = float(np.mean([values["mean_command_change_rpm"] for values in changes]))
+    judge = partial(objective_deg, budget, settings.least_disk_margin)
+
+    def tune(name: str, seed: int) -> Tuning:
+        contestant = settings.contestants[name]
+        size = settings.population * (settings.generations + 1)
+        with progress_bar(size, f"{name}, seed {seed}" if sweep.progress else None) as bar:
+
+            def objective(units: Array) -> Array:
+                items = [plants(_entrant(contestant, _gains(contestant, unit))) for unit in units]
+                bar.update(len(items))
+                return np.array(sweep.map(judge, items))
+
+            optimum, history = search(objective, len(contestant.gains), settings, seed)
+        energies = optimum.population_energies
+        return Tuning(
+            name,
+            seed,
+            gains=_gains(contestant, optimum.x),
+            objective_deg=float(optimum.fun),
+            evaluations=settings.population * (int(optimum.nit) + 1),
+            converged=bool(optimum.success) and optimum.fun < INFEASIBLE_DEG,
+            spread=float(np.std(energies) / np.mean(energies)),
+            history_deg=tuple(history),
+        )
+
+    tunings = tuple(
+        tune(name, seed) for name in settings.contestants for seed in settings.optimizer_seeds
+    )
+    best = {
+        name: min((t for t in tunings if t.contestant == name), key=lambda t: t.objective_deg)
+        for name in settings.contestants
+    }
+    entrants: dict[str, Values] = {
+        name: _entrant(contestant, best[name].gains)
+        for name, contestant in settings.contestants.items()
+    } | untuned
+    samples = draw(uncertainty, settings.test_samples, settings.test_seed)
+    task = {
+        "reference": settings.other_reference.model_dump(),
+        "simulation.duration_s": settings.other_duration_s,
+    }
+    test = [plant for entrant in entrants.values() for plant in plants(entrant, samples)]
+    tested = sweep.map(assess, test, "test")
+    at_task = [changed(plant, task) for plant in test]
+    elsewhere = sweep.map(without_margins, at_task, "another task")
+
+    def by_entrant(figures: Sequence[Values]) -> dict[str, Sequence[Values]]:
+        n = len(samples)
+        return {name: figures[i * n : (i + 1) * n] for i, name in enumerate(entrants)}
+
+    return ContestStudy(
+        scenario,
+        uncertainty,
+        tuple(left_out),
+        settings,
+        budget,
+        tunings,
+        entrants,
+        tuple(samples),
+        tested=by_entrant(tested),
+        elsewhere=by_entrant(elsewhere),
+    )
+
+
+def search(
+    objective: Callable[[Array], Array], dimensions: int, settings: ContestSettings, seed: int
+) -> tuple[scipy.optimize.OptimizeResult, list[float]]:
+    """Differential evolution over the unit cube; its result and the best of each generation.
+
+    ``objective`` maps candidates (n, dimensions) to (n,). It has converged (``success``) when the
+    population's objectives spread by less than ``settings.tolerance`` of their mean.
+    """
+    history: list[float] = []
+
+    def note(intermediate_result: scipy.optimize.OptimizeResult) -> None:
+        history.append(float(intermediate_result.fun))
+
+    optimum = scipy.optimize.differential_evolution(
+        lambda candidates: objective(candidates.T),
+        [(0.0, 1.0)] * dimensions,
+        init=scipy.stats.qmc.LatinHypercube(dimensions, seed=seed).random(settings.population),
+        seed=seed,
+        maxiter=settings.generations,
+        tol=settings.tolerance,
+        atol=0.0,
+        polish=False,
+        updating="deferred",
+        vectorized=True,
+        callback=note,
+    )
+    return optimum, history
+
+
+@needs_runs
+def objective_deg(
+    budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]
+) -> Steps[float]:
+    """Objective of one candidate on its training plants, in deg.
+
+    The mean of the largest errors. A run that fails or too much chattering makes it more than
+    2·`INFEASIBLE_DEG`, too little margin on any plant more than `INFEASIBLE_DEG`; both grow with
+    the violation. An unstable loop has no margin.
+    """
+    tracked = []
+    for plant in plants:
+        tracked.append((yield from steps(assess, plant, margins=False)))
+    failed = np.mean([bool(values["tracking_failure"]) for values in tracked])
+    if failed > 0.0:
+        return float(INFEASIBLE_DEG * (3.0 + failed))
+    change = np.mean([values["mean_command_change_rpm"] for values in tracked])
+    if change > budget_rpm:
+        return float(INFEASIBLE_DEG * (3.0 - budget_rpm / change))
+    linear = [assess(plant, tracking=False) for plant in plants]
+    margin = np.nan_to_num([values["disk_margin"] for values in linear])
+    missing = np.mean(np.maximum(0.0, 1.0 - margin / least_disk_margin))
+    if missing > 0.0:
+        return float(INFEASIBLE_DEG * (1.0 + missing))
+    return float(np.mean([values["max_error_deg"] for values in tracked]))
+
+
+def _gains(contestant: Contestant, unit: Array) -> dict[str, float]:
+    """Gains at a point of the unit cube."""
+    return {
+        path: float(span.at(float(x)))
+        for (path, span), x in zip(contestant.gains.items(), unit, strict=True)
+    }
+
+
+def _entrant(contestant: Contestant, gains: Values) -> dict[str, Any]:
+    return {"controller": contestant.controller.model_dump(), **gains}
+
+
+# ---------------------------------------------------------------------------------- summary
+
+
+def errors_of(figures: Sequence[Values], name: str = "max_error_deg") -> Array:
+    """One figure of every plant (n,); inf where the run failed."""
+    return np.array([math.inf if math.isnan(v[name]) else v[name] for v in figures])
+
+
+def _level(values: Array, share: float) -> float:
+    """The value that ``share`` of ``values`` (n,) do not exceed, itself one of them."""
+    return float(np.quantile(values, share, method="inverted_cdf"))
+
+
+def _summary(tested: Sequence[Values], elsewhere: Sequence[Values]) -> dict[str, Any]:
+    errors, other = errors_of(tested), errors_of(elsewhere)
+    changes = errors_of(tested, "mean_command_change_rpm")
+    margins = np.nan_to_num([values["disk_margin"] for values in tested])
+    return {
+        "median_error_deg": _level(errors, 0.5),
+        "error_of_95_percent_deg": _level(errors, 0.95),
+        "worst_error_deg": float(np.max(errors)),
+        "mean_command_change_rpm": float(np.mean(changes[np.isfinite(changes)], dtype=float)),
+        "worst_command_change_rpm": float(np.max(changes)),
+        "median_disk_margin": _level(margins, 0.5),
+        "least_disk_margin": float(np.min(margins)),
+        "unstable": sum(values["stable"] is False for values in tested),
+        "not_linearized": sum(bool(values["margins_failure"]) for values in tested),
+        "failed_runs": int(np.count_nonzero(np.isinf(errors))),
+        "median_error_elsewhere_deg": _level(other, 0.5),
+        "error_of_95_percent_elsewhere_deg": _level(other, 0.95),
+    }
+
+
+COLUMNS = {
+    "median_error_deg": "median error (deg)",
+    "error_of_95_percent_deg": "95 % error (deg)",
+    "worst_error_deg": "worst error (deg)",
+    "mean_command_change_rpm": "command change (rpm/sample)",
+    "worst_command_change_rpm": "worst command change (rpm/sample)",
+    "median_disk_margin": "median disk margin",
+    "least_disk_margin": "least disk margin",
+    "unstable": "unstable",
+    "not_linearized": "no linear loop found",
+    "failed_runs": "failed runs",
+    "median_error_elsewhere_deg": "median error elsewhere (deg)",
+    "error_of_95_percent_elsewhere_deg": "95 % error elsewhere (deg)",
+}
+"""Key of a contestant's result and its title in the table."""

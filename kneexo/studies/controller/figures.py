@@ -1,0 +1,188 @@
+"""Figures of a `kneexo.studies.controller.study.ControllerStudy`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+
+from kneexo.simulation import Array
+from kneexo.studies.controller.study import ControllerStudy, ideal_settling_time_s, observed_smc
+from kneexo.studies.plots import heat_map, plain_ticks
+
+_ERROR = "max error (deg)"
+_CHANGE = "mean command change (rpm/sample)"
+_ERROR_NORM = LogNorm(0.03, 10.0)
+_CHANGE_NORM = LogNorm(3.0, 600.0)
+_SHARE_NORM = Normalize(0.0, 1.0)
+_STAR: dict[str, Any] = {"marker": "*", "color": "C3", "ms": 13, "mec": "w", "ls": "none"}
+
+
+def _map(
+    ax: Axes, x: Any, y: Any, values: Array, stable: Array, default: tuple[Any, Any], **style: Any
+) -> None:
+    """Heat map of ``values`` (x, y), the unstable loops crossed; a star at the ``default``."""
+    heat_map(ax, x, y, values, **style)
+    column, row = np.nonzero(stable == 0.0)
+    ax.plot(np.asarray(x)[column], np.asarray(y)[row], "x", color="C3", ms=5, mew=1.4)
+    ax.plot(*default, zorder=3, **_STAR)
+    plain_ticks(ax.xaxis, x[::2])
+
+
+def lambda_and_slope(study: ControllerStudy) -> Figure:
+    """Heat maps over λ and k/Φ at the η of the grid's centre."""
+    lambda_, phi, eta = study.centre
+    lambdas, slope = study.settings.lambdas_per_s, study.slope_per_s[::-1, eta]
+    default = (lambdas[lambda_], study.slope_per_s[phi, eta])
+
+    def at(name: str) -> Array:
+        return study.values[name][:, ::-1, eta]
+
+    figure, axes = plt.subplots(2, 2, figsize=(9.5, 7.5), layout="constrained", sharex=True)
+    panels = (
+        (at("max_error_deg"), _ERROR_NORM, _ERROR),
+        (at("mean_command_change_rpm"), _CHANGE_NORM, _CHANGE),
+        (
+            at("settling_s"),
+            LogNorm(0.1, 1.0),
+            f"{study.settings.step_deg:g}° step, settling to "
+            f"±{study.settings.settling_band_deg:g}° (s)",
+        ),
+        (at("disk_margin"), _SHARE_NORM, "disk margin"),
+    )
+    for ax, (values, norm, label) in zip(axes.flat, panels, strict=True):
+        _map(ax, lambdas, slope, values, at("stable"), default, norm=norm, label=label)
+    plt.setp(axes[1], xlabel="λ (1/s)")
+    plt.setp(axes[:, 0], ylabel="k/Φ (1/s)")
+    figure.suptitle(
+        f"η = {study.settings.etas_m_s3[eta]:g} m/s³; star: default, cross: linearly unstable, "
+        f"grey: failed, not settled or no margin",
+        fontsize=10,
+    )
+    return figure
+
+
+def phi_and_eta(study: ControllerStudy) -> Figure:
+    """Heat maps over Φ and η at the λ of the grid's centre."""
+    lambda_, phi, eta = study.centre
+    phis, etas = study.settings.phis_m_s2, study.settings.etas_m_s3
+    beta = study.slope_per_s[phi, eta] * phis[phi] / etas[eta]
+    figure, axes = plt.subplots(
+        2, 2, figsize=(9.5, 7.5), layout="constrained", sharex=True, sharey=True
+    )
+    panels = (
+        ("max_error_deg", _ERROR_NORM, _ERROR),
+        ("mean_command_change_rpm", _CHANGE_NORM, _CHANGE),
+        ("saturated_share", _SHARE_NORM, "share of samples at the speed limit"),
+        ("disk_margin", _SHARE_NORM, "disk margin"),
+    )
+    for ax, (name, norm, label) in zip(axes.flat, panels, strict=True):
+        values, stable = study.values[name][lambda_], study.values["stable"][lambda_]
+        _map(ax, phis, etas, values, stable, (phis[phi], etas[eta]), norm=norm, label=label)
+        ends = np.array(ax.get_xlim())
+        for power in (4, 5, 6):
+            ratio = 10.0**power / beta
+            ax.plot(ends, ratio * ends, "w--", lw=1)
+            x = max(ends[0] * 1.1, ax.get_ylim()[0] * 1.7 / ratio)
+            ax.text(x, ratio * x, f"10$^{power}$", color="w", fontsize=9, ha="left", va="top")
+    plt.setp(axes[1], xlabel="Φ (m/s²)")
+    plt.setp(axes[:, 0], ylabel="η (m/s³)")
+    figure.suptitle(
+        f"λ = {study.settings.lambdas_per_s[lambda_]:g} 1/s; dashed: k/Φ (1/s), star: default, "
+        f"cross: linearly unstable, grey: failed or no margin",
+        fontsize=10,
+    )
+    return figure
+
+
+def _spread(count: int, centre: int) -> list[int]:
+    """Up to five indices over 0 … count − 1, among them ``centre``."""
+    return sorted({0, centre // 2, centre, (centre + count) // 2, count - 1})
+
+
+def claims(study: ControllerStudy) -> Figure:
+    """The paper's three statements, and the error over k/Φ."""
+    lambda_, phi, eta = study.centre
+    grid, values = study.settings, study.values
+    lambdas, phis, etas = grid.lambdas_per_s, grid.phis_m_s2, grid.etas_m_s3
+    error, change = values["max_error_deg"], values["mean_command_change_rpm"]
+    figure, axes = plt.subplots(2, 2, figsize=(9.5, 7.5), layout="constrained")
+    (faster, chattering), (adherent, collapse) = axes
+
+    for name, size, style in (
+        ("large_settling_s", grid.large_step_deg, "C1s-"),
+        ("settling_s", grid.step_deg, "C0o-"),
+    ):
+        faster.loglog(lambdas, values[name][:, phi, eta], style, ms=5, label=f"step of {size:g}°")
+    band = grid.settling_band_deg
+    ideal = ideal_settling_time_s(np.array(lambdas), band / grid.step_deg)
+    faster.loglog(lambdas, ideal, "k--", lw=1, label="s = 0 alone")
+    faster.set(xlabel="λ (1/s)", ylabel=f"settling time to ±{band:g}° (s)", title="(a) larger λ")
+    plain_ticks(faster.xaxis, lambdas[::2])
+    plain_ticks(faster.yaxis, (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0))
+    for n in _spread(len(lambdas), lambda_):
+        chattering.loglog(phis, change[n, :, eta], ".-", label=f"{lambdas[n]:g}")
+    chattering.set(xlabel="Φ (m/s²)", ylabel=_CHANGE, title="(b) proper Φ")
+    for n in _spread(len(phis), phi):
+        adherent.loglog(etas, error[lambda_, n], ".-", label=f"{phis[n]:g}")
+    adherent.set(xlabel="η (m/s³)", ylabel=_ERROR, title="(c) larger η")
+    for n, value in enumerate(etas):
+        collapse.loglog(study.slope_per_s[:, n], error[lambda_, :, n], ".-", label=f"{value:g}")
+    collapse.set(xlabel="k/Φ (1/s)", ylabel=_ERROR, title="(d) the same over k/Φ")
+    for ax, title in (
+        (faster, None),
+        (chattering, "λ (1/s)"),
+        (adherent, "Φ (m/s²)"),
+        (collapse, "η (m/s³)"),
+    ):
+        ax.grid(alpha=0.3)
+        low, high = ax.get_ylim()
+        ax.set_ylim(low, high * (high / low) ** 0.25)  # room for the legend
+        ax.legend(title=title, fontsize=8, title_fontsize=8, loc="upper right", ncols=3)
+    return figure
+
+
+def trap(study: ControllerStudy) -> Figure:
+    """Error of the trap over time, and where it lies on the map of T_f and k/Φ."""
+    grid = study.settings
+    law, observer = observed_smc(study.scenario)
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
+    shown = grid.trap_lambdas_per_s[0]
+    for case in study.trap:
+        if case.lambda_per_s == shown:
+            axes[0].plot(case.time_s, case.error_deg, lw=0.9, label=case.variant)
+    low, high = axes[0].get_ylim()
+    axes[0].set(
+        xlabel="time (s)",
+        ylabel="tracking error (deg)",
+        ylim=(low, high + 0.35 * (high - low)),
+        title=f"(a) circle in (b), (c); λ = {shown:g} 1/s",
+    )
+    axes[0].legend(fontsize=8, loc="upper right")
+    times, slopes = 1e3 * np.array(grid.map_time_constants_s), grid.map_slopes_per_s
+    default = (1e3 * observer.time_constant_s, law.gain_ratio * law.eta_m_s3 / law.phi_m_s2)
+    stable = study.map_values["stable"]
+    for ax, name, norm, label, title in (
+        (axes[1], "max_error_deg", _ERROR_NORM, _ERROR, "(b) star: default"),
+        (axes[2], "disk_margin", _SHARE_NORM, "disk margin", "(c) cross: linearly unstable"),
+    ):
+        values = study.map_values[name]
+        _map(ax, times, slopes, values, stable, default, norm=norm, label=label)
+        ax.plot(1e3 * grid.trap_time_constant_s, grid.trap_slope_per_s, "C1o", mec="w", ms=9)
+        ax.set(xlabel="T_f (ms)", ylabel="k/Φ (1/s)")
+        ax.set_title(title, loc="left", fontsize=10)
+    return figure
+
+
+def figures(study: ControllerStudy) -> dict[str, Figure]:
+    """Figures by name; the caller closes them."""
+    return {
+        "study_lambda_slope": lambda_and_slope(study),
+        "study_phi_eta": phi_and_eta(study),
+        "study_claims": claims(study),
+        "study_trap": trap(study),
+    }

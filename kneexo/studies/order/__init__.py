@@ -1,0 +1,1 @@
+"""The reduced-order against the full-order plant."""

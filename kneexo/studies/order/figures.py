@@ -1,0 +1,106 @@
+"""Figures of a `kneexo.studies.order.study.OrderStudy`."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from kneexo.studies.order.study import OrderStudy, switching_force_n
+
+_COLORS = {"reduced": "C0", "full": "C3"}
+_PRESSURES = {
+    "load_pressure": ("P_L, reduced", "C0"),
+    "cap": ("P_1, full", "C1"),
+    "rod_side": ("P_2, full", "C2"),
+}
+_STYLES = (("-", 5.0, 0.3), ("--", 2.2, 0.6), (":", 1.6, 1.0), ("-.", 0.8, 1.0))
+"""Line, width and opacity for each load."""
+
+
+def tracking(study: OrderStudy) -> Figure:
+    """Errors (left) and pressures (right) over time, a row for each load."""
+    loads = study.settings.disturbances_n
+    figure, ax = plt.subplots(
+        len(loads),
+        2,
+        figsize=(9, 1.0 + 2.2 * len(loads)),
+        sharex=True,
+        layout="constrained",
+        squeeze=False,
+    )
+    for row, force in zip(ax, loads, strict=True):
+        for case in (case for case in study.tracking if case["disturbance_n"] == force):
+            trace, order = case["trace"], case["order"]
+            row[0].plot(trace["time_s"], trace["error_deg"], _COLORS[order], lw=1.2, label=order)
+            for name, values in trace["pressures_mpa"].items():
+                label, color = _PRESSURES[name]
+                row[1].plot(trace["time_s"], values, color, lw=1.0, label=label)
+        row[0].axhline(0.0, color="0.7", lw=0.8, zorder=0)
+        row[0].set(ylabel="error (deg)", title=f"disturbance {force:g} N")
+        row[1].set(ylabel="pressure (MPa)")
+    for axis in ax[0]:
+        low, high = axis.get_ylim()
+        axis.set_ylim(low, high + 0.3 * (high - low))  # room for the legend
+        axis.legend(loc="upper right", ncols=3, fontsize=8)
+    for axis in ax[-1]:
+        axis.set_xlabel("time (s)")
+    return figure
+
+
+def switching(study: OrderStudy) -> Figure:
+    """Swing of the rod's velocity over the force on the rod."""
+    figure, ax = plt.subplots(figsize=(6, 4), layout="constrained")
+    for direction, color, words in (("in", "C3", "retracting"), ("out", "C0", "extending")):
+        rows = [row for row in study.switching if row["direction"] == direction]
+        forces = [row["force_n"] for row in rows]
+        ax.semilogy(
+            forces, [row["velocity_swing_mm_s"] for row in rows], f"{color}o-", ms=4, label=words
+        )
+    force = switching_force_n(study.scenario)
+    ax.axvline(force, color="0.4", ls=":", label=f"P_r(A_1 − A_2) = {force:.1f} N")
+    ax.set(xlabel="force on the rod (N)", ylabel="swing of the rod's velocity about v_d (mm/s)")
+    ax.legend()
+    return figure
+
+
+def frequency(study: OrderStudy) -> Figure:
+    """Response of the plant from command to rod velocity, at the middle posture.
+
+    The lines become narrower from load to load, so that those which coincide are all seen.
+    """
+    figure, ax = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
+    postures = study.settings.postures_deg
+    posture = postures[len(postures) // 2]
+    styles = dict(zip(study.settings.disturbances_n, _STYLES, strict=False))
+    for row in study.frequency:
+        if row["posture_deg"] == posture and "trace" in row:
+            order, force, trace = row["order"], row["disturbance_n"], row["trace"]
+            ls, lw, alpha = styles.get(force, _STYLES[0])
+            ax.loglog(
+                trace["frequencies_hz"],
+                1e3 * np.array(trace["plant_gain_m"]),
+                color=_COLORS[order],
+                ls=ls,
+                lw=lw,
+                alpha=alpha,
+                label=f"{order}, {force:g} N",
+            )
+    nyquist = 0.5 / study.scenario.controller.sample_time_s
+    ax.axvline(nyquist, color="0.4", ls=":", lw=1, label=f"Nyquist, {nyquist:g} Hz")
+    ax.set(
+        xlabel="frequency (Hz)",
+        ylabel="rod velocity per command (mm/rad)",
+        title=f"plant at {posture:g} deg",
+    )
+    ax.legend(fontsize=8)
+    return figure
+
+
+def figures(study: OrderStudy) -> dict[str, Figure]:
+    """``order_tracking``, ``order_switching`` and ``order_frequency``."""
+    return {
+        "order_tracking": tracking(study),
+        "order_switching": switching(study),
+        "order_frequency": frequency(study),
+    }

@@ -1,0 +1,96 @@
+"""Pictures of ``kneexo reproduce``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from kneexo.analysis import FrequencyResponse, Run, TrackingResult
+from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
+from kneexo.studies.reproduce.study import FIG_12_TITLES, Reproduction, rod_error_mm
+
+if TYPE_CHECKING:
+    from kneexo.studies.catalogue import Motion
+
+
+def figures(reproduction: Reproduction) -> dict[str, Figure]:
+    """The paper's figures by name, in its layout; the caller closes them."""
+    return {
+        "fig05_polynomial_fit": reproduction.fit.plot()[0].figure,
+        "fig09_ideal_smc": _plot_fig9(reproduction.fig9),
+        "fig12_tracking": _plot_fig12(reproduction.fig12),
+        "fig13_frequency_response": _plot_fig13(reproduction.fig13),
+        "eq27_at_2ms": _plot_eq27(reproduction),
+    }
+
+
+def motions(reproduction: Reproduction) -> dict[str, Motion]:
+    """Fig. 12: sliding mode beside the paper's PID."""
+    return {
+        f"Fig. 12, {FIG_12_TITLES[name]}": (tracked.scenario.plant.linkage, tracked.run.columns)
+        for name, tracked in reproduction.fig12.items()
+        if name in ("smc", "pid")
+    }
+
+
+def _plot_fig9(run: Run) -> Figure:
+    figure, ax = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+    ax[0].plot(run.time_s, 1e3 * run["rod_reference_m"], "k--", lw=1, label="reference")
+    ax[0].plot(run.time_s, 1e3 * run["rod_extension_m"], "C0", lw=1.2, label="rod extension")
+    ax[0].set(xlabel="time (s)", ylabel="rod extension x (mm)", title="(a)")
+    ax[0].legend()
+    error = rod_error_mm(run)
+    ax[1].plot(run.time_s, error, "C3", lw=1.2)
+    ax[1].set(xlabel="time (s)", ylabel="tracking error x − x_d (mm)", title="(b)")
+    inset = ax[1].inset_axes((0.45, 0.2, 0.5, 0.5))
+    inset.semilogy(run.time_s, np.maximum(np.abs(error), 1e-12), "C3", lw=1)
+    inset.set(xlabel="time (s)", ylabel="|error| (mm)")
+    return figure
+
+
+def _plot_fig12(cases: Mapping[str, TrackingResult]) -> Figure:
+    shown = {name: cases[name] for name in FIG_12_TITLES}
+    figure, axes = plt.subplots(
+        len(shown), 2, figsize=(10, 3 * len(shown)), sharex=True, layout="constrained"
+    )
+    for row, (name, tracked) in enumerate(shown.items()):
+        tracked.plot_angle(axes[row, 0]).set_title(f"({'ace'[row]}) {FIG_12_TITLES[name]}")
+        error = tracked.plot_error(axes[row, 1])
+        error.set_title(f"({'bdf'[row]}) max {tracked.metrics.max_error_deg:.2f}° after one period")
+        for ax in axes[row] if row < len(shown) - 1 else ():
+            ax.set_xlabel("")
+    return figure
+
+
+def _plot_fig13(response: FrequencyResponse) -> Figure:
+    ax = response.plot()
+    ax[0].axvline(PAPER_BANDWIDTH_HZ, color="0.3", ls=":", label=f"paper {PAPER_BANDWIDTH_HZ} Hz")
+    ax[0].legend(loc="lower left")
+    return ax[0].figure
+
+
+def _plot_eq27(reproduction: Reproduction) -> Figure:
+    figure, ax = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+    for name, run in reproduction.eq27_exact.items():
+        ax[0].semilogy(run.time_s, np.abs(run["load_pressure_pa"]), ".", ms=1.5, label=name)
+    ax[0].set(
+        xlabel="time (s)",
+        ylabel="|load pressure| (Pa)",
+        ylim=(1e-2, 1e4),
+        title="(a) exact states: sampled hydraulic mode",
+    )
+    for name, tracked in reproduction.eq27_differences.items():
+        ax[1].plot(tracked.run.time_s, tracked.error_deg, lw=0.8, label=name)
+    ax[1].set(
+        xlabel="time (s)",
+        ylabel="tracking error (deg)",
+        ylim=(-24, 16),
+        title="(b) differences of the encoder: quantization",
+    )
+    for axis in ax:
+        axis.legend(loc="upper left", title="k/Φ (1/s)", ncols=2, markerscale=6)
+    return figure

@@ -1,0 +1,253 @@
+"""Figures of a `kneexo.studies.robustness.study.RobustnessStudy`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
+from kneexo.errors import KneexoError
+from kneexo.studies.plots import CENTRED, legend_below
+from kneexo.studies.robustness.study import (
+    MERITS,
+    RobustnessStudy,
+    Visit,
+    merit_value,
+    merit_values,
+    realize,
+    short_names,
+    worst,
+    worst_value,
+)
+
+_SHOWN = ("max_error_deg", "bandwidth_hz", "disk_margin")
+
+
+def distribution(study: RobustnessStudy) -> Figure:
+    """Empirical distribution of each figure of merit, with the nominal plant and the worst corner.
+
+    What failed is missing: the curve then ends below one, or begins above zero.
+    """
+    names = [merit for merit in study.merits if merit != "rms_error_deg"]
+    columns = min(3, len(names))
+    rows = math.ceil(len(names) / columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(3.6 * columns, 2.9 * rows), layout="constrained", squeeze=False
+    )
+    for ax, merit in zip(axes.flat, names, strict=False):
+        _plot_distribution(ax, study, merit)
+    for ax in axes.flat[len(names) :]:
+        ax.set_visible(False)
+    for row in axes:
+        row[0].set_ylabel("share of the samples")
+    legend_below(figure, axes.flat, ncols=3)
+    return figure
+
+
+def _plot_distribution(ax: Axes, study: RobustnessStudy, merit: str) -> None:
+    values = np.sort(merit_values(study.samples, merit))
+    share = np.arange(1, values.size + 1) / values.size
+    finite = np.isfinite(values)
+    nominal = merit_value(study.nominal, merit)
+    corner = worst_value(study.corners, merit)
+    ax.step(values[finite], share[finite], where="post", color="C0", label="samples")
+    for value, colour, ls, lw, label in (
+        (nominal, "0.4", "--", 1.0, "nominal"),
+        (corner, "C3", ":", 1.5, "worst corner"),
+    ):
+        if np.isfinite(value):  # a line of points, which the axis keeps clear of its edge
+            ax.plot([value, value], [0.0, 1.02], color=colour, ls=ls, lw=lw, label=label)
+    shown_values = np.append(values[finite], [v for v in (nominal, corner) if np.isfinite(v)])
+    if shown_values.size and 0.0 < 20.0 * shown_values.min() < shown_values.max():
+        ax.set_xscale("log")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    failed = int(np.sum(~finite))
+    lost = "fail" if MERITS[merit].worse > 0.0 else "fail or are unstable"
+    ax.set_title(f"{failed} of {values.size} {lost}" if failed else " ", fontsize=8, color="C3")
+    ax.set(xlabel=MERITS[merit].label, ylim=(0.0, 1.02))
+    ax.grid(alpha=0.3)
+
+
+def tornado(study: RobustnessStudy) -> Figure:
+    """What each value alone does to error, bandwidth and disk margin, the largest on top."""
+    merits = [merit for merit in _SHOWN if merit in study.merits]
+    names = short_names(study.uncertainty.values)
+    figure, axes = plt.subplots(
+        1,
+        len(merits),
+        figsize=(5.2 * len(merits), 1.5 + 0.34 * len(names)),
+        layout="constrained",
+        squeeze=False,
+    )
+    for ax, merit in zip(axes[0], merits, strict=True):
+        _plot_tornado(ax, study, merit, names)
+    entries = {"low end": "C0<", "high end": "C1>"}
+    options = max(len(span.options) for span in study.uncertainty.values.values())
+    entries |= {f"option {n + 1}": f"C{n}{'os^Dv'[n % 5]}" for n in range(min(options, 5))}
+    if any(np.isinf(merit_values(study.one_at_a_time, merit)).any() for merit in merits):
+        entries["fails or is unstable"] = "C3x"
+    handles = [Line2D([], [], color=s[:2], marker=s[2], ls="", ms=5) for s in entries.values()]
+    handles.append(Line2D([], [], color="0.4", ls="--", lw=1))
+    labels = [*entries, "nominal"]
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
+    return figure
+
+
+def _plot_tornado(ax: Axes, study: RobustnessStudy, merit: str, names: dict[str, str]) -> None:
+    effects = study.effects(merit)
+    nominal = merit_value(study.nominal, merit)
+    finite = [v for values in effects.values() for v in [*values, nominal] if math.isfinite(v)]
+    order = sorted(names, key=lambda path: study.spread(merit, path))
+    low, high = (min(finite), max(finite)) if finite else (0.0, 1.0)
+    margin = 0.15 * (high - low) or 0.1 * abs(high) or 1.0
+    failed_at = high + margin if MERITS[merit].worse > 0.0 else low - margin
+    for row, path in enumerate(order):
+        span, values = study.uncertainty.values[path], effects[path]
+        ends = [v for v in [*values, nominal] if math.isfinite(v)]
+        if ends:
+            ax.plot([min(ends), max(ends)], [row, row], color="0.8", lw=7, solid_capstyle="butt")
+        for index, value in enumerate(values):
+            at, colour = (value, f"C{index}") if math.isfinite(value) else (failed_at, "C3")
+            marker = (
+                ("<>"[index] if not span.options else "os^Dv"[index % 5]) if at == value else "x"
+            )
+            ax.plot([at], [row], marker, color=colour, ms=5)
+    if math.isfinite(nominal):
+        ax.axvline(nominal, color="0.4", ls="--", lw=1)
+    ax.set_yticks(range(len(order)), [names[path] for path in order], fontsize=8)
+    ax.set(xlabel=MERITS[merit].label)
+    ax.margins(x=0.08)
+    ax.xaxis.set_major_locator(MaxNLocator(5))
+    ax.grid(axis="x", alpha=0.3)
+
+
+def importance(study: RobustnessStudy) -> Figure:
+    """Rank correlations over the samples, beside the linear effect of each whole interval."""
+    names = short_names(study.uncertainty.values)
+    merits = list(study.merits)
+    correlations = study.correlations()
+    ranks = np.array([[correlations[m][path] for m in merits] for path in names])
+    figure, axes = plt.subplots(
+        1, 2, figsize=(12.0, 1.9 + 0.36 * len(names)), layout="constrained", sharey=True
+    )
+    chosen = np.array([bool(study.uncertainty.values[path].options) for path in names])
+    labels = [
+        name + (" (η)" if has_options else "")
+        for name, has_options in zip(names.values(), chosen, strict=True)
+    ]
+    _plot_table(axes[0], ranks, merits, labels, chosen)
+    axes[0].set_title("rank correlation over the samples, ρ or η", fontsize=9)
+    local = [m for m in merits if m in study.local]
+    linear = np.array([[study.linear_effect(m, path) for m in local] for path in names])
+    scale = np.array([abs(study.nominal.figures[m]) for m in local])
+    if local:
+        _plot_table(axes[1], 100.0 * linear / scale, local, labels, chosen, limit=100.0)
+        axes[1].set_title("whole interval by AutoDiff, % of the nominal figure", fontsize=9)
+    else:
+        axes[1].set_visible(False)
+    key = {
+        "C3": "more of the value is worse",
+        "C0": "more of the value is better",
+        "0.5": "options, which have no order: strength alone",
+    }
+    patches = [Patch(color=colour, alpha=0.8, label=label) for colour, label in key.items()]
+    figure.legend(handles=patches, loc="outside lower center", ncols=3, fontsize=8)
+    return figure
+
+
+def _cell(value: float) -> str:
+    """A number of a table, without the sign of a rounded zero."""
+    return f"{value:.0f}" if abs(value) >= 10.0 else f"{round(value, 2) + 0.0:.2f}"
+
+
+def _plot_table(
+    ax: Axes, values: Any, merits: list[str], labels: list[str], unsigned: Any, limit: float = 1.0
+) -> None:
+    """Numbers in coloured cells: red where more of the value is worse, blue where it is better.
+
+    Rows that are ``unsigned`` are grey. The columns are ``merits`` without their units, which the
+    numbers do not have.
+    """
+    signs = np.array([MERITS[merit].worse for merit in merits])
+    rows = np.broadcast_to(unsigned[:, None], values.shape)
+    ax.set_facecolor("0.92")
+    for shades, cmap, low in ((values * signs, "RdBu_r", -limit), (values, "Greys", 0.0)):
+        hidden = ~np.isfinite(values) | (rows == (cmap == "RdBu_r"))
+        ax.imshow(
+            np.ma.masked_array(shades, hidden),
+            cmap=cmap,
+            vmin=low,
+            vmax=limit,
+            aspect="auto",
+            alpha=0.8,
+        )
+    for (row, column), value in np.ndenumerate(values):
+        if math.isfinite(value):
+            color = "w" if abs(value) > 0.7 * limit else "k"
+            ax.text(column, row, _cell(value), fontsize=7, color=color, **CENTRED)
+    ax.set_xticks(
+        range(len(merits)),
+        [MERITS[merit].label.split(" (")[0] for merit in merits],
+        fontsize=7,
+        rotation=35,
+        ha="right",
+        rotation_mode="anchor",
+    )
+    ax.set_yticks(range(len(labels)), labels, fontsize=8)
+
+
+def nyquist(study: RobustnessStudy) -> Figure:
+    """Loops of the first samples, with the disk that the worst disk margin keeps out."""
+    figure, ax = plt.subplots(figsize=(6.0, 6.0), layout="constrained")
+    visits = [*study.samples, *study.corners, *study.one_at_a_time, study.nominal]
+    stable = [visit for visit in visits if visit.figures["stable"]]
+    loops = [_loop(study, visit) for visit in study.samples[: study.settings.nyquist_loops]]
+    drawn = [loop for loop in loops if loop is not None]
+    lost = sum(not loop.stable for loop in drawn)
+    labels = {True: f"L of {len(drawn) - lost} samples", False: f"L of {lost} unstable samples"}
+    for loop in drawn:
+        f = np.geomspace(0.02, 0.5 / loop.sample_time_s, 2000)
+        response = loop.loop_response(f)
+        colour = "0.6" if loop.stable else "C3"
+        label = labels.pop(loop.stable, None)  # once each
+        ax.plot(response.real, response.imag, color=colour, lw=0.5, alpha=0.6, label=label)
+    unstable = sum(visit.figures["stable"] is False for visit in visits)
+    title = ""
+    if stable:
+        nearest = _loop(study, worst(stable, "disk_margin"))
+        if nearest is not None:
+            nearest.plot_nyquist(ax)
+            title = f"blue: the smallest disk margin of {len(stable)} stable plants"
+    if unstable:
+        title += f"\n{unstable} of {len(visits)} plants are unstable"
+    ax.set_title(title, fontsize=9)
+    return figure
+
+
+def _loop(study: RobustnessStudy, visit: Visit) -> SampledLoop | None:
+    """The linear loop of a visit, as `assess` takes it; None when there is none."""
+    try:
+        plant = realize(study.scenario, study.uncertainty, visit.values)
+        return linearize_loop(plant, plant.reference.middle_deg)
+    except KneexoError:
+        return None
+
+
+def figures(study: RobustnessStudy) -> dict[str, Figure]:
+    """Distributions, tornado, what matters most, and Nyquist plots of the sampled loops."""
+    return {
+        "robustness_distribution": distribution(study),
+        "robustness_tornado": tornado(study),
+        "robustness_importance": importance(study),
+        "robustness_nyquist": nyquist(study),
+    }

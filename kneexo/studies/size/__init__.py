@@ -1,0 +1,1 @@
+"""What a better motor, pump or encoder buys."""

@@ -1,0 +1,287 @@
+"""The figures of `kneexo.studies.size.study.SizeStudy`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from kneexo.analysis.bandwidth import rod_amplitude_m, rod_limits
+from kneexo.analysis.frequency_response import require_sine
+from kneexo.analysis.hardware import (
+    ACCELERATION_ALONE_RATIO,
+    ACCELERATION_LIMIT,
+    DISPLACEMENT,
+    HARDWARE,
+    ONE_PERCENT_RATIO,
+    SPEED_LIMIT,
+)
+from kneexo.analysis.signals import to_rpm
+from kneexo.gait import gait_knee_flexion, gait_start_percent
+from kneexo.simulation import Array
+from kneexo.studies.plots import CENTRED, decimal_ticks, heat_map, legend_below, plain_ticks
+from kneexo.studies.size.study import SizeStudy
+
+if TYPE_CHECKING:
+    from kneexo.studies.catalogue import Motion
+
+HARDWARE_LABELS = {"nominal": "hardware as it is", "sized": "sized hardware"}
+"""What walks in the traces."""
+
+_STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
+
+
+def figures(sizing: SizeStudy) -> dict[str, Figure]:
+    """Design curves, maps, gains, walking over the cycle, pressure and power over the cycle."""
+    return {
+        "sizing_sweeps": _sweeps(sizing),
+        "sizing_maps": _maps(sizing),
+        "walking_gains": _gains(sizing),
+        "walking_tracking": _tracking(sizing),
+        "walking_demand": _demand(sizing),
+    }
+
+
+def _sweeps(sizing: SizeStudy) -> Figure:
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained")
+    settings = sizing.settings
+    panels = (
+        (sizing.sweeps, settings.factors, "bandwidth_hz", "−3 dB bandwidth (Hz)"),
+        (sizing.sweeps, settings.factors, "max_error_deg", "largest error (deg)"),
+        (sizing.walking_sweeps, settings.walking_factors, "max_error_deg", "largest error (deg)"),
+    )
+    for axis, (sweeps, factors, merit, label) in zip(axes, panels, strict=True):
+        for (path, sweep), style in zip(sweeps.items(), _STYLES, strict=True):
+            values = [row[merit] for row in sweep]
+            axis.plot(factors, values, style, ms=4.5, lw=1.2, label=HARDWARE[path][0])
+        axis.set(xscale="log", yscale="log", xlabel="factor on the value", ylabel=label)
+        plain_ticks(axis.xaxis, factors[::2])
+        decimal_ticks(axis.yaxis)
+        axis.grid(alpha=0.3)
+    for path, style, label in (
+        (SPEED_LIMIT, "k-.", "bound: motor speed limit"),
+        (DISPLACEMENT, "k--", "bound: pump displacement"),
+        (ACCELERATION_LIMIT, "k:", "bound: acceleration limit"),
+    ):
+        bound = [row["expected_bandwidth_hz"] for row in sizing.sweeps[path]]
+        axes[0].plot(settings.factors, bound, style, lw=1.2, label=label)
+    bound_label = f"(c) bound of the paper, {settings.error_bound_deg:g}°"
+    axes[2].axhline(settings.error_bound_deg, color="0.4", ls="--", lw=1, label=bound_label)
+    reference, frequency = require_sine(sizing.scenario), sizing.designs[0].frequency_hz
+    low, high = reference.range_deg
+    axes[0].set_title(f"(a) {low:g}…{high:g}°, hardware as it is")
+    axes[1].set_title(f"(b) {low:g}…{high:g}° at {reference.frequency_hz:g} Hz, hardware as it is")
+    axes[2].set_title(f"(c) walking at {frequency:.3g} Hz, sized hardware")
+    figure.suptitle("no marker: the run fails", fontsize=10)
+    legend_below(figure, (axes[0], axes[2]), ncols=5)
+    return figure
+
+
+def _maps(sizing: SizeStudy) -> Figure:
+    figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), layout="constrained")
+    design, settings = sizing.designs[0], sizing.settings
+    panels = (
+        (sizing.scenario, settings.factors, sizing.bandwidth_map_hz, "−3 dB bandwidth (Hz)"),
+        (design.scenario, settings.walking_factors, sizing.walking_map_deg, "largest error (deg)"),
+    )
+    for axis, (scenario, factors, values, label) in zip(axes, panels, strict=True):
+        speed = 1e3 * rod_limits(scenario)[0] * np.asarray(factors)
+        limit = scenario.plant.pump.acceleration_limit_rad_s2 * np.asarray(factors)
+        axis.set(xlabel="rod speed limit R (mm/s)", ylabel="acceleration limit (rad/s²)")
+        if np.isnan(values).all():
+            axis.set(xlim=speed[[0, -1]], ylim=limit[[0, -1]], xscale="log", yscale="log")
+            axis.text(0.5, 0.5, "every run fails", transform=axis.transAxes, ha="center")
+        else:
+            _cells(axis, speed, limit, values, label)
+        plain_ticks(axis.xaxis, [float(f"{v:.2g}") for v in speed])
+        plain_ticks(axis.yaxis, [float(f"{v:.3g}") for v in limit])
+        axis.tick_params(axis="x", rotation=45)
+    _regimes(axes[0], sizing)
+    _walking_limits(axes[1], sizing)
+    figure.suptitle("grey: the run fails", fontsize=10)
+    axes[0].set_title("(a) controller as it is", loc="left", fontsize=10)
+    title = f"(b) walking at {design.frequency_hz:.3g} Hz, sized controller"
+    axes[1].set_title(title, loc="left", fontsize=10)
+    return figure
+
+
+def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) -> None:
+    """Cells with their numbers; rows of ``values`` are acceleration limits, columns speeds."""
+    norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
+    heat_map(axis, speed, limit, values.T, norm=norm, label=label)
+    for (row, column), value in np.ndenumerate(values):
+        text = "–" if math.isnan(value) else f"{value:.2g}"
+        dark = math.isnan(value) or norm(value) > 0.6
+        color = "k" if dark else "w"
+        axis.text(float(speed[column]), float(limit[row]), text, fontsize=7, color=color, **CENTRED)
+
+
+def _regimes(axis: Axes, sizing: SizeStudy) -> None:
+    """Where the acceleration limit begins to count, and below which it alone does."""
+    speed = np.array(axis.get_xlim())
+    motor = sizing.scenario.plant.pump.speed_limit_rad_s
+    amplitude = rod_amplitude_m(sizing.scenario)
+    for ratio, style, below in (
+        (ONE_PERCENT_RATIO, "--", "the acceleration limit counts"),
+        (ACCELERATION_ALONE_RATIO, ":", "it alone counts"),
+    ):
+        limit = ratio * motor * 1e-3 * speed / amplitude
+        label = f"A = {ratio:.2g} R²/a; below, {below}"
+        axis.plot(speed, limit, "C3" + style, lw=1.6, label=label)
+    _legend_below(axis)
+
+
+def _walking_limits(axis: Axes, sizing: SizeStudy) -> None:
+    """What the motion itself asks for, and the sized hardware."""
+    speed = np.array(axis.get_xlim())
+    peaks, design = sizing.demands[0].peaks(), sizing.designs[0].scenario
+    motor = design.plant.pump.speed_limit_rad_s
+    needed = peaks["peak_rod_acceleration_m_s2"] * motor / (1e-3 * speed)
+    axis.plot(speed, needed, "C3--", lw=1.6, label="speed and acceleration of the motion")
+    axis.axvline(1e3 * peaks["peak_rod_speed_m_s"], color="C3", ls="--", lw=1.6)
+    sized = 1e3 * rod_limits(design)[0], design.plant.pump.acceleration_limit_rad_s2
+    axis.plot(*sized, "C3s", ms=16, mfc="none", mew=1.6, label="sized")
+    _legend_below(axis)
+
+
+def _legend_below(axis: Axes) -> None:
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=9)
+
+
+def _gains(sizing: SizeStudy) -> Figure:
+    settings = sizing.settings
+    shape = (len(settings.observer_s), len(settings.slope_per_s), len(settings.lambda_per_s))
+    errors, margins, meets = (
+        np.reshape([row[name] for row in sizing.gains], shape)
+        for name in ("max_error_deg", "disk_margin", "meets")
+    )
+    figure, axes = plt.subplots(
+        1, shape[0], figsize=(1.5 + 4.6 * shape[0], 4.4), layout="constrained", squeeze=False
+    )
+    norm = LogNorm(float(np.nanmin(errors)), float(np.nanmax(errors)) * 1.001)
+    for index, axis in enumerate(axes[0]):
+        mesh = axis.pcolormesh(np.ma.masked_invalid(errors[index]), norm=norm, edgecolors="w")
+        for (row, column), error in np.ndenumerate(errors[index]):
+            margin = margins[index, row, column]
+            lines = ["fails" if math.isnan(error) else f"{error:.1f}°"]
+            lines.append("unstable" if math.isnan(margin) else f"{margin:.2f}")
+            axis.text(
+                column + 0.5,
+                row + 0.5,
+                "\n".join(lines),
+                fontsize=8,
+                weight="bold" if meets[index, row, column] else "normal",
+                color="k" if math.isnan(error) or norm(error) > 0.6 else "w",
+                **CENTRED,
+            )
+        axis.set_xticks(np.arange(shape[2]) + 0.5, [f"{v:g}" for v in settings.lambda_per_s])
+        axis.set_yticks(np.arange(shape[1]) + 0.5, [f"{v:g}" for v in settings.slope_per_s])
+        axis.set(xlabel="λ (1/s)", ylabel="k/Φ (1/s)", facecolor="0.85")
+        axis.set_title(f"T_f = {1e3 * settings.observer_s[index]:g} ms")
+    bar = figure.colorbar(mesh, ax=axes[0], label="largest error in walking (deg)")
+    decimal_ticks(bar.ax.yaxis)
+    figure.suptitle(
+        "largest error, disk margin; bold: enough margin and no chattering", fontsize=10
+    )
+    return figure
+
+
+def _tracking(sizing: SizeStudy) -> Figure:
+    figure, axes = plt.subplots(
+        3, 1, figsize=(7, 7.4), sharex=True, layout="constrained", height_ratios=(2, 1.1, 1.2)
+    )
+    frequency = sizing.designs[0].frequency_hz
+    percent, mean, deviation = gait_knee_flexion()
+    axes[0].fill_between(
+        percent, mean - deviation, mean + deviation, color="0.8", label="measured, mean ± SD"
+    )
+    for (name, label), color in zip(HARDWARE_LABELS.items(), ("C3", "C0"), strict=True):
+        if not sizing.traces[name]:
+            continue
+        cycle, trace = last_stride(sizing.traces[name], frequency)
+        angle = np.degrees(trace["knee_angle_rad"])
+        reference = np.degrees(trace["knee_reference_rad"])
+        axes[0].plot(cycle, angle, color, lw=1.6, label=label)
+        axes[1].plot(cycle, reference - angle, color, lw=1.2)
+        axes[2].plot(cycle, to_rpm(trace["motor_speed_rad_s"]), color, lw=1.2)
+    demand = sizing.demands[0]
+    axes[0].plot(demand.cycle_percent, demand.knee_angle_deg, "k--", lw=1, label="reference")
+    limit = to_rpm(sizing.scenario.plant.pump.speed_limit_rad_s)
+    bound = sizing.settings.error_bound_deg
+    for axis, value, color, label in (
+        (axes[1], bound, "0.4", f"bound, ±{bound:g}°"),
+        (axes[2], limit, "k", f"limit, ±{limit:.0f} rpm"),
+    ):
+        for sign in (-1, 1):
+            axis.axhline(sign * value, color=color, ls=":", lw=1, label=label)
+    axes[0].set(ylabel="knee flexion (deg)", title=f"walking at {frequency:.3g} Hz")
+    legend_below(figure, axes, ncols=3)  # inside, each would hide a curve
+    axes[1].set_ylabel("error (deg)\nlogarithmic beyond ±2")
+    axes[1].set_yscale("symlog", linthresh=2.0, linscale=1.5)
+    axes[1].set_yticks([-50, -10, -2, 0, 2, 10, 50], ["−50", "−10", "−2", "0", "2", "10", "50"])
+    axes[2].set(ylabel="motor speed (rpm)", xlabel="gait cycle (%)", xlim=(0, 100))
+    return figure
+
+
+def motions(sizing: SizeStudy) -> dict[str, Motion]:
+    """Walking with the hardware as it is beside the sized one; without a run that failed."""
+    linkage = sizing.scenario.plant.linkage
+    return {
+        label: (linkage, {**trace, "time_s": trace["time_s"] - trace["time_s"][0]})
+        for name, label in HARDWARE_LABELS.items()
+        if (trace := sizing.traces[name])
+    }
+
+
+def last_stride(
+    trace: Mapping[str, Array], frequency_hz: float
+) -> tuple[Array, Mapping[str, Array]]:
+    """Gait cycle in %, increasing from heel contact, and the signals of the last stride."""
+    last = trace["time_s"] > trace["time_s"][-1] - 1.0 / frequency_hz + 1e-9
+    cycle = (100.0 * frequency_hz * trace["time_s"][last] + gait_start_percent()) % 100.0
+    order = np.argsort(cycle)
+    return cycle[order], {name: values[last][order] for name, values in trace.items()}
+
+
+def _demand(sizing: SizeStudy) -> Figure:
+    figure, axes = plt.subplots(2, 2, figsize=(9.5, 6.4), sharex=True, layout="constrained")
+    design = sizing.designs[0]
+    reach = 1e3 * rod_limits(sizing.scenario)[0]
+    axes[0, 0].axhspan(-reach, reach, color="0.8", label="reach of the hardware as it is")
+    needed = [("C0", "needed, moving mass of Eq. 16", sizing.demands[0])]
+    needed += [
+        ("C1", "needed, inertia of the shank", demand) for demand in sizing.segment_demands[:1]
+    ]
+    for color, label, demand in needed:
+        lw = 3.0 if color == "C0" else 1.3  # speed and flow of both coincide
+        x = demand.cycle_percent
+        axes[0, 0].plot(x, 1e3 * demand.rod_speed_m_s, color, lw=lw)
+        axes[0, 1].plot(x, 6e4 * demand.load_flow_m3_s, color, lw=lw)
+        axes[1, 0].plot(x, 1e-6 * demand.load_pressure_pa, color, lw=lw, label=label)
+        axes[1, 1].plot(x, demand.shaft_power_w, color, lw=lw)
+    if sizing.traces["sized"]:
+        _closed_loop_demand(axes, sizing)
+    axes[0, 0].set(ylabel="rod speed (mm/s)", xlim=(0, 100), title="(a)")
+    axes[0, 1].set(ylabel="pump flow (L/min)", title="(b)")
+    axes[1, 0].set(ylabel="load pressure (MPa)", xlabel="gait cycle (%)", title="(c)")
+    axes[1, 1].set(ylabel="shaft power (W)", xlabel="gait cycle (%)", title="(d)")
+    axes[0, 0].legend(loc="upper left", fontsize=8)
+    figure.suptitle(f"walking at {design.frequency_hz:.3g} Hz", fontsize=11)
+    figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _closed_loop_demand(axes: Any, sizing: SizeStudy) -> None:
+    design = sizing.designs[0]
+    pump = design.scenario.plant.pump
+    cycle, trace = last_stride(sizing.traces["sized"], design.frequency_hz)
+    flow = pump.displacement_m3_per_rad / pump.gear_ratio * trace["motor_speed_rad_s"]
+    axes[0, 1].plot(cycle, 6e4 * flow, "k--", lw=1)
+    axes[1, 0].plot(cycle, 1e-6 * trace["load_pressure_pa"], "k--", lw=1, label="closed loop")
+    axes[1, 1].plot(cycle, trace["shaft_power_w"], "k--", lw=1)

@@ -1,0 +1,167 @@
+"""The numbers of `kneexo.studies.size.study.SizeStudy`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kneexo.analysis.bandwidth import rod_amplitude_m, rod_limits
+from kneexo.analysis.error_model import error_model
+from kneexo.analysis.hardware import (
+    ACCELERATION_ALONE_RATIO,
+    DISPLACEMENT,
+    HARDWARE,
+    ONE_PERCENT_RATIO,
+    scaled,
+    sliding_mode,
+    tuned,
+)
+from kneexo.analysis.signals import to_rpm
+from kneexo.analysis.walking import WalkingDemand, linear_error_deg
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import value_at
+
+if TYPE_CHECKING:
+    from kneexo.studies.size.study import SizeStudy, WalkingDesign
+
+CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
+"""What a walking run with half the step is compared by."""
+
+
+def results(sizing: SizeStudy) -> dict[str, Any]:
+    """Plain data with units in the names."""
+    settings, scenario = sizing.settings, sizing.scenario
+
+    def demands(values: Iterable[WalkingDemand]) -> list[dict[str, float]]:
+        return [_demand(demand, scenario) for demand in values]
+
+    torques = (f"{torque:g}" for torque in sizing.torque_demands)
+    return {
+        "limits": _limits(scenario),
+        "nominal": sizing.nominal,
+        "sweeps": {
+            path: [
+                {"factor": factor, "value": _shown(scenario, path, factor), **figures}
+                for factor, figures in zip(settings.factors, sweep, strict=True)
+            ]
+            for path, sweep in sizing.sweeps.items()
+        },
+        "bandwidth_map": {
+            "factors": list(settings.factors),
+            "bandwidth_hz": sizing.bandwidth_map_hz.tolist(),
+        },
+        "demand": demands(sizing.demands),
+        "demand_with_segment_inertia": demands(sizing.segment_demands),
+        "demand_by_wearer_torque_n_m": dict(
+            zip(torques, demands(sizing.torque_demands.values()), strict=True)
+        ),
+        "controller": _controller(sizing),
+        "gains": sizing.gains,
+        "best_gains": sizing.best_gains,
+        "steps": sizing.steps,
+        "designs": [_design(design, scenario) for design in sizing.designs],
+        "design_at_reference": sizing.design_at_reference,
+        "variations": sizing.variations,
+        "walking_sweeps": {
+            path: [
+                {"factor": factor, **figures}
+                for factor, figures in zip(settings.walking_factors, sweep, strict=True)
+            ]
+            for path, sweep in sizing.walking_sweeps.items()
+        },
+        "walking_map": {
+            "factors": list(settings.walking_factors),
+            "max_error_deg": sizing.walking_map_deg.tolist(),
+        },
+    }
+
+
+def _limits(scenario: Scenario) -> dict[str, float]:
+    speed, acceleration = rod_limits(scenario)
+    amplitude = rod_amplitude_m(scenario)
+    motor = scenario.plant.pump.speed_limit_rad_s
+    return {
+        "rod_speed_limit_mm_s": 1e3 * speed,
+        "rod_acceleration_limit_m_s2": acceleration,
+        "rod_amplitude_mm": 1e3 * amplitude,
+        # α_max at which the bound loses 1 %, and below which R no longer counts
+        "acceleration_limit_one_percent_rad_s2": ONE_PERCENT_RATIO * motor * speed / amplitude,
+        "acceleration_limit_alone_rad_s2": ACCELERATION_ALONE_RATIO * motor * speed / amplitude,
+    }
+
+
+def _shown(scenario: Scenario, path: str, factor: float) -> float:
+    """A value of the swept hardware in the unit of `HARDWARE`."""
+    return float(value_at(scaled(scenario, {path: factor}), path)) * HARDWARE[path][2]
+
+
+def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
+    """Peaks of a demand, and what of the scenario's hardware they would take."""
+    peaks = demand.peaks()
+    limit = scenario.plant.pump.speed_limit_rad_s
+    needed = peaks["peak_motor_speed_rad_s"] / limit
+    return {
+        "frequency_hz": demand.frequency_hz,
+        "peak_knee_rate_deg_s": peaks["peak_knee_rate_deg_s"],
+        "peak_rod_speed_mm_s": 1e3 * peaks["peak_rod_speed_m_s"],
+        "flow_factor": needed,
+        "peak_rod_acceleration_m_s2": peaks["peak_rod_acceleration_m_s2"],
+        # of a motor whose speed limit the peak flow just reaches
+        "peak_motor_acceleration_rad_s2": peaks["peak_motor_acceleration_rad_s2"] / needed,
+        "peak_flow_l_min": 6e4 * peaks["peak_load_flow_m3_s"],
+        "peak_rod_force_n": peaks["peak_rod_force_n"],
+        "peak_pressure_mpa": 1e-6 * peaks["peak_load_pressure_pa"],
+        "peak_shaft_power_w": peaks["peak_shaft_power_w"],
+        "delivered_energy_j": peaks["delivered_energy_j"],
+        "net_energy_j": peaks["net_energy_j"],
+    }
+
+
+def _controller(sizing: SizeStudy) -> dict[str, float]:
+    """What the motor's lag asks of the controller at the first stride frequency."""
+    demand = sizing.demands[0]
+    ample = scaled(sizing.scenario, {DISPLACEMENT: sizing.settings.largest_flow_factor})
+    law, model = sliding_mode(sizing.scenario), error_model(sizing.scenario)
+    acceleration = demand.peaks()["peak_rod_acceleration_m_s2"]
+    return {
+        "authority_m_s3": law.gain_ratio * law.eta_m_s3,
+        "authority_asked_m_s3": model.stiffness_per_s2 * model.delay_s * acceleration,
+        "slope_per_s": model.slope_per_s,
+        "linear_error_deg": float(np.max(np.abs(linear_error_deg(ample, demand)))),
+        "linear_error_tuned_deg": float(
+            np.max(np.abs(linear_error_deg(tuned(ample, sizing.best_gains), demand)))
+        ),
+    }
+
+
+def _design(design: WalkingDesign, scenario: Scenario) -> dict[str, Any]:
+    pump, printed = design.scenario.plant.pump, scenario.plant.pump
+    cylinder = scenario.plant.cylinder
+    speed, acceleration = rod_limits(design.scenario)
+    flow = speed / rod_limits(scenario)[0]
+    area = cylinder.mean_area_m2 * printed.gear_ratio / flow
+    return {
+        "frequency_hz": design.frequency_hz,
+        "flow_search": asdict(design.flow),
+        "acceleration_search": asdict(design.acceleration),
+        "flow_factor": flow,
+        "rod_speed_limit_mm_s": 1e3 * speed,
+        "rod_acceleration_limit_m_s2": acceleration,
+        "flow_at_speed_limit_l_min": 6e4 * speed * cylinder.mean_area_m2,
+        "acceleration_limit_rad_s2": pump.acceleration_limit_rad_s2,
+        # ways to that flow, each with everything else as it is
+        "displacement_cm3_per_rev": HARDWARE[DISPLACEMENT][2] * pump.displacement_m3_per_rad,
+        "or_gear_ratio": printed.gear_ratio / flow,
+        "or_motor_speed_limit_rpm": to_rpm(printed.speed_limit_rad_s * flow),
+        "or_piston_area_without_gear_mm2": 1e6 * area,
+        "rated_force_of_that_piston_n": area * cylinder.pressure_rating_pa,
+        "walking": dict(design.walking),
+        "checked": dict(design.checked),
+        "halved_step": dict(design.halved),
+        "step_agreement": {
+            name: abs(design.halved[name] / design.checked[name] - 1.0) for name in CHECKED
+        },
+    }

@@ -1,0 +1,534 @@
+"""Sizing: what hardware gives which bandwidth and error, and what walking needs.
+
+`kneexo.analysis.hardware` has the closed forms; here they meet simulation: sweeps around a
+scenario's hardware, and the smallest hardware with which a closed loop walks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Unpack
+
+import numpy as np
+from pydantic import field_validator
+
+from kneexo.analysis.assessment import assess
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.frequency_response import require_sine
+from kneexo.analysis.hardware import (
+    ACCELERATION_LIMIT,
+    DISPLACEMENT,
+    HARDWARE,
+    expected_bandwidth_hz,
+    scaled,
+    tuned,
+)
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.signals import to_rpm
+from kneexo.analysis.tracking import track
+from kneexo.analysis.walking import (
+    WalkingDemand,
+    moment_arm_m,
+    walk,
+    walking_demand,
+    walking_metrics,
+)
+from kneexo.errors import KneexoError, ParameterError
+from kneexo.gait import GAIT_STRIDE_S
+from kneexo.parameters import (
+    UNCERTAIN_KNEE,
+    FullCylinderParameters,
+    KneeLoadParameters,
+    Scenario,
+    gait_reference,
+)
+from kneexo.parameters.paths import changed, value_at
+from kneexo.parameters.quantity import (
+    Parameters,
+    ordered_limits,
+    positive_values,
+    quantities,
+    quantity,
+    require_increasing,
+)
+from kneexo.result import Result
+from kneexo.simulation import Array, Steps, needs_runs, steps
+from kneexo.studies.size import results as size_results
+from kneexo.sweeps import SweepOptions, open_sweep
+
+
+class SizeSettings(Parameters):
+    """Hardware and gains that `kneexo.studies.size.study` tries, and what walking must reach."""
+
+    factors: tuple[float, ...] = positive_values(
+        (0.125, 0.25, 0.5, 0.707, 1.0, 1.414, 2.0, 4.0, 8.0),
+        "1",
+        "assumption: what each value of the scenario's hardware is multiplied by",
+    )
+    walking_factors: tuple[float, ...] = positive_values(
+        (0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0),
+        "1",
+        "assumption: the same for the hardware that was sized for walking",
+    )
+    stride_frequencies_hz: tuple[float, ...] = quantities(
+        (1.0, 1.0 / GAIT_STRIDE_S),
+        "Hz",
+        "assumption: walking at 1 Hz; the measured stride",
+        ge=1e-5,
+        le=10,
+    )
+    cycles: int = quantity(3, "1", "assumption: strides; the first is discarded", ge=2, le=1000)
+    error_bound_deg: float = quantity(
+        2.0, "deg", "Section 5: the error was less than 2° with the SMC", ge=1e-3, le=90
+    )
+    largest_flow_factor: float = quantity(
+        25.0,
+        "1",
+        "assumption: the search for the smallest flow begins here, 40 % above what the measured "
+        "stride asks for",
+        gt=1,
+        le=100,
+    )
+    acceleration_limit_min_rad_s2: float = quantity(
+        1e3, "rad/s²", "assumption: a tenth of the default", ge=1, le=1e7
+    )
+    acceleration_limit_max_rad_s2: float = quantity(
+        1e5, "rad/s²", "assumption: ten times the default, without effect on walking", ge=1, le=1e7
+    )
+    search_tolerance: float = quantity(
+        0.005, "1", "assumption: relative accuracy of the smallest values", ge=1e-4, le=0.5
+    )
+    margin: float = quantity(
+        1.1, "1", "assumption: sized flow and acceleration limit over the smallest", ge=1, le=10
+    )
+    lambda_per_s: tuple[float, ...] = positive_values(
+        (20.0, 40.0, 60.0, 80.0, 100.0, 120.0), "1/s", "assumption: λ to try"
+    )
+    slope_per_s: tuple[float, ...] = positive_values(
+        (2.5e4, 3.5e4, 5e4, 7e4, 1e5, 1.4e5), "1/s", "assumption: k/Φ to try, with k = β·η"
+    )
+    observer_s: tuple[float, ...] = positive_values((0.010, 0.020), "s", "assumption: T_f to try")
+    disk_margin_min: float = quantity(
+        0.5, "1", "assumption: 28° of phase or a gain of 0.6…1.67, each alone", ge=1e-3, le=2
+    )
+    command_change_ratio_max: float = quantity(
+        1.5,
+        "1",
+        "assumption: mean change of the command over what the motion itself asks for; beyond it "
+        "is chattering",
+        gt=1,
+        le=1000,
+    )
+    check_step_s: float = quantity(
+        1e-4,
+        "s",
+        "assumption: step of RK4 for pressure and power; half of it too",
+        ge=1e-6,
+        le=2e-3,
+    )
+    seal_friction_n: float = quantity(
+        40.0, "N", "assumption: as in UNCERTAINTY; a sized design must bear it", ge=0, le=1e5
+    )
+    wearer_torques_n_m: tuple[float, ...] = quantities(
+        (-20.0, -10.0, 0.0, 10.0, 20.0),
+        "N·m",
+        "assumption: constant torques of a wearer",
+        ge=-500,
+        le=500,
+    )
+
+    _increasing = field_validator("factors", "walking_factors")(require_increasing)
+    _ordered = ordered_limits(strict=True)
+
+
+_IMPLICIT_STEP_S = 1e-3
+
+
+# ------------------------------------------------------- pieces of work: plain data in, out
+
+
+@needs_runs
+def _at_reference(scenario: Scenario) -> Steps[dict[str, Any]]:
+    """Bandwidth and tracking at the scenario's own sine; nan and ``failure`` where one fails."""
+    failures = []
+
+    def measured(*names: str, part: Steps[Sequence[float]]) -> Steps[dict[str, float]]:
+        try:
+            values = yield from part
+        except KneexoError as error:
+            failures.append(str(error))
+            values = [math.nan] * len(names)
+        return dict(zip(names, values, strict=True))
+
+    def large_signal() -> Steps[Sequence[float]]:
+        return [(yield from steps(large_signal_bandwidth_hz, scenario))]
+
+    def small_signal() -> Sequence[float]:
+        loop = linearize_loop(scenario, require_sine(scenario).mean_deg)
+        return [loop.bandwidth_hz() if loop.stable else math.nan]
+
+    def tracking() -> Steps[Sequence[float]]:
+        metrics = (yield from steps(track, scenario)).metrics
+        return [metrics.max_error_deg, metrics.rms_error_deg, metrics.mean_command_change_rpm]
+
+    figures = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
+    figures |= yield from measured("bandwidth_hz", part=large_signal())
+    figures |= yield from measured("small_signal_bandwidth_hz", part=steps(small_signal))
+    names = ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
+    figures |= yield from measured(*names, part=tracking())
+    return figures | {"failure": "; ".join(failures)}
+
+
+# ---------------------------------------------------------------------------------- search
+
+
+@dataclass(frozen=True)
+class Search:
+    """Smallest value whose error is within the bound, or the best one where none is."""
+
+    value: float
+    max_error_deg: float
+    reached: bool
+    low: float
+    high: float
+
+
+def smallest(
+    error_deg: Callable[[float], float],
+    low: float,
+    high: float,
+    *,
+    bound_deg: float,
+    tolerance: float,
+) -> Search:
+    """Smallest value of ``low`` … ``high`` (> 0) with an error within the bound.
+
+    Bisection of the logarithm down to a relative ``tolerance``. Assumes that the error never
+    increases with the value. An error of nan is beyond every bound. Where even ``high`` is not
+    enough, ``reached`` is False and the value is the best of nine.
+    """
+    at_low, at_high = error_deg(low), error_deg(high)
+    if at_low <= bound_deg:
+        return Search(low, at_low, True, low, high)
+    if not at_high <= bound_deg:
+        values = np.geomspace(low, high, 9)[1:-1].tolist()
+        errors = [at_low, *(error_deg(value) for value in values), at_high]
+        best = int(np.argmin([math.inf if math.isnan(error) else error for error in errors]))
+        value = [low, *values, high][best]
+        return Search(value, errors[best], errors[best] <= bound_deg, low, high)
+    value, worse = high, low
+    while value > worse * (1.0 + tolerance):
+        middle = math.sqrt(value * worse)
+        error = error_deg(middle)
+        if error <= bound_deg:
+            value, at_high = middle, error
+        else:
+            worse = middle
+    return Search(value, at_high, True, low, high)
+
+
+# ---------------------------------------------------------------------------------- results
+
+
+@dataclass(frozen=True)
+class WalkingDesign:
+    """Hardware sized for one stride frequency, and how it walks.
+
+    ``flow`` is a factor on the scenario's flow per motor revolution, ``acceleration`` a limit in
+    rad/s²; the design is ``margin`` times both. ``walking`` holds `walking_metrics` with the
+    scenario's own solver, ``checked`` and ``halved`` the same with RK4 at the check step and half
+    of it.
+    """
+
+    frequency_hz: float
+    flow: Search
+    acceleration: Search
+    scenario: Scenario
+    walking: Mapping[str, Any]
+    checked: Mapping[str, Any]
+    halved: Mapping[str, Any]
+
+
+@dataclass(frozen=True, repr=False)
+class SizeStudy(Result):
+    """What `size_study` finds."""
+
+    scenario: Scenario
+    settings: SizeSettings
+    nominal: Mapping[str, Any]
+    """Bandwidth and error of the scenario's hardware at its own sine."""
+    sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
+    """The same with one value of `HARDWARE` times each of the factors."""
+    bandwidth_map_hz: Array
+    """Over the factors of the acceleration limit (rows) and of the flow (columns)."""
+    demands: Sequence[WalkingDemand]
+    """For each stride frequency, with the moving mass of Eq. 16."""
+    segment_demands: Sequence[WalkingDemand]
+    """The same with the shank's inertia; empty without a load."""
+    torque_demands: Mapping[float, WalkingDemand]
+    """At the first stride frequency, by the wearer's torque in N·m; empty without a load."""
+    gains: Sequence[Mapping[str, Any]]
+    """Gains that were tried, with walking and margins at the highest stride frequency."""
+    best_gains: Mapping[str, Any]
+    steps: Mapping[str, Sequence[Mapping[str, Any]]]
+    """From the scenario to a loop that walks: `walking_metrics` for each stride frequency."""
+    designs: Sequence[WalkingDesign]
+    """For each stride frequency; what follows is about the first."""
+    design_at_reference: Mapping[str, Any]
+    variations: Mapping[str, Mapping[str, Any]]
+    walking_sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
+    walking_map_deg: Array
+    """Largest error over the factors of the acceleration limit (rows) and the flow (columns)."""
+    traces: Mapping[str, Mapping[str, Array]]
+    """Signals of the scenario's and of the sized hardware; none of a run that fails."""
+
+    def results(self) -> dict[str, Any]:
+        """Plain data with units in the names."""
+        return size_results.results(self)
+
+
+def size_study(
+    scenario: Scenario = UNCERTAIN_KNEE,
+    settings: SizeSettings = SizeSettings(),
+    **options: Unpack[SweepOptions],
+) -> SizeStudy:
+    """Sweep the hardware around a scenario's, then size it for walking.
+
+    1. One value at a time, and flow against acceleration limit: bandwidth and error at the
+       scenario's own sine.
+    2. What the measured gait asks for (`walking_demand`), and how the scenario's hardware walks.
+    3. λ, k/Φ and T_f for walking: the least error at the highest stride frequency, with more than
+       enough flow and acceleration, among gains with the disk margin and without chattering.
+    4. For each stride frequency the smallest flow (by the pump's displacement) with more than
+       enough acceleration, then, with margin on that flow, the smallest acceleration limit.
+    5. Pressure and power of these designs at a small step, the first design on other plants, and
+       what each of its values contributes.
+
+    ``options``: see `kneexo.sweeps.SweepOptions`.
+
+    Raises `ParameterError` when the scenario's reference is no sine that moves, its controller is
+    no sliding mode with an observer, its motor has no limits, or no gains let it walk.
+    """
+    require_sine(scenario)
+    if scenario.controller.kind != "smc" or scenario.estimator.kind != "observer":
+        raise ParameterError(
+            f"controller.kind = {scenario.controller.kind}, estimator.kind = "
+            f"{scenario.estimator.kind}: sizing needs smc and observer, which it tunes for walking"
+        )
+    if scenario.plant.ideal_motor:
+        raise ParameterError("plant.ideal_motor = true: has no limits to size; must be false")
+    with open_sweep(**options) as sweep:
+
+        def run(function: Callable[[Any], Any], items: Sequence[Any], text: str = "") -> list[Any]:
+            once = list(dict.fromkeys(items))
+            by_item = dict(zip(once, sweep.map(function, once, text), strict=True))
+            return [by_item[item] for item in items]
+
+        return _sizing(scenario, settings, run)
+
+
+def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
+    frequencies = settings.stride_frequencies_hz
+    walking = partial(walking_metrics, cycles=settings.cycles)
+    walking_first = partial(walking, frequency_hz=frequencies[0])
+
+    demands = [walking_demand(scenario, f) for f in frequencies]
+    segment_demands, torque_demands = [], {}
+    if isinstance(scenario.plant.load, KneeLoadParameters):
+        segment_demands = [walking_demand(scenario, f, segment_inertia=True) for f in frequencies]
+        for torque in settings.wearer_torques_n_m:
+            other = changed(scenario, {"plant.load.knee_torque_n_m": torque})
+            torque_demands[torque] = walking_demand(other, frequencies[0], segment_inertia=True)
+
+    nominal, *swept = run(
+        _at_reference,
+        [scenario, *(scaled(scenario, factors) for factors in _one_at_a_time(settings.factors))],
+        "hardware: bandwidth and error",
+    )
+    bandwidths = run(
+        partial(assess, tracking=False, margins=False, bandwidth=True),
+        [scaled(scenario, factors) for factors in _pairs(settings.factors)],
+        "flow and acceleration: bandwidth",
+    )
+
+    largest = {
+        DISPLACEMENT: settings.largest_flow_factor,
+        ACCELERATION_LIMIT: settings.acceleration_limit_max_rad_s2
+        / scenario.plant.pump.acceleration_limit_rad_s2,
+    }
+    ample = scaled(scenario, largest)
+    tried = [
+        {"lambda_per_s": lambda_, "slope_per_s": slope, "observer_s": observer}
+        for observer in settings.observer_s
+        for slope in settings.slope_per_s
+        for lambda_ in settings.lambda_per_s
+    ]
+    hardest = max(frequencies)
+    loops = [tuned(ample, gains) for gains in tried]
+    walks = run(partial(walking, frequency_hz=hardest), loops, "gains for walking")
+    margins = run(partial(assess, tracking=False), loops)
+    asked_change = (
+        walking_demand(ample, hardest).peaks()["mean_motor_acceleration_rad_s2"]
+        * scenario.controller.sample_time_s
+    )
+    gains = []
+    for values, walk_values, margin_values in zip(tried, walks, margins, strict=True):
+        result = values | walk_values | margin_values
+        gains.append(result | {"meets": _meets(result, settings, to_rpm(asked_change))})
+    best = _best(gains)
+
+    unchanged = changed(scenario, {p: value_at(scenario, p) * f for p, f in largest.items()})
+    stages = {
+        "hardware as it is": scenario,
+        "ample hardware, controller as it is": unchanged,
+        "and η, Φ grown with the flow": ample,
+        "and λ, k/Φ, T_f for walking": tuned(ample, best),
+    }
+    by_frequency = [
+        run(partial(walking, frequency_hz=f), list(stages.values())) for f in frequencies
+    ]
+    steps = dict(zip(stages, map(list, zip(*by_frequency, strict=True)), strict=True))
+
+    designs = [_design(scenario, settings, best, f, run) for f in frequencies]
+    first = designs[0].scenario
+    variations = _variations(first, designs[0].flow.value * settings.margin, settings)
+    results = run(walking_first, list(variations.values()))
+    factors = settings.walking_factors
+    around = [*_one_at_a_time(factors), *_pairs(factors)]
+    walks = run(walking_first, [scaled(first, values) for values in around], "around the design")
+    return SizeStudy(
+        scenario=scenario,
+        settings=settings,
+        nominal=nominal,
+        sweeps=_by_path(swept, settings.factors),
+        bandwidth_map_hz=np.reshape(
+            [figures["bandwidth_hz"] for figures in bandwidths], (len(settings.factors), -1)
+        ),
+        demands=demands,
+        segment_demands=segment_demands,
+        torque_demands=torque_demands,
+        gains=gains,
+        best_gains=best,
+        steps=steps,
+        designs=designs,
+        design_at_reference=run(_at_reference, [first])[0],
+        variations=dict(zip(variations, results, strict=True)),
+        walking_sweeps=_by_path(walks[: len(HARDWARE) * len(factors)], factors),
+        walking_map_deg=np.reshape(
+            [w["max_error_deg"] for w in walks[len(HARDWARE) * len(factors) :]], (len(factors), -1)
+        ),
+        traces={
+            "nominal": _trace(scenario, frequencies[0], settings.cycles),
+            "sized": _trace(
+                first.with_steps(settings.check_step_s), frequencies[0], settings.cycles
+            ),
+        },
+    )
+
+
+def _trace(scenario: Scenario, frequency_hz: float, cycles: int) -> Mapping[str, Array]:
+    try:
+        return walk(scenario, frequency_hz, cycles)
+    except KneexoError:
+        return {}
+
+
+def _one_at_a_time(factors: Sequence[float]) -> list[dict[str, float]]:
+    return [{path: factor} for path in HARDWARE for factor in factors]
+
+
+def _by_path(results: Sequence[Any], factors: Sequence[float]) -> dict[str, Sequence[Any]]:
+    """The results of `_one_at_a_time`."""
+    count = len(factors)
+    return {path: results[n * count : (n + 1) * count] for n, path in enumerate(HARDWARE)}
+
+
+def _pairs(factors: Sequence[float]) -> list[dict[str, float]]:
+    return [{ACCELERATION_LIMIT: a, DISPLACEMENT: flow} for a in factors for flow in factors]
+
+
+def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: float) -> bool:
+    """Whether gains have the disk margin, and walk without chattering."""
+    allowed = settings.command_change_ratio_max * asked_change_rpm
+    return bool(
+        result["disk_margin"] >= settings.disk_margin_min
+        and result["mean_command_change_rpm"] <= allowed
+    )
+
+
+def _best(gains: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """Gains with the least error among those that meet the demands, else among all that walk."""
+    walk_at_all = [row for row in gains if not math.isnan(row["max_error_deg"])]
+    if not walk_at_all:
+        raise ParameterError(
+            f"none of {len(gains)} gains lets the knee walk; widen lambda_per_s, slope_per_s or "
+            f"observer_s (the last run: {gains[-1]['failure']})"
+        )
+    candidates = [row for row in walk_at_all if row["meets"]] or walk_at_all
+    return min(candidates, key=lambda row: float(row["max_error_deg"]))
+
+
+def _design(
+    scenario: Scenario,
+    settings: SizeSettings,
+    gains: Mapping[str, Any],
+    frequency_hz: float,
+    run: Any,
+) -> WalkingDesign:
+    walking = partial(walking_metrics, frequency_hz=frequency_hz, cycles=settings.cycles)
+    own_limit = scenario.plant.pump.acceleration_limit_rad_s2
+
+    def sized(flow: float, limit: float) -> Scenario:
+        factors = {DISPLACEMENT: flow, ACCELERATION_LIMIT: limit / own_limit}
+        return tuned(scaled(scenario, factors), gains)
+
+    def error_deg(flow: float, limit: float) -> float:
+        return float(run(walking, [sized(flow, limit)])[0]["max_error_deg"])
+
+    low, high = settings.acceleration_limit_min_rad_s2, settings.acceleration_limit_max_rad_s2
+    needed = {"bound_deg": settings.error_bound_deg, "tolerance": settings.search_tolerance}
+    flow = smallest(lambda f: error_deg(f, high), 1.0, settings.largest_flow_factor, **needed)
+    sized_flow = settings.margin * flow.value
+    acceleration = smallest(lambda a: error_deg(sized_flow, a), low, high, **needed)
+    design = sized(sized_flow, settings.margin * acceleration.value)
+    check = settings.check_step_s  # which the oil's mode needs
+    solvers = [design, *(design.with_steps(step) for step in (check, 0.5 * check))]
+    return WalkingDesign(frequency_hz, flow, acceleration, design, *run(walking, solvers))
+
+
+def _variations(
+    design: Scenario, flow_factor: float, settings: SizeSettings
+) -> dict[str, Scenario]:
+    """A design on plants that the controller does not know of."""
+    valves = FullCylinderParameters()
+    full_order = {
+        name: getattr(valves, name) * flow_factor
+        for name in ("makeup_conductance_m3_per_s_pa", "relief_conductance_m3_per_s_pa")
+    }
+    friction = {"coulomb_friction_n": settings.seal_friction_n}
+    # Valves and friction this stiff need an implicit integrator, whatever the engine.
+    implicit = {"simulation.integrator": "radau3", "simulation.step_s": _IMPLICIT_STEP_S}
+    variations: dict[str, Any] = {
+        "reduced order (Eq. 15)": {"plant.full_order": None},
+        "full order (Eq. 14), valves grown with the flow": {
+            "plant.full_order": full_order,
+            **implicit,
+        },
+        f"the same, {settings.seal_friction_n:g} N of seal friction": {
+            "plant.full_order": full_order | friction,
+            **implicit,
+        },
+    }
+    load = design.plant.load
+    if isinstance(load, KneeLoadParameters):
+        middle = np.radians(gait_reference().middle_deg)
+        arm = float(moment_arm_m(design, middle))
+        mass = load.segment_mass_kg * (load.centre_of_mass_m / arm) ** 2
+        variations[f"reduced order, moving mass {mass:.1f} kg (m l²/r² at mid-range)"] = {
+            "plant.full_order": None,
+            "plant.cylinder.mass_kg": mass,
+        }
+    return {name: changed(design, values) for name, values in variations.items()}

@@ -1,0 +1,1 @@
+"""Eq. 27's sliding mode at 2 ms."""

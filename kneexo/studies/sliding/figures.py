@@ -1,0 +1,114 @@
+"""Figures of a `kneexo.studies.sliding.study.SlidingStudy`, in full order."""
+
+from __future__ import annotations
+
+import math
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from kneexo.studies.plots import legend_below
+from kneexo.studies.sliding.study import LAWS, SlidingStudy
+
+_OFF = 40.0
+"""Where |s|/Φ of a run is drawn that left the range of motion."""
+
+
+def _shown_eta(study: SlidingStudy) -> float:
+    """η of the figures over time: the smallest with which the paper's k ends its run."""
+    load = study.settings.loads_n[0]
+    complete = [
+        case.eta_m_s3
+        for case in study.of("motion", plant="full", law="paper", load_n=load)
+        if not case.measured["failure"]
+    ]
+    return min(complete, default=study.settings.etas_m_s3[0])
+
+
+def condition(study: SlidingStudy) -> Figure:
+    """sgn(s)·ds/dt outside the layer over time: from a start there, and along the reference."""
+    figure, ax = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    load = study.settings.loads_n[0]
+    for axis, part, eta, scale in (
+        (ax[0], "start", study.settings.start_eta_m_s3, 1e3),
+        (ax[1], "motion", _shown_eta(study), 1.0),
+    ):
+        for case in study.of(part, plant="full", load_n=load, eta_m_s3=eta):
+            trace = case.measured["trace"]
+            if trace["outside_time_s"]:
+                axis.plot(
+                    scale * np.array(trace["outside_time_s"]),
+                    trace["away_m_s3"],
+                    f"C{list(LAWS).index(case.law)}.",
+                    ms=3,
+                    label=LAWS[case.law],
+                )
+        axis.axhline(0.0, color="0.6", lw=0.8)
+        axis.axhline(-eta, color="k", ls="--", lw=1, label=f"−η, η = {eta:g} m/s³")
+        axis.set(ylabel="sgn(s)·ds/dt outside the layer (m/s³)", ylim=(-2.5 * eta, 2.0 * eta))
+        axis.legend(loc="upper right")
+    ax[0].set(xlabel="time (ms)", title=f"from outside the layer, {load:g} N")
+    ax[1].set(xlabel="time (s)", title=f"along the reference, {load:g} N")
+    return figure
+
+
+def error_bound(study: SlidingStudy) -> Figure:
+    """The error over time beside its bound, one axis for each load; a cross ends a failed run.
+
+    One legend stands below both: inside, it would hide where an error changes its sign.
+    """
+    loads, law = study.settings.loads_n, study.law
+    figure, ax = plt.subplots(
+        1, len(loads), figsize=(4.5 * len(loads), 4), layout="constrained", squeeze=False
+    )
+    eta, bound = _shown_eta(study), 1e3 * law.phi_m_s2 / law.lambda_per_s**2
+    for axis, load in zip(ax[0], loads, strict=True):
+        for case in study.of("motion", plant="full", load_n=load, eta_m_s3=eta):
+            trace, color = case.measured["trace"], f"C{list(LAWS).index(case.law)}"
+            error = 1e3 * np.abs(np.array(trace["error_m"]))
+            axis.semilogy(trace["time_s"], error, color, lw=1.2, label=LAWS[case.law])
+            if case.measured["failure"]:
+                label = f"{LAWS[case.law]}: leaves the range of motion"
+                axis.plot(trace["time_s"][-1], error[-1], f"{color}x", ms=8, label=label)
+        axis.axhline(bound, color="k", ls="--", lw=1, label=f"Φ/λ² = {bound:g} mm")
+        axis.set(xlabel="time (s)", ylabel="|e| (mm)", title=f"{load:g} N, η = {eta:g} m/s³")
+        axis.set_ylim(bottom=1e-3)
+    legend_below(figure, ax[0], ncols=3)
+    return figure
+
+
+def boundary_layer(study: SlidingStudy) -> Figure:
+    """The largest |s|/Φ along the reference over η; marks on top left the range of motion."""
+    figure, ax = plt.subplots(figsize=(6.5, 5.0), layout="constrained")
+    for style, load in zip(("-", "--", ":", "-."), study.settings.loads_n, strict=False):
+        for index, (name, label) in enumerate(LAWS.items()):
+            cases = study.of("motion", plant="full", law=name, load_n=load)
+            ax.loglog(
+                [case.eta_m_s3 for case in cases],
+                [math.nan if c.measured["failure"] else c.measured["largest_s"] for c in cases],
+                f"C{index}{style}o",
+                ms=3,
+                label=f"{label}, {load:g} N",
+            )
+            off = [case.eta_m_s3 for case in cases if case.measured["failure"]]
+            text = f"{label}, {load:g} N: left the range" if off else None
+            marker = "x" if load < 0.0 else "+"
+            ax.plot(off, [_OFF] * len(off), f"C{index}{marker}", ms=9, label=text)
+    ax.axhline(1.0, color="k", lw=1, label="edge of the layer")
+    for value, name in ((study.needed.speed, "speed"), (study.needed.stability, "stability")):
+        ax.axvline(value, color="0.5", ls=":", lw=1)
+        text = f" needed for {name}"
+        ax.text(value, 0.56, text, rotation=90, transform=ax.get_xaxis_transform())
+    ax.set(xlabel="η (m/s³)", ylabel="largest |s|/Φ along the reference")
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8)
+    return figure
+
+
+def figures(study: SlidingStudy) -> dict[str, Figure]:
+    """``sliding_condition``, ``error_bound`` and ``boundary_layer``."""
+    return {
+        "sliding_condition": condition(study),
+        "error_bound": error_bound(study),
+        "boundary_layer": boundary_layer(study),
+    }

@@ -1,0 +1,111 @@
+"""The knees of a diagram in Meshcat, while Drake's Simulator runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, SceneGraph
+from pydrake.systems.framework import DiagramBuilder, System
+
+from kneexo.diagrams.controller import port_sizes
+from kneexo.diagrams.part import connect
+from kneexo.errors import ParameterError
+from kneexo.parameters import CylinderParameters, LinkageParameters
+from kneexo.view.knee_frames import KneeFrames
+from kneexo.view.mechanism import ICR_COLOUR, depths_m, icr_path, look_at_legs
+from kneexo.view.pressure_colour import PressureColour
+
+PORTS = {"knee_angle": 1, "knee_reference": 4, "load_pressure": 1}
+"""Output ports of a leg that are shown, with their sizes; only the first must be there."""
+
+PERIOD_S = 1.0 / 32.0
+"""Time between two pictures, in s."""
+
+
+def add_meshcat_view(
+    builder: DiagramBuilder,
+    legs: Mapping[System, LinkageParameters],
+    meshcat: Meshcat,
+    *,
+    largest_pressure_pa: float = CylinderParameters().pressure_rating_pa,
+) -> MeshcatVisualizer:
+    """Show knees of a diagram in Meshcat, beside each other, the first one nearest.
+
+    Subsystems: ``knee_scene_graph``; of each leg ``<leg>_frames`` (`KneeFrames`) and, where the leg
+    has the pressure, ``<leg>_pressure_colour`` (`PressureColour`). In Meshcat's tree
+    ``knees/<leg>`` has bones, links, pins, cylinder and rod, the instantaneous centre of rotation,
+    and as a ghost shank and foot at the reference; ``icr_paths/<leg>`` is the centre's path over
+    0…90°.
+
+    Parameters
+    ----------
+    builder
+        Of the diagram that has the legs.
+    legs
+        Each system of ``builder`` that is shown, with its linkage. Of its output ports
+        ``knee_angle`` (1, rad) is needed; ``knee_reference`` (4, its first in rad) and
+        ``load_pressure`` (1, Pa) are shown where it has them: ports of `make_closed_loop`.
+    meshcat
+        Where they are shown, from the side; grid and axes are hidden.
+    largest_pressure_pa
+        Load pressure in Pa at which the cylinder is blue (negative) or red in full colour; by
+        default its rating.
+
+    Returns
+    -------
+    MeshcatVisualizer
+        Can record: ``StartRecording``, ``PublishRecording``; then ``meshcat.StaticHtml()`` is a
+        page with a time slider.
+
+    Raises `ParameterError` when there is no leg, one is not of the builder, two have one name, a
+    port is missing or has another size, the builder has one of the subsystems, or the pressure is
+    not finite and positive; `LinkageError` when a linkage cannot be assembled. Builder and Meshcat
+    are then as before.
+    """
+    if not legs:
+        raise ParameterError("legs: there is none; must be at least one system with its linkage")
+    sizes = {leg: port_sizes(leg) for leg in legs}
+    names = [leg.get_name() for leg in legs]
+    for leg, ports in sizes.items():
+        if leg not in builder.GetSystems():
+            raise ParameterError(f"{leg.get_name()}: must be a system of the builder")
+        if names.count(leg.get_name()) > 1:
+            raise ParameterError(f"legs: two have the name {leg.get_name()}; choose another")
+        for name, size in PORTS.items():
+            if ports.get(name, size) != size or (name == "knee_angle" and name not in ports):
+                raise ParameterError(
+                    f"{leg.get_name()}: must have an output port {name} of size {size}"
+                )
+    parameters = MeshcatVisualizerParams()
+    parameters.prefix, parameters.publish_period = "knees", PERIOD_S
+    parameters.visualizer_name = "knees"
+    scene_graph, frames, colours, paths = SceneGraph(), {}, {}, {}
+    for (leg, linkage), depth_m in zip(legs.items(), depths_m(len(legs)), strict=True):
+        name = leg.get_name()
+        frames[leg] = KneeFrames(scene_graph, linkage, name=name, depth_m=depth_m)
+        if "load_pressure" in sizes[leg]:
+            cylinder = f"{parameters.prefix}/{name}/cylinder/cylinder"
+            colours[leg] = PressureColour(meshcat, cylinder, largest_pressure_pa, PERIOD_S)
+        paths[name] = icr_path(linkage, depth_m)
+    subsystems = ["knee_scene_graph", *(f"{leg.get_name()}_frames" for leg in frames)]
+    subsystems += [f"{leg.get_name()}_pressure_colour" for leg in colours]
+    for name in filter(builder.HasSubsystemNamed, subsystems):
+        raise ParameterError(f"{name}: the builder has a system of this name; choose another")
+    builder.AddNamedSystem("knee_scene_graph", scene_graph)
+    for leg, system in frames.items():
+        builder.AddNamedSystem(f"{leg.get_name()}_frames", system)
+        for port in ("knee_angle", "knee_reference"):
+            if port in sizes[leg]:
+                connect(builder, leg, port, system, port)
+        builder.Connect(
+            system.GetOutputPort("frame_poses"), scene_graph.get_source_pose_port(system.source)
+        )
+    visualizer = MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, parameters)
+    for leg, colour in colours.items():  # behind the visualizer, which makes what they colour
+        builder.AddNamedSystem(f"{leg.get_name()}_pressure_colour", colour)
+        connect(builder, leg, "load_pressure", colour, "load_pressure")
+    for name, path in paths.items():
+        # Outside the visualizer's tree, which it deletes when a simulation starts.
+        meshcat.SetLine(f"icr_paths/{name}", path, 2.0, ICR_COLOUR)
+    look_at_legs(meshcat, len(legs))
+    return visualizer

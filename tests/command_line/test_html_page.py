@@ -1,0 +1,234 @@
+"""Reports as HTML pages."""
+
+import base64
+import gzip
+import html
+import json
+import re
+import shlex
+from html.parser import HTMLParser
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from kneexo.command_line.html_page import html_page
+from kneexo.command_line.main import main
+from kneexo.version import __version__
+
+VOID = {"meta", "link", "br", "hr", "img", "input", "path", "use"}
+
+
+class Page(HTMLParser):
+    """Cells of all tables, and whether every element is closed in order."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.open, self.cells, self.links = [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        if tag not in VOID:
+            self.open.append(tag)
+        self.links += [v for k, v in attributes if k in ("src", "href") and v[:1] != "#"]
+        if tag in ("td", "th"):
+            self.cells.append("")
+
+    def handle_startendtag(self, tag, attributes):
+        pass
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("td", "th"):
+            self.cells[-1] += data
+
+
+@pytest.fixture
+def figure():
+    figure, axes = plt.subplots()
+    axes.plot([0, 1], [1, 3], label="speed")
+    yield figure
+    plt.close(figure)
+
+
+def test_a_page_has_tables_pictures_and_origin(figure):
+    report = "# Title\n\n| a (m) | b |\n|---|---|\n| 1.5 | <x> & y |\n\n## Part\n\nText.\n"
+    origin = {"kneexo": "9.9", "scenario": {"plant": {"mass_kg": 1.6}}, "of": "µ", "a": 1}
+    text = html_page("kneexo test", report, {"speed": figure}, origin)
+    page = Page(text)
+    assert page.cells == ["a (m)", "b", "1.5", "<x> & y"]
+    assert not page.open
+    assert not page.links  # self-contained
+    assert text.count("<svg") == 1
+    assert "<figcaption>speed</figcaption>" in text
+    assert "kneexo 9.9" in text
+    assert "mass_kg: 1.6\nof: µ\na: 1\n" in text  # in the order given
+    assert 'aria-label="Enlarge speed"' in text
+    assert text.count("<h1>") == 1
+    assert 'name="viewport"' in text
+
+
+def test_equal_reports_are_equal_pages(figure):
+    pages = [html_page("t", "text", {"a": figure}, {"kneexo": "1"}) for _ in range(2)]
+    assert pages[0] == pages[1]
+    assert "<h1>t</h1>" in pages[0]
+
+
+def test_html_in_a_report_is_text():
+    text = html_page("<t>", "a <script>alert(1)</script>", {}, {"kneexo": "<v>"})
+    assert "<script>" not in text
+    assert html.escape("<t>") in text
+
+
+@pytest.fixture
+def short(tmp_path):
+    path = tmp_path / "short.yaml"
+    path.write_text("simulation: {duration_s: 0.5}\n")
+    return str(path)
+
+
+@pytest.mark.parametrize("command", ["simulate", pytest.param("linearize", marks=pytest.mark.slow)])
+def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
+    out = tmp_path / "out"
+    change = "plant.cylinder.mass_kg=1.7"
+    assert main([command, short, "--set", change, "--out", str(out), "--html", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    text = (out / f"{command}.html").read_text()
+    cells = Page(text).cells
+    numbers = result if command == "simulate" else result["margins"]
+    for name in ("max_error_overall_deg", "peak_command_rpm", "phase_margin_deg"):
+        if name in numbers:
+            value = cells[cells.index(name) + 1]
+            assert float(value) == pytest.approx(numbers[name], rel=1e-5)
+    assert re.search("duration_s: 0.5", text)
+    assert ("knee_angle_deg: 40.0" in text) == (command == "linearize")
+    told = html.escape(shlex.join(["kneexo", command, short, f"--set={change}"]))
+    assert f"<title>{told}</title>" in text
+    assert f"<p>kneexo {__version__}: <code>{told}</code></p>" in text
+    assert len(text) < 3e6
+
+
+@pytest.mark.slow
+def test_html_of_a_study_is_its_report(short, tmp_path, capsys):
+    out = tmp_path / "out"
+    few = ["--set", "frequencies_hz=[2, 3, 4]", "--set", "amplitudes_deg=[1]"]
+    assert main(["bandwidth", short, "--out", str(out), "--html", *few, "--workers", "1"]) == 0
+    text = (out / "bandwidth.html").read_text()
+    cells = Page(text).cells
+    settings = ["--set=frequencies_hz=[2, 3, 4]", "--set=amplitudes_deg=[1]"]
+    command = html.escape(shlex.join(["kneexo", "bandwidth", short, *settings]))
+    assert f"<code>{command}</code>" in text
+    report = (out / "bandwidth.md").read_text()
+    rows = (line.strip("|").split("|") for line in report.splitlines() if line[:1] == "|")
+    of_report = [cell.strip() for row in rows for cell in row]
+    assert [cell for cell in of_report if cell != "---"] == cells
+
+
+def test_a_view_lies_compressed_within_a_report(figure):
+    view = "<!DOCTYPE html><title>v</title>" + "<p>knee</p>" * 1000
+    text = html_page("t", "text", {"a": figure}, {"kneexo": "1"}, view)
+    data = re.search(r'id="view-data">([^<]*)<', text)[1]
+    assert gzip.decompress(base64.b64decode(data)).decode() == view
+    assert len(data) < 0.1 * len(view)
+    assert "The view needs JavaScript" in text
+    assert text == html_page("t", "text", {"a": figure}, {"kneexo": "1"}, view)
+    assert "view-data" not in html_page("t", "text", {"a": figure}, {"kneexo": "1"})
+
+
+@pytest.mark.parametrize("command", ["simulate", "linearize", "bandwidth"])
+def test_html_writes_over_no_file_of_others(command, tmp_path, capsys):
+    page = tmp_path / f"{command}.html"
+    page.write_text("<title>mine</title>", encoding="utf-8")
+    assert main([command, "--out", str(tmp_path), "--html"]) == 2
+    told = f"kneexo: {page} exists and is no page of kneexo; choose another --out\n"
+    assert capsys.readouterr().err == told
+    assert page.read_text(encoding="utf-8") == "<title>mine</title>"
+    assert list(tmp_path.iterdir()) == [page]
+
+
+# -------------------------------------------------------------------------------- browser
+
+
+def rows_of(report):
+    """Rows of the tables of a Markdown report, heads included."""
+    return len(re.findall(r"^\|(?! --- )", report, re.MULTILINE))
+
+
+OPEN_VIEW = """
+document.querySelector(".view button").click();
+document.querySelector(".view").scrollIntoView();
+"""
+VIEW = "document.querySelector('.view iframe')?.contentWindow"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "report", "figures", "view"),
+    [
+        (["simulate"], None, 1, True),
+        (["linearize"], None, 3, False),
+        (["reproduce"], "report.md", 5, True),
+        (
+            ["bandwidth", "--set", "frequencies_hz=[2, 3, 4]", "--set", "amplitudes_deg=[1]"],
+            "bandwidth.md",
+            3,
+            False,
+        ),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_a_browser_shows_a_report(command, report, figures, view, browser, tmp_path):
+    out = tmp_path / "out"
+    assert main([*command, "--out", str(out), "--html"]) == 0
+    page = out / f"{command[0]}.html"
+    assert page.stat().st_size < 3e6
+    for width, phone in ((1200, False), (390, True)):
+        browser.open(page, width, 800, phone=phone)
+        browser.require_width()
+        counts = "['tr', 'svg'].map((tag) => document.querySelectorAll(tag).length)"
+        rows, pictures = browser.evaluate(counts)
+        assert pictures == figures
+        assert rows == rows_of((out / report).read_text()) if report else rows > 10
+        narrow = "[...document.querySelectorAll('svg')].map((s) => s.getBoundingClientRect().width)"
+        assert all(100.0 < shown <= width for shown in browser.evaluate(narrow))
+        browser.evaluate("document.querySelector('figure label').click()")
+        assert browser.evaluate(narrow)[0] > 1400.0  # enlarged, and scrolled within its frame
+        browser.require_width()
+        browser.require_health()
+    assert browser.evaluate("document.querySelectorAll('.view').length") == view
+    if view:
+        browser.evaluate(OPEN_VIEW)
+        before, after = browser.views_of_playing(VIEW)
+        assert 0.005 < (after.min(axis=2) < 0.9).mean() < 0.5
+        assert (np.abs(after - before).max(axis=2) > 0.1).sum() > 300
+        browser.require_health()
+        browser.require_width()
+
+
+@pytest.mark.slow
+def test_a_report_on_paper_and_without_javascript(figure, browser, tmp_path):
+    table = "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
+    page = tmp_path / "page.html"
+    page.write_text(html_page("t", table, {"a": figure}, {"kneexo": "1"}, "<p>knee</p>"))
+    browser.open(page)
+    shown = "(what) => document.querySelector(what).getBoundingClientRect().height > 0"
+    parts = [".view", ".view button", "svg", "table"]
+    assert browser.evaluate(f"{parts}.map({shown})") == [True, True, True, True]
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    assert browser.evaluate(f"{parts}.map({shown})") == [False, False, True, True]
+    browser.call("Emulation.setEmulatedMedia", media="")
+    browser.evaluate("delete window.DecompressionStream")
+    browser.evaluate("document.querySelector('.view button').click()")
+    assert "This browser is too old" in browser.evaluate("document.body.innerText")
+    browser.require_health()
+    browser.call("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        browser.open(page)
+        assert "The view needs JavaScript." in browser.evaluate("document.body.innerText")
+        assert browser.evaluate(f"{parts}.map({shown})") == [True, False, True, True]
+    finally:
+        browser.call("Emulation.setScriptExecutionDisabled", value=False)

@@ -1,0 +1,354 @@
+"""Folders of exported models: vectors, harness, build files, refusals."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from pydrake.symbolic import Variable
+from pydrake.systems.primitives import LinearSystem, Sine, SymbolicVectorSystem
+
+from kneexo.compiler import export_c
+from kneexo.compiler.c import build as c_build
+from kneexo.compiler.c.build import BuildError, CodeSize, Replay, code_sizes, replay
+from kneexo.compiler.c.export import (
+    Measurement,
+    Vectors,
+    _numbers,
+    exported,
+    recorded_vectors,
+    source_of,
+    write_folder,
+)
+from kneexo.compiler.c.source import CSource
+from kneexo.compiler.equations.graph import Graph
+from kneexo.compiler.equations.reader import Equations
+from kneexo.compiler.model import compile_diagram
+from kneexo.compiler.native.runner import State
+from kneexo.errors import CompilationError, OutputError, SimulationError
+
+needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
+FILES = {
+    *("filter.c", "filter.h", "filter_params.c", "filter_vectors.c", "filter_vectors.h"),
+    *("filter_test.c", "Makefile", "CMakeLists.txt", "README.md"),
+}
+
+
+def low_pass(feedthrough=0.0):
+    """Y = x + d u, x⁺ = 0.5 x + u every 10 ms."""
+    system = LinearSystem(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[feedthrough]], time_period=0.01)
+    system.set_name("low_pass")
+    return system
+
+
+SAMPLES = np.arange(1.0, 21.0)[:, None]
+
+
+@pytest.fixture(scope="module")
+def low_pass_export(tmp_path_factory):
+    path = tmp_path_factory.mktemp("low_pass") / "out"
+    export_c(low_pass(), path, name="filter", inputs=["u0"], samples=SAMPLES)
+    return path
+
+
+@pytest.fixture
+def folder(low_pass_export, tmp_path):
+    return shutil.copytree(low_pass_export, tmp_path / "out")
+
+
+@pytest.fixture
+def no_targets(monkeypatch):
+    """Flash and stack are not measured."""
+    monkeypatch.setattr(c_build, "TARGETS", {})
+
+
+def test_vectors_are_the_outputs_after_each_step():
+    for feedthrough in (0.0, 3.0):
+        model = compile_diagram(low_pass(feedthrough), inputs=["u0"])
+        vectors = recorded_vectors(low_pass(feedthrough), source_of(model, "m"), SAMPLES)
+        x, expected = 0.0, []
+        for (u,) in SAMPLES:
+            x = 0.5 * x + u
+            expected.append([x + feedthrough * u])
+        np.testing.assert_allclose(vectors.outputs, expected, rtol=1e-15)
+        np.testing.assert_array_equal(vectors.inputs, SAMPLES)
+
+
+def test_inputs_that_vary_need_a_diagram_without_sample_times_or_without_states(multirate):
+    from pydrake.systems.framework import DiagramBuilder
+
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("plant", LinearSystem(A=[[-1.0]], B=[[1.0]], C=[[1.0]], D=[[0]]))
+    law = builder.AddNamedSystem("law", low_pass())
+    builder.Connect(plant.get_output_port(), law.get_input_port())
+    builder.ExportInput(plant.get_input_port(), "u")
+    builder.ExportOutput(law.get_output_port(), "y")
+    diagram = builder.Build()
+    source = source_of(compile_diagram(diagram, inputs=["u"]), "m")
+    constant = np.full((50, 1), 2.0)
+    assert np.ptp(recorded_vectors(diagram, source, constant).outputs) > 0.0
+    with pytest.raises(CompilationError, match="test vectors need inputs that are constant"):
+        recorded_vectors(diagram, source, SAMPLES)
+
+
+@needs_compiler
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_the_harness_reports_differences(precision, no_targets):
+    source = source_of(compile_diagram(low_pass(), inputs=["u0"]), "filter", precision=precision)
+    vectors = recorded_vectors(low_pass(), source, SAMPLES)
+    files, measurement = exported(source, vectors)
+    assert set(files) == FILES
+    (difference,) = measurement.replay.difference.values()
+    assert measurement.replay.passed
+    assert difference <= 1e-5
+    assert measurement.replay.largest["y0"] == pytest.approx(vectors.outputs.max(), rel=1e-5)
+    # A vector that is wrong by 1 % is found, and by how much.
+    right = vectors.outputs[4, 0]
+    vectors.outputs[4, 0] *= 1.01
+    wrong = exported(source, vectors)[1].replay
+    assert not wrong.passed
+    assert wrong.difference["y0"] == pytest.approx(0.01 * right, rel=1e-3)  # three digits
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_make_and_cmake_build_the_folder(folder, no_targets):
+    made = subprocess.run(["make", "test"], cwd=folder, capture_output=True, text=True, check=True)
+    assert "20 steps, 0 failures" in made.stdout
+    assert {path.name for path in folder.iterdir()} == FILES | {"build"}
+    # Another compiler or other flags make the objects anew, the same ones do not.
+    for flags, objects in (("-O1", 2), ("-O1", 0), ("-O0 -DQUOTED='a b'", 2)):
+        command = ["make", f"CFLAGS={flags}"]
+        made = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+        assert made.stdout.count(f"{flags} -c -o build/") == objects
+    made = subprocess.run(["make", "CC=true"], cwd=folder, capture_output=True, text=True)
+    assert made.stdout.count("true ") == 2
+    subprocess.run(["make", "clean"], cwd=folder, capture_output=True, check=True)
+    if shutil.which("cmake"):
+        for command in (["cmake", "-B", "build"], ["cmake", "--build", "build"]):
+            subprocess.run(command, cwd=folder, capture_output=True, check=True)
+        subprocess.run(
+            ["ctest", "--test-dir", "build"], cwd=folder, capture_output=True, check=True
+        )
+    # A build does not stand in the way of the next export.
+    export_c(low_pass(), folder, name="filter", inputs=["u0"], samples=SAMPLES)
+
+
+def test_the_readme_tells_what_was_measured(folder):
+    text = (folder / "README.md").read_text()
+    source = source_of(compile_diagram(low_pass(), inputs=["u0"]), "filter")
+    assert "call it from a timer interrupt at 100 Hz" in text
+    assert "| `u0` | double | finite |" in text
+    assert "    inputs.u0 = ...;\n" in text
+    assert f"| operations in a step | {source.operations.total()}: 1 *, 1 + |" in text
+    assert f"| RAM of `filter_state_t` | {source.state_bytes} bytes |" in text
+    assert "20 recorded steps" in text
+    assert not re.search(r"@\w|\bNAME\b|\bUPPER\b", text)
+
+
+STIFF_PER_S = 5e4
+
+
+def stiff():
+    """A lag of 20 µs, which RK4 cannot take with steps of 0.2 ms."""
+    system = LinearSystem(A=[[-STIFF_PER_S]], B=[[STIFF_PER_S]], C=[[1.0]], D=[[0.0]])
+    system.set_name("stiff")
+    return system
+
+
+def test_steps_follow_the_fastest_mode_of_any_diagram(tmp_path):
+    options = {"name": "stiff", "inputs": ["u0"], "tick_s": 2e-3, "samples": np.full((5, 1), 2.0)}
+    with pytest.raises(SimulationError, match="not finite"):
+        export_c(
+            stiff(), tmp_path / "unstable", step_s=2e-4, **options | {"samples": 100 * [[2.0]]}
+        )
+    measurement = export_c(stiff(), tmp_path / "out", **options)
+    source = source_of(compile_diagram(stiff(), inputs=["u0"]), "stiff", tick_s=2e-3)
+    assert source.largest_step_s == pytest.approx(0.2 / STIFF_PER_S, rel=1e-12)
+    assert source.steps == 500
+    text = (tmp_path / "out" / "stiff.c").read_text()
+    assert "step < 500U" in text
+    vectors = recorded_vectors(stiff(), source, np.array(options["samples"]))
+    np.testing.assert_allclose(vectors.outputs, 2.0, rtol=1e-12)  # after 100 time constants
+    if measurement.replay is not None:
+        assert measurement.replay.passed
+    export_c(stiff(), tmp_path / "chosen", step_s=1e-5, **options)
+    assert "step < 200U" in (tmp_path / "chosen" / "stiff.c").read_text()
+
+
+def test_the_fastest_mode_is_that_of_the_context(tmp_path):
+    """Dx/dt = −x³, whose eigenvalue is −3 x²."""
+    x = Variable("x")
+    system = SymbolicVectorSystem(state=[x], dynamics=[-(x**3)], output=[x])
+    context = system.CreateDefaultContext()
+    context.SetContinuousState([100.0])
+    export_c(system, tmp_path / "out", name="cubic", tick_s=1e-3, steps=5, context=context)
+    assert "step < 150U" in (tmp_path / "out" / "cubic.c").read_text()  # 1 ms / (0.2 / 3e4 s)
+    export_c(system, tmp_path / "out", name="cubic", tick_s=1e-3, steps=5)
+    assert "step < 5U" in (tmp_path / "out" / "cubic.c").read_text()
+
+
+def test_without_compilers_the_readme_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    measurement = export_c(low_pass(), tmp_path / "out", name="filter", inputs=["u0"], steps=5)
+    assert measurement.replay is None
+    assert measurement.code_sizes == {}
+    text = (tmp_path / "out" / "README.md").read_text()
+    assert "| differences | not measured: this machine has no C compiler" in text
+    assert "| flash and stack | not measured: this machine has no arm-none-eabi-gcc |" in text
+
+
+def test_sizes_are_those_of_the_tools(tmp_path, monkeypatch):
+    """A compiler and a ``size`` in the place of those for ARM: 100 + 20 bytes, frames 40, 8, 9."""
+    frames = {"m_step": 40, "update_at": 8, "m_init": 9}
+    usage = "\\n".join(f"m.c:1:2:{name}\\t{size}\\tstatic" for name, size in frames.items())
+    tools = {
+        "gcc": f'for f; do case $f in *.c) printf "{usage}" > "${{f%.c}}.su";; esac; done',
+        "size": 'echo "text data bss"; echo "100 0 0 x.o"; echo "20 0 0 y.o"',
+    }
+    for name, script in tools.items():
+        path = tmp_path / f"arm-none-eabi-{name}"
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    sizes = code_sizes("m", {"m.c": "", "m_params.c": ""})
+    assert sizes == {target: CodeSize(120, 48) for target in ("Cortex-M4F", "Cortex-M7")}
+
+
+def test_the_rows_of_the_readme_tell_each_number_with_its_unit():
+    replayed = Replay({"y0": 1.25e-12}, {"y0": 34.5}, passed=True)
+    sizes = {"Cortex-M4F": CodeSize(1120, 48), "Cortex-M7": CodeSize(2040, 96)}
+    measurement = Measurement({"*": 3, "sqrt": 1}, 24, replayed, sizes, {"power": "no | meter"})
+    assert list(_numbers("m", measurement)) == [
+        ("operations in a step", "4: 3 *, 1 sqrt"),
+        ("RAM of `m_state_t`", "24 bytes"),
+        ("difference of `y0`", "1.25e-12, where it goes up to 34.5"),
+        (
+            "Cortex-M4F: flash, code and parameters, without the C library, -O2",
+            "1120 bytes",
+        ),
+        ("Cortex-M4F: stack of a step, without the C library, -O2", "48 bytes"),
+        (
+            "Cortex-M7: flash, code and parameters, without the C library, -O2",
+            "2040 bytes",
+        ),
+        ("Cortex-M7: stack of a step, without the C library, -O2", "96 bytes"),
+        ("power", "not measured: no / meter"),
+    ]
+
+
+@needs_compiler
+def test_code_that_does_not_build_is_one_line():
+    with pytest.raises(CompilationError) as error:
+        replay("m", {"m.c": "int main(void) { return x; }\n"})
+    assert "\n" not in str(error.value)
+    with pytest.raises(CompilationError, match="m: the harness printed no difference"):
+        replay("m", {"m.c": "int main(void) { return 0; }\n"})
+
+
+def script(path, text):
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+
+
+def test_the_error_of_a_compiler_is_the_line_that_says_so(tmp_path, monkeypatch):
+    script(tmp_path / "cc", "echo 'm.c: In function f:' >&2; echo 'm.c:1: error: odd' >&2; exit 1")
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with pytest.raises(BuildError, match=r"^cc: m.c:1: error: odd$"):
+        replay("m", {"m.c": ""})
+    script(tmp_path / "cc", "echo 'no licence' >&2; echo 'bye' >&2; exit 1")
+    with pytest.raises(BuildError, match=r"^cc: no licence$"):
+        replay("m", {"m.c": ""})
+    script(tmp_path / "cc", "exit 0")
+    with pytest.raises(BuildError, match=r"^harness: No such file or directory$"):
+        replay("m", {"m.c": ""})
+
+
+def test_a_broken_compiler_does_not_stop_an_export(tmp_path, monkeypatch):
+    bin_ = tmp_path / "bin"
+    bin_.mkdir()
+    for name in ("cc", "arm-none-eabi-gcc", "arm-none-eabi-size"):
+        script(bin_ / name, f"echo '{name} error: no licence' >&2; exit 1")
+    monkeypatch.setenv("PATH", f"{bin_}:/usr/bin:/bin")
+    out = tmp_path / "out"
+    measurement = export_c(low_pass(), out, name="filter", inputs=["u0"], steps=5)
+    assert {path.name for path in out.iterdir()} == FILES
+    assert (measurement.replay, measurement.code_sizes) == (None, {})
+    assert measurement.not_measured == {
+        "differences": "cc: cc error: no licence",
+        "flash and stack": "arm-none-eabi-gcc: arm-none-eabi-gcc error: no licence",
+    }
+    text = (out / "README.md").read_text()
+    for what, reason in measurement.not_measured.items():
+        assert f"| {what} | not measured: {reason} |" in text
+
+
+@needs_compiler
+def test_the_readme_lists_the_functions_of_all_that_is_printed(tmp_path):
+    """A step multiplies by a constant alone; the start computes it, by exp."""
+    g = Graph()
+    factor = g.unary("exp", g.source("parameter", 0))
+    y = g.multiply(factor, g.source("input", 0))
+    equations = Equations(graph=g, parameters=["m.a"], inputs={"u": 1}, outputs={"y": [y]})
+    state = State(np.zeros(0), np.zeros(0))
+    options = {"precision": "float", "tick_s": 0.1, "told": "a ---> b"}
+    source = CSource(equations, "m", np.ones(1), state, **options)
+    assert source.operations == {"*": 1}
+    text = exported(source, Vectors(np.ones((1, 1)), np.full((1, 1), np.e)))[0]["README.md"]
+    assert text.count("-->") == 1
+    assert text.splitlines()[0].endswith("a --- > b -->")
+    assert "It needs `math.h` of the C library (`expf`)." in text
+    if shutil.which("arm-none-eabi-gcc"):
+        assert "| Cortex-M7: flash, code and parameters, without the C library, -O2 |" in text
+        assert "| Cortex-M7: stack of a step, without the C library, -O2 |" in text
+    assert "| output | port |\n|---|---|\n| `y` | y |" in text
+
+
+@needs_compiler
+def test_a_replay_reads_every_row():
+    text = (
+        '#include <stdio.h>\nint main(void) { puts("a: difference 1e-3, largest value 2"); '
+        'puts("b_rad: difference 0, largest value 0.5"); return 1; }\n'
+    )
+    assert replay("m", {"m.c": text}) == Replay(
+        {"a": 1e-3, "b_rad": 0.0}, {"a": 2.0, "b_rad": 0.5}, passed=False
+    )
+
+
+# ------------------------------------------------------------------------------- folders
+
+
+def test_foreign_files_are_not_touched(tmp_path):
+    (tmp_path / "main.c").write_text("int main(void) { return 0; }\n")
+    with pytest.raises(OutputError, match=r"main.c is not of an export; choose another directory"):
+        export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], steps=5)
+    assert [path.name for path in tmp_path.iterdir()] == ["main.c"]
+
+
+def test_a_new_export_replaces_all_files_of_the_last_one(folder, no_targets):
+    export_c(Sine(1.0, 2.0, 0.0, 1), folder, name="source", outputs=["y0"], tick_s=0.1, steps=3)
+    assert not any(path.name.startswith("filter") for path in folder.iterdir())
+
+
+def test_what_a_killed_export_left_is_deleted(folder, no_targets):
+    left = folder / "build-x1"
+    left.mkdir()
+    (left / "filter.c").write_text("")
+    export_c(low_pass(), folder, name="filter", inputs=["u0"], samples=SAMPLES)
+    assert {path.name for path in folder.iterdir()} == FILES
+
+
+def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path):
+    path = tmp_path / "out"
+    path.write_text("")
+    with pytest.raises(OutputError, match="cannot write there") as error:
+        write_folder(path, {"a.c": ""})
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("samples", [[[1.0, 2.0]], [1.0], []])
+def test_samples_of_another_shape_are_refused(tmp_path, samples):
+    with pytest.raises(CompilationError, match=r"must be \(steps, 1\)"):
+        export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], samples=samples)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,466 @@
+"""Exported models against the compiled ones, their text and their refusals."""
+
+import ctypes
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    Gain,
+    Integrator,
+    LinearSystem,
+    Sine,
+    ZeroOrderHold,
+)
+
+from kneexo.compiler import compile_diagram
+from kneexo.compiler.c.export import recorded_vectors, source_of
+from kneexo.compiler.c.source import CSource, Interface, c_name
+from kneexo.compiler.equations.reader import Equations, Limit, Section, Update
+from kneexo.compiler.native.runner import State
+from kneexo.errors import CompilationError
+
+
+def accumulator(increment=0.0):
+    """A sampled integrator: x⁺ = x + u every 10 ms, and its output 2 x."""
+    return LinearSystem(A=[[1.0]], B=[[1.0]], C=[[2.0]], D=[[0.0]], time_period=0.01)
+
+
+def oscillator():
+    """A continuous plant of two states with an input."""
+    system = LinearSystem(
+        A=[[0.0, 1.0], [-400.0, -4.0]], B=[[0.0], [400.0]], C=[[1.0, 0.0]], D=[[0.0]]
+    )
+    system.set_name("plant")
+    return system
+
+
+def exported(diagram, name="model", inputs=(), **options):
+    return source_of(compile_diagram(diagram, inputs=inputs), name, **options)
+
+
+def equations_of(graph_of, **fields):
+    """Equations without a diagram: ``graph_of(graph)`` makes the fields."""
+    equations = Equations(**fields)
+    for name, value in graph_of(equations.graph).items():
+        setattr(equations, name, value)
+    return equations
+
+
+# ------------------------------------------------------------------------------- results
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_a_discrete_step_takes_the_inputs_and_gives_what_follows(built, precision):
+    model = built(exported(accumulator(), inputs=["u0"], precision=precision))
+    outputs = model.replay([[1.0], [2.0], [4.0]])
+    np.testing.assert_allclose(outputs[:, 0], [2.0, 6.0, 14.0])
+    assert model.now([0.0]) == 0
+    assert model.get() == [14.0]
+
+
+def test_a_continuous_diagram_is_that_of_rk4(built):
+    source = exported(oscillator(), inputs=["u0"], tick_s=0.01, step_s=0.002)
+    assert (source.sample_time_s, source.steps) == (0.01, 5)
+    inputs = np.sin(np.arange(200.0))[:, None]
+    vectors = recorded_vectors(oscillator(), source, inputs)
+    outputs = built(source).replay(inputs)
+    # Rounding of each step, in the 250 steps of 2 ms that the decay of 2/s remembers.
+    np.testing.assert_allclose(outputs, vectors.outputs, rtol=0, atol=250 * 2.2e-16)
+    assert np.ptp(outputs) > 0.1
+    # By hand: with u held, x = exp(A h) x + …; RK4 is its Taylor series up to h⁴.
+    a, b = np.array([[0.0, 1.0], [-400.0, -4.0]]), np.array([0.0, 400.0])
+    x, expected = np.zeros(2), []
+    for (u,) in inputs:
+        for _ in range(5):
+            term = 0.002 * (a @ x + b * u)
+            for power in range(2, 6):
+                x = x + term
+                term = 0.002 / power * (a @ term)
+        expected.append(x[0])
+    np.testing.assert_allclose(outputs[:, 0], expected, rtol=0, atol=1e-13)
+
+
+def test_several_sample_times_with_offset_and_a_clock(built, multirate):
+    source = exported(multirate)
+    assert source.sample_time_s == 0.001
+    vectors = recorded_vectors(multirate, source, np.zeros((400, 0)))
+    outputs = built(source).replay(np.zeros((400, 0)))
+    np.testing.assert_allclose(outputs, vectors.outputs, rtol=0, atol=1e-12)
+    fields = [name for _, name in source.output_fields]
+    held = outputs[:, fields.index("held")]
+    sampled = outputs[:, fields.index("sampled")]
+    assert np.flatnonzero(np.diff(held))[:3].tolist() == [3, 7, 11]  # at 4, 8, 12 ms
+    assert np.flatnonzero(np.diff(sampled))[:2].tolist() == [4, 14]  # at 5 and 15 ms
+
+
+def test_sample_times_without_a_clock_wrap_after_a_cycle(built):
+    builder = DiagramBuilder()
+    for name, period, offset in (("a", 0.004, 0.0), ("b", 0.006, 0.010)):
+        hold = builder.AddNamedSystem(name, ZeroOrderHold(period, 1, offset_sec=offset))
+        builder.ExportInput(hold.get_input_port(), f"u_{name}")
+        builder.ExportOutput(hold.get_output_port(), name)
+    diagram = builder.Build()
+    source = exported(diagram, inputs=["u_a", "u_b"])
+    assert not source.needs_time
+    inputs = np.arange(1.0, 41.0)[:, None] * [1.0, 10.0]
+    outputs = built(source).replay(inputs)
+    k = np.arange(40)  # ticks of 2 ms
+    np.testing.assert_array_equal(outputs[:, 0], inputs[k // 2 * 2, 0])
+    last = np.where(k < 5, -1, (k - 5) // 3 * 3 + 5)
+    np.testing.assert_array_equal(outputs[:, 1], np.where(last < 0, 0.0, inputs[last, 1]))
+
+
+def test_time_is_that_of_the_end_of_a_step(built):
+    sine = Sine(2.0, 3.0, 0.5, 1)
+    outputs = built(exported(sine, outputs=["y0"], tick_s=0.1)).replay(np.zeros((5, 0)))
+    np.testing.assert_allclose(outputs[:, 0], 2.0 * np.sin(0.3 * np.arange(1, 6) + 0.5))
+
+
+def test_single_precision_keeps_what_a_sum_loses(built):
+    source = exported(accumulator(), inputs=["u0"], precision="float")
+    steps, small = 20_000, 1e-4
+    model = built(source)
+    model.init([0.0])
+    model.step([1000.0])
+    for _ in range(steps):
+        model.step([small])
+    right = 2.0 * (1000.0 + steps * small)
+    assert model.get()[0] == pytest.approx(right, rel=2e-7)
+    plain = np.float32(1000.0)
+    for _ in range(steps):
+        plain += np.float32(small)
+    assert 2.0 * plain != pytest.approx(right, rel=1e-4)
+
+
+def test_parameters_are_read_from_the_struct(built):
+    def graph_of(g):
+        gain, factor, output = (g.source("parameter", i) for i in range(3))
+        held = g.source("held", 0)
+        product = g.multiply(gain, factor, g.source("input", 0))
+        return {
+            "updates": [Update(0.1, 0.0, ((0, product),))],
+            "outputs": {"y": [held, output]},
+            "initial_held": [held],
+        }
+
+    equations = equations_of(
+        graph_of,
+        parameters=["a/law.gain", "a/law.0[0]", "b/law.gain"],
+        held=["a/law.0[0]"],
+        inputs={"u": 1},
+    )
+    source = CSource(equations, "m", np.array([2.0, 3.0, 5.0]), State(np.zeros(0), np.zeros(1)))
+    assert source.parameter_fields == ["a_law.gain", "a_law.group_0[0]", "b_law.gain"]
+    assert built(source).replay([[7.0]]).tolist() == [[42.0, 5.0]]
+
+
+# ------------------------------------------------------------------------------- failures
+
+
+def guarded():
+    """x⁺ = 1 / u, which must not leave its limit x <= 10: `Limit` looks at the state before."""
+
+    def graph_of(g):
+        x, u = g.source("held", 0), g.source("input", 0)
+        return {
+            "updates": [Update(0.1, 0.0, ((0, g.divide(g.one, u)),))],
+            "outputs": {"y": [x]},
+            "initial_held": [x],
+            "limits": [Limit("law", g.subtract(g.constant(10.0), x))],
+        }
+
+    equations = equations_of(graph_of, held=["law.0[0]"], inputs={"u": 1})
+    return CSource(equations, "m", np.zeros(0), State(np.zeros(0), np.array([0.5])))
+
+
+def test_each_failure_has_its_status_and_keeps_state_and_outputs(built):
+    model = built(guarded())
+    assert model.init([1.0]) == 0
+    assert model.step([2.0]) == 0
+    before = bytes(model.state)
+    for value, status in ((math.nan, 1), (math.inf, 1), (-math.inf, 1), (0.0, 2)):
+        assert model.step([value]) == status
+        assert model.get() == [0.5]
+        assert bytes(model.state) == before
+    assert model.step([0.05]) == 0
+    assert model.get() == [20.0]
+    assert model.step([1.0]) == 4
+    assert model.get() == [20.0]
+    assert model.now([math.nan]) == 1
+    assert model.get() == [20.0]
+
+
+def test_a_start_with_bad_inputs_or_parameters_says_so(built):
+    assert built(guarded()).init([math.nan]) == 1
+
+    def graph_of(g):
+        return {"outputs": {"y": [g.unary("log", g.source("parameter", 0))]}}
+
+    equations = equations_of(graph_of, parameters=["m.a"])
+    source = CSource(equations, "m", np.array([-1.0]), State(np.zeros(0), np.zeros(0)), tick_s=0.1)
+    assert built(source).init() == 2
+
+
+def test_a_model_whose_start_failed_is_not_started(built):
+    model = built(guarded())
+    assert (model.step([2.0]), model.now([2.0])) == (8, 8)
+    assert model.init([1.0]) == 0
+    assert model.step([0.05]) == 0
+    assert model.init([math.nan]) == 1
+    assert (model.step([2.0]), model.now([2.0])) == (8, 8)
+    assert model.get() == [0.0]
+    assert model.init([1.0]) == 0
+    assert (model.step([2.0]), model.now([2.0])) == (0, 0)
+    assert model.get() == [0.5]
+    header = guarded().files()["m.h"]
+    assert "#define M_NOT_STARTED 8U" in header
+    assert "#define M_BAD_PARAMETER 16U" in header
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_every_number_of_the_parameters_must_be_finite(built, precision):
+    """Y = (k₁ k₂) g₀ g₁ x with x⁺ = x: a change of any of them acts, unless it is not finite."""
+
+    def graph_of(g):
+        p = [g.source("parameter", i) for i in range(4)]
+        x = g.source("held", 0)
+        return {
+            "updates": [Update(0.1, 0.0, ((0, x),))],
+            "outputs": {"y": [g.multiply(g.multiply(*p), x)]},
+            "initial_held": [x],
+        }
+
+    names = ["law.k_1", "law.k_2", "law.0[0]", "law.0[1]"]
+    equations = equations_of(graph_of, parameters=names, held=["law.1[0]"])
+    state = State(np.zeros(0), np.array([7.0]))
+    source = CSource(equations, "m", np.array([1.0, 2.0, 3.0, 5.0]), state, precision=precision)
+    model = built(source)
+    real = {"double": ctypes.c_double, "float": ctypes.c_float}[precision]
+    right = model.params = (real * 5)(1.0, 2.0, 3.0, 5.0, 7.0)
+    for place in range(5):
+        for value in (math.nan, math.inf, -math.inf):
+            model.params = (real * 5)(*right)
+            model.params[place] = value
+            assert model.init() == 16
+            assert model.step() == 8
+            wrong, model.params = model.params, right
+            assert model.init() == 0
+            before = bytes(model.state)
+            assert model.update(wrong) == 16
+            assert bytes(model.state) == before
+            assert model.step() == 0
+            assert model.get() == [210.0]
+    model.params = (real * 5)(10.0, 2.0, 3.0, 5.0, 7.0)
+    assert model.update(model.params) == 0
+    assert model.step() == 0
+    assert model.get() == [2100.0]
+
+
+def test_inputs_keep_to_their_range(built):
+    interface = Interface({"u0": ["angle_rad"]}, ranges={"angle_rad": (-1.5, 2.5)})
+    model = built(exported(accumulator(), inputs=["u0"], interface=interface))
+    assert model.init([0.0]) == 0
+    statuses = [model.step([value]) for value in (-1.5, 2.5, -1.6, 2.6)]
+    assert statuses == [0, 0, 1, 1]
+
+
+def test_whole_numbers_are_int32(built):
+    interface = Interface(integers=frozenset(["u0"]), ranges={"u0": (-2.5, 7.5)})
+    source = exported(accumulator(), inputs=["u0"], interface=interface, precision="float")
+    model = built(source)
+    assert [model.init([0])] + [model.step([v]) for v in (-2, 7, -3, 8)] == [0, 0, 0, 1, 1]
+    assert model.get() == [10.0]
+    assert "int32_t u0; /* -2 ... 7 */" in source.files()["model.h"]
+
+
+# ----------------------------------------------------------------------------------- text
+
+
+def test_equal_diagrams_give_equal_text(multirate):
+    sources = [exported(oscillator(), inputs=["u0"], tick_s=0.01) for _ in range(2)]
+    assert sources[0].files() == sources[1].files()
+    assert exported(multirate).files() == exported(multirate).files()
+
+
+def test_text_names_leaf_systems_and_is_ascii(multirate):
+    files = exported(multirate).files()
+    assert "/* inner/plant: time derivatives. LinearSystem." in files["model.c"]
+    assert "x" in files["model.h"]
+    for text in files.values():
+        assert text.isascii()
+        assert text.startswith("/* Made by kneexo")
+        assert "@" not in text
+        assert not re.search(r"\b(NAME|UPPER|REAL|STATES|HELD)\b", text)
+
+
+def test_a_double_needs_53_bits():
+    assert "DBL_MANT_DIG" in exported(accumulator(), inputs=["u0"]).files()["model.h"]
+    single = exported(accumulator(), inputs=["u0"], precision="float").files()["model.h"]
+    assert "DBL_MANT_DIG" not in single
+    assert "typedef float model_real_t;" in single
+
+
+def test_operations_of_a_step_count_all_stages():
+    source = exported(oscillator(), inputs=["u0"], tick_s=0.01, step_s=0.002)
+    stage = replace(source, step_s=0.01)
+    assert source.steps == 5
+    difference = source.operations.total() - stage.operations.total()
+    rates = stage.operations.total()  # the output is a state: nothing to compute
+    assert difference == 4 * rates
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_state_bytes_are_those_of_the_compiler(c_text, multirate, precision):
+    clocked = exported(multirate, precision=precision)
+    unclocked = exported(accumulator(), inputs=["u0"], precision=precision)
+    assert (clocked.counts_steps, unclocked.counts_steps) == (True, False)
+    for source in (clocked, unclocked):
+        files = source.files()
+        text = files["model.h"] + "unsigned long size(void) { return sizeof(model_state_t); }\n"
+        assert c_text(text).size() == source.state_bytes
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        *(
+            ("law", "law"),
+            ("inner/plant", "inner_plant"),
+            ("3d", "n3d"),
+            ("for", "for_"),
+            ("θ", "_"),
+        ),
+        *(
+            (word, f"{word}_")
+            for word in ("NULL", "NAN", "M_PI", "INT32_MAX", "UINT8_C", "DBL_MAX")
+        ),
+        *(("_Bool", "_Bool_"), ("M_pi_2", "M_pi_2"), ("KM_PI", "KM_PI"), ("INTEGRAL", "INTEGRAL")),
+    ],
+)
+def test_names_in_c(text, name):
+    assert c_name(text) == name
+
+
+WORDS = (
+    *("NULL", "NAN", "INFINITY", "M_PI", "HUGE_VAL", "FP_NAN", "FLT_MAX", "INT32_MAX", "errno"),
+    *("_Bool", "try", "throw", "catch", "public", "protected", "friend", "typename", "using"),
+    *("and", "or", "not", "xor", "bitand", "explicit", "mutable", "export", "virtual", "wchar_t"),
+)
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs the C++ compiler g++")
+def test_words_of_c_and_cplusplus_are_no_names(built, tmp_path):
+    interface = Interface({"u0": WORDS, "y0": WORDS})
+    source = exported(Gain(2.0, len(WORDS)), inputs=["u0"], tick_s=0.1, interface=interface)
+    outputs = built(source).replay(np.arange(float(len(WORDS)))[None])
+    np.testing.assert_array_equal(outputs[0], 2.0 * np.arange(len(WORDS)))
+    header = source.files()["model.h"]
+    (tmp_path / "model.h").write_text(header)
+    user = '#include <cmath>\n#include <cerrno>\n#include <cstdint>\n#include "model.h"\n'
+    (tmp_path / "user.cpp").write_text(user)
+    command = ["g++", "-fsyntax-only", "-Wall", "-Werror", "user.cpp"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+
+
+@pytest.mark.parametrize("name", ["initial_x", "initial_d", "d", "x", "a*/b", "a\\", "a＼", "??/"])
+def test_any_name_of_a_leaf_system_compiles(built, name):
+    def graph_of(g):
+        x = g.source("held", 0)
+        y = g.multiply(g.source("parameter", 0), x)
+        section = Section(f"{name}: output. {name}", f"x = d * p; {name}\n*/ /* of it", (y,))
+        updates = [Update(0.1, 0.0, ((0, x),))]
+        return {"outputs": {"y": [y]}, "initial_held": [x], "updates": updates} | {
+            "sections": [section]
+        }
+
+    equations = equations_of(graph_of, parameters=[f"{name}.k"], held=[f"{name}.0[0]\n*/"])
+    state = State(np.zeros(0), np.array([3.0]))
+    source = CSource(equations, "m", np.array([2.0]), state, told=f"{name}\nall: */")
+    assert built(source).replay(np.zeros((1, 0))).tolist() == [[6.0]]
+    assert "\n" not in source.first_line
+    assert "\\" not in source.first_line
+
+
+def test_a_comment_asks_for_no_variable(built):
+    """The comment names x and d, which the model does not have."""
+
+    def graph_of(g):
+        y = g.multiply(g.constant(2.0), g.source("input", 0))
+        return {"outputs": {"y": [y]}, "sections": [Section("d: output y", "y = x + c", (y,))]}
+
+    source = CSource(
+        *(equations_of(graph_of, inputs={"u": 1}), "m", np.zeros(0)),
+        State(np.zeros(0), np.zeros(0)),
+        tick_s=0.1,
+    )
+    assert built(source).replay([[4.0]]).tolist() == [[8.0]]
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"name": "2nd"}, "name = '2nd': must be a C identifier"),
+        ({"name": "a b"}, "must be a C identifier"),
+        ({"name": "a" * 32}, "at most 31"),
+        ({"name": "while"}, "must be a C identifier"),
+        ({"name": "xor"}, "must be a C identifier"),
+        *(
+            ({"name": name}, f"name = '{name}': is a header of C; choose another name")
+            for name in ("math", "stdint", "float", "Time", "stdio", "errno", "string")
+        ),
+        ({"precision": "half"}, "precision = 'half': must be one of double, float"),
+        ({"outputs": ["speed"]}, "output 'speed' is unknown; known: y0"),
+        ({"step_s": 0.0}, "step_s = 0.0 s: must be finite and > 0"),
+        ({"step_s": math.nan}, "step_s = nan s"),
+        ({"interface": Interface({"u0": ["a", "b"]})}, "u0: has 2 names in C; must be 1"),
+        ({"interface": Interface(integers=frozenset(["y"]))}, "y: is no input"),
+    ],
+)
+def test_bad_options_are_one_line(options, match):
+    with pytest.raises(CompilationError, match=match) as error:
+        exported(accumulator(), **{"inputs": ["u0"], **options})
+    assert "\n" not in str(error.value)
+
+
+def test_steps_fit_their_counter():
+    options = {"inputs": ["u0"], "tick_s": 1.0}
+    assert exported(oscillator(), step_s=1.0 / 65_535, **options).steps == 65_535
+    with pytest.raises(CompilationError, match=r"step_s = 1e-07 s: makes 10000000 steps .* 65535"):
+        exported(oscillator(), step_s=1e-7, **options)
+
+
+def test_a_diagram_without_sample_time_needs_a_tick():
+    with pytest.raises(CompilationError, match="model: tick_s is needed"):
+        exported(oscillator(), inputs=["u0"])
+
+
+def test_numbers_beyond_single_precision_are_refused():
+    builder = DiagramBuilder()
+    source = builder.AddNamedSystem("source", ConstantVectorSource([1e60]))
+    gain = builder.AddNamedSystem("gain", Gain(1e-60, 1))
+    builder.Connect(source.get_output_port(), gain.get_input_port())
+    builder.ExportOutput(gain.get_output_port(), "y")
+    diagram = builder.Build()
+    exported(diagram, tick_s=0.1).files()
+    with pytest.raises(CompilationError, match=r"= 1e[+-]60: lies outside 1.17549e-38"):
+        exported(diagram, tick_s=0.1, precision="float").files()
+
+
+def test_two_fields_of_one_name_are_refused():
+    builder = DiagramBuilder()
+    integrator = builder.AddNamedSystem("x", Integrator(1))
+    builder.ExportInput(integrator.get_input_port(), "u")
+    builder.ExportOutput(integrator.get_output_port(), "a b")
+    builder.ExportOutput(integrator.get_output_port(), "a-b")
+    with pytest.raises(CompilationError, match="a_b: 2 values have this name in C"):
+        exported(builder.Build(), inputs=["u"], tick_s=0.1)

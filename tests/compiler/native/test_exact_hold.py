@@ -1,0 +1,236 @@
+"""Tables of the exact hold against the matrix exponential."""
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.linalg
+import scipy.special
+from pydrake.symbolic import Variable, sin, tanh
+from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
+
+import kneexo
+from kneexo.compiler import State
+from kneexo.compiler.native.exact_hold import (
+    FINEST,
+    ExactHold,
+    Memory,
+    define_choose_slot,
+    define_fill_tables,
+)
+from kneexo.compiler.native.integrators import Tick
+from kneexo.compiler.native.ir import BOOL, DOUBLE, INT, POINTER, Array, Module
+from kneexo.compiler.native.llvm import Library, compile_text
+from kneexo.compiler.native.runner import Runner
+
+
+def fill_tables(a, tick):
+    """Tables (levels, 3, n, n) of a matrix."""
+    size = len(a)
+    module = Module()
+    fill = define_fill_tables(module, size)
+    f = module.function("fill", dict.fromkeys(("a", "tick", "tables"), POINTER), internal=False)
+    tick_s = Array(f.arguments["tick"], DOUBLE)
+    f.call(fill, f.arguments["a"], tick_s[0], f.arguments["tables"])
+    tables, numbers = np.empty((FINEST + 2, 3, size, size)), np.array([tick])
+    by_columns = np.ascontiguousarray(a.T)
+    library = Library(compile_text(module.text()))
+    library.function("fill", 3)(by_columns.ctypes.data, numbers.ctypes.data, tables.ctypes.data)
+    return tables.swapaxes(2, 3)
+
+
+@pytest.mark.parametrize("size", [1, 2, 4, 5, 8, 9, 17])
+def test_tables_are_the_functions_of_the_matrix_exponential(size):
+    rng = np.random.default_rng(3)
+    a = rng.normal(size=(size, size)) * np.geomspace(1.0, 3e4, size)
+    tick = 2e-3
+    tables = fill_tables(a, tick)
+    for level in (0, 1, 5, FINEST + 1):
+        h = tick / 2**level
+        block = np.zeros((4 * size, 4 * size))  # phi_k by one exponential (Sidje 1998)
+        block[:size, :size] = a * h
+        block[: 3 * size, size:] += np.eye(3 * size)
+        phi = scipy.linalg.expm(block)[:size]
+        phi_1, phi_2, phi_3 = (phi[:, n * size : (n + 1) * size] for n in (1, 2, 3))
+        for ours, exact in zip(
+            tables[level], (h * phi_1, h * phi_2, h * (phi_2 - 4.0 * phi_3)), strict=True
+        ):
+            np.testing.assert_allclose(ours, exact, rtol=0, atol=1e-11 * np.abs(exact).max())
+
+
+SQUARED_MODULUS = 0.7
+"""Of the elliptic functions sn, cn, dn, which turn as a rigid body without torque."""
+
+
+@pytest.fixture(scope="module")
+def rigid_body():
+    """``run(start, tick_s, matrices, tolerance)``: state at the end, and how many rates it took.
+
+    There is a tick for each of the matrices; they take the place of the Jacobian at the start of a
+    step, unless they are None.
+    """
+    module = Module()
+    choose_slot = define_choose_slot(module, 3)
+    names = ("x", "matrix", "numbers", "memory", "shared", "failed")
+    f = module.function("run", dict.fromkeys(names, POINTER), internal=False)
+    x, matrix, numbers, memory, shared = (Array(f.arguments[n], DOUBLE) for n in names[:-1])
+    tick_s, tolerance, fixed = (numbers[i] for i in range(3))
+
+    def rate(_time, x, out):
+        numbers[3] = numbers[3] + 1.0
+        out[0] = x[1] * x[2]
+        out[1] = -x[0] * x[2]
+        out[2] = -SQUARED_MODULUS * x[0] * x[1]
+
+    def choose(_tick, _lane, own, _time):
+        zero = f.constant(0.0)
+        by_columns = [
+            *(zero, -x[2], -SQUARED_MODULUS * x[1]),
+            *(x[2], zero, -SQUARED_MODULUS * x[0]),
+            *(x[1], -x[0], zero),
+        ]
+        candidate = own.shifted(Memory(3).candidate)
+        for i, element in enumerate(by_columns):
+            candidate[i] = f.select(fixed.differs(0.0), matrix[i], element)
+        f.call(choose_slot, x.pointer, own.pointer, tick_s)
+
+    running = f.constant(1, BOOL)
+    tick = Tick(f, 3, DOUBLE, f.constant(0.0), tick_s, x, running, rate, tick_s)
+    hold = ExactHold(tick_s, tolerance, memory, shared, choose)
+    hold.prepare(tick)
+    Array(f.arguments["failed"], INT)[0] = f.flags(hold.advance(tick))
+    library = Library(compile_text(module.text()))
+    advance = library.function("run", len(names))
+
+    def run(start, tick_s, matrices, tolerance):
+        at = Memory(3)
+        x, memory, shared = np.array(start), np.zeros(at.size), np.zeros(at.shared(1))
+        numbers, failed = np.array([tick_s, tolerance, 0.0, 0.0]), np.zeros(1, dtype=np.int64)
+        for matrix in matrices:
+            numbers[2] = matrix is not None
+            by_columns = np.zeros(9) if matrix is None else matrix.T.ravel()
+            arrays = (x, by_columns, numbers, memory, shared, failed)
+            advance(*(array.ctypes.data for array in arrays))
+            assert not failed[0]
+        return x, round(numbers[3])
+
+    return run
+
+
+SOME_MATRIX = np.array([[-0.2, 0.9, 0.3], [-1.1, -0.4, 0.2], [0.5, -0.6, -0.3]])
+
+
+def turned(time_s):
+    """The state that was 0, 1, 1."""
+    return np.array(scipy.special.ellipj(time_s, SQUARED_MODULUS)[:3])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "order"),
+    [(np.zeros((3, 3)), 3), (SOME_MATRIX, 3), (None, 4)],
+    ids=["no matrix", "some matrix", "Jacobian"],
+)
+def test_order(rigid_body, matrix, order):
+    """All steps miss such a tolerance, so they are the finest."""
+    errors = []
+    for ticks in (1, 2):
+        end, _ = rigid_body(turned(0.0), 40.0 / ticks, [matrix] * ticks, 1e-18)
+        errors.append(np.abs(end - turned(40.0)).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-8])
+def test_many_steps_share_the_tolerance(rigid_body, tolerance):
+    """With the whole tolerance for each step the error is 24 and 30 times the tolerance."""
+    end, _ = rigid_body(turned(0.0), 2.0, [SOME_MATRIX] * 20, tolerance)
+    assert np.abs(end - turned(40.0)).max() <= 10.0 * tolerance
+
+
+def test_small_steps_that_pass_find_a_better_jacobian(rigid_body):
+    """A body that turns and sways a little, and a matrix that was far off at the first tick."""
+    start = np.array([1e-3, 0.0, 1.0])
+    _, first = rigid_body(start, 2.0, [SOME_MATRIX], 1e-8)
+    _, count = rigid_body(start, 2.0, [SOME_MATRIX] + 9 * [None], 1e-8)
+    assert count <= 3 * first
+
+
+def test_steps_are_as_small_as_each_run_needs():
+    """Where x' = k x(1 − x) and y' = −k x y: x grows as the logistic function, y/(1 − x) stays."""
+    x, y, k = (Variable(name) for name in "xyk")
+    system = SymbolicVectorSystem(
+        state=[x, y], parameter=[k], dynamics=[k * x * (1.0 - x), -k * x * y], output=[x, y]
+    )
+    model = kneexo.compile(system)
+    rates, starts = np.geomspace(1.0, 3e3, 9), np.geomspace(1e-6, 0.5, 9)[::-1]
+    states = [State([start, 2.0], []) for start in starts]
+    # One tick is from a hundredth to thirty times the time constant.
+    runs = model.simulate_batch(rates[:, None], states, 0.1, record_period_s=0.01, threads=1)
+    for rate, start, run in zip(rates, starts, runs, strict=True):
+        grown = 1.0 / (1.0 + (1.0 / start - 1.0) * np.exp(-rate * run.time_s))
+        exact = np.column_stack([grown, 2.0 * (1.0 - grown) / (1.0 - start)])
+        np.testing.assert_allclose(run["y0"], exact, rtol=0, atol=1e-5)
+
+
+def test_a_linear_system_of_many_states_is_the_matrix_exponential():
+    size = 12  # more than are unrolled
+    rng = np.random.default_rng(7)
+    a = rng.normal(size=(size, size)) - 10.0 * np.eye(size)
+    nothing = np.zeros((size, 0))
+    model = kneexo.compile(LinearSystem(a, nothing, np.eye(size), nothing, 0.0))
+    start = rng.normal(size=size)
+    run = model.simulate(model.parameters(), State(start, []), 0.3, record_period_s=0.1)
+    for time, row in zip(run.time_s, run["y0"], strict=True):
+        np.testing.assert_allclose(row, scipy.linalg.expm(a * time) @ start, rtol=0, atol=1e-9)
+
+
+BAND_M_S = 1e-3
+SPRING_N_M = 6e6
+REVERSAL_S = 0.052
+
+
+@pytest.fixture(scope="module")
+def friction():
+    """A mass of 1 kg that a moving spring pulls against k N of friction: p' = c (u − v), 390 Hz.
+
+    In the band of velocities where the friction changes its sign, its slope of k/v_0 is a damping
+    of many thousand N s/m.
+    """
+    v, p, k, t = (Variable(name) for name in "vpkt")
+    speed = 0.02 * sin(np.pi / REVERSAL_S * t)
+    rates = [p - k * tanh(v / BAND_M_S), SPRING_N_M * (speed - v)]
+    return kneexo.compile(
+        SymbolicVectorSystem(time=t, state=[v, p], parameter=[k], dynamics=rates, output=[v, p])
+    )
+
+
+def test_errors_follow_the_tolerance_where_friction_changes_sign(friction):
+    force_n, times = 5.0, np.linspace(0.0, 0.12, 13)
+
+    def rates(t, state):
+        v, p = state
+        speed = 0.02 * np.sin(np.pi / REVERSAL_S * t)
+        return [p - force_n * np.tanh(v / BAND_M_S), SPRING_N_M * (speed - v)]
+
+    exact = scipy.integrate.solve_ivp(
+        rates, (0.0, times[-1]), [0.0, 0.0], method="DOP853", t_eval=times, rtol=1e-12, atol=1e-12
+    ).y.T
+    # A method of order two has errors of 17,000 and 107,000 times the tolerance.
+    for tolerance in (1e-8, 1e-10):
+        start = State([0.0, 0.0], [])
+        run = friction.simulate(
+            [force_n], start, times[-1], record_period_s=0.01, tolerance=tolerance
+        )
+        error = np.abs(run["y0"] - exact) / np.abs(exact).max(axis=0)
+        assert error.max() <= 3000.0 * tolerance
+
+
+def test_lanes_and_pieces_have_the_bits_of_a_run_alone_through_friction(friction):
+    start, ticks = np.zeros((2, 1)), 60
+    forces = np.geomspace(1.0, 50.0, 8)[:, None]
+    batch = friction.simulate_batch(forces, State(start[:, 0], []), 0.12, record_period_s=0.002)
+    for force, run in zip(forces, batch, strict=True):
+        runner = Runner(friction, record_period_s=0.002).restart(force[None])
+        x, d = start.copy(), np.zeros((0, 1))
+        for tick in range(ticks):
+            np.testing.assert_array_equal(x[:, 0], run["y0"][tick])
+            runner.run(x, d, tick, np.array([tick + 1]), [friction.no_inputs])
+        np.testing.assert_array_equal(x[:, 0], run["y0"][ticks])

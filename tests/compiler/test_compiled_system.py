@@ -1,0 +1,177 @@
+"""A compiled model wrapped as a leaf system: what Drake sees is what was compiled."""
+
+import numpy as np
+import pytest
+from pydrake.symbolic import Variable, sqrt
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    Gain,
+    Integrator,
+    LogVectorOutput,
+    SymbolicVectorSystem,
+)
+
+from kneexo.compiler import State, compile_diagram
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import BldcPumpParameters, PlantParameters, Scenario, SineReference
+from kneexo.simulation import compile_scenario, scenario_run
+
+SIGNALS = ("knee_angle", "motor_speed_command", "load_pressure")
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    model = compile_scenario(Scenario())
+    return model, scenario_run(Scenario(), model)
+
+
+def run_logged(system, names, duration_s, period_s, value=None):
+    """Logs of the ``names``d outputs of a system alone in a diagram, and the final Context."""
+    builder = DiagramBuilder()
+    builder.AddSystem(system)
+    for index in range(system.num_input_ports()):
+        source = builder.AddSystem(ConstantVectorSource([value]))
+        builder.Connect(source.get_output_port(), system.get_input_port(index))
+    logs = [LogVectorOutput(system.GetOutputPort(name), builder, period_s) for name in names]
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(duration_s)
+    context = simulator.get_context()
+    return [log.FindLog(context) for log in logs], diagram.GetSubsystemContext(system, context)
+
+
+@pytest.mark.parametrize("integrator", ["exact_hold", "rk4"])
+def test_logs_are_the_records_of_a_direct_run_bit_by_bit(compiled, integrator):
+    model, (parameters, state, _) = compiled
+    direct = model.simulate(parameters, state, 0.5, outputs=SIGNALS, integrator=integrator)
+    system = model.as_system(parameters, state, integrator=integrator)
+    logs, context = run_logged(system, SIGNALS, 0.5, 0.002)
+    for name, log in zip(SIGNALS, logs, strict=True):
+        np.testing.assert_allclose(log.sample_times(), direct.time_s, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(log.data().T, direct[name])
+    final = np.concatenate((direct.final.continuous, direct.final.held))
+    np.testing.assert_array_equal(context.get_discrete_state(0).value(), final)
+
+
+def test_structure(compiled):
+    model, (parameters, state, _) = compiled
+    system = model.as_system(parameters, state)
+    assert system.num_continuous_states() == 0
+    assert system.num_input_ports() == 0
+    names = [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
+    assert {name: system.GetOutputPort(name).size() for name in names} == model.outputs
+    context = system.CreateDefaultContext()
+    np.testing.assert_array_equal(context.get_numeric_parameter(0).value(), parameters)
+    assert system.GetUniquePeriodicDiscreteUpdateAttribute().period_sec() == 0.002
+
+
+def test_a_parameter_of_the_context_takes_effect(compiled):
+    model, (parameters, state, _) = compiled
+    system = model.as_system(parameters, state)
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    simulator.AdvanceTo(0.1)
+    before = system.GetOutputPort("rod_velocity").Eval(context)
+    index = model.parameter_names.index("plant/cylinder.mass_kg")
+    context.get_mutable_numeric_parameter(0).SetAtIndex(index, 2.0 * parameters[index])
+    simulator.AdvanceTo(0.2)
+    after = system.GetOutputPort("rod_velocity").Eval(context)
+    same = model.simulate(parameters, state, 0.2, outputs=["rod_velocity"])["rod_velocity"]
+    assert before == same[50]
+    assert 1e-9 < abs(after - same[100]) < 1e-3
+    context.get_mutable_numeric_parameter(0).SetAtIndex(index, np.nan)
+    with pytest.raises(ParameterError, match=r"plant/cylinder\.mass_kg = nan: must be finite"):
+        simulator.AdvanceTo(0.3)
+
+
+def test_several_sample_periods_and_an_input_are_those_of_the_diagram(multirate):
+    model = compile_diagram(multirate)
+    options = {"integrator": "runge_kutta3", "step_s": 1e-3}
+    names = ("y", "sampled", "held")
+    system = model.as_system(model.parameters(), model.state(), **options)
+    logs, _ = run_logged(system, names, 0.2, 0.002)
+    simulator = Simulator(multirate)
+    ResetIntegratorFromFlags(simulator, "runge_kutta3", 1e-3)
+    simulator.get_mutable_integrator().set_fixed_step_mode(True)
+    simulator.AdvanceTo(0.2)
+    for name, log in zip(names, logs, strict=True):
+        drake = multirate.GetSubsystemByName(f"log_{name}").FindLog(simulator.get_context())
+        at = np.isin(np.round(drake.sample_times(), 9), np.round(log.sample_times(), 9))
+        np.testing.assert_allclose(log.data(), drake.data()[:, at], rtol=0, atol=1e-12)
+
+
+def test_an_open_input_is_a_port(multirate):
+    inner = multirate.GetSubsystemByName("inner")
+    model = compile_diagram(inner, inputs=["u"])
+    system = model.as_system(model.parameters(), model.state(), tick_s=0.01)
+    assert system.GetInputPort("u").size() == 1
+    logs, _ = run_logged(system, ["y"], 4.0, 0.01, value=0.5)
+    assert logs[0].data()[0, 0] == 0.0
+    assert logs[0].data()[0, -1] == pytest.approx(0.5, abs=1e-3)  # settled: e^(−2·4)
+
+
+def test_a_failed_run_raises_what_a_direct_one_raises():
+    scenario = Scenario(  # too slow a motor to turn in time
+        reference=SineReference(mean_deg=45.0, amplitude_deg=44.9, frequency_hz=0.15),
+        plant=PlantParameters(pump=BldcPumpParameters(acceleration_limit_rad_s2=500.0)),
+    )
+    model = compile_scenario(scenario)
+    parameters, state, _ = scenario_run(scenario, model)
+    with pytest.raises(SimulationError) as direct:
+        model.simulate(parameters, state, 5.0)
+    with pytest.raises(SimulationError) as wrapped:
+        Simulator(model.as_system(parameters, state)).AdvanceTo(5.0)
+    assert str(wrapped.value) == str(direct.value)
+
+
+def test_a_port_that_is_not_finite_raises_where_it_is_read():
+    """Ports with t and √(0.015 − t), and with t: a port that nobody reads may be anything."""
+    t = Variable("t")
+    builder = DiagramBuilder()
+    for name, output in (("roots", [t, sqrt(0.015 - t)]), ("clock", [t])):
+        part = builder.AddNamedSystem(name, SymbolicVectorSystem(time=t, output=output))
+        builder.ExportOutput(part.get_output_port(), name)
+    model = compile_diagram(builder.Build())
+    nothing = State(np.zeros(0), np.zeros(0))
+    (clock,), _ = run_logged(model.as_system([], nothing, tick_s=0.01), ["clock"], 0.05, 0.01)
+    np.testing.assert_allclose(clock.data()[0], clock.sample_times(), atol=1e-15)
+    with pytest.raises(SimulationError, match=r"^t = 0\.02 s: roots\[1\] is not finite"):
+        run_logged(model.as_system([], nothing, tick_s=0.01), ["roots"], 0.05, 0.01)
+
+
+def test_feedback_around_a_plant_is_no_algebraic_loop():
+    model = compile_diagram(Integrator(1), inputs=["u0"])
+    assert model.feedthrough == frozenset()
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(model.as_system(model.parameters(), State([1.0], []), tick_s=0.002))
+    gain = builder.AddSystem(Gain(-1.0, 1))
+    builder.Connect(plant.get_output_port(), gain.get_input_port())
+    builder.Connect(gain.get_output_port(), plant.get_input_port())
+    log = LogVectorOutput(plant.get_output_port(), builder, 0.002)
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(1.0)
+    decay = log.FindLog(simulator.get_context()).data()[0]
+    np.testing.assert_allclose(
+        decay, 0.998 ** np.arange(decay.size), rtol=1e-9
+    )  # held over each tick
+
+
+def test_between_the_ticks_stands_the_next_one_and_a_context_can_be_copied(compiled):
+    model, (parameters, state, _) = compiled
+    direct = model.simulate(parameters, state, 0.1, outputs=["rod_velocity"])["rod_velocity"]
+    system = model.as_system(parameters, state)
+    simulator = Simulator(system)
+    simulator.AdvanceTo(0.021)
+    port = system.GetOutputPort("rod_velocity")
+    assert port.Eval(simulator.get_context())[0] == direct[11, 0]
+    reference = system.GetOutputPort("knee_reference").Eval(simulator.get_context())
+    expected = model.simulate(parameters, state, 0.1, outputs=["knee_reference"])
+    np.testing.assert_array_equal(reference, expected["knee_reference"][11])  # of time alone
+    copy = simulator.get_context().Clone()
+    other = Simulator(system, copy)
+    for one in (simulator, other):
+        one.AdvanceTo(0.1)
+        # What the integrator remembers is not copied: equal within its tolerance.
+        assert port.Eval(one.get_context())[0] == pytest.approx(direct[50, 0], abs=1e-7)

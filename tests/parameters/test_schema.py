@@ -1,0 +1,110 @@
+"""The JSON schema accepts what kneexo loads and refuses what it refuses."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from jsonschema import Draft7Validator
+
+from kneexo.errors import ScenarioError
+from kneexo.parameters import LINKAGES, Scenario
+from kneexo.parameters.scenario_file import dump_scenario, load_scenario
+from kneexo.parameters.schema import json_schema
+
+README = Path(__file__).parents[2] / "README.md"
+
+
+class EditorLoader(yaml.SafeLoader):
+    """Reads 5e7 as a number, as YAML 1.2 and editors do; PyYAML takes it for text."""
+
+
+EditorLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+"), list("-+0123456789")
+)
+
+
+@pytest.fixture(scope="module")
+def schema():
+    return json_schema()
+
+
+def errors(schema, text):
+    """Faults of a scenario file, as an editor shows them."""
+    data = yaml.load(text, EditorLoader)
+    return [error.message for error in Draft7Validator(schema).iter_errors(data)]
+
+
+def test_schema_is_valid_and_names_its_draft(schema):
+    Draft7Validator.check_schema(schema)
+    assert schema["$schema"] == "http://json-schema.org/draft-07/schema#"
+
+
+def test_schema_names_sections_units_and_ranges(schema):
+    assert set(schema["properties"]) == set(Scenario.model_fields)
+    mass = schema["$defs"]["CylinderParameters"]["properties"]["mass_kg"]
+    assert mass["unit"] == "kg"
+    assert mass["minimum"] == 0.01
+    assert mass["maximum"] == 1000
+    assert mass["description"] == "kg; >= 0.01 and <= 1000; Tables 2 and 3: shank"
+
+
+def test_every_value_has_a_description(schema):
+    for name, model in schema["$defs"].items():
+        for field, value in model["properties"].items():
+            nested = {"$ref", "oneOf", "anyOf"} & set(value)
+            assert nested or field == "kind" or value["description"], f"{name}.{field}"
+
+
+VALID = [
+    re.search(r"```yaml\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)[1],
+    dump_scenario(Scenario()),
+    *(f"plant: {{linkage: {name}}}" for name in LINKAGES),
+    "plant: {linkage: {a_2_m: 0.033}}",
+    "plant: {full_order: {entrained_air: 0.01}}",
+    "reference: {frequency_hz: 0.2}",
+    "reference: gait",
+    "reference: {kind: gait, cycles: 3}",
+    "reference: {kind: samples, times_s: [0, 1, 2], angles_deg: [3, 4, 5], interpolation: pchip}",
+    "estimator: {}",
+    "bus: {latency_samples: 2}",
+    "bus: {kind: cia402, velocity_unit_rpm: 1, latency_samples: 1}",
+    "bus: {kind: cia402, velocity_unit_rpm: 0.1}",
+]
+
+
+@pytest.mark.parametrize("text", VALID)
+def test_schema_accepts_what_loads(schema, text, tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(text, encoding="utf-8")
+    load_scenario(path)
+    assert errors(schema, text) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "plant: {linkage: G9}",
+        "plant: {linkage: {a_2_m: 0}}",
+        "plant: {cylinder: {mass: 1}}",
+        "polynomial: {p_mm_deg: [1, 2]}",
+        "polynomial: {p_mm_deg: [1, 2, 3, 4, 5, many]}",
+        "polynomial: {p_mm_deg: [1, 2, 3, 4, 5, 1e9]}",
+        "controller: {proportional_per_s: 10}",
+        "controller: {kind: pid, lambda_per_s: 10}",
+        "reference: walk",
+        "reference: {kind: csv}",
+        "reference: {kind: samples, times_s: [0, 1], angles_deg: [3, 4]}",
+        "bus: {latency_samples: 11}",
+        "bus: {velocity_unit_rpm: 1}",
+        "bus: {kind: cia402, velocity_unit_rpm: 0.5}",
+    ],
+)
+def test_schema_refuses_what_does_not_load(schema, text, tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError):
+        load_scenario(path)
+    assert errors(schema, text)

@@ -1,0 +1,106 @@
+"""Files of uncertain values: what they give, and one line for each fault."""
+
+import pytest
+
+from kneexo.errors import ScenarioError
+from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters.paths import applicable
+from kneexo.parameters.scenario_file import load_uncertainty
+from kneexo.studies.paper import PID_TUNED
+
+
+@pytest.fixture
+def load(tmp_path):
+    def read(text, *scenario):
+        path = tmp_path / "set.yaml"
+        path.write_text(text, encoding="utf-8")
+        return load_uncertainty(path, *scenario)
+
+    return read
+
+
+def test_a_file_gives_its_set(load):
+    found = load(
+        "# what may be\n"
+        "plant.cylinder.mass_kg: {low: 1.4, high: 1.8, source: Table 2}\n"
+        "plant.pump.lag_s:\n"
+        "  low: 5e-3\n"
+        "  high: 0.02\n"
+        "  scale: log\n"
+        "plant.linkage: {options: [G1, G3], known: true}\n"
+        "plant.full_order: {options: [null, {}, {coulomb_friction_n: 40}]}\n"
+    )
+    assert found == UncertaintySet(
+        values={
+            "plant.cylinder.mass_kg": Uncertainty(low=1.4, high=1.8, source="Table 2"),
+            "plant.pump.lag_s": Uncertainty(low=5e-3, high=0.02, scale="log"),
+            "plant.linkage": Uncertainty(options=("G1", "G3"), known=True),
+            "plant.full_order": Uncertainty(options=(None, {}, {"coulomb_friction_n": 40})),
+        }
+    )
+
+
+def test_values_that_the_scenario_does_not_have_are_kept(load):
+    text = (
+        "plant.load.segment_mass_kg: {low: 0, high: 3}\nplant.cylinder.mass_kg: {low: 1, high: 2}"
+    )
+    found = load(text, Scenario())
+    assert list(found.values) == ["plant.load.segment_mass_kg", "plant.cylinder.mass_kg"]
+    kept, left_out = applicable(Scenario(), found)
+    assert list(kept.values) == ["plant.cylinder.mass_kg"]
+    assert left_out == ("plant.load.segment_mass_kg",)
+    assert applicable(UNCERTAIN_KNEE, found) == (found, ())
+
+
+def test_another_controller_does_not_make_a_path_unknown(load):
+    found = load("controller.phi_m_s2: {low: 1, high: 4}", Scenario(controller=PID_TUNED))
+    assert list(found.values) == ["controller.phi_m_s2"]
+
+
+def test_the_default_set_applies_to_the_default_scenario():
+    assert applicable(UNCERTAIN_KNEE, UNCERTAINTY) == (UNCERTAINTY, ())
+
+
+FAULTS = {
+    "": (None, "has no uncertain values"),
+    "# nothing\n": (None, "has no uncertain values"),
+    "- 1": (1, "the top level must be a mapping, not a list"),
+    "plant.cylinder.mass_kg: 1.6": (1, "plant.cylinder.mass_kg: must have low and high"),
+    "\n\nplant.cylinder.mas_kg: {low: 1, high: 2}": (3, "plant.cylinder.mas_kg: unknown name"),
+    "plant.cylinder.mass_kg: {low: 1, high: 2}\nfoo: {low: 1, high: 2}": (2, "foo: unknown name"),
+    "plant.cylinder.mass_kg.x: {low: 1, high: 2}": (1, "this scenario has no"),
+    "plant.cylinder.mass_kg:\n  low: 1.4\n  hihg: 1.8": (3, "mass_kg.hihg: unknown name; .*'high'"),
+    "plant.cylinder.mass_kg:\n  low: a\n  high: 1": (
+        2,
+        "mass_kg.low = 'a': must be a valid number",
+    ),
+    "plant.cylinder.mass_kg: {low: 1.4}": (1, "mass_kg: must have either low and high, or options"),
+    "plant.cylinder.mass_kg: {low: 2, high: 1}": (1, "mass_kg: low = 2 must be below high = 1"),
+    "plant.cylinder.mass_kg: {low: 1, high: .inf}": (1, "mass_kg.high = inf is out of range"),
+    "plant.cylinder.mass_kg: {low: -1, high: 2}": (1, "mass_kg = -1 kg is out of range: .*kg"),
+    "plant.cylinder.mass_kg: {low: 1, high: 2000}": (1, "mass_kg = 2000 kg is out of range"),
+    "bus.latency_samples: {options: [0, 11]}": (
+        1,
+        "bus.latency_samples = 11 samples is out of range",
+    ),
+    "plant.pump.lag_s: {low: 0, high: 1, scale: log}": (1, "lag_s: low = 0 must be > 0"),
+    "plant.linkage: {options: [G1, G9]}": (1, "plant.linkage: 'G9' must be one of"),
+    "plant.linkage: {options: []}": (1, "must have either low and high, or options"),
+    "bus.latency_samples: {options: [0], known: true}": (1, "known is for values of the plant"),
+    "plant.pump: {options: [{}]}\nplant.pump.lag_s: {low: 0.01, high: 0.02}": (2, "lies within"),
+    "plant.pump.lag_s: {low: 1, high: 2}\nplant.pump.lag_s: {low: 1, high: 2}": (2, "duplicate"),
+    "plant.pump.lag_s: {low: 1": (1, "YAML syntax"),
+}
+
+
+@pytest.mark.parametrize("text", FAULTS)
+def test_a_fault_is_one_line_with_file_line_and_path(load, text):
+    line, message = FAULTS[text]
+    where = r"set\.yaml" if line is None else rf"set\.yaml:{line}"
+    with pytest.raises(ScenarioError, match=rf"\A[^\n]*{where}: [^\n]*{message}[^\n]*\Z"):
+        load(text)
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(ScenarioError, match=r"none\.yaml: cannot be read: [^\n]*\Z"):
+        load_uncertainty(tmp_path / "none.yaml")

@@ -1,0 +1,652 @@
+"""Full against reduced order: speeds, modes, bandwidth and the switching force."""
+
+import dataclasses
+import itertools
+import math
+from concurrent.futures import Executor
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import simulate
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.error_model import error_model
+from kneexo.analysis.plant_linearization import linearize_plant
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.tracking import track
+from kneexo.errors import ParameterError
+from kneexo.parameters import UNCERTAIN_KNEE, KneeLoadParameters, RampReference, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.studies.order.figures import figures
+from kneexo.studies.order.report import report
+from kneexo.studies.order.study import (
+    OrderSettings,
+    OrderStudy,
+    frequency_row,
+    in_order,
+    order_study,
+    speed_row,
+    switching_force_n,
+    switching_row,
+)
+from kneexo.sweeps.checkpoint import Checkpoint
+
+# Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
+AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)
+MEAN_AREA = 0.5 * (AREA_1 + AREA_2)
+LAG = 0.010
+FLOW = 0.8e-6 * 5000.0 / 60.0 / 6.0
+TABLE_1 = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)
+TIGHT = {"plant.pump.internal_leakage_m3_per_s_pa": 0.0}
+SETTINGS = OrderSettings()
+
+
+# --------------------------------------------------------------------------------- pieces
+
+
+def test_in_order_changes_order_and_load_alone():
+    full = in_order(UNCERTAIN_KNEE, "full", 60.0)
+    assert full.plant.full_order is not None
+    assert full.plant.load == KneeLoadParameters(disturbance_n=60.0)
+    assert in_order(full, "reduced", -60.0) == UNCERTAIN_KNEE
+    own = changed(Scenario(), {"plant.full_order": {"coulomb_friction_n": 5.0}})
+    assert in_order(own, "full").plant.full_order.coulomb_friction_n == 5.0
+    # Without a load there is none but the disturbance.
+    assert in_order(Scenario(), "full", 7.0).plant.load == KneeLoadParameters(
+        segment_mass_kg=0.0, disturbance_n=7.0
+    )
+
+
+@pytest.mark.parametrize("flexing", [True, False], ids=["in", "out"])
+@pytest.mark.parametrize(
+    ("order", "force", "area", "printed"),
+    [
+        ("full", 60.0, AREA_1, 35.4),
+        ("full", -60.0, AREA_2, 47.2),
+        ("reduced", 60.0, MEAN_AREA, 40.4),
+    ],
+)
+def test_speed_at_the_limit_follows_the_loaded_chamber(order, force, area, printed, flexing):
+    found = speed_row(changed(UNCERTAIN_KNEE, TIGHT), SETTINGS, (order, force, flexing))
+    assert found["saturated_share"] == 1.0
+    assert found["rod_speed_mm_s"] == pytest.approx(1e3 * FLOW / area, rel=1e-3)
+    assert found["rod_speed_mm_s"] == pytest.approx(printed, abs=0.1)
+
+
+@pytest.mark.parametrize("posture", [10.0, 70.0])
+def test_modes_are_those_of_one_chamber_with_its_make_up_valve_or_of_both(posture):
+    reduced = frequency_row(UNCERTAIN_KNEE, ("reduced", 60.0, posture))
+    assert reduced["mode_hz"] == pytest.approx(447.0, abs=0.5)
+    assert reduced["mode_damping"] == pytest.approx(0.0059, abs=1e-4)
+    full = frequency_row(UNCERTAIN_KNEE, ("full", 60.0, posture))
+    x = 1e-3 * np.polyval(TABLE_1, posture)  # G1 follows it to 0.1 mm here
+    stiffness = [
+        1.72e9 * area**2 / volume
+        for area, volume in (
+            (AREA_1, 5e-6 + AREA_1 * x),
+            (AREA_2, 5e-6 + AREA_2 * (0.150 - x)),
+        )
+    ]
+    # The tied line relaxes through its valve, 2e-10 m³/(s·Pa).
+    cubic = np.polymul([1.6, 0.05, stiffness[0]], [1.0, 2e-10 * stiffness[1] / AREA_2**2])
+    cubic[2] += stiffness[1]
+    roots = np.roots(cubic)
+    mode = roots[np.argmax(roots.imag)]
+    assert full["mode_hz"] == pytest.approx(abs(mode) / (2.0 * math.pi), rel=0.01)
+    # What the pump's leakage adds is 0.006 in the reduced order.
+    assert full["mode_damping"] == pytest.approx(-mode.real / abs(mode), abs=0.006)
+    assert full["mode_damping"] > 6.0 * reduced["mode_damping"]
+
+
+def test_margins_fall_with_the_rod_side_loaded_and_grow_with_the_cap_side():
+    margins = {
+        case: frequency_row(UNCERTAIN_KNEE, (*case, 40.0))["phase_margin_deg"]
+        for case in (("reduced", 60.0), ("full", 60.0), ("full", -60.0))
+    }
+    low, middle, high = sorted(margins.values())
+    assert margins["full", -60.0] == low
+    assert margins["full", 60.0] == high
+    assert (low, middle, high) == pytest.approx((51.1, 57.1, 61.5), abs=0.2)  # as measured
+
+
+def test_no_linear_loop_is_said_in_words():
+    signum = changed(UNCERTAIN_KNEE, {"controller.switching": "signum"})
+    found = frequency_row(signum, ("full", 60.0, 40.0))
+    assert "there is no linear" in found["failure"]
+    assert math.isnan(found["phase_margin_deg"])
+    assert found["mode_hz"] == pytest.approx(280.0, abs=1.0)  # the plant has its mode all the same
+
+
+# ------------------------------------------------------------------------ one small comparison
+
+FORCE, POSTURE = 300.0, 40.0
+BRIEF = changed(
+    UNCERTAIN_KNEE,
+    {
+        "reference": {"kind": "sine", "mean_deg": 40.0, "amplitude_deg": 10.0, "frequency_hz": 2.0},
+        "simulation.duration_s": 3.198,
+        # Under `FORCE` P_1 passes the relief pressure now and then; little flows back.
+        "plant.full_order": {
+            "reservoir_pressure_pa": 0.25e6,
+            "relief_pressure_pa": 1.09e6,
+            "relief_conductance_m3_per_s_pa": 1e-12,
+        },
+    },
+)
+FULL = dict(BRIEF.plant.full_order)
+SMALL = OrderSettings(
+    disturbances_n=(0.0, FORCE), postures_deg=(POSTURE,), switching_forces_n=(16.0,)
+)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return order_study(BRIEF, SMALL)
+
+
+def plant_of(order, force, weight=True):
+    """The changes that make an order under a force, with or without the weight of the segment."""
+    load = {"kind": "knee", "disturbance_n": force} | ({} if weight else {"segment_mass_kg": 0.0})
+    return {"plant.load": load, "plant.full_order": FULL if order == "full" else None}
+
+
+def ramp(order, force, direction, rate_deg_s, duration_s, **values):
+    """A ramp between 30 and 50 deg without the weight of the segment; ``in`` flexes the knee."""
+    start, end = (30.0, 50.0) if direction == "in" else (50.0, 30.0)
+    reference = {"kind": "ramp", "start_deg": start, "end_deg": end, "time_s": 0.0}
+    changes = {"reference": reference | {"rate_deg_s": rate_deg_s}}
+    changes["simulation.duration_s"] = duration_s
+    return changed(BRIEF, plant_of(order, force, weight=False) | changes | values)
+
+
+def tracked(order, force):
+    result = track(changed(BRIEF, plant_of(order, force)), all_signals=True)
+    run, late = result.run, result.run.time_s >= 0.5 - 1e-9
+    error = np.degrees(run["knee_reference_rad"] - run["knee_angle_rad"])
+    command = run["motor_speed_command_rad_s"][late]
+    columns = {"load_pressure": "load_pressure_pa"}
+    if order == "full":
+        columns = {"cap": "cap_pressure_pa", "rod_side": "rod_side_pressure_pa"}
+    pressures = {name: 1e-6 * run[column] for name, column in columns.items()}
+    row = {
+        "order": order,
+        "disturbance_n": force,
+        "max_error_deg": np.abs(error[late]).max(),
+        "rms_error_deg": math.sqrt(np.mean(error[late] ** 2)),
+        "mean_command_change_rpm": np.abs(np.diff(command)).mean() * 30.0 / math.pi,
+        "saturated_share": np.mean(np.abs(command) > 5000.0 * math.pi / 30.0 * 0.99999),
+        # 1600 samples, of which a figure shows 800.
+        "trace": {
+            "time_s": run.time_s[::2],
+            "error_deg": error[::2],
+            "pressures_mpa": {name: values[::2] for name, values in pressures.items()},
+        },
+    }
+    row |= {f"{name}_min_mpa": values.min() for name, values in pressures.items()}
+    row |= {f"{name}_max_mpa": values.max() for name, values in pressures.items()}
+    if order == "full":
+        flows = {
+            name: run[f"cap_{name}_flow_m3_s"] + run[f"rod_side_{name}_flow_m3_s"]
+            for name in ("relief", "makeup")
+        }
+        row["relief_share"] = np.mean(flows["relief"] > 0.0)
+        row["peak_makeup_cm3_s"] = 1e6 * np.abs(flows["makeup"]).max()
+    return row
+
+
+def sped(order, direction):
+    run = simulate(ramp(order, FORCE, direction, 60.0, 1.0))
+    late = run.time_s >= 0.5
+    limited = np.abs(run["motor_speed_command_rad_s"]) > 5000.0 * math.pi / 30.0 * 0.99999
+    return {
+        "order": order,
+        "force_n": FORCE,
+        "direction": direction,
+        "saturated_share": np.mean(limited[late]),
+        "rod_speed_mm_s": 1e3 * np.abs(run["rod_velocity_m_s"][late]).mean(),
+    }
+
+
+def switched(direction):
+    # 20 deg at 15 deg/s, but for a twentieth.
+    runge_kutta = {"simulation.integrator": "rk4", "simulation.step_s": 2e-5}
+    run = simulate(ramp("full", 16.0, direction, 15.0, 0.95 * 20.0 / 15.0, **runge_kutta))
+    late = run.time_s >= 0.5
+    velocity = (run["rod_velocity_m_s"] - run["rod_reference_velocity_m_s"])[late]
+    error = np.degrees(run["knee_angle_rad"] - run["knee_reference_rad"])[late]
+    across = (run["cap_pressure_pa"] - run["rod_side_pressure_pa"])[late]
+    swing = velocity.max() - velocity.min()
+    return {
+        "force_n": 16.0,
+        "direction": direction,
+        "velocity_swing_mm_s": 1e3 * swing,
+        "velocity_rms_mm_s": 1e3 * velocity.std(),
+        "load_pressure_swing_mpa": 1e-6 * (across.max() - across.min()),
+        "max_error_deg": np.abs(error).max(),
+        "oscillates": bool(swing > 0.010),
+    }
+
+
+def linear(order, force):
+    scenario = changed(BRIEF, plant_of(order, force))
+    plant = linearize_plant(scenario.plant, POSTURE, outputs=("rod_velocity",))
+    loop = linearize_loop(scenario, POSTURE)
+    margins, mode = loop.margins(), plant.poles[np.argmax(plant.poles.imag)]
+    hertz = np.geomspace(1.0, 1000.0, 400)
+    return {
+        "order": order,
+        "disturbance_n": force,
+        "posture_deg": POSTURE,
+        "mode_hz": abs(mode) / (2.0 * math.pi),
+        "mode_damping": -mode.real / abs(mode),
+        "rod_force_n": plant.operating_point.rod_force_n,
+        "phase_margin_deg": margins.phase_margin_deg,
+        "gain_margin": margins.gain_margin,
+        "delay_margin_ms": 1e3 * margins.delay_margin_s,
+        "disk_margin": margins.disk_margin,
+        "bandwidth_hz": loop.bandwidth_hz(),
+        "complementary_sensitivity_bandwidth_hz": loop.complementary_sensitivity_bandwidth_hz(),
+        "stable": True,
+        "failure": "",
+        "trace": {"frequencies_hz": hertz, "plant_gain_m": np.abs(plant.response(hertz))},
+    }
+
+
+def test_every_row_is_that_of_its_own_run(small, flat):
+    cases = [(order, force) for force in (0.0, FORCE) for order in ("reduced", "full")]
+    expected = {
+        "tracking": [tracked(*case) for case in cases],
+        "speeds": [sped(order, d) for order in ("reduced", "full") for d in ("in", "out")],
+        "switching": [switched("in"), switched("out")],
+        "frequency": [linear(*case) for case in cases],
+        "bandwidth": [
+            {"order": order, "disturbance_n": force, "failure": ""}
+            | {"bandwidth_hz": large_signal_bandwidth_hz(changed(BRIEF, plant_of(order, force)))}
+            for order, force in cases
+        ],
+    }
+    for part, own in expected.items():
+        assert flat(list(getattr(small, part))) == pytest.approx(flat(own), nan_ok=True), part
+    # Each number has a chance to be wrong.
+    assert [row["oscillates"] for row in expected["switching"]] == [True, False]
+    assert all(0.1 < row["saturated_share"] < 0.9 for row in expected["tracking"])
+    assert any(0.1 < row["saturated_share"] < 0.9 for row in expected["speeds"])
+    assert 0.1 < expected["tracking"][-1]["relief_share"] < 0.9
+
+
+def test_the_switching_force_is_that_of_the_scenarios_own_reservoir():
+    assert switching_force_n(BRIEF) == pytest.approx(0.25e6 * (AREA_1 - AREA_2))
+    assert switching_force_n(UNCERTAIN_KNEE) == pytest.approx(0.2e6 * (AREA_1 - AREA_2))
+
+
+# ------------------------------------------------------------------------ the comparison
+
+
+def test_an_executor_is_used():
+    class AskedError(Exception):
+        pass
+
+    class Pool(Executor):
+        def submit(self, function, /, *arguments, **named):
+            raise AskedError
+
+    with pytest.raises(AskedError):
+        order_study(UNCERTAIN_KNEE, executor=Pool())
+
+
+@pytest.fixture(scope="module")
+def comparison(tmp_path_factory):
+    settings = OrderSettings(postures_deg=(40.0,), switching_forces_n=(6.0, 16.0, 30.0))
+    path = tmp_path_factory.mktemp("orders") / "checkpoint"
+    found = order_study(UNCERTAIN_KNEE, settings, checkpoint=Checkpoint(path))
+    return found, path
+
+
+def rows(part, **labels):
+    return [row for row in part if all(row[k] == v for k, v in labels.items())]
+
+
+def assert_line(line, x, y):
+    """Abscissae and ordinates of a line are those of its row."""
+    assert line[0] == pytest.approx(list(x))
+    assert line[1] == pytest.approx(list(y))
+
+
+@pytest.mark.slow
+def test_tracking_error_of_the_full_order_is_that_of_its_area(comparison):
+    found, _ = comparison
+    full = changed(Scenario(), {"plant.full_order": {}})
+    # θ̇ of 30 deg at 0.1 Hz, times the lag of 28.6 ms, rms: 0.381 deg; leakage and encoder add.
+    lag = abs(error_model(full, loaded_chamber="cap").error_m(1.0, 0.0))
+    expected = 30.0 * 2.0 * math.pi * 0.1 * lag / math.sqrt(2.0)
+    for row in rows(found.tracking, order="full"):
+        assert row["rms_error_deg"] == pytest.approx(expected, rel=0.03)
+    for row in rows(found.tracking, order="reduced"):
+        assert row["rms_error_deg"] < 0.05
+
+
+@pytest.mark.slow
+def test_bandwidth_follows_the_loaded_chamber(comparison):
+    found, _ = comparison
+    by_case = {(r["order"], r["disturbance_n"]): r["bandwidth_hz"] for r in found.bandwidth}
+    # Kinematic follower at Q/A_1, Q/Ā and Q/A_2: 0.196, 0.2247 and 0.262 Hz.
+    assert by_case["full", 60.0] == pytest.approx(0.196, abs=0.003)
+    assert by_case["full", -60.0] == pytest.approx(0.262, abs=0.003)
+    assert by_case["full", 0.0] == pytest.approx(0.262, abs=0.003)  # the weight loads P_2
+    for force in (0.0, 60.0, -60.0):
+        assert by_case["reduced", force] == pytest.approx(0.2236, abs=0.002)
+
+
+@pytest.mark.slow
+def test_rod_oscillates_near_the_switching_force_in_retraction_alone(comparison):
+    found, _ = comparison
+    assert found.oscillating_n("in") == [16.0]
+    assert found.oscillating_n("out") == []
+    inside = rows(found.switching, direction="in", force_n=16.0)[0]
+    outside = rows(found.switching, direction="in", force_n=6.0)[0]
+    # Halving rk4's step changes the swing by less than 2 %.
+    assert inside["velocity_swing_mm_s"] > 20.0 * outside["velocity_swing_mm_s"]
+    assert inside["velocity_swing_mm_s"] == pytest.approx(99.0, rel=0.05)
+    assert inside["max_error_deg"] < outside["max_error_deg"]
+
+
+@pytest.mark.slow
+def test_comparison_resumes_and_draws(comparison):
+    found, path = comparison
+    assert len(found.results()["speeds"]) == 8
+    again = order_study(found.scenario, found.settings, checkpoint=Checkpoint(path, resume=True))
+    assert report(again) == report(found)
+    for figure in figures(found).values():
+        figure.canvas.draw()
+
+
+# ------------------------------------------------------- report and figures, by hand-made rows
+
+NAMES = {
+    "tracking": (
+        *("max_error_deg", "rms_error_deg", "mean_command_change_rpm", "saturated_share"),
+        *("load_pressure_min_mpa", "load_pressure_max_mpa", "cap_min_mpa", "cap_max_mpa"),
+        *("rod_side_min_mpa", "rod_side_max_mpa"),
+    ),
+    "speeds": ("saturated_share", "rod_speed_mm_s"),
+    "switching": (
+        *("velocity_swing_mm_s", "velocity_rms_mm_s", "load_pressure_swing_mpa"),
+        "max_error_deg",
+    ),
+    "frequency": (
+        *("rod_force_n", "mode_hz", "mode_damping", "phase_margin_deg", "gain_margin"),
+        *("delay_margin_ms", "disk_margin", "bandwidth_hz"),
+        "complementary_sensitivity_bandwidth_hz",
+    ),
+    "bandwidth": ("bandwidth_hz",),
+}
+"""The numbers of a row in each part; no two of all rows are equal."""
+
+
+@pytest.fixture(scope="module")
+def by_hand():
+    counter = itertools.count(1)
+
+    def row(part, **labels):
+        values = {name: round(0.00617 * next(counter), 5) for name in NAMES[part]}
+        values |= {name: value / 5.0 for name, value in values.items() if "share" in name}
+        if labels.get("order") == "full":
+            gone = [name for name in values if name.startswith("load_pressure")]
+        else:
+            gone = [name for name in values if name.startswith(("cap", "rod_side"))]
+        return labels | {k: v for k, v in values.items() if k not in gone}
+
+    loads, postures = (0.0, 60.0, -60.0), (10.0, 40.0, 70.0)
+    both = [(order, load) for load in loads for order in ("reduced", "full")]
+    tracking = [row("tracking", order=o, disturbance_n=f) for o, f in both]
+    for n, one in enumerate(tracking):
+        names = ("load_pressure",) if one["order"] == "reduced" else ("cap", "rod_side")
+        one["trace"] = {
+            "time_s": [0.0, 1.0, 2.0],
+            "error_deg": [0.1 + n, 0.2 + n, 0.3 + n],
+            "pressures_mpa": {name: [n + 0.5, n + 0.6, len(name)] for name in names},
+        }
+    frequency = [
+        row("frequency", order=o, disturbance_n=f, posture_deg=p, stable=True, failure="")
+        for o, f in both
+        for p in postures
+    ]
+    for n, one in enumerate(frequency):
+        one["trace"] = {"frequencies_hz": [1.0, 10.0], "plant_gain_m": [1e-3 * (n + 1), 2e-5 * n]}
+    lost = dict.fromkeys(NAMES["frequency"][3:], math.nan)
+    frequency[0] |= dict.fromkeys(NAMES["frequency"][-2:], math.nan)
+    frequency[1] |= lost | {"stable": False}
+    frequency[2] |= lost | {"stable": None, "failure": "no rest"}
+    return OrderStudy(
+        tracking=tuple(tracking),
+        speeds=tuple(
+            row("speeds", order=o, force_n=60.0, direction=d)
+            for o in ("reduced", "full")
+            for d in ("in", "out")
+        ),
+        switching=tuple(
+            row("switching", force_n=f, direction=d, oscillates=d == "in" and f == 16.0)
+            for d in ("in", "out")
+            for f in (6.0, 16.0)
+        ),
+        frequency=tuple(frequency),
+        bandwidth=tuple(row("bandwidth", order=o, disturbance_n=f, failure="") for o, f in both),
+        scenario=UNCERTAIN_KNEE,
+        settings=OrderSettings(disturbances_n=loads, postures_deg=postures),
+    )
+
+
+def test_results_are_the_rows_without_their_traces(by_hand, flat, check_rules):
+    numbers = by_hand.results()
+    check_rules(numbers)
+    expected = {
+        part: [{k: v for k, v in row.items() if k != "trace"} for row in getattr(by_hand, part)]
+        for part in NAMES
+    }
+    assert flat(numbers) == pytest.approx(flat(expected), nan_ok=True)
+
+
+@pytest.fixture(params=["by_hand", "small"])
+def study(request):
+    """Rows by hand, and those of a run."""
+    return request.getfixturevalue(request.param)
+
+
+def limits(row, name):
+    """Least and largest pressure, to a thousandth of a MPa; empty where the order has none."""
+    ends = [row.get(f"{name}_{end}_mpa") for end in ("min", "max")]
+    return "" if ends[0] is None else f"{ends[0]:.3f}…{ends[1]:.3f}"
+
+
+def small_signal(row, name):
+    if row["failure"] or not row["stable"]:
+        return row["failure"] or "unstable"
+    return "none below Nyquist" if math.isnan(row[name]) else row[name]
+
+
+def test_every_cell_of_the_report_is_in_its_row(study, tables, check_cells):
+    tracking, speeds, bandwidth, frequency, switching = tables(report(study))
+
+    def case(row):
+        return {"order": row["order"], "disturbance (N)": row["disturbance_n"]}
+
+    check_cells(
+        tracking,
+        [
+            case(row)
+            | {
+                "rms error (deg)": row["rms_error_deg"],
+                "largest error (deg)": row["max_error_deg"],
+                "change of command (rpm/sample)": row["mean_command_change_rpm"],
+                "P_L (MPa)": limits(row, "load_pressure"),
+                "P_1 (MPa)": limits(row, "cap"),
+                "P_2 (MPa)": limits(row, "rod_side"),
+            }
+            for row in study.tracking
+        ],
+    )
+    check_cells(
+        speeds,
+        [
+            {
+                "order": row["order"],
+                "force (N)": row["force_n"],
+                "direction": row["direction"],
+                "rod speed (mm/s)": row["rod_speed_mm_s"],
+                "saturated (%)": 100.0 * row["saturated_share"],
+            }
+            for row in study.speeds
+        ],
+    )
+    check_cells(
+        bandwidth, [case(row) | {"bandwidth (Hz)": row["bandwidth_hz"]} for row in study.bandwidth]
+    )
+    check_cells(
+        frequency,
+        [
+            case(row)
+            | {
+                "posture (deg)": row["posture_deg"],
+                "rod force (N)": row["rod_force_n"],
+                "mode (Hz)": row["mode_hz"],
+                "damping ratio": row["mode_damping"],
+                "phase margin (deg)": row["phase_margin_deg"],
+                "gain margin": row["gain_margin"],
+                "delay margin (ms)": row["delay_margin_ms"],
+                "disk margin": row["disk_margin"],
+                "small-signal −3 dB, with feedforward (Hz)": small_signal(row, "bandwidth_hz"),
+                "complementary sensitivity −3 dB (Hz)": small_signal(
+                    row, "complementary_sensitivity_bandwidth_hz"
+                ),
+            }
+            for row in study.frequency
+        ],
+    )
+    check_cells(
+        switching,
+        [
+            {
+                "force (N)": row["force_n"],
+                "direction": row["direction"],
+                "swing of the rod's velocity (mm/s)": row["velocity_swing_mm_s"],
+                "swing of P_L (MPa)": row["load_pressure_swing_mpa"],
+                "largest error (deg)": row["max_error_deg"],
+            }
+            for row in study.switching
+        ],
+    )
+    rate = study.settings.switching_rate_deg_s
+    assert f"## Near the switching force, full order, {rate:g} deg/s\n" in report(study)
+
+
+def test_the_findings_have_the_extremes_of_each_order(study):
+    text = report(study)
+    for part, name, form in (
+        ("tracking", "rms_error_deg", ".3f"),
+        ("speeds", "rod_speed_mm_s", ".1f"),
+        ("bandwidth", "bandwidth_hz", ".3f"),
+        ("frequency", "mode_hz", ".0f"),
+        ("frequency", "mode_damping", ".2g"),
+        ("frequency", "phase_margin_deg", ".1f"),
+        ("frequency", "disk_margin", ".2f"),
+    ):
+        extremes = []
+        for order in ("reduced", "full"):
+            values = [row[name] for row in getattr(study, part) if row["order"] == order]
+            ends = sorted({f"{f(values):{form}}" for f in (np.nanmin, np.nanmax)}, key=float)
+            extremes.append(f"{order} {'…'.join(ends)}")
+        assert ", ".join(extremes) in text
+    assert "the paper measured 0.21 Hz" in text
+    assert study.oscillating_n("in") == [16.0]
+    assert study.oscillating_n("out") == []
+    assert "oscillates at 16…16 N when it retracts" in text
+    assert "oscillates at none of the forces when it extends" in text
+
+
+def test_the_zone_of_oscillation_is_compared_with_what_lies_beside_it(by_hand):
+    # Forces of 6 and 16 N, inward and outward; it oscillates at 16 N inward alone.
+    beside, inside, *_ = by_hand.switching
+    numbers = (
+        f"swings by up to {inside['velocity_swing_mm_s']:.0f} mm/s and "
+        f"P_L by {inside['load_pressure_swing_mpa']:.2f} MPa, but the error is at most "
+        f"{inside['max_error_deg']:.2f} deg, beside the zone {beside['max_error_deg']:.2f} deg"
+    )
+    assert numbers in report(by_hand)
+    still = dataclasses.replace(by_hand, switching=(beside,))
+    assert "beside the zone" not in report(still)
+
+
+def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
+    drawn = figures(study)
+    assert set(drawn) == {"order_tracking", "order_switching", "order_frequency"}
+    pressures = {"P_L, reduced": "load_pressure", "P_1, full": "cap", "P_2, full": "rod_side"}
+    loads = study.settings.disturbances_n
+    panels = np.reshape(drawn["order_tracking"].axes, (len(loads), 2))
+    for (error, pressure), load in zip(panels, loads, strict=True):
+        assert error.get_title() == f"disturbance {load:g} N"
+        assert (error.get_ylabel(), pressure.get_ylabel()) == ("error (deg)", "pressure (MPa)")
+        lines, shown = curves(error), curves(pressure)
+        cases = rows(study.tracking, disturbance_n=load)
+        assert set(lines) == {row["order"] for row in cases} == {"reduced", "full"}
+        assert set(shown) == set(pressures)
+        for row in cases:
+            trace = row["trace"]
+            assert_line(lines[row["order"]], trace["time_s"], trace["error_deg"])
+            for label, name in pressures.items():
+                if name in trace["pressures_mpa"]:
+                    assert_line(shown[label], trace["time_s"], trace["pressures_mpa"][name])
+        (zero,) = (line for line in error.lines if line.get_label().startswith("_"))
+        assert list(zero.get_ydata()) == [0.0, 0.0]
+    assert [ax.get_xlabel() for ax in panels[-1]] == ["time (s)", "time (s)"]
+    first = panels[0, 0]
+    assert all(first.get_shared_x_axes().joined(first, ax) for ax in panels.flat)
+    (ax,) = drawn["order_switching"].axes
+    lines = curves(ax)
+    for label, direction in (("retracting", "in"), ("extending", "out")):
+        cases = rows(study.switching, direction=direction)
+        swings = [row["velocity_swing_mm_s"] for row in cases]
+        assert_line(lines[label], [row["force_n"] for row in cases], swings)
+    (label,) = (label for label in lines if label.startswith("P_r"))
+    force = switching_force_n(study.scenario)
+    assert lines[label][0] == pytest.approx([force, force])
+    assert label == f"P_r(A_1 − A_2) = {force:.1f} N"
+    assert ax.get_xlabel() == "force on the rod (N)"
+    assert ax.get_ylabel() == "swing of the rod's velocity about v_d (mm/s)"
+    (ax,) = drawn["order_frequency"].axes
+    lines = curves(ax)
+    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_title()) == (
+        "frequency (Hz)",
+        "rod velocity per command (mm/rad)",
+        "plant at 40 deg",
+    )
+    cases = rows(study.frequency, posture_deg=40.0)
+    for row in cases:
+        trace = row["trace"]
+        gain = [1e3 * value for value in trace["plant_gain_m"]]
+        line = lines.pop(f"{row['order']}, {row['disturbance_n']:g} N")
+        assert_line(line, trace["frequencies_hz"], gain)
+    assert lines.pop("Nyquist, 250 Hz")[0] == pytest.approx([250.0, 250.0])
+    assert lines == {}
+    # An order has a colour, a load a dash: lines of two loads may coincide.
+    styles = {(line.get_color(), line.get_linestyle()) for line in ax.lines[: len(cases)]}
+    assert len(styles) == len(cases) == 2 * len(loads)
+
+
+def test_a_comparison_without_forces_has_dashes_in_its_report():
+    settings = OrderSettings(disturbances_n=(0.0,), switching_forces_n=(0.0,))
+    empty = OrderStudy((), (), (), (), (), UNCERTAIN_KNEE, settings)
+    assert "Rod speed at the limit in mm/s: reduced –, full –." in report(empty)
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+def test_a_ramp_too_short_to_measure_is_refused():
+    narrow = changed(UNCERTAIN_KNEE, {"reference.amplitude_deg": 0.1})
+    with pytest.raises(ParameterError, match=r"\Aswitching_rate_deg_s = .* must take > 0\.5 s\Z"):
+        switching_row(narrow, SETTINGS, (15.0, True))
+
+
+def test_reference_must_be_a_sine():
+    with pytest.raises(ParameterError, match="needs a sine that moves"):
+        order_study(Scenario(reference=RampReference()))

@@ -1,0 +1,336 @@
+"""Sizing: the search, the choice of gains, and a whole small study."""
+
+from __future__ import annotations
+
+import math
+
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.hardware import (
+    ACCELERATION_LIMIT,
+    DISPLACEMENT,
+    HARDWARE,
+    SPEED_LIMIT,
+    expected_bandwidth_hz,
+    scaled,
+    sliding_mode,
+    tuned,
+)
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.walking import walking_metrics
+from kneexo.command_line.output import to_json
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import UNCERTAIN_KNEE, PlantParameters, RampReference, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.studies.paper import PID_TUNED
+from kneexo.studies.size import study as size
+from kneexo.studies.size.figures import figures
+from kneexo.studies.size.report import report
+from kneexo.studies.size.study import SizeSettings, size_study, smallest
+from kneexo.sweeps.checkpoint import Checkpoint
+
+matplotlib.use("Agg")
+
+SMALL = SizeSettings(
+    factors=(0.5, 1.0, 2.0),
+    walking_factors=(0.5, 1.0, 1.5),
+    stride_frequencies_hz=(1.0,),
+    lambda_per_s=(20.0, 80.0),
+    slope_per_s=(5e4,),
+    observer_s=(0.02,),
+    search_tolerance=0.02,
+    wearer_torques_n_m=(0.0, 10.0),
+)
+
+
+# ---------------------------------------------------------------------------------- search
+
+
+@given(threshold=st.floats(1.0, 99.0), bound=st.floats(0.1, 10.0), tolerance=st.floats(1e-3, 0.3))
+def test_the_smallest_value_is_found_to_the_tolerance(threshold, bound, tolerance):
+    def error(value):  # nan well below, as runs that fail
+        return math.nan if value < 0.5 * threshold else bound * threshold / value
+
+    found = smallest(error, 0.9, 100.0, bound_deg=bound, tolerance=tolerance)
+    assert found.reached
+    assert threshold * (1.0 - 1e-12) <= found.value <= threshold * (1.0 + tolerance)
+    assert found.max_error_deg == error(found.value) <= bound
+
+
+def test_a_search_that_is_met_at_once_says_the_low_end():
+    found = smallest(lambda value: 1.0, 3.0, 7.0, bound_deg=2.0, tolerance=0.01)
+    assert (found.value, found.reached) == (3.0, True)
+
+
+def test_a_search_that_ends_beyond_its_range_tells_the_best_value():
+    found = smallest(
+        lambda value: math.nan if value > 20.0 else 3.0 + abs(value - 10.0),
+        *(1.0, 100.0),
+        bound_deg=2.0,
+        tolerance=0.01,
+    )
+    assert not found.reached
+    assert found.value == pytest.approx(10.0)  # one of nine, by equal ratios
+    assert found.max_error_deg == pytest.approx(3.0)
+    every = smallest(lambda value: math.nan, 1.0, 9.0, bound_deg=2.0, tolerance=0.01)
+    assert not every.reached
+    assert math.isnan(every.max_error_deg)
+
+
+# ------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("scenario", "told"),
+    [
+        (Scenario(reference=RampReference()), "reference = ramp"),
+        (Scenario(controller=PID_TUNED), "controller.kind = pid"),
+        (Scenario(estimator={"kind": "difference"}), "estimator.kind = difference"),
+        (Scenario(plant=PlantParameters(ideal_motor=True)), "plant.ideal_motor = true"),
+    ],
+)
+def test_what_cannot_be_sized_is_refused(scenario, told):
+    with pytest.raises(ParameterError, match=told) as caught:
+        size_study(scenario, SMALL)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"factors": (1.0, 1.0)}, "factors: must increase"),
+        ({"walking_factors": (2.0, 1.0)}, "walking_factors: must increase"),
+        ({"factors": ()}, "factors has 0 values: must have at least 1"),
+        (
+            {"acceleration_limit_min_rad_s2": 1e5},
+            "acceleration_limit_min_rad_s2 = 100000 rad/s² must be below",
+        ),
+        ({"cycles": 1}, "cycles = 1 is out of range: must be finite and >= 2 and <= 1000"),
+    ],
+)
+def test_settings_that_contradict_themselves_are_refused(values, told):
+    with pytest.raises(ParameterError) as caught:
+        SizeSettings(**values)
+    assert told in str(caught.value)
+
+
+# ------------------------------------------------------------------------------ whole study
+
+
+@pytest.fixture
+def by_formula(monkeypatch):
+    """At f Hz with λ = 80 1/s, 10 f times the flow and 2e4 f rad/s² leave an error of 2°."""
+    own = UNCERTAIN_KNEE.plant.pump.displacement_m3_per_rad
+
+    def error(scenario, frequency_hz):
+        pump = scenario.plant.pump
+        short = max(10.0 * own / pump.displacement_m3_per_rad, 2e4 / pump.acceleration_limit_rad_s2)
+        return 2.0 * frequency_hz * short * 80.0 / scenario.controller.lambda_per_s
+
+    def walking(scenario, frequency_hz, cycles):
+        numbers = {"max_error_deg": error(scenario, frequency_hz), "failure": ""}
+        return numbers | {"mean_command_change_rpm": 0.0}
+
+    def judge(scenario, **_):
+        return {"disk_margin": 0.6, "bandwidth_hz": np.nan}
+
+    monkeypatch.setattr(size, "walking_metrics", walking)
+    monkeypatch.setattr(size, "walk", lambda scenario, f, cycles: {"error": error(scenario, f)})
+    monkeypatch.setattr(size, "assess", judge)
+
+
+@pytest.mark.usefixtures("by_formula")
+def test_every_row_of_the_sweeps_is_that_of_its_own_hardware(in_numbers):
+    own = changed(
+        Scenario(),
+        {
+            "reference": {"kind": "sine", "amplitude_deg": 2.0, "frequency_hz": 4.0},
+            "simulation.duration_s": 0.5,
+        },
+    )
+    few = {"factors": (2.0,), "walking_factors": (1.0,), "lambda_per_s": (80.0,)}
+    found = size_study(own, changed(SMALL, few))
+    rows = {path: row for path, (row,) in found.sweeps.items()}
+    assert list(rows) == list(HARDWARE)
+    for path, row in (("", found.nominal), *rows.items()):
+        hardware = scaled(own, {path: 2.0}) if path else own
+        expected = in_numbers(hardware, 0.25) | {
+            "expected_bandwidth_hz": expected_bandwidth_hz(hardware),
+            "bandwidth_hz": large_signal_bandwidth_hz(hardware),
+            "small_signal_bandwidth_hz": linearize_loop(hardware, 40.0).bandwidth_hz(),
+        }
+        names = set(row) - {"failure"}
+        assert len(names) == 6
+        assert row["failure"] == ""
+        assert {n: row[n] for n in names} == pytest.approx({n: expected[n] for n in names})
+
+
+@pytest.mark.usefixtures("by_formula")
+def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypatch):
+    def fail(*_):
+        raise SimulationError("not asked for here")
+
+    for name in ("large_signal_bandwidth_hz", "linearize_loop", "track"):
+        monkeypatch.setattr(size, name, fail)
+    settings = changed(SMALL, {"stride_frequencies_hz": (0.5, 1.0), "search_tolerance": 1e-3})
+    found = size_study(settings=settings)
+
+    lost = ["bandwidth_hz", "small_signal_bandwidth_hz", "max_error_deg", "rms_error_deg"]
+    for row in (found.nominal, found.design_at_reference, *found.sweeps[DISPLACEMENT]):
+        assert all(math.isnan(row[name]) for name in (*lost, "mean_command_change_rpm"))
+        assert row["failure"] == "; ".join(["not asked for here"] * 3)
+    # Ample: 25 times the flow and 1e5 rad/s²; the hardest stride is that of 1 Hz.
+    assert found.best_gains["lambda_per_s"] == 80.0
+    assert found.best_gains["max_error_deg"] == pytest.approx(2.0 * 10.0 / 25.0)
+    assert [one["meets"] for one in found.gains] == [True, True]
+    for frequency, design in zip((0.5, 1.0), found.designs, strict=True):
+        assert design.flow.value == pytest.approx(10.0 * frequency, rel=1e-3)
+        assert design.acceleration.value == pytest.approx(2e4 * frequency, rel=1e-3)
+        assert design.walking["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
+    # What follows is about 0.5 Hz.
+    for one in found.variations.values():
+        assert one["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
+    factors = np.array(settings.walking_factors)
+    worst = 2.0 / 1.1 / np.minimum(*np.meshgrid(factors, factors))
+    assert found.walking_map_deg == pytest.approx(worst, rel=1e-3)
+    assert found.traces["nominal"]["error"] == pytest.approx(0.5 * 2.0 * 10.0 * 4.0)
+    assert found.traces["sized"]["error"] == pytest.approx(2.0 / 1.1, rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sizing") / "checkpoint"
+    return size_study(settings=SMALL, checkpoint=Checkpoint(path)), path
+
+
+@pytest.mark.slow
+def test_the_sized_hardware_is_the_smallest(study):
+    found, _ = study
+    (design,) = found.designs
+    assert design.flow.reached
+    assert design.acceleration.reached
+    assert design.walking["max_error_deg"] <= SMALL.error_bound_deg
+    # Kinematics: 15.9 times the flow, and 7094 rad/s² at just that; 2° let the peak be cut.
+    needed = found.results()["demand"][0]
+    assert 0.85 < design.flow.value / needed["flow_factor"] < 1.05
+    at_sized = needed["peak_motor_acceleration_rad_s2"] * needed["flow_factor"]
+    assert 0.8 < design.acceleration.value / (at_sized / (1.1 * design.flow.value)) < 1.1
+
+    def error(flow, limit):
+        factors = {DISPLACEMENT: flow, ACCELERATION_LIMIT: limit / 1e4}
+        walks = tuned(scaled(UNCERTAIN_KNEE, factors), found.best_gains)
+        return walking_metrics(walks)["max_error_deg"]
+
+    # A little less of either is not enough: an error beyond the bound, or no walking at all.
+    assert not error(0.97 * design.flow.value, 1e5) <= SMALL.error_bound_deg
+    sized_flow = 1.1 * design.flow.value
+    assert not error(sized_flow, 0.97 * design.acceleration.value) <= SMALL.error_bound_deg
+    assert error(sized_flow, design.acceleration.value) == design.acceleration.max_error_deg
+
+
+@pytest.mark.slow
+def test_what_the_controller_needs(study):
+    found, _ = study
+    steps = [ones[0] for ones in found.steps.values()]
+    assert steps[0]["max_error_deg"] > 40.0
+    assert "left the range of motion" in steps[1]["failure"]
+    assert "left the range of motion" in steps[2]["failure"]
+    assert steps[3]["max_error_deg"] < 2.0
+    assert found.best_gains["lambda_per_s"] == 80.0
+    assert found.best_gains["meets"]
+    own = found.results()["controller"]
+    assert own["authority_asked_m_s3"] > own["authority_m_s3"]
+    law = sliding_mode(found.designs[0].scenario)
+    asked_for = own["authority_asked_m_s3"]
+    assert law.gain_ratio * law.eta_m_s3 > asked_for
+
+
+@pytest.mark.slow
+def test_bandwidth_goes_with_flow_and_never_beyond_its_bound(study):
+    found, _ = study
+    for path in (SPEED_LIMIT, DISPLACEMENT):
+        half, base, double = (one["bandwidth_hz"] for one in found.sweeps[path])
+        # f ∝ R; the observer and the acceleration limit take 2 % at twice the flow.
+        assert half / base == pytest.approx(0.5, rel=0.01)
+        assert double / base == pytest.approx(2.0, rel=0.03)
+    for path in HARDWARE:
+        for factor, one in zip(SMALL.factors, found.sweeps[path], strict=True):
+            bound = expected_bandwidth_hz(scaled(UNCERTAIN_KNEE, {path: factor}))
+            assert one["expected_bandwidth_hz"] == bound
+            # The bound is that of a sine in x; the knee's is 3 % lower.
+            assert 0.93 * bound < one["bandwidth_hz"] <= bound
+    errors = [one["max_error_deg"] for one in found.sweeps["encoder.counts_per_revolution"]]
+    assert errors[0] > errors[1] > errors[2]
+    lag = [one["max_error_deg"] for one in found.sweeps["plant.pump.lag_s"]]
+    assert lag[0] < lag[1] < lag[2]
+
+
+@pytest.mark.slow
+def test_pressure_and_power_agree_at_half_the_step(study):
+    found, _ = study
+    agreement = found.results()["designs"][0]["step_agreement"]
+    assert set(agreement) == {
+        *("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
+    }
+    assert max(agreement.values()) < 0.01
+    checked = found.designs[0].halved
+    peaks = found.demands[0].peaks()
+    # A loop near its limits: what it must catch up with comes on top of the motion's own.
+    assert checked["peak_pressure_mpa"] == pytest.approx(
+        1e-6 * peaks["peak_load_pressure_pa"], rel=0.3
+    )
+    assert checked["delivered_energy_j"] == pytest.approx(peaks["delivered_energy_j"], rel=0.05)
+    assert checked["peak_shaft_power_w"] < 200.0
+    assert checked["peak_pressure_mpa"] < 3.5
+
+
+@pytest.mark.slow
+def test_a_study_that_goes_on_from_a_checkpoint_is_the_same(study):
+    found, path = study
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[: len(lines) // 2]))
+    again = size_study(settings=SMALL, checkpoint=Checkpoint(path, resume=True))
+    assert to_json(again.results()) == to_json(found.results())
+    for name, trace in found.traces.items():
+        assert all(np.array_equal(again.traces[name][key], trace[key]) for key in trace)
+
+
+@pytest.mark.slow
+def test_every_figure_can_be_drawn(study):
+    found, _ = study
+    assert "nan" not in report(found)
+    for figure in figures(found).values():
+        figure.canvas.draw()
+
+
+@pytest.mark.slow
+def test_a_bound_out_of_reach_is_said_plainly():
+    settings = SMALL.model_copy(
+        update={
+            "error_bound_deg": 0.2,
+            "factors": (1.0,),
+            "walking_factors": (1.0,),
+            "disk_margin_min": 1.9,
+            "seal_friction_n": 0.0,
+        }
+    )
+    found = size_study(settings=settings)
+    assert not found.designs[0].flow.reached
+    assert found.designs[0].flow.max_error_deg > 0.2
+    text = report(found)
+    assert "not reached in 1 … 25: best 1." in text
+    assert "none of the 2 gains tried has a disk margin of 1.9" in text
+    for figure in figures(found).values():
+        plt.close(figure)
+
+
+@pytest.mark.slow
+def test_gains_that_never_walk_are_refused():
+    settings = SMALL.model_copy(update={"lambda_per_s": (20.0,), "factors": (1.0,)})
+    with pytest.raises(ParameterError, match=r"none of 1 gains lets the knee walk; widen lambda"):
+        size_study(settings=settings)

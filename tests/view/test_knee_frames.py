@@ -1,0 +1,213 @@
+"""Frames of the knee against the linkage by compass, whatever frame they are seen in."""
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from pydrake.geometry import Rgba, SceneGraph
+
+from kneexo.errors import LinkageError, ParameterError
+from kneexo.linkage import encoder_angle
+from kneexo.parameters import G1, LINKAGES, LinkageParameters
+from kneexo.view.knee_frames import KneeFrames
+
+BARS = {
+    *("thigh", "thigh_plate", "thigh_bracket", "link_2", "link_4", "shank", "foot"),
+    *("shank_plate", "shank_bracket", "cylinder", "rod"),
+}
+GHOSTS = {"reference_shank", "reference_foot"}
+PINS = {f"pin_{name}" for name in ("o_a", "o_b", "a", "b", "cylinder_pin", "rod_pin", "icr")}
+ANGLES = np.radians([1.0, 20.0, 45.0, 70.0, 89.0])
+
+names = pytest.mark.parametrize("name", LINKAGES)
+
+
+class Shown:
+    """A system of frames, and the poses of its parts by name."""
+
+    def __init__(self, linkage, **options):
+        self.scene_graph = SceneGraph()
+        self.system = KneeFrames(self.scene_graph, linkage, **options)
+        self.inspector = self.scene_graph.model_inspector()
+        self.prefix = options.get("name", "knee")
+
+    def shapes(self):
+        shapes = {}
+        for frame in self.inspector.GetAllFrameIds():
+            if frame != self.scene_graph.world_frame_id():
+                (geometry,) = self.inspector.GetGeometries(frame)
+                part = self.inspector.GetName(frame).removeprefix(f"{self.prefix}::")
+                shapes[part] = self.inspector.GetShape(geometry)
+        return shapes
+
+    def colours(self):
+        colours = {}
+        for geometry in self.inspector.GetAllGeometryIds():
+            name = self.inspector.GetName(geometry)
+            properties = self.inspector.GetIllustrationProperties(geometry)
+            colours[name] = properties.GetProperty("phong", "diffuse")
+        return colours
+
+    def poses(self, angle, reference=None):
+        context = self.system.CreateDefaultContext()
+        self.system.GetInputPort("knee_angle").FixValue(context, [angle])
+        if reference is not None:
+            self.system.GetInputPort("knee_reference").FixValue(context, [reference, 9.0, 9.0, 9.0])
+        vector = self.system.GetOutputPort("frame_poses").Eval(context)
+        inspector = self.inspector
+        return {
+            inspector.GetName(frame).removeprefix(f"{self.prefix}::"): vector.value(frame)
+            for frame in vector.ids()
+        }
+
+    def ends(self, part, pose):
+        half = 0.5 * self.shapes()[part].length()
+        return [pose.multiply(np.array([0.0, 0.0, side * half])) for side in (-1.0, 1.0)]
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+def test_ports_and_no_state():
+    system = KneeFrames(SceneGraph())
+    inputs = map(system.get_input_port, range(system.num_input_ports()))
+    assert {port.get_name(): port.size() for port in inputs} == {
+        "knee_angle": 1,
+        "knee_reference": 4,
+    }
+    assert system.num_output_ports() == 1
+    assert system.HasOutputPort("frame_poses")
+    assert system.CreateDefaultContext().num_total_states() == 0
+    assert system.HasDirectFeedthrough(0, 0)
+    assert system.HasDirectFeedthrough(1, 0)
+
+
+def test_it_does_not_convert_to_other_scalars():
+    system = KneeFrames(SceneGraph())
+    assert system.ToAutoDiffXdMaybe() is None
+    assert system.ToSymbolicMaybe() is None
+
+
+def test_parts_are_bones_links_pins_actuator_and_the_ghost_of_the_reference():
+    shown = Shown(G1, name="left")
+    shapes = shown.shapes()
+    assert set(shapes) == BARS | GHOSTS | PINS
+    assert set(shown.poses(0.5)) == set(shapes)
+    assert shown.poses(0.5)["shank"].translation()[1] == 0.0
+    assert shown.inspector.GetName(shown.system.source) == "left"
+    for ghost in GHOSTS:  # hidden within what it agrees with
+        assert shapes[ghost].radius() < shapes[ghost.removeprefix("reference_")].radius()
+    assert shapes["rod"].radius() < shapes["cylinder"].radius()
+    colours = shown.colours()
+    assert colours["pin_icr"] == Rgba(0.8, 0.0, 0.5)
+    assert colours["link_2"] == Rgba(0.1, 0.5, 0.8)
+    assert colours["reference_shank"].a() < 0.5 < colours["shank"].a()  # transparent
+
+
+# -------------------------------------------------------------------------------- numbers
+
+
+@names
+def test_pins_have_the_distances_of_the_compass_construction(name, compass):
+    link = LINKAGES[name]
+    walk = compass(link, encoder_angle(link, np.concatenate([[0.0], ANGLES])))
+    np.testing.assert_allclose(walk.knee_angle[1:], ANGLES, atol=1e-12)
+    expected = {
+        "pin_o_a": complex(link.o_a_x_m, link.o_a_y_m),
+        "pin_o_b": complex(link.o_b_x_m, link.o_b_y_m),
+        "pin_cylinder_pin": link.rod_anchor_radius_m * np.exp(1j * link.rod_anchor_angle_rad),
+        "pin_a": walk.joint_a,
+        "pin_b": walk.joint_b,
+        "pin_rod_pin": walk.rod_pin,
+    }
+    shown = Shown(link)
+    for index, angle in enumerate(ANGLES, 1):
+        places = {pin: pose.translation() for pin, pose in shown.poses(angle).items()}
+        points = {pin: np.broadcast_to(at, walk.joint_a.shape) for pin, at in expected.items()}
+        for first, second in combinations(expected, 2):
+            distance = np.linalg.norm(places[first] - places[second])
+            wanted = abs(points[first][index] - points[second][index])
+            assert distance == pytest.approx(wanted, abs=1e-12), (first, second)
+
+
+@names
+def test_bars_reach_from_pin_to_pin_in_their_layers(name):
+    shown = Shown(LINKAGES[name])
+    for angle in ANGLES:
+        poses = shown.poses(angle)
+        for bar, first, second in (("link_2", "o_a", "a"), ("link_4", "o_b", "b")):
+            pins = [poses[f"pin_{pin}"].translation() for pin in (first, second)]
+            for end, pin in zip(shown.ends(bar, poses[bar]), pins, strict=True):
+                np.testing.assert_allclose(end[[0, 2]], pin[[0, 2]], atol=1e-12)
+        layers = [poses[bar].translation()[1] for bar in ("link_2", "link_4", "shank")]
+        assert layers == [0.02, -0.02, 0.0]  # links on either side
+        for pin in PINS:  # across the plane of the knee
+            axis = poses[pin].rotation().matrix()[:, 2]
+            np.testing.assert_allclose(np.abs(axis), [0.0, 1.0, 0.0], atol=1e-12)
+
+
+@names
+def test_the_rod_slides_in_the_cylinder_by_the_rod_extension(name, compass):
+    link = LINKAGES[name]
+    walk = compass(link, encoder_angle(link, np.concatenate([[0.0], ANGLES])))
+    shown = Shown(link)
+    for extension, angle in zip(walk.rod_extension[1:], ANGLES, strict=True):
+        poses = shown.poses(angle)
+        mount, rod_pin = (poses[f"pin_{pin}"].translation() for pin in ("cylinder_pin", "rod_pin"))
+        axis = (rod_pin - mount) / np.linalg.norm(rod_pin - mount)
+        bottom, head = (axis @ (end - mount) for end in shown.ends("cylinder", poses["cylinder"]))
+        piston, tip = (axis @ (end - mount) for end in shown.ends("rod", poses["rod"]))
+        assert bottom == pytest.approx(0.0, abs=1e-12)
+        assert tip == pytest.approx(link.rod_length_m + extension, abs=1e-12)
+        assert bottom <= piston < head < tip - 0.01  # held by the cylinder; some of it is seen
+        stub = 0.1 * link.rod_length_m
+        assert tip - head == pytest.approx(extension + stub, abs=1e-12)
+
+
+@names
+def test_the_shank_turns_back_by_the_knee_angle_about_the_instantaneous_centre(name):
+    shown, step = Shown(LINKAGES[name], depth_m=0.3), 1e-5
+    for angle in ANGLES:
+        poses = shown.poses(angle)
+        axis = poses["shank"].rotation().matrix()[:, 2]
+        assert axis == pytest.approx([-math.sin(angle), 0.0, -math.cos(angle)], abs=1e-12)
+        thigh = poses["thigh"].rotation().matrix()[:, 2]
+        np.testing.assert_allclose(np.abs(thigh), [0.0, 0.0, 1.0], atol=1e-12)
+        before, after = (shown.poses(angle + s)["shank"] for s in (-step, step))
+        centre = poses["pin_icr"].translation()
+        moved = after.multiply(before.inverse()).multiply(centre) - centre
+        foot = np.linalg.norm(after.translation() - before.translation())
+        assert np.linalg.norm(moved) < 1e-6 * foot  # second order in the step
+        assert {pose.translation()[1] for pin, pose in poses.items() if pin in PINS} == {0.3}
+
+
+def test_the_ghost_is_the_shank_at_the_reference_and_hidden_without():
+    shown = Shown(G1)
+    at_reference, with_reference = shown.poses(0.9), shown.poses(0.4, reference=0.9)
+    without = shown.poses(0.4)
+    for ghost in GHOSTS:
+        part = ghost.removeprefix("reference_")
+        assert with_reference[ghost].IsExactlyEqualTo(at_reference[part])
+        assert without[ghost].IsExactlyEqualTo(without[part])
+    for part in BARS | PINS:
+        assert with_reference[part].IsExactlyEqualTo(without[part])
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+def test_a_linkage_that_does_not_close_is_refused_on_construction():
+    with pytest.raises(LinkageError, match="cannot be assembled at knee angle 0 deg"):
+        KneeFrames(SceneGraph(), LinkageParameters(**(G1.model_dump() | {"a_4_m": 0.010})))
+
+
+def test_an_angle_without_a_pose_is_one_line():
+    with pytest.raises(LinkageError, match=r"^the linkage cannot .* knee angle nan deg[^\n]*$"):
+        Shown(G1).poses(math.nan)
+
+
+@pytest.mark.parametrize("depth", [math.nan, math.inf])
+def test_a_depth_that_is_not_finite_is_one_line(depth):
+    with pytest.raises(ParameterError, match=rf"^depth_m = {depth} m: must be finite$"):
+        KneeFrames(SceneGraph(), depth_m=depth)
