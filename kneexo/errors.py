@@ -1,13 +1,13 @@
 """The errors that kneexo raises for wrong input or a failed run; each message is one line.
 
-Those that the compiler raises too are its own classes.
+The errors that the compiler raises too are defined in `kneexo.compiler.errors`.
 """
 
 from __future__ import annotations
 
 from kneexo.compiler.errors import (
     CompilationError as CompilationError,
-    Error as KneexoError,
+    Error,
     OutputError as OutputError,
     ParameterError as ParameterError,
     SimulationError as SimulationError,
@@ -16,6 +16,9 @@ from kneexo.compiler.errors import (
     shortened as shortened,
     shown as shown,
 )
+
+KneexoError = Error
+"""Base of all errors of kneexo and of its compiler."""
 
 
 class ScenarioError(ParameterError):

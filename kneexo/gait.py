@@ -9,10 +9,8 @@ from __future__ import annotations
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-"""An array of doubles."""
+from kneexo.result import Array
 
 GAIT_STRIDE_S = 0.890
 """Median stride time of the measured gait, as the head of ``data/gait_knee_flexion.csv`` says."""

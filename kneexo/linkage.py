@@ -22,10 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kneexo.errors import LinkageError
 from kneexo.parameters import LinkageParameters, RodPolynomialParameters
-from kneexo.result import Result
-
-Array = NDArray[np.float64]
-"""An array of doubles."""
+from kneexo.result import Array, Result
 
 FIT_RANGE_DEG = (-2.0, 91.0)
 """Knee angles that the inverse `RodInverse` covers: the range of motion and a margin."""

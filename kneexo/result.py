@@ -1,4 +1,4 @@
-"""What results share: a short text, a table for notebooks, and data frames."""
+"""Base of results with their text for notebooks, arrays, axes and data frames."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ from html import escape
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kneexo.errors import PackageError
+
+Array = NDArray[np.float64]
+"""An array of doubles."""
 
 _LONGEST = 60  # characters of one value
 

@@ -7,10 +7,10 @@ import pytest
 from kneexo import errors
 from kneexo.errors import KneexoError, escaped, shortened, shown
 
-ERRORS = [e for e in vars(errors).values() if isinstance(e, type) and issubclass(e, KneexoError)]
+ERRORS = {e for e in vars(errors).values() if isinstance(e, type) and issubclass(e, KneexoError)}
 
 
-@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("error", sorted(ERRORS, key=str))
 def test_every_error_is_one_line_here_and_in_another_process(error):
     raised = error("a\nb\x1b λ\u2028")
     for copy in (raised, pickle.loads(pickle.dumps(raised))):

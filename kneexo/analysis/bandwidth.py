@@ -33,7 +33,8 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.simulation import Array, Steps, evaluated, needs_runs, steps
+from kneexo.result import Array
+from kneexo.simulation import Steps, evaluated, needs_runs, steps
 
 LOWEST_HZ = 0.02
 """Where a search for a bandwidth ends, downwards."""

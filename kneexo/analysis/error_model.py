@@ -34,8 +34,8 @@ from kneexo.analysis.plant_linearization import Complex, frequency_array
 from kneexo.analysis.signals import rms
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, Scenario
-from kneexo.result import Result, axes_or_new
-from kneexo.simulation import Array, simulate
+from kneexo.result import Array, Result, axes_or_new
+from kneexo.simulation import simulate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

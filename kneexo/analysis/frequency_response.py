@@ -23,8 +23,8 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, SineReference
 from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters, ordered_limits, quantities, quantity
-from kneexo.result import Result, axes_or_new, data_frame
-from kneexo.simulation import Array, Run, Steps, needs_runs, simulate, steps
+from kneexo.result import Array, Result, axes_or_new, data_frame
+from kneexo.simulation import Run, Steps, needs_runs, simulate, steps
 from kneexo.sweeps.parallel import parallel_map
 
 _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the paper does not describe"

@@ -21,7 +21,7 @@ from kneexo.diagrams.closed_loop import loop_values
 from kneexo.diagrams.controller import known_to_controller
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario, StepReference
-from kneexo.simulation import Array
+from kneexo.result import Array
 from kneexo.simulation.compiled import scenario_start, structure_key
 
 

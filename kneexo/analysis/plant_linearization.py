@@ -16,8 +16,7 @@ from kneexo.analysis.signals import to_rpm
 from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.errors import LinearizationError
 from kneexo.parameters import PlantParameters
-from kneexo.result import Result
-from kneexo.simulation import Array
+from kneexo.result import Array, Result
 
 Complex = NDArray[np.complex128]
 """An array of complex numbers."""

@@ -10,8 +10,7 @@ from numpy.polynomial import Polynomial
 
 from kneexo import linkage
 from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
-from kneexo.result import Result, axes_or_new, data_frame
-from kneexo.simulation import Array
+from kneexo.result import Array, Result, axes_or_new, data_frame
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
 from kneexo.errors import ParameterError
-from kneexo.simulation import Array
+from kneexo.result import Array
 
 TRIANGLE_RATIO = 2.0 / math.sqrt(math.pi**2 + 4.0)
 """ρ below which the follower never meets the sine for more than an instant: 0.5370."""

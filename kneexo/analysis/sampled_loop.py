@@ -30,8 +30,7 @@ from kneexo.analysis.plant_linearization import (
 )
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
-from kneexo.result import Result, axes_or_new
-from kneexo.simulation import Array
+from kneexo.result import Array, Result, axes_or_new
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

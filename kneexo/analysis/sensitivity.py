@@ -31,8 +31,7 @@ from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters
-from kneexo.result import Result
-from kneexo.simulation import Array
+from kneexo.result import Array, Result
 
 _DIFFERENTIABLE = (
     "plant.pump.",

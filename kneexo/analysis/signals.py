@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kneexo.parameters import Scenario
-from kneexo.simulation import Array
+from kneexo.result import Array
 
 
 def period_s(scenario: Scenario) -> float:

@@ -12,8 +12,8 @@ import numpy as np
 from kneexo.analysis.signals import period_s, rms, to_rpm
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
-from kneexo.result import Result, axes_or_new, data_frame
-from kneexo.simulation import Array, Run, Steps, needs_runs, simulate, steps
+from kneexo.result import Array, Result, axes_or_new, data_frame
+from kneexo.simulation import Run, Steps, needs_runs, simulate, steps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -24,8 +24,8 @@ from kneexo.errors import KneexoError, ParameterError
 from kneexo.gait import gait_start_percent
 from kneexo.parameters import KneeLoadParameters, Scenario, gait_reference
 from kneexo.parameters.paths import changed
-from kneexo.result import Result, data_frame
-from kneexo.simulation import Array, Steps, needs_runs, simulate, steps
+from kneexo.result import Array, Result, data_frame
+from kneexo.simulation import Steps, needs_runs, simulate, steps
 
 WALKING_FIGURES = (
     "max_error_deg",

@@ -18,10 +18,10 @@ from kneexo.compiler.c.export import (
 )
 from kneexo.compiler.c.source import CSource
 from kneexo.compiler.model import compile_diagram
-from kneexo.compiler.native.runner import Array
 from kneexo.errors import ParameterError
 from kneexo.export.target import ENCODER_COUNT, Target, require_step, target
 from kneexo.parameters import SampledReference, Scenario
+from kneexo.result import Array
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
 OUTSIDE = ("disturbance_force", "knee_torque")

@@ -12,4 +12,4 @@ from kneexo.simulation.compiled import (
 from kneexo.simulation.coroutines import Steps as Steps, evaluated as evaluated, steps as steps
 from kneexo.simulation.drake import simulate_diagram as simulate_diagram
 from kneexo.simulation.engines import needs_runs as needs_runs, simulate as simulate
-from kneexo.simulation.run import Array as Array, Run as Run
+from kneexo.simulation.run import Run as Run

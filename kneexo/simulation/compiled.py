@@ -29,7 +29,7 @@ from kneexo.compiler.model import (
     state_of,
 )
 from kneexo.compiler.native.machine_code import MachineCode, equations_key
-from kneexo.compiler.native.runner import STEP_S, TOLERANCE, Array, InputTable, State
+from kneexo.compiler.native.runner import STEP_S, TOLERANCE, InputTable, State
 from kneexo.compiler.trajectories import input_table
 from kneexo.diagrams.closed_loop import loop_values, make_closed_loop
 from kneexo.diagrams.controller import known_to_controller, make_controller
@@ -42,6 +42,7 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.parameters.quantity import Parameters, models_of
+from kneexo.result import Array
 from kneexo.simulation.run import Run
 from kneexo.systems import (
     knee_reference,

@@ -5,14 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kneexo.parameters import SimulationParameters
-from kneexo.result import Result, data_frame
-
-Array = NDArray[np.float64]
-"""An array of doubles."""
+from kneexo.result import Array, Result, data_frame
 
 
 @dataclass(frozen=True, repr=False)

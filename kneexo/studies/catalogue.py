@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from kneexo.parameters import LinkageParameters, Scenario
     from kneexo.parameters.quantity import Parameters
-    from kneexo.simulation import Array
+    from kneexo.result import Array
 
     Motion = tuple[LinkageParameters, Mapping[str, Array]]
     """A linkage, and columns of a run with it by name, with ``time_s`` from 0 on, (n,) each."""

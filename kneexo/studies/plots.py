@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 from numpy.typing import ArrayLike
 
-from kneexo.simulation import Array
+from kneexo.result import Array
 
 CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
 """Style of a text about its point."""

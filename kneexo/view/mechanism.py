@@ -16,9 +16,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from kneexo.linkage import icr, pose, rod_anchor
 from kneexo.parameters import LinkageParameters
-
-Array = NDArray[np.float64]
-"""An array of doubles."""
+from kneexo.result import Array
 
 Points = NDArray[np.complex128]
 """Points of the knee's plane in m: the real part points forwards, the imaginary part up."""

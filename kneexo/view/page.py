@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.ticker import EngFormatter
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
 
 from kneexo.parameters import LinkageParameters
+from kneexo.result import Array
 from kneexo.version import __version__
 from kneexo.view.mechanism import (
     BARS,
@@ -33,9 +34,6 @@ from kneexo.view.mechanism import (
     shapes,
 )
 from kneexo.whole_file import require_mark, write_whole
-
-Array = NDArray[np.float64]
-"""An array of doubles."""
 
 FRAMES_PER_S = 32.0
 """Frames of a recording in a second."""

@@ -32,8 +32,8 @@ from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, require_increasing
-from kneexo.result import Result, data_frame
-from kneexo.simulation import Array, Steps, needs_runs, steps
+from kneexo.result import Array, Result, data_frame
+from kneexo.simulation import Steps, needs_runs, steps
 from kneexo.sweeps import SweepOptions, open_sweep
 
 

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from kneexo.simulation import Array
+from kneexo.result import Array
 from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestStudy, errors_of
 from kneexo.studies.plots import decimal_ticks, legend_below
 

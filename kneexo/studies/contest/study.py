@@ -34,8 +34,8 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import applicable, changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.progress import progress_bar
-from kneexo.result import Result
-from kneexo.simulation import Array, Steps, needs_runs, steps
+from kneexo.result import Array, Result
+from kneexo.simulation import Steps, needs_runs, steps
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness.study import Values, draw, realize
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from kneexo.simulation import Array
+from kneexo.result import Array
 from kneexo.studies.controller.study import ControllerStudy, ideal_settling_time_s, observed_smc
 from kneexo.studies.plots import heat_map, plain_ticks
 

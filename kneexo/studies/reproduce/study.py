@@ -28,8 +28,8 @@ from kneexo.analysis.signals import rms, to_rpm
 from kneexo.analysis.tracking import mean_change
 from kneexo.parameters import G4, RodPolynomialParameters, Scenario, SineReference
 from kneexo.parameters.paths import changed
-from kneexo.result import Result
-from kneexo.simulation import Array, Steps, needs_runs, steps
+from kneexo.result import Array, Result
+from kneexo.simulation import Steps, needs_runs, steps
 from kneexo.studies.paper import (
     EQ_27_DIFFERENCES,
     EQ_27_EXACT_STATES,

@@ -24,8 +24,8 @@ from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import applicable, changed, value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.result import Result
-from kneexo.simulation import Array, Steps, needs_runs, steps
+from kneexo.result import Array, Result
+from kneexo.simulation import Steps, needs_runs, steps
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 

@@ -24,7 +24,7 @@ from kneexo.analysis.hardware import (
 )
 from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
-from kneexo.simulation import Array
+from kneexo.result import Array
 from kneexo.studies.plots import CENTRED, decimal_ticks, heat_map, legend_below, plain_ticks
 from kneexo.studies.size.study import SizeStudy
 

@@ -54,8 +54,8 @@ from kneexo.parameters.quantity import (
     quantity,
     require_increasing,
 )
-from kneexo.result import Result
-from kneexo.simulation import Array, Steps, needs_runs, steps
+from kneexo.result import Array, Result
+from kneexo.simulation import Steps, needs_runs, steps
 from kneexo.studies.size import results as size_results
 from kneexo.sweeps import SweepOptions, open_sweep
 

@@ -45,8 +45,8 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
-from kneexo.result import Result
-from kneexo.simulation import Array, Run, Steps, needs_runs, simulate, steps
+from kneexo.result import Array, Result
+from kneexo.simulation import Run, Steps, needs_runs, simulate, steps
 from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.systems.knee_coordinates import rod_derivatives
