@@ -36,8 +36,9 @@ from kneexo.parameters import UNCERTAIN_KNEE, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
+from kneexo.simulation import awaitable
 from kneexo.simulation.compiled import scenario_start, scenario_values
-from kneexo.simulation.engines import answers
+from kneexo.simulation.engines import serve_runs
 from kneexo.studies.paper import FIG_12, IDEAL_SMC
 from kneexo.studies.sliding.study import SLIDING_LAW
 
@@ -276,9 +277,9 @@ def vary(
 def run_outcomes(scenarios: Sequence[Scenario]) -> list[tuple[str, str]]:
     """What becomes of runs that go together."""
     found: dict[int, tuple[str, str]] = {}
-    calls = [track.steps(scenario, all_signals=True) for scenario in scenarios]
+    calls = [awaitable(track, scenario, all_signals=True) for scenario in scenarios]
     try:
-        for n, run in answers({n: next(call) for n, call in enumerate(calls)}):
+        for n, run in serve_runs({n: call.send(None) for n, call in enumerate(calls)}):
             if isinstance(run, KneexoError):
                 found[n] = outcome_of(run)
                 continue
@@ -297,6 +298,9 @@ def run_outcomes(scenarios: Sequence[Scenario]) -> list[tuple[str, str]]:
         if len(scenarios) == 1:
             return [outcome_of(error)]
         return [outcome for scenario in scenarios for outcome in run_outcomes([scenario])]
+    finally:
+        for call in calls:
+            call.close()
     return [found[n] for n in range(len(scenarios))]
 
 

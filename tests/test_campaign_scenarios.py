@@ -52,7 +52,7 @@ def test_a_traceback_is_told_of_its_run_alone(monkeypatch):
                 raise ZeroDivisionError
             yield index, SimpleNamespace(data={"a": np.array([np.nan])})
 
-    monkeypatch.setattr(campaign, "answers", dividing)
+    monkeypatch.setattr(campaign, "serve_runs", dividing)
     scenarios = [Scenario(), Scenario(initial_offset_m=0.01)]
     kinds = [kind for kind, _ in campaign.run_outcomes(scenarios)]
     assert kinds == ["nan", "traceback"]

@@ -10,16 +10,16 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import TRACKING_FIGURES, track_figures
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
-from kneexo.simulation import Steps, needs_runs, steps
+from kneexo.simulation import awaitable, needs_runs
 
 MARGIN_FIGURES = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
 """Figures of `kneexo.analysis.Margins` that an assessment quotes."""
 
 
 @needs_runs
-def assess(
+async def assess(
     scenario: Scenario, *, tracking: bool = True, margins: bool = True, bandwidth: bool = False
-) -> Steps[dict[str, Any]]:
+) -> dict[str, Any]:
     """Plain numbers by name: `TRACKING_FIGURES`, ``stable``, `MARGIN_FIGURES`, ``bandwidth_hz``.
 
     The margins are those at the middle of the reference's range, the bandwidth is that of the
@@ -32,7 +32,7 @@ def assess(
     if tracking:
         figures |= dict.fromkeys(TRACKING_FIGURES, math.nan) | {"tracking_failure": ""}
         try:
-            figures |= yield from steps(track_figures, scenario)
+            figures |= await awaitable(track_figures, scenario)
         except KneexoError as error:
             figures["tracking_failure"] = str(error)
     if margins:
@@ -49,7 +49,7 @@ def assess(
     if bandwidth:
         figures |= {"bandwidth_hz": math.nan, "bandwidth_failure": ""}
         try:
-            figures["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, scenario)
+            figures["bandwidth_hz"] = await awaitable(large_signal_bandwidth_hz, scenario)
             if math.isnan(figures["bandwidth_hz"]):
                 figures["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
         except KneexoError as error:

@@ -34,7 +34,7 @@ from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.result import Array
-from kneexo.simulation import Steps, evaluated, needs_runs, steps
+from kneexo.simulation import awaitable, needs_runs, search_async
 
 LOWEST_HZ = 0.02
 """Where a search for a bandwidth ends, downwards."""
@@ -121,10 +121,10 @@ def follower_bandwidth_hz(scenario: Scenario) -> float:
 
 
 @needs_runs
-def large_signal_bandwidth_hz(
+async def large_signal_bandwidth_hz(
     scenario: Scenario = Scenario(),
     settings: SineEstimateSettings = SineEstimateSettings(averaged_cycles=2, largest_cycles=6),
-) -> Steps[float]:
+) -> float:
     """Frequency in Hz where the gain of the scenario's own sine first falls below 1/√2.
 
     Measured by `estimate_sine` at a few frequencies: from 0.8 times the lowest of the rate-limit
@@ -139,16 +139,16 @@ def large_signal_bandwidth_hz(
     require_sine(scenario)
     highest = highest_frequency_hz(scenario)
 
-    def excess(log_frequency: float) -> Steps[float]:
+    async def excess(log_frequency: float) -> float:
         frequency = min(math.exp(log_frequency), highest)
         at = changed(scenario, {"reference.frequency_hz": frequency})
-        estimate = yield from steps(estimate_sine, at, settings)
+        estimate = await awaitable(estimate_sine, at, settings)
         log_gain = math.log(max(estimate.gain, _NO_GAIN) / MINUS_3_DB)
         return log_gain if abs(log_gain) > _GAIN_TOLERANCE else 0.0
 
     bottom, top = math.log(LOWEST_HZ), math.log(highest)
     start = min(max(bottom, math.log(0.8 * _expected_hz(scenario))), top)
-    return (yield from evaluated(lambda value: _first_fall_hz(value, bottom, start, top), excess))
+    return await search_async(lambda value: _first_fall_hz(value, bottom, start, top), excess)
 
 
 def _first_fall_hz(

@@ -24,7 +24,7 @@ from kneexo.parameters import Scenario, SineReference
 from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters, ordered_limits, quantities, quantity
 from kneexo.result import Array, Result, axes_or_new, data_frame
-from kneexo.simulation import Run, Steps, needs_runs, simulate, steps
+from kneexo.simulation import Run, awaitable, needs_runs, simulate
 from kneexo.sweeps.parallel import parallel_map
 
 _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the paper does not describe"
@@ -303,13 +303,13 @@ def crossing(frequencies_hz: Array, gain: Array) -> float:
 
 
 @needs_runs
-def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -> Steps[complex]:
+async def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -> complex:
     """Response of a scenario at one frequency in Hz."""
     frequency, scenario = work
     cycles = settings.transient_cycles + settings.measured_cycles
     at = {"reference.frequency_hz": frequency, "simulation.duration_s": cycles / frequency}
     signals = ("knee_reference", "knee_angle")
-    run = yield from steps(simulate, changed(scenario, at), signals=signals)
+    run = await awaitable(simulate, changed(scenario, at), signals=signals)
     measured = run.time_s >= settings.transient_cycles / frequency
     measured[-1] = False  # the end of the last period is its beginning
     time = run.time_s[measured]
@@ -487,10 +487,10 @@ def response_uncertainty(responses: Any) -> float:
 
 
 @needs_runs
-def estimate_sine(
+async def estimate_sine(
     scenario: Scenario = Scenario(),
     settings: SineEstimateSettings = SineEstimateSettings(),
-) -> Steps[SineEstimate]:
+) -> SineEstimate:
     """Measure the closed loop's response to the scenario's own sine.
 
     The amplitude grows smoothly (the scenario's own ramp and duration are replaced), then the run
@@ -506,7 +506,7 @@ def estimate_sine(
     ramp = max(settings.ramp_cycles / frequency, settings.ramp_min_s)
     cycles = min(settings.averaged_cycles + 1, settings.largest_cycles)
     while True:
-        run = yield from steps(
+        run = await awaitable(
             simulate,
             changed(
                 scenario,

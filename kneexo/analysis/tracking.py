@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydrake.systems.framework import Diagram
 
 from kneexo.analysis.signals import period_s, rms, to_rpm
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.result import Array, Result, axes_or_new, data_frame
-from kneexo.simulation import Run, Steps, needs_runs, simulate, steps
+from kneexo.simulation import Run, awaitable, needs_runs, simulate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from pydrake.systems.framework import Diagram
 
 TRACKING_SIGNALS = (
     "knee_reference",
@@ -183,9 +183,9 @@ def run_metrics(
 
 
 @needs_runs
-def track_figures(scenario: Scenario) -> Steps[dict[str, float]]:
+async def track_figures(scenario: Scenario) -> dict[str, float]:
     """The `TRACKING_FIGURES` of `track`, from a run that logs no more than they need."""
-    run = yield from steps(simulate, scenario, signals=TRACKING_SIGNALS[:4])
+    run = await awaitable(simulate, scenario, signals=TRACKING_SIGNALS[:4])
     return tracking_figures(
         run.time_s,
         run["knee_reference_rad"] - run["knee_angle_rad"],
@@ -263,13 +263,13 @@ class TrackingResult(Result):
 
 
 @needs_runs
-def track(
+async def track(
     scenario: Scenario = Scenario(),
     *,
     all_signals: bool = False,
     progress: Callable[[float], Any] | None = None,
     diagram: Diagram | None = None,
-) -> Steps[TrackingResult]:
+) -> TrackingResult:
     """Simulate a scenario and measure how it tracks.
 
     ``all_signals`` logs every signal, not only those of the metrics. ``diagram``: see
@@ -277,6 +277,6 @@ def track(
     `kneexo.analysis.simulate` raises.
     """
     signals = None if all_signals else TRACKING_SIGNALS
-    run = yield from steps(simulate, scenario, signals=signals, progress=progress, diagram=diagram)
+    run = await awaitable(simulate, scenario, signals=signals, progress=progress, diagram=diagram)
     metrics = run_metrics(scenario, run.time_s, run.data, settled_s=period_s(scenario))
     return TrackingResult(scenario, run, metrics)

@@ -25,7 +25,7 @@ from kneexo.gait import gait_start_percent
 from kneexo.parameters import KneeLoadParameters, Scenario, gait_reference
 from kneexo.parameters.paths import changed
 from kneexo.result import Array, Result, data_frame
-from kneexo.simulation import Steps, needs_runs, simulate, steps
+from kneexo.simulation import awaitable, needs_runs, simulate
 
 WALKING_FIGURES = (
     "max_error_deg",
@@ -214,7 +214,7 @@ def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Ar
 
 
 @needs_runs
-def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> Steps[dict[str, Array]]:
+async def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> dict[str, Array]:
     """Closed loop that follows the measured gait: ``time_s`` and signals after the first stride.
 
     Raises `ParameterError` for fewer than two ``cycles``, and what the simulation raises.
@@ -223,21 +223,21 @@ def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> Step
         raise ParameterError(f"cycles = {cycles}: must be >= 2, the first of which is discarded")
     walking = scenario.model_copy(update={"reference": gait_reference(frequency_hz, cycles)})
     walking = changed(walking, {"simulation.duration_s": cycles / frequency_hz})
-    run = yield from steps(simulate, walking, signals=(*TRACKING_SIGNALS, "motor_speed"))
+    run = await awaitable(simulate, walking, signals=(*TRACKING_SIGNALS, "motor_speed"))
     kept = run.time_s >= 1.0 / frequency_hz - 1e-9
     return {"time_s": run.time_s[kept]} | {n: values[kept] for n, values in run.data.items()}
 
 
 @needs_runs
-def walking_metrics(
+async def walking_metrics(
     scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3
-) -> Steps[dict[str, Any]]:
+) -> dict[str, Any]:
     """How a closed loop walks, after the first stride, as plain numbers by name.
 
     `WALKING_FIGURES`, and ``failure``: a run that fails has nan for each, and one line says why.
     """
     try:
-        signals = yield from steps(walk, scenario, frequency_hz, cycles)
+        signals = await awaitable(walk, scenario, frequency_hz, cycles)
     except KneexoError as error:
         return dict.fromkeys(WALKING_FIGURES, math.nan) | {"failure": str(error)}
     time, power, speed = signals["time_s"], signals["shaft_power_w"], signals["motor_speed_rad_s"]

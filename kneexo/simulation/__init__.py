@@ -9,7 +9,7 @@ from kneexo.simulation.compiled import (
     scenario_run as scenario_run,
     simulate_compiled as simulate_compiled,
 )
-from kneexo.simulation.coroutines import Steps as Steps, evaluated as evaluated, steps as steps
+from kneexo.simulation.coroutines import awaitable as awaitable, search_async as search_async
 from kneexo.simulation.drake import simulate_diagram as simulate_diagram
 from kneexo.simulation.engines import needs_runs as needs_runs, simulate as simulate
 from kneexo.simulation.run import Run as Run

@@ -1,122 +1,150 @@
-"""Functions that ask for runs, one call alone or many calls together.
+"""Async functions that share batches of requests, such as simulation runs.
 
-A function that needs runs is written as a generator: it yields what it asks for and is sent the
-answer, or has an error thrown in. `coroutine` makes it a plain function for its callers. `drive`
-takes many such calls and answers all that they ask for at a time together.
+A function that needs runs is an ``async def`` that awaits a `Request` for each run. The decorator
+`synchronous` makes it a plain function for its callers; async callers await the same function by
+`awaitable`. `run_concurrently` advances many coroutines and serves their pending requests in one
+batch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Generator, Iterable, Iterator, Mapping, Sequence
 from functools import partial, wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 
 Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-Steps = Generator[Any, Any, Result]
-"""A call under way: yields requests, is sent answers, returns its result."""
 
-Answers = Callable[[Mapping[int, Any]], Iterator[tuple[int, Any]]]
-"""Turns requests by call into answers by call, in any order; an exception is thrown in."""
+class Request(Generic[Answer]):
+    """An awaitable request; ``await request`` returns the answer or raises its error."""
+
+    def __await__(self) -> Generator[Any, Any, Answer]:
+        return (yield self)
 
 
-def drive(calls: Sequence[Steps[Result]], answers: Answers) -> Iterator[tuple[int, Result]]:
-    """Indices and results of calls that go on together, each as soon as it ends.
+Server = Callable[[Mapping[int, Any]], Iterator[tuple[int, Any]]]
+"""A function from requests by index to pairs of index and answer, in any order.
 
-    The first call that fails raises its error when those before it have ended; those behind it
-    need not.
+An answer that is an `Exception` is raised in the coroutine that awaits it.
+"""
+
+
+def run_concurrently(
+    coroutines: Sequence[Coroutine[Any, Any, Result]], server: Server
+) -> Iterator[tuple[int, Result]]:
+    """Yield index and result of each coroutine as soon as it ends.
+
+    The coroutines advance in rounds. Each round passes the pending requests of all of them to
+    ``server``. When a coroutine raises an `Exception`, those before it run to their end, those
+    behind it stop, and its exception is raised. Of several exceptions, that of the first
+    coroutine is raised.
     """
     requests: dict[int, Any] = {}
-    error, failed = None, len(calls)
+    error, failed = None, len(coroutines)
 
-    def advance(index: int, step: Callable[..., Any], *given: Any) -> Iterator[tuple[int, Result]]:
+    def advance(index: int, resume: Callable[[Any], Any], value: Any) -> Iterator[Any]:
         nonlocal error, failed
         try:
-            requests[index] = step(*given)
+            requests[index] = resume(value)
         except StopIteration as end:
             yield index, end.value
-        except Exception as raised:  # whatever a call raises is raised for it, in its turn
+        except Exception as raised:  # raised again below, when the coroutines before it ended
             if index < failed:
                 error, failed = raised, index
 
-    for index, call in enumerate(calls):
-        yield from advance(index, next, call)
+    try:
+        for index, coroutine in enumerate(coroutines):
+            yield from advance(index, coroutine.send, None)
+            if error is not None:
+                break
+        while requests:
+            pending, requests = requests, {}
+            for index, answer in server({n: pending[n] for n in pending if n < failed}):
+                coroutine = coroutines[index]
+                resume = coroutine.throw if isinstance(answer, Exception) else coroutine.send
+                yield from advance(index, resume, answer)
         if error is not None:
-            break
-    while requests:
-        asked, requests = requests, {}
-        for index, answer in answers({n: asked[n] for n in asked if n < failed}):
-            resume = calls[index].throw if isinstance(answer, Exception) else calls[index].send
-            yield from advance(index, resume, answer)
-    if error is not None:
-        raise error
+            raise error
+    finally:
+        for coroutine in coroutines:
+            coroutine.close()
 
 
-def coroutine(
-    answers: Answers,
-) -> Callable[[Callable[Arguments, Steps[Result]]], Callable[Arguments, Result]]:
-    """Decorator: a generator function as a plain function, whose own requests ``answers`` meets."""
+def synchronous(
+    server: Server,
+) -> Callable[[Callable[Arguments, Coroutine[Any, Any, Result]]], Callable[Arguments, Result]]:
+    """Return a decorator that turns an async function into a plain one.
 
-    def decorate(function: Callable[Arguments, Steps[Result]]) -> Callable[Arguments, Result]:
+    A call of the plain function runs the coroutine and serves its requests by ``server``.
+    """
+
+    def decorate(
+        function: Callable[Arguments, Coroutine[Any, Any, Result]],
+    ) -> Callable[Arguments, Result]:
         @wraps(function)
-        def alone(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
-            ((_, result),) = drive([function(*arguments, **named)], answers)
+        def plain(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+            ((_, result),) = run_concurrently([function(*arguments, **named)], server)
             return result
 
-        vars(alone).update(steps=function, answers=answers)
-        return alone
+        vars(plain).update(async_function=function, server=server)
+        return plain
 
     return decorate
 
 
-def steps(
+async def awaitable(
     function: Callable[Arguments, Result], *arguments: Arguments.args, **named: Arguments.kwargs
-) -> Steps[Result]:
-    """A call of ``function`` for ``yield from`` and `drive`; what is no coroutine asks nothing."""
+) -> Result:
+    """Call ``function`` from an async function: ``await awaitable(function, ...)``.
+
+    The requests of a `synchronous` function, or of a `functools.partial` of one, reach the server
+    of the outer coroutine. Any other function is called when the coroutine is awaited.
+    """
     call: Any = partial(function, *arguments, **named)
-    if not hasattr(call.func, "steps"):
-        return call()
-    return (yield from call.func.steps(*call.args, **call.keywords))
+    if is_synchronous(function):
+        return await call.func.async_function(*call.args, **call.keywords)
+    return call()
 
 
-def is_coroutine(function: Callable[..., Any]) -> bool:
-    """Whether calls of ``function`` gain from going on together."""
-    return hasattr(partial(function).func, "steps")
+def is_synchronous(function: Callable[..., Any]) -> bool:
+    """Whether ``function`` is `synchronous`, or a `functools.partial` of such a function."""
+    return hasattr(partial(function).func, "async_function")
 
 
-def together(
+def map_concurrently(
     function: Callable[[Item], Result], items: Iterable[Item]
 ) -> Iterator[tuple[int, Result]]:
-    """`drive` for ``function`` of each item."""
-    answers = getattr(partial(function).func, "answers", None) or (lambda requests: iter(()))
-    return drive([steps(function, item) for item in items], answers)
+    """Yield index and ``function(item)`` of each item; a `synchronous` function shares batches."""
+    server = getattr(partial(function).func, "server", None) or (lambda requests: iter(()))
+    return run_concurrently([awaitable(function, item) for item in items], server)
 
 
 class _UnknownValueError(Exception):
-    """A value that is not evaluated yet; carries its argument."""
+    """Raised for an argument without a value; carries the argument."""
 
 
-def evaluated(
+async def search_async(
     search: Callable[[Callable[[float], float]], Result],
-    evaluate: Callable[[float], Steps[float]],
-) -> Steps[Result]:
-    """``search(function)``, where ``evaluate`` gives the values of ``function`` as a coroutine.
+    function: Callable[[float], Coroutine[Any, Any, float]],
+) -> Result:
+    """Return ``search(f)``, where ``await function(x)`` gives the values of f.
 
-    The search, which must be deterministic, begins again after each new value; it finds those that
-    are known without a wait. So a plain root finder can look for what takes runs.
+    This lets a plain root finder search an async function. ``search`` must be deterministic: it
+    starts again after each new value and gets the known values from a table.
     """
     values: dict[float, float] = {}
 
-    def function(argument: float) -> float:
+    def tabulated(argument: float) -> float:
         if argument not in values:
             raise _UnknownValueError(argument)
         return values[argument]
 
     while True:
         try:
-            return search(function)
+            return search(tabulated)
         except _UnknownValueError as unknown:
             argument = unknown.args[0]
-        values[argument] = yield from evaluate(argument)
+        values[argument] = await function(argument)

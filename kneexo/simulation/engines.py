@@ -14,14 +14,14 @@ from kneexo.compiler.model import DiagramModel, compile_diagram
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.errors import KneexoError, ParameterError, StiffnessError
 from kneexo.parameters import Scenario
-from kneexo.simulation.coroutines import Steps, coroutine
+from kneexo.simulation.coroutines import Request, synchronous
 from kneexo.simulation.drake import simulate_diagram
 from kneexo.simulation.run import Run
 
 
 @dataclass(frozen=True)
-class RunRequest:
-    """What a `coroutine` yields for a `Run` of a scenario; see `simulate` for the rest."""
+class RunRequest(Request[Run]):
+    """A request for the `Run` of a scenario; `simulate` describes the fields."""
 
     scenario: Scenario
     signals: Sequence[str] | None = None
@@ -41,11 +41,12 @@ MOST_STEPS = 1_000_000_000
 """Most steps of a fixed size in a run."""
 
 
-def answers(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
-    """The run of each request, or why it failed, as soon as it is there.
+def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
+    """Yield the index of each request with its run or its error, as soon as the run ends.
 
-    The compiled engine gets the runs of each structure together; those in which the exact hold
-    gives up follow, by RK4 with steps of 20 µs. No run depends on which others there are.
+    The compiled engine simulates the runs of one structure in batches. A run in which the exact
+    hold fails is repeated by RK4 with steps of 20 µs. The result of a run does not depend on the
+    other runs in its batch.
     """
     from kneexo.compiler.native.runner import ROUGH_STEP_S
 
@@ -189,18 +190,22 @@ def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterat
         del waiting[:size]
 
 
-needs_runs = coroutine(answers)
-"""Decorator of generator functions that yield a `RunRequest` for each `Run` that they need."""
+needs_runs = synchronous(serve_runs)
+"""Turn an async function that awaits runs into a plain function (a decorator).
+
+Inside, ``await awaitable(simulate, scenario)`` returns a `Run`. Calls that go on at the same time,
+as those of `kneexo.sweeps.parallel_map`, share batches of runs.
+"""
 
 
 @needs_runs
-def simulate(
+async def simulate(
     scenario: Scenario = Scenario(),
     *,
     signals: Sequence[str] | None = None,
     progress: Callable[[float], Any] | None = None,
     diagram: Diagram | None = None,
-) -> Steps[Run]:
+) -> Run:
     """Run the closed loop of ``scenario``; all available signals by default.
 
     ``diagram``: a closed loop of the user's own, with output ports of `kneexo.diagrams.SIGNALS`, in
@@ -210,4 +215,4 @@ def simulate(
     Where the exact hold cannot follow, RK4 with steps of 20 µs goes on in its place (the run's
     ``settings`` say so). Raises what `make_closed_loop` and `simulate_diagram` raise.
     """
-    return (yield RunRequest(scenario, signals, progress, diagram))
+    return await RunRequest(scenario, signals, progress, diagram)

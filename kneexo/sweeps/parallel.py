@@ -26,7 +26,7 @@ from kneexo.compiler.native.cores import available_cores
 from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later
 from kneexo.progress import progress_bar
-from kneexo.simulation.coroutines import is_coroutine, together
+from kneexo.simulation.coroutines import is_synchronous, map_concurrently
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
 from kneexo.version import __version__
 
@@ -40,11 +40,11 @@ CONNECT_S = 10.0
 """How long a Dask scheduler and its workers are waited for."""
 
 LARGEST_LOT = 512
-"""Most calls of a `coroutine` that go on together."""
+"""Largest number of calls that share batches of runs (`kneexo.simulation.needs_runs`)."""
 
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # read when numpy is imported
 _UNITS_PER_WORKER = 4  # under way at a time, so that no worker waits for this process
-_FIRST_UNIT = 8  # calls of a coroutine; as many as their runs have lanes
+_FIRST_UNIT = 8  # calls that share batches; as many as a batch has lanes
 _WORKERS = 250  # of an executor that does not say how many it has
 
 
@@ -188,10 +188,10 @@ def parallel_map(
     ``workers``: see `process_pool`; with more than one a script needs
     ``if __name__ == "__main__":``, because processes are spawned. An ``executor`` of the caller's
     goes before ``workers``; any of the kind of ``concurrent.futures`` will do, such as
-    `dask_cluster`'s. Small items go there together (`UNIT_S`). Calls of a `coroutine` go on
-    together, too, with the same results as alone. ``description`` shows a progress bar that
-    advances by ``weight(item)``. The first error ends the work and is raised; so does
-    KeyboardInterrupt.
+    `dask_cluster`'s. Small items go there together (`UNIT_S`). Calls of a function that
+    `needs_runs` share batches of runs, with the same results as alone. ``description`` shows a
+    progress bar that advances by ``weight(item)``. The first error ends the work and is raised;
+    so does KeyboardInterrupt.
 
     With a ``checkpoint`` every result is kept there as soon as it is known, and what it has
     already is not computed again; ``function`` then returns plain JSON data.
@@ -220,11 +220,12 @@ def parallel_map(
         order = sorted(set(range(len(items))) - set(results), key=lambda n: (-weight(items[n]), n))
         if pool is not None:
             _by_executor(function, items, order, pool, keep)
-        elif is_coroutine(function):
+        elif is_synchronous(function):
             units = _Units(order, _first_unit(function, len(order), 1))
             while unit := units.take(LARGEST_LOT):
                 end = time.perf_counter() + UNIT_S
-                for position, result in together(function, [items[index] for index in unit]):
+                batch = [items[index] for index in unit]
+                for position, result in map_concurrently(function, batch):
                     keep(unit[position], result)
                 units.give_back([], len(unit), time.perf_counter() < end)
         else:
@@ -255,8 +256,8 @@ class _Units:
 
 
 def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
-    """Items of the first units: some calls of a coroutine if that leaves work for all workers."""
-    if not is_coroutine(function):
+    """Items of the first units: several if calls share batches and all workers still get work."""
+    if not is_synchronous(function):
         return 1
     return max(1, min(_FIRST_UNIT, count // (_UNITS_PER_WORKER * workers)))
 
@@ -264,10 +265,10 @@ def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
 def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], bool]:
     """Results of the first of ``items``, those begun within `UNIT_S`, and whether time is left."""
     end = time.perf_counter() + UNIT_S
-    lot = LARGEST_LOT if is_coroutine(function) else 1
+    lot = LARGEST_LOT if is_synchronous(function) else 1
     results: dict[int, Result] = {}
     for first in range(0, len(items), lot):
-        ended = together(function, items[first : first + lot])
+        ended = map_concurrently(function, items[first : first + lot])
         results |= {first + n: result for n, result in ended}
         if time.perf_counter() >= end:
             return [results[n] for n in range(len(results))], False

@@ -9,7 +9,7 @@ from kneexo.errors import KneexoError, LinkageError, ParameterError, SimulationE
 from kneexo.parameters import Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
 from kneexo.simulation import compiled, engines
-from kneexo.simulation.engines import RunRequest, answers
+from kneexo.simulation.engines import RunRequest, serve_runs
 
 SHORT = Scenario(simulation=SimulationParameters(duration_s=0.2))
 
@@ -106,7 +106,7 @@ def varied(count):
 
 def together(scenarios, **options):
     requests = {10 * n: RunRequest(scenario, **options) for n, scenario in enumerate(scenarios)}
-    found = dict(answers(requests))
+    found = dict(serve_runs(requests))
     assert set(found) == set(requests)
     return [found[10 * n] for n in range(len(scenarios))]
 

@@ -20,7 +20,7 @@ from hypothesis import given, strategies as st
 
 from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later
-from kneexo.simulation.coroutines import coroutine, steps
+from kneexo.simulation.coroutines import Request, awaitable, synchronous
 from kneexo.sweeps import open_sweep, parallel, parallel_map, process_pool
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
 
@@ -173,11 +173,11 @@ def test_no_more_is_submitted_than_the_workers_need():
     assert 3 <= executor.most <= 12
 
 
-# ------------------------------------------------------------------------------ coroutines
+# ------------------------------------------------------------------------- async functions
 
 
-def nothing(requests):
-    """An answer to each request: itself."""
+def count_requests(requests):
+    """Answer each request by itself."""
     BATCHES.append(len(requests))
     yield from requests.items()
 
@@ -192,20 +192,19 @@ def batches():
     return BATCHES
 
 
-@coroutine(nothing)
-def square(item):
-    """Asks as often as the last digit says."""
-    total = 0
+@synchronous(count_requests)
+async def square(item):
+    """Make as many requests as the last digit says."""
     for _ in range(item % 10):
-        total += yield item
-    return item * item + 0 * total
+        await Request()
+    return item * item
 
 
-@coroutine(nothing)
-def square_below(limit, item):
+@synchronous(count_requests)
+async def square_below(limit, item):
     if item >= limit:
         raise ValueError(f"{item} is too much")
-    return (yield from steps(square, item))
+    return await awaitable(square, item)
 
 
 def test_calls_go_on_together_with_the_results_of_each_alone(batches):

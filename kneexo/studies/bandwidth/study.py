@@ -33,7 +33,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, require_increasing
 from kneexo.result import Array, Result, data_frame
-from kneexo.simulation import Steps, needs_runs, steps
+from kneexo.simulation import awaitable, needs_runs
 from kneexo.sweeps import SweepOptions, open_sweep
 
 
@@ -207,9 +207,9 @@ _Item = tuple[float, float | None, bool]
 
 
 @needs_runs
-def _measure(
+async def _measure(
     scenario: Scenario, settings: SineEstimateSettings, item: _Item
-) -> Steps[dict[str, Any]]:
+) -> dict[str, Any]:
     """One piece of the map as plain data."""
     amplitude, frequency, quantized = item
     values = {"reference.amplitude_deg": amplitude}
@@ -218,9 +218,9 @@ def _measure(
     at = changed(scenario if quantized else scenario.without_quantizers(), values)
     try:
         if frequency is None:
-            bandwidth = yield from steps(large_signal_bandwidth_hz, at)
+            bandwidth = await awaitable(large_signal_bandwidth_hz, at)
             return {"measured_hz": bandwidth, "failure": ""}
-        estimate = yield from steps(estimate_sine, at, settings)
+        estimate = await awaitable(estimate_sine, at, settings)
     except SimulationError as error:
         failed = {"measured_hz": math.nan, "response": [math.nan, math.nan]}
         return CELL | failed | {"failure": str(error)}

@@ -35,7 +35,7 @@ from kneexo.parameters.paths import applicable, changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.progress import progress_bar
 from kneexo.result import Array, Result
-from kneexo.simulation import Steps, needs_runs, steps
+from kneexo.simulation import awaitable, needs_runs
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness.study import Values, draw, realize
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
@@ -362,18 +362,16 @@ def search(
 
 
 @needs_runs
-def objective_deg(
+async def objective_deg(
     budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]
-) -> Steps[float]:
+) -> float:
     """Objective of one candidate on its training plants, in deg.
 
     The mean of the largest errors. A run that fails or too much chattering makes it more than
     2·`INFEASIBLE_DEG`, too little margin on any plant more than `INFEASIBLE_DEG`; both grow with
     the violation. An unstable loop has no margin.
     """
-    tracked = []
-    for plant in plants:
-        tracked.append((yield from steps(assess, plant, margins=False)))
+    tracked = [await awaitable(assess, plant, margins=False) for plant in plants]
     failed = np.mean([bool(values["tracking_failure"]) for values in tracked])
     if failed > 0.0:
         return float(INFEASIBLE_DEG * (3.0 + failed))

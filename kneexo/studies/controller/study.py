@@ -37,7 +37,7 @@ from kneexo.parameters.quantity import (
     require_increasing,
 )
 from kneexo.result import Array, Result
-from kneexo.simulation import Steps, needs_runs, steps
+from kneexo.simulation import awaitable, needs_runs
 from kneexo.studies.markdown import number, percent
 from kneexo.sweeps import SweepOptions, open_sweep
 
@@ -380,11 +380,11 @@ def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
 
 
 @needs_runs
-def _measure(settings: ControllerSettings, scenario: Scenario) -> Steps[dict[str, Any]]:
+async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
     """`FIGURES` of one point of the grid, and the first reason of a failure."""
     cases = experiments(scenario, settings)
-    at_reference = yield from steps(assess, scenario)
-    fast = yield from steps(assess, cases["fast"], margins=False)
+    at_reference = await awaitable(assess, scenario)
+    fast = await awaitable(assess, cases["fast"], margins=False)
     figures: dict[str, Any] = {name: at_reference[name] for name in FIGURES if name in at_reference}
     figures["fast_max_error_deg"] = fast["max_error_deg"]
     reasons = [
@@ -394,7 +394,7 @@ def _measure(settings: ControllerSettings, scenario: Scenario) -> Steps[dict[str
     ]
     for name, key in (("step", "settling_s"), ("large_step", "large_settling_s")):
         try:
-            step = yield from steps(track, cases[name])
+            step = await awaitable(track, cases[name])
             band = settings.settling_band_deg
             figures[key] = settling_time_s(step.run.time_s, step.error_deg, band)
         except KneexoError as failure:
@@ -405,13 +405,13 @@ def _measure(settings: ControllerSettings, scenario: Scenario) -> Steps[dict[str
 
 
 @needs_runs
-def _trap(settings: ControllerSettings, scenario: Scenario) -> Steps[dict[str, Any]]:
+async def _trap(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
     """Fields of a `TrapCase` but for λ and the variant."""
     linear = assess(scenario, tracking=False)
     margins = {name: linear[name] for name in ("stable", "disk_margin")}
     try:
-        tracked = yield from steps(track, scenario)
-        hold = yield from steps(track, experiments(scenario, settings)["hold"])
+        tracked = await awaitable(track, scenario)
+        hold = await awaitable(track, experiments(scenario, settings)["hold"])
     except KneexoError as failure:
         return margins | {"failure": str(failure)}
     late = hold.run.time_s >= 0.5 * hold.run.time_s[-1]

@@ -33,7 +33,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
-from kneexo.simulation import Steps, needs_runs, simulate, steps
+from kneexo.simulation import awaitable, needs_runs, simulate
 from kneexo.sweeps import SweepOptions, open_sweep
 
 
@@ -114,10 +114,10 @@ def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
 
 
 @needs_runs
-def tracking_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str, Any]]:
+async def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
     """Tracking run of one order under one load."""
     order, force = case
-    tracked = yield from steps(track, in_order(scenario, order, force), all_signals=True)
+    tracked = await awaitable(track, in_order(scenario, order, force), all_signals=True)
     run, metrics = tracked.run, tracked.metrics
     pressures = {"load_pressure": run["load_pressure_pa"]}
     if order == "full":
@@ -162,14 +162,14 @@ def _ramp(
 
 
 @needs_runs
-def speed_row(
+async def speed_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[str, float, bool]
-) -> Steps[dict[str, Any]]:
+) -> dict[str, Any]:
     """Speed of the rod while the command is at its limit."""
     order, force, flexing = case
     fast = _ramp(scenario, order, force, flexing, settings.speed_rate_deg_s)
     fast = changed(fast, {"simulation.duration_s": 1.0})
-    run = yield from steps(simulate, fast, signals=("rod_velocity", "motor_speed_command"))
+    run = await awaitable(simulate, fast, signals=("rod_velocity", "motor_speed_command"))
     late = run.time_s >= _START_S
     command = run["motor_speed_command_rad_s"][late]
     return {
@@ -182,9 +182,9 @@ def speed_row(
 
 
 @needs_runs
-def switching_row(
+async def switching_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[float, bool]
-) -> Steps[dict[str, Any]]:
+) -> dict[str, Any]:
     """What the rod does around its reference near the switching force, in full order."""
     force, flexing = case
     low, high = scenario.reference.range_deg
@@ -195,7 +195,7 @@ def switching_row(
             f"switching_rate_deg_s = {settings.switching_rate_deg_s:g} deg/s: the "
             f"{high - low:g} deg of the reference take {duration:g} s, must take > {_START_S:g} s"
         )
-    run = yield from steps(
+    run = await awaitable(
         simulate,
         changed(slow, {"simulation.duration_s": duration}).with_steps(settings.switching_step_s),
         signals=(
@@ -253,13 +253,13 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
 
 
 @needs_runs
-def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> Steps[dict[str, Any]]:
+async def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
     """Large-signal bandwidth of one order under one load."""
     order, force = case
     row = {"order": order, "disturbance_n": force, "bandwidth_hz": math.nan, "failure": ""}
     at = in_order(scenario, order, force)
     try:
-        row["bandwidth_hz"] = yield from steps(large_signal_bandwidth_hz, at)
+        row["bandwidth_hz"] = await awaitable(large_signal_bandwidth_hz, at)
     except KneexoError as error:
         row["failure"] = str(error)
     return row

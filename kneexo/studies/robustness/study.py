@@ -25,7 +25,7 @@ from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty
 from kneexo.parameters.paths import applicable, changed, value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.result import Array, Result
-from kneexo.simulation import Steps, needs_runs, steps
+from kneexo.simulation import awaitable, needs_runs
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 
@@ -125,12 +125,12 @@ def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> 
 
 
 @needs_runs
-def assess_plant(
+async def assess_plant(
     scenario: Scenario,
     uncertainty: UncertaintySet,
     judge: Callable[[Scenario], dict[str, Any]],
     values: Values,
-) -> Steps[dict[str, Any]]:
+) -> dict[str, Any]:
     """What ``judge`` says of the plant with those values: `realize`, where the run is.
 
     Of values that do not go together it says why, as ``tracking_failure``.
@@ -139,7 +139,7 @@ def assess_plant(
         plant = realize(scenario, uncertainty, values)
     except ParameterError as error:
         return {"stable": None, "tracking_failure": str(error).removeprefix("Scenario: ")}
-    return (yield from steps(judge, plant))
+    return await awaitable(judge, plant)
 
 
 def merit_value(visit: Visit, merit: str) -> float:

@@ -7,7 +7,7 @@ scenario's hardware, and the smallest hardware with which a closed loop walks.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Unpack
@@ -55,7 +55,7 @@ from kneexo.parameters.quantity import (
     require_increasing,
 )
 from kneexo.result import Array, Result
-from kneexo.simulation import Steps, needs_runs, steps
+from kneexo.simulation import awaitable, needs_runs
 from kneexo.studies.size import results as size_results
 from kneexo.sweeps import SweepOptions, open_sweep
 
@@ -151,34 +151,34 @@ _IMPLICIT_STEP_S = 1e-3
 
 
 @needs_runs
-def _at_reference(scenario: Scenario) -> Steps[dict[str, Any]]:
+async def _at_reference(scenario: Scenario) -> dict[str, Any]:
     """Bandwidth and tracking at the scenario's own sine; nan and ``failure`` where one fails."""
     failures = []
 
-    def measured(*names: str, part: Steps[Sequence[float]]) -> Steps[dict[str, float]]:
+    async def measured(*names: str, part: Awaitable[Sequence[float]]) -> dict[str, float]:
         try:
-            values = yield from part
+            values = await part
         except KneexoError as error:
             failures.append(str(error))
             values = [math.nan] * len(names)
         return dict(zip(names, values, strict=True))
 
-    def large_signal() -> Steps[Sequence[float]]:
-        return [(yield from steps(large_signal_bandwidth_hz, scenario))]
+    async def large_signal() -> Sequence[float]:
+        return [await awaitable(large_signal_bandwidth_hz, scenario)]
 
-    def small_signal() -> Sequence[float]:
+    async def small_signal() -> Sequence[float]:
         loop = linearize_loop(scenario, require_sine(scenario).mean_deg)
         return [loop.bandwidth_hz() if loop.stable else math.nan]
 
-    def tracking() -> Steps[Sequence[float]]:
-        metrics = (yield from steps(track, scenario)).metrics
+    async def tracking() -> Sequence[float]:
+        metrics = (await awaitable(track, scenario)).metrics
         return [metrics.max_error_deg, metrics.rms_error_deg, metrics.mean_command_change_rpm]
 
     figures = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
-    figures |= yield from measured("bandwidth_hz", part=large_signal())
-    figures |= yield from measured("small_signal_bandwidth_hz", part=steps(small_signal))
+    figures |= await measured("bandwidth_hz", part=large_signal())
+    figures |= await measured("small_signal_bandwidth_hz", part=small_signal())
     names = ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
-    figures |= yield from measured(*names, part=tracking())
+    figures |= await measured(*names, part=tracking())
     return figures | {"failure": "; ".join(failures)}
 
 

@@ -46,7 +46,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Array, Result
-from kneexo.simulation import Run, Steps, needs_runs, simulate, steps
+from kneexo.simulation import Run, awaitable, needs_runs, simulate
 from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.systems.knee_coordinates import rod_derivatives
@@ -242,9 +242,9 @@ def error_bounds(
 
 
 @needs_runs
-def check_sliding(
+async def check_sliding(
     settings: SlidingSettings, scenario: Scenario = SLIDING_LAW
-) -> Steps[dict[str, Any]]:
+) -> dict[str, Any]:
     """Run a scenario and measure, in plain numbers by name, what Eq. 27 promises.
 
     ``outside_share``: share of the run with |s| > Φ; of these samples, ``holding_share`` has
@@ -271,7 +271,7 @@ def check_sliding(
         ),
         math.nan,
     )
-    run, measured["failure"] = yield from _longest_run(scenario)
+    run, measured["failure"] = await _longest_run(scenario)
     measured["duration_s"] = float(run.time_s[-1])
     command = run["motor_speed_command_rad_s"]
     if not law.continuous:
@@ -341,13 +341,13 @@ def check_sliding(
     return measured
 
 
-def _longest_run(scenario: Scenario) -> Steps[tuple[Run, str]]:
+async def _longest_run(scenario: Scenario) -> tuple[Run, str]:
     """The run of a scenario, over half the time as long as it fails; and why it failed first."""
     failure, duration = "", scenario.simulation.duration_s
     while True:
         shortened = changed(scenario, {"simulation.duration_s": duration})
         try:
-            run = yield from steps(simulate, shortened, signals=sliding_signals(scenario))
+            run = await awaitable(simulate, shortened, signals=sliding_signals(scenario))
             return run, failure
         except SimulationError as error:
             failure = failure or str(error)
