@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from kneexo.errors import ScenarioError
-from kneexo.user_file import read_table
+from kneexo.files.table import read_table
 
 PATH = Path(__file__).parents[1] / "benchmarks" / "campaign_inputs.py"
 spec = importlib.util.spec_from_file_location("campaign_inputs", PATH)

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from kneexo.errors import OutputError, ParameterError, shown
+from kneexo.files.writing import output_directory, require_mark
 from kneexo.studies.catalogue import Study
 from kneexo.version import __version__
-from kneexo.whole_file import require_mark
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -79,8 +79,6 @@ def _executor(options: argparse.Namespace) -> AbstractContextManager[Executor | 
 
 def _results(options: argparse.Namespace) -> AbstractContextManager[Path]:
     """The directory for the results; notes when they are in ``--out``."""
-    from kneexo.command_line.output import output_directory
-
     return output_directory(options.out, partial(setattr, options, "written", True))
 
 
@@ -196,7 +194,7 @@ def sweep(study: Study, options: argparse.Namespace) -> None:
         compute = partial(compute, uncertainty=load_uncertainty(options.uncertainty, scenario))
     import matplotlib.pyplot  # noqa: F401  (where it cannot be imported, no work is lost)
 
-    from kneexo.command_line.output import output_directory, to_json
+    from kneexo.command_line.output import to_json
     from kneexo.sweeps.checkpoint import Checkpoint
 
     def finish() -> None:

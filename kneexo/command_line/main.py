@@ -20,10 +20,10 @@ from typing import Any, NoReturn
 from kneexo import system
 from kneexo.command_line import commands
 from kneexo.errors import KneexoError, WorkerError, escaped, shortened, shown
+from kneexo.files.table import NUMBER
 from kneexo.interruption import Terminated, interrupt_later, sigterm_raises
 from kneexo.studies.catalogue import PAPER, STUDIES, Study
 from kneexo.user_code import cause_of, place_in_user_code
-from kneexo.user_file import NUMBER
 from kneexo.version import __version__
 
 FIRST_STEPS = """\

@@ -17,6 +17,8 @@ from kneexo.compiler.model import compile_diagram
 from kneexo.diagrams.closed_loop import make_closed_loop
 from kneexo.errors import KneexoError, OutputError, ParameterError, shown
 from kneexo.export.target import Target, require_step, target
+from kneexo.files.reading import MIB, read_bytes
+from kneexo.files.writing import write_file
 from kneexo.parameters import CustomControllerParameters, Scenario, SlidingModeParameters
 from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters, limits_of, source_of as provenance_of
@@ -24,9 +26,7 @@ from kneexo.simulation.compiled import scenario_start, scenario_values, structur
 from kneexo.systems import knee_reference
 from kneexo.systems.bldc_pump import RAD_S_PER_KRAD_S
 from kneexo.systems.cylinder import PA_PER_MPA
-from kneexo.user_file import MIB, read_bytes
 from kneexo.version import __version__
-from kneexo.whole_file import write_whole
 
 TOOL = "kneexo"
 """The generation tool that the FMU's description names."""
@@ -89,7 +89,7 @@ def export_fmu(
         file /= f"{fmu.name}.fmu"
     _require_own(file)
     library = fmu.library()
-    write_whole(file, fmu.archive(library))
+    write_file(file, fmu.archive(library))
     return FmuFile(
         str(file),
         fmu.source.sample_time_s,

@@ -10,9 +10,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from kneexo.errors import ParameterError
+from kneexo.files.reading import file_error
+from kneexo.files.table import read_table
 from kneexo.gait import gait_knee_flexion
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.user_file import file_error, read_table
 
 
 def _flexion(default: float, source: str) -> Any:

@@ -1,25 +1,21 @@
-"""Finished pieces of a long sweep, kept on disk so that an interrupted one can go on."""
+"""The finished pieces of a long sweep on disk, so that an interrupted sweep can go on."""
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
-import os
-import stat
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import partial
-from io import FileIO
 from pathlib import Path
 from typing import Any
-from weakref import WeakValueDictionary, finalize
 
 from pydantic import BaseModel
 
 from kneexo.errors import OutputError, shown
-from kneexo.user_file import MIB, read_bytes
+from kneexo.files.locking import LockedFile
+from kneexo.files.reading import MIB
 from kneexo.version import __version__
 
 _HEADER = b'{"kneexo checkpoint": 1}'  # raise the number when the lines change
@@ -29,66 +25,50 @@ _MOST_BYTES = 4096 * MIB
 class Checkpoint:
     """A file with one JSON line for each finished piece of work.
 
-    A piece is known by its function, its input and kneexo's version, so a sweep takes from the
-    file what it would compute itself, and nothing else. Results are plain JSON data; floats come
-    back bit by bit. Each line has a checksum: damaged lines are skipped, a warning counts them.
+    A piece is identified by its function, its input and kneexo's version. So a sweep takes from the
+    file only results that it would compute itself. Results are plain JSON data; floats come back
+    bit by bit. Each line has a checksum: damaged lines are skipped, and a warning counts them.
 
-    Pieces that are in the file are used. ``resume`` False deletes them instead. The file is locked
-    until `close` or `remove`, until this process dies, or until it opens the file again. ``path``
-    None keeps nothing on disk.
+    Parameters
+    ----------
+    path
+        The file. It is locked until `close` or `remove`, until this process ends, or until this
+        process opens it again. None: the pieces stay in memory only.
+    resume
+        Whether to use the pieces that are in the file; False deletes them.
 
-    Raises `OutputError` when the file cannot be read or written, when another process has locked
-    it, and when it is no checkpoint: such a file is never changed.
+    Raises
+    ------
+    OutputError
+        The file cannot be read or written, another process has locked it, or it is no checkpoint.
+        A file that is no checkpoint is never changed.
     """
 
     def __init__(self, path: Path | None = None, *, resume: bool = True) -> None:
         self.path = path
         self._results: dict[str, Any] = {}
         self._used: set[str] = set()
-        self._file: FileIO | None = None
-        self._torn = False  # the file does not end with a whole line
+        self._file: LockedFile | None = None
+        self._torn = False  # whether the last line of the file is incomplete
         if path is None:
             return
         try:
-            file = self._open(path)
-            self._read(path)
+            if path.exists() and not path.is_file():
+                raise _foreign(path)
+            self._file = LockedFile(path)
+            self._read(path, self._file)
             if not resume:
-                file.truncate(0)
+                self._file.clear()
                 self._results.clear()
         except OSError as error:
             self.close()
-            raise error if isinstance(error, OutputError) else _fault(path, error) from None
+            raise _output_error(path, error) from None
 
-    def _open(self, path: Path) -> FileIO:
-        """Open and lock the file; it is made when missing."""
-        while self._file is None:
-            file = FileIO(path, "a+")
-            status = os.fstat(file.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                raise _foreign(path)
-            place = (status.st_dev, status.st_ino)
-            former = _OPEN.pop(place, None)
-            if former is not None:  # an error may keep it alive, such as the last of a notebook
-                former._release()
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise OutputError(
-                    f"checkpoint {shown(path)}: another process is at work on it; wait until "
-                    f"it has ended, or choose another directory"
-                ) from None
-            except OSError:  # a file system without locks
-                pass
-            if path.exists() and path.stat().st_ino == status.st_ino:  # else: just removed
-                self._file = file
-                _OPEN[place] = self
-                finalize(self, file.close)
-        return self._file
-
-    def _read(self, path: Path) -> None:
-        data = read_bytes(path, _MOST_BYTES)
+    def _read(self, path: Path, file: LockedFile) -> None:
+        """Fill ``_results`` with the undamaged pieces of the file."""
+        data = file.read(_MOST_BYTES)
         if _HEADER.startswith(data):  # empty, or the first write was cut short
-            self._open(path).truncate(0)
+            file.clear()
             return
         self._torn = not data.endswith(b"\n")
         damaged = 0
@@ -111,7 +91,7 @@ class Checkpoint:
             )
 
     def __len__(self) -> int:
-        """Number of finished pieces."""
+        """Return the number of finished pieces."""
         return len(self._results)
 
     def __contains__(self, key: str) -> bool:
@@ -123,67 +103,51 @@ class Checkpoint:
         return result
 
     def keep(self, key: str, result: Any) -> Any:
-        """Note the result of a piece; returns it as it will be read back."""
+        """Store the result of a piece; return it as a later process will read it."""
         payload = json.dumps([key, result])
-        if self.path is not None:
+        if self.path is not None and self._file is not None:
             try:
-                self._write(self._open(self.path), _sealed(payload.encode()))
+                self._write(self._file, _sealed(payload.encode()))
             except OSError as error:
-                raise (
-                    error if isinstance(error, OutputError) else _fault(self.path, error)
-                ) from None
+                raise _output_error(self.path, error) from None
         self._results[key] = json.loads(payload)[1]
         return self[key]
 
-    def _write(self, file: FileIO, line: bytes) -> None:
-        start = b"\n" if self._torn else b""
-        if not os.fstat(file.fileno()).st_size:
-            start = _HEADER + b"\n"
-        data = start + line + b"\n"
+    def _write(self, file: LockedFile, line: bytes) -> None:
+        start = _HEADER + b"\n" if file.is_empty else b"\n" if self._torn else b""
         self._torn = True
-        while data:  # a disk that is full takes a part, then it says why
-            data = data[file.write(data) :]
+        file.append(start + line + b"\n")
         self._torn = False
 
     def close(self) -> None:
         """Release the file; an empty one is deleted."""
-        if self._file and self.path and not os.fstat(self._file.fileno()).st_size:
-            self.path.unlink(missing_ok=True)
-        self._release()
-
-    def _release(self) -> None:
         if self._file is not None:
             self._file.close()
-            self._file = None
 
     def remove(self) -> int:
-        """Delete the file: the sweep is complete and its results are elsewhere.
+        """Delete the file, because the sweep is complete and its results are elsewhere.
 
-        Where it also holds pieces of other settings, which nobody asked for yet, it stays as it is;
-        returns their number.
+        The file stays if it also holds pieces that nobody has used yet, which belong to other
+        settings. Returns their number.
         """
-        others = len(self._results.keys() - self._used)
-        if not others and self.path is not None:
-            self.path.unlink(missing_ok=True)
+        unused = len(self._results.keys() - self._used)
+        if self._file is not None and not unused:
+            self._file.delete()
         self.close()
-        return others
-
-
-_OPEN: WeakValueDictionary[tuple[int, int], Checkpoint] = WeakValueDictionary()
-"""The checkpoints that this process has locked, by device and inode of the file."""
+        return unused
 
 
 def _sealed(payload: bytes) -> bytes:
-    """The line of a piece."""
+    """Return the line of a piece, with its checksum."""
     seal = hashlib.sha256(payload).hexdigest().encode()
     return b'{"sha256": "' + seal + b'", "piece": ' + payload + b"}"
 
 
-_PAYLOAD = len(_sealed(b"")) - len(b"}")  # where it begins in a line
+_PAYLOAD = len(_sealed(b"")) - len(b"}")  # where the payload of a line begins
 
 
 def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
-    """Names of the pieces ``function(item)``: the same in every process and session."""
+    """Return a name for each piece ``function(item)``; every process computes the same names."""
     shared = hashlib.sha256(_text([__version__, function]))
     keys = []
     for item in items:
@@ -198,7 +162,7 @@ def _text(value: Any) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """Plain data for a value that JSON lacks."""
+    """Return plain data in place of a value that JSON cannot write."""
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]
     if isinstance(value, partial):
@@ -215,7 +179,15 @@ def _plain(value: Any) -> Any:
 _ENCODER = json.JSONEncoder(sort_keys=True, default=_plain)
 
 
-def _fault(path: Path, error: OSError) -> OutputError:
+def _output_error(path: Path, error: OSError) -> OutputError:
+    """Return the error of a file that cannot be opened, read or written."""
+    if isinstance(error, OutputError):
+        return error
+    if isinstance(error, BlockingIOError):
+        return OutputError(
+            f"checkpoint {shown(path)}: another process is at work on it; wait until it has ended, "
+            f"or choose another directory"
+        )
     reason = error.strerror or str(error)
     return OutputError(f"checkpoint {shown(path)}: {reason}; the pieces that it holds are kept")
 

@@ -6,10 +6,10 @@ import math
 from pathlib import Path
 
 from kneexo.errors import ScenarioError, SimulationError, shown
+from kneexo.files.table import read_table
 from kneexo.parameters import Scenario
 from kneexo.parameters.reference import LONGEST_TIME_S
 from kneexo.simulation import Run, simulate
-from kneexo.user_file import read_table
 from kneexo.view.page import COLUMNS, Leg
 
 SIGNALS = ("knee_angle", "knee_reference", "load_pressure")

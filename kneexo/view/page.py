@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
 
+from kneexo.files.writing import require_mark, write_file
 from kneexo.parameters import LinkageParameters
 from kneexo.result import Array
 from kneexo.version import __version__
@@ -33,7 +34,6 @@ from kneexo.view.mechanism import (
     pressure_colours,
     shapes,
 )
-from kneexo.whole_file import require_mark, write_whole
 
 FRAMES_PER_S = 32.0
 """Frames of a recording in a second."""
@@ -146,7 +146,7 @@ def require_page(path: Path) -> None:
 def write_page(path: Path, page: str) -> None:
     """Write a page in the place of an earlier one; `OutputError` where that cannot be."""
     require_page(path)
-    write_whole(path, page.encode())
+    write_file(path, page.encode())
 
 
 def _record(

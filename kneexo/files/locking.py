@@ -1,0 +1,106 @@
+"""Locks that keep other processes away from a file; the kernel releases them with the process."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import stat
+from contextlib import suppress
+from io import FileIO
+from pathlib import Path
+from weakref import WeakValueDictionary, finalize
+
+from kneexo.files.reading import read_bytes
+
+
+def lock(file: int | FileIO) -> None:
+    """Lock an open file for this process.
+
+    Does nothing on a file system that has no locks. Raises `BlockingIOError` if the file is locked
+    already.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:
+        pass
+
+
+class LockedFile:
+    """A regular file that only one object of one process reads and extends at a time.
+
+    The constructor opens and locks the file, and creates a missing file. The lock ends with
+    `close`, with `delete` or with the process. It also ends when this process opens the same file
+    by another `LockedFile`, because an exception, such as the last one of a notebook, may keep the
+    first object alive. `append` opens and locks the file again if necessary.
+
+    Raises `BlockingIOError` if another process has locked the file, and `OSError` if the file is
+    not regular or cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._stream: FileIO | None = None
+        self._open()
+
+    def read(self, most_bytes: int) -> bytes:
+        """Return the content; raises `OSError` if it has more than ``most_bytes`` bytes."""
+        return read_bytes(self._path, most_bytes)
+
+    def append(self, data: bytes) -> None:
+        """Write all of ``data`` at the end of the file.
+
+        Raises `OSError` if the file cannot be written; a part of ``data`` may be in the file then.
+        """
+        stream = self._open()
+        while data:  # a disk that is almost full accepts a part, then raises
+            data = data[stream.write(data) :]
+
+    def clear(self) -> None:
+        """Remove the content."""
+        self._open().truncate(0)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the file has no content."""
+        return not os.fstat(self._open().fileno()).st_size
+
+    def close(self) -> None:
+        """Release the lock, and delete the file if it is empty. A second call does nothing."""
+        if self._stream is not None and self.is_empty:
+            self._path.unlink(missing_ok=True)
+        self._release()
+
+    def delete(self) -> None:
+        """Delete the file and release the lock."""
+        self._path.unlink(missing_ok=True)
+        self._release()
+
+    def _open(self) -> FileIO:
+        """Return the open file; open and lock it if necessary."""
+        while self._stream is None:
+            stream = FileIO(self._path, "a+")
+            finalize(self, stream.close)
+            status = os.fstat(stream.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise OSError("is not a regular file")
+            inode = (status.st_dev, status.st_ino)
+            if (former := _LOCKED.pop(inode, None)) is not None:
+                former._release()
+            lock(stream)
+            with suppress(FileNotFoundError):
+                if self._path.stat().st_ino == status.st_ino:
+                    self._stream = stream
+                    _LOCKED[inode] = self
+            # Otherwise another process has deleted the file since it was opened.
+        return self._stream
+
+    def _release(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+
+_LOCKED: WeakValueDictionary[tuple[int, int], LockedFile] = WeakValueDictionary()
+"""The files that this process has locked, by device and inode."""

@@ -1,0 +1,175 @@
+"""Write the files of a result: all of them or none, and never over a file of somebody else.
+
+New files are written to a temporary directory ``.kneexo-…`` beside their destination and moved at
+the end. A process holds a lock in its temporary directory. A later process deletes the temporary
+directories that nobody locks, which processes that were killed have left.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from kneexo.errors import OutputError, shown
+from kneexo.files.locking import lock
+from kneexo.files.reading import MIB, read_bytes
+from kneexo.interruption import interrupt_later
+
+_MOST_BYTES = 256 * MIB  # no page of kneexo is larger
+_PREFIX = ".kneexo-"
+_LOCK = "kneexo.lock"
+
+
+def require_mark(path: Path, mark: str, kind: str) -> None:
+    """Raise `OutputError` for a file without our ``mark``; ``kind`` names it in the message."""
+    try:
+        marked = mark.encode() in read_bytes(path, _MOST_BYTES)
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError:
+        marked = False
+    if not marked:
+        raise OutputError(f"{shown(path)} exists and is no {kind}; choose another --out")
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file, or replace an earlier one. Missing directories are created.
+
+    Raises `OutputError` if the file cannot be written. An earlier file is unchanged then, and no
+    new directory is left.
+    """
+    with _replacement(path.parent, f"--out {shown(path)}", "") as directory:
+        (directory / path.name).write_bytes(content)
+
+
+@contextmanager
+def output_directory(
+    path: str | os.PathLike[str], when_written: Callable[[], object] | None = None
+) -> Iterator[Path]:
+    """Context manager: gives a temporary directory, whose files move to ``path`` at the end.
+
+    All files move or none. If the body fails or a file cannot be moved, ``path`` is as before.
+    Missing directories are created, and removed again after a failure. ``when_written`` is called
+    when the files are in ``path``, before Ctrl-C or SIGTERM can interrupt.
+
+    Raises `OutputError` before the body if ``path`` cannot be written, and after it if the files
+    cannot be written. An `OSError` of the body becomes an `OutputError`.
+    """
+    target = Path(path)
+    remedy = "; choose another directory"
+    with _replacement(target, f"--out {shown(target)}", remedy, when_written) as directory:
+        yield directory
+
+
+@contextmanager
+def _replacement(
+    target: Path,
+    option: str,
+    remedy: str,
+    when_written: Callable[[], object] | None = None,
+) -> Iterator[Path]:
+    """Implement `output_directory`; messages begin with ``option`` and end with ``remedy``."""
+    created: list[Path] = []
+    workspace, lock_file = None, None
+    try:
+        created = [folder for folder in (target, *target.parents) if not folder.exists()]
+        with interrupt_later():
+            target.mkdir(parents=True, exist_ok=True)
+            _delete_leftovers(target)
+            workspace, lock_file = _workspace(target)
+        yield workspace / "new"
+        with interrupt_later():
+            _replace(target, workspace)
+            if when_written is not None:
+                when_written()
+    except OSError as error:
+        if isinstance(error, OutputError):
+            raise
+        reason = error.strerror or str(error)
+        raise OutputError(f"{option}: cannot write there ({reason}){remedy}") from None
+    finally:
+        with interrupt_later():
+            if workspace is not None and lock_file is not None:
+                _delete(workspace)
+                os.close(lock_file)
+            for folder in created:
+                with suppress(OSError):  # not empty, or never created
+                    folder.rmdir()
+
+
+def _workspace(target: Path) -> tuple[Path, int]:
+    """Create a temporary directory in ``target``; return its path and its locked file descriptor.
+
+    The directory holds the file `_LOCK`, ``new`` for results and ``old`` for the files that the
+    results replace.
+    """
+    while True:
+        workspace = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=target))
+        # Before it is locked, another process may delete it as a leftover; then the loop repeats.
+        with suppress(FileNotFoundError, BlockingIOError):
+            lock_file = os.open(workspace / _LOCK, os.O_RDWR | os.O_CREAT)
+            try:
+                lock(lock_file)
+                (workspace / "old").mkdir()
+                (workspace / "new").mkdir()
+            except OSError:  # nobody could delete the directory while it is locked
+                os.close(lock_file)
+                raise
+            return workspace, lock_file
+
+
+def _delete_leftovers(target: Path) -> None:
+    """Delete the temporary directories in ``target`` that no process locks."""
+    for folder in target.glob(f"{_PREFIX}*"):
+        # Errors: it is locked, it is not ours, or the file system has no locks.
+        with suppress(OSError):
+            if not os.listdir(folder):
+                folder.rmdir()
+                continue
+            lock_file = os.open(folder / _LOCK, os.O_RDWR)
+            try:
+                fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _delete(folder)
+            finally:
+                os.close(lock_file)
+
+
+def _delete(workspace: Path) -> None:
+    """Delete the lock last, so that a later process recognizes what a kill leaves."""
+    for folder in (workspace / "new", workspace / "old", workspace):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _replace(target: Path, workspace: Path) -> None:
+    """Move the new files to ``target``; restore the old files if one cannot be moved."""
+    old = workspace / "old"
+    files = sorted((workspace / "new").iterdir())
+    for file in files:
+        destination = target / file.name
+        if destination.is_dir():
+            raise OutputError(
+                f"--out {shown(target)}: {file.name} is a directory there; move it away or "
+                f"choose another directory"
+            )
+        if os.path.lexists(destination):
+            try:
+                os.link(destination, old / file.name, follow_symlinks=False)
+            except OSError:  # a file system without hard links
+                shutil.copy2(destination, old / file.name, follow_symlinks=False)
+    moved = []
+    try:
+        for file in files:
+            os.replace(file, target / file.name)
+            moved.append(file.name)
+    except OSError:
+        for name in moved:
+            if os.path.lexists(old / name):
+                os.replace(old / name, target / name)
+            else:
+                (target / name).unlink()
+        raise

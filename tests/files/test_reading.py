@@ -1,0 +1,101 @@
+import os
+import tracemalloc
+
+import pytest
+
+from kneexo.errors import ScenarioError
+from kneexo.files import reading
+from kneexo.files.reading import read_bytes, read_text
+from kneexo.files.table import read_table
+
+# --------------------------------------------------------------------------------- bytes
+
+
+def test_a_file_may_have_its_limit_and_no_more(write):
+    path = write(b"x" * 100)
+    assert read_bytes(path, 100) == b"x" * 100
+    with pytest.raises(OSError, match="is too large, must have at most 99 bytes"):
+        read_bytes(path, 99)
+
+
+def test_a_file_that_reports_no_size_is_read_up_to_the_limit():
+    path = "/proc/self/maps"
+    assert os.stat(path).st_size == 0
+    assert b"[stack]" in read_bytes(path, 2**24)
+    with pytest.raises(OSError, match="is too large"):
+        read_bytes(path, 10)
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(2**40)
+    tracemalloc.start()
+    with pytest.raises(OSError, match="is too large"):
+        read_bytes(tmp_path / "sparse", 2**38)
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+
+
+def test_only_regular_files_are_opened(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    for name, reason in (
+        ("pipe", "is not a regular file"),
+        ("zero", "is not a regular file"),
+        ("loop", "Too many levels of symbolic links"),
+        ("missing", "No such file or directory"),
+        ("", "Is a directory"),
+    ):
+        for read in (lambda path: read_text(path, 100), lambda path: read_table(path, ("t",))):
+            with pytest.raises(ScenarioError, match=f"cannot be read: {reason}$"):
+                read(tmp_path / name)
+
+
+def test_a_pipe_that_replaces_a_file_does_not_hang(tmp_path, monkeypatch, write):
+    os.mkfifo(tmp_path / "pipe")
+    status = os.stat(write("t\n"))
+    monkeypatch.setattr(reading.os, "stat", lambda path: status)
+    assert read_bytes(tmp_path / "pipe", 10) == b""
+
+
+def test_a_file_that_does_not_fit_into_memory_is_an_error_with_its_name(monkeypatch, write, fault):
+    def full(*_):
+        raise MemoryError
+
+    path = write("t\n1\n")
+    with monkeypatch.context() as patch:
+        patch.setattr(reading.os, "fstat", full)
+        message = fault(read_text, path, 100)
+    assert message == "table.csv: cannot be read: is too large for the free memory"
+
+
+# ---------------------------------------------------------------------------------- text
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_text_comes_without_byte_order_mark(write, encoding):
+    assert read_text(write("λ\n".encode(encoding)), 100) == "λ\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("t\n1\n".encode("utf-16"), "table.csv: is in UTF-16 or UTF-32; save it as UTF-8"),
+        ("t\n1\n".encode("utf-32"), "table.csv: is in UTF-16 or UTF-32; save it as UTF-8"),
+        ("t\n1\n".encode("utf-16-le"), "table.csv:1: has a null byte; must be text in UTF-8"),
+        (b"t\n1\n2\0", "table.csv:3: has a null byte; must be text in UTF-8"),
+        (b"\xef\xbb\xbft\n\xe9", "table.csv:2: is not UTF-8: byte 0xe9; save it as UTF-8"),
+    ],
+)
+def test_the_error_of_another_encoding_names_the_remedy(write, fault, content, message):
+    assert fault(read_text, write(content), 100).startswith(message)
+
+
+def test_file_names_in_messages_are_short_and_on_one_line(tmp_path, fault):
+    line = fault(read_text, tmp_path / "a\n\x1b\udcff", 1)
+    assert line.startswith("a\\n\\x1b\\udcff: cannot be read")
+    for name in ("x" * 5000, "a\0b"):
+        with pytest.raises(ScenarioError) as caught:
+            read_text(name, 1)
+        assert len(str(caught.value)) < 400

@@ -1,0 +1,66 @@
+import pytest
+
+from kneexo.files import table
+from kneexo.files.table import read_table
+
+
+def test_columns_are_read_by_name(write):
+    path = write('# measured\n\n b , "a",note\r\n1,2,"x,y"\n#,,,\n\n3e1, -.5 ,"two\n# lines"\n')
+    columns = read_table(path, ("a", "b"))
+    assert columns.columns == {"a": [2.0, -0.5], "b": [1.0, 30.0]}
+    assert columns.lines == [4, 7]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_are_counted_after_a_quoted_newline(write, fault, end):
+    rows = ["t,note", f'0,"a{end}b{end}#c{end}{end}d"', "", "x,y"]
+    assert fault(read_table, write(end.join(rows)), ("t",)).startswith("table.csv:8: t: 'x'; must")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "table.csv: is empty"),
+        ("# t\n\n", "table.csv: is empty"),
+        ("a,b\n", "table.csv: has no column 't'; it has a, b"),
+        ("t,a,t\n0,1,2\n", "table.csv: has 2 columns 't'; must have one column of this name"),
+        ("t,a\n0,1\n\n0,1,5\n", "table.csv:4: has 3 values; must have 2, one of each column"),
+        ('t\n0\n"1\n2\n', "table.csv:3: a quotation mark opens a field that does not end"),
+        ('t,a\n0,"' + "x" * 140_000, "table.csv:2: a field has more than 131072 characters"),
+        ('t,a\n0,"1"2\n', "table.csv:2: ',' expected after '\"'; must be a record of CSV"),
+        *(
+            (f"t\n0\n{number}\n", f"table.csv:3: t: {number!a}; must be a finite number".rstrip())
+            for number in ("1_0", "nan", "inf", "1e999", "0x1", "1 0")
+        ),
+        ("t,a\n٣,1\n", "table.csv:2: t: '٣'; must be a finite number in the digits 0-9"),
+        ("a,t\n1\n", "table.csv:2: t: no value; must be"),
+        (f"{'t' * 9000}\n", "table.csv: has no column 't'; it has tttt"),
+        (f"t\n{'x' * 9000}\n", "table.csv:2: t: 'xxx"),
+    ],
+)
+def test_the_error_of_a_damaged_table_is_one_short_line(write, fault, content, message):
+    line = fault(read_table, write(content), ("t",))
+    assert line.startswith(message)
+    assert len(line) < 500
+
+
+def test_blank_fields_after_the_last_column_are_ignored(write):
+    assert read_table(write("t,a\n0,1,, \n"), ("t",)).columns == {"t": [0.0]}
+
+
+def test_a_value_outside_the_limits_of_its_column_is_an_error_with_its_line(write, fault):
+    columns = read_table(write("t\n0\n\n1\n0.5\n"), ("t",))
+    columns.require("t", 0.0, 1.0, "s")
+    message = "table.csv:4: t = 1 s is out of range: must be >= 0 and <= 0.9 s"
+    assert fault(columns.require, "t", 0.0, 0.9, "s") == message
+    message = "table.csv:5: t = 0.5 s after 1 s: must increase by at least 0.1 s from row to row"
+    assert fault(columns.require_increase, "t", 0.1, "s") == message
+
+
+def test_a_table_that_does_not_fit_into_memory_is_an_error_with_its_name(monkeypatch, write, fault):
+    def full(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(table, "_number", full)
+    message = "table.csv: cannot be read: has too many rows for the free memory"
+    assert fault(read_table, write("t\n1\n"), ("t",)) == message
