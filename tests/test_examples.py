@@ -1,0 +1,87 @@
+"""The examples run, print what they should, and stay short enough to be copied."""
+
+import csv
+import importlib.util
+import re
+import runpy
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from kneexo.analysis import track
+from kneexo.parameters import CylinderParameters, KneeLoadParameters, PlantParameters, Scenario
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SHORT = ("own_law", "bode", "thousand_runs", "pendulum")
+
+
+@pytest.fixture
+def run_example(monkeypatch, capsys):
+    """Run an example as a script; return the lines that it prints, and the axes of its picture."""
+
+    def run(name):
+        pictures = {}
+        monkeypatch.setattr(plt, "savefig", lambda path: pictures.update({path: plt.gcf().axes}))
+        runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+        assert list(pictures) == [f"{name}.png"]
+        return capsys.readouterr().out.splitlines(), pictures[f"{name}.png"]
+
+    return run
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_an_example_has_at_most_40_lines(name):
+    assert len((EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()) <= 40
+
+
+def test_the_law_of_the_example_moves_the_knee_to_its_target(run_example):
+    (line,), (ax,) = run_example("own_law")
+    angle = float(re.fullmatch(r"knee angle after 1 s: (.*) deg", line)[1])
+    # After 1 s the error has fallen below 0.1 deg, monotonically.
+    assert angle == pytest.approx(20.0, abs=0.1)
+    time_s, angles = ax.lines[0].get_data()
+    assert angles[[0, -1]] == pytest.approx([10.0, angle], abs=0.01)
+    assert time_s[-1] == 1.0
+    assert np.all(np.diff(angles) > -1e-9)
+    assert ax.get_ylabel() == "knee angle (deg)"
+
+
+def test_the_bode_example_shows_the_phase_margin_that_it_prints(run_example):
+    lines, (_, phase) = run_example("bode")
+    margin = float(re.fullmatch(r"the phase margin is (.*) deg", lines[-1])[1])
+    assert 0.0 < margin < 90.0
+    (vertical,) = [line for line in phase.lines if "phase margin" in str(line.get_label())]
+    assert np.ptp(vertical.get_ydata()) == pytest.approx(margin, abs=0.06)
+
+
+def test_the_table_of_many_runs_has_a_line_for_each(tmp_path):
+    spec = importlib.util.spec_from_file_location("thousand_runs", EXAMPLES / "thousand_runs.py")
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    example.write_table(tmp_path / "table.csv", runs=3, workers=1)
+    with open(tmp_path / "table.csv", newline="", encoding="utf-8") as file:
+        rows = [{name: float(text) for name, text in row.items()} for row in csv.DictReader(file)]
+    assert len(rows) == 3
+    assert len({row["mass_kg"] for row in rows}) == 3
+    last = rows[-1]
+    plant = PlantParameters(
+        cylinder=CylinderParameters(
+            mass_kg=last["mass_kg"], bulk_modulus_pa=last["bulk_modulus_pa"]
+        ),
+        load=KneeLoadParameters(segment_mass_kg=last["shank_kg"]),
+    )
+    assert last["max_error_deg"] == track(Scenario(plant=plant)).metrics.max_error_deg
+
+
+def test_the_pendulum_of_the_example_loses_its_energy(run_example):
+    (parameters, *ends), (ax,) = run_example("pendulum")
+    assert "'.length': 0.5" in parameters
+    starts, last = np.array([re.findall(r"(\S+) deg", line) for line in ends], dtype=float).T
+    assert starts.tolist() == [30.0, 90.0, 170.0]
+    for line, start, end in zip(ax.lines, starts, last, strict=True):
+        angles = line.get_ydata()
+        assert angles[[0, -1]] == pytest.approx([start, end], abs=0.01)
+        # Damping b/(2 m l²) = 0.2 1/s: after 5 s a small swing has at most exp(−1) of its start.
+        assert np.abs(angles[500:]).max() < (0.5 if start < 100.0 else 0.4) * start
