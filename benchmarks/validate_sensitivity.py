@@ -113,7 +113,7 @@ def compare(
         expected, error = extrapolated(
             lambda h, p=path, x=start: measure(changed(believing, {p: x + h})), step
         )
-        for figure, value, uncertain in zip(found.figures, expected, error, strict=True):
+        for figure, value, uncertain in zip(found.metrics, expected, error, strict=True):
             ours = found.of(figure)[path]
             count += 1
             if not uncertain < KNOWN * abs(value):

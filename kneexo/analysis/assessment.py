@@ -7,20 +7,20 @@ from typing import Any
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.tracking import TRACKING_FIGURES, track_figures
+from kneexo.analysis.tracking import TRACKING_METRICS, track_basic_metrics
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
 from kneexo.simulation import awaitable, needs_runs
 
-MARGIN_FIGURES = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
-"""Figures of `kneexo.analysis.Margins` that an assessment quotes."""
+MARGIN_METRICS = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
+"""Fields of `kneexo.analysis.Margins` that `assess` returns."""
 
 
 @needs_runs
 async def assess(
     scenario: Scenario, *, tracking: bool = True, margins: bool = True, bandwidth: bool = False
 ) -> dict[str, Any]:
-    """Plain numbers by name: `TRACKING_FIGURES`, ``stable``, `MARGIN_FIGURES`, ``bandwidth_hz``.
+    """Plain numbers by name: `TRACKING_METRICS`, ``stable``, `MARGIN_METRICS`, ``bandwidth_hz``.
 
     The margins are those at the middle of the reference's range, the bandwidth is that of the
     reference's own sine (`large_signal_bandwidth_hz`). What fails is nan (``stable``: None) and
@@ -28,30 +28,30 @@ async def assess(
     a sweep over many scenarios shows where a run diverges in place of ending there. An unstable
     loop has no margins: they are nan.
     """
-    figures: dict[str, Any] = {}
+    metrics: dict[str, Any] = {}
     if tracking:
-        figures |= dict.fromkeys(TRACKING_FIGURES, math.nan) | {"tracking_failure": ""}
+        metrics |= dict.fromkeys(TRACKING_METRICS, math.nan) | {"tracking_failure": ""}
         try:
-            figures |= await awaitable(track_figures, scenario)
+            metrics |= await awaitable(track_basic_metrics, scenario)
         except KneexoError as error:
-            figures["tracking_failure"] = str(error)
+            metrics["tracking_failure"] = str(error)
     if margins:
-        figures |= dict.fromkeys(MARGIN_FIGURES, math.nan)
-        figures |= {"stable": None, "margins_failure": ""}
+        metrics |= dict.fromkeys(MARGIN_METRICS, math.nan)
+        metrics |= {"stable": None, "margins_failure": ""}
         try:
             loop = linearize_loop(scenario, scenario.reference.middle_deg)
-            figures["stable"] = loop.stable
+            metrics["stable"] = loop.stable
             if loop.stable:
                 values = loop.margins()
-                figures |= {name: getattr(values, name) for name in MARGIN_FIGURES}
+                metrics |= {name: getattr(values, name) for name in MARGIN_METRICS}
         except KneexoError as error:
-            figures["margins_failure"] = str(error)
+            metrics["margins_failure"] = str(error)
     if bandwidth:
-        figures |= {"bandwidth_hz": math.nan, "bandwidth_failure": ""}
+        metrics |= {"bandwidth_hz": math.nan, "bandwidth_failure": ""}
         try:
-            figures["bandwidth_hz"] = await awaitable(large_signal_bandwidth_hz, scenario)
-            if math.isnan(figures["bandwidth_hz"]):
-                figures["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
+            metrics["bandwidth_hz"] = await awaitable(large_signal_bandwidth_hz, scenario)
+            if math.isnan(metrics["bandwidth_hz"]):
+                metrics["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
         except KneexoError as error:
-            figures["bandwidth_failure"] = str(error)
-    return figures
+            metrics["bandwidth_failure"] = str(error)
+    return metrics

@@ -15,7 +15,8 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 
-from kneexo.analysis.plant_linearization import MID_RANGE_DEG, NEWTON_STEPS, OUTSIDE
+from kneexo.analysis.newton import failure, newton
+from kneexo.analysis.plant_linearization import MID_RANGE_DEG
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values
 from kneexo.diagrams.controller import known_to_controller
@@ -26,7 +27,7 @@ from kneexo.simulation.compiled import scenario_start, structure_key
 
 
 @dataclass(frozen=True)
-class Rest:
+class Equilibrium:
     """Where a loop rests at a constant reference, and the diagram to differentiate there.
 
     ``diagram`` (of AutoDiffXd) serves many loops; ``context`` holds the parameters of this one.
@@ -125,9 +126,9 @@ def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -
     diagram.GetInputPort("knee_reference").FixValue(context, reference)
 
 
-def find_rest(
+def find_equilibrium(
     scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG, diagram: Any = None
-) -> Rest:
+) -> Equilibrium:
     """Find where the sampled loop of a scenario rests, by Newton's method.
 
     Its reference and initial offset are replaced, its quantizers are bypassed. ``diagram``: see
@@ -166,32 +167,25 @@ def find_rest(
     z = np.concatenate([context.get_discrete_state(i).CopyToVector() for i in groups])
     n, m = x.size, z.size
     point = np.concatenate([x, z])
-    residual, finite = math.inf, True
-    rest = Rest(automatic, context, point, n, reference, period_s)
-    for _ in range(NEWTON_STEPS):
-        values, gradient, _ = rest.gradients(point, reference, "knee_angle")
-        values = np.concatenate([values[:n], values[n:] - point[n:]])
+    equilibrium = Equilibrium(automatic, context, point, n, reference, period_s)
+
+    def changes(point: Array) -> tuple[Array, Array]:
+        """Return dx/dt and z⁺ − z, and their Jacobian in (x, z)."""
+        values, gradient, _ = equilibrium.gradients(point, reference, "knee_angle")
         jacobian = gradient[:, : n + m].copy()
         jacobian[n:, n:] -= np.eye(m)
-        finite = bool(np.isfinite(jacobian).all() and np.isfinite(values).all())
-        if not finite:
-            break
-        residual = float(np.max(np.abs(values)))
-        # Minimum norm: a state without influence (an unused integral) stays where it is.
-        step = np.linalg.lstsq(jacobian, values, rcond=1e-14)[0]
-        point = point - step
-        if np.max(np.abs(step) / (1.0 + np.abs(point))) < 1e-13:
-            break
-    if not (finite and residual < 1e-6):
-        reason = f"the largest residual left is {residual:.3g}" if finite else OUTSIDE
+        return np.concatenate([values[:n], values[n:] - point[n:]]), jacobian
+
+    point, residual = newton(changes, point, rank_tolerance=1e-14, relative=True)
+    if not residual < 1e-6:
         raise LinearizationError(
-            f"the loop does not rest at knee angle {knee_angle_deg:g} deg: {reason}; "
-            f"reduce the load"
+            f"the loop does not rest at knee angle {knee_angle_deg:g} deg: "
+            f"{failure(residual, 'residual')}; reduce the load"
         )
     _set_point(diagram, context, point, reference, n)
     _require_linear(diagram, context, fixed)
     angle = float(diagram.GetOutputPort("knee_angle").Eval(context)[0])
-    return replace(rest, point=point, knee_angle_rad=angle)
+    return replace(equilibrium, point=point, knee_angle_rad=angle)
 
 
 def _sample_time_s(diagram: Any) -> float:

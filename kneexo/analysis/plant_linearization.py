@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.framework import Diagram
 
+from kneexo.analysis.newton import failure, newton
 from kneexo.analysis.signals import to_rpm
 from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.errors import LinearizationError
@@ -21,10 +22,6 @@ from kneexo.result import Array, Result
 Complex = NDArray[np.complex128]
 """An array of complex numbers."""
 
-NEWTON_STEPS = 50
-"""Most Newton steps on the way to an equilibrium."""
-OUTSIDE = "Newton's method goes where the equations are not finite"
-"""Reason in the message where Newton's method stops early."""
 MID_RANGE_DEG = 40.0
 """Middle of the paper's 10…70°."""
 
@@ -102,30 +99,22 @@ def find_operating_point(
             f"one (plant.load.kind = knee)"
         )
     automatic = diagram.ToAutoDiffXd()
-    point = np.append(
-        np.asarray(diagram.CreateDefaultContext().get_continuous_state_vector().CopyToVector()), 0.0
-    )
-    target = math.radians(knee_angle_deg)
-    residual, finite = math.inf, True
-    for _ in range(NEWTON_STEPS):
+    start = diagram.CreateDefaultContext().get_continuous_state_vector().CopyToVector()
+
+    def derivatives(point: Array) -> tuple[Array, Array]:
+        """Rates of the states, then the error of the knee angle."""
         values, gradient = _plant_gradients(
             automatic, point, ("knee_angle",), knee_torque_n_m, disturbance_n
         )
-        values[-1] -= target
-        finite = bool(np.isfinite(gradient).all() and np.isfinite(values).all())
-        if not finite:
-            break
-        residual = float(np.max(np.abs(values)))
-        step = np.linalg.lstsq(gradient, values, rcond=None)[0]
-        point = point - step
-        if np.max(np.abs(step)) < 1e-13:
-            break
-    if not (finite and residual < 1e-8):
-        reason = f"the largest derivative left is {residual:.3g}" if finite else OUTSIDE
+        values[-1] -= math.radians(knee_angle_deg)
+        return values, gradient
+
+    point, residual = newton(derivatives, np.append(start, 0.0))
+    if not residual < 1e-8:
         raise LinearizationError(
             f"no equilibrium at knee angle {knee_angle_deg:g} deg with knee_torque = "
-            f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: {reason}; reduce the "
-            f"load or the leakage"
+            f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: "
+            f"{failure(residual, 'derivative')}; reduce the load or the leakage"
         )
     context = diagram.CreateDefaultContext()
     context.SetContinuousState(point[:-1])

@@ -21,7 +21,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
-from kneexo.analysis.loop_equilibrium import command_and_live, find_rest
+from kneexo.analysis.loop_equilibrium import command_and_live, find_equilibrium
 from kneexo.analysis.plant_linearization import (
     MID_RANGE_DEG,
     Complex,
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pydrake.systems.framework import Diagram
 
-_BESIDE_REST = 1e-12
-_BESIDE_REST_RAD_S3 = 1e-3
+_STATE_STEP = 1e-12
+_JERK_STEP_RAD_S3 = 1e-3
 """Steps of the states (their share) and of the reference's jerk that tell the sides of a kink at
 rest apart: above the rounding of the estimates, and nothing next to the boundary layer."""
 
@@ -496,15 +496,17 @@ def linearize_loop(
     when the rest lies outside the boundary layer or at the speed limit (there is no linear loop),
     or for a signum controller, which has none at all.
     """
-    rest = find_rest(scenario, knee_angle_deg, diagram)
-    n, m = rest.continuous_states, rest.point.size - rest.continuous_states
-    # The absolute values of Eq. 27 have their kinks at rest. A small motion sees the mean of both
-    # sides; at the rest itself rounding would choose one.
-    _, _, c = rest.gradients(rest.point, rest.reference, output)
-    jerk = np.array([0.0, 0.0, 0.0, _BESIDE_REST_RAD_S3])
-    beside = _BESIDE_REST * (1.0 + np.abs(rest.point))
+    equilibrium = find_equilibrium(scenario, knee_angle_deg, diagram)
+    n, m = equilibrium.continuous_states, equilibrium.point.size - equilibrium.continuous_states
+    # The absolute values of Eq. 27 have a kink at the equilibrium. A small motion sees the mean of
+    # the slopes on both sides; at the equilibrium itself rounding would choose one of them.
+    _, _, c = equilibrium.gradients(equilibrium.point, equilibrium.reference, output)
+    jerk = np.array([0.0, 0.0, 0.0, _JERK_STEP_RAD_S3])
+    beside = _STATE_STEP * (1.0 + np.abs(equilibrium.point))
     both = [
-        rest.gradients(rest.point + side * beside, rest.reference + side * jerk, output)[1]
+        equilibrium.gradients(
+            equilibrium.point + side * beside, equilibrium.reference + side * jerk, output
+        )[1]
         for side in (-1.0, 1.0)
     ]
     gradient = 0.5 * (both[0] + both[1])
@@ -520,8 +522,8 @@ def linearize_loop(
         g_z=update[live, n : n + m][:, live],
         g_r=update[live, n + m :],
         c_u=command[None, live],
-        sample_time_s=rest.sample_time_s,
+        sample_time_s=equilibrium.sample_time_s,
         output=output,
-        knee_angle_rad=rest.knee_angle_rad,
+        knee_angle_rad=equilibrium.knee_angle_rad,
         scenario=scenario,
     )

@@ -17,10 +17,10 @@ import scipy
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, SimulatorConfig
 
-from kneexo.analysis.assessment import MARGIN_FIGURES
+from kneexo.analysis.assessment import MARGIN_METRICS
 from kneexo.analysis.loop_equilibrium import (
     command_and_live,
-    find_rest,
+    find_equilibrium,
     set_loop_parameters,
     start_state,
 )
@@ -40,21 +40,21 @@ _DIFFERENTIABLE = (
     "plant.full_order.",
     "encoder.mounting_error_rad",
 )
-_BESIDE_REST = 3e-7
+_STATE_STEP = 3e-7
 """Step of the states (their share) by which two gradients tell how the Jacobian changes."""
 
 
 @dataclass(frozen=True, repr=False)
 class Sensitivities(Result):
-    """Figures of merit and their gradients in the values at ``paths``, each (paths,)."""
+    """Metrics and their gradients in the values at ``paths``, each (paths,)."""
 
     paths: tuple[str, ...]
-    figures: dict[str, float]
+    metrics: dict[str, float]
     gradients: dict[str, Array]
 
-    def of(self, figure: str) -> dict[str, float]:
-        """Derivative of a figure by path, in the unit of the figure over that of the value."""
-        return dict(zip(self.paths, self.gradients[figure].tolist(), strict=True))
+    def of(self, metric: str) -> dict[str, float]:
+        """Derivative of a metric by path, in the unit of the metric over that of the value."""
+        return dict(zip(self.paths, self.gradients[metric].tolist(), strict=True))
 
 
 def differentiable(scenario: Scenario, path: str) -> bool:
@@ -159,7 +159,7 @@ def tracking_sensitivities(
     size = rms(value)
     return Sensitivities(
         paths=tuple(paths),
-        figures={"rms_error_deg": size},
+        metrics={"rms_error_deg": size},
         gradients={"rms_error_deg": value @ gradient / (value.size * size)},
     )
 
@@ -167,7 +167,7 @@ def tracking_sensitivities(
 def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivities:
     """Gradients of the sampled loop's largest eigenvalue and, if it is stable, of its margins.
 
-    Figures: ``largest_eigenvalue`` (its magnitude), ``gain_margin``, ``phase_margin_deg``,
+    Metrics: ``largest_eigenvalue`` (its magnitude), ``gain_margin``, ``phase_margin_deg``,
     ``delay_margin_s``, ``disk_margin``; the gradient of a margin that does not exist is nan.
     The posture is the middle of the reference's range.
 
@@ -180,49 +180,49 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
     """
     fixed = _fixed(scenario)
     knee_angle_deg = scenario.reference.middle_deg
-    rest = find_rest(fixed, knee_angle_deg)
-    n, size, count = rest.continuous_states, rest.point.size, len(paths)
-    reference = rest.reference
+    equilibrium = find_equilibrium(fixed, knee_angle_deg)
+    n, size, count = equilibrium.continuous_states, equilibrium.point.size, len(paths)
+    reference = equilibrium.reference
 
     def rates(point: Array, columns: int, gradient: Array, seeded: Scenario) -> Array:
         """Gradients of dx/dt and z⁺, at a point that has gradients itself."""
         state = InitializeAutoDiff(point.reshape(-1, 1), gradient).reshape(-1)
-        context = rest.autodiff_context(state, reference)
-        set_loop_parameters(rest.diagram, context, seeded)
-        return _gradients(rest.rates(context), columns)
+        context = equilibrium.autodiff_context(state, reference)
+        set_loop_parameters(equilibrium.diagram, context, seeded)
+        return _gradients(equilibrium.rates(context), columns)
 
     both = size + count
-    joint = rates(rest.point, both, np.eye(size, both), _seeded(fixed, paths, both, size))
+    joint = rates(equilibrium.point, both, np.eye(size, both), _seeded(fixed, paths, both, size))
     stays = np.diag(np.repeat([0.0, 1.0], [n, size - n]))
     solved = np.linalg.lstsq(joint[:, :size] - stays, joint[:, size:], rcond=1e-14)[0]
     moves = np.asarray(-solved, dtype=float)
     seeded = _seeded(fixed, paths, count, 0)
     change = np.zeros((size, size, count))
-    for index, step in enumerate(_BESIDE_REST * (1.0 + np.abs(rest.point))):
+    for index, step in enumerate(_STATE_STEP * (1.0 + np.abs(equilibrium.point))):
         aside = step * np.eye(size)[index]
         # Extrapolated to no step: a kink at rest leaves a part linear in it, the rest a square.
         for steps, weight in ((1.0, 8.0 / 3.0), (2.0, -2.0), (4.0, 1.0 / 3.0)):
-            ends = (rest.point + sign * steps * aside for sign in (1.0, -1.0))
+            ends = (equilibrium.point + sign * steps * aside for sign in (1.0, -1.0))
             above, below = (rates(end, count, moves, seeded) for end in ends)
             change[:, index] += weight * (above - below) / (2.0 * steps * step)
     loop = linearize_loop(fixed, knee_angle_deg)
     held, command, live = command_and_live(joint[:, :size], n)
     if np.count_nonzero(command) > 1:
         raise LinearizationError("controller: must hold its command in one discrete state")
-    figures = {"largest_eigenvalue": float(abs(loop.eigenvalues[0]))}
+    metrics = {"largest_eigenvalue": float(abs(loop.eigenvalues[0]))}
     if loop.stable:
         margins = loop.margins()
-        figures |= {name: getattr(margins, name) for name in MARGIN_FIGURES}
-    columns = [_figure_changes(loop, change[..., i], held, live) for i in range(count)]
+        metrics |= {name: getattr(margins, name) for name in MARGIN_METRICS}
+    columns = [_metric_changes(loop, change[..., i], held, live) for i in range(count)]
     return Sensitivities(
         paths=tuple(paths),
-        figures=figures,
-        gradients={name: np.array([column[name] for column in columns]) for name in figures},
+        metrics=metrics,
+        gradients={name: np.array([column[name] for column in columns]) for name in metrics},
     )
 
 
-def _figure_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> dict[str, float]:
-    """Derivatives of the loop's figures from that of its Jacobian (of dx/dt and z⁺ in x, z)."""
+def _metric_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> dict[str, float]:
+    """Derivatives of the loop's metrics from that of its Jacobian (of dx/dt and z⁺ in x, z)."""
     n = loop.a.shape[0]
     block, change_of_block = np.zeros((2, n + 1, n + 1))
     block[:n, :n], block[:n, n:] = loop.a, loop.b
@@ -253,7 +253,7 @@ def _figure_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> d
         return (row @ forth)[0, 0], in_value, loop.loop_slope(frequency)
 
     m = loop.margins()
-    changes |= dict.fromkeys(MARGIN_FIGURES, math.nan)
+    changes |= dict.fromkeys(MARGIN_METRICS, math.nan)
     if math.isfinite(m.gain_margin):
         at, in_value, in_frequency = response(m.gain_margin_frequency_hz)
         if m.gain_margin_frequency_hz < 0.5 / dt:  # else L stays real by itself

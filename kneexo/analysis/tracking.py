@@ -29,26 +29,26 @@ TRACKING_SIGNALS = (
 )
 """The signals that the metrics need; a run that logs no more is faster."""
 
-TRACKING_FIGURES = (
+TRACKING_METRICS = (
     "max_error_deg",
     "rms_error_deg",
     "mean_command_change_rpm",
     "saturated_share",
     "peak_pressure_mpa",
 )
-"""Figures of `TrackingMetrics` that the first four of these signals give."""
+"""Fields of `TrackingMetrics` that the first four of these signals give."""
 
 
 @dataclass(frozen=True, repr=False)
 class TrackingMetrics(Result):
-    """Figures of merit of a tracking run.
+    """Metrics of a tracking run.
 
     Errors and commands are insensitive to the solver's step; pressure, power and energy are not
     while the 447 Hz mode of the oil dominates them (as without load): halve the step before you
     quote them.
 
     "After the first period" means from one period of a sinusoidal reference on, and from the start
-    for every other reference; those figures are nan for a run that ends before.
+    for every other reference; those metrics are nan for a run that ends before.
     """
 
     max_error_deg: float
@@ -97,7 +97,7 @@ def share_above(values: Array, bound: float) -> float:
     return int(np.count_nonzero(np.abs(values) > bound)) / values.size
 
 
-def tracking_figures(
+def basic_tracking_metrics(
     time_s: Array,
     error_rad: Array,
     command_rad_s: Array,
@@ -106,22 +106,22 @@ def tracking_figures(
     settled_s: float,
     command_limit_rad_s: float,
 ) -> dict[str, float]:
-    """The `TRACKING_FIGURES` of `tracking_metrics` alone; raises what it raises."""
+    """The `TRACKING_METRICS` of `tracking_metrics` alone; raises what it raises."""
     if time_s.size < 2:
         raise ParameterError(
             f"{time_s.size} samples are too few for metrics: the run must be longer than the "
             f"sample time"
         )
-    figures = dict.fromkeys(TRACKING_FIGURES, math.nan)
-    figures["peak_pressure_mpa"] = 1e-6 * peak(pressure_pa)
+    metrics = dict.fromkeys(TRACKING_METRICS, math.nan)
+    metrics["peak_pressure_mpa"] = 1e-6 * peak(pressure_pa)
     first = int(np.searchsorted(time_s, settled_s - 1e-9))
     if time_s.size - first > 1:
         error, command = error_rad[first:], command_rad_s[first:]
-        figures["max_error_deg"] = math.degrees(peak(error))
-        figures["rms_error_deg"] = math.degrees(rms(error))
-        figures["mean_command_change_rpm"] = to_rpm(mean_change(command))
-        figures["saturated_share"] = saturated_share(command, command_limit_rad_s)
-    return figures
+        metrics["max_error_deg"] = math.degrees(peak(error))
+        metrics["rms_error_deg"] = math.degrees(rms(error))
+        metrics["mean_command_change_rpm"] = to_rpm(mean_change(command))
+        metrics["saturated_share"] = saturated_share(command, command_limit_rad_s)
+    return metrics
 
 
 def tracking_metrics(
@@ -141,7 +141,7 @@ def tracking_metrics(
 
     Raises `ParameterError` for fewer than two samples.
     """
-    figures = tracking_figures(
+    metrics = basic_tracking_metrics(
         time_s,
         error_rad,
         command_rad_s,
@@ -151,7 +151,7 @@ def tracking_metrics(
     )
     power = np.asarray(shaft_power_w)
     return TrackingMetrics(
-        **figures,
+        **metrics,
         max_error_overall_deg=math.degrees(peak(error_rad)),
         rms_error_overall_deg=math.degrees(rms(error_rad)),
         peak_command_rpm=to_rpm(peak(command_rad_s)),
@@ -183,10 +183,10 @@ def run_metrics(
 
 
 @needs_runs
-async def track_figures(scenario: Scenario) -> dict[str, float]:
-    """The `TRACKING_FIGURES` of `track`, from a run that logs no more than they need."""
+async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
+    """The `TRACKING_METRICS` of `track`, from a run that logs no more than they need."""
     run = await awaitable(simulate, scenario, signals=TRACKING_SIGNALS[:4])
-    return tracking_figures(
+    return basic_tracking_metrics(
         run.time_s,
         run["knee_reference_rad"] - run["knee_angle_rad"],
         run["motor_speed_command_rad_s"],

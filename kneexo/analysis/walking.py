@@ -27,7 +27,7 @@ from kneexo.parameters.paths import changed
 from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import awaitable, needs_runs, simulate
 
-WALKING_FIGURES = (
+WALKING_METRICS = (
     "max_error_deg",
     "rms_error_deg",
     "mean_command_change_rpm",
@@ -39,7 +39,7 @@ WALKING_FIGURES = (
     "delivered_energy_j",
     "net_energy_j",
 )
-"""Figures of `walking_metrics`; energies are per stride."""
+"""Names of the numbers of `walking_metrics`; energies are per stride."""
 
 _SAMPLES = 1000  # of a stride
 _HARMONICS = 40  # of a stride, in `linear_error_deg`: beyond lies the rounding of the data
@@ -234,12 +234,12 @@ async def walking_metrics(
 ) -> dict[str, Any]:
     """How a closed loop walks, after the first stride, as plain numbers by name.
 
-    `WALKING_FIGURES`, and ``failure``: a run that fails has nan for each, and one line says why.
+    `WALKING_METRICS`, and ``failure``: a run that fails has nan for each, and one line says why.
     """
     try:
         signals = await awaitable(walk, scenario, frequency_hz, cycles)
     except KneexoError as error:
-        return dict.fromkeys(WALKING_FIGURES, math.nan) | {"failure": str(error)}
+        return dict.fromkeys(WALKING_METRICS, math.nan) | {"failure": str(error)}
     time, power, speed = signals["time_s"], signals["shaft_power_w"], signals["motor_speed_rad_s"]
     metrics = run_metrics(scenario, time, signals, settled_s=0.0)
     walking = {
@@ -248,4 +248,4 @@ async def walking_metrics(
         **_energies(time, power, cycles - 1),
     }
     values = asdict(metrics) | walking
-    return {name: values[name] for name in WALKING_FIGURES} | {"failure": ""}
+    return {name: values[name] for name in WALKING_METRICS} | {"failure": ""}

@@ -46,7 +46,7 @@ def make_closed_loop(
     """Build the closed loop of a scenario; without arguments the paper's sliding-mode setup.
 
     Subsystems: ``plant``, ``encoder`` (Drake's `RotaryEncoders`, behind ``encoder_phase`` and
-    ``encoder_mounting``, or a `PassThrough` when it is not quantized), ``reference``,
+    ``phase_sum``, or a `PassThrough` when it is not quantized), ``reference``,
     ``controller`` (see `make_controller`), ``drive`` (`Cia402Drive`, only on such a bus),
     ``can_bus`` (`DiscreteTimeDelay`, only with latency), ``signals`` and ``log``
     (a `VectorLogSink` at the control period with the columns ``columns(signals)``; all available
@@ -199,8 +199,8 @@ def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
     phase = builder.AddNamedSystem(
         "encoder_phase", ConstantVectorSource([-scenario.encoder.phase_rad])
     )
-    mounting = builder.AddNamedSystem("encoder_mounting", Adder(2, 1))
-    builder.Connect(angle, mounting.get_input_port(0))
-    builder.Connect(phase.get_output_port(), mounting.get_input_port(1))
-    builder.Connect(mounting.get_output_port(), encoder.get_input_port())
+    phase_sum = builder.AddNamedSystem("phase_sum", Adder(2, 1))
+    builder.Connect(angle, phase_sum.get_input_port(0))
+    builder.Connect(phase.get_output_port(), phase_sum.get_input_port(1))
+    builder.Connect(phase_sum.get_output_port(), encoder.get_input_port())
     return encoder

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from kneexo.analysis import assessment
-from kneexo.analysis.assessment import MARGIN_FIGURES, TRACKING_FIGURES, assess
+from kneexo.analysis.assessment import MARGIN_METRICS, TRACKING_METRICS, assess
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import track
@@ -29,8 +29,8 @@ def test_figures_are_those_of_their_analyses():
     metrics = track(SHORT).metrics
     margins = linearize_loop(SHORT, 50.0).margins()
     assert found == {
-        **{name: getattr(metrics, name) for name in TRACKING_FIGURES},
-        **{name: getattr(margins, name) for name in MARGIN_FIGURES},
+        **{name: getattr(metrics, name) for name in TRACKING_METRICS},
+        **{name: getattr(margins, name) for name in MARGIN_METRICS},
         "stable": True,
         "tracking_failure": "",
         "margins_failure": "",
@@ -38,9 +38,9 @@ def test_figures_are_those_of_their_analyses():
 
 
 def test_only_what_is_asked_for():
-    assert set(assess(SHORT, margins=False)) == {*TRACKING_FIGURES, "tracking_failure"}
+    assert set(assess(SHORT, margins=False)) == {*TRACKING_METRICS, "tracking_failure"}
     linear = assess(SHORT, tracking=False)
-    assert set(linear) == {*MARGIN_FIGURES, "stable", "margins_failure"}
+    assert set(linear) == {*MARGIN_METRICS, "stable", "margins_failure"}
 
 
 def test_the_bandwidth_is_that_of_the_references_own_sine(monkeypatch):
@@ -79,7 +79,7 @@ PUSHED = changed(
 
 def test_failures_are_told_in_one_line():
     found = assess(PUSHED, bandwidth=True)
-    assert all(math.isnan(found[n]) for n in (*TRACKING_FIGURES, *MARGIN_FIGURES, "bandwidth_hz"))
+    assert all(math.isnan(found[n]) for n in (*TRACKING_METRICS, *MARGIN_METRICS, "bandwidth_hz"))
     assert found["stable"] is None
     assert "left the range of motion" in found["tracking_failure"]
     assert "does not rest" in found["margins_failure"]
@@ -108,4 +108,4 @@ def test_an_unstable_loop_has_no_margins():
     found = assess(exact, tracking=False)
     assert found["stable"] is False
     assert found["margins_failure"] == ""
-    assert all(math.isnan(found[name]) for name in MARGIN_FIGURES)
+    assert all(math.isnan(found[name]) for name in MARGIN_METRICS)

@@ -522,7 +522,7 @@ EQ_27_GAIN = (
 """b̂ of Eq. 27 in m/s³ per rad/s."""
 
 
-def test_a_loop_equilibriums_where_leakage_and_slope_of_the_boundary_layer_meet():
+def test_a_loop_rests_where_leakage_and_slope_of_the_boundary_layer_meet():
     # Eq. 27 at rest: u = −(k/Φ) λ² e/b̂ must feed the leakage under a constant force.
     force, n = 300.0, PAPER | {"c_im": 2e-12}
     load = KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force)

@@ -97,7 +97,7 @@ LOOPS = {
 }
 
 
-def loop_figures(scenario, names):
+def loop_metrics(scenario, names):
     loop = linearize_loop(scenario, 0.5 * sum(scenario.reference.range_deg))
     margins = loop.margins()
     return np.array([abs(loop.eigenvalues[0]), *(getattr(margins, name) for name in names[1:])])
@@ -109,15 +109,15 @@ def loop_figures(scenario, names):
 def test_margins_and_largest_eigenvalue_against_differences(name):
     scenario = LOOPS[name]
     found = loop_sensitivities(scenario, list(STEPS))
-    names = list(found.figures)
+    names = list(found.metrics)
     assert names[0] == "largest_eigenvalue"
     assert {"gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin"} == set(names[1:])
-    assert [*found.figures.values()] == pytest.approx(loop_figures(scenario, names), rel=1e-12)
+    assert [*found.metrics.values()] == pytest.approx(loop_metrics(scenario, names), rel=1e-12)
     checked = 0
     for path, step in STEPS.items():
         start = value_of(scenario, path)
         expected, error = ridders(
-            lambda h, p=path, x=start: loop_figures(at(scenario, p, x + h), names), step
+            lambda h, p=path, x=start: loop_metrics(at(scenario, p, x + h), names), step
         )
         ours = np.array([found.of(figure)[path] for figure in names])
         known = error < 1e-6 * np.abs(expected)
@@ -131,7 +131,7 @@ def test_margins_and_largest_eigenvalue_against_differences(name):
 def test_the_acceleration_limit_has_no_influence_on_a_loop_at_rest():
     path = "plant.pump.acceleration_limit_rad_s2"
     found = loop_sensitivities(UNCERTAIN_KNEE, [path])
-    assert all(found.of(figure) == {path: 0.0} for figure in found.figures)
+    assert all(found.of(metric) == {path: 0.0} for metric in found.metrics)
 
 
 def test_an_unstable_loop_has_the_gradient_of_its_eigenvalue_alone():
@@ -139,8 +139,8 @@ def test_an_unstable_loop_has_the_gradient_of_its_eigenvalue_alone():
     unstable = Scenario(estimator={"kind": "exact"}, controller={"phi_m_s2": 24.4})
     path = "plant.pump.lag_s"
     found = loop_sensitivities(unstable, [path])
-    assert list(found.figures) == ["largest_eigenvalue"]
-    assert found.figures["largest_eigenvalue"] > 1.0
+    assert list(found.metrics) == ["largest_eigenvalue"]
+    assert found.metrics["largest_eigenvalue"] > 1.0
     slope = approx_fprime(
         [0.01],
         lambda x: abs(linearize_loop(at(unstable, path, float(x[0]))).eigenvalues[0]),
@@ -191,7 +191,7 @@ def rms_error_deg(scenario):
 
 def assert_tracking(scenario, steps, rows, **options):
     found = tracking_sensitivities(scenario, list(steps), **options)
-    assert found.figures["rms_error_deg"] == pytest.approx(rms_error_deg(scenario), rel=1e-9)
+    assert found.metrics["rms_error_deg"] == pytest.approx(rms_error_deg(scenario), rel=1e-9)
     for path, step in steps.items():
         start = value_of(scenario, path)
         expected, error = ridders(
@@ -237,9 +237,9 @@ def test_after_the_first_period_the_start_does_not_count():
     whole = tracking_sensitivities(scenario, ["plant.pump.lag_s"], duration_s=0.05)
     # One sample follows the period: too few, so that all count.
     period = rms_error_deg(changed(scenario, {"simulation.duration_s": 0.05}))
-    assert whole.figures["rms_error_deg"] == pytest.approx(period, rel=1e-9)
+    assert whole.metrics["rms_error_deg"] == pytest.approx(period, rel=1e-9)
     later = tracking_sensitivities(scenario, ["plant.pump.lag_s"])
-    assert period != pytest.approx(later.figures["rms_error_deg"], rel=0.01)
+    assert period != pytest.approx(later.metrics["rms_error_deg"], rel=0.01)
 
 
 def test_a_limit_that_is_not_reached_has_no_influence():

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from kneexo.analysis.tracking import (
-    TRACKING_FIGURES,
+    TRACKING_METRICS,
     mean_change,
     saturated_share,
     track,
-    track_figures,
+    track_basic_metrics,
     tracking_metrics,
 )
 from kneexo.errors import ParameterError, SimulationError
@@ -231,8 +231,8 @@ def test_all_signals_are_finite():
 
 
 def test_the_figures_alone_are_those_of_the_whole_result(brisk):
-    figures, metrics = track_figures(BRISK), brisk.metrics
-    assert figures == {name: getattr(metrics, name) for name in TRACKING_FIGURES}
+    metrics, metrics = track_basic_metrics(BRISK), brisk.metrics
+    assert metrics == {name: getattr(metrics, name) for name in TRACKING_METRICS}
 
 
 def test_a_step_saturates_and_settles():

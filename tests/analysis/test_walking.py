@@ -13,7 +13,7 @@ from kneexo.analysis.hardware import ACCELERATION_LIMIT, DISPLACEMENT, scaled, t
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import TRACKING_SIGNALS
 from kneexo.analysis.walking import (
-    WALKING_FIGURES,
+    WALKING_METRICS,
     linear_error_deg,
     moment_arm_m,
     walk,
@@ -181,7 +181,7 @@ def test_the_figures_of_walking_are_those_of_the_strides_after_the_first():
     metrics = walking_metrics(WALKS, 1.25, 3)
     assert metrics.pop("failure") == ""
     assert metrics == pytest.approx(expected)
-    assert set(metrics) == set(WALKING_FIGURES)
+    assert set(metrics) == set(WALKING_METRICS)
     signals = walk(WALKS, 1.25, 3)
     assert signals["time_s"] == pytest.approx(time)
     assert signals["shaft_power_w"] == pytest.approx(power)
@@ -223,7 +223,7 @@ def test_a_run_that_fails_says_why():
     with pytest.raises(SimulationError):
         walk(scenario)
     found = walking_metrics(scenario)
-    assert all(math.isnan(found[name]) for name in WALKING_FIGURES)
+    assert all(math.isnan(found[name]) for name in WALKING_METRICS)
     assert "left the range of motion" in found["failure"]
 
 

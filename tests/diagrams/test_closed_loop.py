@@ -106,7 +106,7 @@ def test_subsystems_and_exported_ports_are_named(case):
     names = {system.get_name() for system in diagram.GetSystems()}
     inside = {system.get_name() for system in diagram.GetSubsystemByName("controller").GetSystems()}
     assert inside == {"coordinates", "rod_reference", "law"} | systems & {"estimator"}
-    counting = {"encoder_phase", "encoder_mounting"} if scenario.encoder.quantized else set()
+    counting = {"encoder_phase", "phase_sum"} if scenario.encoder.quantized else set()
     assert names == always | counting | {"signals", "log"} | systems - {"estimator"}
     ports = [diagram.get_input_port(i) for i in range(diagram.num_input_ports())]
     assert {port.get_name() for port in ports} == {"disturbance_force"} | inputs

@@ -412,7 +412,7 @@ def _local(
             sensitivities = tracking_sensitivities(scenario, paths, duration_s=duration_s)
     except KneexoError as error:
         return {"failure": f"{task}: {error}"}
-    return {figure: sensitivities.of(figure) for figure in sensitivities.figures}
+    return {metric: sensitivities.of(metric) for metric in sensitivities.metrics}
 
 
 def _corners(

@@ -18,7 +18,7 @@ from kneexo.analysis.hardware import (
     tuned,
 )
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.walking import WALKING_FIGURES, WalkingDemand
+from kneexo.analysis.walking import WALKING_METRICS, WalkingDemand
 from kneexo.command_line.output import to_json
 from kneexo.parameters import UNCERTAIN_KNEE
 from kneexo.studies.size.figures import figures, last_stride, motions
@@ -89,7 +89,7 @@ def failed(names):
 
 def design(frequency, share, start):
     factors = {DISPLACEMENT: FLOW * share, ACCELERATION_LIMIT: ACCELERATION * share}
-    halved = numbers(WALKING_FIGURES, start + 40)
+    halved = numbers(WALKING_METRICS, start + 40)
     checked = {k: v if isinstance(v, str) else v / 1.02 for k, v in halved.items()}
     checked["peak_shaft_power_w"] = halved["peak_shaft_power_w"] / 0.95
     reached = share == 1.0
@@ -98,7 +98,7 @@ def design(frequency, share, start):
         flow=Search(15.4 * share, 1.9, True, 1.0, 25.0),
         acceleration=Search(1.8e4 * share, 1.7 if reached else 2.6, reached, 1e3, 1e5),
         scenario=scaled(UNCERTAIN_KNEE, factors),
-        walking=numbers(WALKING_FIGURES, start),
+        walking=numbers(WALKING_METRICS, start),
         checked=checked,
         halved=halved,
     )
@@ -145,14 +145,14 @@ def sized():
         best_gains=gains[1] | {"phase_margin_deg": 44.0},
         steps={
             "as it is": [
-                numbers(WALKING_FIGURES, 400) | {"saturated_share": 0.87},
-                numbers(WALKING_FIGURES, 420),
+                numbers(WALKING_METRICS, 400) | {"saturated_share": 0.87},
+                numbers(WALKING_METRICS, 420),
             ],
-            "ample": [failed(WALKING_FIGURES), numbers(WALKING_FIGURES, 440)],
+            "ample": [failed(WALKING_METRICS), numbers(WALKING_METRICS, 440)],
         },
         designs=[design(1.0, 1.0, 500), design(0.8, 2.0, 600)],
         design_at_reference=numbers(AT_SINE, 51),
-        variations={"reduced": numbers(WALKING_FIGURES, 700), "full": failed(WALKING_FIGURES)},
+        variations={"reduced": numbers(WALKING_METRICS, 700), "full": failed(WALKING_METRICS)},
         walking_sweeps=walking_sweeps,
         walking_map_deg=1.0 + 0.1 * np.arange(16.0).reshape(4, 4),
         traces={"nominal": trace, "sized": {k: 1.0 * v for k, v in trace.items()}},
@@ -366,7 +366,7 @@ def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
         *("or_piston_area_without_gear_mm2", "rated_force_of_that_piston_n"),
     ):
         values[name] = [one[name], other[name]]
-    for name in WALKING_FIGURES:
+    for name in WALKING_METRICS:
         if name not in ("saturated_share", "net_energy_j"):
             halved = name in one["step_agreement"]
             kind = "halved_step" if halved else "walking"

@@ -1,0 +1,61 @@
+"""Newton's method on functions whose zeros are known in closed form."""
+
+import math
+
+import numpy as np
+import pytest
+
+from kneexo.analysis.newton import NEWTON_STEPS, failure, newton
+
+
+def square_root_of_two(point):
+    return point**2 - 2.0, np.diag(2.0 * point)
+
+
+def test_a_search_ends_at_the_zero():
+    point, residual = newton(square_root_of_two, np.array([1.0]))
+    assert point == pytest.approx([math.sqrt(2.0)], rel=1e-15)
+    assert residual < 1e-12
+
+
+def test_a_variable_without_influence_keeps_its_value():
+    def first_only(point):
+        return point[:1] ** 2 - 2.0, np.array([[2.0 * point[0], 0.0]])
+
+    point, _ = newton(first_only, np.array([1.0, 7.0]))
+    assert point == pytest.approx([math.sqrt(2.0), 7.0], rel=1e-15)
+
+
+@pytest.mark.parametrize(("relative", "count"), [(False, NEWTON_STEPS), (True, 2)])
+def test_a_relative_tolerance_suits_large_variables(relative, count):
+    calls = []
+
+    def rounded(point):
+        """A linear function whose rounding error keeps the steps at 1e-9."""
+        calls.append(point)
+        error = 1e-9 * (-1.0) ** len(calls) if len(calls) > 1 else 0.0
+        return point - 1e6 + error, np.eye(1)
+
+    newton(rounded, np.array([0.0]), relative=relative)
+    assert len(calls) == count
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_value_or_derivative_that_is_not_finite_ends_the_search(bad, place):
+    def function(point):
+        answer = [point, np.eye(1)]
+        answer[place] = answer[place] * bad
+        return answer
+
+    point, residual = newton(function, np.array([1.0]))
+    assert point == 1.0
+    assert math.isnan(residual)
+    assert failure(residual, "rate") == ("Newton's method goes where the equations are not finite")
+
+
+def test_a_function_without_zero_leaves_a_residual():
+    point, residual = newton(lambda point: (point**2 + 1.0, np.diag(2.0 * point)), np.array([0.5]))
+    assert np.isfinite(point).all()
+    assert residual >= 1.0
+    assert failure(1.25, "rate") == "the largest rate left is 1.25"
