@@ -75,7 +75,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "diagrams/plant": ("diagrams/test_plant", "diagrams/test_full_order_plant"),
     "parameters/bus": ("systems/test_drive", "parameters/test_parameters"),
     "parameters/control": ("parameters/test_parameters", "systems/test_sliding_mode_controller"),
-    "parameters/linkages": ("parameters/test_parameters", "test_linkage"),
+    "parameters/linkages": ("parameters/test_parameters", "test_linkage", "test_rod_inverse"),
     "parameters/paths": ("parameters/test_scenario_file", "parameters/test_uncertainty"),
     "parameters/plant": ("parameters/test_parameters",),
     "parameters/quantity": ("parameters/test_parameters", "parameters/test_scenario_file"),

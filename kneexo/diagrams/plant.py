@@ -18,6 +18,7 @@ from kneexo.parameters import (
     RodPolynomialParameters,
     SineReference,
 )
+from kneexo.rod_inverse import RodInverse, fit_rod_inverse, rounded_rod_extension
 from kneexo.systems import (
     bldc_pump,
     four_bar_knee,
@@ -101,7 +102,7 @@ def plant_parts(
     """The leaf systems of `make_plant`."""
     cylinder, full_order, load = parameters.cylinder, parameters.full_order, parameters.load
     rod_map = _rod_map(parameters, table_1)
-    fit = linkage.fit_rod_inverse(parameters.linkage, rod_map)
+    fit = fit_rod_inverse(parameters.linkage, rod_map)
     external_leakage = parameters.pump.external_leakage_m3_per_s_pa
 
     def make_cylinder() -> Any:
@@ -141,7 +142,7 @@ def plant_parts(
 
 
 @lru_cache(maxsize=64)
-def _polynomial_values(fit: linkage.RodInverse) -> dict[str, float]:
+def _polynomial_values(fit: RodInverse) -> dict[str, float]:
     """The vectors of Context parameters that follow the first one of `FourBarKnee`."""
     vectors = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
     return {
@@ -159,7 +160,7 @@ def _rod_map(
 
 @lru_cache(maxsize=64)
 def _rod_extension(link: LinkageParameters, knee_angle_rad: float) -> float:
-    return linkage.rounded_rod_extension(link, knee_angle_rad)
+    return rounded_rod_extension(link, knee_angle_rad)
 
 
 def plant_start(
@@ -175,7 +176,7 @@ def plant_start(
             f"knee angle = {math.degrees(initial_knee_angle_rad):.6g} deg at the start lies "
             f"outside the range of motion {low:g} … {high:g} deg"
         )
-    fit = linkage.fit_rod_inverse(parameters.linkage, _rod_map(parameters, table_1))
+    fit = fit_rod_inverse(parameters.linkage, _rod_map(parameters, table_1))
     if parameters.rod_map == "polynomial":
         extension = linkage.polynomial(table_1.p_si, initial_knee_angle_rad)
     else:

@@ -56,6 +56,7 @@ _SOURCES = (
         for folder in ("parameters", "systems", "diagrams", "compiler", "simulation")
     ),
     "linkage.py",
+    "rod_inverse.py",
 )
 _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into constants
 

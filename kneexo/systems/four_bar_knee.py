@@ -11,8 +11,9 @@ import pydrake.math as drake_math
 from pydrake.systems.framework import BasicVector_
 
 from kneexo.errors import SimulationError
-from kneexo.linkage import RodInverse, fit_rod_inverse, icr, polynomial
+from kneexo.linkage import icr, polynomial
 from kneexo.parameters import KneeParameters, LinkageParameters, RodPolynomialParameters
+from kneexo.rod_inverse import RodInverse, fit_rod_inverse
 from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 
 
@@ -47,7 +48,7 @@ class FourBarKnee(NamedLeaf):
     """Four-bar knee: from the rod to the knee, exactly and without iteration.
 
     θ_p, θ_4 and r are polynomials of degree 25 in √(x_dc − x), fitted once to the closed-form
-    linkage; x_dc is the rod's dead centre (see `kneexo.linkage.RodInverse`).
+    linkage; x_dc is the rod's dead centre (see `kneexo.rod_inverse.RodInverse`).
 
     ===============  ====  ==========  =================================================
     input port       size  unit
