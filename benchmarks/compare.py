@@ -477,7 +477,7 @@ def measure_batch(case: Case, effort: Effort, cores: set[int]) -> tuple[Batch, s
 
 def last_bits(run: Simulation) -> bytes:
     """The last sample of each signal, and the last state."""
-    parts = [*(run[name][-1] for name in SIGNALS), run.final.continuous, run.final.held]
+    parts = [*(run[name][-1] for name in SIGNALS), run.final.continuous, run.final.discrete]
     return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
 
 

@@ -63,7 +63,7 @@ def real(source: CSource) -> type[np.floating]:
 
 def params_of(source: CSource) -> NDArray[np.floating]:
     """The members of the struct of parameters, which all are numbers of one type."""
-    groups = (source.parameters, source.state.continuous, source.state.held)
+    groups = (source.parameters, source.state.continuous, source.state.discrete)
     return np.concatenate(groups).astype(real(source))
 
 

@@ -116,7 +116,7 @@ EXTERNAL = {
     *("RotaryEncoders", "PassThrough", "DiscreteTimeDelay", "VectorLogSink", "TrajectorySource"),
     *("Linearize", "ValueError", "TypeError", "SystemExit", "pydrake.math"),
     *("Expression", "FramePoseVector", "MeshcatVisualizer"),
-    *("kneexo.compiler.equations.reader.T", "kneexo.simulation.coroutines.Result"),
+    *("kneexo.compiler.equations.symbolic.T", "kneexo.simulation.coroutines.Result"),
     *("control.StateSpace", "pandas.DataFrame", "concurrent.futures.Executor"),
 }
 

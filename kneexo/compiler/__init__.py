@@ -1,52 +1,79 @@
-"""Drake diagrams as machine code: any diagram of vectors, read off its symbolic form.
+"""Compiles any Drake diagram of vectors to machine code, C or an FMU.
 
-The equations are written once, in the leaf systems. A diagram passes through these layers:
+The equations are written once, in the leaf systems. They pass through these folders:
 
-- `equations` reads them off the symbolic form into a `graph` of shared operations;
-- `passes` rewrites the graph for speed and says what belongs to which function;
-- `printer` writes nodes as LLVM IR by means of `ir` and `elementary`, for one lane of a vector or
-  several; `integrators`, `exact_hold` and `time_loop` put the run around them;
-- `native` makes machine code of the text, `cache` keeps it on disk, `machine_code` joins both;
-- `c_source` prints a model as C99 by means of `c_printer` and `c_functions`, `c_export` makes a
-  folder of it, `c_build` asks compilers about it;
-- `runner` is one run, `model` what a user sees, `compiled_system` the way back into Drake, and
-  `trajectories` makes what open inputs follow.
+- ``equations/`` reads them off the symbolic form of a diagram into one graph of shared operations,
+  and rewrites the graph for speed;
+- ``native/`` makes machine code of the graph, keeps the code on disk and runs it;
+- ``c/`` and ``fmu/`` print the graph as C99 and pack it as an FMU.
+
+The names below are the whole interface. They are imported at their first use, because the command
+line uses some of them and must not load NumPy or Drake for these.
+
+A leaf system may state three public attributes for the compiler: ``margin``, ``check`` and
+``parameter_names``; see `kneexo.compiler.equations.reader`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-_MODULE_OF = {
-    "CompiledModel": "model",
-    "DiagramModel": "model",
-    "InputTable": "native.runner",
-    "Simulation": "model",
-    "State": "native.runner",
-    "cache_directory": "native.cache",
-    "compile_diagram": "model",
-    "export_c": "c.export",
-    "input_table": "trajectories",
-    "stack_tables": "trajectories",
-}
-
-if TYPE_CHECKING:  # for mypy, which would accept every name of a visible __getattr__, and editors
+if TYPE_CHECKING:  # mypy and editors see these names; it would accept any name of `__getattr__`
+    from .c.export import export_c as export_c
+    from .compiled_system import CompiledSystem as CompiledSystem
+    from .diagram_equations import (
+        DiagramEquations as DiagramEquations,
+        read_diagram as read_diagram,
+    )
+    from .errors import (
+        CompilationError as CompilationError,
+        Error as Error,
+        OutputError as OutputError,
+        ParameterError as ParameterError,
+        SimulationError as SimulationError,
+        StiffnessError as StiffnessError,
+        escaped as escaped,
+        shortened as shortened,
+        shown as shown,
+    )
     from .model import (
         CompiledModel as CompiledModel,
         DiagramModel as DiagramModel,
         Simulation as Simulation,
+        compile_by_key as compile_by_key,
         compile_diagram as compile_diagram,
     )
     from .native.cache import cache_directory as cache_directory
-    from .native.runner import InputTable as InputTable, State as State
-    from .trajectories import (
-        input_table as input_table,
-        stack_tables as stack_tables,
+    from .native.cores import available_cores as available_cores
+    from .native.runner import (
+        ROUGH_STEP_S as ROUGH_STEP_S,
+        STEP_S as STEP_S,
+        TOLERANCE as TOLERANCE,
     )
+    from .run_data import Array as Array, InputTable as InputTable, State as State
+    from .trajectories import input_table as input_table, stack_tables as stack_tables
 else:
+    _NAMES = {
+        "c.export": ("export_c",),
+        "compiled_system": ("CompiledSystem",),
+        "diagram_equations": ("DiagramEquations", "read_diagram"),
+        "errors": (
+            *("CompilationError", "Error", "OutputError", "ParameterError", "SimulationError"),
+            *("StiffnessError", "escaped", "shortened", "shown"),
+        ),
+        "model": (
+            *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),
+        ),
+        "native.cache": ("cache_directory",),
+        "native.cores": ("available_cores",),
+        "native.runner": ("ROUGH_STEP_S", "STEP_S", "TOLERANCE"),
+        "run_data": ("Array", "InputTable", "State"),
+        "trajectories": ("input_table", "stack_tables"),
+    }
+    _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
     __all__ = sorted(_MODULE_OF)
 
     def __getattr__(name: str) -> Any:
-        """Import a public name at its first use: the cache alone needs no NumPy and no Drake."""
+        """Import a public name at its first use."""
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -4,46 +4,38 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
 
-from .native.runner import (
-    STEP_S,
-    TOLERANCE,
-    Array,
-    InputTable,
-    Runner,
-    State,
-    element_name,
-    not_finite,
-)
-from .native.time_loop import OK, OUTPUT_NOT_FINITE
-
-if TYPE_CHECKING:
-    from .model import CompiledModel
+from .model_base import ModelBase, not_finite
+from .native.arguments import OK, OUTPUT_NOT_FINITE
+from .native.runner import STEP_S, TOLERANCE, Runner, element_name
+from .run_data import Array, InputTable, State
 
 
 class CompiledSystem(LeafSystem):
     """A compiled model that advances by one tick in each discrete update.
 
-    Ports: the open inputs of the model, held over a tick, and its outputs, under their own names.
-    Numeric parameters: ``model.parameter_names``. Discrete state: x and d of the model. The tick is
-    the model's sample time, or the longest that divides all of them.
+    Ports: the open inputs of the model, held over a tick, and its outputs, with the names that they
+    have in the model. Numeric parameters: ``model.parameter_names``. Discrete state: first the
+    continuous states of the model, then its discrete ones. The tick is the longest one that divides
+    all sample times of the model.
 
-    As in every discrete system the state changes right after an update: at the ticks, outputs and
-    logs are those of the diagram that was compiled, and in between they are those of the next tick.
-    An input that a discrete system drives arrives one tick later, for an update sees what was
-    before it: compile that system too.
-    What the integrator remembers is a cache entry, so a run agrees with another one that started
-    from its state within the tolerance.
+    As in every discrete system the state changes right after an update. So outputs and logs at a
+    tick are those of the compiled diagram, and between two ticks they are those of the next tick.
+    An input that another discrete system drives arrives one tick later, because an update sees the
+    values before it. Compile that system too to avoid this.
+
+    Step and Jacobians of the integrator are a cache entry of the Context, not part of its state. So
+    a run that starts from the state of another run agrees with it only within the tolerance.
     """
 
     def __init__(
         self,
-        model: CompiledModel,
+        model: ModelBase,
         parameters: Array,
         state: State,
         *,
@@ -52,10 +44,21 @@ class CompiledSystem(LeafSystem):
         tolerance: float = TOLERANCE,
         tick_s: float | None = None,
     ) -> None:
-        """``parameters`` and ``state``: defaults, before the initialization events of the diagram,
-        which this system has too. ``integrator``, ``step_s`` and ``tolerance`` as in
-        `CompiledModel.simulate`, whose errors each update raises. ``tick_s``: a shorter tick;
-        needed for a model without sample time, else `ValueError`.
+        """Make the system.
+
+        Parameters
+        ----------
+        model
+            A `CompiledModel`.
+        parameters, state
+            Defaults of the Context. ``state`` is the one before the initialization events; this
+            system has these events too.
+        integrator, step_s, tolerance
+            As in `CompiledModel.simulate`; an update raises the errors of that method.
+        tick_s
+            Time in s that the tick must divide. A model without sample time requires it.
+
+        Raises `ValueError` for a wrong ``tick_s`` and for a missing one.
         """
         if tick_s is None and not model.sample_times_s:
             raise ValueError("tick_s is needed: the model has no sample time")
@@ -69,9 +72,9 @@ class CompiledSystem(LeafSystem):
             "tolerance": tolerance,
             "record_period_s": tick_s,
         }
-        self._tick = Runner(model, **self._options).timing.tick
+        self._tick = Runner(model.code, **self._options).timing.tick
         self.DeclareNumericParameter(BasicVector(np.asarray(parameters, dtype=float)))
-        self.DeclareDiscreteState(np.concatenate((state.continuous, state.held)))
+        self.DeclareDiscreteState(np.concatenate((state.continuous, state.discrete)))
         for name, size in model.inputs.items():
             self.DeclareVectorInputPort(name, size)
         self._running = self.DeclareCacheEntry(
@@ -79,12 +82,13 @@ class CompiledSystem(LeafSystem):
             ValueProducer(lambda: Value[object](), self._make_runner),
             {self.all_parameters_ticket()},
         )
-        of_state = {self.time_ticket(), self.all_state_ticket(), self.all_parameters_ticket()}
+        tickets = {self.time_ticket(), self.all_state_ticket(), self.all_parameters_ticket()}
+        tickets_with_inputs = tickets | {self.all_input_ports_ticket()}
         entries = [
             self.DeclareCacheEntry(
                 "outputs", ValueProducer(lambda: Value[object](), partial(self._record, used)), by
             )
-            for used, by in ((False, of_state), (True, of_state | {self.all_input_ports_ticket()}))
+            for used, by in ((False, tickets), (True, tickets_with_inputs))
         ]
         self._size, self._width = len(model.state_names), sum(model.outputs.values())
         first = 0
@@ -105,7 +109,7 @@ class CompiledSystem(LeafSystem):
         value.set_value(_Running(self, parameters))
 
     def _state(self, context: Any) -> Array:
-        """A copy of the discrete state: x and d of the model."""
+        """Return a copy of the system's state: continuous, then discrete states of the model."""
         values: Array = context.get_discrete_state(0).CopyToVector()
         return values
 
@@ -120,7 +124,7 @@ class CompiledSystem(LeafSystem):
         before = State(values[: self._size], values[self._size :])
         parameters = context.get_numeric_parameter(0).CopyToVector()
         state = self.model.initialized(parameters, before, self._inputs(context))
-        discrete_state.set_value(0, np.concatenate((state.continuous, state.held)))
+        discrete_state.set_value(0, np.concatenate((state.continuous, state.discrete)))
 
     def _advance(self, context: Any, discrete_state: Any) -> None:
         tick = round(context.get_time() / self._tick)
@@ -144,27 +148,29 @@ class CompiledSystem(LeafSystem):
 
 
 class _Running:
-    """A runner with the parameters of a Context, and memory for its state and outputs."""
+    """A runner with the parameters of a Context, and memory for states and outputs."""
 
     def __init__(self, system: CompiledSystem, parameters: Array) -> None:
         self._system, self._parameters = system, parameters
-        self._runner = Runner(system.model, **system._options).restart(parameters)
-        self._x, self._d = np.empty((system._size, 1)), np.empty((len(system.model.held_names), 1))
+        model = system.model
+        self._runner = Runner(model.code, **system._options).restart(parameters)
+        self._x = np.empty((system._size, 1))
+        self._d = np.empty((len(model.discrete_names), 1))
         self._last = np.zeros(1, dtype=np.int64)
         self._outputs = np.empty((1, system._width, 1))
         self._runner.bind(self._x, self._d, self._last, self._outputs)
 
     def __deepcopy__(self, memo: Any) -> _Running:
-        """A new one, with the memory empty: Drake copies cache entries with a Context."""
+        """Return a new one with empty memory; Drake copies cache entries with their Context."""
         return _Running(self._system, self._parameters)
 
     def advanced(self, state: Array, tick: int, inputs: InputTable) -> Array:
-        """The state a tick later; raises what `CompiledModel.simulate` raises."""
+        """Return the state one tick after ``tick``; raises as `CompiledModel.simulate`."""
         self._run(state, tick, tick + 1, 0, inputs)
         return np.concatenate((self._x[:, 0], self._d[:, 0]))
 
     def outputs(self, state: Array, tick: int, inputs: InputTable) -> Array:
-        """All outputs, one after the other."""
+        """Return the elements of all outputs at ``tick``."""
         self._run(state, tick, tick, 1, inputs)
         return self._outputs[0, :, 0].copy()
 
@@ -172,7 +178,7 @@ class _Running:
         size = self._system._size
         self._x[:, 0], self._d[:, 0], self._last[0] = state[:size], state[size:], last
         status = self._runner.go(first, last, rows, [inputs])
-        # Reading a port raises the error of an output that is not finite; nobody may read it.
+        # An output that is not finite is an error only for a reader of its port.
         if status[0, 0] not in (OK, OUTPUT_NOT_FINITE):
             model, timing = self._system.model, self._runner.timing
             after = State(self._x[:, 0].copy(), self._d[:, 0].copy())

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
-from .native.runner import Array, InputTable
+from .run_data import Array, InputTable
 
 
 def input_table(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from kneexo.compiler import Array
 from kneexo.compiler.c.export import (
     Measurement,
     Vectors,

@@ -21,16 +21,16 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from kneexo.compiler.equations.reader import Equations, Node, read_equations
-from kneexo.compiler.model import (
+from kneexo.compiler import (
+    STEP_S,
+    TOLERANCE,
     CompiledModel,
-    parameters_of,
-    set_parameters,
-    state_of,
+    InputTable,
+    State,
+    compile_by_key,
+    input_table,
+    read_diagram,
 )
-from kneexo.compiler.native.machine_code import MachineCode, equations_key
-from kneexo.compiler.native.runner import STEP_S, TOLERANCE, InputTable, State
-from kneexo.compiler.trajectories import input_table
 from kneexo.diagrams.closed_loop import loop_values, make_closed_loop
 from kneexo.diagrams.controller import known_to_controller, make_controller
 from kneexo.diagrams.plant import plant_start, start_pressures_pa
@@ -146,15 +146,9 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
             _require_reference_in_range(scenario)
             scenario_values(scenario)
             scenario_start(scenario)
-
-            def context_at(parameters: Array) -> tuple[Node, Any]:
-                root = Node(_diagram(key, scenario))
-                context = root.system.CreateDefaultContext()
-                set_parameters(root, context, parameters)
-                return root, context
-
-            code = MachineCode(key, partial(_equations, key, scenario))
-            _models[key] = CompiledModel(code, context_at)
+            inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
+            make_diagram = partial(_diagram, key, scenario)
+            _models[key] = compile_by_key(key, make_diagram, inputs=inputs)
         return _models[key]
 
 
@@ -169,11 +163,6 @@ def _diagram(key: str, scenario: Scenario) -> Any:
         if key not in _diagrams:
             _diagrams[key] = scenario_diagram(scenario)
         return _diagrams[key]
-
-
-def _equations(key: str, scenario: Scenario) -> Equations:
-    inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
-    return read_equations(_diagram(key, scenario), inputs)
 
 
 class _Custom(NamedTuple):
@@ -196,18 +185,18 @@ def _custom(scenario: Scenario) -> _Custom:
         if key not in _customs:
             controller = make_controller(scenario)
             ports = map(controller.get_input_port, range(controller.num_input_ports()))
-            equations = read_equations(controller, tuple(port.get_name() for port in ports))
-            root, context = Node(controller), controller.CreateDefaultContext()
+            read = read_diagram(controller, inputs=[port.get_name() for port in ports])
 
             def named(names: Sequence[str], values: Array) -> dict[str, float]:
                 paths = (n if n.startswith(".") else f"/{n}" for n in names)  # a leaf has no path
                 return dict(zip((f"controller{p}" for p in paths), values.tolist(), strict=True))
 
-            state = state_of(root, context)
+            state = read.state()
             _customs[key] = _Custom(
-                equations_key(equations),
-                named(equations.parameters, parameters_of(root, context)),
-                named(equations.states, state.continuous) | named(equations.held, state.held),
+                read.key,
+                named(read.parameter_names, read.parameters()),
+                named(read.state_names, state.continuous)
+                | named(read.discrete_names, state.discrete),
             )
         return _customs[key]
 
@@ -285,7 +274,7 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     parameters, start = _parameters(scenario, model), scenario_start(scenario)
     state = State(
         np.array([start.get(name, 0.0) for name in model.state_names]),
-        np.zeros(len(model.held_names)),
+        np.zeros(len(model.discrete_names)),
     )
     inputs = reference_table(reference) if isinstance(reference, SampledReference) else _NO_INPUTS
     return parameters, model.initialized(parameters, state, inputs), inputs

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from kneexo.compiler.model import DiagramModel, compile_diagram
+from kneexo.compiler import ROUGH_STEP_S, DiagramModel, compile_diagram
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.errors import KneexoError, ParameterError, StiffnessError
 from kneexo.parameters import Scenario
@@ -48,8 +48,6 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
     hold fails is repeated by RK4 with steps of 20 µs. The result of a run does not depend on the
     other runs in its batch.
     """
-    from kneexo.compiler.native.runner import ROUGH_STEP_S
-
     ways: dict[Any, list[int]] = {}
     for index, request in requests.items():
         settings = request.scenario.simulation

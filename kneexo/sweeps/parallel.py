@@ -22,7 +22,7 @@ from importlib import import_module
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from kneexo.compiler.native.cores import available_cores
+from kneexo.compiler import available_cores
 from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later
 from kneexo.progress import progress_bar

@@ -65,6 +65,12 @@ class NamedLeaf(LeafSystem):
     _values: Any = _named_values(())
     check: Callable[[Any], None]
 
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the Context parameters; the compiler reads them."""
+        names: tuple[str, ...] = self._values._fields
+        return names
+
     def __new__(cls, *_: Any, **__: Any) -> Self:
         """Drake's leaf system of float, where no scalar is chosen."""
         system: Any = cls
@@ -124,7 +130,7 @@ class NamedLeaf(LeafSystem):
 
         Raises `ValueError` for an unknown name or a number that is not finite.
         """
-        names = self._values._fields
+        names = self.parameter_names
         if name not in names:
             raise ValueError(
                 f"{self.get_name()}: unknown parameter {name!r}; known: {', '.join(names)}"

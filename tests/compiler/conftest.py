@@ -29,9 +29,10 @@ from pydrake.systems.primitives import (
 from kneexo.compiler.equations.graph import COMPARISONS, SOURCES, UNARY, Graph
 from kneexo.compiler.equations.passes import ALWAYS, Group
 from kneexo.compiler.native import cache, llvm as native_code
+from kneexo.compiler.native.arguments import MEMO_LINES
 from kneexo.compiler.native.ir import BYTE, DOUBLE, POINTER, Array, Module
 from kneexo.compiler.native.llvm import Library, compile_text, processor
-from kneexo.compiler.native.printer import MEMO_LINES, Printer, sources
+from kneexo.compiler.native.printer import Printer, sources
 
 # ------------------------------------------------------------------------- the interpreter
 
@@ -158,7 +159,7 @@ EDGES = (
     *(5e-324, -5e-324, 1e-310, 2.2250738585072014e-308, -1.7976931348623157e308, 1e200, 1e-200),
     *(math.pi, -math.pi / 2, 1e5, -1e9, 1.0000001e9, 1e22, 1e300, -7e18, 2.0**52 + 1.0, 2.0**31),
 )
-SIZES = {"time": 1, "parameter": 3, "state": 3, "held": 2, "input": 2}
+SIZES = {"time": 1, "parameter": 3, "state": 3, "discrete": 2, "input": 2}
 """Elements of each kind of source in a random graph."""
 
 EXACT = ("add", "multiply", "divide", "sqrt", "abs", "floor", "ceil", "min", "max", "where")

@@ -51,7 +51,7 @@ def test_logs_are_the_records_of_a_direct_run_bit_by_bit(compiled, integrator):
     for name, log in zip(SIGNALS, logs, strict=True):
         np.testing.assert_allclose(log.sample_times(), direct.time_s, rtol=0, atol=1e-12)
         np.testing.assert_array_equal(log.data().T, direct[name])
-    final = np.concatenate((direct.final.continuous, direct.final.held))
+    final = np.concatenate((direct.final.continuous, direct.final.discrete))
     np.testing.assert_array_equal(context.get_discrete_state(0).value(), final)
 
 

@@ -34,11 +34,13 @@ from kneexo.compiler import (
     State,
     compile_diagram,
 )
+from kneexo.compiler.diagram_equations import equations_key
 from kneexo.compiler.equations.passes import Program
 from kneexo.compiler.equations.reader import read_equations
-from kneexo.compiler.native.machine_code import equations_key
-from kneexo.compiler.native.runner import BufferPool, Runner, timing as timing_of
+from kneexo.compiler.native.buffers import BufferPool
+from kneexo.compiler.native.runner import Runner
 from kneexo.compiler.native.time_loop import run_text
+from kneexo.compiler.native.timing import timing as timing_of
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import CompilationError, ParameterError, ScenarioError, SimulationError
 from kneexo.parameters import (
@@ -322,7 +324,9 @@ def test_lanes_end_at_different_times(default):
 
 def test_a_piece_of_a_run_has_as_many_steps_whatever_their_size(default):
     model = default[0]
-    pieces = {step: Runner(model, integrator="rk4", step_s=step).piece for step in (2e-4, 2e-5)}
+    pieces = {
+        step: Runner(model.code, integrator="rk4", step_s=step).piece for step in (2e-4, 2e-5)
+    }
     assert pieces == {2e-4: 16_000, 2e-5: 1_600}  # ticks of 2 ms
 
 
@@ -356,7 +360,7 @@ def test_failures_of_a_batch_are_raised_or_returned(default):
     model, (parameters, state, _) = default
     broken = state.continuous.copy()
     broken[0] = np.nan
-    states = [state, State(broken, state.held), state]
+    states = [state, State(broken, state.discrete), state]
     rows = [parameters] * 3
     with pytest.raises(SimulationError, match="is not finite"):
         model.simulate_batch(rows, states, 0.1)
@@ -685,7 +689,7 @@ def test_a_state_that_is_not_finite_ends_the_run(integrator):
     scenario = Scenario(encoder=FREE)
     model = compile_scenario(scenario)
     parameters, state, _ = scenario_run(scenario, model)
-    bad = State(state.continuous * np.array([np.nan, 1.0, 1.0, 1.0]), state.held)
+    bad = State(state.continuous * np.array([np.nan, 1.0, 1.0, 1.0]), state.discrete)
     with pytest.raises(SimulationError, match=r"plant/motor\.x\[0\] is not finite"):
         model.simulate(parameters, bad, 0.1, integrator=integrator)
 
@@ -759,7 +763,9 @@ def test_each_run_of_a_batch_has_its_own_outputs_that_are_not_finite(logarithm):
 
 def test_a_run_that_fails_at_its_start_fails_with_any_records(default):
     model, (parameters, state, _) = default
-    out = State(state.continuous + np.array([0.0, 1.0, 0.0, 0.0]), state.held)  # the rod, by 1 m
+    out = State(
+        state.continuous + np.array([0.0, 1.0, 0.0, 0.0]), state.discrete
+    )  # the rod, by 1 m
     for options in ({}, {"record_times_s": [0.0, 0.05]}, {"record_times_s": []}):
         with pytest.raises(SimulationError, match=r"^t = 0 s: knee: knee_angle = -11\.7"):
             model.simulate(parameters, out, 0.1, **options)

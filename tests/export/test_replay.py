@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from kneexo.compiler.c.export import recorded_vectors
-from kneexo.compiler.equations.reader import Node
-from kneexo.compiler.model import parameters_of, state_of
+from kneexo.compiler.equations.contexts import parameters_of, state_of
+from kneexo.compiler.equations.tree import Node
 from kneexo.export.firmware import loop_inputs
 from kneexo.export.target import largest_step_s, target
 from kneexo.parameters import Scenario

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from kneexo.compiler.equations.reader import Node, read_equations
-from kneexo.compiler.model import parameters_of, state_of
-from kneexo.compiler.native.machine_code import equations_key
+from kneexo.compiler.diagram_equations import equations_key
+from kneexo.compiler.equations.contexts import parameters_of, state_of
+from kneexo.compiler.equations.reader import read_equations
+from kneexo.compiler.equations.tree import Node
 from kneexo.diagrams import SIGNALS, make_closed_loop
 from kneexo.errors import LinkageError, ParameterError, SimulationError
 from kneexo.parameters import (
@@ -156,7 +157,7 @@ def test_parameters_and_initial_state_are_those_of_the_diagram(case, compiled_ru
     initialized = state_of(root, context)
     np.testing.assert_array_equal(state.continuous, initialized.continuous)
     # Polynomials in degrees are summed in another order.
-    np.testing.assert_allclose(state.held, initialized.held, rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(state.discrete, initialized.discrete, rtol=1e-13, atol=1e-14)
 
 
 # ------------------------------------------------------------------- nothing is baked in

@@ -19,7 +19,7 @@ from pydrake.systems.primitives import ZeroOrderHold
 
 from ..errors import CompilationError, OutputError, shown
 from ..model import DiagramModel, compile_diagram
-from ..native.runner import Array, InputTable, State
+from ..run_data import Array, InputTable, State
 from .build import BuildError, CodeSize, Replay, code_sizes, replay
 from .printer import literal
 from .source import MARK, CSource
@@ -58,7 +58,7 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
             )
         if not equations.updates:
             diagram = _with_holds(diagram, ports, tick)
-            state = State(state.continuous, np.concatenate([state.held, inputs[0]]))
+            state = State(state.continuous, np.concatenate([state.discrete, inputs[0]]))
     model = compile_diagram(diagram, inputs=ports)
     table = model.no_inputs
     if ports:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ..equations.reader import Update
+from ..equations.equations import Update
 from .printer import CPrinter
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Lines = list[str]
 """Lines of C."""
 
-_MEMORY = {"constant": "c", "state": "x", "held": "d"}
+_MEMORY = {"constant": "c", "state": "x", "discrete": "d"}
 _INSTANT = {
     "p": "const NAME_params_t *",
     "in": "const NAME_inputs_t *",
@@ -34,7 +34,7 @@ class Functions:
         self.model, self.equations = model, model.equations
         self.printer = CPrinter(self.equations.graph, model.real, self.equations.sections)
         self.printer.tables = {table.node: number for number, table in enumerate(model.tables)}
-        self.printer.collect_fixed([*model.roots(), *self.equations.initial_held])
+        self.printer.collect_fixed([*model.roots(), *self.equations.initial_discrete])
         self.operations: Counter[str] = Counter()
         self.lines = self._lines()
 
@@ -100,7 +100,7 @@ class Functions:
     def _lines(self) -> Lines:
         model, equations, name = self.model, self.equations, self.model.name
         constants = [(f"c[{number}]", node) for node, number in self.printer.fixed.items()]
-        initial = [(f"next[{i}]", node) for i, node in enumerate(equations.initial_held)]
+        initial = [(f"next[{i}]", node) for i, node in enumerate(equations.initial_discrete)]
         rates = [(f"rate[{i}]", node) for i, node in enumerate(equations.derivatives)]
         margins = [(f"margin[{i}]", limit.margin) for i, limit in enumerate(equations.limits)]
         fields = (f"out->{of}" for _, of in model.output_fields)
@@ -120,7 +120,7 @@ class Functions:
         if initial:
             block = self.printer.block(initial, self._load)
             lines += self._function("initial_at", ", real *next", block)
-        if equations.held:
+        if equations.discrete:
             lines += self._function("update_at", f"{ticks}{lost}, real *next", self._updates())
         if outputs:
             lines += self._function("outputs_at", f", {name}_outputs_t *out", self._block(outputs))

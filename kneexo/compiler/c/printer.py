@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..equations.equations import Section
 from ..equations.graph import COMPARISONS, SOURCES, UNARY, Graph
-from ..equations.reader import Section
 from ..errors import CompilationError
 
 WIDTH = 96

@@ -16,9 +16,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from ..equations.reader import Equations
+from ..equations.equations import Equations
 from ..errors import CompilationError
-from ..native.runner import Array, State, timing
+from ..native.timing import timing
+from ..run_data import Array, State
 from .functions import Functions
 from .printer import PRECISIONS, Precision, comment_lines, literal, plain_line
 from .step_size import rk4_step_s
@@ -289,7 +290,7 @@ class CSource:
         for update in self.equations.updates:
             for state, node in update.values:
                 kind, *terms = graph.nodes[node]
-                held = graph.source("held", state)
+                held = graph.source("discrete", state)
                 if kind == "add" and terms.count(held) == 1:
                     sums[state] = tuple(term for term in terms if term != held)
         return sums
@@ -303,7 +304,7 @@ class CSource:
         for element, (port, of) in enumerate(self.input_fields):
             if port in self.interface.integers and (limits := self.limits(port, of)):
                 ranges[element] = int(limits[0]), int(limits[1])
-        roots = [*self.roots(), *self.equations.initial_held]
+        roots = [*self.roots(), *self.equations.initial_discrete]
         tables = tables_of(self.equations.graph, roots, ranges, self.parameters)
         if not tables:
             raise CompilationError(
@@ -341,7 +342,7 @@ class CSource:
     def state_bytes(self) -> int:
         """Size of the state where a float has 4 and a double 8 bytes."""
         equations, real = self.equations, 8 if self.precision == "double" else 4
-        counts = (equations.states, equations.held, self.accumulators, self.output_fields)
+        counts = (equations.states, equations.discrete, self.accumulators, self.output_fields)
         numbers = sum(map(len, counts)) + len(self.functions.printer.fixed)
         counters = 4 * (1 + self.counts_steps)  # started, tick
         return real * (numbers + math.ceil(counters / real))
@@ -366,7 +367,7 @@ class CSource:
         step = self.sample_time_s / self.steps
         sizes = {
             "STATES": len(equations.states),
-            "HELD": len(equations.held),
+            "HELD": len(equations.discrete),
             "LOST": len(self.accumulators),
             "CONSTANTS": len(functions.printer.fixed),
             "LIMITS": len(equations.limits),
@@ -497,7 +498,7 @@ class CSource:
 
     def _start(self) -> list[tuple[str, Array]]:
         """Name in C and start values of continuous and discrete states, where there are any."""
-        pairs = (("x", self.state.continuous), ("d", self.state.held))
+        pairs = (("x", self.state.continuous), ("d", self.state.discrete))
         return [(told, start) for told, start in pairs if start.size]
 
     def _by_leaf(self) -> dict[str, dict[tuple[str, bool], list[int]]]:
@@ -535,7 +536,7 @@ class CSource:
         lost, fixed = len(self.accumulators), len(self.functions.printer.fixed)
         rows = [
             ("x", len(equations.states), f"continuous: {', '.join(equations.states)}"),
-            ("d", len(equations.held), f"discrete: {', '.join(equations.held)}"),
+            ("d", len(equations.discrete), f"discrete: {', '.join(equations.discrete)}"),
             ("lost", lost, "what the sums among d have lost by rounding"),
             ("c", fixed, "what depends on parameters alone"),
         ]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..equations.equations import Equations
 from ..equations.graph_values import values_of
-from ..equations.reader import Equations
 from ..errors import CompilationError
-from ..native.runner import STEP_S, Array, State
+from ..native.runner import STEP_S
+from ..run_data import Array, State
 
 STEP_ANGLE = 0.2
 """Largest product of the step of RK4 and the magnitude of an eigenvalue."""
@@ -35,10 +36,10 @@ def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
         "parameter": parameters,
         "time": np.zeros(1),
         "state": state.continuous,
-        "held": state.held,
+        "discrete": state.discrete,
         "input": np.zeros(sum(equations.inputs.values())),
     }
-    sources["held"] = np.array(values_of(graph, equations.initial_held, sources))
+    sources["discrete"] = np.array(values_of(graph, equations.initial_discrete, sources))
     matrix = np.zeros((size, size))
     for row, gradient in zip(matrix, graph.gradients(equations.derivatives), strict=True):
         row[list(gradient)] = values_of(graph, gradient.values(), sources)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..equations.graph import COMPARISONS, SOURCES, Graph
 from ..equations.graph_values import values_of
-from ..native.runner import Array
+from ..run_data import Array
 
 _CHEAP = ("add", "multiply", "min", "max", "where", "abs", *COMPARISONS, "and", "or", "not")
 _CONDITIONS = (*COMPARISONS, "and", "or", "not")

@@ -15,8 +15,8 @@ from typing import Any
 Operation = tuple[Any, ...]
 """Name of the operation and its arguments: numbers of nodes, or a plain value in a source."""
 
-SOURCES = ("constant", "parameter", "time", "state", "held", "input")
-"""Nodes without arguments; ``held`` is a discrete state, constant between two events."""
+SOURCES = ("constant", "parameter", "time", "state", "discrete", "input")
+"""Kinds of nodes without arguments; a ``discrete`` state is constant between two events."""
 
 COMPARISONS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 """Each comparison and its operator in Python and C."""
@@ -81,7 +81,7 @@ class Graph:
         return self._node("constant", float(value))
 
     def source(self, kind: str, index: int = 0) -> int:
-        """Element ``index`` of a parameter, state, held or input vector, or the time."""
+        """Element ``index`` of a parameter, state, discrete or input vector, or the time."""
         return self._node(kind, index)
 
     @property

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from .equations import Equations
 from .graph import COMPARISONS, SOURCES, Graph
-from .reader import Equations
 
 ALWAYS = ("always", 0)
 """Condition of a group that is computed at every instant."""
@@ -33,7 +33,7 @@ class Group:
     """Nodes that are computed under one condition, each with the place of its value."""
 
     condition: tuple[str, int]
-    """`ALWAYS`, ``update`` (the sample period that fires) or ``wanted`` (the output port)."""
+    """`ALWAYS`, ``update`` (the sample period that fires) or ``requested`` (the output port)."""
     targets: tuple[tuple[Place, int], ...]
 
 
@@ -51,7 +51,7 @@ class Layout:
 
     parameters: tuple[str, ...]
     states: tuple[str, ...]
-    held: tuple[str, ...]
+    discrete: tuple[str, ...]
     inputs: tuple[tuple[str, int], ...]
     """Input ports that stay open, with their sizes."""
     outputs: tuple[tuple[str, int], ...]
@@ -103,7 +103,7 @@ class Program:
         self.jacobian = [(at, node) for (at, _), node in zip(elements, nodes, strict=True)]
         """Places, column by column, and nodes of the elements of df/dx that are not zero."""
         self.derivatives = regrouped(graph, equations.derivatives)
-        self.initial_held = equations.initial_held
+        self.initial_discrete = equations.initial_discrete
         self.groups = self._groups()
         self.instant = [node for group in self.groups for _, node in group.targets]
         self.hoisted = self._hoisted()
@@ -119,7 +119,7 @@ class Program:
         return Layout(
             parameters=tuple(equations.parameters),
             states=tuple(equations.states),
-            held=tuple(equations.held),
+            discrete=tuple(equations.discrete),
             inputs=tuple(equations.inputs.items()),
             outputs=tuple((port, len(nodes)) for port, nodes in equations.outputs.items()),
             feedthrough=tuple(
@@ -149,7 +149,7 @@ class Program:
         first = 0
         for number, nodes in enumerate(equations.outputs.values()):
             targets = tuple((("output", first + i), node) for i, node in enumerate(nodes))
-            groups.append(Group(("wanted", number), targets))
+            groups.append(Group(("requested", number), targets))
             first += len(nodes)
         faster = iter(regrouped(self.graph, [n for group in groups for _, n in group.targets]))
         return [
@@ -159,7 +159,7 @@ class Program:
 
     def _roots(self) -> list[int]:
         elements = [node for _, node in self.jacobian]
-        return [*self.derivatives, *self.initial_held, *self.instant, *elements]
+        return [*self.derivatives, *self.initial_discrete, *self.instant, *elements]
 
     def _hoisted(self) -> dict[int, int]:
         graph, roots = self.graph, self._roots()

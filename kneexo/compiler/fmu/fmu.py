@@ -189,8 +189,8 @@ class Fmu:
         equations = self.source.equations
         graph = equations.graph
         sources = [graph.nodes[n] for n in graph.reachable([node])]
-        held = [index for kind, index, *_ in _sources(sources) if kind == "held"]
-        initial = graph.reachable([equations.initial_held[index] for index in held])
+        held = [index for kind, index, *_ in _sources(sources) if kind == "discrete"]
+        initial = graph.reachable([equations.initial_discrete[index] for index in held])
         inputs = self._references("input")
         references = set()
         for kind, index in _sources([*sources, *(graph.nodes[n] for n in initial)]):
@@ -400,7 +400,7 @@ def generation_tool(archive: bytes) -> str | None:
 
 def _sources(nodes: Sequence[Operation]) -> Iterator[tuple[str, int]]:
     for kind, *rest in nodes:
-        if kind in ("input", "parameter", "state", "held"):
+        if kind in ("input", "parameter", "state", "discrete"):
             yield str(kind), int(rest[0])
 
 

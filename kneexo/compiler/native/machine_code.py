@@ -7,15 +7,13 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields
 from functools import cache
-from importlib.metadata import version
 from multiprocessing import parent_process
 from pathlib import Path
 from threading import RLock, Timer
 
+from ..equations.equations import Equations
 from ..equations.passes import Layout, Program
-from ..equations.reader import Equations
 from . import cache as entries
 from .llvm import Library, compile_text, processor
 from .time_loop import between_text, run_text, start_text
@@ -126,10 +124,3 @@ def _sources() -> str:
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
-
-
-def equations_key(equations: Equations) -> str:
-    """Key of equations by their content."""
-    named = [(field.name, getattr(equations, field.name)) for field in fields(equations)]
-    content = [value.nodes if name == "graph" else value for name, value in named]
-    return hashlib.sha256(repr((version("drake"), content)).encode()).hexdigest()

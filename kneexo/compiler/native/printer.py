@@ -10,6 +10,7 @@ from typing import Any
 from ..equations.graph import COMPARISONS, SOURCES
 from ..equations.passes import ALWAYS, Group, Memo, Place, Program
 from . import elementary
+from .arguments import MEMO_LINES
 from .ir import (
     DOUBLE,
     INT,
@@ -21,9 +22,6 @@ from .ir import (
     Type,
     Value,
 )
-
-MEMO_LINES = 4096
-"""Lines of a table of whole-number functions, a power of two: all counts of a 12-bit encoder."""
 
 Load = Callable[[str, int], Operand]
 """Gives an element of a source (`graph.SOURCES`), or of a ``constant`` computed once a run."""
@@ -298,8 +296,9 @@ def define_initialize(module: Module, program: Program) -> None:
     def store(place: Place, value: Operand) -> None:
         after[place[1]] = value
 
-    targets = [(("after", i), node) for i, node in enumerate(program.initial_held)]
-    Printer(f, program, sources(0.0, state=x, held=d, input=u, constant=c)).always(targets, store)
+    targets = [(("after", i), node) for i, node in enumerate(program.initial_discrete)]
+    load = sources(0.0, state=x, discrete=d, input=u, constant=c)
+    Printer(f, program, load).always(targets, store)
 
 
 def define_derivatives(module: Module, program: Program, lanes: int, attributes: str) -> Function:
@@ -335,5 +334,5 @@ def _of_state(
     arguments = {"t": type_} | dict.fromkeys(names, POINTER)
     f = module.function(name, arguments, attributes=attributes)
     x, d, u, c, out = (Array(f.arguments[key], type_) for key in names)
-    load = sources(f.arguments["t"], state=x, held=d, input=u, constant=c)
+    load = sources(f.arguments["t"], state=x, discrete=d, input=u, constant=c)
     return f, load, out

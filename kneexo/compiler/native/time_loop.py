@@ -1,11 +1,10 @@
-"""Machine code of a model: its time loop, for one lane or several, as IR text.
+"""Emits the functions of a model as IR text: the start, the time loop, records between ticks.
 
-One text for each part of a model, so that only what is used is compiled:
-`start_text` (constants and initialization), `run_text` (a run with one integrator) and
-`between_text` (records between two ticks).
+Each function that a runner may need has a text of its own, so that only the used ones are compiled.
 
-``x``: continuous states, ``d``: discrete states, held between two events, ``u``: open inputs,
-``c``: constants of the run, ``y``: outputs.
+Names of the arrays: ``x`` continuous states, ``d`` discrete states, ``u`` open inputs, ``c`` values
+that depend on parameters alone, ``y`` outputs. The number of lanes is the number of runs that one
+call makes in lock-step.
 """
 
 from __future__ import annotations
@@ -15,6 +14,17 @@ from dataclasses import dataclass
 
 from ..equations.passes import Group, Place, Program
 from . import exact_hold
+from .arguments import (
+    BETWEEN,
+    DOUBLES,
+    INPUT,
+    MEMO_LINES,
+    NOT_FINITE,
+    OUTPUT_NOT_FINITE,
+    OUTSIDE,
+    RUN,
+    TOO_ROUGH,
+)
 from .integrators import Tick, advance_rk4, advance_runge_kutta3
 from .ir import (
     BOOL,
@@ -31,7 +41,6 @@ from .ir import (
     Variable,
 )
 from .printer import (
-    MEMO_LINES,
     Printer,
     define_constants,
     define_derivatives,
@@ -40,52 +49,13 @@ from .printer import (
     sources,
 )
 
-INTEGRATORS = ("exact_hold", "rk4", "runge_kutta3")
-"""Time integrators of every compiled model."""
-
-OK, NOT_FINITE, OUTSIDE, TOO_ROUGH, OUTPUT_NOT_FINITE = range(5)
-"""How a run ended: at its end, with a state that is not finite, outside a limit, where the exact
-hold cannot hold its tolerance, or with a recorded output that is not finite."""
-
-RUN = (
-    *("c", "own_c", "x", "d", "inputs", "tick", "unit", "split", "first", "last", "longest"),
-    *("periods", "offsets", "record_every", "row", "rows", "wanted", "columns"),
-    *("column_count", "record"),
-    *("step", "tolerance", "memory", "shared", "tags", "values", "status"),
-    *("kept", "kept_count", "kept_x", "kept_d"),
-)
-"""Arguments of ``run``, each in eight bytes: numbers, or addresses of arrays.
-
-``c`` (constants, lanes), ``own_c`` (lanes, constants), ``x`` (states, lanes), ``d`` (held, lanes),
-``inputs`` (lanes, `INPUT`), the ``tick`` in s and the ``unit``, which has ``split`` ticks: see
-``_Clock``; ``last`` (lanes,) ticks and the ``longest`` of them, ``periods`` and ``offsets``
-(periods,) in ticks, the ``row`` of the first record, ``wanted`` (output ports,) bytes, ``columns``
-(column_count,) of the elements of all outputs, ``record`` (lanes, column_count, rows), ``memory``
-and ``shared`` of the exact hold, ``tags`` and ``values`` of the tables of whole-number functions,
-``status`` (lanes, 3): outcome, tick, and which limit; ``kept`` (kept_count,) ticks whose states
-after the events go into ``kept_x`` (kept_count, states) and ``kept_d``, with a single lane.
-"""
-
-BETWEEN = (
-    *("c", "inputs", "tick", "unit", "split", "wanted", "columns", "column_count", "record"),
-    *("rows", "step", "kept", "kept_x", "kept_d", "times", "places"),
-)
-"""Arguments of ``between``: the same, and ``times`` (rows,) with the ``places`` (rows,) of the kept
-states that they start from."""
-
-DOUBLES = ("tick", "unit", "step", "tolerance")
-"""Those of both that are doubles; the others are integers or addresses."""
-
-INPUT = ("break_count", "breaks", "powers", "coefficients")
-"""An input table: see `InputTable`."""
-
 _CHECKS = 4  # independent sums, which the processor can compute at the same time
 
 _INLINED_STATES, _INLINED_NODES = 8, 1500  # beyond that derivatives are called
 
 
 def start_text(program: Program) -> str:
-    """``constants`` and ``initialize``."""
+    """Return the text of ``constants`` and ``initialize``: see the functions that define them."""
     module = Module()
     define_constants(module, program)
     define_initialize(module, program)
@@ -93,14 +63,17 @@ def start_text(program: Program) -> str:
 
 
 def run_text(program: Program, integrator: str, lanes: int) -> str:
-    """``run`` with one of `INTEGRATORS`."""
+    """Return the text of ``run(arguments)`` with one of `INTEGRATORS`; arguments: see `RUN`."""
     module = Module()
     _Run(module, program, integrator, lanes).trace()
     return module.text()
 
 
 def between_text(program: Program) -> str:
-    """``between``: records at any times, each by RK4 from a kept state."""
+    """Return the text of ``between(arguments)``; arguments: see `BETWEEN`.
+
+    The function makes records at any times, each by RK4 from the snapshot before it.
+    """
     module = Module()
     _trace_between(module, program)
     return module.text()
@@ -110,7 +83,11 @@ def between_text(program: Program) -> str:
 
 
 class _Clock:
-    """Time of one tick after the other; whole units are not rounded twice, as in `Timing.times`."""
+    """Emits the time of one tick after the other.
+
+    As in `Timing.times`, the time of a tick is that of the last whole unit before it, plus that of
+    the ticks since then. So rounding errors do not add up.
+    """
 
     def __init__(self, f: Function, arguments: _Arguments, tick: Value) -> None:
         self.f, self.a = f, arguments
@@ -119,12 +96,12 @@ class _Clock:
         self.whole, self.part = f.variable(whole), f.variable(tick - whole * split)
 
     def time(self) -> Value:
-        """Time of the tick in s."""
+        """Emit the time of the tick; return it in s."""
         part = self.f.to_double(self.part.get()) * self.a["tick"]
         return self.f.fma(self.f.to_double(self.whole.get()), self.a["unit"], part)
 
     def advance(self) -> None:
-        """Go to the next tick."""
+        """Emit the change to the next tick."""
         f, part = self.f, self.part.get() + 1
         is_whole = part.equals(self.a["split"])
         self.whole.set(self.whole.get() + f.flags(is_whole))
@@ -132,7 +109,7 @@ class _Clock:
 
 
 class _Arguments:
-    """The arguments of a function, behind one pointer."""
+    """The arguments of a function whose only parameter is a pointer to them."""
 
     def __init__(self, f: Function, names: Sequence[str]) -> None:
         self.f = f
@@ -146,15 +123,15 @@ class _Arguments:
         return self.values[name]
 
     def array(self, name: str, type_: Type = INT) -> Array:
-        """The array behind an address."""
+        """Return the array whose address is the argument ``name``."""
         return Array(self.f.pointer(self.values[name]), type_)
 
 
 def _define_inputs(module: Module, program: Program) -> Function:
-    """``evaluate_inputs(t, table, u)``: the open inputs of one lane, as `InputTable` says.
+    """Define ``evaluate_inputs(t, table, u)``: the open inputs of one lane, as `InputTable.value`.
 
-    The first segment ends and the last one starts at a break, where a value belongs to the segment
-    on its right; at the last of several breaks, the end of a spline, to that on its left.
+    Segments are closed on the left. The last of several breaks also belongs to the segment before
+    it.
     """
     arguments = {"t": DOUBLE, "table": POINTER, "u": POINTER}
     f = module.function("evaluate_inputs", arguments)
@@ -191,13 +168,16 @@ def _define_inputs(module: Module, program: Program) -> Function:
 
 
 class _Model:
-    """What run and records between ticks share: the equations in some number of lanes."""
+    """The equations in some number of lanes, with local memory for their arrays.
+
+    ``run`` and ``between`` both use it.
+    """
 
     def __init__(self, f: Function, program: Program, lanes: int, arguments: _Arguments) -> None:
         self.f, self.program, self.lanes = f, program, lanes
         self.type = DOUBLE.of(lanes)
         equations = program.equations
-        self.held = len(equations.held)
+        self.discrete_count = len(equations.discrete)
         self.input_count = sum(equations.inputs.values())
         self.output_count = sum(map(len, equations.outputs.values()))
         large = program.size > _INLINED_STATES or (
@@ -210,24 +190,27 @@ class _Model:
         self.inputs = arguments.array("inputs")
         self.c = arguments.array("c", self.type)
         self.x = f.array(program.size, self.type)
-        self.d = f.array(self.held, self.type)
+        self.d = f.array(self.discrete_count, self.type)
         self.u = f.array(self.input_count, self.type)
         self.y = f.array(self.output_count, self.type)
-        self._of_lane = f.array(self.input_count)
-        self.states = (("kept_x", self.x, program.size), ("kept_d", self.d, self.held))
-        """States, their number, and the name of the argument that keeps them."""
+        self._lane_u = f.array(self.input_count)
+        self.states = (
+            ("snapshot_x", self.x, program.size),
+            ("snapshot_d", self.d, self.discrete_count),
+        )
+        """Name of the argument for snapshots, array and size of both kinds of state."""
 
     def inputs_of(self, lane: Operand, time: Value, u: Array) -> None:
-        """Write the inputs of one lane."""
+        """Emit the computation of the inputs of one lane; they are written to ``u``."""
         if self.evaluate is not None:
             table = self.inputs.address(self.f.coerce(lane, INT) * len(INPUT))
             self.f.call(self.evaluate, time, table, u.pointer)
 
     def set_inputs(self, time: Operand) -> None:
-        """Write the inputs of all lanes at their times."""
+        """Emit the computation of the inputs of all lanes at their times."""
         if self.evaluate is None:
             return
-        f, u = self.f, self._of_lane
+        f, u = self.f, self._lane_u
         times = f.coerce(time, self.type)
         for lane in range(self.lanes):
             self.inputs_of(lane, f.lane(times, lane), u)
@@ -235,13 +218,13 @@ class _Model:
                 self.u.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane] = u[i]
 
     def rate(self, time: Operand, x: Array, out: Array) -> None:
-        """``out`` = dx/dt, with the inputs at that time."""
+        """Emit ``out`` = dx/dt, with the inputs at that time."""
         self.set_inputs(time)
         pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
         self.f.call(self.derivatives, self.f.coerce(time, self.type), *pointers)
 
     def tick(self, start: Value, end: Value, step: Value, running: Value) -> Tick:
-        """A tick of an integrator."""
+        """Return a tick for an integrator."""
         return Tick(
             self.f, self.program.size, self.type, start, end, self.x, running, self.rate, step
         )
@@ -254,14 +237,14 @@ class _Model:
         store: Callable[[Place, Operand], None],
         memory: Sequence[Array] | None = None,
     ) -> None:
-        """Compute groups at a time."""
+        """Emit the computation of groups at a time: see `Printer.groups`."""
         self.set_inputs(time)
-        load = sources(time, state=self.x, held=self.d, input=self.u, constant=self.c)
+        load = sources(time, state=self.x, discrete=self.d, input=self.u, constant=self.c)
         printer = Printer(self.f, self.program, load, memory=memory)
         printer.groups(groups, condition, store)
 
     def record(self, columns: Array, count: Value, record: Array, rows: Value, row: Value) -> None:
-        """Write columns of the outputs into a row of each lane's record."""
+        """Emit the copy of columns of the outputs to a row of each lane's record."""
         f = self.f
         for column in f.loop(count):
             value = self.y[columns[column]]
@@ -275,21 +258,23 @@ class _Model:
 
 @dataclass(frozen=True)
 class _Now:
-    """One pass of the time loop."""
+    """One pass of the time loop, at one tick."""
 
     number: Value
-    """Of the tick."""
+    """Number of the tick."""
     time: Value
+    """Time of the tick in s."""
     present: Value
-    """The lanes whose run has not ended; with one lane it holds always."""
+    """The lanes that have not passed their last tick; always true with one lane."""
     running: Value
-    """Those of them that go on from here."""
+    """The lanes that have not reached their last tick."""
 
 
 class _Run:
-    """Traces ``run``: from tick ``first`` to tick ``last`` of each lane.
+    """Emits ``run``: from tick ``first`` to tick ``last`` of each lane.
 
-    Events at t see the states before them, as in Drake; those at ``last`` are left to the next run.
+    As in Drake, events at t see the states before them. The updates at ``last`` belong to the next
+    run.
     """
 
     def __init__(self, module: Module, program: Program, integrator: str, lanes: int) -> None:
@@ -299,21 +284,21 @@ class _Run:
         self.model = _Model(f, program, lanes, a)
         self.mask = BOOL.of(lanes)
         self.alive = f.variable(f.constant(1, self.mask))
-        self.after = f.array(self.model.held, self.model.type)
+        self.after = f.array(self.model.discrete_count, self.model.type)
         self.status = a.array("status")
         if integrator == "exact_hold" and program.size:
             self._prepare_hold()
 
     def _prepare_hold(self) -> None:
         f, a, program = self.f, self.a, self.program
-        own_c = a.array("own_c", DOUBLE)
+        lane_c = a.array("lane_c", DOUBLE)
         choose_slot = exact_hold.define_choose_slot(f.module, program.size)
         jacobian = define_jacobian(f.module, program)
-        x, d, u = (f.array(k) for k in (program.size, self.model.held, self.model.input_count))
+        sizes = (program.size, self.model.discrete_count)
+        x, d, u = (f.array(size) for size in (*sizes, self.model.input_count))
         at = exact_hold.Memory(program.size)
 
         def choose(tick: Tick, lane: Value, own: Array, time: Value) -> None:
-            sizes = (program.size, self.model.held)
             for values, single, count in zip(
                 (self.model.x, self.model.d), (x, d), sizes, strict=True
             ):
@@ -323,7 +308,7 @@ class _Run:
                 for i in f.loop(count):
                     single[i] = spilled.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane]
             self.model.inputs_of(lane, time, u)
-            c = own_c.address(lane * len(program.hoisted))
+            c = lane_c.address(lane * len(program.hoisted))
             pointers = (x.pointer, d.pointer, u.pointer, c, own.address(at.candidate))
             f.call(jacobian, time, *pointers)
             f.call(choose_slot, x.pointer, own.pointer, a["tick"])
@@ -333,18 +318,18 @@ class _Run:
         )
 
     def trace(self) -> None:
-        """Trace the whole function."""
+        """Emit the whole function."""
         f, a, model = self.f, self.a, self.model
         outer_x, outer_d = a.array("x", model.type), a.array("d", model.type)
         for i in f.each(self.program.size):
             model.x[i] = outer_x[i]
-        for i in f.each(model.held):
+        for i in f.each(model.discrete_count):
             model.d[i] = outer_d[i]
         ends = a.array("last", INT.of(self.lanes))[0]
         number, clock = f.variable(a["first"]), _Clock(f, a, a["first"])
-        row, keep = f.variable(a["row"]), f.variable(f.constant(0, INT))
+        row, snapshot = f.variable(a["row"]), f.variable(f.constant(0, INT))
         if self.lanes == 1:
-            self._keep(keep, a["first"] - 1)
+            self._store_snapshot(snapshot, a["first"] - 1)
         with f.forever() as loop:
             k = number.get()
             loop.stop_if(k > a["longest"])
@@ -354,7 +339,7 @@ class _Run:
             now = _Now(k, time, alive & (ticks <= ends), alive & (ticks < ends))
             self._events(now, row)
             if self.lanes == 1:
-                self._keep(keep, k)
+                self._store_snapshot(snapshot, k)
             running = self.alive.get() & (ticks < ends)
             loop.stop_if(~f.any_lane(running))
             clock.advance()
@@ -364,22 +349,25 @@ class _Run:
             number.set(k + 1)
         for i in f.each(self.program.size):
             outer_x[i] = model.x[i]
-        for i in f.each(model.held):
+        for i in f.each(model.discrete_count):
             outer_d[i] = model.d[i]
 
-    def _keep(self, keep: Variable, tick: Value) -> None:
-        """Keep the state, when the next of the kept ticks is this one."""
+    def _store_snapshot(self, snapshot: Variable, tick: Value) -> None:
+        """Emit the copy of the state to memory, if the next snapshot is due at this tick.
+
+        ``snapshot``: number of the next snapshot.
+        """
         f, a, model = self.f, self.a, self.model
-        kept, number = a.array("kept"), keep.get()
-        with f.when(number < a["kept_count"]), f.when(kept[number].equals(tick)):
+        ticks, number = a.array("snapshots"), snapshot.get()
+        with f.when(number < a["snapshot_count"]), f.when(ticks[number].equals(tick)):
             for name, values, count in model.states:
                 memory = a.array(name, DOUBLE).shifted(number * count)
                 for i in f.each(count):
                     memory[i] = values[i]
-            keep.set(number + 1)
+            snapshot.set(number + 1)
 
     def _events(self, now: _Now, row: Variable) -> None:
-        """Record and update at an instant, where there is anything to do."""
+        """Emit records, checks and updates at a tick, under the condition that any is due."""
         f, a, model, program = self.f, self.a, self.model, self.program
         recording = (now.number % a["record_every"]).equals(0) & (row.get() < a["rows"])
         going = f.any_lane(now.running)
@@ -390,14 +378,14 @@ class _Run:
             since = now.number - offsets[number]
             fires.append(going & (since >= 0) & (since % periods[number]).equals(0))
             firing = firing | fires[number]
-        wanted, columns = a.array("wanted", BYTE), a.array("columns")
+        requested, columns = a.array("requested", BYTE), a.array("columns")
         margins: dict[int, Value] = {}
         # Each sum is NaN in a lane where an output is not finite, else 0.
         checks = [f.variable(f.constant(0.0, model.type)) for _ in range(_CHECKS)]
 
-        def condition(of: tuple[str, int]) -> Value:
-            kind, index = of
-            return fires[index] if kind == "update" else wanted[index].differs(0) & recording
+        def condition(group: tuple[str, int]) -> Value:
+            kind, index = group
+            return fires[index] if kind == "update" else requested[index].differs(0) & recording
 
         def store(place: Place, value: Operand) -> None:
             kind, index = place
@@ -411,18 +399,18 @@ class _Run:
                 check.set(f.fma(value, 0.0, check.get()))
 
         with f.when(recording | firing):
-            if len(fires) > 1:  # else all of them are written
-                for i in f.each(model.held):
+            if len(fires) > 1:  # a single update writes all discrete states
+                for i in f.each(model.discrete_count):
                     self.after[i] = model.d[i]
             model.instant(now.time, program.groups, condition, store, self._memory())
             with f.when(recording):
                 record = a.array("record", DOUBLE)
                 model.record(columns, a["column_count"], record, a["rows"], row.get())
                 row.set(row.get() + 1)
-            # Alone, a run looks at its last instant only to record.
-            looking = now.running | (now.present & recording)
+            # At the last tick of a run margins only count if the tick is recorded.
+            checked = now.running | (now.present & recording)
             for which, margin in margins.items():
-                self._fail(looking & ~(margin >= 0.0), OUTSIDE, now.number, which)
+                self._fail(checked & ~(margin >= 0.0), OUTSIDE, now.number, which)
             total = checks[0].get()
             for check in checks[1:]:
                 total = total + check.get()
@@ -430,14 +418,14 @@ class _Run:
             self._fail(bad, OUTPUT_NOT_FINITE, now.number)
             running = now.running & self.alive.get()
             with f.when(firing & f.any_lane(running)):
-                for i in f.each(model.held):
+                for i in f.each(model.discrete_count):
                     before = model.d[i]
                     model.d[i] = self.after[i]
                     if self.lanes > 1:
                         model.d[i] = f.select(running, self.after[i], before)
 
     def _memory(self) -> list[Array]:
-        """Tags and values of each memo, one after the other."""
+        """Return tags and values of each memo, one after the other."""
         tags, values = (self.a.array(name, DOUBLE) for name in ("tags", "values"))
         memory = []
         first = 0
@@ -448,7 +436,7 @@ class _Run:
         return memory
 
     def _fail(self, lanes: Value, code: int, tick: Value, which: int = 0) -> None:
-        """End the runs of lanes."""
+        """Emit the end of the runs in ``lanes``, with the outcome ``code``."""
         f = self.f
         with f.when(f.any_lane(lanes), rare=True):
             for lane in range(self.lanes):
@@ -485,26 +473,26 @@ def _trace_between(module: Module, program: Program) -> None:
     f = module.function("between", {"arguments": POINTER}, internal=False)
     a = _Arguments(f, BETWEEN)
     model = _Model(f, program, 1, a)
-    columns, wanted = a.array("columns"), a.array("wanted", BYTE)
-    times, places, kept = a.array("times", DOUBLE), a.array("places"), a.array("kept")
-    groups = [group for group in program.groups if group.condition[0] == "wanted"]
+    columns, requested = a.array("columns"), a.array("requested", BYTE)
+    times, places, ticks = a.array("times", DOUBLE), a.array("places"), a.array("snapshots")
+    groups = [group for group in program.groups if group.condition[0] == "requested"]
     place, time = f.variable(f.constant(-1, INT)), f.variable(f.constant(0.0))
 
-    def condition(of: tuple[str, int]) -> Value:
-        return wanted[of[1]].differs(0)
+    def condition(group: tuple[str, int]) -> Value:
+        return requested[group[1]].differs(0)
 
     def store(at: Place, value: Operand) -> None:
         model.y[at[1]] = value
 
     for row in f.loop(a["rows"]):
-        now, of = times[row], places[row]
-        with f.when(of.differs(place.get())):
-            place.set(of)
+        now, snapshot = times[row], places[row]
+        with f.when(snapshot.differs(place.get())):
+            place.set(snapshot)
             for name, values, count in model.states:
-                memory = a.array(name, DOUBLE).shifted(of * count)
+                memory = a.array(name, DOUBLE).shifted(snapshot * count)
                 for i in f.each(count):
                     values[i] = memory[i]
-            start = f.select(kept[of] > 0, kept[of], 0)
+            start = f.select(ticks[snapshot] > 0, ticks[snapshot], 0)
             time.set(_Clock(f, a, start).time())
         if program.size:
             with f.when(now > time.get()):

@@ -22,10 +22,10 @@ from kneexo.compiler.c.export import (
     write_folder,
 )
 from kneexo.compiler.c.source import CSource
+from kneexo.compiler.equations.equations import Equations
 from kneexo.compiler.equations.graph import Graph
-from kneexo.compiler.equations.reader import Equations
 from kneexo.compiler.model import compile_diagram
-from kneexo.compiler.native.runner import State
+from kneexo.compiler.run_data import State
 from kneexo.errors import CompilationError, OutputError, SimulationError
 
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from kneexo.compiler.c.printer import DOUBLE, FLOAT, WIDTH, CPrinter, comment_lines, literal
+from kneexo.compiler.equations.equations import Section
 from kneexo.compiler.equations.graph import UNARY, Graph
-from kneexo.compiler.equations.reader import Section
 from kneexo.errors import CompilationError
 
 ORDINARY = (0.0, -0.0, 1.0, -1.0, 0.5, 2.0, 3.0, 0.1, 1e200, 1e-200, math.pi, -1e9, 2.0**52 + 1.0)
 """Constants that a literal of C can say; the sources take the other edges."""
 
-ARRAYS = {"parameter": "p", "state": "x", "held": "d", "input": "u"}
+ARRAYS = {"parameter": "p", "state": "x", "discrete": "d", "input": "u"}
 
 HEAD = """
 #include <math.h>
@@ -101,7 +101,7 @@ def test_elementary_functions_are_those_of_the_c_library(c_text, interpreted):
 
 def test_each_source_is_read_from_its_place(c_text):
     graph = Graph()
-    kinds = {"time": 1, "parameter": 2, "state": 3, "held": 2, "input": 2}
+    kinds = {"time": 1, "parameter": 2, "state": 3, "discrete": 2, "input": 2}
     roots = [graph.source(kind, i) for kind, size in kinds.items() for i in range(size)]
     first = np.cumsum([0, *kinds.values()])
     samples = {

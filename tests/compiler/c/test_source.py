@@ -22,8 +22,8 @@ from pydrake.systems.primitives import (
 from kneexo.compiler import compile_diagram
 from kneexo.compiler.c.export import recorded_vectors, source_of
 from kneexo.compiler.c.source import CSource, Interface, c_name
-from kneexo.compiler.equations.reader import Equations, Limit, Section, Update
-from kneexo.compiler.native.runner import State
+from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
+from kneexo.compiler.run_data import State
 from kneexo.errors import CompilationError
 
 
@@ -142,18 +142,18 @@ def test_single_precision_keeps_what_a_sum_loses(built):
 def test_parameters_are_read_from_the_struct(built):
     def graph_of(g):
         gain, factor, output = (g.source("parameter", i) for i in range(3))
-        held = g.source("held", 0)
+        held = g.source("discrete", 0)
         product = g.multiply(gain, factor, g.source("input", 0))
         return {
             "updates": [Update(0.1, 0.0, ((0, product),))],
             "outputs": {"y": [held, output]},
-            "initial_held": [held],
+            "initial_discrete": [held],
         }
 
     equations = equations_of(
         graph_of,
         parameters=["a/law.gain", "a/law.0[0]", "b/law.gain"],
-        held=["a/law.0[0]"],
+        discrete=["a/law.0[0]"],
         inputs={"u": 1},
     )
     source = CSource(equations, "m", np.array([2.0, 3.0, 5.0]), State(np.zeros(0), np.zeros(1)))
@@ -168,15 +168,15 @@ def guarded():
     """x⁺ = 1 / u, which must not leave its limit x <= 10: `Limit` looks at the state before."""
 
     def graph_of(g):
-        x, u = g.source("held", 0), g.source("input", 0)
+        x, u = g.source("discrete", 0), g.source("input", 0)
         return {
             "updates": [Update(0.1, 0.0, ((0, g.divide(g.one, u)),))],
             "outputs": {"y": [x]},
-            "initial_held": [x],
+            "initial_discrete": [x],
             "limits": [Limit("law", g.subtract(g.constant(10.0), x))],
         }
 
-    equations = equations_of(graph_of, held=["law.0[0]"], inputs={"u": 1})
+    equations = equations_of(graph_of, discrete=["law.0[0]"], inputs={"u": 1})
     return CSource(equations, "m", np.zeros(0), State(np.zeros(0), np.array([0.5])))
 
 
@@ -230,15 +230,15 @@ def test_every_number_of_the_parameters_must_be_finite(built, precision):
 
     def graph_of(g):
         p = [g.source("parameter", i) for i in range(4)]
-        x = g.source("held", 0)
+        x = g.source("discrete", 0)
         return {
             "updates": [Update(0.1, 0.0, ((0, x),))],
             "outputs": {"y": [g.multiply(g.multiply(*p), x)]},
-            "initial_held": [x],
+            "initial_discrete": [x],
         }
 
     names = ["law.k_1", "law.k_2", "law.0[0]", "law.0[1]"]
-    equations = equations_of(graph_of, parameters=names, held=["law.1[0]"])
+    equations = equations_of(graph_of, parameters=names, discrete=["law.1[0]"])
     state = State(np.zeros(0), np.array([7.0]))
     source = CSource(equations, "m", np.array([1.0, 2.0, 3.0, 5.0]), state, precision=precision)
     model = built(source)
@@ -372,15 +372,15 @@ def test_words_of_c_and_cplusplus_are_no_names(built, tmp_path):
 @pytest.mark.parametrize("name", ["initial_x", "initial_d", "d", "x", "a*/b", "a\\", "a＼", "??/"])
 def test_any_name_of_a_leaf_system_compiles(built, name):
     def graph_of(g):
-        x = g.source("held", 0)
+        x = g.source("discrete", 0)
         y = g.multiply(g.source("parameter", 0), x)
         section = Section(f"{name}: output. {name}", f"x = d * p; {name}\n*/ /* of it", (y,))
         updates = [Update(0.1, 0.0, ((0, x),))]
-        return {"outputs": {"y": [y]}, "initial_held": [x], "updates": updates} | {
+        return {"outputs": {"y": [y]}, "initial_discrete": [x], "updates": updates} | {
             "sections": [section]
         }
 
-    equations = equations_of(graph_of, parameters=[f"{name}.k"], held=[f"{name}.0[0]\n*/"])
+    equations = equations_of(graph_of, parameters=[f"{name}.k"], discrete=[f"{name}.0[0]\n*/"])
     state = State(np.zeros(0), np.array([3.0]))
     source = CSource(equations, "m", np.array([2.0]), state, told=f"{name}\nall: */")
     assert built(source).replay(np.zeros((1, 0))).tolist() == [[6.0]]

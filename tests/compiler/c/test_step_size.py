@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from kneexo.compiler.c.step_size import rk4_step_s
-from kneexo.compiler.equations.reader import Equations
-from kneexo.compiler.native.runner import STEP_S, State
+from kneexo.compiler.equations.equations import Equations
+from kneexo.compiler.native.runner import STEP_S
+from kneexo.compiler.run_data import State
 from kneexo.errors import CompilationError
 
 
@@ -52,10 +53,10 @@ def test_a_step_is_at_most_that_of_a_run_and_not_arbitrarily_short():
 
 def nonlinear(rate, **known):
     """Dx/dt of a graph, one discrete state, one input, one parameter."""
-    equations = Equations(parameters=["p"], states=["m.x"], held=["m.d"], inputs={"u": 1})
+    equations = Equations(parameters=["p"], states=["m.x"], discrete=["m.d"], inputs={"u": 1})
     g = equations.graph
-    x, d, u, p, t = (g.source(kind) for kind in ("state", "held", "input", "parameter", "time"))
-    equations.initial_held = [g.multiply(p, g.constant(10.0))]
+    x, d, u, p, t = (g.source(kind) for kind in ("state", "discrete", "input", "parameter", "time"))
+    equations.initial_discrete = [g.multiply(p, g.constant(10.0))]
     equations.derivatives = [rate(g, x, d, u, p, t)]
     values = {"p": 0.0, "x": 0.0, "d": 0.0} | known
     state = State(np.array([values["x"]]), np.array([values["d"]]))

@@ -7,9 +7,9 @@ import pytest
 
 from kneexo.compiler.c.source import CSource, Interface
 from kneexo.compiler.c.tables import tables_of
+from kneexo.compiler.equations.equations import Equations, Update
 from kneexo.compiler.equations.graph import UNARY, Graph
-from kneexo.compiler.equations.reader import Equations, Update
-from kneexo.compiler.native.runner import State
+from kneexo.compiler.run_data import State
 from kneexo.errors import CompilationError
 
 RANGES = {"count": (-3.0, 5.0)}
@@ -17,13 +17,15 @@ RANGES = {"count": (-3.0, 5.0)}
 
 def counting(**options):
     """x⁺ = sin(a n) x + u, y = (x, cos(a n)), for a count n and a number u."""
-    equations = Equations(parameters=["m.a"], held=["m.0[0]"], inputs={"count": 1, "u": 1})
+    equations = Equations(parameters=["m.a"], discrete=["m.0[0]"], inputs={"count": 1, "u": 1})
     g = equations.graph
-    a, n, u, x = (g.source(*of) for of in (("parameter",), ("input", 0), ("input", 1), ("held",)))
+    a, n, u, x = (
+        g.source(*of) for of in (("parameter",), ("input", 0), ("input", 1), ("discrete",))
+    )
     angle = g.multiply(a, n)
     total = g.add(g.multiply(g.unary("sin", angle), x), u)
     equations.updates = [Update(0.1, 0.0, ((0, total),))]
-    equations.initial_held = [x]
+    equations.initial_discrete = [x]
     equations.outputs = {"y": [x, g.unary("cos", angle)]}
     interface = Interface(integers=frozenset(["count"]), ranges=RANGES)
     state = State(np.zeros(0), np.array([0.5]))

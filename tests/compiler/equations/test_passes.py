@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from kneexo.compiler.equations.equations import Equations, Limit, Update
 from kneexo.compiler.equations.graph import COMPARISONS, SOURCES, Graph
 from kneexo.compiler.equations.passes import Layout, Program, regrouped
-from kneexo.compiler.equations.reader import Equations, Limit, Update
 from kneexo.compiler.native.llvm import Library, compile_text
 from kneexo.compiler.native.time_loop import start_text
 
@@ -189,7 +189,7 @@ def equations_of(graph, outputs, sizes, **fields):
         graph=graph,
         parameters=[f"p{i}" for i in range(sizes["parameter"])],
         states=[f"x{i}" for i in range(sizes["state"])],
-        held=[f"d{i}" for i in range(sizes["held"])],
+        discrete=[f"d{i}" for i in range(sizes["discrete"])],
         inputs={"u": sizes["input"]},
         outputs={"y": outputs},
         **fields,
@@ -249,30 +249,30 @@ BEHIND = {
 def test_a_difference_of_equal_times_is_zero(printed, operation):
     # The rounded product of number and period is the time; fused, the difference is its error.
     graph = Graph()
-    t, n, period = graph.source("time"), graph.source("held"), graph.source("parameter")
+    t, n, period = graph.source("time"), graph.source("discrete"), graph.source("parameter")
     zero = graph.subtract(t, graph.multiply(n, period))
     equal = graph.compare("eq", BEHIND[operation](graph, n, period, zero), graph.zero)
     root = graph.where(equal, graph.one, graph.zero)
-    sizes = {"parameter": 1, "state": 0, "held": 1, "input": 0}
+    sizes = {"parameter": 1, "state": 0, "discrete": 1, "input": 0}
     program = Program(equations_of(graph, [root], sizes))
     n = np.arange(100.0)[None]
     constants = np.repeat(constants_of(program, np.array([[0.1]])), 100, axis=1)
     code = printed.groups(program, program.groups)
-    assert (code(time=n * 0.1, held=n, constant=constants) == 1.0).all()
+    assert (code(time=n * 0.1, discrete=n, constant=constants) == 1.0).all()
 
 
 def test_quotients_behind_a_decision_stay(printed):
     graph = Graph()
-    n = graph.source("held")
+    n = graph.source("discrete")
     p = graph.source("parameter")
     root = graph.unary("floor", graph.divide(graph.divide(n, p), p))
-    sizes = {"parameter": 1, "state": 0, "held": 1, "input": 0}
+    sizes = {"parameter": 1, "state": 0, "discrete": 1, "input": 0}
     program = Program(equations_of(graph, [root], sizes))
     n = np.arange(20000.0)[None]
     code = printed.groups(program, program.groups)
     for p in (7.0, 49.0, 0.1):
         constants = np.repeat(constants_of(program, np.array([[p]])), n.size, axis=1)
-        ours = code(time=n, held=n, constant=constants)
+        ours = code(time=n, discrete=n, constant=constants)
         np.testing.assert_array_equal(ours, np.floor(n / p / p))
 
 
@@ -293,7 +293,8 @@ def test_hoisted_is_what_depends_on_parameters_alone(random_graphs, data):
             users[argument].append(node)
     for node in reachable:
         fixed = not any(
-            graph.nodes[n][0] in ("time", "state", "held", "input") for n in graph.reachable([node])
+            graph.nodes[n][0] in ("time", "state", "discrete", "input")
+            for n in graph.reachable([node])
         )
         kind = graph.nodes[node][0]
 
@@ -313,7 +314,7 @@ def test_a_condition_within_a_hoisted_choice_is_not_hoisted():
     p, q = sources(graph, "parameter", 2)
     choice = graph.where(graph.compare("gt", graph.multiply(p, q), q), p, q)
     root = graph.multiply(graph.source("state"), choice)
-    sizes = {"parameter": 2, "state": 1, "held": 0, "input": 0}
+    sizes = {"parameter": 2, "state": 1, "discrete": 0, "input": 0}
     assert set(Program(equations_of(graph, [root], sizes)).hoisted) == {choice}
 
 
@@ -327,7 +328,7 @@ def test_a_condition_on_parameters_is_computed_where_it_is_used(printed):
         graph.logic("not", graph.compare("gt", graph.multiply(p, q), q)),
     )
     root = graph.where(condition, x, graph.negate(x))
-    sizes = {"parameter": 2, "state": 1, "held": 0, "input": 0}
+    sizes = {"parameter": 2, "state": 1, "discrete": 0, "input": 0}
     program = Program(equations_of(graph, [root], sizes))
     assert set(program.hoisted) == {p, q, graph.multiply(p, q)}
     code = printed.groups(program, program.groups, lanes=(1, 4))
@@ -344,17 +345,21 @@ def test_a_condition_on_parameters_is_computed_where_it_is_used(printed):
 
 def test_layout_survives_json():
     graph = Graph()
-    x, (d, e), (u, v) = graph.source("state"), sources(graph, "held", 2), sources(graph, "input", 2)
+    x, (d, e), (u, v) = (
+        graph.source("state"),
+        sources(graph, "discrete", 2),
+        sources(graph, "input", 2),
+    )
     count = graph.unary("floor", x)
     costly = graph.unary("sin", graph.unary("sin", graph.unary("sin", graph.unary("sin", count))))
     equations = Equations(
         graph=graph,
         parameters=["p"],
         states=["x"],
-        held=["d", "e"],
+        discrete=["d", "e"],
         inputs={"u": 1, "v": 1},
         derivatives=[graph.multiply(graph.source("parameter"), u)],
-        initial_held=[d, e],
+        initial_discrete=[d, e],
         updates=[Update(0.1, 0.0, ((0, x),)), Update(0.25, 0.05, ((1, v),))],
         outputs={"a": [costly, x], "b": [u], "c": []},
         limits=[Limit("plant", x)],
@@ -364,7 +369,7 @@ def test_layout_survives_json():
     assert layout == Layout(
         parameters=("p",),
         states=("x",),
-        held=("d", "e"),
+        discrete=("d", "e"),
         inputs=(("u", 1), ("v", 1)),
         outputs=(("a", 2), ("b", 1), ("c", 0)),
         feedthrough=("b",),
@@ -380,7 +385,7 @@ def test_layout_survives_json():
 @given(data=st.data(), seed=seeds)
 def test_jacobian_is_that_of_complex_steps(interpreted, random_graphs, data, seed):
     kinds = ("add", "multiply", "sin", "cos", "tanh", "sinh", "exp", "sin", "cos")
-    sizes = {"time": 1, "parameter": 2, "state": 3, "held": 1, "input": 1}
+    sizes = {"time": 1, "parameter": 2, "state": 3, "discrete": 1, "input": 1}
     graph, roots = data.draw(
         random_graphs.graphs(kinds, nodes=15, roots=3, constants=(0.5, -1.0, 2.0), sizes=sizes)
     )
@@ -414,7 +419,7 @@ def memos_of(make):
     graph = Graph()
     counts = [graph.unary("floor", graph.source("state", i)) for i in range(2)]
     roots = make(graph, *counts)
-    sizes = {"parameter": 1, "state": 2, "held": 1, "input": 0}
+    sizes = {"parameter": 1, "state": 2, "discrete": 1, "input": 0}
     program = Program(equations_of(graph, roots, sizes))
     return graph, counts, [(memo.count, memo.nodes) for memo in program.memos]
 
@@ -444,7 +449,7 @@ def test_a_cost_just_beyond_that_of_a_table():
     assert memos == [(n, (costly(graph, graph.multiply(n, n), ("sin", "tan", "exp")),))]
 
 
-@pytest.mark.parametrize("kind", ["time", "state", "held"])
+@pytest.mark.parametrize("kind", ["time", "state", "discrete"])
 def test_a_function_of_a_count_and_another_source_has_no_table(kind):
     def make(g, n, m):
         return [costly(g, g.multiply(n, g.source(kind, 0)))]

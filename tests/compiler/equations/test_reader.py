@@ -128,7 +128,7 @@ def test_periodic_and_publish_events_are_not_refused():
     (sampled,) = equations.updates
     assert (sampled.period_s, sampled.offset_s) == (0.1, 0.03)
     graph = equations.graph
-    assert sampled.values == ((0, graph.add(graph.one, graph.source("held", 0))),)
+    assert sampled.values == ((0, graph.add(graph.one, graph.source("discrete", 0))),)
 
 
 WITNESSES = """

@@ -20,9 +20,9 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 
 import kneexo
 from kneexo.compiler import State
+from kneexo.compiler.diagram_equations import equations_key
+from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
 from kneexo.compiler.equations.graph import Graph
-from kneexo.compiler.equations.reader import Equations, Limit, Section, Update
-from kneexo.compiler.native.machine_code import equations_key
 from kneexo.errors import OutputError
 
 HOUR_S = 3600.0
@@ -94,8 +94,8 @@ def test_every_part_of_equations_is_in_their_key():
     x = graph.source("state", 0)
     base = Equations(graph=graph, states=["x"], derivatives=[x], outputs={"y": [x]})
     assert equations_key(base) == equations_key(dataclasses.replace(base))
-    others = {"parameters": ["p"], "states": ["z"], "held": ["d"], "inputs": {"u": 1}}
-    others |= {"derivatives": [], "initial_held": [x], "outputs": {}, "limits": [Limit("a", x)]}
+    others = {"parameters": ["p"], "states": ["z"], "discrete": ["d"], "inputs": {"u": 1}}
+    others |= {"derivatives": [], "initial_discrete": [x], "outputs": {}, "limits": [Limit("a", x)]}
     others |= {"updates": [Update(0.1, 0.0, ())], "graph": Graph()}
     others |= {"sections": [Section("law: output y", "Law.", (x,))]}
     assert set(others) == {field.name for field in dataclasses.fields(Equations)}

@@ -228,7 +228,7 @@ def test_lanes_and_pieces_have_the_bits_of_a_run_alone_through_friction(friction
     forces = np.geomspace(1.0, 50.0, 8)[:, None]
     batch = friction.simulate_batch(forces, State(start[:, 0], []), 0.12, record_period_s=0.002)
     for force, run in zip(forces, batch, strict=True):
-        runner = Runner(friction, record_period_s=0.002).restart(force[None])
+        runner = Runner(friction.code, record_period_s=0.002).restart(force[None])
         x, d = start.copy(), np.zeros((0, 1))
         for tick in range(ticks):
             np.testing.assert_array_equal(x[:, 0], run["y0"][tick])

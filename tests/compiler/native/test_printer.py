@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import kneexo.compiler.native.llvm as native
+from kneexo.compiler.equations.equations import Equations
 from kneexo.compiler.equations.graph import COMPARISONS, UNARY, Graph
 from kneexo.compiler.equations.passes import ALWAYS, Group, Memo, Program
-from kneexo.compiler.equations.reader import Equations
-from kneexo.compiler.native.printer import MEMO_LINES
+from kneexo.compiler.native.arguments import MEMO_LINES
 from kneexo.compiler.native.time_loop import run_text
 
 LANES = (1, 2, 4, 8, 16)
@@ -112,7 +112,7 @@ def test_operations_of_constants(interpreted, printed, random_graphs):
 
 def test_each_source_and_literal_is_read_from_its_place(printed):
     graph = Graph()
-    kinds = {"time": 1, "parameter": 2, "state": 3, "held": 2, "input": 2}
+    kinds = {"time": 1, "parameter": 2, "state": 3, "discrete": 2, "input": 2}
     roots = [graph.source(kind, i) for kind, size in kinds.items() for i in range(size)]
     roots.append(graph.constant(0.1))
     values, first = {}, 0
@@ -344,7 +344,7 @@ def memo_graph(count_of=1):
             graph.add(graph.unary("tan", count), graph.multiply(count, graph.source("parameter"))),
         )
         memos.append(Memo(count, nodes[i:]))
-        roots += [*nodes, graph.multiply(nodes[1], graph.source("held", 0))]
+        roots += [*nodes, graph.multiply(nodes[1], graph.source("discrete", 0))]
     return graph, memos, roots
 
 
@@ -358,7 +358,7 @@ def hoisting(graph, memos):
 def memo_values(counts):
     counts = np.atleast_2d(counts)
     ones = np.ones((1, counts.shape[1]))
-    return {"time": ones, "state": counts, "held": 3.0 * ones, "constant": 0.7 * ones}
+    return {"time": ones, "state": counts, "discrete": 3.0 * ones, "constant": 0.7 * ones}
 
 
 def always(roots):

@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from kneexo.compiler import InputTable, State
+from kneexo.compiler.diagram_equations import equations_key
+from kneexo.compiler.equations.equations import Equations, Limit, Update
 from kneexo.compiler.equations.graph import Graph
-from kneexo.compiler.equations.reader import Equations, Limit, Update
 from kneexo.compiler.model import CompiledModel
-from kneexo.compiler.native.machine_code import MachineCode, equations_key
-from kneexo.compiler.native.runner import Runner
-from kneexo.compiler.native.time_loop import INTEGRATORS, OUTSIDE
+from kneexo.compiler.native.arguments import INTEGRATORS, OUTSIDE
+from kneexo.compiler.native.machine_code import MachineCode
+from kneexo.compiler.native.runner import Runner, Snapshots
 from kneexo.errors import SimulationError
 
 property_test = settings(max_examples=12, derandomize=True)
@@ -34,8 +35,8 @@ def sources(graph, **counts):
 def mixed():
     """An oscillator with a cubic damping that may be negative, sampled at two rates."""
     g = Graph()
-    s = sources(g, state=2, held=3, parameter=3, input=2)
-    (x, v), (d, e, n), (p, q, r) = s.state, s.held, s.parameter
+    s = sources(g, state=2, discrete=3, parameter=3, input=2)
+    (x, v), (d, e, n), (p, q, r) = s.state, s.discrete, s.parameter
     scaled = g.multiply(x, g.constant(1000.0)), g.multiply(v, g.constant(40.0))
     counts = [g.unary("floor", value) for value in scaled]
     inner = [g.unary("cos", g.unary("sin", g.multiply(r, count))) for count in counts]
@@ -47,10 +48,10 @@ def mixed():
         graph=g,
         parameters=["p", "q", "r"],
         states=["plant.x", "plant.v"],
-        held=["a", "b", "c"],
+        discrete=["a", "b", "c"],
         inputs={"force": 1, "command": 1},
         derivatives=[v, g.subtract(force, forward)],
-        initial_held=[s.input[1], x, n],
+        initial_discrete=[s.input[1], x, n],
         updates=[
             Update(*RATES[0], ((0, g.subtract(s.input[1], costly)), (2, g.add(n, g.one, costly)))),
             Update(*RATES[1], ((1, g.add(e, g.multiply(x, g.source("time")))),)),
@@ -66,22 +67,22 @@ def mixed():
 def without_states():
     """A counter of samples, driven by an input and the time."""
     g = Graph()
-    s = sources(g, held=2, parameter=1, input=1)
-    (d, e), (p,), (u,) = s.held, s.parameter, s.input
+    s = sources(g, discrete=2, parameter=1, input=1)
+    (d, e), (p,), (u,) = s.discrete, s.parameter, s.input
     wave = g.unary("sin", g.multiply(p, g.source("time")))
     return Equations(
         graph=g,
         parameters=["p"],
-        held=["d", "e"],
+        discrete=["d", "e"],
         inputs={"u": 1},
-        initial_held=[d, e],
+        initial_discrete=[d, e],
         updates=[Update(0.003, 0.001, ((0, g.add(d, u, wave)), (1, g.unary("floor", d))))],
         outputs={"y": [d, e, wave]},
         limits=[Limit("counter", g.subtract(g.constant(3.0), d))],
     )
 
 
-def without_held():
+def without_discrete():
     """Three states of which one chatters about zero with a strength of its parameter."""
     g = Graph()
     s = sources(g, state=3, parameter=2, input=1)
@@ -101,7 +102,7 @@ def without_held():
     )
 
 
-MODELS = {"mixed": mixed, "without states": without_states, "without held": without_held}
+MODELS = {"mixed": mixed, "without states": without_states, "without discrete": without_discrete}
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +117,7 @@ def random_runs(model, seed, count):
     parameters = rng.uniform(0.5, 2.0, (count, size)) * 10.0 ** rng.uniform(-1.0, 2.0, size)
     parameters[:, 1:2] = rng.choice([-1.0, 0.0, 3.0, 100.0], (count, min(size - 1, 1)))
     states = [
-        State(rng.normal(size=len(model.state_names)), rng.normal(size=len(model.held_names)))
+        State(rng.normal(size=len(model.state_names)), rng.normal(size=len(model.discrete_names)))
         for _ in range(count)
     ]
     if model.state_names and rng.random() < 0.5:
@@ -150,7 +151,7 @@ def assert_same_run(run, expected):
     np.testing.assert_array_equal(run.time_s, expected.time_s)
     for ours, theirs in (
         (run.final.continuous, expected.final.continuous),
-        (run.final.held, expected.final.held),
+        (run.final.discrete, expected.final.discrete),
     ):
         np.testing.assert_array_equal(ours.view(np.int64), theirs.view(np.int64))
 
@@ -212,23 +213,26 @@ def test_sets_of_lanes(models, count):
 @pytest.mark.parametrize("name", MODELS)
 def test_pieces_of_a_run_are_the_whole_run(models, name, integrator, lanes):
     model, outcomes = models[name], set()
-    runner = Runner(model, lanes=lanes, integrator=integrator, step_s=7e-4, record_period_s=0.03)
+    runner = Runner(
+        model.code, lanes=lanes, integrator=integrator, step_s=7e-4, record_period_s=0.03
+    )
 
     def run(piece, seed):
         parameters, states, durations, tables = random_runs(model, seed, lanes)
         x = np.array([state.continuous for state in states]).T.copy()
-        d = np.array([state.held for state in states]).T.copy()
+        d = np.array([state.discrete for state in states]).T.copy()
         last = (durations / runner.timing.tick).round().astype(np.int64)
         rows = int(last.max()) // runner.timing.record_every + 1
         record = np.zeros((lanes, runner.columns.size, rows))
-        kept = None
+        snapshots = None
         if lanes == 1:
             ticks = np.arange(-1, last[0], 2)
-            kept = ticks, np.zeros((ticks.size, len(x))), np.zeros((ticks.size, len(d)))
+            sizes = len(x), len(d)
+            snapshots = Snapshots(ticks, *(np.zeros((ticks.size, size)) for size in sizes))
         runner.piece = piece
-        status = runner.restart(parameters).run(x, d, 0, last, tables, record, kept)
+        status = runner.restart(parameters).run(x, d, 0, last, tables, record, snapshots)
         outcomes.update(status[:, 0])
-        return [status, x, d, record, *(kept or ())]
+        return [status, x, d, record, *(vars(snapshots).values() if snapshots else ())]
 
     for seed in range(12):
         whole = run(10**9, seed)
@@ -294,7 +298,7 @@ def test_the_limit_that_was_left_is_named(models):
 @pytest.mark.parametrize("lanes", [1, 8])
 def test_a_run_outside_its_limits_keeps_the_state_there(models, lanes):
     model = models["without states"]
-    runner = Runner(model, lanes=lanes, integrator="rk4", record_period_s=0.05)
+    runner = Runner(model.code, lanes=lanes, integrator="rk4", record_period_s=0.05)
     runner.restart(np.ones((lanes, 1)))
     x, d = np.empty((0, lanes)), np.zeros((2, lanes))
     d[0, 0] = 3.5
@@ -312,7 +316,7 @@ def test_a_run_outside_its_limits_keeps_the_state_there(models, lanes):
 def plain_run(interpreted, equations, run, duration, tick, step, every):
     """Records of the outputs, and the last state or the text of the error: events, then RK4."""
     parameters, state, table = run
-    x, d = state.continuous.copy(), state.held.copy()
+    x, d = state.continuous.copy(), state.discrete.copy()
 
     def values(nodes, time, x, d):
         return np.array(
@@ -321,7 +325,7 @@ def plain_run(interpreted, equations, run, duration, tick, step, every):
                 nodes,
                 time=[time],
                 state=x,
-                held=d,
+                discrete=d,
                 parameter=parameters,
                 input=table.value(time),
             ),
@@ -338,7 +342,7 @@ def plain_run(interpreted, equations, run, duration, tick, step, every):
             for name, nodes in equations.outputs.items()
             for i in range(len(nodes))
         ]
-        names = (*equations.states, *equations.held, *labels)
+        names = (*equations.states, *equations.discrete, *labels)
         finite = np.isfinite(np.concatenate([x, d, row]))
         return None if finite.all() else f"t = {time:.6g} s: {names[np.argmin(finite)]} is not fini"
 
@@ -382,7 +386,7 @@ def plain_run(interpreted, equations, run, duration, tick, step, every):
 @pytest.mark.parametrize("name", MODELS)
 def test_runs_are_those_of_a_plain_loop(models, interpreted, name):
     model, equations = models[name], MODELS[name]()
-    tick = {"mixed": 0.001, "without states": 0.001, "without held": 0.01}[name]
+    tick = {"mixed": 0.001, "without states": 0.001, "without discrete": 0.01}[name]
     ends = set()
     for seed in range(20):
         step = (3e-4, 2.5e-4)[seed % 2]
@@ -400,7 +404,7 @@ def test_runs_are_those_of_a_plain_loop(models, interpreted, name):
         if isinstance(end, str):
             assert str(ours).startswith(end)
             continue
-        final = np.concatenate([ours.final.continuous, ours.final.held])
+        final = np.concatenate([ours.final.continuous, ours.final.discrete])
         np.testing.assert_allclose(final, end, rtol=1e-9, atol=1e-9)
         outputs = np.hstack(list(ours.outputs.values()))
         np.testing.assert_allclose(outputs, records, rtol=1e-9, atol=1e-9)
@@ -428,5 +432,5 @@ def test_initialization_sees_states_and_inputs(models):
     state = State(np.array([0.25, 0.5]), np.array([1.0, 2.0, 3.0]))
     table = InputTable(np.array([0.5]), np.array([[[1.0], [7.0]], [[2.0], [8.0]]]))
     after = model.initialized(np.ones(3), state, table)
-    np.testing.assert_array_equal(after.held, [7.0, 0.25, 3.0])
+    np.testing.assert_array_equal(after.discrete, [7.0, 0.25, 3.0])
     np.testing.assert_array_equal(after.continuous, state.continuous)

@@ -1,0 +1,81 @@
+"""A diagram, its equations, and its Contexts as vectors; nothing is compiled here."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import fields
+from functools import cached_property
+from importlib.metadata import version
+from typing import Any
+
+from pydrake.systems.framework import System
+
+from .equations.contexts import parameters_of, state_of
+from .equations.equations import Equations
+from .equations.reader import read_equations
+from .equations.tree import Node
+from .errors import CompilationError
+from .run_data import Array, State
+
+
+class DiagramEquations:
+    """The equations of a diagram of floats, its names, and the values of its Contexts."""
+
+    def __init__(self, diagram: Any, equations: Equations) -> None:
+        self.diagram, self.equations = diagram, equations
+        self.root = Node(diagram)
+        self.parameter_names: tuple[str, ...] = tuple(equations.parameters)
+        self.state_names: tuple[str, ...] = tuple(equations.states)
+        self.discrete_names: tuple[str, ...] = tuple(equations.discrete)
+
+    @cached_property
+    def key(self) -> str:
+        """Text that is equal for equal equations alone."""
+        return equations_key(self.equations)
+
+    def parameters(self, context: Any | None = None) -> Array:
+        """Return the parameter vector of a root Context, by default of the default Context."""
+        context = self.diagram.CreateDefaultContext() if context is None else context
+        return parameters_of(self.root, context)
+
+    def state(self, context: Any | None = None) -> State:
+        """Return the state of a root Context before its initialization events.
+
+        By default the Context is the default one.
+        """
+        context = self.diagram.CreateDefaultContext() if context is None else context
+        return state_of(self.root, context)
+
+
+def read_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramEquations:
+    """Return the equations of a diagram of floats; arguments and errors as `compile_diagram`."""
+    if not isinstance(diagram, System):
+        raise CompilationError(
+            f"{type(diagram).__name__} {diagram!r:.60}: cannot be compiled; must be a Diagram or "
+            f"leaf system of floats"
+        )
+    name = diagram.get_name() or type(diagram).__name__
+    ports = [diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports())]
+    open_ports = (inputs,) if isinstance(inputs, str) else tuple(inputs)
+    for port in open_ports:
+        if port not in ports:
+            raise CompilationError(
+                f"{name}: has no input port {port!r}; it has {', '.join(ports) or 'none'}"
+            )
+    try:
+        equations = read_equations(diagram, open_ports)
+    except CompilationError as error:
+        # The path of a single leaf system is empty, and a user may not know of `inputs`.
+        text = f"{name}{error}" if str(error).startswith(": ") else str(error)
+        if "is not connected" in text:
+            text += "; connect it, or name the diagram's port in inputs"
+        raise CompilationError(text) from error
+    return DiagramEquations(diagram, equations)
+
+
+def equations_key(equations: Equations) -> str:
+    """Return a text that is equal for equal equations alone."""
+    named = [(field.name, getattr(equations, field.name)) for field in fields(equations)]
+    content = [value.nodes if name == "graph" else value for name, value in named]
+    return hashlib.sha256(repr((version("drake"), content)).encode()).hexdigest()

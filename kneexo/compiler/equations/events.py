@@ -1,0 +1,117 @@
+"""The symbolic form of a leaf, and the refusal of leaves whose events do not compile."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from threading import RLock
+from typing import Any
+
+from pydrake.symbolic import Expression
+from pydrake.systems.framework import LeafSystem_, UnrestrictedUpdateEvent_
+
+from ..errors import CompilationError
+from .tree import Node
+
+
+def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
+    """Return ``evaluate()``.
+
+    Raises `CompilationError`, which begins with ``where``, for any error of ``evaluate``: the code
+    of a user's leaf may raise anything.
+    """
+    try:
+        return evaluate()
+    except (Exception, SystemExit) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise CompilationError(f"{where}: has no symbolic form ({reason})") from error
+
+
+def to_symbolic(leaf: Node) -> Any:
+    """Return the symbolic form of a leaf.
+
+    Raises `CompilationError` for a leaf that does not convert to Expression, and for a leaf with an
+    update that is not a periodic discrete one.
+    """
+    with _recorded_declarations() as declarations:
+        symbolic = symbolic_value(leaf.name, leaf.system.ToSymbolicMaybe)
+    if symbolic is None:
+        raise CompilationError(
+            f"{leaf.name}: {leaf.type_name} does not convert to symbolic Expression (see Drake's "
+            f"TemplateSystem)"
+        )
+    for system, method, arguments in declarations:
+        if system is symbolic and (update := _unfit_update(method, arguments)):
+            raise CompilationError(
+                f"{leaf.name}: {leaf.type_name} has {update}; of updates only periodic discrete "
+                f"ones compile"
+            )
+    return symbolic
+
+
+def refuse_witness_functions(leaf: Node, context: Any) -> None:
+    """Raise `CompilationError` for a leaf that has witness functions in its default Context."""
+    witnesses = leaf.system.GetWitnessFunctions(context)
+    if not witnesses:
+        return
+    # The leaf holds its witness functions, yet pydrake deletes them with their Python objects. An
+    # extra reference to the functions and to the leaf keeps both until the process ends.
+    for immortal in (leaf.system, *witnesses):
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(immortal))
+    raise CompilationError(
+        f"{leaf.name}: {leaf.type_name} has a witness function; only sampled events compile"
+    )
+
+
+_DECLARATIONS = (
+    "DeclarePerStepEvent",
+    "DeclarePerStepDiscreteUpdateEvent",
+    "DeclarePerStepUnrestrictedUpdateEvent",
+    "DeclarePeriodicEvent",
+    "DeclarePeriodicUnrestrictedUpdateEvent",
+)
+_declarations_lock = RLock()
+
+
+@contextmanager
+def _recorded_declarations() -> Iterator[list[tuple[Any, str, Sequence[Any]]]]:
+    """Context manager: record the events that symbolic Python leaves declare in its body.
+
+    Gives a list of leaf, method and arguments, one entry for each declaration. Drake lists the
+    events of a leaf in C++ only. So the events of a leaf written in Python are recorded while its
+    symbolic form declares them. The events of a leaf written in C++ stay unknown, except witness
+    functions and periodic discrete updates.
+    """
+    declarations: list[tuple[Any, str, Sequence[Any]]] = []
+    leaf_type = LeafSystem_[Expression]
+
+    def recorded(method: str, declare: Any) -> Any:
+        def record(leaf: Any, *args: Any, **kwargs: Any) -> Any:
+            declarations.append((leaf, method, (*args, *kwargs.values())))
+            return declare(leaf, *args, **kwargs)
+
+        return record
+
+    with _declarations_lock:
+        originals = {method: getattr(leaf_type, method) for method in _DECLARATIONS}
+        try:
+            for method, declare in originals.items():
+                setattr(leaf_type, method, recorded(method, declare))
+            yield declarations
+        finally:
+            for method, declare in originals.items():
+                setattr(leaf_type, method, declare)
+
+
+def _unfit_update(method: str, arguments: Sequence[Any]) -> str | None:
+    """Return the kind of the declared update if it does not compile, else None.
+
+    Publish events and periodic discrete updates give None. In Python a DiscreteUpdateEvent has no
+    constructor, so only methods declare discrete updates.
+    """
+    trigger = "per-step" if "PerStep" in method else "periodic"
+    event_type = UnrestrictedUpdateEvent_[Expression]
+    if "Unrestricted" in method or any(isinstance(a, event_type) for a in arguments):
+        return f"a {trigger} unrestricted update"
+    return "a per-step discrete update" if "PerStepDiscrete" in method else None

@@ -1,0 +1,134 @@
+"""The tree of systems in a diagram, with their paths and connections."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any
+
+from pydrake.systems.framework import InputPortIndex, OutputPortIndex
+
+
+class Node:
+    """A system in a diagram.
+
+    Its path joins the names of the systems around it and its own by ``/``. The root has the empty
+    path.
+    """
+
+    def __init__(self, system: Any, parent: Node | None = None, number: int = 0) -> None:
+        """``number``: index of the system in its diagram, which names a system without a name."""
+        self.system = system
+        self.parent = parent
+        prefix = f"{parent.path}/" if parent is not None and parent.path else ""
+        self.path: str = "" if parent is None else prefix + _label(system, number)
+        self.children: dict[str, Node] = {}
+        self._drivers: dict[tuple[str, int], tuple[str, int]] = {}
+        self._exported: dict[tuple[str, int], int] = {}
+        if not hasattr(system, "connection_map"):
+            return
+        systems = enumerate(system.GetSystems())
+        self.children = {s.get_name(): Node(s, self, number) for number, s in systems}
+        for (target, port), (source, output) in system.connection_map().items():
+            self._drivers[target.get_name(), int(port)] = (source.get_name(), int(output))
+        for index in range(system.num_input_ports()):
+            for target, port in system.GetInputPortLocators(InputPortIndex(index)):
+                self._exported[target.get_name(), int(port)] = index
+
+    @property
+    def name(self) -> str:
+        """The path; the name of the system where the path is empty."""
+        return self.path or str(self.system.get_name())
+
+    @property
+    def type_name(self) -> str:
+        """Name of the system's class, without the scalar type of a template."""
+        return type(self.system).__name__.partition("_𝓣")[0]
+
+    @property
+    def summary(self) -> str:
+        """Class name and the first documentation line of a class that is not Drake's."""
+        binding = ("pydrake", "pybind11", "builtins")
+        kinds = (k for k in type(self.system).__mro__ if not k.__module__.startswith(binding))
+        texts = ((vars(kind).get("__doc__") or "").strip() for kind in kinds)
+        first = next((text.splitlines()[0].strip() for text in texts if text), "")
+        return f"{self.type_name}: {first}" if first else f"{self.type_name}."
+
+    @property
+    def has_equations(self) -> bool:
+        """Whether a state, a margin or an output of the root depends on this leaf.
+
+        Loggers and systems that only feed viewers have no equations.
+        """
+        root = self
+        while root.parent is not None:
+            root = root.parent
+        return self in root._needed
+
+    @cached_property
+    def _needed(self) -> set[Node]:
+        """Return the leaves with a state or a margin, and all that they or outputs depend on."""
+        pending = [leaf for leaf in self.leaves() if _has_state_or_margin(leaf.system)]
+        pending += [self.output(index)[0] for index in range(self.system.num_output_ports())]
+        needed: set[Node] = set()
+        while pending:
+            leaf = pending.pop()
+            if leaf not in needed:
+                needed.add(leaf)
+                drivers = map(leaf.driver, range(leaf.system.num_input_ports()))
+                pending += [driver[0] for driver in drivers if isinstance(driver, tuple)]
+        return needed
+
+    def leaves(self) -> Iterator[Node]:
+        """Yield the leaf systems in the order of the diagram."""
+        if not hasattr(self.system, "connection_map"):
+            yield self
+        for child in self.children.values():
+            yield from child.leaves()
+
+    def equation_leaves(self) -> Iterator[Node]:
+        """Yield the leaf systems that have equations, in the order of the diagram."""
+        return (leaf for leaf in self.leaves() if leaf.has_equations)
+
+    def context(self, root_context: Any) -> Any:
+        """Return the Context of this system within the Context of the root."""
+        if self.parent is None:
+            return root_context
+        parent_context = self.parent.context(root_context)
+        return self.parent.system.GetMutableSubsystemContext(self.system, parent_context)
+
+    def driver(self, index: int) -> tuple[Node, int] | int | None:
+        """Return the source of input port ``index``.
+
+        The source is a leaf and the index of its output port, or the index of an input port of the
+        root, or None for a port that is not connected.
+        """
+        if self.parent is None:
+            return index
+        key = (self.system.get_name(), index)
+        if (source := self.parent._drivers.get(key)) is not None:
+            return self.parent.children[source[0]].output(source[1])
+        exported = self.parent._exported.get(key)
+        return None if exported is None else self.parent.driver(exported)
+
+    def output(self, index: int) -> tuple[Node, int]:
+        """Return the leaf, and the index of its output port, behind output port ``index``."""
+        if not hasattr(self.system, "connection_map"):
+            return self, index
+        system, port = self.system.get_output_port_locator(OutputPortIndex(index))
+        return self.children[system.get_name()].output(int(port))
+
+
+def _label(system: Any, number: int) -> str:
+    """Return the name of a system, with ``number`` in place of the address in a default name."""
+    return re.sub("@[0-9a-f]{16}$", f"_{number}", str(system.get_name()))
+
+
+def _has_state_or_margin(system: Any) -> bool:
+    return bool(
+        system.num_continuous_states()
+        or system.num_discrete_state_groups()
+        or system.num_abstract_states()
+        or callable(getattr(system, "margin", None))
+    )

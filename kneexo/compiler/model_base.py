@@ -1,0 +1,144 @@
+"""Names, checks, initialization and errors of a compiled model: all but its runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from .equations.contexts import set_state
+from .equations.tree import Node
+from .errors import ParameterError, SimulationError, StiffnessError
+from .native.arguments import NOT_FINITE, OUTPUT_NOT_FINITE, TOO_ROUGH
+from .native.machine_code import MachineCode
+from .native.runner import address
+from .native.timing import Timing
+from .run_data import Array, InputTable, State
+
+ContextAt = Callable[[Array], tuple[Node, Any]]
+"""Returns the tree of a diagram of floats, and its Context with the given parameter vector."""
+
+
+class ModelBase:
+    """A compiled model without its runs: `CompiledModel` and `CompiledSystem` need both it."""
+
+    def __init__(self, code: MachineCode, context_at: ContextAt | None = None) -> None:
+        """``context_at``: makes the Context in which a leaf explains a failed run."""
+        self.code = code
+        self.layout = layout = code.layout
+        self._context_at = context_at
+        self.parameter_names: tuple[str, ...] = layout.parameters
+        self.state_names: tuple[str, ...] = layout.states
+        self.discrete_names: tuple[str, ...] = layout.discrete
+        self.inputs: dict[str, int] = dict(layout.inputs)
+        """Size of each open input port."""
+        self.no_inputs = InputTable(coefficients=np.zeros((1, max(layout.input_count, 1), 1)))
+        """Open inputs that are zero."""
+        self.feedthrough: frozenset[str] = frozenset(layout.feedthrough)
+        """Output ports whose value depends on an open input at the same time."""
+        self.outputs: dict[str, int] = dict(layout.outputs)
+        """Size of each output port."""
+        self.sample_times_s: tuple[float, ...] = tuple(
+            dict.fromkeys(period for period, _ in layout.periods)
+        )
+
+    def initialized(
+        self, parameters: Array, state: State, inputs: InputTable | None = None
+    ) -> State:
+        """Return the state after the initialization events of ``Simulator.Initialize()``, at t = 0.
+
+        Raises `ValueError` for an array of another shape, `ParameterError` for a parameter that is
+        not finite.
+        """
+        c = self.constants(parameters)
+        table = inputs or self.no_inputs
+        x, d = self._checked_state(state, table)
+        u, after = table.value(0.0), d.copy()
+        self.code.start("initialize")(*map(address, (x, d, u, c, after)))
+        return State(x, after)
+
+    def constants(self, parameters: Array) -> Array:
+        """Return the values of the equations that depend on parameters alone.
+
+        Raises `ParameterError` for a parameter that is not finite.
+        """
+        row = self.checked_parameters(np.asarray(parameters, dtype=float)[None])[0]
+        constants = np.empty(self.layout.constants)
+        self.code.start("constants")(address(row), address(constants))
+        return constants
+
+    def checked_parameters(self, parameters: Array) -> Array:
+        """Return parameters (runs, parameters) as contiguous doubles for machine code.
+
+        Raises `ValueError` for another number of parameters, `ParameterError` for a parameter that
+        is not finite.
+        """
+        rows = np.ascontiguousarray(parameters, dtype=float)
+        _require_shape("parameters", rows[0], (len(self.parameter_names),))
+        finite = np.isfinite(rows)
+        if not finite.all():
+            run, column = (int(indices[0]) for indices in np.nonzero(~finite))
+            name, value = self.parameter_names[column], rows[run, column]
+            raise ParameterError(f"{name} = {value}: must be finite")
+        return rows
+
+    def _checked_state(self, state: State, inputs: InputTable) -> tuple[Array, Array]:
+        """Return copies of both arrays; raise `ValueError` for a state or table of other sizes."""
+        x, d = (np.array(values, dtype=float) for values in (state.continuous, state.discrete))
+        _require_shape("state.continuous", x, (len(self.state_names),))
+        _require_shape("state.discrete", d, (len(self.discrete_names),))
+        table = inputs.coefficients
+        expected = (inputs.breaks.size + 1, max(self.layout.input_count, 1), table.shape[2])
+        _require_shape("inputs.coefficients", table, expected)
+        return x, d
+
+    def fault(
+        self,
+        outcome: Sequence[int],
+        timing: Timing,
+        parameters: Array,
+        state: State,
+        output: str = "",
+    ) -> SimulationError:
+        """Return the error of a run that ended with ``outcome``: status, tick, index of the limit.
+
+        ``output``: name of the output that is not finite, if this ended the run.
+        """
+        status, tick, limit = outcome
+        time = timing.times(tick)
+        if status in (NOT_FINITE, OUTPUT_NOT_FINITE):
+            finite = np.isfinite(np.concatenate((state.continuous, state.discrete)))
+            names = (*self.state_names, *self.discrete_names)
+            # If a state is not finite too, the state is the cause.
+            return not_finite(time, output if finite.all() else names[int(np.argmin(finite))])
+        if status == TOO_ROUGH:
+            return StiffnessError(
+                f"t = {time:.6g} s: the integrator exact_hold cannot hold its tolerance (the "
+                f"derivatives jump too often); use rk4"
+            )
+        path = self.layout.limits[limit]
+        if self._context_at is not None:
+            root, context = self._context_at(parameters)
+            context.SetTime(time)
+            set_state(root, context, state)
+            leaf = next(leaf for leaf in root.leaves() if leaf.path == path)
+            if callable(check := getattr(leaf.system, "check", None)):
+                try:
+                    check(leaf.context(context))
+                except SimulationError as error:
+                    return error
+        return SimulationError(f"t = {time:.6g} s: {path} left its limits")
+
+
+def not_finite(time_s: float, name: str) -> SimulationError:
+    """Return the error for a state or an output that is not finite."""
+    return SimulationError(
+        f"t = {time_s:.6g} s: {name} is not finite; reduce the step or check the parameters"
+    )
+
+
+def _require_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
+    """Raise `ValueError` for another shape, which machine code would not notice."""
+    if values.shape != expected:
+        raise ValueError(f"{name} has the shape {values.shape}: must be {expected}")

@@ -1,0 +1,95 @@
+"""Ticks: the times at which a run has events, and the ticks between them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ..errors import CompilationError
+from ..run_data import Integers
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The tick of a run, and the whole numbers of ticks between events and between records."""
+
+    tick: float
+    """Time of a tick in s."""
+    periods: Integers
+    """Sample periods in ticks."""
+    offsets: Integers
+    """Offsets of the sample periods in ticks."""
+    record_every: int
+    """Ticks between two records."""
+    unit: float
+    """Longest time in s that divides all periods, offsets and the record period."""
+    split: int
+    """Ticks in a unit."""
+
+    def times(self, ticks: Any) -> Any:
+        """Return the times in s of ticks, given by their numbers.
+
+        A whole number of units is multiplied only once, so that its time is rounded only once.
+        """
+        if self.split == 1:
+            return ticks * self.unit
+        whole, part = np.divmod(ticks, self.split)
+        return whole * self.unit + part * self.tick
+
+
+@lru_cache
+def timing(
+    periods: tuple[tuple[float, float], ...],
+    record_period_s: float | None,
+    longest_s: float = math.inf,
+) -> Timing:
+    """Return the longest tick up to ``longest_s`` that divides all periods and offsets.
+
+    Parameters
+    ----------
+    periods
+        Sample periods and their offsets in s.
+    record_period_s
+        Divided by the tick too. None stands for the shortest sample period.
+    longest_s
+        Longest tick.
+
+    Raises
+    ------
+    CompilationError
+        The times have no common divisor.
+    ValueError
+        ``record_period_s`` is not finite and positive, or is None without a sample period.
+    """
+    if record_period_s is None:
+        if not periods:
+            raise ValueError("record_period_s is needed: the model has no sample time")
+        record_period_s = min(period for period, _ in periods)
+    if not 0.0 < record_period_s < math.inf:
+        raise ValueError(f"record_period_s = {record_period_s} s: must be finite and > 0")
+    spans = [record_period_s, *(span for pair in periods for span in pair)]
+    base = min(span for span in spans if span > 0.0)
+    ratios = [Fraction(span / base).limit_denominator(1000) for span in spans]
+    if any(abs(span / base - ratio) > 1e-9 for span, ratio in zip(spans, ratios, strict=True)):
+        raise CompilationError(
+            f"sample times {', '.join(f'{span:g}' for span in spans)} s have no common divisor"
+        )
+    parts = math.lcm(*(ratio.denominator for ratio in ratios))
+    counts = [int(ratio * parts) for ratio in ratios]
+    shared = math.gcd(*counts)
+    split = max(1, math.ceil(base * shared / parts / longest_s * (1.0 - 1e-9)))
+    counts = [count // shared * split for count in counts]
+    unit = base * shared / parts
+    return Timing(
+        unit / split,
+        np.array(counts[1::2], dtype=np.int64),
+        np.array(counts[2::2], dtype=np.int64),
+        counts[0],
+        unit,
+        split,
+    )

@@ -1,0 +1,61 @@
+"""Arrays that go into a run of a compiled model: states and open inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+"""An array of doubles."""
+Integers: TypeAlias = NDArray[np.int64]
+"""An array of 64-bit integers."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Continuous states (n,) and discrete states (m,) of a compiled model."""
+
+    continuous: Array
+    discrete: Array
+
+
+@dataclass(frozen=True)
+class InputTable:
+    """Open inputs as piecewise polynomials of time.
+
+    ``breaks`` (n,) are times in s and separate n + 1 segments: one before the first break, one
+    after the last. ``coefficients[segment, input, power]`` belong to powers of the time since the
+    last break before the segment, in the first segment since t = 0. Without arguments the table is
+    a single input that is zero.
+    """
+
+    breaks: Array = field(default_factory=lambda: np.empty(0))
+    coefficients: Array = field(default_factory=lambda: np.zeros((1, 1, 1)))
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for breaks that do not ascend, and for numbers that are not finite."""
+        for name in ("breaks", "coefficients"):  # machine code reads doubles in C order
+            values = np.array(getattr(self, name), dtype=float, order="C")
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name}: must be finite")
+            object.__setattr__(self, name, values)
+        if not (np.diff(self.breaks) > 0.0).all():
+            raise ValueError("breaks: must ascend")
+
+    def value(self, time_s: float) -> Array:
+        """Return the inputs at a time, (inputs,).
+
+        Segments are closed on the left. The last of several breaks also belongs to the segment
+        before it.
+        """
+        segment = int(np.searchsorted(self.breaks, time_s, side="right"))
+        if 1 < segment == self.breaks.size and time_s == self.breaks[-1]:
+            segment -= 1
+        s = time_s - (self.breaks[segment - 1] if segment else 0.0)
+        value = np.zeros(self.coefficients.shape[1])
+        for factors in self.coefficients[segment].T[::-1]:
+            value = value * s + factors
+        return value
