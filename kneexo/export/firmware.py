@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from kneexo.compiler import Array
 from kneexo.compiler.c.export import (
     Measurement,
     Vectors,
