@@ -42,9 +42,8 @@ ROOT = Path(__file__).parents[1]
 
 TESTS: dict[str, tuple[str, ...]] = {
     "__init__": ("compiler/test_api",),
-    "__main__": ("command_line/test_main",),
-    "command_line/commands": ("command_line/test_main", "test_system"),
-    "command_line/parameter_list": ("command_line/test_main",),
+    "command_line/export": ("export/test_firmware", "export/test_fmu"),
+    "command_line/view": ("view/test_page",),
     "errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "compiler/errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "interruption": ("command_line/test_main",),
@@ -104,7 +103,6 @@ TESTS: dict[str, tuple[str, ...]] = {
     "parameters/uncertainty": ("parameters/test_uncertainty",),
     "simulation/drake": ("simulation/test_engines", "simulation/test_both_engines"),
     "simulation/run": ("simulation/test_engines", "test_result"),
-    "studies/catalogue": ("command_line/test_main",),
     "studies/paper": ("studies/reproduce/test_study",),
     "parameters/scenario_file": ("parameters/test_scenario_file", "parameters/test_uncertainty"),
     "studies/reproduce/study": ("studies/reproduce/test_study", "test_cluster"),

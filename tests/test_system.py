@@ -68,7 +68,7 @@ def test_an_installation_lacks_venv_as_well(monkeypatch, capsys):
 
 def test_a_library_that_we_do_not_know_is_one_line_too(monkeypatch, capsys):
     text = "libx.so.1: cannot open shared object file: No such file or directory"
-    monkeypatch.setattr("kneexo.command_line.commands.params", Mock(side_effect=ImportError(text)))
+    monkeypatch.setattr("kneexo.command_line.utilities.params", Mock(side_effect=ImportError(text)))
     assert main(["params"]) == 2
     told = "kneexo: this system lacks libx.so.1; install the package that has it\n"
     assert capsys.readouterr().err == told
@@ -76,7 +76,7 @@ def test_a_library_that_we_do_not_know_is_one_line_too(monkeypatch, capsys):
 
 def test_another_import_error_is_raised(monkeypatch):
     monkeypatch.setattr(
-        "kneexo.command_line.commands.params", Mock(side_effect=ImportError("no name 'x'"))
+        "kneexo.command_line.utilities.params", Mock(side_effect=ImportError("no name 'x'"))
     )
     with pytest.raises(ImportError, match="name 'x'"):
         main(["params"])

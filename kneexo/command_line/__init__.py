@@ -1,1 +1,1 @@
-"""The command ``kneexo``: arguments, files, messages and pages of reports."""
+"""The command ``kneexo``: its parser, its commands, and the files and messages that they give."""

@@ -1,6 +1,6 @@
-"""A report as one HTML page: text, tables, pictures as SVG, and what it was computed from.
+"""A report as one HTML page: text, tables, pictures as SVG, scenario and settings.
 
-A page of `kneexo.view` lies within it compressed; a button opens it.
+The page may hold a compressed page of `kneexo.view`, which a button opens.
 """
 
 from __future__ import annotations
@@ -10,14 +10,18 @@ import gzip
 import html
 import io
 import re
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-from markdown_it import MarkdownIt
+from kneexo.files.writing import require_mark
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from kneexo.studies.catalogue import Motion
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1c1e21; max-width: 60rem; margin: auto;
@@ -69,6 +73,48 @@ button.onclick = async () => {
 """
 
 
+@dataclass(frozen=True)
+class ReportPage:
+    """The HTML page of the report of a command, a file of the output directory."""
+
+    command: str
+    """The words after ``kneexo`` that name the command."""
+    arguments: Sequence[str]
+    """The arguments that follow them in the title of the page."""
+    directory: Path
+    """The output directory."""
+
+    @property
+    def name(self) -> str:
+        """The name of the file: the last word of the command."""
+        return f"{self.command.split()[-1]}.html"
+
+    def require_replaceable(self) -> None:
+        """Raise `OutputError` if the output directory has such a file that is not of kneexo."""
+        require_mark(self.directory / self.name, "<title>kneexo ", "page of kneexo")
+
+    def file(
+        self,
+        report: str,
+        figures: Mapping[str, Figure],
+        origin: Mapping[str, Any],
+        motions: Mapping[str, Motion] | None = None,
+    ) -> dict[str, str]:
+        """Return name and text of the page.
+
+        Parameters as of `html_page`; ``motions`` are the runs, by name, that the page shows in
+        three dimensions.
+        """
+        view = ""
+        if motions:
+            from kneexo.view.page import MOST_FRAMES_IN_REPORT, Leg, view_page
+
+            legs = [Leg.of_signals(name, *motion) for name, motion in motions.items()]
+            view = view_page(legs, MOST_FRAMES_IN_REPORT)
+        title = shlex.join(["kneexo", *self.command.split(), *self.arguments])
+        return {self.name: html_page(title, report, figures, origin, view)}
+
+
 def html_page(
     title: str,
     report: str,
@@ -76,12 +122,24 @@ def html_page(
     origin: Mapping[str, Any],
     view: str = "",
 ) -> str:
-    """One self-contained page.
+    """Return the text of one self-contained page.
 
-    ``title``: the command that wrote it. ``report``: Markdown. ``figures`` by name; they stay open.
-    ``origin``: version, scenario and settings, as every JSON result begins. ``view``: a whole HTML
-    page that a button opens within this one; left out: none.
+    Parameters
+    ----------
+    title
+        The command that computed the report.
+    report
+        Markdown.
+    figures
+        Figures by name; they stay open.
+    origin
+        The first items of every JSON result: version, scenario and settings.
+    view
+        A whole HTML page that a button opens within this one; empty: no button.
     """
+    import yaml
+    from markdown_it import MarkdownIt
+
     body = MarkdownIt("commonmark", {"html": False}).enable("table").render(report)
     body = body.replace("<table>", '<div class="scroll"><table>').replace(
         "</table>", "</table></div>"
@@ -93,8 +151,8 @@ def html_page(
         f"{_svg(figure)}</label><figcaption>{html.escape(name)}</figcaption></figure>"
         for name, figure in figures.items()
     )
-    given = {key: value for key, value in origin.items() if key != "kneexo"}
-    text = yaml.safe_dump(given, sort_keys=False, allow_unicode=True)
+    inputs = {key: value for key, value in origin.items() if key != "kneexo"}
+    text = yaml.safe_dump(inputs, sort_keys=False, allow_unicode=True)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -117,7 +175,7 @@ def html_page(
 
 
 def _view(page: str) -> str:
-    """A page that a button unpacks into a frame; without JavaScript a line says what is missing."""
+    """Return a section with a compressed page and a button that shows it in a frame."""
     data = base64.b64encode(gzip.compress(page.encode(), mtime=0)).decode()
     return f"""<section class="view">
 <h2>The knee in three dimensions</h2>
@@ -129,7 +187,7 @@ def _view(page: str) -> str:
 
 
 def _svg(figure: Figure) -> str:
-    """A figure as an SVG element without a date, so that equal figures are equal text."""
+    """Return a figure as an SVG element without a date: equal figures give equal text."""
     import matplotlib as mpl
 
     stream = io.StringIO()

@@ -1,0 +1,190 @@
+"""The commands ``export c`` and ``export fmu``."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from kneexo.command_line.options import (
+    HelpFormatter,
+    ScenarioChoice,
+    add_command,
+    add_out,
+    add_scenario,
+    add_values,
+    decimal,
+    integer,
+    origin_of,
+    scenario_choice,
+    scenario_request,
+)
+from kneexo.command_line.outcome import Outcome, Request
+from kneexo.errors import shown
+
+
+def add_exports(subparsers: Any) -> None:
+    """Add ``export c`` and ``export fmu``."""
+    summary = "write the controller, the plant or the closed loop for use outside Python"
+    group = subparsers.add_parser("export", help=summary, formatter_class=HelpFormatter)
+    forms = group.add_subparsers(title="forms", required=True, metavar="FORM")
+    parser = add_command(
+        forms,
+        "c",
+        _c_request,
+        "write C99 for a microcontroller",
+        "With the parameters as one struct, test vectors from the compiled closed loop, a harness "
+        "that replays them, Makefile, CMakeLists.txt and a README that shows how to call it.",
+    )
+    _add_target(parser, "encoder count")
+    parser.add_argument(
+        "--precision", choices=("double", "float"), default="double", help="type of all numbers"
+    )
+    parser.add_argument(
+        "--look-up",
+        action="store_true",
+        help="take what depends on the encoder count alone from a table: faster, and more exact "
+        "in float; the parameters behind it are fixed then",
+    )
+    parser.add_argument(
+        "--vectors-s", type=decimal, metavar="S", help="time of the test vectors in s; left out: 2"
+    )
+    add_out(parser, "the files, which no other files may share")
+
+    parser = add_command(
+        forms,
+        "fmu",
+        _fmu_request,
+        "write a functional mock-up unit for co-simulation in other simulators",
+        "With C sources and, where there is a C compiler, the binary of this machine. Numbers of "
+        "the scenario are parameters of the FMU.",
+    )
+    _add_target(parser, "encoder reading (rad)")
+    parser.add_argument(
+        "--fmi", type=integer, choices=(2, 3), default=3, help="version of the FMI standard"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE.fmu",
+        type=Path,
+        required=True,
+        help="file, or directory for knee_controller.fmu, knee_plant.fmu or knee_loop.fmu; an "
+        "FMU that kneexo made is replaced",
+    )
+
+
+def _add_target(parser: argparse.ArgumentParser, measurement: str) -> None:
+    """Add the arguments of both forms; ``measurement`` is the input of the controller."""
+    add_scenario(parser)
+    add_values(parser)
+    parser.add_argument(
+        "--what",
+        choices=("controller", "plant", "loop"),
+        default="controller",
+        help=f"the controller, from {measurement} and knee reference to motor speed command; the "
+        "plant with its encoder; or both as closed loop",
+    )
+    parser.add_argument(
+        "--step-s",
+        type=decimal,
+        metavar="S",
+        help="largest step of RK4 of plant and loop in s; left out: from the plant's fastest mode, "
+        "at most 0.0002",
+    )
+
+
+def _c_request(options: argparse.Namespace) -> Request:
+    run = partial(
+        export_c,
+        scenario_choice(options),
+        options.out,
+        options.what,
+        precision=options.precision,
+        vectors_s=options.vectors_s,
+        step_s=options.step_s,
+        look_up=options.look_up,
+    )
+    return scenario_request(options, run)
+
+
+def _fmu_request(options: argparse.Namespace) -> Request:
+    choice = scenario_choice(options)
+    run = partial(
+        export_fmu, choice, options.out, options.what, fmi=options.fmi, step_s=options.step_s
+    )
+    return scenario_request(options, run)
+
+
+def export_c(
+    choice: ScenarioChoice,
+    out: Path,
+    target: str,
+    *,
+    precision: str = "double",
+    vectors_s: float | None = None,
+    step_s: float | None = None,
+    look_up: bool = False,
+) -> Outcome:
+    """Write a target as C to the directory ``out``, see `kneexo.export.firmware`; say how it went.
+
+    Adds a notice if the replay of the test vectors differs by more than the tolerance.
+    """
+    from kneexo.command_line.output import to_json
+    from kneexo.compiler.c.export import TOLERANCES
+    from kneexo.export.firmware import export_firmware
+
+    scenario = choice.load()
+    measurement = export_firmware(
+        scenario,
+        out,
+        target,
+        precision=precision,
+        vectors_s=vectors_s,
+        step_s=step_s,
+        look_up=look_up,
+    )
+    notices = []
+    if measurement.replay is not None and not measurement.replay.passed:
+        notices.append(
+            f"kneexo: {target} in {precision} precision: the replay differs by more than "
+            f"{TOLERANCES[precision]:g} of an output's largest value; make test fails"
+        )
+    lines = [
+        f"{target} in {precision} precision: {shown(out)}",
+        f"  {sum(measurement.operations.values())} operations a step",
+        f"  {measurement.state_bytes} bytes of state",
+    ]
+    if measurement.replay:
+        for name, difference in measurement.replay.difference.items():
+            largest = measurement.replay.largest[name]
+            lines.append(f"  {name}: difference {difference:.3g} (largest value {largest:.6g})")
+    for processor, size in measurement.code_sizes.items():
+        lines.append(f"  {processor}: {size.flash} bytes of flash, {size.stack} bytes of stack")
+    for quantity, reason in measurement.not_measured.items():
+        lines.append(f"  {quantity} not measured: {reason}")
+    document = to_json(origin_of(scenario) | asdict(measurement))
+    return Outcome("\n".join(lines) + "\n", document, notices)
+
+
+def export_fmu(
+    choice: ScenarioChoice, out: Path, target: str, *, fmi: int = 3, step_s: float | None = None
+) -> Outcome:
+    """Write a target as FMU, see `kneexo.export.fmu`; list its inputs, outputs and parameters."""
+    from kneexo.command_line.output import to_json
+    from kneexo.export import fmu
+
+    scenario = choice.load()
+    file = fmu.export_fmu(scenario, out, target, fmi=fmi, step_s=step_s)
+    lines = [
+        f"{target} as FMU by FMI {fmi}: {shown(file.path)}",
+        f"  inputs: {', '.join(file.inputs)}",
+        f"  outputs: {', '.join(file.outputs)}",
+        f"  parameters: {file.parameters}, of which {len(file.scenario_parameters)} have names of "
+        f"the scenario",
+        f"  communication step: {file.sample_time_s:g} s or a whole multiple",
+    ]
+    if not file.binary:
+        lines.append("  sources only: no C compiler (cc, gcc or clang), or not Linux on x86-64")
+    return Outcome("\n".join(lines) + "\n", to_json(origin_of(scenario) | asdict(file)))

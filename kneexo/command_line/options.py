@@ -1,0 +1,196 @@
+"""Arguments that several commands share: adding them to a parser, and reading them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from kneexo.command_line.html_page import ReportPage
+from kneexo.command_line.outcome import Outcome, Request
+from kneexo.errors import ParameterError, shown
+from kneexo.files.table import NUMBER
+from kneexo.studies.catalogue import PAPER
+from kneexo.version import __version__
+
+if TYPE_CHECKING:
+    from kneexo.parameters import Scenario
+    from kneexo.parameters.quantity import Parameters
+
+_P = TypeVar("_P", bound="Parameters")
+
+
+class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Adds the default to each help text, unless it is None, False or an empty list."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default in (None, False, []):
+            return action.help
+        return super()._get_help_string(action)
+
+
+# --------------------------------------------------------------------- adding arguments
+
+
+def add_command(
+    group: Any,
+    name: str,
+    request: Callable[[argparse.Namespace], Request],
+    summary: str,
+    detail: str = "",
+) -> argparse.ArgumentParser:
+    """Add a command to a group of subparsers; ``request`` reads its parsed arguments."""
+    parser: argparse.ArgumentParser = group.add_parser(
+        name,
+        help=summary,
+        description=f"{summary[0].upper()}{summary[1:]}. {detail}".strip(),
+        formatter_class=HelpFormatter,
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.set_defaults(request=request)
+    return parser
+
+
+def add_scenario(parser: argparse.ArgumentParser, default: str = PAPER) -> None:
+    """Add the scenario file; ``default`` describes the scenario without a file."""
+    parser.add_argument(
+        "scenario",
+        nargs="?",
+        metavar="SCENARIO.yaml",
+        help=f"scenario file; left out: {default}",
+    )
+
+
+def add_engine(parser: argparse.ArgumentParser) -> None:
+    """Add ``--engine``."""
+    parser.add_argument(
+        "--engine",
+        choices=("compiled", "drake"),
+        help="run on compiled equations, or through Drake's Simulator, a thousand times "
+        "slower; left out: as the integrator in the scenario says",
+    )
+
+
+def add_set(parser: argparse.ArgumentParser, description: str, destination: str) -> None:
+    """Add ``--set NAME=VALUE``, whose texts are listed in the attribute ``destination``."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest=destination,
+        help=f"{description}. VALUE is YAML: 3, [1, 2]. May be given several times",
+    )
+
+
+def add_values(parser: argparse.ArgumentParser) -> None:
+    """Add ``--set`` for values of the scenario."""
+    example = "a value of the scenario, such as plant.cylinder.mass_kg=1.7, in place of the file's"
+    add_set(parser, f"{example}; `kneexo params SCENARIO.yaml` lists them", "values")
+
+
+def add_out(parser: argparse.ArgumentParser, files: str) -> None:
+    """Add ``--out DIR``; ``files`` describes what the command writes there."""
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=f"directory for {files}; made when missing, files of the same name are replaced",
+    )
+
+
+def add_html(parser: argparse.ArgumentParser) -> None:
+    """Add ``--html``."""
+    parser.add_argument(
+        "--html",
+        action="store_true",
+        help="write the report as one HTML page too, with tables, pictures and scenario",
+    )
+
+
+def decimal(text: str) -> float:
+    """Return a finite number. `float` also accepts nan, ``1_0`` and digits of other scripts."""
+    if NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
+        return value
+    raise argparse.ArgumentTypeError(f"{shown(text)!r} must be a finite number in the digits 0-9")
+
+
+def integer(text: str) -> int:
+    """Return an integer of at most nine digits."""
+    if re.fullmatch(r"[-+]?[0-9]{1,9}", text):
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{shown(text)!r} must be an integer in the digits 0-9")
+
+
+# -------------------------------------------------------------------- reading arguments
+
+
+@dataclass(frozen=True)
+class ScenarioChoice:
+    """The scenario of a command: a file or the default, then ``--set``, then ``--engine``."""
+
+    path: str | None = None
+    values: Sequence[str] = ()
+    engine: Literal["compiled", "drake"] | None = None
+
+    def load(self, default: Scenario | None = None) -> Scenario:
+        """Return the scenario; ``default`` is used without a file, None for the paper's setup."""
+        from kneexo.parameters import Scenario
+        from kneexo.parameters.scenario_file import load_scenario
+
+        scenario = (default or Scenario()) if self.path is None else load_scenario(self.path)
+        return with_values(scenario, self.values).with_engine(self.engine)
+
+
+def scenario_choice(options: argparse.Namespace) -> ScenarioChoice:
+    """Return the scenario that the arguments choose."""
+    arguments = vars(options)
+    return ScenarioChoice(
+        arguments.get("scenario"), arguments.get("values", ()), arguments.get("engine")
+    )
+
+
+def report_page(options: argparse.Namespace, command: str) -> ReportPage | None:
+    """Return the page for the report of a command; None without ``--html``.
+
+    The title of the page is the command with the arguments that change the result.
+    """
+    if not options.html:
+        return None
+    arguments = vars(options)
+    words = [arguments["scenario"]] if arguments.get("scenario") else []
+    words += [f"--set={value}" for value in arguments.get("values", arguments.get("settings", ()))]
+    return ReportPage(command, words, options.out)
+
+
+def scenario_request(
+    options: argparse.Namespace, run: Callable[..., Outcome], **attributes: Any
+) -> Request:
+    """Return the `Request` of a command that has a scenario and ``--json``."""
+    path = getattr(options, "scenario", None)
+    return Request(run, json=options.json, scenario=path, **attributes)
+
+
+def with_values(parameters: _P, texts: Sequence[str]) -> _P:
+    """Return the parameters with the changes of ``--set``, texts NAME=VALUE."""
+    from kneexo.parameters.paths import changed
+    from kneexo.parameters.scenario_file import read_value
+
+    values = {}
+    for text in texts:
+        name, separator, value = text.partition("=")
+        if not separator:
+            raise ParameterError(f"--set {shown(text)}: must be NAME=VALUE")
+        values[name] = read_value(f"--set {name}", value)
+    return changed(parameters, values)
+
+
+def origin_of(scenario: Scenario, settings: Parameters | None = None) -> dict[str, Any]:
+    """Return the first items of every JSON result: version of kneexo, scenario and settings."""
+    origin = {"kneexo": __version__, "scenario": scenario.model_dump(mode="json")}
+    return origin if settings is None else origin | {"settings": settings.model_dump(mode="json")}

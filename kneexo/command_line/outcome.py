@@ -1,0 +1,176 @@
+"""What a command was asked for, what it returns, and the one place that writes and prints it."""
+
+from __future__ import annotations
+
+import sys
+import webbrowser
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kneexo.errors import KneexoError, shown
+from kneexo.files.writing import output_directory, write_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from kneexo.sweeps.checkpoint import Checkpoint
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The results of a command, before anything is written or printed."""
+
+    text: str = ""
+    """Printed on stdout."""
+    document: str | None = None
+    """JSON that is printed in place of ``text`` if the user asked for JSON. None: ``text``."""
+    notices: Sequence[str] = ()
+    """Lines that are printed on stderr, before the text."""
+    files: Mapping[str, str | bytes | Callable[[Path], object]] = field(default_factory=dict)
+    """Files of the output directory by name: the content, or a function that writes the file."""
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    """Figures by name, which become a PNG and a PDF file of the output directory."""
+    page: str = ""
+    """Content of the output file, where the command writes a single one."""
+    open_in_browser: bool = False
+    """Whether the browser shows the output file."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A command with its arguments, and where its results go."""
+
+    run: Callable[..., Outcome]
+    """Runs the command. A request with `checkpoint_path` passes a keyword ``checkpoint``."""
+    json: bool = False
+    """Whether to print JSON."""
+    directory: Path | None = None
+    """The directory for `Outcome.files` and `Outcome.figures`."""
+    file: Path | None = None
+    """The file for `Outcome.page`."""
+    scenario: str | None = None
+    """The scenario file, which messages name."""
+    checkpoint_path: Path | None = None
+    """The file that keeps the finished pieces of a study until its results are written."""
+    restart: bool = False
+    """Whether to delete the finished pieces of an earlier run first."""
+    uses_drake: bool = True
+    """Whether the command imports Drake."""
+    uses_workers: bool = False
+    """Whether the user can choose the number of processes."""
+
+
+class Delivery:
+    """Runs the command of a request, and writes and prints its outcome."""
+
+    def __init__(self, request: Request) -> None:
+        self.request = request
+        self._checkpoint: Checkpoint | None = None
+        self._unused_pieces = 0
+        self._written = False
+
+    def run(self) -> int:
+        """Run the command, write its files, print its text; returns the exit code."""
+        request = self.request
+        if request.directory is not None:
+            with output_directory(request.directory, self._note_written) as directory:
+                try:
+                    outcome = self._outcome()
+                    _write(outcome, directory)
+                except BaseException:  # KeyboardInterrupt too: another process may want the file
+                    if self._checkpoint is not None:
+                        self._checkpoint.close()
+                    raise
+        else:
+            outcome = self._outcome()
+            if request.file is not None:
+                write_file(request.file, outcome.page.encode())
+                self._note_written()
+        return self._print(outcome)
+
+    def interrupt_notice(self) -> str:
+        """Return where the results of an interrupted command are, or its finished pieces."""
+        if self._written:
+            return f"the results are in {shown(self.request.directory or self.request.file)}"
+        return self.checkpoint_notice() or "nothing was written"
+
+    def checkpoint_notice(self) -> str:
+        """Return where the finished pieces of an unfinished study are; empty if there are none."""
+        path = self.request.checkpoint_path
+        if path is None or not (path.exists() if self._checkpoint is None else self._checkpoint):
+            return ""
+        count = "" if self._checkpoint is None else f"{len(self._checkpoint)} "
+        return (
+            f"{count}finished pieces are kept in {shown(path)}; the same command goes on from them"
+        )
+
+    def _outcome(self) -> Outcome:
+        if self.request.checkpoint_path is None:
+            return self.request.run()
+        from kneexo.sweeps.checkpoint import Checkpoint
+
+        resume = not self.request.restart
+        self._checkpoint = Checkpoint(self.request.checkpoint_path, resume=resume)
+        return self.request.run(checkpoint=self._checkpoint)
+
+    def _note_written(self) -> None:
+        """Note that the results are in their place, and delete the checkpoint."""
+        self._written = True
+        if self._checkpoint is not None:
+            self._unused_pieces = self._checkpoint.remove()
+
+    def _print(self, outcome: Outcome) -> int:
+        """Print notices and text, and open the browser if requested; returns the exit code."""
+        for notice in outcome.notices:
+            print(notice, file=sys.stderr)
+        if self._unused_pieces:
+            print(
+                f"kneexo: {self._unused_pieces} finished pieces of other settings stay in "
+                f"{shown(self.request.checkpoint_path)}; --restart deletes them",
+                file=sys.stderr,
+            )
+        as_json = self.request.json and outcome.document is not None
+        print(outcome.document if as_json else outcome.text, end="")
+        file = self.request.file
+        if outcome.open_in_browser and file and not webbrowser.open(file.resolve().as_uri()):
+            message = f"--open: no browser here; {shown(file)} is written, open it elsewhere"
+            print(f"kneexo: {message}", file=sys.stderr)
+            return 2
+        return 0
+
+
+def file_names(files: Iterable[str], figures: Iterable[str] = ()) -> list[str]:
+    """Return the sorted names of the files of an `Outcome`."""
+    return sorted([*files, *(f"{name}.{kind}" for name in figures for kind in ("pdf", "png"))])
+
+
+@contextmanager
+def named_in_errors(path: str | None) -> Iterator[None]:
+    """Context manager: put the name of a file before the messages of errors that lack it."""
+    try:
+        yield
+    except KneexoError as error:
+        if path and shown(path) not in str(error):
+            error.args = (f"{shown(path)}: {error}",)
+        raise
+
+
+def _write(outcome: Outcome, directory: Path) -> None:
+    """Write files and figures of an outcome; the figures are closed."""
+    for name, content in outcome.files.items():
+        if callable(content):
+            content(directory / name)
+        else:
+            data = content.encode() if isinstance(content, str) else content
+            (directory / name).write_bytes(data)
+    if outcome.figures:
+        import matplotlib.pyplot as plt
+
+        from kneexo.command_line.output import save_figure
+
+        for name, figure in outcome.figures.items():
+            save_figure(directory, name, figure)
+            plt.close(figure)

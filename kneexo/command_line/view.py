@@ -1,0 +1,122 @@
+"""The command ``view``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from kneexo.command_line.options import ScenarioChoice, add_command, add_values
+from kneexo.command_line.outcome import Outcome, Request, named_in_errors
+from kneexo.errors import ParameterError, shown
+from kneexo.studies.catalogue import PAPER
+from kneexo.version import __version__
+
+
+def add_view(subparsers: Any) -> None:
+    """Add ``view``."""
+    parser = add_command(
+        subparsers,
+        "view",
+        _request,
+        "show runs in three dimensions: an HTML page with a time slider",
+        "The page is one file that any browser opens, without network. Several runs stand beside "
+        "each other. The cylinder's colour is its pressure, the grey shank is the reference.",
+    )
+    parser.add_argument(
+        "runs",
+        nargs="*",
+        metavar="RUN",
+        help=f"scenario files to run, or directories that `kneexo simulate` wrote; left out: "
+        f"{PAPER}",
+    )
+    add_values(parser)
+    parser.add_argument(
+        "--out",
+        metavar="FILE.html",
+        type=Path,
+        required=True,
+        help="the page; replaces a page of an earlier view",
+    )
+    parser.add_argument(
+        "--open", action="store_true", help="show the page in this system's browser"
+    )
+
+
+def _request(options: argparse.Namespace) -> Request:
+    run = partial(view, options.runs, options.values, out=options.out, browser=options.open)
+    return Request(run, json=options.json, file=options.out)
+
+
+def view(runs: Sequence[str], values: Sequence[str], *, out: Path, browser: bool) -> Outcome:
+    """Return a page that shows runs in three dimensions.
+
+    Parameters
+    ----------
+    runs
+        Scenario files, which are run, and directories of earlier runs. Empty: the paper's setup.
+    values
+        Changes of the scenarios, each NAME=VALUE.
+    out
+        The file of the page, which the text names.
+    browser
+        Whether the browser shows the page.
+    """
+    from kneexo.command_line.output import to_json
+    from kneexo.parameters.scenario_file import load_scenario
+    from kneexo.view.legs import leg_of_results, leg_of_scenario
+    from kneexo.view.page import MOST_LEGS, require_page, shown_s, view_page
+
+    require_page(out)
+    if len(runs) > MOST_LEGS:
+        raise ParameterError(f"{len(runs)} runs: a page shows {MOST_LEGS} at most")
+    if values and (results := [run for run in runs if Path(run).is_dir()]):
+        raise ParameterError(
+            f"--set: {shown(results[0])} holds a finished run; its values are fixed"
+        )
+    legs, notices = [], []
+    for name, run in zip(run_names(runs), runs or (None,), strict=True):
+        if run is not None and Path(run).is_dir():
+            scenario = load_scenario(Path(run, "scenario.yaml"))
+            legs.append(leg_of_results(name, Path(run), scenario))
+            continue
+        caption = ", ".join([name, *values])
+        with named_in_errors(run):
+            leg, failure = leg_of_scenario(caption, ScenarioChoice(run, values).load())
+        if failure:
+            notices.append(f"kneexo: {shown(caption)}: {failure}; shown up to there")
+        legs.append(leg)
+    if (end_s := shown_s(legs)) < max(leg.time_s[-1] for leg in legs):
+        notices.append(f"kneexo: only the first {end_s:.3g} s are shown: the page is full")
+    names = [leg.name for leg in legs]
+    return Outcome(
+        f"{shown(out)}: {', '.join(map(shown, names))}; open it in a browser\n",
+        to_json({"kneexo": __version__, "page": str(out), "runs": names}),
+        notices,
+        page=view_page(legs),
+        open_in_browser=browser,
+    )
+
+
+def run_names(runs: Sequence[str]) -> list[str]:
+    """Return a name for each run, all different; without runs the name of the paper's setup.
+
+    A name is that of the file or directory. Equal names are preceded by the name of the parent
+    directory. Names that are still equal become the argument itself, with a number from the second
+    time on.
+    """
+    if not runs:
+        return ["the paper's setup"]
+    paths = [Path(os.path.realpath(run)) for run in runs]
+    names = [path.name if path.is_dir() else path.stem for path in paths]
+    in_parent = [f"{path.parent.name}/{name}" for path, name in zip(paths, names, strict=True)]
+    for longer in (in_parent, runs):
+        pairs = zip(names, longer, strict=True)
+        names = [other if names.count(name) > 1 else name for name, other in pairs]
+    times = [names[: index + 1].count(name) for index, name in enumerate(names)]
+    return [
+        name if time == 1 else f"{name} ({time})" for name, time in zip(names, times, strict=True)
+    ]

@@ -1,0 +1,93 @@
+import functools
+import subprocess
+import sys
+
+import pytest
+
+from kneexo.parameters import Scenario
+from kneexo.studies.catalogue import Study
+
+
+@pytest.fixture
+def scenario_file(tmp_path):
+    """The function ``scenario_file(text)``: writes a scenario file and returns its path."""
+
+    def write(text):
+        path = tmp_path / "scenario.yaml"
+        path.write_text(text)
+        return str(path)
+
+    return write
+
+
+@pytest.fixture
+def short(scenario_file):
+    """A scenario file of a short run."""
+    return scenario_file(
+        "reference: {frequency_hz: 1.0, amplitude_deg: 2.0}\nsimulation: {duration_s: 1.2}\n"
+    )
+
+
+@pytest.fixture
+def small_map():
+    """Arguments of a bandwidth study with few runs."""
+    return ["--set", "amplitudes_deg=[1.0]", "--set", "frequencies_hz=[2, 3, 5]"]
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Draw no figures, which take longer than the rest and have tests of their own."""
+    monkeypatch.setattr("kneexo.studies.bandwidth.figures.figures", lambda _: {})
+    monkeypatch.setattr("kneexo.command_line.output.save_figure", lambda *_: None)
+
+
+@pytest.fixture
+def run_command():
+    """The function ``run_command(*arguments, **options)``: runs kneexo in a process."""
+
+    def run(*arguments, **options):
+        line = [sys.executable, "-m", "kneexo", *arguments]
+        return subprocess.run(line, stderr=subprocess.PIPE, text=True, **options)
+
+    return run
+
+
+class FakeResult:
+    """The result of a study that computes nothing."""
+
+    def __init__(self, settings):
+        self.settings = settings
+
+    def results(self):
+        return {"settings": type(self.settings).__name__}
+
+
+@pytest.fixture
+def replace_study(monkeypatch):
+    """The function ``replace_study(name, compute)``: calls ``compute`` in place of a study."""
+
+    def replace(name, compute):
+        @functools.wraps(compute)
+        def study(*arguments, settings, **options):
+            compute(*arguments, settings=settings, **options)
+            return FakeResult(settings)
+
+        monkeypatch.setattr(f"kneexo.studies.{name}.study.{name}_study", study)
+        monkeypatch.setattr(Study, "report", lambda study, result: "# report\n")
+        monkeypatch.setattr(Study, "figures", lambda study, result: {})
+        monkeypatch.setattr(Study, "motions", lambda study, result: {})
+
+    return replace
+
+
+@pytest.fixture
+def stand_in(replace_study):
+    """The function ``stand_in(compute)``: the bandwidth study calls ``compute(checkpoint)``."""
+
+    def replace(compute):
+        def study(scenario=Scenario(), *, settings, checkpoint, **_):
+            compute(checkpoint)
+
+        replace_study("bandwidth", study)
+
+    return replace

@@ -1,0 +1,194 @@
+import csv
+import json
+import math
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import TrackingMetrics
+from kneexo.command_line.main import main
+from kneexo.parameters import PlantParameters, Scenario
+from kneexo.parameters.scenario_file import load_scenario
+
+
+def test_simulate_writes_signals_metrics_scenario_and_plot(capsys, short, tmp_path):
+    out = tmp_path / "out"
+    assert main(["simulate", short, "--out", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert {file.name for file in out.iterdir()} == {
+        "signals.csv",
+        "metrics.json",
+        "scenario.yaml",
+        "tracking.png",
+        "tracking.pdf",
+    }
+    assert json.loads((out / "metrics.json").read_text()) == printed
+    assert printed["max_error_deg"] < 0.5
+    assert load_scenario(out / "scenario.yaml").reference.frequency_hz == 1.0
+    with (out / "signals.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0][:2] == ["time_s", "knee_reference_rad"]
+    assert "load_pressure_pa" in rows[0]
+    assert len(rows) == 1 + 601
+
+
+def test_a_run_shorter_than_a_period_has_dashes(capsys, scenario_file, tmp_path, undrawn):
+    path = scenario_file("simulation: {duration_s: 0.1}")
+    assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    assert "nan" not in text
+    assert f"{'max_error_deg':28s} –" in text
+    assert "nan" not in (tmp_path / "out" / "signals.csv").read_text()
+
+
+def test_the_reference_engine_can_be_asked_for(capsys, short, tmp_path, undrawn):
+    results = {}
+    for engine in ("compiled", "drake"):
+        arguments = ["simulate", short, "--engine", engine, "--json"]
+        assert main([*arguments, "--out", str(tmp_path / engine)]) == 0
+        results[engine] = json.loads(capsys.readouterr().out)
+        saved = load_scenario(tmp_path / engine / "scenario.yaml")
+        assert saved.simulation.compiled == (engine == "compiled")
+    for name in ("max_error_deg", "rms_error_deg", "mean_command_change_rpm"):
+        # radau3 at 2 ms against the exact hold; a count of the encoder may fall a sample later.
+        assert results["compiled"][name] == pytest.approx(results["drake"][name], rel=2e-2)
+
+
+def test_a_run_that_would_not_fit_into_memory_is_refused(capsys, scenario_file, tmp_path):
+    path = scenario_file("simulation: {duration_s: 86400}")
+    assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "simulation.duration_s = 86400 s" in line
+    assert "43200000 samples" in line
+    assert "at most 2 GiB" in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("plant: {cylinder: {mass_kg: -1}}", "plant.cylinder.mass_kg = -1 kg is out of range"),
+        ("plant: {cylinder: {mass_kg: .nan}}", "mass_kg = nan kg is out of range"),
+        ("plant: {cylinder: {mas_kg: 1.0}}", "plant.cylinder.mas_kg: unknown name"),
+        ("reference: {mean_deg: 70.0}", "leaves the range of motion 0 … 90 deg"),
+        ("plant: {linkage: {a_2_m: 0.2}}", "cannot be assembled"),
+        ("controller: {kind: lqr}", "controller.kind = 'lqr'"),
+        (
+            "reference: {frequency_hz: 1.0, amplitude_deg: 2.0}\n"
+            "simulation: {duration_s: 1.2, integrator: runge_kutta3}",
+            "left the stroke 0 … 0.15 m; reduce the motion, the load or the step",
+        ),
+        ("initial_offset_m: -0.15", "outside the stroke 0 … 0.15 m; change the offset"),
+        ("controller: {kind: pid, anti_windup_s: 1e-3}", "must be at least sample_time_s"),
+        (
+            "reference: {kind: samples, times_s: [0, 1, 1e300], angles_deg: [1, 2, 3]}",
+            "times_s must lie within ±100000 s",
+        ),
+        (
+            "reference: {kind: samples, times_s: [0, 1e-9, 1], angles_deg: [1, 2, 3]}",
+            "times_s must increase by at least 1e-6 s",
+        ),
+        (
+            "reference: {kind: samples, times_s: [0, 1, 2, 3], angles_deg: [5, 89, 89, 5]}\n"
+            "simulation: {duration_s: 1.0}",
+            "interpolation cubic passes the range of motion",
+        ),
+        ("reference: {kind: samples, times_s: [0, 1], angles_deg: [1, 2]}", "must have at least 3"),
+    ],
+)
+def test_bad_scenarios_are_one_line_exit_2_and_leave_nothing(
+    capsys, scenario_file, tmp_path, text, told
+):
+    out = tmp_path / "out"
+    assert main(["simulate", scenario_file(text), "--out", str(out)]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("kneexo:")]
+    assert len(lines) == 1
+    assert told in lines[0]
+    assert "scenario.yaml" in lines[0]
+    assert not out.exists()
+
+
+def test_every_key_of_the_results_is_documented():
+    text = (Path(__file__).parents[2] / "docs/results.md").read_text(encoding="utf-8")
+    for key in (*(field.name for field in fields(TrackingMetrics)), "kneexo", "scenario"):
+        assert f"`{key}`" in text, key
+
+
+def test_linearize_writes_what_it_finds_and_refuses_a_posture_out_of_range(capsys, tmp_path):
+    from kneexo.analysis import linearize_loop
+
+    posture = ["--knee-angle", "30"]
+    assert main(["linearize", *posture, "--out", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert json.loads((tmp_path / "out" / "linearization.json").read_text()) == printed
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {
+        "linearization.json",
+        *(f"{name}.{kind}" for name in ("loop", "nyquist", "poles") for kind in ("png", "pdf")),
+    }
+    # The plant of Eq. 13, 15 and 16: (s + 1/τ_m) s (s² + 2ζω s + ω²).
+    oil, pump = PlantParameters().cylinder, PlantParameters().pump
+    leak = pump.leakage_m3_per_s_pa + oil.leakage_m3_per_s_pa
+    softness = 4.0 * oil.bulk_modulus_pa / oil.total_volume_m3
+    omega = math.sqrt(softness * (oil.mean_area_m2**2 + oil.damping_n_s_per_m * leak) / oil.mass_kg)
+    zeta = (oil.damping_n_s_per_m / oil.mass_kg + softness * leak) / (2.0 * omega)
+    pair = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
+    poles = [0.0, -1.0 / pump.lag_s, pair, pair.conjugate()]
+    found = [complex(*pole) for pole in printed["plant_poles_per_s"]]
+    by_imaginary_part = {"key": lambda pole: (pole.imag, pole.real)}
+    assert sorted(found, **by_imaginary_part) == pytest.approx(
+        sorted(map(complex, poles), **by_imaginary_part), rel=1e-9, abs=1e-6
+    )
+    assert printed["plant_frequencies_rad_s"] == pytest.approx(
+        [0.0, 1.0 / pump.lag_s, omega, omega], rel=1e-9, abs=1e-6
+    )
+    assert printed["plant_damping_ratios"][1:] == pytest.approx([1.0, zeta, zeta], rel=1e-6)
+    # dθ/dt per motor speed: flow over area, over the moment arm dx/dθ (Eq. 10 at 30°, in mm/deg).
+    arm = np.polyval(np.polyder([1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0]), 30.0)
+    arm *= 1e-3 * 180.0 / math.pi
+    flow = pump.displacement_m3_per_rad / pump.gear_ratio
+    gain = flow / (oil.mean_area_m2 + oil.damping_n_s_per_m * leak / oil.mean_area_m2) / arm
+    assert printed["plant_velocity_gain"] == pytest.approx(gain, rel=5e-3)  # G1 is not Table 1
+    point = printed["operating_point"]
+    assert point["knee_angle_rad"] == pytest.approx(math.radians(30.0), abs=1e-9)
+    for name in ("motor_speed_rad_s", "load_pressure_pa", "rod_force_n"):
+        assert point[name] == pytest.approx(0.0, abs=1e-6)
+    loop = linearize_loop(Scenario(), 30.0)
+    assert printed["loop_eigenvalues"] == [[z.real, z.imag] for z in loop.eigenvalues]
+    assert abs(complex(*printed["loop_eigenvalues"][0])) == max(
+        abs(complex(*z)) for z in printed["loop_eigenvalues"]
+    )
+    margins = loop.margins()
+    assert printed["margins"] == {
+        name: None if value != value or math.isinf(value) else value
+        for name, value in vars(margins).items()
+    }
+    assert printed["bandwidth_hz"] == loop.bandwidth_hz()
+    feedback = loop.complementary_sensitivity_bandwidth_hz()
+    assert printed["complementary_sensitivity_bandwidth_hz"] == feedback
+    assert main(["linearize", "--knee-angle", "200", "--out", str(tmp_path / "no")]) == 2
+    assert "knee angle = 200 deg" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+
+
+def test_the_margins_and_bandwidths_of_an_unstable_loop_are_null(capsys, tmp_path, undrawn):
+    # Exact states at k/Φ = 1.3e4 1/s: docs/eq27_at_2ms.md.
+    command = ["linearize", "--set", "estimator={kind: exact}", "--set", "controller.phi_m_s2=24.4"]
+    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["margins"].pop("stable") is False
+    assert set(printed["margins"].values()) == {None}
+    assert printed["bandwidth_hz"] is None
+    assert printed["complementary_sensitivity_bandwidth_hz"] is None
+
+
+def test_linearize_takes_values_of_the_scenario(capsys, tmp_path, undrawn):
+    command = ["linearize", "--set", "plant.cylinder.mass_kg=0.4", "--out", str(tmp_path / "out")]
+    assert main([*command, "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["scenario"]["plant"]["cylinder"]["mass_kg"] == 0.4
+    oil = PlantParameters().cylinder
+    softness = 4.0 * oil.bulk_modulus_pa * oil.mean_area_m2**2 / oil.total_volume_m3
+    omega = math.sqrt(softness / 0.4)  # Eq. 15 and 16 with hardly any leakage
+    assert max(printed["plant_frequencies_rad_s"]) == pytest.approx(omega, rel=1e-4)

@@ -1,0 +1,161 @@
+import json
+
+import pytest
+
+import kneexo
+from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.command_line.main import main
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
+from kneexo.studies.bandwidth import study as bandwidth
+from kneexo.studies.catalogue import STUDIES
+
+
+def test_bandwidth_measures_writes_and_leaves_no_checkpoint(capsys, tmp_path, small_map):
+    out = tmp_path / "out"
+    assert main(["bandwidth", *small_map, "--workers", "1", "--out", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert json.loads((out / "bandwidth.json").read_text()) == printed
+    names = {file.name for file in out.iterdir()}
+    assert {"bandwidth.md", "amplitude_map.png", "amplitude_map.pdf"} <= names
+    assert not any("checkpoint" in name for name in names)
+
+
+def test_an_interrupted_study_goes_on_with_identical_results(
+    capsys, tmp_path, monkeypatch, undrawn, small_map
+):
+    whole, torn = tmp_path / "whole", tmp_path / "torn"
+    command = ["bandwidth", *small_map, "--workers", "1", "--out"]
+    assert main([*command, str(whole)]) == 0
+    measure, calls = bandwidth._measure, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return measure(*arguments)
+
+    interrupted.__module__, interrupted.__qualname__ = measure.__module__, measure.__qualname__
+    monkeypatch.setattr(bandwidth, "_measure", interrupted)
+    capsys.readouterr()
+    assert main([*command, str(torn)]) == 130
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("kneexo: interrupted; 3 finished pieces are kept in ")
+    assert [file.name for file in torn.iterdir()] == ["bandwidth.checkpoint.jsonl"]
+    assert main([*command, str(torn)]) == 0
+    pieces = len(calls) - 4
+    assert pieces > 0
+    for name in ("bandwidth.json", "bandwidth.md"):
+        assert (torn / name).read_bytes() == (whole / name).read_bytes()
+    assert not (torn / "bandwidth.checkpoint.jsonl").exists()
+
+
+@pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
+def test_each_study_is_wired(capsys, tmp_path, study, replace_study):
+    seen = {}
+
+    def compute(scenario=Scenario(), *, settings, workers, executor, progress, checkpoint=None):
+        assert executor is None
+        assert (checkpoint is not None) == study.resumable
+        seen["workers"] = workers
+
+    replace_study(study.name, compute)
+    command = study.command.split()
+    out = tmp_path / "out"
+    assert main([*command, "--workers", "2", "--out", str(out), "--json"]) == 0
+    assert seen["workers"] == 2
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["settings"] == study.settings.__name__
+    names = ("results", "report") if study.name == "reproduce" else (study.name, study.name)
+    assert {file.name for file in out.iterdir()} == {f"{names[0]}.json", f"{names[1]}.md"}
+    assert json.loads((out / f"{names[0]}.json").read_text()) == printed
+    assert (out / f"{names[1]}.md").read_text() == "# report\n"
+    assert main([*command, "--out", str(out), "--html"]) == 0
+    page = (out / f"{study.name}.html").read_text()
+    assert f"<title>kneexo {study.command}</title>" in page
+
+
+def test_json_of_a_sweep_says_version_scenario_and_settings(capsys, tmp_path, undrawn, small_map):
+    command = ["bandwidth", *small_map, "--set", "estimate.averaged_cycles=4", "--workers", "1"]
+    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["kneexo"] == kneexo.__version__
+    assert changed(Scenario(), printed["scenario"]) == Scenario()
+    assert printed["settings"]["estimate"]["averaged_cycles"] == 4
+
+
+def test_reproduce_takes_settings_of_fig_13(capsys, tmp_path, replace_study):
+    seen = []
+
+    def compute(scenario=Scenario(), *, settings, **_):
+        seen.append(settings)
+
+    replace_study("reproduce", compute)
+    command = ["reproduce", "--set", "trials=2", "--set", "frequencies_hz=[0.2, 0.21, 0.3]"]
+    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert seen == [SinestreamSettings(trials=2, frequencies_hz=(0.2, 0.21, 0.3))]
+
+
+def test_a_scalar_is_a_list_of_one(capsys, tmp_path, undrawn, small_map):
+    command = ["bandwidth", *small_map, "--set", "amplitudes_deg=1", "--workers", "1"]
+    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["settings"]["amplitudes_deg"] == [1.0]
+
+
+def test_workers_below_one_are_refused(capsys, tmp_path):
+    assert main(["reproduce", "--out", str(tmp_path / "o"), "--workers", "0"]) == 2
+    assert "--workers = 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--set", "frequencies_hz=[1, 2, 90]"], "90 Hz is too high: must be <= 50 Hz"),
+        (["--set", "frequencies_hz=[1, 2, 300]"], "frequencies_hz.2 = 300 Hz is out of range"),
+        (["--set", "amplitudes_deg=[1e-200]"], "must be finite and >= 1e-06 and <= 46 deg"),
+        (["--set", "frequencies_hz=[1, 2, 60]"], "60 Hz is too high: must be <= 50 Hz"),
+        (["--set", "estimate={averaged_cycles: 1}"], "estimate.averaged_cycles = 1 cycles"),
+        (["--set", "estimate={largest_cycles: 3}"], "too few cycles"),
+        (["--set", "amplitudes_deg"], "--set amplitudes_deg: must be NAME=VALUE"),
+        (["--set", "amplitude_deg=[1.0]"], "amplitude_deg: unknown name"),
+        (["--set", "amplitudes_deg=[1.0"], "--set amplitudes_deg:1: YAML"),
+        (["--workers", "0"], "--workers = 0: must be at least 1"),
+    ],
+)
+def test_bad_settings_of_a_study_are_one_line_and_leave_nothing(capsys, tmp_path, arguments, told):
+    out = tmp_path / "out"
+    assert main(["bandwidth", *arguments, "--out", str(out)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert told in lines[0]
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("estimate.tolerance=9", "estimate.tolerance = 9 is out of range"),
+        ("estimate.tol=9", "estimate.tol: unknown name; known here: averaged_cycles"),
+        ("estimat.tolerance=9", "estimat.tolerance: there is no estimat"),
+        ("tol=9", "tol: unknown name; known here: amplitudes_deg"),
+    ],
+)
+def test_faults_of_nested_settings_name_their_path(capsys, tmp_path, text, told):
+    assert main(["bandwidth", "--set", text, "--out", str(tmp_path / "out")]) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("trials=0", "trials = 0 is out of range: must be finite and >= 1"),
+        ("trial=1", "trial: unknown name; known here: acceleration_limit_max_rad_s2"),
+        ("frequencies_hz=[0.1, 0.2]", "frequencies_hz has 2 values: must have at least 3"),
+        ("mass_min_kg=1.9", "mass_min_kg = 1.9 kg must not exceed mass_max_kg = 1.8 kg"),
+    ],
+)
+def test_bad_settings_of_fig_13_are_one_line(capsys, tmp_path, text, told):
+    assert main(["reproduce", "--set", text, "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,106 @@
+import json
+import os
+
+import kneexo
+from kneexo.command_line.main import main
+from kneexo.compiler.native import cache
+from kneexo.parameters import Scenario
+from kneexo.parameters.scenario_file import load_scenario
+
+
+def test_params_lists_every_number_with_unit_and_provenance(capsys):
+    assert main(["params", "--json"]) == 0
+    rows = {row["parameter"]: row for row in json.loads(capsys.readouterr().out)["parameters"]}
+    mass = rows["plant.cylinder.mass_kg"]
+    assert (mass["value"], mass["unit"]) == (1.6, "kg")
+    assert "Table" in mass["provenance"]
+    assert all(row["provenance"] for row in rows.values())
+    assert main(["params"]) == 0
+    assert "plant.pump.lag_s = 0.01 s" in capsys.readouterr().out
+
+
+def test_params_prints_a_scenario_file_that_loads(capsys, tmp_path):
+    assert main(["params", "--yaml"]) == 0
+    path = tmp_path / "full.yaml"
+    path.write_text(capsys.readouterr().out)
+    assert load_scenario(path) == Scenario()
+
+
+def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenario_file):
+    listed = []
+    for arguments in ([], [scenario_file("controller: {kind: pid}")]):
+        assert main(["params", *arguments, "--json"]) == 0
+        rows = json.loads(capsys.readouterr().out)["parameters"]
+        listed.append({row["parameter"] for row in rows})
+    everything, own = listed
+    assert "controller(pid).integral_per_s2" in everything
+    assert "bandwidth: amplitudes_deg" in everything
+    assert "reproduce, Fig. 13: trials" in everything
+    assert "controller.integral_per_s2" in own
+    assert not any("(" in name or ":" in name for name in own)
+
+
+def test_params_prints_a_json_schema(capsys):
+    assert main(["params", "--schema"]) == 0
+    assert "plant" in json.loads(capsys.readouterr().out)["properties"]
+
+
+def test_diagram_always_writes_the_dot_file(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))  # no Graphviz here
+    assert main(["diagram", "--out", str(tmp_path / "out")]) == 0
+    text = (tmp_path / "out" / "closed_loop.dot").read_text()
+    assert "digraph" in text
+    assert "controller" in text
+    captured = capsys.readouterr()
+    assert f"closed_loop.dot is in {tmp_path / 'out'}\n" in captured.out
+    assert "install Graphviz" in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_diagram_draws_with_graphviz(capsys, tmp_path, monkeypatch):
+    fake = tmp_path / "dot"
+    fake.write_text('#!/bin/sh\nfor last; do :; done\necho "$1" > "$last"\n')
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    assert main(["diagram", "--out", str(tmp_path / "out"), "--json"]) == 0
+    names = json.loads(capsys.readouterr().out)["files"]
+    assert names == ["closed_loop.dot", "closed_loop.png", "closed_loop.svg"]
+
+
+def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "7")
+    assert main(["cache"]) == 0
+    assert "entries    0\n" in capsys.readouterr().out
+    assert not (tmp_path / "cache").exists()
+    for age_s in range(6):
+        cache.store(str(age_s), bytes(2**20))
+        used_last = cache.entries()[0].path
+        os.utime(used_last, (1e9 - age_s, 1e9 - age_s))
+    newest, *_, oldest = cache.entries()
+    assert main(["cache", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["directory"] == str(tmp_path / "cache")
+    assert printed["limit_bytes"] == 7 * 2**20
+    assert printed["size_bytes"] == sum(entry["size_bytes"] for entry in printed["entries"])
+    assert [entry["last_use_s"] for entry in printed["entries"]] == [1e9 - age for age in range(6)]
+    assert printed["entries"][0]["name"] == newest.path.name
+    assert main(["cache"]) == 0
+    text = capsys.readouterr().out
+    assert f"directory  {tmp_path / 'cache'}\nentries    6\n" in text
+    assert "size       6.0 of at most 7 MiB" in text
+    assert "2001-09-0" in text
+    assert "1024.0 KiB" in text
+    assert newest.path.name in text
+    assert oldest.path.name not in text
+    assert main(["cache", "--clear"]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'cache'}: 6 entries deleted\n"
+    assert list((tmp_path / "cache").iterdir()) == []
+    cache.store("key", b"code")
+    assert main(["cache", "--clear", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == {
+        "kneexo": kneexo.__version__,
+        "directory": str(tmp_path / "cache"),
+        "deleted": 1,
+    }
