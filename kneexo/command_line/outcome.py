@@ -29,6 +29,8 @@ class Outcome:
     """JSON that is printed in place of ``text`` if the user asked for JSON. None: ``text``."""
     notices: Sequence[str] = ()
     """Lines that are printed on stderr, before the text."""
+    advice: str = ""
+    """A line that is printed on stderr after the text, but not with JSON."""
     files: Mapping[str, str | bytes | Callable[[Path], object]] = field(default_factory=dict)
     """Files of the output directory by name: the content, or a function that writes the file."""
     figures: Mapping[str, Figure] = field(default_factory=dict)
@@ -134,6 +136,8 @@ class Delivery:
             )
         as_json = self.request.json and outcome.document is not None
         print(outcome.document if as_json else outcome.text, end="")
+        if outcome.advice and not as_json:
+            print(outcome.advice, file=sys.stderr)
         file = self.request.file
         if outcome.open_in_browser and file and not webbrowser.open(file.resolve().as_uri()):
             message = f"--open: no browser here; {shown(file)} is written, open it elsewhere"

@@ -128,15 +128,20 @@ def diagram(choice: ScenarioChoice, *, out: Path) -> Outcome:
         else:
             files[f"closed_loop.{kind}"] = process.stdout
     names = sorted(files)
-    if not graphviz:
-        notices.append(
-            "For a picture install Graphviz (Debian, Ubuntu: apt-get install graphviz) and run "
-            "this again."
-        )
+    advice = (
+        "For a picture install Graphviz (Debian, Ubuntu: apt-get install graphviz) and run this "
+        "again."
+    )
     document = {**origin_of(scenario), "directory": str(out), "files": names}
     verb = "are" if len(names) > 1 else "is"
     line = f"{', '.join(names)} {verb} in {shown(out)}\n"
-    return Outcome(line, json.dumps(document) + "\n", notices, files=files)
+    return Outcome(
+        line,
+        json.dumps(document) + "\n",
+        notices,
+        advice="" if graphviz else advice,
+        files=files,
+    )
 
 
 def cache() -> Outcome:
