@@ -1,9 +1,9 @@
-"""Leaf systems of the polycentric knee exoskeleton, one component of the paper a file.
+"""Leaf systems of the polycentric knee exoskeleton, one component of the paper in each file.
 
-Every system has a default configuration (the paper's), named ports in SI units, numeric Context
-parameters, and converts to AutoDiffXd and symbolic Expression. ``BldcPump(…)`` is a system for
-float, `BldcPump_` the template by scalar type, as in Drake. The encoder is Drake's own
-`RotaryEncoders`.
+Every system has the paper's configuration as its default, named ports in SI units and numeric
+Context parameters. It converts to AutoDiffXd and to symbolic Expression. ``BldcPump(…)`` is a
+system of floats, and `BldcPump_` is the template by scalar type, as in Drake. The encoder is
+Drake's own `RotaryEncoders`.
 """
 
 from kneexo.systems.bldc_pump import BldcPump as BldcPump, BldcPump_ as BldcPump_

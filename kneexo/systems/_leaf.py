@@ -1,4 +1,4 @@
-"""What every leaf system shares: all scalars of Drake, and Context parameters by name."""
+"""Base class of the leaf systems: all scalars of Drake, and Context parameters with names."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ else:  # `leaf_template` adds Drake's class of the scalar
 
 
 def clip(value: Any, lower: Any, upper: Any) -> Any:
-    """Limit a float, AutoDiffXd or Expression to lower…upper, keeping its derivative inside."""
+    """Limit a float, AutoDiffXd or Expression to lower…upper; it keeps its derivative inside."""
     return _min(_max(value, lower), upper)
 
 
 def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
-    """``positive`` where ``condition`` > 0, else ``otherwise``; for all three scalars."""
+    """Return ``positive`` if ``condition`` > 0, else ``otherwise``; for all scalars of Drake."""
     if isinstance(condition, Expression):
         branches = (
             v if isinstance(v, Expression) else Expression(v) for v in (positive, otherwise)
@@ -39,12 +39,12 @@ def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
 
 
 def values_of(source: Any, *names: str) -> dict[str, float]:
-    """The named attributes of a parameter object."""
+    """Return the attributes of a parameter object with these names."""
     return {name: getattr(source, name) for name in names}
 
 
 def fill(vector: Any, values: Sequence[Any]) -> None:
-    """Set the elements of a vector of Drake."""
+    """Set all elements of one of Drake's vectors."""
     for index, value in enumerate(values):
         vector.SetAtIndex(index, value)
 
@@ -57,8 +57,8 @@ class NamedLeaf(LeafSystem):
     """Base of a component: a leaf system for all scalars of Drake, with named Context parameters.
 
     A subclass declares ports, state and Context parameters in ``__init__``. ``Component(…)`` makes
-    its system for float, which converts to AutoDiffXd and Expression: `leaf_template` has the class
-    for each scalar. All these systems are instances of ``Component``.
+    a system of floats, which converts to AutoDiffXd and Expression. `leaf_template` makes the class
+    for each scalar; the systems of all scalars are instances of ``Component``.
     """
 
     _scalar: Any = None
@@ -72,14 +72,14 @@ class NamedLeaf(LeafSystem):
         return names
 
     def __new__(cls, *_: Any, **__: Any) -> Self:
-        """Drake's leaf system of float, where no scalar is chosen."""
+        """Create an instance of the class for this scalar; of floats if no scalar is chosen."""
         system: Any = cls
         if cls._scalar is None:
             system = leaf_template(system)[None]
         return super(NamedLeaf, system).__new__(system)
 
     def _declare_parameters(self, values: Mapping[str, float]) -> None:
-        """Declare one vector of numeric parameters, by name."""
+        """Declare a vector of numeric Context parameters with their names and values."""
         self._values = _named_values(tuple(values))
         self.DeclareNumericParameter(
             BasicVector_[self._scalar]([float(value) for value in values.values()])
@@ -88,41 +88,45 @@ class NamedLeaf(LeafSystem):
     def _declare_output(
         self, name: str, size: int, calc: Callable[[Any], Sequence[Any]], *sources: Any
     ) -> Any:
-        """Declare an output of ``calc(context)`` that reads ``sources``: ports or tickets."""
+        """Declare an output port with the value ``calc(context)``.
+
+        ``sources`` are the ports and tickets that ``calc`` reads besides the Context parameters.
+        """
         tickets = {s.ticket() if hasattr(s, "ticket") else s for s in sources}
         return self.DeclareVectorOutputPort(
             name,
             size,
             lambda context, output: fill(output, calc(context)),
-            tickets or {self.nothing_ticket()},
+            tickets | {self.all_parameters_ticket()},
         )
 
     def _declare_update(
         self, period: float, size: int, update: Callable[[Any], Sequence[Any]]
     ) -> None:
-        """Declare one discrete state of ``size`` with x⁺ = ``update(context)`` every ``period``."""
+        """Declare a discrete state of ``size`` with x⁺ = ``update(context)`` every ``period`` s."""
         self.DeclareDiscreteState(size)
         self.DeclarePeriodicDiscreteUpdateEvent(
             period, 0.0, lambda context, state: fill(state.get_mutable_vector(0), update(context))
         )
 
     def _declare_initialization(self, initialize: Callable[[Any], Sequence[Any]]) -> None:
-        """Declare x = ``initialize(context)``, which ``Simulator.Initialize()`` applies once."""
+        """Declare that ``Simulator.Initialize()`` sets the discrete state to this value."""
         self.DeclareInitializationDiscreteUpdateEvent(
             lambda context, state: fill(state.get_mutable_vector(0), initialize(context))
         )
 
     def _declare_check(self, check: Callable[[Any], None]) -> None:
-        """Call ``check(context)`` after each step of a simulation in floats.
+        """Declare ``check(context)``, which raises an error outside the limits of the system.
 
-        As the method ``check`` it also explains a compiled run that ends outside the limits.
+        A simulation with floats calls it after each step. A compiled run that ends outside the
+        limits calls it, as the method ``check``, for the message of the error.
         """
         self.check = check
         if self._scalar is float:
             self.DeclarePerStepPublishEvent(check)
 
     def parameters(self, context: Any) -> Any:
-        """All named Context parameters of this system, as a named tuple of scalars."""
+        """Return the named Context parameters of this system, as a named tuple of scalars."""
         return self._values._make(context.get_numeric_parameter(0).CopyToVector().tolist())
 
     def set_parameter(self, context: Any, name: str, value: Any) -> None:
@@ -142,15 +146,15 @@ class NamedLeaf(LeafSystem):
 
 @cache
 def leaf_template(component: type[NamedLeaf]) -> Any:
-    """Drake's template of a component: its leaf system for each scalar, made when asked for.
+    """Return Drake's template of a component, which has its leaf system for each scalar.
 
-    Each takes Drake some milliseconds, and what runs compiled needs none. An explicit scope avoids
-    40 ms of stack inspection.
+    The template is made at the first call, because Drake takes some milliseconds for each, and
+    compiled runs need none. An explicit scope avoids 40 ms of stack inspection.
     """
 
     @TemplateSystem.define(f"{component.__name__}_", scope=sys.modules[component.__module__])
     def template(scalar: Any) -> Any:
-        # mypy knows no base class that is a value.
+        # mypy does not accept a base class that is a variable.
         class Impl(component, LeafSystem_[scalar]):  # type: ignore[misc, valid-type]
             __doc__ = component.__doc__
             _scalar = scalar
@@ -172,8 +176,8 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
 def require_finite(system: Any, context: Any, **values: Any) -> None:
     """Raise `SimulationError` when one of the floats ``values`` is not finite.
 
-    A NaN derivative would hang Drake's error-controlled integrators and pass silently through the
-    others. AutoDiffXd and Expression are not checked.
+    A NaN derivative would hang Drake's error-controlled integrators, and its other integrators
+    would ignore it. Values of AutoDiffXd and Expression are not checked.
     """
     for name, value in values.items():
         if isinstance(value, float) and not math.isfinite(value):
@@ -184,11 +188,11 @@ def require_finite(system: Any, context: Any, **values: Any) -> None:
 
 
 def discrete_state(context: Any) -> list[Any]:
-    """The first discrete state group as scalars."""
+    """Return the first group of discrete states as scalars."""
     values: list[Any] = context.get_discrete_state(0).CopyToVector().tolist()
     return values
 
 
 def value_or_zero(port: Any, context: Any) -> Any:
-    """The scalar at an input port that may be left unconnected: then zero."""
+    """Return the scalar at an input port, or zero if the port is not connected."""
     return port.Eval(context)[0] if port.HasValue(context) else 0.0

@@ -10,27 +10,30 @@ from kneexo.parameters import BldcPumpParameters
 from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, require_finite, values_of
 
 RAD_S_PER_KRAD_S = 1e3
-"""Of the state to the speed."""
+"""Rad/s per krad/s: the speed is a state in krad/s, ports are in rad/s."""
 
 
 def motor_acceleration(
     command: Any, speed: Any, lag: Any, speed_limit: Any, acceleration_limit: Any
 ) -> Any:
-    """Acceleration of the speed-controlled motor in rad/s².
+    """Return the acceleration of the speed-controlled motor in rad/s².
 
-    dω/dt = clip((clip(ω_cmd, ±ω_max) − ω)/τ, ±α_max); speeds in rad/s, ``lag`` in s.
+    dω/dt = clip((clip(ω_cmd, ±ω_max) − ω)/τ, ±α_max). Speeds are in rad/s, ``lag`` τ is in s.
     """
     limited = clip(command, -speed_limit, speed_limit)
     return clip((limited - speed) / lag, -acceleration_limit, acceleration_limit)
 
 
 def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, leakage: Any) -> Any:
-    """Load flow Q_L = D_m ω/gear − (C_im + C_em/2) P_L in m³/s (Eq. 13)."""
+    """Return the load flow Q_L = D_m ω/gear − C P_L in m³/s (Eq. 13).
+
+    ``leakage`` is C = C_im + C_em/2, the internal and half the external leakage coefficient.
+    """
     return displacement * speed / gear_ratio - leakage * pressure
 
 
 def context_values(parameters: BldcPumpParameters) -> dict[str, float]:
-    """Context parameters of `BldcPump`."""
+    """Return the Context parameters of `BldcPump` by name."""
     return values_of(
         parameters,
         "speed_limit_rad_s",
@@ -61,9 +64,9 @@ class BldcPump(NamedLeaf):
     hydraulic_power      1     W        Q_L P_L, after leakage
     ===================  ====  =======  ==============================================
 
-    State: motor speed in krad/s (order one). With ``ideal=True`` there is none: the speed is
-    the command, without limit, as in Eq. 17. Context parameters by name: ``speed_limit_rad_s,
-    lag_s, acceleration_limit_rad_s2, gear_ratio, displacement_m3_per_rad,
+    The state is the motor speed in krad/s, a number of order one. With ``ideal=True`` there is no
+    state: the speed equals the command, without a limit, as in Eq. 17. Context parameters by name:
+    ``speed_limit_rad_s, lag_s, acceleration_limit_rad_s2, gear_ratio, displacement_m3_per_rad,
     leakage_m3_per_s_pa`` (C_im + C_em/2). Raises `SimulationError` when the acceleration is not
     finite. Source: Lee et al. 2020, Eq. 12, 13; lag and acceleration limit are assumptions.
     """
@@ -78,14 +81,13 @@ class BldcPump(NamedLeaf):
         if not ideal:
             self.DeclareContinuousState(BasicVector_[self._scalar]([0.0]))
         speed = self._command if ideal else self.xc_ticket()
-        given = self.all_parameters_ticket()
-        everything = (speed, self._pressure, given)
+        both = (speed, self._pressure)
         declare = self._declare_output
         declare("motor_speed", 1, lambda c: [self._speed(c)], speed)
-        declare("load_flow", 1, lambda c: [self._flow(c)], *everything)
-        declare("shaft_torque", 1, lambda c: [self._torque(c)], self._pressure, given)
-        declare("shaft_power", 1, lambda c: [self._torque(c) * self._speed(c)], *everything)
-        declare("hydraulic_power", 1, self._hydraulic_power, *everything)
+        declare("load_flow", 1, lambda c: [self._flow(c)], *both)
+        declare("shaft_torque", 1, lambda c: [self._torque(c)], self._pressure)
+        declare("shaft_power", 1, lambda c: [self._torque(c) * self._speed(c)], *both)
+        declare("hydraulic_power", 1, self._hydraulic_power, *both)
 
     def _speed(self, context: Any) -> Any:
         if self._ideal:
@@ -110,7 +112,7 @@ class BldcPump(NamedLeaf):
         return [self._flow(context) * self._pressure.Eval(context)[0]]
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-        """Set the motor's acceleration, which must be finite."""
+        """Set the acceleration of the motor. Raises `SimulationError` when it is not finite."""
         if self._ideal:
             return
         p = self.parameters(context)

@@ -1,4 +1,4 @@
-"""What both orders of the single-rod cylinder share: its rod, the mass on it and the stroke."""
+"""Base class of the single-rod cylinders of reduced and full order: rod, moving mass and stroke."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from kneexo.parameters import CylinderParameters
 from kneexo.systems._leaf import NamedLeaf, fill, require_finite, value_or_zero, values_of
 
 PA_PER_MPA = 1e6
-"""Pascal per megapascal: pressure states are in MPa, ports in Pa."""
+"""Pascal per megapascal: pressures are states in MPa, ports are in Pa."""
 
 
 def start_extension(parameters: CylinderParameters, initial_extension_m: float | None) -> float:
-    """Rod extension at the start in m, by default half the stroke.
+    """Return the initial rod extension in m; half the stroke for None.
 
-    Raises `ParameterError` outside the stroke.
+    Raises `ParameterError` when the extension lies outside the stroke.
     """
     if initial_extension_m is None:
         return 0.5 * parameters.stroke_m
@@ -32,7 +32,10 @@ def start_extension(parameters: CylinderParameters, initial_extension_m: float |
 
 
 def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, float]:
-    """Context parameters of a `Cylinder`: the ``others``, then those of both orders."""
+    """Return the Context parameters of a `Cylinder` by name.
+
+    ``others`` are the names of parameters that only one order has. They come first.
+    """
     return values_of(
         parameters,
         *others,
@@ -46,58 +49,58 @@ def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, f
 
 
 class Cylinder(NamedLeaf):
-    """Base of the cylinders: m dv/dt = F_rod − F_L, with the ports that both orders have.
+    """Base of the cylinders of both orders, with their common ports: m dv/dt = F_rod − F_L.
 
-    State: x in m, v in m/s and the pressures in MPa (order one). A subclass has the load pressure,
-    the force of the rod and the rates of the pressures. Raises `SimulationError` at the end of a
-    step that leaves the stroke, and when a derivative is not finite.
+    State: x in m, v in m/s and the pressures in MPa, all of order one. A subclass defines load
+    pressure, rod force and pressure rates. Raises `SimulationError` at the end of a step that
+    leaves the stroke, and when a derivative is not finite.
     """
 
     def _declare_rod(self, extension: float, pressures_pa: Sequence[float]) -> None:
-        """Declare the common ports, and the state at rest at that extension in m."""
+        """Declare the common ports, and the initial state: at rest with this extension in m."""
         self._flow = self.DeclareVectorInputPort("load_flow", 1)
         self._force = self.DeclareVectorInputPort("load_force", 1)
         pressures = [pressure / PA_PER_MPA for pressure in pressures_pa]
         self.DeclareContinuousState(BasicVector_[self._scalar]([extension, 0.0, *pressures]))
-        state, given = self.xc_ticket(), self.all_parameters_ticket()
-        declare = self._declare_output
+        state, declare = self.xc_ticket(), self._declare_output
         declare("rod_extension", 1, lambda c: self._state(c)[:1], state)
         declare("rod_velocity", 1, lambda c: self._state(c)[1:2], state)
         declare("load_pressure", 1, lambda c: [self._load_pressure(self._state(c))], state)
-        declare("rod_force", 1, lambda c: [self._rod_force(*self._numbers(c))], state, given)
-        declare(
-            "rod_state", 3, lambda c: self._motion(c, *self._numbers(c)), state, given, self._force
-        )
+        declare("rod_force", 1, lambda c: [self._rod_force(*self._numbers(c))], state)
+        declare("rod_state", 3, lambda c: self._motion(c, *self._numbers(c)), state, self._force)
         self._declare_check(self._require_in_stroke)
 
     def _load_pressure(self, state: list[Any]) -> Any:
-        """P_L in Pa."""
+        """Return P_L in Pa."""
         raise NotImplementedError
 
     def _rod_force(self, p: Any, state: list[Any]) -> Any:
-        """Force of the rod on its load in N; positive pushes."""
+        """Return the force of the rod on its load in N, positive when it pushes."""
         raise NotImplementedError
 
     def _pressure_rates(self, p: Any, state: list[Any], flow: Any) -> dict[str, Any]:
-        """Rate of each pressure of the state in Pa/s, by its name."""
+        """Return the rates of the pressures in Pa/s, by name and in the order of the state."""
         raise NotImplementedError
 
     def _state(self, context: Any) -> list[Any]:
-        """X in m, v in m/s, pressures in Pa."""
+        """Return the state in SI units: x in m, v in m/s and the pressures in Pa."""
         x, v, *pressures = context.get_continuous_state_vector().CopyToVector().tolist()
         return [x, v, *[PA_PER_MPA * pressure for pressure in pressures]]
 
     def _numbers(self, context: Any) -> tuple[Any, list[Any]]:
-        """Context parameters and `_state`; an evaluation asks for them once."""
+        """Return the Context parameters and `_state`, which each evaluation reads only once."""
         return self.parameters(context), self._state(context)
 
     def _motion(self, context: Any, p: Any, state: list[Any]) -> list[Any]:
-        """X, v and dv/dt."""
+        """Return x, v and the acceleration dv/dt in SI units."""
         force = self._rod_force(p, state) - value_or_zero(self._force, context)
         return [*state[:2], force / p.mass_kg]
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-        """Set dx/dt, dv/dt and the rates of the pressures, which must be finite."""
+        """Set dx/dt, dv/dt and the pressure rates.
+
+        Raises `SimulationError` when one of them is not finite.
+        """
         p, state = self._numbers(context)
         _, v, acceleration = self._motion(context, p, state)
         rates = self._pressure_rates(p, state, self._flow.Eval(context)[0])
@@ -106,7 +109,10 @@ class Cylinder(NamedLeaf):
         fill(derivatives.get_mutable_vector(), (v, acceleration, *scaled))
 
     def margin(self, context: Any) -> Any:
-        """Distance to the nearer end of the stroke in m; a compiled run stops below zero."""
+        """Return the distance to the nearer end of the stroke in m.
+
+        A compiled run stops when it falls below zero.
+        """
         x, *_ = self._state(context)
         return drake_math.min(x, self.parameters(context).stroke_m - x)
 

@@ -12,9 +12,9 @@ from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, values_of, wher
 
 
 def nearest_integer(value: Any) -> Any:
-    """The nearest integer, halves away from zero, as C's ``lround``.
+    """Return the nearest integer; halves round away from zero, as by C's ``lround``.
 
-    ``floor(|value| + 0.5)`` would take 0.49999999999999994 to 1.
+    ``floor(|value| + 0.5)`` would round 0.49999999999999994 to 1.
     """
     magnitude = drake_math.abs(value)
     whole = drake_math.floor(magnitude)
@@ -23,37 +23,37 @@ def nearest_integer(value: Any) -> Any:
 
 
 def context_values(parameters: Cia402Parameters) -> dict[str, float]:
-    """Context parameters of `Cia402Drive`."""
+    """Return the Context parameters of `Cia402Drive` by name."""
     return values_of(parameters, "velocity_unit_rad_s")
 
 
 class Cia402Drive(NamedLeaf):
-    """The speed command as target velocity of a CiA 402 drive, and as the drive reads it.
+    """Rounds the speed command to the integer target velocity of a CiA 402 drive.
 
-    n = clip(round(u/q), −2³¹ … 2³¹ − 1), u_d = q n, with the velocity unit q and halves rounded
-    away from zero (`nearest_integer`).
+    n = clip(round(u/q), −2³¹ … 2³¹ − 1), u_d = q n, with the velocity unit q. Halves round away
+    from zero (`nearest_integer`).
 
     ===================  ====  =====  =====================================================
     input port           size  unit
     ===================  ====  =====  =====================================================
-    motor_speed_command  1     rad/s  u, of the controller
+    motor_speed_command  1     rad/s  u, computed by the controller
     **output port**
     target_velocity      1     1      n, object 0x60FF in units of 0x60A9
-    motor_speed_command  1     rad/s  u_d
+    motor_speed_command  1     rad/s  u_d, received by the drive
     ===================  ====  =====  =====================================================
 
-    Stateless; the latency of the bus is Drake's `DiscreteTimeDelay` in `make_closed_loop`. Context
-    parameter by name: ``velocity_unit_rad_s`` (q). The derivative is zero, as that of Drake's
-    `RotaryEncoders`: linear analysis leaves the system out. Source: CiA 402 (IEC 61800-7-201),
-    cyclic synchronous velocity mode; that the controller rounds to nearest is an assumption.
+    Stateless. The latency of the bus is not part of this system: `make_closed_loop` adds Drake's
+    `DiscreteTimeDelay`. Context parameter by name: ``velocity_unit_rad_s`` (q). The derivative is
+    zero, as that of Drake's `RotaryEncoders`, so linear analysis bypasses the system. Source:
+    CiA 402 (IEC 61800-7-201), cyclic synchronous velocity mode; rounding to the nearest integer is
+    an assumption.
     """
 
     def __init__(self, parameters: Cia402Parameters = Cia402Parameters()) -> None:
         self._declare_parameters(context_values(parameters))
         self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
-        sources = (self._command, self.all_parameters_ticket())
-        self._declare_output("target_velocity", 1, lambda c: [self._integer(c)], *sources)
-        self._declare_output("motor_speed_command", 1, self._calc_command, *sources)
+        self._declare_output("target_velocity", 1, lambda c: [self._integer(c)], self._command)
+        self._declare_output("motor_speed_command", 1, self._calc_command, self._command)
 
     def _integer(self, context: Any) -> Any:
         unit = self.parameters(context).velocity_unit_rad_s

@@ -18,11 +18,11 @@ from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 
 
 def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[Any]:
-    """θ_p, θ_4 and r at a rod extension in m, by the three ``polynomials`` of a `RodInverse`.
+    """Return θ_p, θ_4 and r at a rod extension in m, by the ``polynomials`` of a `RodInverse`.
 
-    ``p`` has the dead centre and the scaling.
+    ``p`` has the dead centre and the scaling of the `RodInverse` as attributes.
     """
-    # Beyond the dead centre there is no knee angle; the check of the system reports it.
+    # No knee angle has an extension beyond the dead centre; the check of the system reports it.
     root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 0.0))
     t = (root - p.centre) / p.half_width
     return [polynomial(coefficients, t) for coefficients in polynomials]
@@ -31,7 +31,7 @@ def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[
 def context_values(
     parameters: LinkageParameters, knee: KneeParameters, fit: RodInverse
 ) -> dict[str, float]:
-    """The named Context parameters of `FourBarKnee`."""
+    """Return the named Context parameters of `FourBarKnee`."""
     return {
         **values_of(
             parameters,
@@ -45,32 +45,33 @@ def context_values(
 
 
 class FourBarKnee(NamedLeaf):
-    """Four-bar knee: from the rod to the knee, exactly and without iteration.
+    """Four-bar knee: computes the knee angle from the rod extension, without iteration.
 
-    θ_p, θ_4 and r are polynomials of degree 25 in √(x_dc − x), fitted once to the closed-form
-    linkage; x_dc is the rod's dead centre (see `kneexo.rod_inverse.RodInverse`).
+    θ_p, θ_4 and r are polynomials of degree 25 in √(x_dc − x), where x_dc is the extension at the
+    rod's dead centre. They are fitted to the linkage when the system is made (see
+    `kneexo.rod_inverse.RodInverse`).
 
     ===============  ====  ==========  =================================================
     input port       size  unit
     ===============  ====  ==========  =================================================
     rod_extension    1     m           x
     **output port**
-    knee_kinematics  3     rad,rad,m   θ_p, θ_4, r in one (cached) evaluation
+    knee_kinematics  3     rad,rad,m   θ_p, θ_4, r; the other ports read its cached value
     knee_angle       1     rad         θ_p, 0 = full extension, positive = flexion
-    encoder_angle    1     rad         θ_4, what the encoder reads
+    encoder_angle    1     rad         θ_4, the angle that the encoder measures
     moment_arm       1     m           r = −dx/dθ_p
     icr              2     m           instantaneous centre of rotation, ground frame
     ===============  ====  ==========  =================================================
 
-    Stateless. Context parameters: 0 the links and the scaling of the fit by name; 1, 2, 3 the
-    coefficients for θ_p, θ_4 and r, highest power first. They belong together: for another
-    geometry build another system. With ``table_1`` the rod follows Eq. 10 instead of Eq. 8, 9
-    (the paper's controller side), θ_4 still the linkage.
+    Stateless. Vector 0 of the Context parameters has the links and the scaling of the fit by name;
+    vectors 1, 2 and 3 have the coefficients for θ_p, θ_4 and r, highest power first. All four
+    belong to one geometry: build another system for another geometry. With ``table_1`` the rod
+    follows Eq. 10, the polynomial of the paper's controller, instead of Eq. 8 and 9; θ_4 follows
+    the linkage in either case.
 
-    Raises `LinkageError` on construction when the linkage cannot be assembled, and
+    Raises `LinkageError` on construction when the linkage cannot be assembled. Raises
     `SimulationError` at the end of a step that leaves the range of motion by more than
-    ``overshoot_deg``: the end stops are an error, not a force. Source: Lee et al. 2020,
-    Eq. 1–9.
+    ``overshoot_deg``, because the model has no end stops. Source: Lee et al. 2020, Eq. 1–9.
     """
 
     def __init__(
@@ -84,14 +85,11 @@ class FourBarKnee(NamedLeaf):
         for coefficients in (fit.knee_angle, fit.encoder_angle, fit.moment_arm):
             self.DeclareNumericParameter(BasicVector_[self._scalar](list(coefficients)))
         self._extension = self.DeclareVectorInputPort("rod_extension", 1)
-        given = self.all_parameters_ticket()
         declare = self._declare_output
-        self._kinematics = declare(
-            "knee_kinematics", 3, self._calc_kinematics, self._extension, given
-        )
+        self._kinematics = declare("knee_kinematics", 3, self._calc_kinematics, self._extension)
         for index, name in enumerate(("knee_angle", "encoder_angle", "moment_arm")):
-            declare(name, 1, partial(self._element, index), self._extension, given)
-        declare("icr", 2, self._calc_icr, self._extension, given)
+            declare(name, 1, partial(self._element, index), self._extension)
+        declare("icr", 2, self._calc_icr, self._extension)
         self._declare_check(self._require_in_range)
 
     def _calc_kinematics(self, context: Any) -> list[Any]:
@@ -113,7 +111,10 @@ class FourBarKnee(NamedLeaf):
         return icr(p, theta_p - p.phi_rad, theta_4, xp=drake_math)
 
     def margin(self, context: Any) -> Any:
-        """Rest of the range of motion and its overshoot in rad; a run stops below zero."""
+        """Return the angle to the nearer limit, range of motion plus overshoot, in rad.
+
+        A compiled run stops when it falls below zero.
+        """
         p = self.parameters(context)
         angle = self._pose(context)[0]
         inside = drake_math.min(angle - p.flexion_min_rad, p.flexion_max_rad - angle)

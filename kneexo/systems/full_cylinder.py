@@ -1,8 +1,8 @@
 """Full-order single-rod cylinder with the valves of its closed circuit (Lee et al. 2020, Eq. 14).
 
-Eq. 14 is read with three signs corrected: as printed, Eq. 15 does not follow from it (A_2 dx/dt
-and C_im' in its second line, A_2 x in V_2). The paper does not say how a closed pump circuit
-exchanges the oil that the rod displaces; the valves here are the usual answer.
+Three signs of Eq. 14 are corrected, because Eq. 15 does not follow from the printed ones: A_2 dx/dt
+and C_im' in its second line, and A_2 x in V_2. The paper does not say how the closed circuit of the
+pump exchanges the oil that the rod displaces. The make-up and relief valves are the usual solution.
 """
 
 from __future__ import annotations
@@ -22,17 +22,20 @@ from kneexo.parameters import (
 from kneexo.systems._leaf import clip, leaf_template
 from kneexo.systems.cylinder import Cylinder, cylinder_values, start_extension
 
-_LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus of air is not continued below
+_LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus is constant below this pressure
 
 
 def opening(excess: Any, band: Any) -> Any:
-    """max(excess, 0), its corner rounded to a parabola over 0…``band``; exactly 0 when closed."""
+    """Return max(excess, 0) with a corner that is a parabola over 0…``band``.
+
+    The opening is exactly zero where ``excess`` ≤ 0.
+    """
     rounded = clip(excess, 0.0, band)
     return rounded * (excess - 0.5 * rounded) / band
 
 
 def share_open(difference: Any, band: Any) -> Any:
-    """Smooth step from exactly 0 at −``band`` to exactly 1 at +``band``."""
+    """Return a smooth step from exactly 0 at −``band`` to exactly 1 at +``band``."""
     z = clip(0.5 + 0.5 * difference / band, 0.0, 1.0)
     return z * z * (3.0 - 2.0 * z)
 
@@ -40,26 +43,28 @@ def share_open(difference: Any, band: Any) -> Any:
 def makeup_flow(
     pressure: Any, pilot: Any, *, reservoir: Any, conductance: Any, pilot_band: Any, band: Any
 ) -> Any:
-    """Flow from the reservoir into a line through its pilot-operated check valve, in m³/s.
+    """Return the flow from the reservoir into a line through its check valve, in m³/s.
 
-    ``pilot``, the pressure of the other line, holds the valve open in both directions while it is
-    the higher one; otherwise only a pressure below that of the reservoir opens it.
+    ``pilot`` is the pressure of the other line. While it is the higher one, it holds the valve open
+    for both directions of flow. Otherwise the valve opens only if the pressure of the line is below
+    that of the reservoir.
     """
     deficit = reservoir - pressure
-    held = share_open(pilot - pressure, pilot_band)
-    return conductance * (held * deficit + (1.0 - held) * opening(deficit, band))
+    piloted = share_open(pilot - pressure, pilot_band)
+    return conductance * (piloted * deficit + (1.0 - piloted) * opening(deficit, band))
 
 
 def relief_flow(pressure: Any, *, limit: Any, conductance: Any, band: Any) -> Any:
-    """Flow from a line to the reservoir through its relief valve, in m³/s."""
+    """Return the flow from a line to the reservoir through its relief valve, in m³/s."""
     return conductance * opening(pressure - limit, band)
 
 
 def effective_bulk_modulus(pressure: Any, *, bulk_modulus: Any, entrained_air: Any) -> Any:
-    """Bulk modulus in Pa of oil with free air, at a pressure relative to the atmosphere.
+    """Return the bulk modulus in Pa of oil with free air; ``pressure`` is relative to atmosphere.
 
-    With α of air per oil at p_0, whose volume follows (p_0/p)^(1/n):
-    1/β_e = (1/β + α (p_0/p)^(1/n)/(n p))/(1 + α (p_0/p)^(1/n)), p absolute.
+    1/β_e = (1/β + α (p_0/p)^(1/n)/(n p))/(1 + α (p_0/p)^(1/n)) with the absolute pressure p.
+    ``entrained_air`` is α, the volume of air per volume of oil at atmospheric pressure p_0. The
+    volume of the air is proportional to p^(−1/n), with the polytropic exponent n.
     """
     absolute = drake_math.max(pressure + ATMOSPHERE_PA, _LOWEST_ABSOLUTE_PA)
     air = entrained_air * (ATMOSPHERE_PA / absolute) ** (1.0 / AIR_EXPONENT)
@@ -69,7 +74,10 @@ def effective_bulk_modulus(pressure: Any, *, bulk_modulus: Any, entrained_air: A
 def seal_friction(
     velocity: Any, *, coulomb: Any, stribeck: Any, stribeck_speed: Any, band: Any
 ) -> Any:
-    """Friction of the seals in N, (F_c + F_s exp(−(v/v_s)²)) tanh(v/v_0); it opposes motion."""
+    """Return the friction of the seals in N, (F_c + F_s exp(−(v/v_s)²)) tanh(v/v_0).
+
+    It opposes motion. F_c is ``coulomb``, F_s ``stribeck``, v_s ``stribeck_speed``, v_0 ``band``.
+    """
     ratio = velocity / stribeck_speed
     return (coulomb + stribeck * drake_math.exp(-ratio * ratio)) * drake_math.tanh(velocity / band)
 
@@ -77,9 +85,10 @@ def seal_friction(
 def holding_pressures(
     force: float, *, cap_area: float, rod_side_area: float, reservoir: float
 ) -> tuple[float, float]:
-    """P_1 and P_2 in Pa that hold ``force`` (N, against extension), the lower line at P_r.
+    """Return the pressures P_1 and P_2 in Pa that hold ``force`` (N, positive opposes extension).
 
     Above the switching force P_r (A_1 − A_2) the cap side carries the load, below it the rod side.
+    The other chamber is at the pressure P_r of the reservoir.
     """
     if force > reservoir * (cap_area - rod_side_area):
         return (force + reservoir * rod_side_area) / cap_area, reservoir
@@ -91,7 +100,7 @@ def context_values(
     full_order: FullCylinderParameters,
     pump_external_leakage_m3_per_s_pa: float,
 ) -> dict[str, float]:
-    """Context parameters of `FullCylinder`."""
+    """Return the Context parameters of `FullCylinder` by name."""
     return {
         **cylinder_values(parameters, "cap_area_m2", "rod_side_area_m2"),
         "pump_external_leakage_m3_per_s_pa": pump_external_leakage_m3_per_s_pa,
@@ -107,13 +116,14 @@ class FullCylinder(Cylinder):
     m dv/dt = P_1 A_1 − P_2 A_2 − F_f(v) − B v − K x − F_L,
     V_1 = V_d + A_1 x, V_2 = V_d + A_2 (stroke − x), P_L = P_1 − P_2.
 
-    Eq. 12 gives Q_1, Q_2 = Q_L ∓ C_em/2 ((P_1 − P_r) + (P_2 − P_r)): the pump's external
-    leakage returns to the reservoir. Q_m ties the line with the lower pressure to the
-    reservoir (`makeup_flow`), Q_r relieves both lines (`relief_flow`). The rod speed therefore
-    follows the loaded chamber, not the direction: Q/A_1 with P_1 loaded, which takes
-    F_L > P_r (A_1 − A_2), and Q/A_2 otherwise. Within a few newtons of that switching force
-    a retracting rod oscillates between the two (by default at 12…23 N; Coulomb friction moves
-    that zone by itself), and runs with radau3 then take ten times as long.
+    Eq. 12 gives Q_1, Q_2 = Q_L ∓ C_em/2 ((P_1 − P_r) + (P_2 − P_r)), because the external leakage
+    of the pump returns to the reservoir. Q_m connects the line with the lower pressure to the
+    reservoir (`makeup_flow`), and Q_r relieves both lines (`relief_flow`). The rod speed therefore
+    depends on the loaded chamber, not on the direction: it is Q/A_1 where
+    F_L > P_r (A_1 − A_2), which loads the cap side, and Q/A_2 otherwise. Within a few newtons of
+    this switching force a retracting rod oscillates between both speeds, by default at 12…23 N.
+    Coulomb friction shifts these forces by its own amount. Runs with radau3 then take ten times as
+    long.
 
     =================  ====  ===========  ===============================================
     input port         size  unit
@@ -131,17 +141,17 @@ class FullCylinder(Cylinder):
     relief_flow        2     m³/s         Q_r1 and Q_r2, positive into the reservoir
     =================  ====  ===========  ===============================================
 
-    State: x in m, v in m/s, P_1 and P_2 in MPa (order one); it starts at rest, without
-    ``initial_pressures_pa`` holding no load. Context parameters by name: the two areas
-    (``cap_area_m2, rod_side_area_m2``), those of `ReducedCylinder` but ``mean_area_m2`` and
-    ``total_volume_m3``, those of `FullCylinderParameters` and
-    ``pump_external_leakage_m3_per_s_pa``, C_em of the pump; ``leakage_m3_per_s_pa`` is C_im'.
+    State: x in m, v in m/s, P_1 and P_2 in MPa, all of order one. The cylinder starts at rest; by
+    default the initial pressures hold the spring and no load. Context parameters by name:
+    ``cap_area_m2`` and ``rod_side_area_m2``; those of `ReducedCylinder` except ``mean_area_m2`` and
+    ``total_volume_m3``; those of `FullCylinderParameters`; and
+    ``pump_external_leakage_m3_per_s_pa``, C_em of the pump. ``leakage_m3_per_s_pa`` is C_im'.
 
-    Raises `ParameterError` when it would start outside the stroke; `SimulationError` at the
-    end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
+    Raises `ParameterError` when the rod would start outside the stroke. Raises `SimulationError` at
+    the end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
     al. 2020, Eq. 12, 14 with the signs of Eq. 14 corrected; valves, air and friction are
-    assumptions. At V_1 = V_2, with equal external leakages and idle valves, dP_L/dt is Eq. 15
-    with V_t = V_1 + V_2 and C_L = C_im' + C_em'/2, whatever the areas.
+    assumptions. At V_1 = V_2, with equal external leakages and closed valves, dP_L/dt is Eq. 15
+    with V_t = V_1 + V_2 and C_L = C_im' + C_em'/2, for any areas.
     """
 
     def __init__(
@@ -168,11 +178,10 @@ class FullCylinder(Cylinder):
                 f"initial_pressures_pa = {initial_pressures_pa} Pa: must be finite"
             )
         self._declare_rod(extension, initial_pressures_pa)
-        state, given = self.xc_ticket(), self.all_parameters_ticket()
-        declare = self._declare_output
+        state, declare = self.xc_ticket(), self._declare_output
         declare("chamber_pressures", 2, lambda c: self._state(c)[2:], state)
-        declare("makeup_flow", 2, lambda c: self._valve_flows(*self._numbers(c))[0], state, given)
-        declare("relief_flow", 2, lambda c: self._valve_flows(*self._numbers(c))[1], state, given)
+        declare("makeup_flow", 2, lambda c: self._valve_flows(*self._numbers(c))[0], state)
+        declare("relief_flow", 2, lambda c: self._valve_flows(*self._numbers(c))[1], state)
 
     def _load_pressure(self, state: list[Any]) -> Any:
         _, _, cap, rod_side = state
@@ -191,7 +200,7 @@ class FullCylinder(Cylinder):
         return pressure_force - friction - p.damping_n_s_per_m * v - p.stiffness_n_per_m * x
 
     def _valve_flows(self, p: Any, state: list[Any]) -> tuple[list[Any], list[Any]]:
-        """Make-up and relief flows of both lines."""
+        """Return the make-up flows and the relief flows of both lines in m³/s."""
         _, _, cap, rod_side = state
         makeup = [
             makeup_flow(

@@ -1,4 +1,4 @@
-"""Coordinates of the controller: encoder to knee to rod (Lee et al. 2020, Eq. 3–7, 10)."""
+"""Coordinates of the controller: encoder, knee and rod (Lee et al. 2020, Eq. 3–7, 10)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 
 
 def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
-    """x, dx/dt, d²x/dt², d³x/dt³ of knee angle and derivatives, by Eq. 10 and the chain rule.
+    """Return x and its three time derivatives in m and s, by Eq. 10 and the chain rule.
 
-    ``coefficients``: Eq. 10 in SI, highest power first. ``knee``: θ_p and its derivatives to the
-    third, in rad and s. Returns m and s.
+    ``coefficients`` are those of Eq. 10 in SI units, highest power first. ``knee`` has θ_p and its
+    three time derivatives in rad and s.
     """
     angle, rate, acceleration, jerk = knee
     x_1, x_2, x_3 = (
@@ -35,14 +35,17 @@ _COEFFICIENTS = ("p_1", "p_2", "p_3", "p_4", "p_5", "p_6")
 
 @lru_cache(maxsize=64)
 def rod_polynomial_values(table_1: RodPolynomialParameters) -> dict[str, float]:
-    """Context parameters of `RodReference`: Eq. 10 in SI."""
+    """Return the Context parameters of `RodReference`: the coefficients of Eq. 10 in SI units."""
     return dict(zip(_COEFFICIENTS, table_1.p_si, strict=True))
 
 
 def context_values(
     parameters: LinkageParameters, table_1: RodPolynomialParameters, offset_rad: float
 ) -> dict[str, float]:
-    """Context parameters of `KneeCoordinates`; raises `LinkageError` as it does."""
+    """Return the Context parameters of `KneeCoordinates` by name.
+
+    Raises `LinkageError` when the linkage is not one-to-one.
+    """
     return {
         **values_of(
             parameters,
@@ -55,9 +58,10 @@ def context_values(
 
 
 class KneeCoordinates(NamedLeaf):
-    """What the microcontroller makes of the encoder: knee angle, then rod by Table 1.
+    """Computes the measured knee angle and rod extension from the reading of the encoder.
 
-    θ_4 = reading + offset; θ_p by Eq. 3–7; x = p_1 θ_p⁵ + … + p_6 (Eq. 10).
+    θ_4 = reading + offset; θ_p by Eq. 3–7; x = p_1 θ_p⁵ + … + p_6 (Eq. 10, Table 1). In the real
+    device this runs on the microcontroller.
 
     ===============  ====  ====  =========================================================
     input port       size  unit
@@ -68,9 +72,9 @@ class KneeCoordinates(NamedLeaf):
     rod_extension    1     m     measured x
     ===============  ====  ====  =========================================================
 
-    Stateless. Context parameters by name: the links, ``eq6_sign``, ``offset_rad`` (zero of
-    the encoder plus half a count, because the encoder rounds down), and p_1 … p_6 of Eq. 10 in
-    SI. Raises `LinkageError` on construction when the linkage is not one-to-one.
+    Stateless. Context parameters by name: the links, ``eq6_sign``, ``offset_rad`` and p_1 … p_6 of
+    Eq. 10 in SI units. The offset is the zero of the encoder plus half a count, because the encoder
+    rounds down. Raises `LinkageError` on construction when the linkage is not one-to-one.
     """
 
     def __init__(
@@ -81,11 +85,9 @@ class KneeCoordinates(NamedLeaf):
     ) -> None:
         self._declare_parameters(context_values(parameters, table_1, offset_rad))
         self._reading = self.DeclareVectorInputPort("encoder_reading", 1)
-        given = self.all_parameters_ticket()
-        self._knee_angle = self._declare_output(
-            "knee_angle", 1, self._calc_knee_angle, self._reading, given
-        )
-        self._declare_output("rod_extension", 1, self._calc_rod_extension, self._reading, given)
+        declare = self._declare_output
+        self._knee_angle = declare("knee_angle", 1, self._calc_knee_angle, self._reading)
+        declare("rod_extension", 1, self._calc_rod_extension, self._reading)
 
     def _calc_knee_angle(self, context: Any) -> list[Any]:
         p = self.parameters(context)
@@ -102,7 +104,7 @@ KneeCoordinates_ = leaf_template(KneeCoordinates)
 
 
 class RodReference(NamedLeaf):
-    """Reference of the rod from that of the knee, by Eq. 10 and the chain rule.
+    """Computes the reference of the rod from that of the knee, by Eq. 10 and the chain rule.
 
     ===============  ====  ===========================  ===================================
     input port       size  unit
@@ -112,15 +114,13 @@ class RodReference(NamedLeaf):
     rod_reference    4     m, m/s, m/s², m/s³           x_d and derivatives to the third
     ===============  ====  ===========================  ===================================
 
-    Stateless. Context parameters by name: ``p_1`` … ``p_6`` of Eq. 10 in SI.
+    Stateless. Context parameters by name: ``p_1`` … ``p_6`` of Eq. 10 in SI units.
     """
 
     def __init__(self, table_1: RodPolynomialParameters = RodPolynomialParameters()) -> None:
         self._declare_parameters(rod_polynomial_values(table_1))
         self._knee = self.DeclareVectorInputPort("knee_reference", 4)
-        self._declare_output(
-            "rod_reference", 4, self._calc, self._knee, self.all_parameters_ticket()
-        )
+        self._declare_output("rod_reference", 4, self._calc, self._knee)
 
     def _calc(self, context: Any) -> list[Any]:
         return rod_derivatives(self.parameters(context), self._knee.Eval(context))

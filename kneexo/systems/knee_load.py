@@ -1,4 +1,4 @@
-"""Load of the rod: shank weight, disturbance and the wearer's torque."""
+"""Load of the rod: weight of the shank, torque of the wearer, and disturbance."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kneexo.systems._leaf import NamedLeaf, leaf_template, value_or_zero
 def weight_torque(
     knee_angle: Any, *, mass: Any, centre_of_mass: Any, thigh_inclination: Any, gravity: Any
 ) -> Any:
-    """Torque of the shank's weight in N·m, positive in flexion: m g l sin(α − θ_p)."""
+    """Return the torque of the shank's weight in N·m, m g l sin(α − θ_p); positive flexes."""
     return mass * gravity * centre_of_mass * drake_math.sin(thigh_inclination - knee_angle)
 
 
@@ -27,7 +27,10 @@ def load_force(
     torque: Any = 0.0,
     disturbance: Any = 0.0,
 ) -> Any:
-    """Force that opposes extension of the rod in N; ``p`` has the names of `KneeLoadParameters`."""
+    """Return the force on the rod in N; positive opposes extension. See `KneeLoad`.
+
+    ``p`` has the values of `KneeLoadParameters` as attributes.
+    """
     torque = (
         weight_torque(
             knee_angle,
@@ -45,12 +48,12 @@ def load_force(
 
 
 def context_values(parameters: KneeLoadParameters) -> dict[str, float]:
-    """Context parameters of `KneeLoad`."""
+    """Return the Context parameters of `KneeLoad` by name."""
     return {name: value for name, value in parameters if name != "kind"}
 
 
 class KneeLoad(NamedLeaf):
-    """Force that the leg exerts on the rod.
+    """Computes the force that the leg exerts on the rod.
 
     F_L = (m g l sin(α − θ_p) + τ_0 + τ)/r + F_0 + F_1 sin(2πft) + F.
 
@@ -65,10 +68,10 @@ class KneeLoad(NamedLeaf):
     load_force         1     N     F_L, positive opposes extension of the rod
     =================  ====  ====  ======================================================
 
-    Stateless. Context parameters: those of `KneeLoadParameters`, by name. A torque that
-    flexes the knee pushes the rod in, so F_L = τ/r (from −F_L dx/dt = τ dθ_p/dt); a hanging
-    thigh (α = 0) lets the weight help extension. Source: F_L of Lee et al. 2020, Eq. 16,
-    which the paper leaves open.
+    Stateless. Context parameters by name: those of `KneeLoadParameters`. A torque that flexes the
+    knee pushes the rod in: −F_L dx/dt = τ dθ_p/dt gives F_L = τ/r. While the thigh hangs (α = 0),
+    the weight of the shank helps extension. Source: F_L is that of Lee et al. 2020, Eq. 16; the
+    paper does not specify it.
     """
 
     def __init__(self, parameters: KneeLoadParameters = KneeLoadParameters()) -> None:
@@ -78,8 +81,7 @@ class KneeLoad(NamedLeaf):
         self._torque = self.DeclareVectorInputPort("knee_torque", 1)
         self._disturbance = self.DeclareVectorInputPort("disturbance_force", 1)
         inputs = (self._angle, self._arm, self._torque, self._disturbance)
-        given = self.all_parameters_ticket()
-        self._declare_output("load_force", 1, self._calc, *inputs, self.time_ticket(), given)
+        self._declare_output("load_force", 1, self._calc, *inputs, self.time_ticket())
 
     def _calc(self, context: Any) -> list[Any]:
         return [

@@ -1,10 +1,10 @@
-"""Knee references: θ_d(t) with derivatives to the third order.
+"""Knee references: θ_d(t) and its three time derivatives.
 
 Each system has one output port, ``knee_reference``: θ_d, dθ_d/dt, d²θ_d/dt², d³θ_d/dt³ in rad and
-s. `make_knee_reference` picks the system for a parameter class. Samples become Drake's
-`TrajectorySource` (same output, port ``y0``), which has no Context parameters and no value at a
-symbolic time: where that matters, take ``make_closed_loop(external_reference=True)`` and feed the
-samples in.
+s. `make_knee_reference` makes the system for a parameter class. Samples become Drake's
+`TrajectorySource`, with the same output at its port ``y0``. It has no Context parameters and no
+value at a symbolic time. Where these are needed, ``make_closed_loop(external_reference=True)`` has
+an input port for the reference.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, where_positive
 
 
 class _KneeReference(NamedLeaf):
-    """One output that depends on time and on the named Context parameters."""
+    """Base of the references: one output that depends on time and on Context parameters."""
 
     def _declare(
         self,
@@ -48,16 +48,21 @@ class _KneeReference(NamedLeaf):
             4,
             lambda c: evaluate(c.get_time(), self.parameters(c)),
             self.time_ticket(),
-            self.all_parameters_ticket(),
         )
 
 
 _SMOOTHSTEP = (-20.0, 70.0, -84.0, 35.0, 0.0, 0.0, 0.0, 0.0)
-"""From 0 to 1 over 0…1 with three derivatives that vanish at both ends; highest power first."""
+"""Polynomial from 0 at 0 to 1 at 1 whose first three derivatives are zero at both ends.
+
+The coefficients begin with the highest power.
+"""
 
 
 def _ramp(time: Any, ramp_s: Any) -> list[Any]:
-    """Rise from 0 to 1 over ``ramp_s``, with three derivatives; 1 at once when that is zero."""
+    """Return a smooth rise from 0 to 1 over ``ramp_s`` and its three time derivatives.
+
+    The rise is 1 at all times if ``ramp_s`` is zero.
+    """
     scale = 1.0 / where_positive(ramp_s, ramp_s, 1.0)
     share = time * scale
     return [
@@ -71,12 +76,15 @@ def _ramp(time: Any, ramp_s: Any) -> list[Any]:
 
 
 def _product_derivatives(u: list[Any], v: list[Any]) -> list[Any]:
-    """Product u·v and its derivatives, from those of u and v (Leibniz)."""
+    """Return the product u·v and its derivatives, from those of u and v (Leibniz's rule)."""
     return [sum(math.comb(n, k) * u[k] * v[n - k] for k in range(n + 1)) for n in range(len(u))]
 
 
 def sine(time: Any, p: Any) -> list[Any]:
-    """θ_d = mean − w(t)·amplitude·cos(2πft) and three derivatives; ``p`` as `context_values`."""
+    """Return θ_d = mean − w(t)·amplitude·cos(2πft) and its three time derivatives.
+
+    w is the smooth rise from 0 to 1 over the ramp. ``p`` has the `context_values` as attributes.
+    """
     omega = 2.0 * math.pi * p.frequency_hz
     cosine = p.amplitude_rad * drake_math.cos(omega * time)
     sine = p.amplitude_rad * drake_math.sin(omega * time)
@@ -86,12 +94,18 @@ def sine(time: Any, p: Any) -> list[Any]:
 
 
 def step(time: Any, p: Any) -> list[Any]:
-    """θ_d that jumps just after its time, and three derivatives; ``p`` as `context_values`."""
+    """Return θ_d, which jumps just after ``p.time_s``, and its three time derivatives.
+
+    ``p`` has the `context_values` as attributes.
+    """
     return [where_positive(time - p.time_s, p.end_rad, p.start_rad), 0.0, 0.0, 0.0]
 
 
 def ramp(time: Any, p: Any) -> list[Any]:
-    """θ_d at a constant rate from start to end, and derivatives; ``p`` as `context_values`."""
+    """Return θ_d, which moves from start to end at a constant rate, and its three derivatives.
+
+    ``p`` has the `context_values` as attributes.
+    """
     distance = p.end_rad - p.start_rad
     travel = drake_math.abs(distance)
     direction = where_positive(distance, 1.0, -1.0)
@@ -102,7 +116,7 @@ def ramp(time: Any, p: Any) -> list[Any]:
 
 
 def context_values(parameters: SineReference | StepReference | RampReference) -> dict[str, float]:
-    """Context parameters of a reference system: the values of its parameters, angles in rad."""
+    """Return the Context parameters of a reference system by name, with angles in rad."""
     return {
         name.replace("_deg", "_rad"): math.radians(value) if "_deg" in name else value
         for name, value in parameters
@@ -111,9 +125,9 @@ def context_values(parameters: SineReference | StepReference | RampReference) ->
 
 
 class SineKneeReference(_KneeReference):
-    """θ_d = mean − w(t)·amplitude·cos(2πft), with three derivatives.
+    """Reference θ_d = mean − w(t)·amplitude·cos(2πft), with three time derivatives.
 
-    w rises from 0 to 1 over the ramp, with three continuous derivatives; without ramp it is 1.
+    w rises from 0 to 1 over the ramp and has three continuous derivatives; without a ramp it is 1.
     Context parameters by name: ``mean_rad``, ``amplitude_rad``, ``frequency_hz``, ``ramp_s``.
     """
 
@@ -126,7 +140,7 @@ SineKneeReference_ = leaf_template(SineKneeReference)
 
 
 class StepKneeReference(_KneeReference):
-    """θ_d jumps from start to end just after a given time; its derivatives are zero.
+    """Reference that jumps from start to end just after ``time_s``; its derivatives are zero.
 
     Context parameters by name: ``start_rad``, ``end_rad``, ``time_s``.
     """
@@ -140,7 +154,7 @@ StepKneeReference_ = leaf_template(StepKneeReference)
 
 
 class RampKneeReference(_KneeReference):
-    """θ_d moves from start to end at a constant rate, from a given time on.
+    """Reference that moves from start to end at a constant rate, from ``time_s`` on.
 
     Context parameters by name: ``start_rad``, ``end_rad``, ``time_s``, ``rate_rad_s`` (> 0).
     """
@@ -154,10 +168,10 @@ RampKneeReference_ = leaf_template(RampKneeReference)
 
 
 def make_knee_reference(parameters: Reference) -> Any:
-    """The reference system of a parameter class.
+    """Make the reference system for a parameter class.
 
-    Samples become a `TrajectorySource`, which has no symbolic form: they are joined as their
-    ``interpolation`` says, and the first and last angle hold outside.
+    Samples become a `TrajectorySource`, which has no symbolic form. Its curve follows the
+    ``interpolation`` between samples; before the first and after the last sample it is constant.
     """
     if isinstance(parameters, SampledReference):
         spline = sampled_spline(parameters)
@@ -170,7 +184,7 @@ def make_knee_reference(parameters: Reference) -> Any:
 
 @lru_cache(maxsize=64)
 def sampled_spline(parameters: SampledReference) -> Any:
-    """Drake's piecewise polynomial through the samples, in rad."""
+    """Return Drake's piecewise polynomial through the samples, in rad."""
     interpolate = {
         "cubic": PiecewisePolynomial.CubicWithContinuousSecondDerivatives,
         "pchip": PiecewisePolynomial.CubicShapePreserving,
@@ -181,7 +195,7 @@ def sampled_spline(parameters: SampledReference) -> Any:
 
 @lru_cache(maxsize=64)
 def start_angle_rad(parameters: Reference) -> float:
-    """θ_d at t = 0."""
+    """Return θ_d at t = 0 in rad."""
     if isinstance(parameters, SampledReference):
         return float(sampled_spline(parameters).value(0.0)[0, 0])
     evaluate = {"sine": sine, "step": step, "ramp": ramp}[parameters.kind]
@@ -190,13 +204,16 @@ def start_angle_rad(parameters: Reference) -> float:
 
 @lru_cache(maxsize=64)
 def reference_range_deg(parameters: Reference) -> tuple[float, float]:
-    """Smallest and largest knee angle of a reference in deg; for a spline, between samples too."""
+    """Return the smallest and the largest knee angle of a reference in deg.
+
+    A spline through samples is also searched between them.
+    """
     if not isinstance(parameters, SampledReference):
         return parameters.range_deg
     spline = sampled_spline(parameters)
     samples = parameters.times_s
     times = [*samples]
-    for start, end in pairwise(samples):  # the rate is a parabola in between
+    for start, end in pairwise(samples):  # the rate is a parabola between two samples
         rate, slope, curvature = (spline.EvalDerivative(start, n)[0, 0] for n in (1, 2, 3))
         roots = np.roots([0.5 * curvature, slope, rate])
         times += [start + t.real for t in roots if t.imag == 0.0 and 0.0 < t.real < end - start]
@@ -205,9 +222,10 @@ def reference_range_deg(parameters: Reference) -> tuple[float, float]:
 
 
 def require_reference_in_range(parameters: Reference, knee: KneeParameters) -> None:
-    """`ParameterError` when a reference leaves the range of motion.
+    """Raise `ParameterError` when a reference leaves the range of motion.
 
-    Samples must lie within it; the curve between them may pass it by ``knee.overshoot_deg``.
+    All samples must lie within the range. The curve between samples may exceed it by
+    ``knee.overshoot_deg``.
     """
     knee.require_in_range(*parameters.range_deg)
     if not isinstance(parameters, SampledReference):

@@ -1,4 +1,4 @@
-"""PID controller on the knee angle: the comparison of Lee et al. 2020, Section 5."""
+"""PID controller of the knee angle, with which Lee et al. 2020, Section 5, compare their law."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template,
 
 
 def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[str, float]:
-    """Context parameters of `PidController`."""
+    """Return the Context parameters of `PidController` by name."""
     speed_gain = plant.pump.gear_ratio * plant.cylinder.mean_area_m2
     return {
         **values_of(
@@ -30,14 +30,14 @@ def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[st
 
 
 class PidController(NamedLeaf):
-    """PID on the knee angle with filtered error and back-calculated anti-windup.
+    """PID controller of the knee angle with filtered error and back-calculated anti-windup.
 
-    With e = θ_d − θ_p, its first-order filter z and G = gear·Ā/D_m (motor per rod speed):
+    With the error e = θ_d − θ_p, its first-order filter z and G = gear·Ā/D_m (motor per rod speed):
     z⁺ = z + (1 − e^(−T/T_d))(e − z),  I⁺ = I + T(K_i e + (w_u − w)/T_t),
-    w = K_p z⁺ + I + K_d (e − z⁺)/T_d,  u = clip(G(−r_0 w + K_v dx_d/dt), ±u_max),
-    where w_u is the knee rate that gives the limited command. More flexion means that the rod
-    goes in, hence the minus sign. The filter smooths the counts of the encoder in P and D,
-    as the observer does for the sliding-mode controller.
+    w = K_p z⁺ + I + K_d (e − z⁺)/T_d,  u = clip(G(−r_0 w + K_v dx_d/dt), ±u_max).
+    w is the commanded knee rate, and w_u the knee rate that the limited command u gives. The minus
+    sign is there because the rod retracts as the knee flexes. The filter smooths the counts of the
+    encoder in P and D, as the observer does for the sliding-mode controller.
 
     ===================  ====  =====================  ===================================
     input port           size  unit
@@ -49,9 +49,10 @@ class PidController(NamedLeaf):
     motor_speed_command  1     rad/s                  within ±``command_limit_rad_s``
     ===================  ====  =====================  ===================================
 
-    Discrete state, every ``sample_time_s``: the command (held by the output port), I, z;
-    ``Simulator.Initialize()`` sets z to e, so that an initial error gives no derivative kick.
-    Context parameters by name: the gains of `PidParameters` and ``speed_gain_rad_per_m`` (G).
+    The discrete state, updated every ``sample_time_s``, has the command, which the output port
+    shows, I and z. ``Simulator.Initialize()`` sets z to e, so that an initial error gives no
+    derivative kick. Context parameters by name: the gains of `PidParameters` and
+    ``speed_gain_rad_per_m`` (G).
     """
 
     def __init__(

@@ -21,19 +21,22 @@ def pressure_rate(
     area: Any,
     leakage: Any,
 ) -> Any:
-    """dP_L/dt = (4 β_e/V_t)(Q_L − Ā v − C_L P_L) in Pa/s (Eq. 15)."""
+    """Return dP_L/dt = (4 β_e/V_t)(Q_L − Ā v − C_L P_L) in Pa/s (Eq. 15)."""
     return 4.0 * bulk_modulus / volume * (flow - area * velocity - leakage * pressure)
 
 
 def rod_force(
     pressure: Any, velocity: Any, extension: Any, *, area: Any, damping: Any, stiffness: Any
 ) -> Any:
-    """Force of the rod on its load, P_L Ā − B v − K x in N (Eq. 16); positive pushes."""
+    """Return the force of the rod on its load, P_L Ā − B v − K x, in N (Eq. 16).
+
+    It is positive when the rod pushes.
+    """
     return pressure * area - damping * velocity - stiffness * extension
 
 
 def context_values(parameters: CylinderParameters) -> dict[str, float]:
-    """Context parameters of `ReducedCylinder`."""
+    """Return the Context parameters of `ReducedCylinder` by name."""
     return cylinder_values(parameters, "mean_area_m2", "total_volume_m3")
 
 
@@ -55,14 +58,14 @@ class ReducedCylinder(Cylinder):
     rod_state        3     m, m/s, …    x, v and the acceleration
     ===============  ====  ===========  ===============================================
 
-    State: x in m, v in m/s, P_L in MPa (order one). Context parameters by name:
+    State: x in m, v in m/s, P_L in MPa, all of order one. Context parameters by name:
     ``mean_area_m2, total_volume_m3, bulk_modulus_pa, leakage_m3_per_s_pa, mass_kg,
     damping_n_s_per_m, stiffness_n_per_m, stroke_m``.
 
-    Raises `ParameterError` when it would start outside the stroke; `SimulationError` at the
-    end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
-    al. 2020, Eq. 15, 16; Eq. 15 holds at V_1 = V_2, and Eq. 16 drops the
-    force (P_1 + P_2)(A_1 − A_2)/2.
+    Raises `ParameterError` when the rod would start outside the stroke. Raises `SimulationError` at
+    the end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
+    al. 2020, Eq. 15, 16. Eq. 15 is exact at V_1 = V_2, and Eq. 16 neglects the force
+    (P_1 + P_2)(A_1 − A_2)/2.
     """
 
     def __init__(

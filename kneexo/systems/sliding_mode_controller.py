@@ -18,26 +18,27 @@ from kneexo.systems._leaf import (
 
 
 def sliding_variable(state: Any, reference: Any, lambda_: Any) -> Any:
-    """S = ë + 2λė + λ²e in m/s², with e = x − x_d (Eq. 20).
+    """Return s = ë + 2λė + λ²e in m/s², with e = x − x_d (Eq. 20).
 
-    ``state``: x, v, a. ``reference``: x_d and derivatives (the first three are used).
+    ``state`` has x, v and a. ``reference`` has x_d and its time derivatives up to the second or
+    higher.
     """
     e, e_1, e_2 = (x - x_d for x, x_d in zip(state, reference[:3], strict=True))
     return e_2 + 2.0 * lambda_ * e_1 + lambda_ * lambda_ * e
 
 
 def sliding_mode_command(state: Any, reference: Any, p: Any, signum: bool = False) -> Any:
-    """Unlimited motor speed of Eq. 27 in rad/s.
+    """Return the motor speed command of Eq. 27 in rad/s, without the limit of the motor.
 
     u = b̂⁻¹(û − k sat(s/Φ)),  û = −f̂ + x⃛_d − 2λë − λ²ė,
     f̂ = −(4β_eĀ²/(m̂V_t) + K/m̂) v − (B/m̂) a,  b̂ = 4β_eĀD_m/(gear·m̂V_t),
     k = (ΔK|v| + ΔB|a| + ΔḞ_L)/m̂ + ω̂²|ΔA/Ā||v| + |1 − β||x⃛_d − 2λë − λ²ė| + βη,
     with ω̂² = 4β_eĀ²/(m̂V_t).
 
-    The second term of k is not in Eq. 27, and zero by default: it covers a chamber whose area is
+    The term with ΔA is not in Eq. 27, and it is zero by default. It covers chambers whose area is
     not Ā. Eq. 27 lacks the absolute values of v and a, and Eq. 23 prints the inverse of
-    β = √(b_max/b_min). ``p`` holds the Context parameters of `SlidingModeController`; ``signum``
-    takes sgn(s) in place of sat(s/Φ).
+    β = √(b_max/b_min). ``p`` has the Context parameters of `SlidingModeController` as attributes.
+    With ``signum``, sgn(s) replaces sat(s/Φ).
     """
     _, v, a = state
     _, v_d, a_d, j_d = reference
@@ -69,7 +70,7 @@ def sliding_mode_command(state: Any, reference: Any, p: Any, signum: bool = Fals
 
 
 def context_values(parameters: SlidingModeParameters, plant: PlantParameters) -> dict[str, float]:
-    """Context parameters of `SlidingModeController`."""
+    """Return the Context parameters of `SlidingModeController` by name."""
     return {
         **values_of(
             parameters,
@@ -106,14 +107,14 @@ class SlidingModeController(NamedLeaf):
     rod_reference        4     m, m/s, m/s², m/s³   x_d and derivatives to the third
     **output port**
     motor_speed_command  1     rad/s                within ±``command_limit_rad_s``
-    sliding_variable     1     m/s²                 s, of the present inputs
+    sliding_variable     1     m/s²                 s of the present inputs
     ===================  ====  ===================  =======================================
 
-    Discrete state, every ``sample_time_s``: the command, which the output port holds. With
-    ``continuous=True`` there is none and the output follows the inputs (Fig. 9). Context
-    parameters by name: λ, Φ, η, the bounds of Eq. 27, m̂ (``mass_estimate_kg``), β
-    (``gain_ratio``) and the plant that the controller believes in. Source: Lee et al. 2020,
-    Eq. 20–27, with the errata listed in `sliding_mode_command`.
+    The discrete state, updated every ``sample_time_s``, is the command, which the output port
+    shows. With ``continuous=True`` there is no state and the command follows the inputs at once
+    (Fig. 9). Context parameters by name: λ, Φ, η, the bounds of Eq. 27, m̂ (``mass_estimate_kg``),
+    β (``gain_ratio``) and the numbers of the plant that the controller believes in. Source: Lee et
+    al. 2020, Eq. 20–27, with the errata listed in `sliding_mode_command`.
     """
 
     def __init__(
@@ -125,9 +126,7 @@ class SlidingModeController(NamedLeaf):
         self._signum = parameters.switching == "signum"
         self._state = self.DeclareVectorInputPort("estimated_state", 3)
         self._reference = self.DeclareVectorInputPort("rod_reference", 4)
-        given = self.all_parameters_ticket()
-        inputs = (self._state, self._reference, given)
-        declare = self._declare_output
+        inputs, declare = (self._state, self._reference), self._declare_output
         if parameters.continuous:
             declare("motor_speed_command", 1, self._command, *inputs)
         else:

@@ -1,8 +1,8 @@
 """Estimators of rod position, velocity and acceleration from one measured position.
 
-Lee et al. 2020 do not say how their law (Eq. 27) gets velocity and acceleration; it decides
-whether the law works at all. `TrackingObserver` is the default; `BackwardDifference` is the plain
-attempt that quantization ruins.
+Lee et al. 2020 do not say how their law (Eq. 27) obtains velocity and acceleration, but the law
+works only with a good estimator. `TrackingObserver` is the default. `BackwardDifference` is the
+simplest estimator; the quantization of the encoder makes its estimates useless.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ _SAMPLE_TIME_S = SlidingModeParameters().sample_time_s
 
 
 def tracking_gains(time_constant: Any, sample_time: float) -> tuple[Any, Any, Any]:
-    """Gains on x, v and a of the α-β-γ observer whose three poles lie at z = e^(−T/T_f).
+    """Return the gains on x, v and a of the α-β-γ observer with three poles at z = e^(−T/T_f).
 
-    1 − z³, 1.5(1 − z²)(1 − z)/T, (1 − z)³/T²; times in s.
+    The gains are 1 − z³, 1.5(1 − z²)(1 − z)/T and (1 − z)³/T². ``time_constant`` T_f and
+    ``sample_time`` T are in s.
     """
     z = drake_math.exp(-sample_time / time_constant)
     return (
@@ -41,8 +42,9 @@ def _checked(sample_time_s: float) -> float:
 class TrackingObserver(NamedLeaf):
     """Discrete third-order tracking observer (α-β-γ filter with a triple pole).
 
-    Correct with the innovation y − x̂⁻ and the gains of `tracking_gains`, use the corrected
-    estimate at once, then predict with constant acceleration over the sample time.
+    In each sample the observer corrects its prediction by the innovation y − x̂⁻ times the gains of
+    `tracking_gains`. The output is the corrected estimate. Then the observer predicts the next
+    sample with constant acceleration.
 
     =================  ====  ===============  ============================================
     input port         size  unit
@@ -52,9 +54,9 @@ class TrackingObserver(NamedLeaf):
     estimated_state    3     m, m/s, m/s²     x̂, v̂, â, corrected by the present y
     =================  ====  ===============  ============================================
 
-    Discrete state, every ``sample_time_s``: the prediction x̂⁻, v̂⁻, â⁻.
-    ``Simulator.Initialize()`` sets it to y at rest. Context parameter: ``time_constant_s``
-    (T_f), by name. Raises `ParameterError` for a sample time that is not positive.
+    The discrete state, updated every ``sample_time_s``, is the prediction x̂⁻, v̂⁻, â⁻.
+    ``Simulator.Initialize()`` sets it to the present y, at rest. Context parameter by name:
+    ``time_constant_s`` (T_f). Raises `ParameterError` for a sample time that is not positive.
     """
 
     def __init__(
@@ -65,8 +67,9 @@ class TrackingObserver(NamedLeaf):
         self._declare_parameters(values_of(parameters, "time_constant_s"))
         self._sample_time = _checked(sample_time_s)
         self._position = self.DeclareVectorInputPort("measured_position", 1)
-        sources = (self._position, self.xd_ticket(), self.all_parameters_ticket())
-        self._estimate = self._declare_output("estimated_state", 3, self._correct, *sources)
+        self._estimate = self._declare_output(
+            "estimated_state", 3, self._correct, self._position, self.xd_ticket()
+        )
         self._declare_update(sample_time_s, 3, self._predict)
         self._declare_initialization(lambda c: [self._position.Eval(c)[0], 0.0, 0.0])
 
@@ -87,12 +90,13 @@ TrackingObserver_ = leaf_template(TrackingObserver)
 
 
 class BackwardDifference(NamedLeaf):
-    """Velocity and acceleration by plain backward differences.
+    """Estimates velocity and acceleration by backward differences.
 
     v_k = (y_k − y_{k−1})/T, a_k = (v_k − v_{k−1})/T.
 
-    Ports as of `TrackingObserver`. Discrete state, every ``sample_time_s``: y_{k−1}, v_{k−1};
-    ``Simulator.Initialize()`` sets it to y at rest. No Context parameters.
+    The ports are those of `TrackingObserver`. The discrete state, updated every ``sample_time_s``,
+    is y_{k−1}, v_{k−1}. ``Simulator.Initialize()`` sets it to the present y, at rest. There are no
+    Context parameters. Raises `ParameterError` for a sample time that is not positive.
     """
 
     def __init__(self, sample_time_s: float = _SAMPLE_TIME_S) -> None:
