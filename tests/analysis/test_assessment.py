@@ -24,7 +24,7 @@ SHORT = changed(
 )
 
 
-def test_figures_are_those_of_their_analyses():
+def test_metrics_are_those_of_their_analyses():
     found = assess(SHORT)
     metrics = track(SHORT).metrics
     margins = linearize_loop(SHORT, 50.0).margins()

@@ -155,7 +155,7 @@ def test_the_nominal_hardware_does_not_walk():
     assert found["peak_motor_acceleration_rad_s2"] == pytest.approx(1e4, rel=1e-6)
 
 
-def test_the_figures_of_walking_are_those_of_the_strides_after_the_first():
+def test_the_metrics_of_walking_are_those_of_the_strides_after_the_first():
     reference = gait_reference(1.25, 3)
     scenario = WALKS.model_copy(update={"reference": reference})
     scenario = changed(scenario, {"simulation.duration_s": 2.4})
