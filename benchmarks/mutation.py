@@ -81,7 +81,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compiler/c/functions": ("compiler/c/test_source",),
     "compiler/equations/graph_values": ("compiler/c/test_tables", "compiler/c/test_step_size"),
     "compiler/c/template": ("compiler/c/test_source", "compiler/c/test_export"),
-    "diagrams/part": ("diagrams/test_plant", "diagrams/test_controller"),
+    "diagrams/part": ("diagrams/test_part", "diagrams/test_plant", "diagrams/test_controller"),
     "diagrams/signals": ("diagrams/test_closed_loop",),
     "diagrams/plant": ("diagrams/test_plant", "diagrams/test_full_order_plant"),
     "parameters/bus": ("systems/test_drive", "parameters/test_parameters"),

@@ -18,12 +18,12 @@ from pydrake.systems.analysis import Simulator
 from kneexo.analysis.newton import failure, newton
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG
 from kneexo.diagrams import make_closed_loop
-from kneexo.diagrams.closed_loop import loop_values
+from kneexo.diagrams.closed_loop import loop_values, plant_start
 from kneexo.diagrams.controller import known_to_controller
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario, StepReference
 from kneexo.result import Array
-from kneexo.simulation.compiled import scenario_start, structure_key
+from kneexo.simulation.compiled import structure_key
 
 
 @dataclass(frozen=True)
@@ -107,13 +107,12 @@ def _system(diagram: Any, path: str) -> Any:
 
 
 def start_state(scenario: Scenario, size: int) -> list[Any]:
-    """The ``size`` continuous states with which the closed loop starts, as in its Context."""
-    state: list[Any] = [0.0] * size
-    motor = 0 if scenario.plant.ideal_motor else 1
-    for key, value in scenario_start(scenario).items():
-        if index := re.fullmatch(r"plant/cylinder\.x\[(\d+)\]", key):
-            state[motor + int(index[1])] = value
-    return state
+    """Return the continuous states of the closed loop at its start, (size,), as in its Context.
+
+    Those of the plant come first; those of a custom controller are zero.
+    """
+    plant = list(plant_start(scenario).values())
+    return plant + [0.0] * (size - len(plant))
 
 
 def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -> None:

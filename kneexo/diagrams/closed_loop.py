@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -17,13 +17,15 @@ from pydrake.systems.primitives import (
 
 from kneexo import systems
 from kneexo.diagrams.controller import (
+    controller_outputs,
     controller_parts,
     make_controller,
     port_sizes,
     require_controller,
 )
+from kneexo.diagrams.part import Part, state_names
 from kneexo.diagrams.plant import make_plant, plant_parts
-from kneexo.diagrams.signals import OF_CONTROLLER, SIGNALS, available_signals, chosen_signals
+from kneexo.diagrams.signals import CONTROLLER_SIGNALS, FULL_ORDER_OUTPUTS, LAW_OUTPUTS, SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     Cia402Parameters,
@@ -31,7 +33,7 @@ from kneexo.parameters import (
     SampledReference,
     Scenario,
 )
-from kneexo.systems import drive, knee_reference
+from kneexo.systems import StateVariable, drive, knee_reference
 from kneexo.systems.knee_reference import require_reference_in_range
 
 
@@ -108,7 +110,7 @@ def make_closed_loop(
     ports["estimated_state"] = plant.GetOutputPort("rod_state")  # unless the controller has one
     ports |= {
         name: controller.GetOutputPort(name)
-        for name in OF_CONTROLLER
+        for name in CONTROLLER_SIGNALS
         if controller.HasOutputPort(name)
     }
     command = controller.GetOutputPort("motor_speed_command")
@@ -150,13 +152,48 @@ def make_closed_loop(
     return diagram
 
 
-def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
-    """Path and Context parameters of each leaf system of `make_closed_loop`.
+def available_signals(
+    scenario: Scenario, outputs: Mapping[str, int] | None = None
+) -> tuple[str, ...]:
+    """The names of `SIGNALS` that the scenario's closed loop has.
 
-    Those of a custom controller are not among them.
+    ``outputs``: size of each output port of the controller, where it is not the scenario's.
     """
-    for part in plant_parts(scenario.plant, **_plant_start(scenario)):
-        yield f"plant/{part.name}", part.values
+    missing = set()
+    if outputs is None and scenario.controller.kind == "custom":
+        outputs = controller_outputs(scenario)
+    if outputs is not None:
+        missing |= {name for name in CONTROLLER_SIGNALS if outputs.get(name) != len(SIGNALS[name])}
+    elif scenario.controller.kind != "smc":
+        missing |= {"estimated_state", *LAW_OUTPUTS}
+    if scenario.bus.kind != "cia402":
+        missing.add("target_velocity")
+    if scenario.plant.full_order is None:
+        missing |= set(FULL_ORDER_OUTPUTS)
+    return tuple(name for name in SIGNALS if name not in missing)
+
+
+def chosen_signals(
+    scenario: Scenario,
+    signals: Sequence[str] | None,
+    outputs: Mapping[str, int] | None = None,
+) -> tuple[str, ...]:
+    """``signals``, all available ones when None; `ParameterError` for an unknown one."""
+    available = available_signals(scenario, outputs)
+    names = available if signals is None else tuple(signals)
+    for name in names:
+        if name not in available:
+            raise ParameterError(f"signal {name!r} is unknown; known: {', '.join(available)}")
+    return names
+
+
+def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yield path and Context parameters of each leaf system of `make_closed_loop`.
+
+    The leaf systems of a custom controller are left out.
+    """
+    for part in _plant_parts(scenario):
+        yield f"plant/{part.name}", part.values()
     if scenario.encoder.quantized:
         # The second is Drake's calibration offset, which can only be set in a Context.
         yield "encoder_phase", {"0[0]": -scenario.encoder.phase_rad}
@@ -165,18 +202,46 @@ def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
         yield "reference", knee_reference.context_values(scenario.reference)
     if not isinstance(scenario.controller, CustomControllerParameters):
         for part in controller_parts(scenario):
-            yield f"controller/{part.name}", part.values
+            yield f"controller/{part.name}", part.values()
     if isinstance(scenario.bus, Cia402Parameters):
         yield "drive", drive.context_values(scenario.bus)
 
 
+def plant_states(scenario: Scenario) -> dict[str, StateVariable]:
+    """Return the continuous states of the plant by name, in the order of the Context.
+
+    The names are those of the compiled closed loop, such as ``plant/motor.x[0]``.
+    """
+    return {
+        name: state
+        for part in _plant_parts(scenario)
+        for name, state in zip(state_names(part, "plant"), part.states, strict=True)
+    }
+
+
+def plant_start(scenario: Scenario) -> dict[str, float]:
+    """Return `plant_states` at the start of the scenario, in the units of the Context.
+
+    Raises `ParameterError` and `LinkageError` as `make_plant`.
+    """
+    return {
+        name: value
+        for part in _plant_parts(scenario)
+        for name, value in zip(state_names(part, "plant"), part.start_state(), strict=True)
+    }
+
+
+def _plant_parts(scenario: Scenario) -> list[Part]:
+    return plant_parts(scenario.plant, **_start_arguments(scenario))
+
+
 def plant_of(scenario: Scenario) -> Diagram:
-    """The plant of a scenario, where the scenario starts."""
-    return make_plant(scenario.plant, **_plant_start(scenario))
+    """Build the plant of a scenario with the scenario's start."""
+    return make_plant(scenario.plant, **_start_arguments(scenario))
 
 
-def _plant_start(scenario: Scenario) -> dict[str, Any]:
-    """Where `make_plant` and `plant_start` put the rod of a scenario."""
+def _start_arguments(scenario: Scenario) -> dict[str, Any]:
+    """Return the arguments of `make_plant` that decide where the scenario starts."""
     return {
         "initial_knee_angle_rad": knee_reference.start_angle_rad(scenario.reference),
         "initial_offset_m": scenario.initial_offset_m,

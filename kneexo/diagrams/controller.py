@@ -11,6 +11,7 @@ from pydrake.systems.framework import DiagramBuilder, System
 
 from kneexo import systems
 from kneexo.diagrams.part import Part, add_parts
+from kneexo.diagrams.signals import LAW_OUTPUTS
 from kneexo.errors import ParameterError, shortened
 from kneexo.parameters import (
     CustomControllerParameters,
@@ -89,8 +90,9 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
             builder.ConnectInput(knee_reference, port)
         else:
             builder.ExportInput(port, "rod_state")
-    if law.HasOutputPort("sliding_variable"):
-        outputs["sliding_variable"] = law.GetOutputPort("sliding_variable")
+    for name in LAW_OUTPUTS:
+        if law.HasOutputPort(name):
+            outputs[name] = law.GetOutputPort(name)
     for name, output in outputs.items():
         builder.ExportOutput(output, name)
     controller = builder.Build()
@@ -112,17 +114,17 @@ def _parts(scenario: Scenario, own_law: System | None = None) -> list[Part]:
         Part(
             "coordinates",
             lambda: systems.KneeCoordinates(believed.linkage, polynomial, offset),
-            knee_coordinates.context_values(believed.linkage, polynomial, offset),
+            lambda: knee_coordinates.context_values(believed.linkage, polynomial, offset),
         ),
         Part(
             "rod_reference",
             lambda: systems.RodReference(polynomial),
-            knee_coordinates.rod_polynomial_values(polynomial),
+            lambda: knee_coordinates.rod_polynomial_values(polynomial),
         ),
     ]
     if own_law is not None:
         _require_ports(own_law, _LAW_INPUTS, "law")
-        parts.append(Part("law", lambda: own_law, {}))
+        parts.append(Part("law", lambda: own_law, dict))
         if own_law.HasInputPort("estimated_state"):
             parts += _estimator_parts(scenario)
     elif isinstance(law, SlidingModeParameters):
@@ -130,7 +132,7 @@ def _parts(scenario: Scenario, own_law: System | None = None) -> list[Part]:
             Part(
                 "law",
                 lambda: systems.SlidingModeController(law, believed),
-                sliding_mode_controller.context_values(law, believed),
+                lambda: sliding_mode_controller.context_values(law, believed),
             )
         )
         parts += _estimator_parts(scenario)
@@ -139,7 +141,7 @@ def _parts(scenario: Scenario, own_law: System | None = None) -> list[Part]:
             Part(
                 "law",
                 lambda: systems.PidController(law, believed),
-                pid_controller.context_values(law, believed),
+                lambda: pid_controller.context_values(law, believed),
             )
         )
     return parts
@@ -151,10 +153,10 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
         yield Part(
             "estimator",
             lambda: systems.TrackingObserver(estimator, sample_time),
-            {"time_constant_s": estimator.time_constant_s},
+            lambda: {"time_constant_s": estimator.time_constant_s},
         )
     elif estimator.kind == "difference":
-        yield Part("estimator", lambda: systems.BackwardDifference(sample_time), {})
+        yield Part("estimator", lambda: systems.BackwardDifference(sample_time), dict)
 
 
 def encoder_offset_rad(scenario: Scenario) -> float:

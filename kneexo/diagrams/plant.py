@@ -10,6 +10,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import linkage, systems
 from kneexo.diagrams.part import Part, add_parts, connect
+from kneexo.diagrams.signals import FULL_ORDER_OUTPUTS, PLANT_OUTPUTS
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     KneeLoadParameters,
@@ -29,16 +30,6 @@ from kneexo.systems import (
 from kneexo.systems.four_bar_knee import knee_kinematics
 from kneexo.systems.full_cylinder import holding_pressures
 from kneexo.systems.knee_load import load_force
-
-PLANT_OUTPUTS = {
-    "knee": ("knee_angle", "encoder_angle", "moment_arm", "icr"),
-    "cylinder": ("rod_extension", "rod_velocity", "rod_state", "load_pressure", "rod_force"),
-    "motor": ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power"),
-}
-"""Exported output ports, by subsystem; each keeps the name that it has in its leaf system."""
-
-FULL_ORDER_OUTPUTS = ("chamber_pressures", "makeup_flow", "relief_flow")
-"""Output ports of ``cylinder`` that only the full order has; exported too."""
 
 _START_RAD = math.radians(SineReference().mean_deg - SineReference().amplitude_deg)
 
@@ -95,49 +86,68 @@ def make_plant(
 
 def plant_parts(
     parameters: PlantParameters,
-    initial_knee_angle_rad: float,
-    initial_offset_m: float,
-    table_1: RodPolynomialParameters,
+    initial_knee_angle_rad: float = _START_RAD,
+    initial_offset_m: float = 0.0,
+    table_1: RodPolynomialParameters = RodPolynomialParameters(),
 ) -> list[Part]:
-    """The leaf systems of `make_plant`."""
+    """Return the leaf systems of `make_plant`, which describes the arguments.
+
+    The functions of a part raise `ParameterError` for a start outside the range of motion or the
+    stroke, and `LinkageError` when the linkage cannot be assembled.
+    """
     cylinder, full_order, load = parameters.cylinder, parameters.full_order, parameters.load
     rod_map = _rod_map(parameters, table_1)
-    fit = fit_rod_inverse(parameters.linkage, rod_map)
     external_leakage = parameters.pump.external_leakage_m3_per_s_pa
 
-    def make_cylinder() -> Any:
-        """The cylinder at rest, its pressures holding load and spring."""
-        extension, force = plant_start(
+    def start() -> tuple[float, ...]:
+        """Return the state of the cylinder at rest; the pressures hold load and spring."""
+        extension, force = _start_extension_and_force(
             parameters, initial_knee_angle_rad, initial_offset_m, table_1
         )
-        pressures = start_pressures_pa(parameters, force)
+        return (extension, 0.0, *_holding_pressures_pa(parameters, force))
+
+    def make_cylinder() -> Any:
+        extension, _, *pressures = start()
         if full_order is None:
             return systems.ReducedCylinder(cylinder, extension, *pressures)
-        return systems.FullCylinder(cylinder, full_order, extension, pressures, external_leakage)
+        return systems.FullCylinder(
+            cylinder, full_order, extension, tuple(pressures), external_leakage
+        )
+
+    def cylinder_values() -> dict[str, float]:
+        if full_order is None:
+            return reduced_cylinder.context_values(cylinder)
+        return full_cylinder.context_values(cylinder, full_order, external_leakage)
+
+    def knee_values() -> dict[str, float]:
+        fit = fit_rod_inverse(parameters.linkage, rod_map)
+        first = four_bar_knee.context_values(parameters.linkage, parameters.knee, fit)
+        return first | _polynomial_values(fit)
 
     parts = [
         Part(
             "motor",
             lambda: systems.BldcPump(parameters.pump, parameters.ideal_motor),
-            bldc_pump.context_values(parameters.pump),
+            lambda: bldc_pump.context_values(parameters.pump),
+            bldc_pump.state_variables(parameters.ideal_motor),
         ),
         Part(
             "cylinder",
             make_cylinder,
-            reduced_cylinder.context_values(cylinder)
-            if full_order is None
-            else full_cylinder.context_values(cylinder, full_order, external_leakage),
+            cylinder_values,
+            (reduced_cylinder if full_order is None else full_cylinder).STATE_VARIABLES,
+            start,
         ),
         Part(
             "knee",
             lambda: systems.FourBarKnee(parameters.linkage, parameters.knee, rod_map),
-            four_bar_knee.context_values(parameters.linkage, parameters.knee, fit)
-            | _polynomial_values(fit),
+            knee_values,
         ),
     ]
     if isinstance(load, KneeLoadParameters):
-        values = knee_load.context_values(load)
-        parts.append(Part("load", lambda: systems.KneeLoad(load), values))
+        parts.append(
+            Part("load", lambda: systems.KneeLoad(load), lambda: knee_load.context_values(load))
+        )
     return parts
 
 
@@ -163,13 +173,13 @@ def _rod_extension(link: LinkageParameters, knee_angle_rad: float) -> float:
     return rounded_rod_extension(link, knee_angle_rad)
 
 
-def plant_start(
+def _start_extension_and_force(
     parameters: PlantParameters,
     initial_knee_angle_rad: float,
     initial_offset_m: float,
     table_1: RodPolynomialParameters,
 ) -> tuple[float, float]:
-    """Rod extension in m where `make_plant` starts, and the force of load and spring there in N."""
+    """Return the rod extension in m at the start and the force of load and spring there in N."""
     low, high = parameters.knee.flexion_min_deg, parameters.knee.flexion_max_deg
     if not low - 1e-9 <= math.degrees(initial_knee_angle_rad) <= high + 1e-9:
         raise ParameterError(
@@ -195,8 +205,8 @@ def plant_start(
     return extension, force
 
 
-def start_pressures_pa(parameters: PlantParameters, force: float) -> tuple[float, ...]:
-    """Pressures in Pa that hold ``force`` (N) on the rod: P_L, or P_1 and P_2 in full order."""
+def _holding_pressures_pa(parameters: PlantParameters, force: float) -> tuple[float, ...]:
+    """Return the pressures in Pa that hold ``force`` in N: P_L, or P_1 and P_2 in full order."""
     cylinder, full_order = parameters.cylinder, parameters.full_order
     if full_order is None:
         return (force / cylinder.mean_area_m2,)

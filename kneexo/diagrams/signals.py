@@ -1,13 +1,11 @@
-"""The signals of the closed loop: names of ports, columns of the log."""
+"""The signals of the closed loop: the ports that provide them and their columns in a run.
+
+A new signal needs an output port of a leaf system and an entry in these tables.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
-from kneexo.diagrams.controller import controller_outputs
-from kneexo.diagrams.plant import FULL_ORDER_OUTPUTS
-from kneexo.errors import ParameterError
-from kneexo.parameters import Scenario
+from collections.abc import Sequence
 
 SIGNALS = {
     "knee_reference": (
@@ -51,49 +49,25 @@ SIGNALS = {
 }
 """Every signal of the closed loop and the names of its columns, which end in the unit."""
 
-
-OF_CONTROLLER = {
-    *("measured_knee_angle", "measured_rod_extension", "rod_reference"),
-    *("estimated_state", "sliding_variable"),
+PLANT_OUTPUTS = {
+    "knee": ("knee_angle", "encoder_angle", "moment_arm", "icr"),
+    "cylinder": ("rod_extension", "rod_velocity", "rod_state", "load_pressure", "rod_force"),
+    "motor": ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power"),
 }
-"""Those of `SIGNALS` that are outputs of the controller."""
+"""Output ports of the plant by subsystem; the leaf systems have the same names of ports."""
 
+FULL_ORDER_OUTPUTS = ("chamber_pressures", "makeup_flow", "relief_flow")
+"""More output ports of the plant, which the ``cylinder`` of full order has."""
 
-def available_signals(
-    scenario: Scenario, outputs: Mapping[str, int] | None = None
-) -> tuple[str, ...]:
-    """The names of `SIGNALS` that the scenario's closed loop has.
+LAW_OUTPUTS = ("sliding_variable",)
+"""Output ports that the controller exports if its control law has them."""
 
-    ``outputs``: size of each output port of the controller, where it is not the scenario's.
-    """
-    missing = set()
-    if outputs is None and scenario.controller.kind == "custom":
-        outputs = controller_outputs(scenario)
-    if outputs is not None:
-        missing |= {name for name in OF_CONTROLLER if outputs.get(name) != len(SIGNALS[name])}
-    elif scenario.controller.kind != "smc":
-        missing |= {"estimated_state", "sliding_variable"}
-    if scenario.bus.kind != "cia402":
-        missing.add("target_velocity")
-    if scenario.plant.full_order is None:
-        missing |= set(FULL_ORDER_OUTPUTS)
-    return tuple(name for name in SIGNALS if name not in missing)
-
-
-def chosen_signals(
-    scenario: Scenario,
-    signals: Sequence[str] | None,
-    outputs: Mapping[str, int] | None = None,
-) -> tuple[str, ...]:
-    """``signals``, all available ones when None; `ParameterError` for an unknown one."""
-    available = available_signals(scenario, outputs)
-    names = available if signals is None else tuple(signals)
-    for name in names:
-        if name not in available:
-            raise ParameterError(f"signal {name!r} is unknown; known: {', '.join(available)}")
-    return names
+CONTROLLER_SIGNALS = frozenset(
+    ("measured_knee_angle", "measured_rod_extension", "rod_reference", "estimated_state")
+).union(LAW_OUTPUTS)
+"""The `SIGNALS` that are output ports of the controller."""
 
 
 def columns(signals: Sequence[str]) -> tuple[str, ...]:
-    """Names of the logged columns of ``signals``, in order."""
+    """Return the names of the columns that a run logs for ``signals``, in order."""
     return tuple(column for signal in signals for column in SIGNALS[signal])

@@ -14,7 +14,7 @@ from kneexo.compiler.c.export import source_of
 from kneexo.compiler.c.source import CSource
 from kneexo.compiler.fmu.fmu import VERSIONS, Fmu, Parameter, generation_tool
 from kneexo.compiler.model import compile_diagram
-from kneexo.diagrams.closed_loop import make_closed_loop
+from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
 from kneexo.errors import KneexoError, OutputError, ParameterError, shown
 from kneexo.export.target import Target, require_step, target
 from kneexo.files.reading import MIB, read_bytes
@@ -24,8 +24,6 @@ from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters, limits_of, source_of as provenance_of
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
-from kneexo.systems.bldc_pump import RAD_S_PER_KRAD_S
-from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.version import __version__
 
 TOOL = "kneexo"
@@ -39,17 +37,6 @@ _AT_REST = "; the initial state does not follow"
 _LONGEST_TUPLE = 8  # coefficients, but no samples
 
 _MOST_BYTES = 256 * MIB  # no FMU of kneexo is larger
-
-_STATES = {
-    "plant/motor.x[0]": ("initial.motor_speed_rad_s", RAD_S_PER_KRAD_S),
-    "plant/cylinder.x[0]": ("initial.rod_extension_m", 1.0),
-    "plant/cylinder.x[1]": ("initial.rod_velocity_m_s", 1.0),
-}
-_PRESSURES = {
-    False: ("initial.load_pressure_pa",),
-    True: ("initial.cap_pressure_pa", "initial.rod_side_pressure_pa"),
-}
-"""By whether the cylinder is of full order."""
 
 
 @dataclass(frozen=True)
@@ -277,19 +264,15 @@ def _field(scenario: Scenario, path: str) -> Any:
 def _initial(scenario: Scenario, source: CSource) -> Iterator[Parameter]:
     """The initial states of the plant, which rests at an angle of the knee."""
     start = math.degrees(knee_reference.start_angle_rad(scenario.reference))
-    full_order = scenario.plant.full_order is not None
-    pressures = {
-        f"plant/cylinder.x[{2 + i}]": (name, PA_PER_MPA)
-        for i, name in enumerate(_PRESSURES[full_order])
-    }
+    variables = plant_states(scenario)
     told = f"the scenario starts at rest, the knee at {start:.6g} deg"
     if scenario.initial_offset_m:
         told += f", the rod {scenario.initial_offset_m:g} m further out"
-    for i, state in enumerate(source.equations.states):
-        if state in (names := _STATES | pressures):
-            name, factor = names[state]
+    for i, name in enumerate(source.equations.states):
+        if name in variables:
+            column, factor = variables[name]
             yield Parameter(
-                name,
+                f"initial.{column}",
                 factor * float(source.state.continuous[i]),
                 (f"initial_x[{i}]",),
                 told,

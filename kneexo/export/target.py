@@ -14,9 +14,9 @@ from kneexo import linkage
 from kneexo.compiler.c.source import Interface
 from kneexo.compiler.c.step_size import rk4_step_s
 from kneexo.compiler.model import compile_diagram
-from kneexo.diagrams.closed_loop import add_encoder, make_closed_loop, plant_of
+from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
-from kneexo.diagrams.signals import SIGNALS, available_signals
+from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import SampledReference, Scenario, SimulationParameters
 from kneexo.parameters.quantity import limits_of

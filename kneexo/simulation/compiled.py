@@ -31,10 +31,14 @@ from kneexo.compiler import (
     input_table,
     read_diagram,
 )
-from kneexo.diagrams.closed_loop import loop_values, make_closed_loop
+from kneexo.diagrams.closed_loop import (
+    chosen_signals,
+    loop_values,
+    make_closed_loop,
+    plant_start,
+)
 from kneexo.diagrams.controller import known_to_controller, make_controller
-from kneexo.diagrams.plant import plant_start, start_pressures_pa
-from kneexo.diagrams.signals import SIGNALS, chosen_signals, columns
+from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.errors import KneexoError
 from kneexo.parameters import (
     CustomControllerParameters,
@@ -47,7 +51,6 @@ from kneexo.simulation.run import Run
 from kneexo.systems import (
     knee_reference,
 )
-from kneexo.systems.cylinder import PA_PER_MPA
 
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (
@@ -232,20 +235,11 @@ _orders: WeakKeyDictionary[CompiledModel, NDArray[np.intp]] = WeakKeyDictionary(
 
 
 def scenario_start(scenario: Scenario) -> dict[str, float]:
-    """The states that do not start at zero, by name.
+    """Return the start of the plant and of a custom controller, by names of states.
 
-    Raises `ParameterError` as `make_plant` does.
+    All other states start at zero. Raises `ParameterError` and `LinkageError` as `make_plant`.
     """
-    extension, force = plant_start(
-        scenario.plant,
-        knee_reference.start_angle_rad(scenario.reference),
-        scenario.initial_offset_m,
-        scenario.polynomial,
-    )
-    pressures = start_pressures_pa(scenario.plant, force)
-    start = {"plant/cylinder.x[0]": extension} | {
-        f"plant/cylinder.x[{2 + i}]": pressure / PA_PER_MPA for i, pressure in enumerate(pressures)
-    }
+    start = plant_start(scenario)
     if isinstance(scenario.controller, CustomControllerParameters):
         start |= _custom(scenario).state
     return start

@@ -7,7 +7,14 @@ from typing import Any
 from pydrake.systems.framework import BasicVector_
 
 from kneexo.parameters import BldcPumpParameters
-from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, require_finite, values_of
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    StateVariable,
+    clip,
+    leaf_template,
+    require_finite,
+    values_of,
+)
 
 RAD_S_PER_KRAD_S = 1e3
 """Rad/s per krad/s: the speed is a state in krad/s, ports are in rad/s."""
@@ -43,6 +50,11 @@ def context_values(parameters: BldcPumpParameters) -> dict[str, float]:
         "displacement_m3_per_rad",
         "leakage_m3_per_s_pa",
     )
+
+
+def state_variables(ideal: bool = False) -> tuple[StateVariable, ...]:
+    """Return the continuous states of `BldcPump` in their order; an ideal motor has none."""
+    return () if ideal else (StateVariable("motor_speed_rad_s", RAD_S_PER_KRAD_S),)
 
 
 class BldcPump(NamedLeaf):

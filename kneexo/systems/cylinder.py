@@ -10,7 +10,14 @@ from pydrake.systems.framework import BasicVector_
 
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import CylinderParameters
-from kneexo.systems._leaf import NamedLeaf, fill, require_finite, value_or_zero, values_of
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    StateVariable,
+    fill,
+    require_finite,
+    value_or_zero,
+    values_of,
+)
 
 PA_PER_MPA = 1e6
 """Pascal per megapascal: pressures are states in MPa, ports are in Pa."""
@@ -46,6 +53,12 @@ def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, f
         "stiffness_n_per_m",
         "stroke_m",
     )
+
+
+def cylinder_states(*pressures: str) -> tuple[StateVariable, ...]:
+    """Return the continuous states of a `Cylinder` in their order; ``pressures``: columns in Pa."""
+    rod = (StateVariable("rod_extension_m"), StateVariable("rod_velocity_m_s"))
+    return (*rod, *(StateVariable(column, PA_PER_MPA) for column in pressures))
 
 
 class Cylinder(NamedLeaf):

@@ -20,7 +20,7 @@ from kneexo.parameters import (
     FullCylinderParameters,
 )
 from kneexo.systems._leaf import clip, leaf_template
-from kneexo.systems.cylinder import Cylinder, cylinder_values, start_extension
+from kneexo.systems.cylinder import Cylinder, cylinder_states, cylinder_values, start_extension
 
 _LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus is constant below this pressure
 
@@ -106,6 +106,10 @@ def context_values(
         "pump_external_leakage_m3_per_s_pa": pump_external_leakage_m3_per_s_pa,
         **dict(full_order),
     }
+
+
+STATE_VARIABLES = cylinder_states("cap_pressure_pa", "rod_side_pressure_pa")
+"""Continuous states of `FullCylinder` in their order."""
 
 
 class FullCylinder(Cylinder):

@@ -8,7 +8,7 @@ from typing import Any
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters
 from kneexo.systems._leaf import leaf_template
-from kneexo.systems.cylinder import Cylinder, cylinder_values, start_extension
+from kneexo.systems.cylinder import Cylinder, cylinder_states, cylinder_values, start_extension
 
 
 def pressure_rate(
@@ -38,6 +38,10 @@ def rod_force(
 def context_values(parameters: CylinderParameters) -> dict[str, float]:
     """Return the Context parameters of `ReducedCylinder` by name."""
     return cylinder_values(parameters, "mean_area_m2", "total_volume_m3")
+
+
+STATE_VARIABLES = cylinder_states("load_pressure_pa")
+"""Continuous states of `ReducedCylinder` in their order."""
 
 
 class ReducedCylinder(Cylinder):

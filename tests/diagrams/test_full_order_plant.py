@@ -11,7 +11,7 @@ from pydrake.systems.primitives import ConstantVectorSource, Linearize, LogVecto
 from kneexo.analysis import sinestream, track
 from kneexo.analysis.frequency_response import SinestreamSettings, Trial
 from kneexo.diagrams import PLANT_OUTPUTS, make_plant
-from kneexo.diagrams.plant import FULL_ORDER_OUTPUTS
+from kneexo.diagrams.signals import FULL_ORDER_OUTPUTS
 from kneexo.parameters import (
     RPM,
     BldcPumpParameters,

@@ -23,8 +23,7 @@ from kneexo.command_line.main import main
 from kneexo.command_line.parameter_list import parameter_rows
 from kneexo.compiler.c import build as c_build
 from kneexo.compiler.fmu.fmu import generation_tool
-from kneexo.diagrams import make_closed_loop, make_controller
-from kneexo.diagrams.signals import SIGNALS, available_signals, columns
+from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop, make_controller
 from kneexo.errors import OutputError, ParameterError
 from kneexo.export import fmu as exports
 from kneexo.export.fmu import export_fmu, parameter_effects

@@ -31,7 +31,8 @@ from kneexo.analysis.bandwidth import rod_of
 from kneexo.analysis.error_model import error_model
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.hardware import sliding_mode
-from kneexo.diagrams import make_plant
+from kneexo.diagrams import SIGNALS, make_plant
+from kneexo.diagrams.plant import plant_parts
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     EncoderParameters,
@@ -48,7 +49,6 @@ from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Array, Result
 from kneexo.simulation import Run, awaitable, needs_runs, simulate
 from kneexo.sweeps import SweepOptions, open_sweep
-from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.systems.knee_coordinates import rod_derivatives
 from kneexo.systems.sliding_mode_controller import sliding_variable
 
@@ -151,27 +151,16 @@ LAWS = {"paper": "Eq. 27", "area": "Eq. 27 + area", "area_gain": "Eq. 27 + area,
 
 def plant_state_columns(plant: PlantParameters) -> tuple[tuple[str, float], ...]:
     """The plant's continuous state: columns of a run, and their factors to the Context's units."""
-    motor = [] if plant.ideal_motor else [("motor_speed_rad_s", 1e-3)]
-    pressures = ["load_pressure_pa"]
-    if plant.full_order is not None:
-        pressures = ["cap_pressure_pa", "rod_side_pressure_pa"]
-    return (
-        *motor,
-        ("rod_extension_m", 1.0),
-        ("rod_velocity_m_s", 1.0),
-        *((name, 1.0 / PA_PER_MPA) for name in pressures),
-    )
+    states = (state for part in plant_parts(plant) for state in part.states)
+    return tuple((state.column, 1.0 / state.factor) for state in states)
 
 
 def sliding_signals(scenario: Scenario) -> tuple[str, ...]:
     """The signals that `sliding_rates` needs."""
-    plant = scenario.plant
-    pressure = "load_pressure" if plant.full_order is None else "chamber_pressures"
-    motor = () if plant.ideal_motor else ("motor_speed",)
+    states = {column for column, _ in plant_state_columns(scenario.plant)}
     return (
-        *motor,
-        *("rod_reference", "rod_extension", "rod_velocity", pressure),
-        *("sliding_variable", "motor_speed_command"),
+        *("rod_reference", "sliding_variable", "motor_speed_command"),
+        *(name for name, columns in SIGNALS.items() if states.intersection(columns)),
     )
 
 
