@@ -27,7 +27,8 @@ import numpy as np
 from kneexo.analysis.assessment import assess
 from kneexo.compiler.native.cores import available_cores
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
-from kneexo.studies.robustness.study import assess_plant, draw
+from kneexo.parameters.uncertainty import draw
+from kneexo.studies.robustness import assess_plant
 from kneexo.sweeps import parallel_map
 
 REDUCED = {path: one for path, one in UNCERTAINTY.values.items() if path != "plant.full_order"}

@@ -7,11 +7,11 @@ of `SizeSettings`. Friction that changes its sign within a fraction of a millise
 part of such a run depend on the solver.
 """
 
-from kneexo.analysis.hardware import scaled, tuned
+from kneexo.analysis.hardware import ACCELERATION_LIMIT, DISPLACEMENT, scaled, tuned
 from kneexo.analysis.walking import walking_metrics
 from kneexo.parameters import UNCERTAIN_KNEE, FullCylinderParameters
 from kneexo.parameters.paths import changed
-from kneexo.studies.size.study import ACCELERATION_LIMIT, DISPLACEMENT, SizeSettings
+from kneexo.studies.size import SizeSettings
 
 FLOW, ACCELERATION_RAD_S2 = 14.8, 6671.0
 GAINS = {"lambda_per_s": 100.0, "slope_per_s": 3.5e4, "observer_s": 0.020}

@@ -11,7 +11,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
 from kneexo.diagrams import make_controller
 from kneexo.parameters import CustomControllerParameters, Scenario
-from kneexo.studies.robustness.study import RobustnessSettings, robustness_study, worst
+from kneexo.studies.robustness import RobustnessSettings, robustness_study, worst
 
 
 @TemplateSystem.define("Backstepping_")

@@ -25,15 +25,16 @@ from kneexo.command_line.output import to_json
 from kneexo.errors import OutputError, WorkerError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
 from kneexo.parameters.paths import changed
+from kneexo.parameters.uncertainty import draw
+from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
 from kneexo.studies.bandwidth.figures import plot_bode
-from kneexo.studies.bandwidth.study import BandwidthSettings, bandwidth_study
-from kneexo.studies.contest.study import ContestSettings, contest_study
-from kneexo.studies.controller.study import ControllerSettings, controller_study
-from kneexo.studies.order.study import OrderSettings, order_study
-from kneexo.studies.reproduce.study import reproduce_study
-from kneexo.studies.robustness.study import RobustnessSettings, assess_plant, draw, robustness_study
-from kneexo.studies.size.study import SizeSettings, size_study
-from kneexo.studies.sliding.study import SLIDING_LAW, SlidingSettings, sliding_study
+from kneexo.studies.contest import ContestSettings, contest_study
+from kneexo.studies.controller import ControllerSettings, controller_study
+from kneexo.studies.order import OrderSettings, order_study
+from kneexo.studies.reproduce import reproduce_study
+from kneexo.studies.robustness import RobustnessSettings, assess_plant, robustness_study
+from kneexo.studies.size import SizeSettings, size_study
+from kneexo.studies.sliding import SLIDING_LAW, SlidingSettings, sliding_study
 from kneexo.sweeps import parallel, parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint
 from kneexo.sweeps.parallel import dask_cluster

@@ -30,10 +30,10 @@ from kneexo.parameters import (
     SlidingModeParameters,
 )
 from kneexo.simulation import simulate
-from kneexo.studies.controller.study import controller_study
-from kneexo.studies.order.study import order_study
+from kneexo.studies.controller import controller_study
+from kneexo.studies.order import order_study
 from kneexo.studies.paper import FIG_12
-from kneexo.studies.reproduce.study import reproduce_study
+from kneexo.studies.reproduce import reproduce_study
 from kneexo.systems._leaf import NamedLeaf
 
 ROOT = Path(__file__).parents[1]

@@ -21,8 +21,8 @@ from yaml.reader import ReaderError
 from kneexo.errors import ParameterError, ScenarioError, shortened, shown
 from kneexo.files.reading import MIB, file_error, read_text
 from kneexo.parameters import UNCERTAIN_KNEE, Scenario, Uncertainty, UncertaintySet
-from kneexo.parameters.paths import require_applicable
 from kneexo.parameters.quantity import Parameters, allowed_range, one_line, unit_of
+from kneexo.parameters.uncertainty import require_applicable
 
 _Path = tuple[str | int, ...]
 _TAG = "tag:yaml.org,2002:"

@@ -1,22 +1,28 @@
-"""Values of a scenario that are not known exactly."""
+"""Uncertain values of a scenario: their ranges, and how scenarios are drawn from them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from kneexo.errors import ParameterError
+from kneexo.parameters.paths import changed, has_path, known_path
 from kneexo.parameters.plant import KneeLoadParameters, PlantParameters
 from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.scenario import Scenario
 
 
 class Uncertainty(Parameters):
-    """What one value of a scenario may be: an interval ``low`` … ``high``, or one of ``options``.
+    """The range of one value of a scenario: an interval ``low`` … ``high``, or ``options``.
 
-    ``scale`` log draws the logarithm uniformly (values known by their order of magnitude). With
-    ``known`` the controller knows the value: its nominal plant changes too.
+    An interval has the unit of its value. Draws from it are uniform; with ``scale: log`` their
+    logarithm is uniform (for a value known by its order of magnitude). Each option is equally
+    likely. With ``known`` the controller knows the value: its nominal plant changes too.
+    ``source`` says where the range comes from.
     """
 
     low: float | None = None
@@ -40,11 +46,15 @@ class Uncertainty(Parameters):
 
     @property
     def levels(self) -> tuple[Any, ...]:
-        """The ends of the interval, or the options."""
+        """Both ends of the interval, or all options."""
         return self.options or (self.low, self.high)
 
     def at(self, share: float) -> Any:
-        """The value at ``share`` of the interval (0 … 1), or the option that holds that share."""
+        """Return the value at ``share`` (0 … 1) of the interval.
+
+        With ``scale: log`` it is the share of the interval's logarithm.
+        Of n options, the k-th covers the shares from (k − 1)/n to k/n.
+        """
         if self.low is None or self.high is None:
             return self.options[min(int(share * len(self.options)), len(self.options) - 1)]
         if share in (0.0, 1.0):
@@ -60,7 +70,7 @@ class UncertaintySet(Parameters):
     values: dict[str, Uncertainty] = Field(min_length=1)
 
     def __repr__(self) -> str:
-        """How many values are uncertain."""
+        """Return the number of uncertain values in short."""
         return f"UncertaintySet({len(self.values)} values)"
 
 
@@ -109,4 +119,75 @@ UNCERTAINTY = UncertaintySet(
 """Default uncertainty of ``kneexo robustness`` and ``kneexo study contest``."""
 
 UNCERTAIN_KNEE = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
-"""The paper's setup under the weight of the shank: what `UNCERTAINTY` varies."""
+"""The paper's setup under the weight of the shank: the scenario that `UNCERTAINTY` varies."""
+
+
+def applicable(
+    scenario: Scenario, uncertainty: UncertaintySet
+) -> tuple[UncertaintySet, tuple[str, ...]]:
+    """Split a set into the values that the scenario has and the paths of the other values.
+
+    Raises `ParameterError` when the scenario has none of the values, and the errors of
+    `require_applicable`.
+    """
+    values = uncertainty.values
+    present = {
+        path: value
+        for path, value in values.items()
+        if require_applicable(scenario, path, value, values)
+    }
+    if not present:
+        raise ParameterError(
+            f"none of the uncertain values is in this scenario: {', '.join(values)}"
+        )
+    return UncertaintySet(values=present), tuple(path for path in values if path not in present)
+
+
+def require_applicable(
+    scenario: Scenario, path: str, uncertainty: Uncertainty, paths: Iterable[str]
+) -> bool:
+    """Check one uncertain value of a set, and return whether the scenario has it.
+
+    ``paths`` are all paths of the set. Raises `ParameterError` for a path that no scenario has, for
+    a path within another one of the set, for a range that leaves the limits of its field, and for a
+    ``known`` value outside the plant.
+    """
+    if within := next((other for other in paths if path.startswith(f"{other}.")), None):
+        raise ParameterError(f"{path}: lies within {within}, which is uncertain too")
+    if uncertainty.known and not path.startswith("plant."):
+        raise ParameterError(f"{path}: known is for values of the plant")
+    if not has_path(scenario, path) and known_path(path):
+        return False
+    for value in uncertainty.options or (uncertainty.low, uncertainty.high):
+        try:
+            changed(scenario, {path: value})
+        except ParameterError as error:
+            raise ParameterError(str(error).removeprefix("Scenario: ")) from None
+    return True
+
+
+def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, Any]]:
+    """Draw ``count`` times from the set with a seed; return the values by path of each draw.
+
+    The draws are independent. A larger count with the same seed begins with the same draws.
+    """
+    entries = uncertainty.values.items()
+    shares = np.random.default_rng(seed).random((count, len(entries)))
+    return [
+        {path: span.at(float(share)) for (path, span), share in zip(entries, row, strict=True)}
+        for row in shares
+    ]
+
+
+def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Mapping[str, Any]) -> Scenario:
+    """Return the scenario with drawn values at their paths.
+
+    The controller keeps its nominal plant, except for the values that are ``known``. Raises
+    `ParameterError` when the values contradict each other.
+    """
+    nominal = {
+        f"nominal.{path.removeprefix('plant.')}": value
+        for path, value in values.items()
+        if uncertainty.values[path].known
+    }
+    return changed(scenario, {"nominal": scenario.believed_plant, **values, **nominal})

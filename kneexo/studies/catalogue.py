@@ -1,8 +1,8 @@
-"""The studies of the command line, a row each.
+"""The studies of the command line, one row for each.
 
-A study NAME is a folder ``kneexo/studies/NAME``. Its module ``study`` has ``NAMESettings`` and
-``NAME_study(scenario, …)``, ``report.report`` writes the result as Markdown, and
-``figures.figures`` draws it. The command line and the tests read this catalogue.
+A study NAME is a package ``kneexo.studies.NAME`` with ``NAMESettings`` and
+``NAME_study(scenario, …)``. Its module ``report`` writes a result as Markdown and its module
+``figures`` draws it. The command line and the tests read this catalogue.
 """
 
 from __future__ import annotations
@@ -21,77 +21,77 @@ if TYPE_CHECKING:
     from kneexo.result import Array
 
     Motion = tuple[LinkageParameters, Mapping[str, Array]]
-    """A linkage, and columns of a run with it by name, with ``time_s`` from 0 on, (n,) each."""
+    """A linkage, and the columns (n,) of a run with it, by name; ``time_s`` starts at 0."""
 
 PAPER = "the paper's setup (see `kneexo params`)"
-"""What help and reports call the default scenario of most studies."""
+"""Description of the default scenario, for help and reports."""
 _UNDER_LOAD = "the paper's setup under the weight of the shank"
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study; its modules are imported when something of them is asked for."""
+    """A study of the command line. Its modules are imported at the first access."""
 
     name: str
     command: str
-    """What to type after ``kneexo``."""
+    """Words of the command after ``kneexo``."""
     summary: str
     detail: str = ""
     setup: str = _UNDER_LOAD
-    """What the scenario is when none is given; empty where the command line takes none."""
+    """Description of the default scenario; empty where the command line takes no scenario."""
     uncertain: bool = False
-    """Whether it takes an uncertainty set."""
+    """Whether the study takes an uncertainty set."""
     resumable: bool = True
-    """Whether its pieces of work are plain data, which a checkpoint keeps."""
+    """Whether a checkpoint can store its pieces of work."""
     moving: bool = False
-    """Whether its result has `motions`."""
+    """Whether its module ``figures`` has ``motions``."""
     files: tuple[str, str] = ("", "")
-    """Results and report; left out: NAME.json and NAME.md."""
+    """Names of the results and report files; empty: NAME.json and NAME.md."""
     label: str = ""
-    """What ``kneexo params`` lists the settings after; left out: ``command``."""
+    """Heading of the settings in ``kneexo params``; empty: ``command``."""
 
     @property
     def settings(self) -> type[Parameters]:
-        """The class of its settings."""
-        settings_class: type[Parameters] = self._part("study", f"{self.name.capitalize()}Settings")
+        """The class of the study's settings."""
+        settings_class: type[Parameters] = self._part("", f"{self.name.capitalize()}Settings")
         return settings_class
 
     @property
     def compute(self) -> Callable[..., Any]:
-        """The function that runs it.
+        """The function that runs the study and returns its result.
 
-        It takes the scenario, ``settings``, ``workers``, ``executor``, ``progress``, where the
-        study is `resumable` ``checkpoint`` and where it is `uncertain` ``uncertainty``. Its result
-        has ``results()``.
+        Arguments: the scenario, ``settings``, ``workers``, ``executor``, ``progress``; of a
+        `resumable` study also ``checkpoint``, of an `uncertain` one also ``uncertainty``. The
+        result has a method ``results()``, which returns plain data.
         """
-        function: Callable[..., Any] = self._part("study", f"{self.name}_study")
+        function: Callable[..., Any] = self._part("", f"{self.name}_study")
         return function
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario when none is given."""
+        """The default scenario."""
         default: Scenario = inspect.signature(self.compute).parameters["scenario"].default
         return default
 
     def report(self, result: Any) -> str:
-        """Markdown of a result."""
-        text: str = self._part("report", "report")(result)
+        """Return the report on a result in Markdown."""
+        text: str = self._part(".report", "report")(result)
         return text
 
     def figures(self, result: Any) -> dict[str, Figure]:
-        """Pictures of a result, by name."""
-        pictures: dict[str, Figure] = self._part("figures", "figures")(result)
+        """Draw the figures of a result; return them by name."""
+        pictures: dict[str, Figure] = self._part(".figures", "figures")(result)
         return pictures
 
     def motions(self, result: Any) -> dict[str, Motion]:
-        """Runs of a result that tell something in three dimensions, by name."""
+        """Return the runs of a result that the 3D view shows, by name; empty without any."""
         if not self.moving:
             return {}
-        runs: dict[str, Motion] = self._part("figures", "motions")(result)
+        runs: dict[str, Motion] = self._part(".figures", "motions")(result)
         return runs
 
     def _part(self, module: str, name: str) -> Any:
-        return getattr(import_module(f"kneexo.studies.{self.name}.{module}"), name)
+        return getattr(import_module(f"kneexo.studies.{self.name}{module}"), name)
 
 
 STUDIES = {

@@ -55,7 +55,7 @@ def test_the_acceleration_bound_is_that_of_parabolas():
 
 
 def test_the_speed_limit_is_reached_from_0_122_hz():
-    # Reproduction of Fig. 12, there from Eq. 10.
+    # ReproduceResult of Fig. 12, there from Eq. 10.
     assert speed_limit_reached_hz(Scenario()) == pytest.approx(0.122, abs=5e-4)
 
 

@@ -72,7 +72,7 @@ def replace_study(monkeypatch):
             compute(*arguments, settings=settings, **options)
             return FakeResult(settings)
 
-        monkeypatch.setattr(f"kneexo.studies.{name}.study.{name}_study", study)
+        monkeypatch.setattr(f"kneexo.studies.{name}.{name}_study", study)
         monkeypatch.setattr(Study, "report", lambda study, result: "# report\n")
         monkeypatch.setattr(Study, "figures", lambda study, result: {})
         monkeypatch.setattr(Study, "motions", lambda study, result: {})

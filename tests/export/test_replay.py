@@ -24,10 +24,9 @@ from kneexo.export.firmware import loop_inputs
 from kneexo.export.target import largest_step_s, target
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY
+from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY, draw, realize
 from kneexo.simulation import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
-from kneexo.studies.robustness.study import draw, realize
 
 RPM = 2.0 * math.pi / 60.0
 FULL_SPEED = 5000.0 * RPM

@@ -55,7 +55,7 @@ from kneexo.parameters.quantity import (
     source_of,
     unit_of,
 )
-from kneexo.studies.bandwidth.study import BandwidthSettings
+from kneexo.studies.bandwidth import BandwidthSettings
 from kneexo.studies.paper import IDEAL_SMC
 
 

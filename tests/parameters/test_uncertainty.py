@@ -4,8 +4,8 @@ import pytest
 
 from kneexo.errors import ScenarioError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
-from kneexo.parameters.paths import applicable
 from kneexo.parameters.scenario_file import load_uncertainty
+from kneexo.parameters.uncertainty import applicable
 from kneexo.studies.paper import PID_TUNED
 
 

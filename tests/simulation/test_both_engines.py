@@ -22,16 +22,16 @@ from kneexo.parameters import PidParameters, Scenario, SineReference, Uncertaint
 from kneexo.parameters.paths import changed
 from kneexo.simulation import compiled, drake, simulate_compiled
 from kneexo.simulation.engines import simulate
-from kneexo.studies.bandwidth.study import BandwidthSettings, bandwidth_study
+from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
 from kneexo.studies.catalogue import STUDIES
-from kneexo.studies.contest.study import Contestant, ContestSettings, contest_study
-from kneexo.studies.controller.study import ControllerSettings, controller_study
-from kneexo.studies.order.study import OrderSettings, order_study
+from kneexo.studies.contest import Contestant, ContestSettings, contest_study
+from kneexo.studies.controller import ControllerSettings, controller_study
+from kneexo.studies.order import OrderSettings, order_study
 from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12, IDEAL_SMC
 from kneexo.studies.reproduce import study as reproduce
-from kneexo.studies.robustness.study import RobustnessSettings, robustness_study
-from kneexo.studies.size.study import SizeSettings, size_study
-from kneexo.studies.sliding.study import SLIDING_LAW, SlidingSettings, sliding_study
+from kneexo.studies.robustness import RobustnessSettings, robustness_study
+from kneexo.studies.size import SizeSettings, size_study
+from kneexo.studies.sliding import SLIDING_LAW, SlidingSettings, sliding_study
 
 TOLERANCES = {
     # name in the results: (relative, absolute), and where it comes from
@@ -317,7 +317,7 @@ def test_reproduce_is_the_same_by_both_engines(monkeypatch):
 @pytest.mark.parametrize(
     ("command", "function"),
     [
-        (study.command.split(), f"kneexo.studies.{study.name}.study.{study.name}_study")
+        (study.command.split(), f"kneexo.studies.{study.name}.{study.name}_study")
         for study in STUDIES.values()
     ],
 )

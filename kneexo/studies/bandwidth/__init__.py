@@ -1,1 +1,7 @@
-"""The -3 dB bandwidth of the closed loop."""
+"""Study `bandwidth`: frequency response from small to large amplitude."""
+
+from kneexo.studies.bandwidth.study import (
+    BandwidthResult as BandwidthResult,
+    BandwidthSettings as BandwidthSettings,
+    bandwidth_study as bandwidth_study,
+)

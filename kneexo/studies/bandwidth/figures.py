@@ -16,7 +16,7 @@ from kneexo.analysis.rate_limit import (
     rate_limited_follower,
     rate_limited_gain,
 )
-from kneexo.studies.bandwidth.study import BandwidthStudy, decibel, unwrapped_deg
+from kneexo.studies.bandwidth.study import BandwidthResult, decibel, unwrapped_deg
 from kneexo.studies.plots import heat_map, plain_ticks
 
 _MINUS_3_DB = 20.0 * math.log10(MINUS_3_DB)
@@ -24,7 +24,7 @@ _RATIO_AT_MINUS_3_DB = 1.0 / (math.tau * rate_limit_bandwidth_hz(1.0, 1.0))  # �
 _TICKS_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
-def figures(study: BandwidthStudy) -> dict[str, Figure]:
+def figures(study: BandwidthResult) -> dict[str, Figure]:
     """The map, the Bode plots over each other, and the closed form of the rate-limited sine."""
     return {
         "amplitude_map": plot_map(study),
@@ -33,7 +33,7 @@ def figures(study: BandwidthStudy) -> dict[str, Figure]:
     }
 
 
-def plot_map(study: BandwidthStudy) -> Figure:
+def plot_map(study: BandwidthResult) -> Figure:
     """Gain, phase and the motor's limits over frequency and amplitude."""
     figure, axes = plt.subplots(
         2, 2, figsize=(11, 7.5), sharex=True, sharey=True, layout="constrained"
@@ -68,7 +68,7 @@ def plot_map(study: BandwidthStudy) -> Figure:
     return figure
 
 
-def _plot_bandwidths(study: BandwidthStudy, axis: Axes) -> None:
+def _plot_bandwidths(study: BandwidthResult, axis: Axes) -> None:
     """The −3 dB frequencies, measured and predicted, over amplitude."""
     if study.amplitudes_deg.size > 1:
         axis.contour(
@@ -92,7 +92,7 @@ def _plot_bandwidths(study: BandwidthStudy, axis: Axes) -> None:
     axis.legend(loc="lower left", fontsize=8, facecolor="0.75")
 
 
-def plot_bode(study: BandwidthStudy) -> Figure:
+def plot_bode(study: BandwidthResult) -> Figure:
     """Bode plots by amplitude, over the linear loop and the rate-limited follower."""
     figure, axes = plt.subplots(2, 1, sharex=True, figsize=(7.5, 7.5), layout="constrained")
     colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, study.amplitudes_deg.size))
@@ -125,7 +125,7 @@ def plot_bode(study: BandwidthStudy) -> Figure:
     return figure
 
 
-def plot_rate_limit(study: BandwidthStudy) -> Figure:
+def plot_rate_limit(study: BandwidthResult) -> Figure:
     """Rate-limited sines in time; gains of all amplitudes over aω/R, with the closed form."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     time = np.linspace(0.0, 4.0, 4001)

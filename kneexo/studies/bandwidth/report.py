@@ -8,14 +8,14 @@ import numpy as np
 
 from kneexo.analysis.bandwidth import rod_limits
 from kneexo.analysis.frequency_response import require_sine
-from kneexo.studies.bandwidth.study import BandwidthStudy
+from kneexo.studies.bandwidth.study import BandwidthResult
 from kneexo.studies.markdown import document, markdown_table, number
 
 _DRIFT_DEG = 1.0
 """Distance of the knee's mean from the reference's that is reported."""
 
 
-def report(study: BandwidthStudy) -> str:
+def report(study: BandwidthResult) -> str:
     """The story in Markdown."""
     unsettled = int(np.sum(~study.cells["settled"] & np.isfinite(study.gain_db)))
     worst = 100.0 * np.nanmax(study.relative_uncertainty, initial=0.0)
@@ -48,7 +48,7 @@ def report(study: BandwidthStudy) -> str:
     )
 
 
-def _limits_in_words(study: BandwidthStudy) -> str:
+def _limits_in_words(study: BandwidthResult) -> str:
     at: dict[str, list[str]] = {}
     for i, amplitude in enumerate(study.amplitudes_deg):
         at.setdefault(study.decided_by(i)[0], []).append(f"{amplitude:g}°")
@@ -64,7 +64,7 @@ def _limits_in_words(study: BandwidthStudy) -> str:
     return text
 
 
-def _linear_in_words(study: BandwidthStudy) -> str:
+def _linear_in_words(study: BandwidthResult) -> str:
     if study.linear_failure:
         return f"There is no linear loop to compare with: {study.linear_failure}."
     free, counted = (study.linear_deviation(quantized=quantized) for quantized in (False, True))
@@ -83,7 +83,7 @@ def _linear_in_words(study: BandwidthStudy) -> str:
     return text + "."
 
 
-def _drift_in_words(study: BandwidthStudy) -> str:
+def _drift_in_words(study: BandwidthResult) -> str:
     away = np.abs(study.cells["mean_deg"] - require_sine(study.scenario).mean_deg)
     count = int(np.sum(away > _DRIFT_DEG))
     if not count:

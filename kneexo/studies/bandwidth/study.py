@@ -82,7 +82,7 @@ CELL = {
 
 
 @dataclass(frozen=True, repr=False)
-class BandwidthStudy(Result):
+class BandwidthResult(Result):
     """Response θ_p/θ_d of the fundamental over m amplitudes and n frequencies, by sinestream.
 
     ``response`` complex (m, n); ``cells`` (m, n) by the names of `CELL`. What failed is nan, and
@@ -240,7 +240,7 @@ def bandwidth_study(
     scenario: Scenario = Scenario(),
     settings: BandwidthSettings = BandwidthSettings(),
     **options: Unpack[SweepOptions],
-) -> BandwidthStudy:
+) -> BandwidthResult:
     """Measure the closed loop's frequency response at several amplitudes of the knee's sine.
 
     ``scenario`` needs a sinusoidal reference; its amplitude and frequency are replaced. A run that
@@ -284,7 +284,7 @@ def bandwidth_study(
     speed, acceleration = rod_limits(scenario)
     rod = [rod_amplitude_m(s) for s in at]
     shape = (len(amplitudes), frequencies.size)
-    return BandwidthStudy(
+    return BandwidthResult(
         amplitudes_deg=np.array(amplitudes),
         frequencies_hz=frequencies,
         response=_response(grid).reshape(shape),

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.contest.study.ContestStudy`."""
+"""Figures of a `kneexo.studies.contest.study.ContestResult`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from kneexo.result import Array
-from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestStudy, errors_of
+from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestResult, errors_of
 from kneexo.studies.plots import decimal_ticks, legend_below
 
 
-def outcome(study: ContestStudy) -> Figure:
+def outcome(study: ContestResult) -> Figure:
     """Errors over the test plants, at both tasks, and the margin beside them."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
     share = (np.arange(len(study.samples)) + 1.0) / len(study.samples)
@@ -55,7 +55,7 @@ def _drawn(errors: Array) -> Array:
     return np.where(np.isfinite(errors), errors, np.nan)
 
 
-def search(study: ContestStudy) -> Figure:
+def search(study: ContestResult) -> Figure:
     """The best objective of each search over its evaluations; the first seed solid."""
     figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
     names = list(study.settings.contestants)
@@ -77,6 +77,6 @@ def search(study: ContestStudy) -> Figure:
     return figure
 
 
-def figures(study: ContestStudy) -> dict[str, Figure]:
+def figures(study: ContestResult) -> dict[str, Figure]:
     """Figures by name; the caller closes them."""
     return {"contest": outcome(study), "contest_search": search(study)}

@@ -5,11 +5,11 @@ from __future__ import annotations
 from itertools import combinations
 
 from kneexo.parameters import Uncertainty
-from kneexo.studies.contest.study import COLUMNS, ContestStudy, Tuning
+from kneexo.studies.contest.study import COLUMNS, ContestResult, Tuning
 from kneexo.studies.markdown import column_table, document, row_table
 
 
-def report(study: ContestStudy) -> str:
+def report(study: ContestResult) -> str:
     """The outcome as Markdown."""
     summary, tuned, settings = study.summary(), list(study.settings.contestants), study.settings
     other = settings.other_reference
@@ -53,7 +53,7 @@ def _at_bound(gain: Uncertainty, value: float) -> str:
     return "" if ends[0] < value < ends[1] else " (at its bound)"
 
 
-def _tuning_table(study: ContestStudy) -> list[str]:
+def _tuning_table(study: ContestResult) -> list[str]:
     def objective(tuning: Tuning) -> str:
         return f"{tuning.objective_deg:.4g}" if tuning.feasible else "no feasible gains found"
 

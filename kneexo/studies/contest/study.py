@@ -31,13 +31,14 @@ from kneexo.parameters import (
     Uncertainty,
     UncertaintySet,
 )
-from kneexo.parameters.paths import applicable, changed
+from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
+from kneexo.parameters.uncertainty import applicable, draw, realize
 from kneexo.progress import progress_bar
 from kneexo.result import Array, Result
 from kneexo.simulation import awaitable, needs_runs
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
-from kneexo.studies.robustness.study import Values, draw, realize
+from kneexo.studies.robustness.study import Values
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 _WIDE = "assumption: wide enough that the optimum lies inside"
@@ -165,7 +166,7 @@ class Tuning:
 
 
 @dataclass(frozen=True, repr=False)
-class ContestStudy(Result):
+class ContestResult(Result):
     """Tuned and untuned controllers on the test plants.
 
     ``entrants``: by name, what each sets in the scenario. ``tested`` and ``elsewhere``: by
@@ -232,7 +233,7 @@ def contest_study(
     uncertainty: UncertaintySet = UNCERTAINTY,
     settings: ContestSettings = ContestSettings(),
     **options: Unpack[SweepOptions],
-) -> ContestStudy:
+) -> ContestResult:
     """Tune every contestant, then test all.
 
     The controller of ``scenario`` is replaced, and uncertain values that it does not have are left
@@ -249,7 +250,7 @@ def contest_study(
 
 def _contest(
     scenario: Scenario, uncertainty: UncertaintySet, settings: ContestSettings, sweep: Sweep
-) -> ContestStudy:
+) -> ContestResult:
     uncertainty, left_out = applicable(scenario, uncertainty)
     base = changed(scenario, {"simulation.duration_s": settings.duration_s})
     training = [{}, *draw(uncertainty, settings.training_samples, settings.training_seed)]
@@ -318,7 +319,7 @@ def _contest(
         n = len(samples)
         return {name: figures[i * n : (i + 1) * n] for i, name in enumerate(entrants)}
 
-    return ContestStudy(
+    return ContestResult(
         scenario,
         uncertainty,
         tuple(left_out),

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.controller.study.ControllerStudy`."""
+"""Figures of a `kneexo.studies.controller.study.ControllerResult`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from kneexo.result import Array
-from kneexo.studies.controller.study import ControllerStudy, ideal_settling_time_s, observed_smc
+from kneexo.studies.controller.study import ControllerResult, ideal_settling_time_s, observed_smc
 from kneexo.studies.plots import heat_map, plain_ticks
 
 _ERROR = "max error (deg)"
@@ -33,7 +33,7 @@ def _map(
     plain_ticks(ax.xaxis, x[::2])
 
 
-def lambda_and_slope(study: ControllerStudy) -> Figure:
+def lambda_and_slope(study: ControllerResult) -> Figure:
     """Heat maps over λ and k/Φ at the η of the grid's centre."""
     lambda_, phi, eta = study.centre
     lambdas, slope = study.settings.lambdas_per_s, study.slope_per_s[::-1, eta]
@@ -66,7 +66,7 @@ def lambda_and_slope(study: ControllerStudy) -> Figure:
     return figure
 
 
-def phi_and_eta(study: ControllerStudy) -> Figure:
+def phi_and_eta(study: ControllerResult) -> Figure:
     """Heat maps over Φ and η at the λ of the grid's centre."""
     lambda_, phi, eta = study.centre
     phis, etas = study.settings.phis_m_s2, study.settings.etas_m_s3
@@ -104,7 +104,7 @@ def _spread(count: int, centre: int) -> list[int]:
     return sorted({0, centre // 2, centre, (centre + count) // 2, count - 1})
 
 
-def claims(study: ControllerStudy) -> Figure:
+def claims(study: ControllerResult) -> Figure:
     """The paper's three statements, and the error over k/Φ."""
     lambda_, phi, eta = study.centre
     grid, values = study.settings, study.values
@@ -146,7 +146,7 @@ def claims(study: ControllerStudy) -> Figure:
     return figure
 
 
-def trap(study: ControllerStudy) -> Figure:
+def trap(study: ControllerResult) -> Figure:
     """Error of the trap over time, and where it lies on the map of T_f and k/Φ."""
     grid = study.settings
     law, observer = observed_smc(study.scenario)
@@ -178,7 +178,7 @@ def trap(study: ControllerStudy) -> Figure:
     return figure
 
 
-def figures(study: ControllerStudy) -> dict[str, Figure]:
+def figures(study: ControllerResult) -> dict[str, Figure]:
     """Figures by name; the caller closes them."""
     return {
         "study_lambda_slope": lambda_and_slope(study),

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from kneexo.parameters import RPM
-from kneexo.studies.controller.study import ControllerStudy, TrapCase
+from kneexo.studies.controller.study import ControllerResult, TrapCase
 from kneexo.studies.markdown import document, markdown_table, number, percent, row_table
 
 
-def report(study: ControllerStudy) -> str:
+def report(study: ControllerResult) -> str:
     """The findings as Markdown."""
     claims, sound = study.claims(), study.settings.sound_disk_margin
     return document(
@@ -37,7 +37,7 @@ def report(study: ControllerStudy) -> str:
     )
 
 
-def _line_tables(study: ControllerStudy) -> Iterator[str | list[str]]:
+def _line_tables(study: ControllerResult) -> Iterator[str | list[str]]:
     """One table along each axis through the grid's centre."""
     grid, centre, band = study.settings, study.centre, study.settings.settling_band_deg
     axes = {
@@ -70,7 +70,7 @@ def _line_tables(study: ControllerStudy) -> Iterator[str | list[str]]:
         yield markdown_table((name, "k/Φ (1/s)", *columns), rows)
 
 
-def _trap_report(study: ControllerStudy) -> Iterator[str | list[str]]:
+def _trap_report(study: ControllerResult) -> Iterator[str | list[str]]:
     grid = study.settings
     limit = study.scenario.plant.pump.acceleration_limit_rad_s2
     per_sample = RPM / study.scenario.controller.sample_time_s

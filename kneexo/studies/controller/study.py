@@ -222,7 +222,7 @@ class TrapCase:
 
 
 @dataclass(frozen=True, repr=False)
-class ControllerStudy(Result):
+class ControllerResult(Result):
     """The grid, the trap, and what both say about the paper's discussion.
 
     ``values``: an array (λ, Φ, η) for each of `FIGURES`. ``map_values``: an array (T_f, k/Φ) for
@@ -290,7 +290,7 @@ def controller_study(
     scenario: Scenario = Scenario(),
     settings: ControllerSettings = ControllerSettings(),
     **options: Unpack[SweepOptions],
-) -> ControllerStudy:
+) -> ControllerResult:
     """Run the grid and the trap; ``options``: see `kneexo.sweeps.SweepOptions`.
 
     A run of the grid that fails leaves nan and its reason. Raises `ParameterError` when
@@ -319,7 +319,7 @@ def controller_study(
         measured = sweep.map(partial(_measure, settings), grid, "grid of λ, Φ, η")
         trapped = sweep.map(partial(_trap, settings), traps, "trap")
         mapped = sweep.map(assess, loops, "map of T_f, k/Φ")
-    return ControllerStudy(
+    return ControllerResult(
         scenario,
         settings,
         values=_arrays(measured, FIGURES, axes),
@@ -490,7 +490,7 @@ def _counted(holds: Any, cases: Any, sound: Any) -> dict[str, Any]:
     }
 
 
-def _faster(study: ControllerStudy) -> Claim:
+def _faster(study: ControllerResult) -> Claim:
     grid, settling = study.settings, study.values["settling_s"]
     sound = study.values["disk_margin"] >= grid.sound_disk_margin
     small, large = settling[:-1], settling[1:]
@@ -512,7 +512,7 @@ def _faster(study: ControllerStudy) -> Claim:
     )
 
 
-def _chattering(study: ControllerStudy) -> Claim:
+def _chattering(study: ControllerResult) -> Claim:
     grid, change = study.settings, study.values["mean_command_change_rpm"]
     calm = np.where(np.isfinite(change), change, np.inf)
     best = np.argmin(calm, axis=1)  # (λ, η)
@@ -541,7 +541,7 @@ def _chattering(study: ControllerStudy) -> Claim:
     )
 
 
-def _adherence(study: ControllerStudy) -> Claim:
+def _adherence(study: ControllerResult) -> Claim:
     grid, error = study.settings, study.values["max_error_deg"]
     sound = study.values["disk_margin"] >= grid.sound_disk_margin
     free = (study.values["stable"] == 1.0) & (study.values["saturated_share"] < _SATURATED)

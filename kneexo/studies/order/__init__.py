@@ -1,1 +1,7 @@
-"""The reduced-order against the full-order plant."""
+"""Study `order`: full against reduced order of the cylinder."""
+
+from kneexo.studies.order.study import (
+    OrderResult as OrderResult,
+    OrderSettings as OrderSettings,
+    order_study as order_study,
+)

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.order.study.OrderStudy`."""
+"""Figures of a `kneexo.studies.order.study.OrderResult`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from kneexo.studies.order.study import OrderStudy, switching_force_n
+from kneexo.studies.order.study import OrderResult, switching_force_n
 
 _COLORS = {"reduced": "C0", "full": "C3"}
 _PRESSURES = {
@@ -18,7 +18,7 @@ _STYLES = (("-", 5.0, 0.3), ("--", 2.2, 0.6), (":", 1.6, 1.0), ("-.", 0.8, 1.0))
 """Line, width and opacity for each load."""
 
 
-def tracking(study: OrderStudy) -> Figure:
+def tracking(study: OrderResult) -> Figure:
     """Errors (left) and pressures (right) over time, a row for each load."""
     loads = study.settings.disturbances_n
     figure, ax = plt.subplots(
@@ -48,7 +48,7 @@ def tracking(study: OrderStudy) -> Figure:
     return figure
 
 
-def switching(study: OrderStudy) -> Figure:
+def switching(study: OrderResult) -> Figure:
     """Swing of the rod's velocity over the force on the rod."""
     figure, ax = plt.subplots(figsize=(6, 4), layout="constrained")
     for direction, color, words in (("in", "C3", "retracting"), ("out", "C0", "extending")):
@@ -64,7 +64,7 @@ def switching(study: OrderStudy) -> Figure:
     return figure
 
 
-def frequency(study: OrderStudy) -> Figure:
+def frequency(study: OrderResult) -> Figure:
     """Response of the plant from command to rod velocity, at the middle posture.
 
     The lines become narrower from load to load, so that those which coincide are all seen.
@@ -97,7 +97,7 @@ def frequency(study: OrderStudy) -> Figure:
     return figure
 
 
-def figures(study: OrderStudy) -> dict[str, Figure]:
+def figures(study: OrderResult) -> dict[str, Figure]:
     """``order_tracking``, ``order_switching`` and ``order_frequency``."""
     return {
         "order_tracking": tracking(study),

@@ -8,11 +8,11 @@ from functools import partial
 from typing import Any
 
 from kneexo.studies.markdown import Cell, document, number, row_table
-from kneexo.studies.order.study import ORDERS, OrderStudy, Rows
+from kneexo.studies.order.study import ORDERS, OrderResult, Rows
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
 
 
-def report(study: OrderStudy) -> str:
+def report(study: OrderResult) -> str:
     """Markdown: tables, and what the reduction leaves out in words."""
     case: dict[str, Cell] = {"order": "order", "disturbance (N)": ("disturbance_n", "g")}
     ramp: dict[str, Cell] = {"force (N)": ("force_n", "g"), "direction": "direction"}
@@ -80,7 +80,7 @@ def report(study: OrderStudy) -> str:
     )
 
 
-def _findings(study: OrderStudy) -> list[str]:
+def _findings(study: OrderResult) -> list[str]:
     def both(rows: Rows, name: str, form: str) -> str:
         texts = []
         for order in ORDERS:

@@ -273,7 +273,7 @@ Rows = tuple[Mapping[str, Any], ...]
 
 
 @dataclass(frozen=True, repr=False)
-class OrderStudy(Result):
+class OrderResult(Result):
     """Rows of plain numbers by name, one for each order, load and posture; see the pieces."""
 
     tracking: Rows
@@ -314,7 +314,7 @@ def order_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     settings: OrderSettings = OrderSettings(),
     **options: Unpack[SweepOptions],
-) -> OrderStudy:
+) -> OrderResult:
     """Compare both orders of the cylinder under the loads of ``settings``, in time and frequency.
 
     ``scenario`` needs a sinusoidal reference; of its cylinder either order is taken, with its own
@@ -346,4 +346,4 @@ def order_study(
             name: tuple(sweep.map(piece, items, f"orders: {name}"))
             for name, (piece, items) in parts.items()
         }
-    return OrderStudy(scenario=scenario, settings=settings, **rows)
+    return OrderResult(scenario=scenario, settings=settings, **rows)

@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 from kneexo.analysis import FrequencyResponse, Run, TrackingResult
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
-from kneexo.studies.reproduce.study import FIG_12_TITLES, Reproduction, rod_error_mm
+from kneexo.studies.reproduce.study import FIG_12_TITLES, ReproduceResult, rod_error_mm
 
 if TYPE_CHECKING:
     from kneexo.studies.catalogue import Motion
 
 
-def figures(reproduction: Reproduction) -> dict[str, Figure]:
+def figures(reproduction: ReproduceResult) -> dict[str, Figure]:
     """The paper's figures by name, in its layout; the caller closes them."""
     return {
         "fig05_polynomial_fit": reproduction.fit.plot()[0].figure,
@@ -28,7 +28,7 @@ def figures(reproduction: Reproduction) -> dict[str, Figure]:
     }
 
 
-def motions(reproduction: Reproduction) -> dict[str, Motion]:
+def motions(reproduction: ReproduceResult) -> dict[str, Motion]:
     """Fig. 12: sliding mode beside the paper's PID."""
     return {
         f"Fig. 12, {FIG_12_TITLES[name]}": (tracked.scenario.plant.linkage, tracked.run.columns)
@@ -73,7 +73,7 @@ def _plot_fig13(response: FrequencyResponse) -> Figure:
     return ax[0].figure
 
 
-def _plot_eq27(reproduction: Reproduction) -> Figure:
+def _plot_eq27(reproduction: ReproduceResult) -> Figure:
     figure, ax = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
     for name, run in reproduction.eq27_exact.items():
         ax[0].semilogy(run.time_s, np.abs(run["load_pressure_pa"]), ".", ms=1.5, label=name)

@@ -8,7 +8,7 @@ from typing import Any
 from kneexo.parameters import RodPolynomialParameters
 from kneexo.studies.markdown import document, markdown_table, row_table
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
-from kneexo.studies.reproduce.study import Reproduction
+from kneexo.studies.reproduce.study import ReproduceResult
 
 _Row = tuple[str, str, float | None, str, str, str]
 """Quantity, unit, the paper's value (None: not printed), key of ours, its form, how obtained."""
@@ -108,7 +108,7 @@ _COMPARED: dict[str, tuple[_Row, ...]] = {
 """Numbers of the paper beside ours, by the part of the results that holds ours."""
 
 
-def report(reproduction: Reproduction) -> str:
+def report(reproduction: ReproduceResult) -> str:
     """Markdown: each number of the paper beside ours."""
     results = reproduction.results()
     table1, fig12, speed = (results[key] for key in ("table1", "fig12", "speed_limit"))

@@ -47,7 +47,7 @@ FIG_5_POINTS = 204
 
 
 @dataclass(frozen=True, repr=False)
-class Reproduction(Result):
+class ReproduceResult(Result):
     """Everything that ``kneexo reproduce`` computes."""
 
     fit: PolynomialFit
@@ -170,7 +170,7 @@ def reproduce_study(
     workers: int | None = 1,
     executor: Executor | None = None,
     progress: bool = False,
-) -> Reproduction:
+) -> ReproduceResult:
     """Run every case of the paper's figures.
 
     ``scenario`` is that of Fig. 13; the other cases (`kneexo.studies.paper`) take its engine.
@@ -199,7 +199,7 @@ def reproduce_study(
     def group(key: str) -> dict[str, Any]:
         return {name: value for (kind, name), value in by_task.items() if kind == key}
 
-    return Reproduction(
+    return ReproduceResult(
         fit=fit_polynomials(),
         fig9=by_task["fig9", ""],
         fig12=group("fig12"),

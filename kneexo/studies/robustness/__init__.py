@@ -1,1 +1,9 @@
-"""Robustness to uncertain parameters."""
+"""Study `robustness`: effects of uncertainty on a closed loop."""
+
+from kneexo.studies.robustness.study import (
+    RobustnessResult as RobustnessResult,
+    RobustnessSettings as RobustnessSettings,
+    assess_plant as assess_plant,
+    robustness_study as robustness_study,
+    worst as worst,
+)

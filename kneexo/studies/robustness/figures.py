@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.robustness.study.RobustnessStudy`."""
+"""Figures of a `kneexo.studies.robustness.study.RobustnessResult`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.errors import KneexoError
+from kneexo.parameters.uncertainty import realize
 from kneexo.studies.plots import CENTRED, legend_below
 from kneexo.studies.robustness.study import (
     MERITS,
-    RobustnessStudy,
+    RobustnessResult,
     Visit,
     merit_value,
     merit_values,
-    realize,
     short_names,
     worst,
     worst_value,
@@ -31,7 +31,7 @@ from kneexo.studies.robustness.study import (
 _SHOWN = ("max_error_deg", "bandwidth_hz", "disk_margin")
 
 
-def distribution(study: RobustnessStudy) -> Figure:
+def distribution(study: RobustnessResult) -> Figure:
     """Empirical distribution of each figure of merit, with the nominal plant and the worst corner.
 
     What failed is missing: the curve then ends below one, or begins above zero.
@@ -52,7 +52,7 @@ def distribution(study: RobustnessStudy) -> Figure:
     return figure
 
 
-def _plot_distribution(ax: Axes, study: RobustnessStudy, merit: str) -> None:
+def _plot_distribution(ax: Axes, study: RobustnessResult, merit: str) -> None:
     values = np.sort(merit_values(study.samples, merit))
     share = np.arange(1, values.size + 1) / values.size
     finite = np.isfinite(values)
@@ -78,7 +78,7 @@ def _plot_distribution(ax: Axes, study: RobustnessStudy, merit: str) -> None:
     ax.grid(alpha=0.3)
 
 
-def tornado(study: RobustnessStudy) -> Figure:
+def tornado(study: RobustnessResult) -> Figure:
     """What each value alone does to error, bandwidth and disk margin, the largest on top."""
     merits = [merit for merit in _SHOWN if merit in study.merits]
     names = short_names(study.uncertainty.values)
@@ -103,7 +103,7 @@ def tornado(study: RobustnessStudy) -> Figure:
     return figure
 
 
-def _plot_tornado(ax: Axes, study: RobustnessStudy, merit: str, names: dict[str, str]) -> None:
+def _plot_tornado(ax: Axes, study: RobustnessResult, merit: str, names: dict[str, str]) -> None:
     effects = study.effects(merit)
     nominal = merit_value(study.nominal, merit)
     finite = [v for values in effects.values() for v in [*values, nominal] if math.isfinite(v)]
@@ -131,7 +131,7 @@ def _plot_tornado(ax: Axes, study: RobustnessStudy, merit: str, names: dict[str,
     ax.grid(axis="x", alpha=0.3)
 
 
-def importance(study: RobustnessStudy) -> Figure:
+def importance(study: RobustnessResult) -> Figure:
     """Rank correlations over the samples, beside the linear effect of each whole interval."""
     names = short_names(study.uncertainty.values)
     merits = list(study.merits)
@@ -206,7 +206,7 @@ def _plot_table(
     ax.set_yticks(range(len(labels)), labels, fontsize=8)
 
 
-def nyquist(study: RobustnessStudy) -> Figure:
+def nyquist(study: RobustnessResult) -> Figure:
     """Loops of the first samples, with the disk that the worst disk margin keeps out."""
     figure, ax = plt.subplots(figsize=(6.0, 6.0), layout="constrained")
     visits = [*study.samples, *study.corners, *study.one_at_a_time, study.nominal]
@@ -234,7 +234,7 @@ def nyquist(study: RobustnessStudy) -> Figure:
     return figure
 
 
-def _loop(study: RobustnessStudy, visit: Visit) -> SampledLoop | None:
+def _loop(study: RobustnessResult, visit: Visit) -> SampledLoop | None:
     """The linear loop of a visit, as `assess` takes it; None when there is none."""
     try:
         plant = realize(study.scenario, study.uncertainty, visit.values)
@@ -243,7 +243,7 @@ def _loop(study: RobustnessStudy, visit: Visit) -> SampledLoop | None:
         return None
 
 
-def figures(study: RobustnessStudy) -> dict[str, Figure]:
+def figures(study: RobustnessResult) -> dict[str, Figure]:
     """Distributions, tornado, what matters most, and Nyquist plots of the sampled loops."""
     return {
         "robustness_distribution": distribution(study),

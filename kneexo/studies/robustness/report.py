@@ -12,7 +12,7 @@ from kneexo.studies.markdown import document, markdown_table
 from kneexo.studies.robustness.study import (
     CONFIDENCE,
     MERITS,
-    RobustnessStudy,
+    RobustnessResult,
     chance,
     failures,
     merit_value,
@@ -24,7 +24,7 @@ from kneexo.studies.robustness.study import (
 )
 
 
-def report(study: RobustnessStudy) -> str:
+def report(study: RobustnessResult) -> str:
     """What was found, in Markdown."""
     law, reference = study.scenario.controller.kind, study.scenario.reference
     low, high = reference.range_deg
@@ -68,7 +68,7 @@ def shown(value: Any) -> str:
     return "none" if value is None else str(value)
 
 
-def _distribution_table(study: RobustnessStudy) -> list[str]:
+def _distribution_table(study: RobustnessResult) -> list[str]:
     rows = []
     for merit in study.merits:
         cells = [merit_value(study.nominal, merit)]
@@ -79,7 +79,7 @@ def _distribution_table(study: RobustnessStudy) -> list[str]:
     return markdown_table(head, rows)
 
 
-def _failure_texts(study: RobustnessStudy) -> Iterator[str | list[str]]:
+def _failure_texts(study: RobustnessResult) -> Iterator[str | list[str]]:
     sets = {
         "samples": study.samples,
         "corners": study.corners,
@@ -106,7 +106,7 @@ def _failure_texts(study: RobustnessStudy) -> Iterator[str | list[str]]:
         yield lines
 
 
-def _corner_sentence(study: RobustnessStudy) -> str:
+def _corner_sentence(study: RobustnessResult) -> str:
     if study.corners_settled is None:
         return f"All {study.corners_possible} corners (ends of intervals, options) were visited."
     searched = (
@@ -123,7 +123,7 @@ def _corner_sentence(study: RobustnessStudy) -> str:
 
 
 def _corner_table(
-    study: RobustnessStudy, merits: Sequence[str], names: Mapping[str, str]
+    study: RobustnessResult, merits: Sequence[str], names: Mapping[str, str]
 ) -> list[str]:
     corners = [worst(study.corners, merit) for merit in merits]
     at_worst = [shown(worst_value(study.corners, merit)) for merit in merits]
@@ -136,7 +136,7 @@ def _corner_table(
     )
 
 
-def _worse_samples(study: RobustnessStudy) -> str:
+def _worse_samples(study: RobustnessResult) -> str:
     """Where a sample is worse than all corners; empty when none is."""
     beyond = [
         MERITS[merit].label
@@ -153,7 +153,7 @@ def _worse_samples(study: RobustnessStudy) -> str:
 
 
 def _importance_tables(
-    study: RobustnessStudy, merits: Sequence[str], names: Mapping[str, str]
+    study: RobustnessResult, merits: Sequence[str], names: Mapping[str, str]
 ) -> Iterator[str | list[str]]:
     correlations = study.correlations()
     for merit in merits:

@@ -22,8 +22,9 @@ from kneexo.analysis.assessment import assess
 from kneexo.analysis.sensitivity import differentiable, loop_sensitivities, tracking_sensitivities
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
-from kneexo.parameters.paths import applicable, changed, value_at
+from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.parameters.uncertainty import applicable, draw, realize
 from kneexo.result import Array, Result
 from kneexo.simulation import awaitable, needs_runs
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
@@ -99,29 +100,6 @@ class Visit:
         """Why a figure is missing; empty when all is well."""
         texts = [text for name, text in self.figures.items() if name.endswith("_failure") and text]
         return (*texts, UNSTABLE) if self.figures["stable"] is False else tuple(texts)
-
-
-def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, Any]]:
-    """Draw ``count`` plants, values by path; the first ones are the same for every count."""
-    entries = uncertainty.values.items()
-    shares = np.random.default_rng(seed).random((count, len(entries)))
-    return [
-        {path: span.at(float(share)) for (path, span), share in zip(entries, row, strict=True)}
-        for row in shares
-    ]
-
-
-def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Values) -> Scenario:
-    """The scenario with those values, of which the controller gets the known ones alone.
-
-    Raises `ParameterError` for values that do not go together.
-    """
-    nominal = {
-        f"nominal.{path.removeprefix('plant.')}": value
-        for path, value in values.items()
-        if uncertainty.values[path].known
-    }
-    return changed(scenario, {"nominal": scenario.believed_plant, **values, **nominal})
 
 
 @needs_runs
@@ -211,7 +189,7 @@ def chance(span: Uncertainty, count: int) -> float:
 
 
 @dataclass(frozen=True, repr=False)
-class RobustnessStudy(Result):
+class RobustnessResult(Result):
     """Nominal plant, one value at a time, samples and corners, with local sensitivities.
 
     ``uncertainty`` is what applies to the scenario, ``left_out`` are the paths of the rest.
@@ -337,7 +315,7 @@ def robustness_study(
     uncertainty: UncertaintySet = UNCERTAINTY,
     settings: RobustnessSettings = RobustnessSettings(),
     **options: Unpack[SweepOptions],
-) -> RobustnessStudy:
+) -> RobustnessResult:
     """Explore what ``uncertainty`` does to the loop of ``scenario``.
 
     Uncertain values that the scenario does not have (a load, where there is none) are left out and
@@ -353,7 +331,7 @@ def robustness_study(
 
 def _explore(
     scenario: Scenario, uncertainty: UncertaintySet, settings: RobustnessSettings, sweep: Sweep
-) -> RobustnessStudy:
+) -> RobustnessResult:
     kept, left_out = applicable(scenario, uncertainty)
     reference = scenario.reference
     moves = reference.kind == "sine" and reference.amplitude_deg > 0.0
@@ -385,7 +363,7 @@ def _explore(
         for gradients in sweep.map(function, tasks, "sensitivities"):
             troubles += [gradients.pop("failure")] if "failure" in gradients else []
             local |= gradients
-    return RobustnessStudy(
+    return RobustnessResult(
         scenario=scenario,
         uncertainty=kept,
         left_out=left_out,
@@ -422,7 +400,7 @@ def _corners(
     settings: RobustnessSettings,
     visit: Callable[[Sequence[Values]], tuple[Visit, ...]],
 ) -> tuple[tuple[Visit, ...], bool | None]:
-    """Visit all corners, or as many as ``corners_max`` allows; the second value: `RobustnessStudy`.
+    """Visit all corners, or ``corners_max`` of them; return them and ``corners_settled``.
 
     For each figure of merit and each combination of options first the corner at whose ends the
     figure was worse one at a time; then, from the worst corner of each figure on, all that differ

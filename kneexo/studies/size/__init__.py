@@ -1,1 +1,8 @@
-"""What a better motor, pump or encoder buys."""
+"""Study `size`: hardware that a task needs."""
+
+from kneexo.studies.size.study import (
+    SizeResult as SizeResult,
+    SizeSettings as SizeSettings,
+    WalkingDesign as WalkingDesign,
+    size_study as size_study,
+)

@@ -1,4 +1,4 @@
-"""The figures of `kneexo.studies.size.study.SizeStudy`."""
+"""The figures of `kneexo.studies.size.study.SizeResult`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
 from kneexo.result import Array
 from kneexo.studies.plots import CENTRED, decimal_ticks, heat_map, legend_below, plain_ticks
-from kneexo.studies.size.study import SizeStudy
+from kneexo.studies.size.study import SizeResult
 
 if TYPE_CHECKING:
     from kneexo.studies.catalogue import Motion
@@ -37,7 +37,7 @@ HARDWARE_LABELS = {"nominal": "hardware as it is", "sized": "sized hardware"}
 _STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
 
 
-def figures(sizing: SizeStudy) -> dict[str, Figure]:
+def figures(sizing: SizeResult) -> dict[str, Figure]:
     """Design curves, maps, gains, walking over the cycle, pressure and power over the cycle."""
     return {
         "sizing_sweeps": _sweeps(sizing),
@@ -48,7 +48,7 @@ def figures(sizing: SizeStudy) -> dict[str, Figure]:
     }
 
 
-def _sweeps(sizing: SizeStudy) -> Figure:
+def _sweeps(sizing: SizeResult) -> Figure:
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained")
     settings = sizing.settings
     panels = (
@@ -83,7 +83,7 @@ def _sweeps(sizing: SizeStudy) -> Figure:
     return figure
 
 
-def _maps(sizing: SizeStudy) -> Figure:
+def _maps(sizing: SizeResult) -> Figure:
     figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), layout="constrained")
     design, settings = sizing.designs[0], sizing.settings
     panels = (
@@ -122,7 +122,7 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
         axis.text(float(speed[column]), float(limit[row]), text, fontsize=7, color=color, **CENTRED)
 
 
-def _regimes(axis: Axes, sizing: SizeStudy) -> None:
+def _regimes(axis: Axes, sizing: SizeResult) -> None:
     """Where the acceleration limit begins to count, and below which it alone does."""
     speed = np.array(axis.get_xlim())
     motor = sizing.scenario.plant.pump.speed_limit_rad_s
@@ -137,7 +137,7 @@ def _regimes(axis: Axes, sizing: SizeStudy) -> None:
     _legend_below(axis)
 
 
-def _walking_limits(axis: Axes, sizing: SizeStudy) -> None:
+def _walking_limits(axis: Axes, sizing: SizeResult) -> None:
     """What the motion itself asks for, and the sized hardware."""
     speed = np.array(axis.get_xlim())
     peaks, design = sizing.demands[0].peaks(), sizing.designs[0].scenario
@@ -154,7 +154,7 @@ def _legend_below(axis: Axes) -> None:
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=9)
 
 
-def _gains(sizing: SizeStudy) -> Figure:
+def _gains(sizing: SizeResult) -> Figure:
     settings = sizing.settings
     shape = (len(settings.observer_s), len(settings.slope_per_s), len(settings.lambda_per_s))
     errors, margins, meets = (
@@ -192,7 +192,7 @@ def _gains(sizing: SizeStudy) -> Figure:
     return figure
 
 
-def _tracking(sizing: SizeStudy) -> Figure:
+def _tracking(sizing: SizeResult) -> Figure:
     figure, axes = plt.subplots(
         3, 1, figsize=(7, 7.4), sharex=True, layout="constrained", height_ratios=(2, 1.1, 1.2)
     )
@@ -229,7 +229,7 @@ def _tracking(sizing: SizeStudy) -> Figure:
     return figure
 
 
-def motions(sizing: SizeStudy) -> dict[str, Motion]:
+def motions(sizing: SizeResult) -> dict[str, Motion]:
     """Walking with the hardware as it is beside the sized one; without a run that failed."""
     linkage = sizing.scenario.plant.linkage
     return {
@@ -249,7 +249,7 @@ def last_stride(
     return cycle[order], {name: values[last][order] for name, values in trace.items()}
 
 
-def _demand(sizing: SizeStudy) -> Figure:
+def _demand(sizing: SizeResult) -> Figure:
     figure, axes = plt.subplots(2, 2, figsize=(9.5, 6.4), sharex=True, layout="constrained")
     design = sizing.designs[0]
     reach = 1e3 * rod_limits(sizing.scenario)[0]
@@ -277,7 +277,7 @@ def _demand(sizing: SizeStudy) -> Figure:
     return figure
 
 
-def _closed_loop_demand(axes: Any, sizing: SizeStudy) -> None:
+def _closed_loop_demand(axes: Any, sizing: SizeResult) -> None:
     design = sizing.designs[0]
     pump = design.scenario.plant.pump
     cycle, trace = last_stride(sizing.traces["sized"], design.frequency_hz)

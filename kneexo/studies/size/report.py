@@ -10,13 +10,13 @@ from kneexo.analysis.hardware import HARDWARE, sliding_mode
 from kneexo.parameters.paths import value_at
 from kneexo.studies.markdown import Cell, column_table, document, markdown_table, number, row_table
 from kneexo.studies.size.results import CHECKED
-from kneexo.studies.size.study import SizeStudy
+from kneexo.studies.size.study import SizeResult
 
 Blocks = list[str | list[str]]
 """Paragraphs, and tables as lists of lines."""
 
 
-def report(sizing: SizeStudy) -> str:
+def report(sizing: SizeResult) -> str:
     """Markdown: what sets bandwidth and error, and what walking needs."""
     numbers = sizing.results()
     parts = (_hardware_text, _demand_text, _controller_text, _designs_text, _around_text)
@@ -31,7 +31,7 @@ _AT_REFERENCE = (
 )
 
 
-def _hardware_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
+def _hardware_text(sizing: SizeResult, numbers: Mapping[str, Any]) -> Blocks:
     limits = numbers["limits"]
     reference = require_sine(sizing.scenario)
     low, high = reference.range_deg
@@ -91,7 +91,7 @@ _DEMANDS: dict[str, Cell] = {
 }
 
 
-def _demand_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
+def _demand_text(sizing: SizeResult, numbers: Mapping[str, Any]) -> Blocks:
     by_mass = {"Eq. 16": numbers["demand"], "shank": numbers["demand_with_segment_inertia"]}
     demands = [demand for of_mass in by_mass.values() for demand in of_mass]
     heads = [f"{d['frequency_hz']:.4g} Hz, {mass}" for mass, of in by_mass.items() for d in of]
@@ -137,7 +137,7 @@ def _walked(numbers: Mapping[str, Any], names: Sequence[str]) -> list[str]:
     return [number(numbers[name], _WALKING[name][1]) for name in names]
 
 
-def _controller_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
+def _controller_text(sizing: SizeResult, numbers: Mapping[str, Any]) -> Blocks:
     best, settings, control = numbers["best_gains"], sizing.settings, numbers["controller"]
     scenario, as_it_is = sizing.scenario, next(iter(numbers["steps"].values()))[0]
     law = sliding_mode(scenario)
@@ -196,7 +196,7 @@ def _searched(search: Mapping[str, Any], bound_deg: float) -> str:
     )
 
 
-def _designs_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
+def _designs_text(sizing: SizeResult, numbers: Mapping[str, Any]) -> Blocks:
     settings, designs = sizing.settings, numbers["designs"]
     flows = " and ".join(number(demand["flow_factor"]) for demand in numbers["demand"])
     bound = settings.error_bound_deg
@@ -233,7 +233,7 @@ def _designs_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
     ]
 
 
-def _around_text(sizing: SizeStudy, numbers: Mapping[str, Any]) -> Blocks:
+def _around_text(sizing: SizeResult, numbers: Mapping[str, Any]) -> Blocks:
     bound = sizing.settings.error_bound_deg
     at_sine, frequency = numbers["design_at_reference"], numbers["designs"][0]["frequency_hz"]
     reference = require_sine(sizing.scenario)

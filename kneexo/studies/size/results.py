@@ -1,4 +1,4 @@
-"""The numbers of `kneexo.studies.size.study.SizeStudy`."""
+"""The numbers of `kneexo.studies.size.study.SizeResult`."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import value_at
 
 if TYPE_CHECKING:
-    from kneexo.studies.size.study import SizeStudy, WalkingDesign
+    from kneexo.studies.size.study import SizeResult, WalkingDesign
 
 CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
 """What a walking run with half the step is compared by."""
 
 
-def results(sizing: SizeStudy) -> dict[str, Any]:
+def results(sizing: SizeResult) -> dict[str, Any]:
     """Plain data with units in the names."""
     settings, scenario = sizing.settings, sizing.scenario
 
@@ -120,7 +120,7 @@ def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
     }
 
 
-def _controller(sizing: SizeStudy) -> dict[str, float]:
+def _controller(sizing: SizeResult) -> dict[str, float]:
     """What the motor's lag asks of the controller at the first stride frequency."""
     demand = sizing.demands[0]
     ample = scaled(sizing.scenario, {DISPLACEMENT: sizing.settings.largest_flow_factor})

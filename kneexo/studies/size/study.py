@@ -253,7 +253,7 @@ class WalkingDesign:
 
 
 @dataclass(frozen=True, repr=False)
-class SizeStudy(Result):
+class SizeResult(Result):
     """What `size_study` finds."""
 
     scenario: Scenario
@@ -294,7 +294,7 @@ def size_study(
     scenario: Scenario = UNCERTAIN_KNEE,
     settings: SizeSettings = SizeSettings(),
     **options: Unpack[SweepOptions],
-) -> SizeStudy:
+) -> SizeResult:
     """Sweep the hardware around a scenario's, then size it for walking.
 
     1. One value at a time, and flow against acceleration limit: bandwidth and error at the
@@ -330,7 +330,7 @@ def size_study(
         return _sizing(scenario, settings, run)
 
 
-def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
+def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeResult:
     frequencies = settings.stride_frequencies_hz
     walking = partial(walking_metrics, cycles=settings.cycles)
     walking_first = partial(walking, frequency_hz=frequencies[0])
@@ -399,7 +399,7 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeStudy:
     factors = settings.walking_factors
     around = [*_one_at_a_time(factors), *_pairs(factors)]
     walks = run(walking_first, [scaled(first, values) for values in around], "around the design")
-    return SizeStudy(
+    return SizeResult(
         scenario=scenario,
         settings=settings,
         nominal=nominal,

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.sliding.study.SlidingStudy`, in full order."""
+"""Figures of a `kneexo.studies.sliding.study.SlidingResult`, in full order."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from kneexo.studies.plots import legend_below
-from kneexo.studies.sliding.study import LAWS, SlidingStudy
+from kneexo.studies.sliding.study import LAWS, SlidingResult
 
 _OFF = 40.0
 """Where |s|/Φ of a run is drawn that left the range of motion."""
 
 
-def _shown_eta(study: SlidingStudy) -> float:
+def _shown_eta(study: SlidingResult) -> float:
     """η of the figures over time: the smallest with which the paper's k ends its run."""
     load = study.settings.loads_n[0]
     complete = [
@@ -26,7 +26,7 @@ def _shown_eta(study: SlidingStudy) -> float:
     return min(complete, default=study.settings.etas_m_s3[0])
 
 
-def condition(study: SlidingStudy) -> Figure:
+def condition(study: SlidingResult) -> Figure:
     """sgn(s)·ds/dt outside the layer over time: from a start there, and along the reference."""
     figure, ax = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     load = study.settings.loads_n[0]
@@ -53,7 +53,7 @@ def condition(study: SlidingStudy) -> Figure:
     return figure
 
 
-def error_bound(study: SlidingStudy) -> Figure:
+def error_bound(study: SlidingResult) -> Figure:
     """The error over time beside its bound, one axis for each load; a cross ends a failed run.
 
     One legend stands below both: inside, it would hide where an error changes its sign.
@@ -78,7 +78,7 @@ def error_bound(study: SlidingStudy) -> Figure:
     return figure
 
 
-def boundary_layer(study: SlidingStudy) -> Figure:
+def boundary_layer(study: SlidingResult) -> Figure:
     """The largest |s|/Φ along the reference over η; marks on top left the range of motion."""
     figure, ax = plt.subplots(figsize=(6.5, 5.0), layout="constrained")
     for style, load in zip(("-", "--", ":", "-."), study.settings.loads_n, strict=False):
@@ -105,7 +105,7 @@ def boundary_layer(study: SlidingStudy) -> Figure:
     return figure
 
 
-def figures(study: SlidingStudy) -> dict[str, Figure]:
+def figures(study: SlidingResult) -> dict[str, Figure]:
     """``sliding_condition``, ``error_bound`` and ``boundary_layer``."""
     return {
         "sliding_condition": condition(study),

@@ -9,13 +9,13 @@ from kneexo.studies.markdown import Cell, document, number, row_table
 from kneexo.studies.sliding.study import (
     LAWS,
     SlidingCase,
-    SlidingStudy,
+    SlidingResult,
     effective_masses_kg,
     full_order,
 )
 
 
-def report(study: SlidingStudy) -> str:
+def report(study: SlidingResult) -> str:
     """Markdown: what holds where, and whether the paper's k suffices."""
     law = study.law
     labels: dict[str, Cell] = {
@@ -89,7 +89,7 @@ def _measured(name: str, factor: float = 1.0) -> Cell:
     return text
 
 
-def _findings(study: SlidingStudy) -> list[str]:
+def _findings(study: SlidingResult) -> list[str]:
     law, needed = study.law, study.needed
     ideal = [case for case in study.cases if case.part != "sampled"]
     derived = [case for case in ideal if case.plant != "full"]
@@ -132,7 +132,7 @@ def _findings(study: SlidingStudy) -> list[str]:
     return lines
 
 
-def _shares(study: SlidingStudy) -> list[str]:
+def _shares(study: SlidingResult) -> list[str]:
     """Share of the samples outside, of all full-order runs of a law, that hold."""
     texts = []
     for name, label in LAWS.items():

@@ -518,7 +518,7 @@ def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
 
 
 @dataclass(frozen=True, repr=False)
-class SlidingStudy(Result):
+class SlidingResult(Result):
     """What `sliding_study` measures; ``needed`` is what the closed forms ask for."""
 
     cases: tuple[SlidingCase, ...]
@@ -570,7 +570,7 @@ def sliding_study(
     scenario: Scenario = SLIDING_LAW,
     settings: SlidingSettings = SlidingSettings(),
     **options: Unpack[SweepOptions],
-) -> SlidingStudy:
+) -> SlidingResult:
     """Check the sliding condition in reduced and full order, with Eq. 27's k and completed ones.
 
     ``scenario``: the continuous law with exact states and a sinusoidal reference; its cylinder is
@@ -590,7 +590,7 @@ def sliding_study(
             "sliding condition",
             weight=lambda case: case.simulation.duration_s,
         )
-    return SlidingStudy(
+    return SlidingResult(
         cases=tuple(
             SlidingCase(*labels, outcome)
             for (labels, _), outcome in zip(labelled, outcomes, strict=True)

@@ -25,10 +25,9 @@ from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import RampReference, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.simulation.engines import simulate
-from kneexo.studies.bandwidth import study
+from kneexo.studies.bandwidth import BandwidthResult, BandwidthSettings, bandwidth_study, study
 from kneexo.studies.bandwidth.figures import figures
 from kneexo.studies.bandwidth.report import report
-from kneexo.studies.bandwidth.study import BandwidthSettings, BandwidthStudy, bandwidth_study
 from kneexo.sweeps.checkpoint import Checkpoint
 
 QUICK = SineEstimateSettings(averaged_cycles=2, largest_cycles=3)
@@ -181,7 +180,7 @@ def table(start):
 @pytest.fixture(scope="module")
 def by_hand():
     """A map that nothing was simulated for: its numbers tell each other apart."""
-    return BandwidthStudy(
+    return BandwidthResult(
         amplitudes_deg=np.array(AMPLITUDES),
         frequencies_hz=np.array(FREQUENCIES),
         response=GAINS * np.exp(1j * np.radians(PHASES)),

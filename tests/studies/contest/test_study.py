@@ -22,6 +22,7 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.parameters.paths import changed
+from kneexo.parameters.uncertainty import draw, realize
 from kneexo.studies.contest.figures import figures
 from kneexo.studies.contest.report import report
 from kneexo.studies.contest.study import (
@@ -29,15 +30,14 @@ from kneexo.studies.contest.study import (
     CONTESTANTS,
     INFEASIBLE_DEG,
     Contestant,
+    ContestResult,
     ContestSettings,
-    ContestStudy,
     Tuning,
     contest_study,
     objective_deg,
     search,
 )
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
-from kneexo.studies.robustness.study import draw, realize
 from kneexo.sweeps.checkpoint import Checkpoint
 
 # ------------------------------------------------------------------------------ the search
@@ -199,7 +199,7 @@ def made_up():
     }
     entrants = {name: {"controller": {"kind": "smc"}} for name in tested}
     samples = tuple({"plant.cylinder.mass_kg": 1.5} for _ in range(4))
-    return ContestStudy(
+    return ContestResult(
         Scenario(),
         UNCERTAINTY,
         ("plant.load.knee_torque_n_m",),

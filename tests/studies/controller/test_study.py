@@ -25,8 +25,8 @@ from kneexo.studies.controller.study import (
     FIGURES,
     MAP_FIGURES,
     TRAP_VARIANTS,
+    ControllerResult,
     ControllerSettings,
-    ControllerStudy,
     TrapCase,
     controller_study,
     experiments,
@@ -56,7 +56,7 @@ def made_up(failures=None, **values):
         for name, function in (given | values).items()
     }
     mapped = {name: np.ones((2, 2)) for name in MAP_FIGURES}
-    return ControllerStudy(Scenario(), GRID, arrays, failures or {}, (), mapped)
+    return ControllerResult(Scenario(), GRID, arrays, failures or {}, (), mapped)
 
 
 # ------------------------------------------------------------------------ settling of a step
@@ -360,7 +360,7 @@ def by_hand():
         for n, (lambda_, variant) in enumerate(product(GRID.trap_lambdas_per_s, TRAP_VARIANTS))
     ]
     failures = {(10.0, 0.32, 2.8e4): "left the range"}
-    return ControllerStudy(Scenario(), GRID, values, failures, tuple(trap), mapped)
+    return ControllerResult(Scenario(), GRID, values, failures, tuple(trap), mapped)
 
 
 def test_results_are_the_grid_the_trap_and_the_map(by_hand, flat, check_rules):

@@ -20,8 +20,8 @@ from kneexo.parameters.paths import changed
 from kneexo.studies.order.figures import figures
 from kneexo.studies.order.report import report
 from kneexo.studies.order.study import (
+    OrderResult,
     OrderSettings,
-    OrderStudy,
     frequency_row,
     in_order,
     order_study,
@@ -417,7 +417,7 @@ def by_hand():
     frequency[0] |= dict.fromkeys(NAMES["frequency"][-2:], math.nan)
     frequency[1] |= lost | {"stable": False}
     frequency[2] |= lost | {"stable": None, "failure": "no rest"}
-    return OrderStudy(
+    return OrderResult(
         tracking=tuple(tracking),
         speeds=tuple(
             row("speeds", order=o, force_n=60.0, direction=d)
@@ -634,7 +634,7 @@ def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
 
 def test_a_comparison_without_forces_has_dashes_in_its_report():
     settings = OrderSettings(disturbances_n=(0.0,), switching_forces_n=(0.0,))
-    empty = OrderStudy((), (), (), (), (), UNCERTAIN_KNEE, settings)
+    empty = OrderResult((), (), (), (), (), UNCERTAIN_KNEE, settings)
     assert "Rod speed at the limit in mm/s: reduced –, full –." in report(empty)
 
 

@@ -23,7 +23,7 @@ from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12
 from kneexo.studies.reproduce.figures import figures, motions
 from kneexo.studies.reproduce.report import report
 from kneexo.studies.reproduce.study import (
-    Reproduction,
+    ReproduceResult,
     growth_rate,
     reproduce_study,
     rod_error_mm,
@@ -99,7 +99,7 @@ RATIOS = {"nominal": 0.2, "gear_3": 0.42, "half_amplitude": 0.3}
 def known():
     """A reproduction whose numbers all differ and are known by hand."""
     p, q = (np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * scale for scale in (1e-9, 1e-8))
-    return Reproduction(
+    return ReproduceResult(
         fit=PolynomialFit(
             table=RodPolynomialParameters(),
             angle_deg=ANGLES,

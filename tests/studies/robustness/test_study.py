@@ -31,21 +31,20 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.parameters.paths import changed
+from kneexo.parameters.uncertainty import draw, realize
 from kneexo.simulation import engines
 from kneexo.studies.robustness import study as module
 from kneexo.studies.robustness.figures import distribution, figures, tornado
 from kneexo.studies.robustness.report import report
 from kneexo.studies.robustness.study import (
     MERITS,
+    RobustnessResult,
     RobustnessSettings,
-    RobustnessStudy,
     Visit,
     assess_plant,
-    draw,
     failures,
     quantile,
     rank_correlation,
-    realize,
     robustness_study,
     short_names,
     worst,
@@ -474,7 +473,7 @@ def visit(number, mass, lag, delay, **changes):
 def by_hand():
     """Visits out of order, one of which fails; its corners have other numbers than its samples."""
     stopped = {"max_error_deg": math.nan, "tracking_failure": "t = 1 s: out of range"}
-    return RobustnessStudy(
+    return RobustnessResult(
         scenario=UNCERTAIN_KNEE,
         uncertainty=SMALL,
         left_out=("plant.load.knee_torque_n_m",),

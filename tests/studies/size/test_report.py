@@ -23,7 +23,7 @@ from kneexo.command_line.output import to_json
 from kneexo.parameters import UNCERTAIN_KNEE
 from kneexo.studies.size.figures import figures, last_stride, motions
 from kneexo.studies.size.report import report
-from kneexo.studies.size.study import Search, SizeSettings, SizeStudy, WalkingDesign
+from kneexo.studies.size.study import Search, SizeResult, SizeSettings, WalkingDesign
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
 AREA_MM2 = math.pi / 4.0 * (20.0**2 - 0.5 * 10.0**2)
@@ -106,7 +106,7 @@ def design(frequency, share, start):
 
 @pytest.fixture(scope="module")
 def sized():
-    """A `SizeStudy` that nothing was simulated for."""
+    """A `SizeResult` that nothing was simulated for."""
     sweeps = {
         path: [numbers(AT_SINE, 100 + 30 * n + 7 * m) for m, _ in enumerate(SETTINGS.factors)]
         for n, path in enumerate(HARDWARE)
@@ -132,7 +132,7 @@ def sized():
         "load_pressure_pa": 2e6 * time,
         "shaft_power_w": 40.0 * time,
     }
-    return SizeStudy(
+    return SizeResult(
         scenario=UNCERTAIN_KNEE,
         settings=SETTINGS,
         nominal=numbers(AT_SINE, 1),

@@ -20,8 +20,8 @@ from kneexo.studies.sliding.study import (
     SLIDING_LAW,
     NeededEta,
     SlidingCase,
+    SlidingResult,
     SlidingSettings,
-    SlidingStudy,
     check_sliding,
     effective_masses_kg,
     error_bounds,
@@ -446,7 +446,7 @@ def by_hand():
         case("motion", "reduced, 1.4 kg", "paper", 60.0, eta, left_share=0.0, outside_share=0.0)
     case("start", "reduced, 1.4 kg", "paper", 60.0, 2e4, left_share=0.0, holding_share=1.0)
     case("sampled", "full, motor", "paper", 60.0, 2.8e5)
-    return SlidingStudy(
+    return SlidingResult(
         cases=tuple(cases),
         needed=NeededEta(speed=3.3e4, stability=8.1e4),
         scenario=SLIDING_LAW,
