@@ -43,12 +43,10 @@ ROOT = Path(__file__).parents[1]
 TESTS: dict[str, tuple[str, ...]] = {
     "__init__": ("compiler/test_api",),
     "command_line/export": ("export/test_firmware", "export/test_fmu"),
-    "command_line/view": ("view/test_page",),
     "errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "compiler/errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "interruption": ("command_line/test_main",),
     "version": ("test_citation",),
-    "view/legs": ("view/test_page",),
     "analysis/loop_equilibrium": ("analysis/test_linearization",),
     "analysis/plant_linearization": ("analysis/test_linearization",),
     "analysis/sampled_loop": ("analysis/test_linearization",),

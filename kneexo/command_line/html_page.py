@@ -107,7 +107,8 @@ class ReportPage:
         """
         view = ""
         if motions:
-            from kneexo.view.page import MOST_FRAMES_IN_REPORT, Leg, view_page
+            from kneexo.view.legs import Leg
+            from kneexo.view.page import MOST_FRAMES_IN_REPORT, view_page
 
             legs = [Leg.of_signals(name, *motion) for name, motion in motions.items()]
             view = view_page(legs, MOST_FRAMES_IN_REPORT)

@@ -1,7 +1,9 @@
-"""Recorded runs in three dimensions, in a browser.
+"""The knee in three dimensions, live or recorded.
 
-- `legs` takes a scenario or the files of an earlier run;
-- `page` makes one HTML file of them, with a time slider.
-
-A Drake simulation while it runs: `kneexo.view.meshcat_view`.
+- `mechanism` has the points, bars and pins of leg and linkage.
+- `parts` has the shapes, colours and poses of the drawn parts.
+- `knee_frames` and `pressure_colour` are the leaf systems of a live view.
+- `meshcat_view` adds a live view to a diagram that Drake's Simulator runs.
+- `legs` has the runs of a page: of scenarios or of files.
+- `page` makes one HTML file of runs, with a time slider.
 """

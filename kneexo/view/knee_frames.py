@@ -1,4 +1,4 @@
-"""Frames of leg and linkage for Drake's SceneGraph."""
+"""The leaf system that moves leg and linkage in Drake's SceneGraph."""
 
 from __future__ import annotations
 
@@ -19,58 +19,46 @@ from pydrake.systems.framework import LeafSystem
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import LinkageParameters
-from kneexo.view.mechanism import (
-    BARS,
-    GHOST,
-    PINS,
-    bar_pose,
-    pin_pose,
-    points,
-    shapes,
-)
-
-
-def poses(
-    linkage: LinkageParameters, knee_angle: float, reference: float, depth_m: float = 0.0
-) -> dict[str, RigidTransform]:
-    """Pose of each part of `shapes` in the world, at a knee angle and a reference in rad."""
-    at = points(linkage, [knee_angle, reference])
-    parts = {}
-    for name, bar in BARS.items():
-        ends = zip(at[bar.start].tolist(), at[bar.end].tolist(), strict=True)
-        now, wanted = (bar_pose(*pair, depth_m + bar.layer_m) for pair in ends)
-        parts[name] = now
-        if name in GHOST:
-            parts[f"reference_{name}"] = wanted
-    for name in (*PINS, "icr"):
-        parts[f"pin_{name}"] = pin_pose(complex(at[name][0]), depth_m)
-    return parts
+from kneexo.view.parts import placements, shapes
 
 
 class KneeFrames(LeafSystem):
-    """Frames of the parts of leg and linkage, for SceneGraph.
+    """Moves the parts of leg and linkage in SceneGraph.
 
-    Each part is where the linkage has it at the knee angle (Lee et al. 2020, Eq. 3–9; `points`).
+    The poses of the parts follow from the knee angle by the linkage (Lee et al. 2020, Eq. 3–9; see
+    `kneexo.view.mechanism.points`).
 
     ===============  ====  ========  ===================================================
     input port       size  unit
     ===============  ====  ========  ===================================================
     knee_angle       1     rad       θ_p, 0 = full extension, positive = flexion
-    knee_reference   4     rad, …    θ_d and its derivatives, which do not count here;
+    knee_reference   4     rad, …    θ_d and its derivatives, which have no effect here;
                                      the knee angle if unconnected
     **output port**
     frame_poses                      `FramePoseVector`: pose of each part in the world
     ===============  ====  ========  ===================================================
 
-    Stateless. Registers its parts, each a frame ``name::part`` with one geometry, as the source
-    ``name`` of ``scene_graph``; ``depth_m`` is the y of the knee's plane. The ghost of the
-    reference is hidden in the shank while both agree.
+    No state. The system has no scalar conversion, because its frames belong to one SceneGraph of
+    floats: linearize a diagram without views.
 
-    It has no scalar conversion: the frames belong to one SceneGraph of floats, and nothing depends
-    on the picture. Linearize the diagram that is shown, not the one that shows it.
+    Parameters
+    ----------
+    scene_graph
+        Gets the source ``name``, and a frame ``name::part`` with one geometry for each part. The
+        shank hides the ghost of the reference while both agree.
+    linkage
+        Its geometry.
+    name
+        Name of the source.
+    depth_m
+        y of the knee's plane in m.
 
-    Raises `ParameterError` for a depth that is not finite, `LinkageError` on construction and when
-    evaluated where the linkage cannot be assembled.
+    Raises
+    ------
+    ParameterError
+        ``depth_m`` is not finite.
+    LinkageError
+        The linkage cannot be assembled: in the constructor, or at a knee angle or reference.
     """
 
     def __init__(
@@ -111,6 +99,8 @@ class KneeFrames(LeafSystem):
         has_reference = self._reference.HasValue(context)
         reference = self._reference.Eval(context)[0] if has_reference else angle
         vector = FramePoseVector()
-        for part, pose in poses(self._linkage, angle, reference, self._depth_m).items():
-            vector.set_value(self._frames[part], pose)
+        offset = RigidTransform([0.0, self._depth_m, 0.0])
+        for part, placement in placements(self._linkage, angle, reference).items():
+            (pose,) = placement.poses()
+            vector.set_value(self._frames[part], offset @ pose)
         output.set_value(vector)

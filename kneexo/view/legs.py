@@ -1,46 +1,73 @@
-"""What a page shows of a scenario, or of the files of an earlier run."""
+"""The legs that a page shows: runs of scenarios, or of files that an earlier command wrote."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from kneexo.errors import ScenarioError, SimulationError, shown
 from kneexo.files.table import read_table
-from kneexo.parameters import Scenario
+from kneexo.parameters import LinkageParameters, Scenario
 from kneexo.parameters.reference import LONGEST_TIME_S
+from kneexo.result import Array
 from kneexo.simulation import Run, simulate
-from kneexo.view.page import COLUMNS, Leg
 
 SIGNALS = ("knee_angle", "knee_reference", "load_pressure")
-"""Signals of a run that a page shows."""
+"""The signals of a run that a page shows."""
+
+COLUMNS = ("time_s", "knee_angle_rad", "knee_reference_rad", "load_pressure_pa")
+"""The names of time and `SIGNALS` as columns of a run and of signals.csv."""
 
 _SHORTEST_STEP_S = 1e-9  # the times in signals.csv have ten digits
 _HIGHEST_PRESSURE_PA = 1e12
 _SLACK_RAD = 1e-6
 
 
-def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
-    """The run of a scenario, and why it ends early, empty where it does not.
+@dataclass(frozen=True)
+class Leg:
+    """One run as a view shows it; ``time_s`` and the three signals are (n,) each."""
 
-    A run that fails is shown up to its last whole sample before the failure; one that fails at once
-    raises its `SimulationError`.
+    name: str
+    linkage: LinkageParameters
+    time_s: Array
+    knee_angle_rad: Array
+    reference_rad: Array
+    pressure_pa: Array
+
+    @classmethod
+    def of_signals(
+        cls, name: str, linkage: LinkageParameters, signals: Mapping[str, ArrayLike]
+    ) -> Leg:
+        """Return a leg with the `COLUMNS` of a run."""
+        return cls(name, linkage, *(np.asarray(signals[column]) for column in COLUMNS))
+
+
+def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
+    """Run a scenario; return its leg, and why the run ends early (empty if it does not).
+
+    If the run fails, the leg ends with the last sample before the failure. Raises `SimulationError`
+    if there is no such sample.
     """
     try:
         return _leg(name, scenario, simulate(scenario, signals=SIGNALS)), ""
     except SimulationError as error:
         failure = error
     sample = scenario.controller.sample_time_s
-    good, bad = 0, int(scenario.simulation.duration_s / sample) + 1
+    passing, failing = 0, int(scenario.simulation.duration_s / sample) + 1  # numbers of samples
     run = None
-    while bad - good > 1:
-        middle = (good + bad) // 2
+    while failing - passing > 1:
+        middle = (passing + failing) // 2
         simulation = scenario.simulation.model_copy(update={"duration_s": middle * sample})
         try:
             shorter = scenario.model_copy(update={"simulation": simulation})
-            run, good = simulate(shorter, signals=SIGNALS), middle
+            run, passing = simulate(shorter, signals=SIGNALS), middle
         except SimulationError:
-            bad = middle
+            failing = middle
     if run is None:
         raise failure
     return _leg(name, scenario, run), str(failure)
@@ -51,11 +78,11 @@ def _leg(name: str, scenario: Scenario, run: Run) -> Leg:
 
 
 def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
-    """The run in a directory that ``kneexo simulate`` wrote: signals.csv of the scenario.
+    """Read the leg of a run of ``scenario`` from the file signals.csv of ``kneexo simulate``.
 
-    Raises `ScenarioError` where signals.csv is missing or damaged: a column is missing, the
-    time does not rise, or a value is out of range. Knee angle and reference must lie within
-    the range of motion and the overshoot that the scenario allows.
+    Raises `ScenarioError` if signals.csv cannot be read, a column is missing, the time does not
+    increase, or a value is out of range. Knee angle and reference must lie within the range of
+    motion of the scenario, extended by its overshoot.
     """
     path = directory / "signals.csv"
     table = read_table(path, COLUMNS)

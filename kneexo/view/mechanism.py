@@ -1,8 +1,8 @@
-"""Where the parts of leg and linkage are, and how they look, for recorded and for live views.
+"""The bars and pins of leg and linkage: between which points of the knee's plane they lie.
 
-Parts are straight bars between points of the knee's plane, and pins across it. The thigh stands
-still, x points forward, y up. Points are complex numbers x + jy in m. Lengths of thigh, shank and
-foot and the thickness of parts are for the eye alone; no result depends on them.
+Points are complex numbers x + jy in m, seen from the thigh, with x forwards and y up. The lengths
+of thigh, shank and foot and the thickness of all parts are only for the eye; no result depends on
+them.
 """
 
 from __future__ import annotations
@@ -11,37 +11,33 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.geometry import Cylinder, Meshcat, Rgba
-from pydrake.math import RigidTransform, RotationMatrix
 
 from kneexo.linkage import icr, pose, rod_anchor
 from kneexo.parameters import LinkageParameters
-from kneexo.result import Array
 
 Points = NDArray[np.complex128]
 """Points of the knee's plane in m: the real part points forwards, the imaginary part up."""
 
 THIGH_M, SHANK_M, FOOT_M = 0.34, 0.34, 0.14
-"""Lengths of the parts of the leg in m, for the eye alone."""
+"""Lengths of thigh, shank and foot in m."""
 
 HEAD = 0.9
-"""Length of the cylinder, where the rod comes out, as a part of the distance of its pins at x = 0.
+"""Length of the cylinder, divided by the distance of the pins of cylinder and rod at x = 0.
 
-The rod reaches back by that distance, so that it stays in the cylinder while x is below 0.9 of it,
-and shows a stub at x = 0.
+The rod is as long as this distance. So the rod does not leave the cylinder while the rod extension
+x is below 0.9 of it, and a stub of the rod is visible at x = 0.
 """
-
-_SPACING_M = 0.30  # of legs that stand beside each other
 
 
 @dataclass(frozen=True)
 class Bar:
-    """A straight part from one point to another."""
+    """A straight part between two of the `points`."""
 
     start: str
     end: str
     radius_m: float
     colour: tuple[float, float, float]
+    """Red, green and blue from 0 to 1."""
     layer_m: float = 0.0
     """Distance from the knee's plane."""
 
@@ -61,33 +57,22 @@ BARS = {
     "cylinder": Bar("cylinder_pin", "cylinder_end", 0.010, (0.5, 0.5, 0.5)),
     "rod": Bar("rod_start", "rod_pin", 0.005, (0.85, 0.87, 0.9)),
 }
-"""Parts by name."""
+"""The bars by name."""
 
 PINS = ("o_a", "o_b", "a", "b", "cylinder_pin", "rod_pin")
-"""Points that are drawn as pins."""
+"""The points that have a pin, besides the instantaneous centre of rotation ``icr``."""
 
 GHOST = ("shank", "foot")
-"""Bars that are drawn again where the reference has them."""
-
-ICR_COLOUR = Rgba(0.8, 0.0, 0.5)
-"""Colour of the instantaneous centre of rotation and of its path."""
-
-Look = tuple[Cylinder, Rgba]
-"""Shape and colour of a part."""
-
-_GHOST_RADIUS = 0.85  # of that of the bar: hidden within what it agrees with
-_GHOST_COLOUR = Rgba(0.35, 0.35, 0.35, 0.35)
-_PIN, _PIN_COLOUR = Cylinder(0.004, 0.052), Rgba(0.15, 0.15, 0.18)
-_ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)
-_LOW, _HIGH, _NONE = np.array([0.1, 0.3, 0.9]), np.array([0.9, 0.15, 0.1]), np.array([0.85] * 3)
+"""The bars that are drawn a second time, at the reference."""
 
 
 def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
-    """All points at knee angles (n,) in rad, each (n,): joints by Eq. 3–9, seen from the thigh.
+    """Return all points by name, (n,) each, at knee angles (n,) in rad.
 
-    Where the cylinder's pin lies below the knee the ground link belongs to the shank (G1), else to
-    the thigh (G2 to G4). All legs are seen from the side on which the foot goes back as the knee
-    flexes. Raises `LinkageError` where the linkage cannot be assembled.
+    The joints follow Lee et al. 2020, Eq. 3–9. The ground link belongs to the shank if the
+    cylinder's pin lies below the knee (G1), else to the thigh (G2 to G4). The view is from the side
+    on which the foot moves back when the knee flexes. Raises `LinkageError` if the linkage cannot
+    be assembled.
     """
     angle = np.atleast_1d(np.asarray(knee_angle, dtype=float))
     now, straight = pose(link, angle), pose(link, 0.0)
@@ -98,11 +83,11 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     shank_is_ground = anchor.imag < 0.0
 
     def moved(point: complex) -> Points:
-        """Where a point of the coupler goes, which is at ``point`` when the knee is straight."""
+        """Return the positions of a point of the coupler; ``point``: its position at 0 rad."""
         return np.asarray(turn * (point - straight.joint_b) + now.joint_b)
 
     def seen(point: Points | complex) -> Points:
-        """A point of the ground's frame as seen from the thigh."""
+        """Transform points from the frame of the ground link to that of the thigh."""
         values = point * np.ones(angle.size, dtype=complex)
         if shank_is_ground:
             return np.asarray((values - now.joint_b) / turn + straight.joint_b)
@@ -135,61 +120,3 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     result["rod_start"] = result["rod_pin"] - along
     result["icr"] = seen(np.asarray(centre_x + 1j * centre_y))
     return result
-
-
-def shapes(linkage: LinkageParameters) -> dict[str, Look]:
-    """Shape and colour of each part: the bars, their ghosts ``reference_…``, and ``pin_…``.
-
-    Raises `LinkageError` where the linkage cannot be assembled.
-    """
-    at = points(linkage, 0.0)
-    parts: dict[str, Look] = {}
-    for name, bar in BARS.items():
-        length = float(abs(at[bar.end][0] - at[bar.start][0]))
-        parts[name] = Cylinder(bar.radius_m, length), Rgba(*bar.colour)
-        if name in GHOST:
-            ghost = Cylinder(_GHOST_RADIUS * bar.radius_m, length)
-            parts[f"reference_{name}"] = ghost, _GHOST_COLOUR
-    pins = {f"pin_{name}": (_PIN, _PIN_COLOUR) for name in PINS}
-    return parts | pins | {"pin_icr": (_PIN, ICR_COLOUR)}
-
-
-def icr_path(link: LinkageParameters, depth_m: float = 0.0) -> Array:
-    """Path of the instantaneous centre of rotation over 0…90°, in the world, (3, 91) in m."""
-    path = points(link, np.radians(np.linspace(0.0, 90.0, 91)))["icr"]
-    return np.array([in_world(point, depth_m) for point in path]).T
-
-
-def in_world(point: complex, depth_m: float) -> Array:
-    """A point of the knee's plane in the world, (3,) in m: z up, y away from who looks."""
-    return np.array([point.real, depth_m, point.imag])
-
-
-def depths_m(legs: int) -> list[float]:
-    """Depth in m of each of some legs that stand beside each other, the first one nearest."""
-    return [(number - 0.5 * (legs - 1)) * _SPACING_M for number in range(legs)]
-
-
-def look_at_legs(meshcat: Meshcat, legs: int) -> None:
-    """Look from the side at legs beside each other, without grid and axes."""
-    for path in ("/Grid", "/Axes"):
-        meshcat.SetProperty(path, "visible", False)
-    distance = 0.55 + 0.5 * _SPACING_M * (legs - 1)
-    meshcat.SetCameraPose([0.5 * distance, -distance, 0.05], [-0.04, 0.0, -0.03])
-
-
-def bar_pose(start: complex, end: complex, depth_m: float) -> RigidTransform:
-    """Pose in the world of a bar whose axis is z and whose origin is its middle."""
-    rotation = RotationMatrix.MakeFromOneVector(in_world(end - start, 0.0), 2)
-    return RigidTransform(rotation, in_world(0.5 * (start + end), depth_m))
-
-
-def pin_pose(point: complex, depth_m: float) -> RigidTransform:
-    """Pose in the world of a pin, whose axis is z, across the knee's plane."""
-    return RigidTransform(_ACROSS, in_world(point, depth_m))
-
-
-def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
-    """Red, green, blue (n, 3) of pressures (n,): blue at -largest, grey at 0, red at largest."""
-    share = np.clip(pressure_pa / (largest_pa or 1.0), -1.0, 1.0)[:, None]
-    return np.asarray(_NONE + np.abs(share) * (np.where(share > 0.0, _HIGH, _LOW) - _NONE))

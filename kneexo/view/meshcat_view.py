@@ -1,4 +1,4 @@
-"""The knees of a diagram in Meshcat, while Drake's Simulator runs them."""
+"""Shows the knees of a diagram in Meshcat while Drake's Simulator runs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from kneexo.diagrams.part import connect
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, LinkageParameters
 from kneexo.view.knee_frames import KneeFrames
-from kneexo.view.mechanism import ICR_COLOUR, depths_m, icr_path, look_at_legs
+from kneexo.view.parts import ICR_COLOUR, depths_m, icr_path, look_at_legs
 from kneexo.view.pressure_colour import PressureColour
 
 PORTS = {"knee_angle": 1, "knee_reference": 4, "load_pressure": 1}
-"""Output ports of a leg that are shown, with their sizes; only the first must be there."""
+"""Output ports of a leg that the view shows, with their sizes. Only the first is required."""
 
 PERIOD_S = 1.0 / 32.0
 """Time between two pictures, in s."""
@@ -29,38 +29,42 @@ def add_meshcat_view(
     *,
     largest_pressure_pa: float = CylinderParameters().pressure_rating_pa,
 ) -> MeshcatVisualizer:
-    """Show knees of a diagram in Meshcat, beside each other, the first one nearest.
+    """Show knees of a diagram in Meshcat, beside each other, the first knee nearest.
 
-    Subsystems: ``knee_scene_graph``; of each leg ``<leg>_frames`` (`KneeFrames`) and, where the leg
-    has the pressure, ``<leg>_pressure_colour`` (`PressureColour`). In Meshcat's tree
-    ``knees/<leg>`` has bones, links, pins, cylinder and rod, the instantaneous centre of rotation,
-    and as a ghost shank and foot at the reference; ``icr_paths/<leg>`` is the centre's path over
-    0…90°.
+    Adds the subsystem ``knee_scene_graph``, and for each leg ``<leg>_frames`` (`KneeFrames`). A leg
+    with a port ``load_pressure`` also gets ``<leg>_pressure_colour`` (`PressureColour`). In Meshcat
+    the path ``knees/<leg>`` has bones, links, pins, cylinder and rod, the instantaneous centre of
+    rotation, and a ghost of shank and foot at the reference. The path ``icr_paths/<leg>`` has the
+    path of this centre over 0…90°.
 
     Parameters
     ----------
     builder
-        Of the diagram that has the legs.
+        The builder of the diagram.
     legs
-        Each system of ``builder`` that is shown, with its linkage. Of its output ports
-        ``knee_angle`` (1, rad) is needed; ``knee_reference`` (4, its first in rad) and
-        ``load_pressure`` (1, Pa) are shown where it has them: ports of `make_closed_loop`.
+        Systems of ``builder`` with their linkages. A system requires an output port ``knee_angle``
+        (1, rad); its ports ``knee_reference`` (4, the first in rad) and ``load_pressure`` (1, Pa)
+        are optional. A diagram of `make_closed_loop` has all three.
     meshcat
-        Where they are shown, from the side; grid and axes are hidden.
+        Shows the legs from the side; its grid and axes are hidden.
     largest_pressure_pa
-        Load pressure in Pa at which the cylinder is blue (negative) or red in full colour; by
-        default its rating.
+        Load pressure in Pa at which the cylinder is fully red, and fully blue if negative; by
+        default the pressure rating of the cylinder.
 
     Returns
     -------
     MeshcatVisualizer
-        Can record: ``StartRecording``, ``PublishRecording``; then ``meshcat.StaticHtml()`` is a
-        page with a time slider.
+        Records with ``StartRecording`` and ``PublishRecording``; then ``meshcat.StaticHtml()``
+        returns a page with a time slider.
 
-    Raises `ParameterError` when there is no leg, one is not of the builder, two have one name, a
-    port is missing or has another size, the builder has one of the subsystems, or the pressure is
-    not finite and positive; `LinkageError` when a linkage cannot be assembled. Builder and Meshcat
-    are then as before.
+    Raises
+    ------
+    ParameterError
+        There is no leg, a leg is not in the builder, two legs have the same name, a port is missing
+        or has another size, the builder has a subsystem of a name above already, or the pressure
+        is not finite and positive. Builder and Meshcat are unchanged.
+    LinkageError
+        A linkage cannot be assembled. Builder and Meshcat are unchanged.
     """
     if not legs:
         raise ParameterError("legs: there is none; must be at least one system with its linkage")
@@ -101,11 +105,11 @@ def add_meshcat_view(
             system.GetOutputPort("frame_poses"), scene_graph.get_source_pose_port(system.source)
         )
     visualizer = MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, parameters)
-    for leg, colour in colours.items():  # behind the visualizer, which makes what they colour
+    for leg, colour in colours.items():  # after the visualizer, which creates the cylinders
         builder.AddNamedSystem(f"{leg.get_name()}_pressure_colour", colour)
         connect(builder, leg, "load_pressure", colour, "load_pressure")
     for name, path in paths.items():
-        # Outside the visualizer's tree, which it deletes when a simulation starts.
+        # Outside the path of the visualizer, which deletes it when a simulation starts.
         meshcat.SetLine(f"icr_paths/{name}", path, 2.0, ICR_COLOUR)
     look_at_legs(meshcat, len(legs))
     return visualizer

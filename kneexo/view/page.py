@@ -4,54 +4,47 @@ from __future__ import annotations
 
 import html
 import logging
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.ticker import EngFormatter
-from numpy.typing import ArrayLike
 from pydrake.geometry import Meshcat, MeshcatParams
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 
 from kneexo.files.writing import require_mark, write_file
 from kneexo.parameters import LinkageParameters
 from kneexo.result import Array
 from kneexo.version import __version__
-from kneexo.view.mechanism import (
-    BARS,
-    GHOST,
+from kneexo.view.legs import Leg
+from kneexo.view.mechanism import points
+from kneexo.view.parts import (
     ICR_COLOUR,
-    PINS,
-    Bar,
-    Look,
-    Points,
+    REFERENCE,
+    Placement,
     depths_m,
     icr_path,
     in_world,
     look_at_legs,
-    points,
-    pressure_colours,
+    placements,
     shapes,
 )
+from kneexo.view.pressure_colour import pressure_colours
 
 FRAMES_PER_S = 32.0
-"""Frames of a recording in a second."""
+"""Frames per second of a recording."""
 
 MOST_FRAMES = 4800
-"""Frames of all legs of a page together, 150 s of one leg: the page stays below 8 MB."""
+"""Largest number of frames of all legs of a page together, 150 s of one leg; limits it to 8 MB."""
 
 MOST_FRAMES_IN_REPORT = 1920
-"""The same of a page within a report, which stays below 3 MB."""
+"""Largest number of frames of a page within a report; limits it to 3 MB."""
 
 MOST_LEGS = 30
-"""Legs of a page, whose parts count too: it stays below 8 MB."""
-
-COLUMNS = ("time_s", "knee_angle_rad", "knee_reference_rad", "load_pressure_pa")
-"""What a page shows of a run."""
+"""Largest number of legs of a page; limits it to 8 MB."""
 
 MARK = "<!-- made by kneexo view -->"
-"""In each page, so that one page may replace another."""
+"""A comment in each page; a file without it is never replaced."""
 
 _HEAD = """
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -65,47 +58,19 @@ _HEAD = """
 </style>
 """
 
-_ALONG, _ACROSS = (
-    RotationMatrix.MakeYRotation(0.5 * np.pi),
-    RotationMatrix.MakeXRotation(0.5 * np.pi),
-)
-_TOLERANCE = 1e-9  # m and rad
-
-
-@dataclass(frozen=True)
-class Leg:
-    """What a page shows of one run.
-
-    ``time_s``, ``knee_angle_rad``, ``reference_rad``, ``pressure_pa``: (n,) each.
-    """
-
-    name: str
-    linkage: LinkageParameters
-    time_s: Array
-    knee_angle_rad: Array
-    reference_rad: Array
-    pressure_pa: Array
-
-    @classmethod
-    def of_signals(
-        cls, name: str, linkage: LinkageParameters, signals: Mapping[str, ArrayLike]
-    ) -> Leg:
-        """A leg of the columns `COLUMNS` of a run."""
-        return cls(name, linkage, *(np.asarray(signals[column]) for column in COLUMNS))
-
 
 def shown_s(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> float:
-    """Time in s that a page shows of its legs: of the longest run, or what the size allows."""
+    """Return the time in s that a page shows: the longest run, or less if the page is full."""
     return min(max(float(leg.time_s[-1]) for leg in legs), most_frames / (FRAMES_PER_S * len(legs)))
 
 
 def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
-    """One self-contained HTML page: legs beside each other, with a slider for the time.
+    """Return one self-contained HTML page of legs beside each other, with a slider for the time.
 
-    The cylinder's colour is its load pressure: blue for negative, red for positive, at full colour
-    for the largest of all legs. The grey shank is the reference; the line is the path of the
-    instantaneous centre of rotation. A leg whose run is shorter stands still at its end. What comes
-    after `shown_s` is left out.
+    The colour of a cylinder shows its load pressure, from blue for the negative to red for the
+    positive of the largest pressure of all legs. A grey shank shows the reference, and a line the
+    path of the instantaneous centre of rotation. A shorter run stays at its last pose. The page
+    ends at `shown_s`.
     """
     meshcat = _quiet_meshcat()
     meshcat.SetProperty("/Background", "visible", False)
@@ -128,7 +93,7 @@ def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
 
 
 def _quiet_meshcat() -> Meshcat:
-    """A Meshcat whose address nobody needs, so that Drake does not print it."""
+    """Return a Meshcat; Drake does not print its address."""
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(logging.WARNING)
@@ -139,103 +104,77 @@ def _quiet_meshcat() -> Meshcat:
 
 
 def require_page(path: Path) -> None:
-    """Raise `OutputError` for a file that is no page of a view."""
+    """Raise `OutputError` for a file without our `MARK`; a missing file is accepted."""
     require_mark(path, MARK, "page of kneexo view")
 
 
 def write_page(path: Path, page: str) -> None:
-    """Write a page in the place of an earlier one; `OutputError` where that cannot be."""
+    """Write a page, or replace an earlier page. Raises `OutputError` as `require_page`."""
     require_page(path)
     write_file(path, page.encode())
 
 
 def _record(
-    meshcat: Meshcat, path: str, leg: Leg, depth: float, largest: float, end_s: float
+    meshcat: Meshcat, path: str, leg: Leg, depth_m: float, largest_pa: float, end_s: float
 ) -> None:
+    """Record a leg up to ``end_s``; ``path`` is its path in Meshcat, ``depth_m`` its y."""
     end_s = min(end_s, leg.time_s[-1])
     times = np.arange(0.0, end_s + 0.5 / FRAMES_PER_S, 1.0 / FRAMES_PER_S)
     angle, reference, pressure = (
         np.interp(times, leg.time_s, values)
         for values in (leg.knee_angle_rad, leg.reference_rad, leg.pressure_pa)
     )
-    now, wanted = points(leg.linkage, angle), points(leg.linkage, reference)
-    meshcat.SetTransform(path, RigidTransform(in_world(0j, depth)))
+    meshcat.SetTransform(path, RigidTransform(in_world(0j, depth_m)))
+    parts = placements(leg.linkage, angle, reference)
     looks = shapes(leg.linkage)
-    parts = _Parts(meshcat, path, times, now)
-    for name, bar in BARS.items():
-        parts.add_bar(name, looks[name], bar, now)
-    for name in (*PINS, "icr"):
-        parts.add_pin(f"pin_{name}", looks[f"pin_{name}"], now[name])
-    ghost = _Parts(meshcat, f"{path}/reference", times, wanted)
-    for name in GHOST:
-        ghost.add_bar(name, looks[f"reference_{name}"], BARS[name], wanted)
+    for group, shank_angle, is_ghost in (
+        (path, angle, False),
+        (f"{path}/reference", reference, True),
+    ):
+        shank = _shank(leg.linkage, shank_angle)
+        _move(meshcat, f"{group}/on_shank", times, shank, shank.frames())
+        for name, placement in parts.items():
+            if name.startswith(REFERENCE) != is_ghost:
+                continue
+            on_shank = placement.seen_from(shank)
+            if on_shank.is_constant and not placement.is_constant:
+                place, placement = f"{group}/on_shank", on_shank
+            else:
+                place = group
+            place += f"/{name.removeprefix(REFERENCE)}"
+            meshcat.SetObject(place, *looks[name])
+            _move(meshcat, place, times, placement, placement.poses())
     meshcat.SetLine(f"{path}/icr_path", icr_path(leg.linkage), 2.0, ICR_COLOUR)
-    for time, colour in zip(times.tolist(), pressure_colours(pressure, largest), strict=True):
+    for time, colour in zip(times.tolist(), pressure_colours(pressure, largest_pa), strict=True):
         meshcat.SetProperty(
             f"{path}/cylinder/<object>", "material.color", colour.tolist(), time_in_recording=time
         )
 
 
-class _Parts:
-    """Parts of a leg in a recording.
+def _shank(linkage: LinkageParameters, knee_angle: Array) -> Placement:
+    """Return the placement of the shank's frame, whose x axis points down along the shank."""
+    at = points(linkage, knee_angle)
+    down = at["ankle"] - at["shank_start"]
+    return Placement(at["shank_start"], down / np.abs(down))
 
-    The page holds a pose at each frame only for the shank and for what moves otherwise: what stands
-    still has a single pose, and what turns with the shank has a single pose on it.
+
+def _move(
+    meshcat: Meshcat,
+    path: str,
+    times: Array,
+    placement: Placement,
+    poses: Iterator[RigidTransform],
+) -> None:
+    """Record the poses of ``placement``; a single pose if they are constant.
+
+    Parts that are constant relative to the shank move with its frame. So the page holds a pose of
+    each time only for the shank and for the few parts that move otherwise.
     """
-
-    def __init__(self, meshcat: Meshcat, path: str, times: Array, at: Mapping[str, Points]) -> None:
-        self._meshcat, self._path, self._times = meshcat, path, times.tolist()
-        down = at["ankle"] - at["shank_start"]
-        still = np.zeros_like(down)
-        self._frames = {
-            path: (still, still + 1.0),
-            f"{path}/on_shank": (at["shank_start"], down / np.abs(down)),
-        }
-        self._move(f"{path}/on_shank", RotationMatrix(), *self._frames[f"{path}/on_shank"])
-
-    def add_bar(self, name: str, look: Look, bar: Bar, at: Mapping[str, Points]) -> None:
-        start, end = at[bar.start], at[bar.end]
-        turn = (end - start) / np.abs(end - start)
-        self._add(name, look, _ALONG, 0.5 * (start + end), turn, bar.layer_m)
-
-    def add_pin(self, name: str, look: Look, place: Points) -> None:
-        self._add(name, look, _ACROSS, place, None)
-
-    def _add(
-        self,
-        name: str,
-        look: Look,
-        axis: RotationMatrix,
-        place: Points,
-        turn: Points | None,
-        layer_m: float = 0.0,
-    ) -> None:
-        """Add a part on the frame on which it stands still; ``turn`` None: it is round."""
-        seen = {
-            frame: ((place - origin) / way, np.ones_like(way) if turn is None else turn / way)
-            for frame, (origin, way) in self._frames.items()
-        }
-        frame = next((f for f, poses in seen.items() if all(map(_is_constant, poses))), self._path)
-        self._meshcat.SetObject(f"{frame}/{name}", *look)
-        self._move(f"{frame}/{name}", axis, *seen[frame], layer_m)
-
-    def _move(
-        self, path: str, axis: RotationMatrix, place: Points, turn: Points, layer_m: float = 0.0
-    ) -> None:
-        angle = -np.angle(turn)
-        poses = (
-            RigidTransform(RotationMatrix.MakeYRotation(y) @ axis, in_world(point, layer_m))
-            for point, y in zip(place, angle, strict=True)
-        )
-        if _is_constant(place) and _is_constant(turn):
-            self._meshcat.SetTransform(path, next(poses))
-            return
-        for time, pose in zip(self._times, poses, strict=True):
-            self._meshcat.SetTransform(path, pose, time_in_recording=time)
-
-
-def _is_constant(values: Points) -> bool:
-    return bool(np.abs(values - values[0]).max() < _TOLERANCE)
+    if placement.is_constant:
+        meshcat.SetTransform(path, next(poses))
+        return
+    for time, pose in zip(times.tolist(), poses, strict=True):
+        meshcat.SetTransform(path, pose, time_in_recording=time)
 
 
 def _caption(legs: Sequence[Leg], largest: float, end_s: float) -> str:

@@ -1,21 +1,32 @@
-"""Colour of a part in Meshcat by a pressure."""
+"""The colour of a part that shows a pressure."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
+import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import EventStatus, LeafSystem
 
 from kneexo.errors import ParameterError
-from kneexo.view.mechanism import pressure_colours
+from kneexo.result import Array
+
+_BLUE, _GREY, _RED = np.array([0.1, 0.3, 0.9]), np.array([0.85] * 3), np.array([0.9, 0.15, 0.1])
+
+
+def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
+    """Return red, green and blue from 0 to 1, (n, 3), for pressures (n,) in Pa.
+
+    The colour is blue at −``largest_pa`` and below, grey at 0, red at ``largest_pa`` and above, and
+    linear between them.
+    """
+    share = np.clip(pressure_pa / (largest_pa or 1.0), -1.0, 1.0)[:, None]
+    return np.asarray(_GREY + np.abs(share) * (np.where(share > 0.0, _RED, _BLUE) - _GREY))
 
 
 class PressureColour(LeafSystem):
-    """Colour of a part in Meshcat by a pressure: blue at −p_max, grey at 0, red at p_max.
-
-    Beyond p_max the colour stays (`pressure_colours`).
+    """Colours a part in Meshcat by a pressure, from blue at −p_max to red (`pressure_colours`).
 
     ===============  ====  ====  ===============================
     input port       size  unit
@@ -23,24 +34,22 @@ class PressureColour(LeafSystem):
     load_pressure    1     Pa    P_L, positive pushes the rod out
     ===============  ====  ====  ===============================
 
-    Stateless. Publishes every ``period_s`` from 0 s on, in a recording too. SceneGraph's geometry
-    has one colour only, so this writes the property of Meshcat. The part must have its geometry
-    first: add this system behind the `MeshcatVisualizer`.
-
-    It has no scalar conversion, and needs none: nothing depends on a picture.
+    No state and no scalar conversion. A geometry of SceneGraph has a constant colour, so the system
+    sets the colour in Meshcat, every ``period_s`` from 0 s on and in recordings too. Add the system
+    after the `MeshcatVisualizer`, which creates the geometry in Meshcat.
 
     Parameters
     ----------
     meshcat
-        Where the part is.
+        The Meshcat that shows the part.
     path
-        Of the part's geometry in Meshcat.
+        Path of the part's geometry in Meshcat.
     largest_pressure_pa
         p_max in Pa.
     period_s
         Period in s.
 
-    Raises `ParameterError` unless pressure and period are finite and positive.
+    Raises `ParameterError` if ``largest_pressure_pa`` or ``period_s`` is not finite and positive.
     """
 
     def __init__(

@@ -1,5 +1,3 @@
-"""Bars and points of the view: rigid, and where the linkage is."""
-
 import numpy as np
 import pytest
 
@@ -11,11 +9,7 @@ from kneexo.view.mechanism import (
     PINS,
     SHANK_M,
     THIGH_M,
-    bar_pose,
-    icr_path,
-    pin_pose,
     points,
-    pressure_colours,
 )
 
 ANGLES = np.radians(np.linspace(0.0, 90.0, 181))
@@ -107,39 +101,3 @@ def test_the_shank_turns_about_the_instantaneous_centre(link):
     moved = abs(carried(after) - carried(before))[0]
     of_ankle = abs(after["ankle"] - before["ankle"])[0]
     assert moved < 1e-6 * of_ankle
-
-
-def test_the_path_of_the_centre_is_that_of_its_pin(link):
-    path = icr_path(link, 0.2)
-    assert path.shape == (3, 91)
-    for degrees in (0, 37, 90):
-        (centre,) = points(link, np.radians(float(degrees)))["icr"]
-        np.testing.assert_allclose(path[:, degrees], [centre.real, 0.2, centre.imag], atol=1e-15)
-
-
-def test_a_bar_lies_between_its_points():
-    pose = bar_pose(0.1 + 0.2j, 0.4 + 0.6j, 0.3)
-    half = 0.25
-    for sign, point in ((-1.0, 0.1 + 0.2j), (1.0, 0.4 + 0.6j)):
-        end = pose.multiply(np.array([0.0, 0.0, sign * half]))
-        np.testing.assert_allclose(end, [point.real, 0.3, point.imag], atol=1e-12)
-
-
-def test_a_pin_lies_across_the_plane():
-    pose = pin_pose(0.1 + 0.2j, 0.3)
-    np.testing.assert_allclose(pose.multiply(np.zeros(3)), [0.1, 0.3, 0.2], atol=1e-15)
-    end = pose.multiply(np.array([0.0, 0.0, 1.0]))
-    assert abs(end[1] - 0.3) == pytest.approx(1.0)
-
-
-def test_the_cylinder_is_blue_at_negative_and_red_at_positive_pressure():
-    colours = pressure_colours(np.array([-2e6, -1e6, 0.0, 1e6, 2e6]), 2e6)
-    low, half_low, none, half_high, high = colours
-    assert low[2] == max(low) > 0.8
-    assert high[0] == max(high) > 0.8
-    assert np.ptp(none) == 0.0
-    np.testing.assert_allclose(half_low, 0.5 * (low + none))
-    np.testing.assert_allclose(half_high, 0.5 * (high + none))
-    assert ((colours >= 0.0) & (colours <= 1.0)).all()
-    np.testing.assert_array_equal(pressure_colours(np.array([9e6]), 2e6)[0], high)
-    assert np.isfinite(pressure_colours(np.zeros(2), 0.0)).all()

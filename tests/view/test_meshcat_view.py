@@ -16,8 +16,9 @@ from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinkageError, ParameterError
 from kneexo.linkage import icr, pose, rod_extension
 from kneexo.parameters import G1, G3, LinkageParameters, Scenario
-from kneexo.view.mechanism import BARS, GHOST, PINS, pressure_colours
+from kneexo.view.mechanism import BARS, GHOST, PINS
 from kneexo.view.meshcat_view import add_meshcat_view
+from kneexo.view.pressure_colour import pressure_colours
 
 PERIOD_S = 1.0 / 32.0
 FULL_PA = 2e5

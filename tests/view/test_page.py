@@ -1,9 +1,4 @@
-"""Pages of runs: content, files, and what a browser shows."""
-
 import dataclasses
-import json
-import os
-import stat
 
 import numpy as np
 import pytest
@@ -11,22 +6,19 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
 from kneexo.command_line.main import main
-from kneexo.errors import ScenarioError, SimulationError
 from kneexo.parameters import LINKAGES, Scenario
-from kneexo.parameters.scenario_file import load_scenario
-from kneexo.simulation import simulate
-from kneexo.view.knee_frames import poses
-from kneexo.view.legs import leg_of_results, leg_of_scenario
-from kneexo.view.mechanism import PINS, points, pressure_colours
+from kneexo.view.legs import Leg, leg_of_scenario
+from kneexo.view.mechanism import PINS, points
 from kneexo.view.page import (
     FRAMES_PER_S,
     MARK,
     MOST_FRAMES,
-    Leg,
     shown_s,
     view_page,
     write_page,
 )
+from kneexo.view.parts import placements
+from kneexo.view.pressure_colour import pressure_colours
 
 SHORT = {"simulation": {"duration_s": 0.5}}
 
@@ -45,197 +37,6 @@ def test_a_page_tells_its_runs_in_safe_html():
     assert "&lt;b&gt;mine&lt;/b&gt;" in page
     assert "−2.0 MPa … red 2.0 MPa" in page
     assert len(page) < 8e6
-
-
-def test_a_file_name_may_have_bytes_that_are_no_text(tmp_path, capsys):
-    scenario = tmp_path / os.fsdecode(b"knee\xff.yaml")
-    scenario.write_text("simulation: {duration_s: 0.1}\n")
-    page = tmp_path / "knee.html"
-    assert main(["view", str(scenario), "--out", str(page)]) == 0
-    assert "<li>knee?</li>" in page.read_text()
-
-
-def test_a_leg_has_the_signals_of_its_run():
-    scenario = scenario_of()
-    leg, failure = leg_of_scenario("mine", scenario)
-    run = simulate(scenario)
-    assert (leg.name, failure) == ("mine", "")
-    np.testing.assert_array_equal(leg.time_s, run.time_s)
-    np.testing.assert_array_equal(leg.knee_angle_rad, run["knee_angle_rad"])
-    np.testing.assert_array_equal(leg.reference_rad, run["knee_reference_rad"])
-    np.testing.assert_array_equal(leg.pressure_pa, run["load_pressure_pa"])
-
-
-FAILING = scenario_of(
-    controller={
-        "kind": "pid",
-        "proportional_per_s": 0.0,
-        "integral_per_s2": 0.0,
-        "velocity_feedforward": 2.0,
-    },
-    reference={"kind": "sine", "mean_deg": 45.0, "amplitude_deg": 44.0, "frequency_hz": 0.1},
-    simulation={"duration_s": 8.0},
-)
-
-
-def test_a_run_that_fails_is_shown_up_to_there():
-    with pytest.raises(SimulationError) as error:
-        simulate(FAILING)
-    leg, failure = leg_of_scenario("failing", FAILING)
-    assert failure == str(error.value)
-    told = float(failure.partition("t = ")[2].partition(" ")[0])
-    assert told - 0.005 < leg.time_s[-1] < told
-    assert np.isfinite(leg.knee_angle_rad).all()
-
-
-def test_results_of_simulate_are_a_leg(tmp_path, capsys):
-    scenario = tmp_path / "g3.yaml"
-    scenario.write_text("plant: {linkage: G3}\nsimulation: {duration_s: 0.5}\n")
-    out = tmp_path / "run"
-    assert main(["simulate", str(scenario), "--out", str(out)]) == 0
-    written = load_scenario(out / "scenario.yaml")
-    read = leg_of_results("mine", out, written)
-    run, _ = leg_of_scenario("run", scenario_of(plant={"linkage": "G3"}))
-    assert read.name == "mine"
-    assert read.linkage == run.linkage
-    for column in ("time_s", "knee_angle_rad", "reference_rad", "pressure_pa"):
-        expected = getattr(run, column)
-        np.testing.assert_allclose(getattr(read, column), expected, rtol=1e-9, atol=1e-12)
-    signals = out / "signals.csv"
-    head = "time_s,knee_angle_rad,knee_reference_rad,load_pressure_pa\n"
-    for text, match in (
-        (
-            "time_s,knee_angle_rad\n0,1\n",
-            "signals.csv: has no column 'knee_reference_rad'; it has time_s, knee_angle_rad$",
-        ),
-        (f"{head}0,1,1,x\n", "signals.csv:2: load_pressure_pa: 'x'; must be a finite number"),
-        (head, "has no rows"),
-        (f"{head}0,1,1,nan\n", "signals.csv:2: load_pressure_pa: 'nan'; must be a finite number"),
-        (
-            f"{head}-1,1,1,3\n0,1,1,3\n",
-            "signals.csv:2: time_s = -1 s is out of range: must be >= 0",
-        ),
-        (f"{head}0,1,1,3\n1,1,1,3\n1,1,1,3\n", "signals.csv:4: time_s = 1 s after 1 s: must incre"),
-        (f"{head}0,1e308,1,3\n", r"signals.csv:2: knee_angle_rad = 1e\+308 rad is out of range"),
-        (f"{head}0,1,1,3\n1,1,-1e308,3\n", r"signals.csv:3: knee_reference_rad = -1e\+308 rad is"),
-        (f"{head}0,1,1,1e308\n", r"signals.csv:2: load_pressure_pa = 1e\+308 Pa is out of range"),
-    ):
-        signals.write_text(text)
-        with pytest.raises(ScenarioError, match=match):
-            leg_of_results("mine", out, written)
-    signals.unlink()
-    with pytest.raises(ScenarioError, match="cannot be read"):
-        leg_of_results("mine", out, written)
-
-
-def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):
-    page = tmp_path / "knee.html"
-    short = ["--set", "simulation.duration_s=0.5"]
-    assert main(["view", "--out", str(page), *short, "--json"]) == 0
-    printed = capsys.readouterr()
-    assert json.loads(printed.out)["runs"] == ["the paper's setup, simulation.duration_s=0.5"]
-    assert all(line.startswith("compiling") for line in printed.err.splitlines())
-    assert MARK in page.read_text()
-    assert main(["view", "--out", str(page), *short]) == 0  # its own page may be replaced
-    other = tmp_path / "other.html"
-    other.write_text("mine")
-    endless = tmp_path / "socket.html"
-    os.mknod(endless, stat.S_IFSOCK | 0o600)
-    for path in (other, tmp_path, endless):
-        assert main(["view", "--out", str(path), *short]) == 2
-        assert "is no page of kneexo view" in capsys.readouterr().err
-    assert other.read_text() == "mine"
-    assert {file.name for file in tmp_path.iterdir()} == {"knee.html", "other.html", "socket.html"}
-
-
-def test_a_page_opens_where_there_is_a_browser(tmp_path, monkeypatch, capsys):
-    page = tmp_path / "my knee.html"
-    command = ["view", "--out", str(page), "--set", "simulation.duration_s=0.5"]
-    opened = []
-    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or len(opened) == 1)
-    assert main([*command, "--open"]) == 0
-    assert opened == [page.as_uri()]
-    capsys.readouterr()
-    page.unlink()
-    assert main([*command, "--open"]) == 2
-    told = capsys.readouterr().err
-    assert told == f"kneexo: --open: no browser here; {page} is written, open it elsewhere\n"
-    assert page.exists()
-    assert main(command) == 0
-    assert len(opened) == 2
-
-
-def test_an_interrupt_of_the_browser_says_where_the_page_is(tmp_path, monkeypatch, capsys):
-    def browser_in_terminal(url):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("webbrowser.open", browser_in_terminal)
-    page = tmp_path / "knee.html"
-    short = ["--set", "simulation.duration_s=0.1"]
-    assert main(["view", "--out", str(page), *short, "--open"]) == 130
-    assert capsys.readouterr().err.endswith(f"kneexo: interrupted; the results are in {page}\n")
-
-
-@pytest.fixture
-def finished(tmp_path):
-    """The directory of a run, which one row of signals stands for."""
-
-    def make(path):
-        directory = tmp_path / path
-        directory.mkdir(parents=True)
-        (directory / "scenario.yaml").write_text("simulation: {duration_s: 0.5}\n")
-        (directory / "signals.csv").write_text(
-            "time_s,knee_angle_rad,knee_reference_rad,load_pressure_pa\n0,0.5,0.5,1e6\n"
-        )
-        return str(directory)
-
-    return make
-
-
-def test_too_many_runs_are_one_line(tmp_path, capsys):
-    assert main(["view", *["x.yaml"] * 31, "--out", str(tmp_path / "knee.html")]) == 2
-    assert capsys.readouterr().err == "kneexo: 31 runs: a page shows 30 at most\n"
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_runs_have_names_that_differ(tmp_path, capsys, monkeypatch, finished):
-    first, second, third = finished("a/run"), finished("b/run"), finished("c/walk")
-    monkeypatch.chdir(third)
-    page = str(tmp_path / "knee.html")
-    assert main(["view", first, second, ".", "--out", page, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["runs"] == ["a/run", "b/run", "walk"]
-
-
-def test_a_scenario_file_and_a_directory_of_one_name_have_names_that_differ(
-    tmp_path, capsys, monkeypatch, finished
-):
-    finished("x")
-    finished("y/x")
-    (tmp_path / "x.yaml").write_text("simulation: {duration_s: 0.1}\n")
-    monkeypatch.chdir(tmp_path)
-    for runs, names in (
-        (["x.yaml", "x"], ["x.yaml", "x"]),
-        (["x", "x.yaml", "y/x"], ["x", "x.yaml", "y/x"]),
-        (["x.yaml", "x.yaml", "x.yaml"], ["x.yaml", "x.yaml (2)", "x.yaml (3)"]),
-    ):
-        assert main(["view", *runs, "--out", "knee.html", "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["runs"] == names
-
-
-def test_values_of_a_finished_run_cannot_be_set(tmp_path, capsys, finished):
-    run, page = finished("run"), tmp_path / "knee.html"
-    assert main(["view", run, "--set", "plant.linkage=G3", "--out", str(page)]) == 2
-    told = f"kneexo: --set: {run} holds a finished run; its values are fixed\n"
-    assert capsys.readouterr().err == told
-    assert not page.exists()
-
-
-def test_a_fault_of_a_run_does_not_name_the_run_before(tmp_path, capsys, finished):
-    good, empty = tmp_path / "good.yaml", tmp_path / "empty"
-    good.write_text("simulation: {duration_s: 0.1}\n")
-    empty.mkdir()
-    assert main(["view", str(good), str(empty), "--out", str(tmp_path / "knee.html")]) == 2
-    assert capsys.readouterr().err.startswith(f"kneexo: {empty}/scenario.yaml: cannot be read")
 
 
 @pytest.mark.parametrize("linkage", ["G1", "G3"])
@@ -273,7 +74,9 @@ def test_a_page_holds_the_parts_where_the_live_view_has_them(linkage, commands):
     for frame in (0, 9, 64):
         now = frame / FRAMES_PER_S
         values = (np.interp(now, time, signal) for signal in (angle, reference))
-        for part, pose in poses(link, *values, depth_m=-0.15).items():
+        for part, placement in placements(link, *values).items():
+            (pose,) = placement.poses()
+            pose = RigidTransform([0.0, -0.15, 0.0]) @ pose
             ghost = part.startswith("reference_")
             folder = "leg0/reference" if ghost else "leg0"
             name = part.removeprefix("reference_")

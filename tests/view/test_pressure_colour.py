@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Sine
 
 from kneexo.errors import ParameterError
-from kneexo.view.pressure_colour import PressureColour
+from kneexo.view.pressure_colour import PressureColour, pressure_colours
 
 BLUE, GREY, RED = np.array([0.1, 0.3, 0.9]), np.full(3, 0.85), np.array([0.9, 0.15, 0.1])
 
@@ -91,3 +91,16 @@ def test_pressure_and_period_are_finite_and_positive(meshcat, value):
         PressureColour(meshcat, "part", value, 0.1)
     with pytest.raises(ParameterError, match=r"^period_s = \S+ s: must be finite and positive$"):
         PressureColour(meshcat, "part", 1e6, value)
+
+
+def test_the_cylinder_is_blue_at_negative_and_red_at_positive_pressure():
+    colours = pressure_colours(np.array([-2e6, -1e6, 0.0, 1e6, 2e6]), 2e6)
+    low, half_low, none, half_high, high = colours
+    assert low[2] == max(low) > 0.8
+    assert high[0] == max(high) > 0.8
+    assert np.ptp(none) == 0.0
+    np.testing.assert_allclose(half_low, 0.5 * (low + none))
+    np.testing.assert_allclose(half_high, 0.5 * (high + none))
+    assert ((colours >= 0.0) & (colours <= 1.0)).all()
+    np.testing.assert_array_equal(pressure_colours(np.array([9e6]), 2e6)[0], high)
+    assert np.isfinite(pressure_colours(np.zeros(2), 0.0)).all()
