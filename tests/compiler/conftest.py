@@ -26,7 +26,8 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from kneexo.compiler.equations.graph import COMPARISONS, SOURCES, UNARY, Graph
+from kneexo.compiler.equations.graph import SOURCES, Graph
+from kneexo.compiler.equations.operations import COMPARISONS, UNARY
 from kneexo.compiler.equations.passes import ALWAYS, Group
 from kneexo.compiler.native import cache, llvm as native_code
 from kneexo.compiler.native.arguments import MEMO_LINES

@@ -13,18 +13,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..equations.equations import Section
-from ..equations.graph import COMPARISONS, SOURCES, UNARY, Graph
+from ..equations.graph import SOURCES, Graph
+from ..equations.operations import CONDITIONS, OPERATIONS, Role
+from ..equations.partition import fixed_nodes
 from ..errors import CompilationError
 
 WIDTH = 96
 """Longest line of C."""
 
 _LONGEST_EXPRESSION = 160
-_CONDITIONS = (*COMPARISONS, "and", "or", "not")
-_LOGIC = {"and": " && ", "or": " || "}
-_FUNCTIONS = {"abs": "fabs", "power": "pow", "atan2": "atan2"} | {
-    name: name for name in UNARY if name != "abs"
-}
 
 Load = Callable[[str, int], str]
 """C text of an element of a source (`graph.SOURCES`), or of a ``constant`` of `CPrinter.fixed`."""
@@ -84,17 +81,9 @@ class CPrinter:
 
     def collect_fixed(self, roots: Iterable[int]) -> None:
         """Find what of ``roots`` is worth computing once: it is fixed, but more than a load."""
-        graph, roots = self.graph, list(roots)
-        used, kept = set(roots), []
-        for node in reversed(graph.reachable(roots)):
-            if node not in used:
-                continue
-            kind = graph.nodes[node][0]
-            if graph.is_fixed(node) and kind not in (*_CONDITIONS, *SOURCES):
-                kept.append(node)
-            elif node not in self.tables:
-                used.update(graph.arguments(node))
-        self.fixed = {node: number for number, node in enumerate(reversed(kept))}
+        nodes = fixed_nodes(self.graph, roots, self.tables)
+        worthwhile = [node for node in nodes if self.graph.nodes[node][0] not in SOURCES]
+        self.fixed = {node: number for number, node in enumerate(worthwhile)}
 
     def block(
         self,
@@ -149,7 +138,7 @@ class _Block:
             if simple or (uses[node] == 1 and len(text) < _LONGEST_EXPRESSION):
                 self.text[node] = text
                 continue
-            condition = self.graph.nodes[node][0] in _CONDITIONS
+            condition = self.graph.nodes[node][0] in CONDITIONS
             name = f"{'is' if condition else 'v'}{len(self.names)}"
             self.names[node] = self.text[node] = name
             kind = "bool" if condition else "real"
@@ -208,27 +197,24 @@ class _Block:
             return self._sum(arguments)
         if kind == "multiply":
             return self._product(node)
-        if kind == "divide":
-            self._count("/")
-            return f"({a[0]} / {a[1]})"
-        if kind in COMPARISONS:
-            self._count("compare")
-            return f"({a[0]} {COMPARISONS[kind]} {a[1]})"
-        if kind in _LOGIC:
-            return f"({_LOGIC[kind].join(a)})"
-        if kind == "not":
+        operation = OPERATIONS[kind]
+        symbol = operation.c
+        if symbol == "!":
             return f"(!{a[0]})"
-        if kind == "where":
+        if symbol == "?:":
             self._count("choose")
             return f"({a[0]} ? {a[1]} : {a[2]})"
-        if kind in ("min", "max"):
-            # As std::min and std::max: the first where one is not a number.
+        if symbol in ("minimum", "maximum"):  # functions of the template
             self._count(kind)
-            return f"{kind}imum({a[0]}, {a[1]})"
-        name = f"{_FUNCTIONS[kind]}{self.real.suffix}"
-        self._count(name)
-        self.printer.functions.add(name)
-        return f"{name}({', '.join(map(self._bare, a))})"
+            return f"{symbol}({a[0]}, {a[1]})"
+        if symbol.isidentifier():
+            name = f"{symbol}{self.real.suffix}"
+            self._count(name)
+            self.printer.functions.add(name)
+            return f"{name}({', '.join(map(self._bare, a))})"
+        if operation.role is not Role.LOGIC:
+            self._count("compare" if operation.role is Role.COMPARISON else symbol)
+        return f"({f' {symbol} '.join(a)})"
 
     def _sum(self, terms: Sequence[int]) -> str:
         self._count("+", len(terms) - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..equations.equations import Equations
+from ..equations.gradients import gradients
 from ..equations.graph_values import values_of
 from ..errors import CompilationError
 from ..native.runner import STEP_S
@@ -41,7 +42,7 @@ def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
     }
     sources["discrete"] = np.array(values_of(graph, equations.initial_discrete, sources))
     matrix = np.zeros((size, size))
-    for row, gradient in zip(matrix, graph.gradients(equations.derivatives), strict=True):
+    for row, gradient in zip(matrix, gradients(graph, equations.derivatives), strict=True):
         row[list(gradient)] = values_of(graph, gradient.values(), sources)
     if not np.isfinite(matrix).all():
         row, column = np.argwhere(~np.isfinite(matrix))[0]

@@ -8,16 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from ..equations.graph import COMPARISONS, SOURCES, Graph
+from ..equations.graph import Graph
 from ..equations.graph_values import values_of
+from ..equations.partition import nodes_by_count
 from ..run_data import Array
-
-_CHEAP = ("add", "multiply", "min", "max", "where", "abs", *COMPARISONS, "and", "or", "not")
-_CONDITIONS = (*COMPARISONS, "and", "or", "not")
 
 
 @dataclass(frozen=True)
@@ -40,35 +37,17 @@ def tables_of(
 
     ``ranges``: of an element of the inputs that is a whole number, its lowest and highest value.
     """
-    roots = list(roots)
-    nodes = graph.reachable(roots)
-    of: dict[int, frozenset[Any]] = {}
-    costly: dict[int, bool] = {}
-    for node in nodes:
-        kind, *rest = graph.nodes[node]
-        arguments = graph.arguments(node)
-        if graph.is_fixed(node):
-            of[node], costly[node] = frozenset(), False
-        elif kind in SOURCES:
-            alone = kind == "input" and rest[0] in ranges
-            of[node], costly[node] = frozenset([rest[0] if alone else "other"]), False
-        else:
-            of[node] = frozenset().union(*(of[argument] for argument in arguments))
-            costly[node] = kind not in _CHEAP or any(costly[argument] for argument in arguments)
-    users = [(root, frozenset(["root"])) for root in roots]
-    users += [(argument, of[node]) for node in nodes for argument in graph.arguments(node)]
-    wanted = {
-        node
-        for node, by in users
-        if len(of[node]) == 1
-        and "other" not in of[node]
-        and by != of[node]
-        and costly[node]
-        and graph.nodes[node][0] not in _CONDITIONS
-    }
+    elements = {graph.source("input", element): element for element in ranges}
+    by_count = nodes_by_count(
+        graph,
+        list(roots),
+        elements.__contains__,
+        lambda operation: 0 if operation.simple else 1,
+        0,
+    )
     tables = []
-    for node in sorted(wanted):
-        (element,) = of[node]
+    for node, count in sorted((n, count) for count, nodes in by_count.items() for n in nodes):
+        element = elements[count]
         first, last = ranges[element]
         counts = np.arange(first, last + 1.0)
         (values,) = values_of(graph, [node], {"parameter": parameters, "input": {element: counts}})

@@ -14,7 +14,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from .equations import Equations
-from .graph import COMPARISONS, SOURCES, Graph
+from .gradients import gradients
+from .graph import SOURCES, Graph
+from .operations import OPERATIONS
+from .partition import fixed_nodes, is_rounded, nodes_by_count
 
 ALWAYS = ("always", 0)
 """Condition of a group that is computed at every instant."""
@@ -22,10 +25,8 @@ ALWAYS = ("always", 0)
 Place = tuple[str, int]
 """Where a value goes: ``margin``, ``after`` (a discrete state) or ``output``, and its index."""
 
-_ROUNDINGS = ("floor", "ceil")
-_TERMS = 6  # of the longest sum that a fixed factor is distributed over
-_LARGE = 10  # cost of an operation that is not a sum or a product
-_WORTHWHILE = 30  # cost beyond which a look-up is faster
+_TERMS = 6  # terms of the longest sum that a fixed factor is distributed over
+_COST_OF_LOOK_UP = 30
 
 
 @dataclass(frozen=True)
@@ -91,9 +92,9 @@ class Program:
 
     def __init__(self, equations: Equations) -> None:
         self.equations = equations
-        self.graph = graph = equations.graph
+        self.graph = graph = equations.graph.copy()
         self.size = len(equations.states)
-        rows = graph.gradients(equations.derivatives)
+        rows = gradients(graph, equations.derivatives)
         elements = [
             (column * self.size + row, node)
             for row, gradient in enumerate(rows)
@@ -162,56 +163,19 @@ class Program:
         return [*self.derivatives, *self.initial_discrete, *self.instant, *elements]
 
     def _hoisted(self) -> dict[int, int]:
-        graph, roots = self.graph, self._roots()
-        used = set(roots)
-        fixed = []  # numbers: a condition is computed where it is used
-        for node in reversed(graph.reachable(roots)):
-            condition = graph.nodes[node][0] in _CONDITIONS
-            if not graph.is_fixed(node) or (node in used and condition):
-                used.update(graph.arguments(node))
-            elif node in used and graph.value(node) is None:
-                fixed.append(node)
-        return {node: number for number, node in enumerate(reversed(fixed))}
+        nodes = fixed_nodes(self.graph, self._roots())
+        return {node: number for number, node in enumerate(nodes)}
 
     def _memos(self) -> tuple[Memo, ...]:
-        """Nodes of an instant that one rounded value decides, and that cost more than a look-up.
-
-        Of such nodes only those are kept that something else uses.
-        """
         graph = self.graph
-        free = frozenset("*")  # depends on what is no rounded value
-        of: dict[int, frozenset[Any]] = {}
-        cost: dict[int, int] = {}
-        nodes = graph.reachable(self.instant)
-        for node in nodes:
-            kind, arguments = graph.nodes[node][0], graph.arguments(node)
-            cost[node] = 0
-            if graph.is_fixed(node):
-                of[node] = frozenset()
-            elif kind in SOURCES:
-                of[node] = free
-            else:
-                of[node] = frozenset().union(*(of[argument] for argument in arguments))
-                if kind in _ROUNDINGS and free <= of[node]:
-                    of[node] = frozenset([node])
-                else:
-                    operation = 1 if kind in ("add", "multiply") else _LARGE
-                    cost[node] = operation + sum(cost[argument] for argument in arguments)
-
-        def decided(node: int) -> bool:
-            return len(of[node]) == 1 and not free <= of[node] and cost[node] > _WORTHWHILE
-
-        users = [(root, frozenset[Any]()) for root in self.instant]
-        users += [(argument, of[node]) for node in nodes for argument in graph.arguments(node)]
-        kept: dict[int, set[int]] = {}
-        for node, by in users:
-            if decided(node) and by != of[node] and graph.nodes[node][0] not in _CONDITIONS:
-                (count,) = of[node]
-                kept.setdefault(count, set()).add(node)
-        return tuple(Memo(count, tuple(sorted(kept[count]))) for count in sorted(kept))
-
-
-_CONDITIONS = (*COMPARISONS, "and", "or", "not")
+        by_count = nodes_by_count(
+            graph,
+            self.instant,
+            lambda node: is_rounded(graph, node),
+            lambda operation: operation.cost,
+            _COST_OF_LOOK_UP,
+        )
+        return tuple(Memo(count, tuple(nodes)) for count, nodes in by_count.items())
 
 
 # ------------------------------------------------------------------------------- regrouping
@@ -233,7 +197,7 @@ class _Regrouping:
     def __init__(self, graph: Graph, roots: Sequence[int]) -> None:
         self.graph = graph
         nodes = graph.reachable(roots)
-        self.kept = _deciding(graph, nodes)
+        self.deciding = _deciding(graph, nodes)
         self.uses = Counter(argument for node in nodes for argument in graph.arguments(node))
         self.uses.update(roots)
         self.sums: dict[int, _Sum] = {}  # new nodes with a single use, as sums
@@ -248,7 +212,7 @@ class _Regrouping:
         if kind in SOURCES:
             return node
         a = [self.new[argument] for argument in graph.arguments(node)]
-        if node not in self.kept and not all(map(graph.is_fixed, a)):
+        if node not in self.deciding and not all(map(graph.is_fixed, a)):
             if kind == "divide" and graph.is_fixed(a[1]):
                 reciprocal = graph.operation("divide", graph.one, a[1])
                 return self._product(node, [reciprocal, a[0]])
@@ -313,11 +277,13 @@ class _Regrouping:
 
 
 def _deciding(graph: Graph, nodes: Iterable[int]) -> set[int]:
-    """Nodes that are compared or rounded to a whole number, and the exact operations behind."""
-    kept: set[int] = set()
+    """Return the nodes that are compared or rounded, and the exact operations behind them."""
+    deciding: set[int] = set()
     for node in sorted(nodes, reverse=True):
         kind = graph.nodes[node][0]
-        exact = kind in ("add", "multiply", "divide", "sqrt", "min", "max", "abs", "where")
-        if kind in COMPARISONS or kind in _ROUNDINGS or (node in kept and exact):
-            kept.update(graph.arguments(node))
-    return kept
+        if kind in SOURCES:
+            continue
+        operation = OPERATIONS[kind]
+        if operation.decides or (operation.exact and node in deciding):
+            deciding.update(graph.arguments(node))
+    return deciding

@@ -9,6 +9,7 @@ from pydrake.symbolic import ExpressionKind, FormulaKind
 
 from ..errors import CompilationError
 from .graph import Graph
+from .operations import COMPARISONS, OPERATIONS
 
 T = TypeVar("T")
 
@@ -18,27 +19,14 @@ LARGEST_TREE = 20_000
 Steps: TypeAlias = Generator[Any, Any, T]
 """A computation that yields the computations whose results it needs; `completed` runs it."""
 
-_UNARY = {
-    getattr(ExpressionKind, name): name.lower()
-    for name in (
-        *("Log", "Abs", "Exp", "Sqrt", "Sin", "Cos", "Tan", "Asin", "Acos", "Atan"),
-        *("Sinh", "Cosh", "Tanh", "Ceil", "Floor"),
-    )
+_EXPRESSIONS = {
+    getattr(ExpressionKind, row.drake): name
+    for name, row in OPERATIONS.items()
+    if not row.is_condition
 }
-_BINARY = {
-    ExpressionKind.Min: "min",
-    ExpressionKind.Max: "max",
-    ExpressionKind.Atan2: "atan2",
+_FORMULAS = {
+    getattr(FormulaKind, row.drake): name for name, row in OPERATIONS.items() if row.is_condition
 }
-_COMPARISONS = {
-    FormulaKind.Gt: "gt",
-    FormulaKind.Geq: "ge",
-    FormulaKind.Lt: "lt",
-    FormulaKind.Leq: "le",
-    FormulaKind.Eq: "eq",
-    FormulaKind.Neq: "ne",
-}
-_LOGIC = {FormulaKind.And: "and", FormulaKind.Or: "or", FormulaKind.Not: "not"}
 
 
 def completed(steps: Steps[T]) -> T:
@@ -99,28 +87,16 @@ class Conversion:
             return (yield self._node_of_variable(variable))
         if kind == ExpressionKind.Constant:
             return graph.constant(expression.Evaluate())
+        name = _EXPRESSIONS.get(kind)
+        if name is None:
+            raise CompilationError(f"{self._where}: {kind} does not compile")
         _, arguments = expression.Unapply()
-        if kind == ExpressionKind.IfThenElse:
-            condition = yield self._condition(arguments[0])
-            positive = yield self._node(arguments[1])
-            otherwise = yield self._node(arguments[2])
-            return graph.where(condition, positive, otherwise)
         nodes = []
-        for argument in arguments:
-            nodes.append((yield self._node(argument)))
-        if kind == ExpressionKind.Add:
-            return graph.add(*nodes)
-        if kind == ExpressionKind.Mul:
-            return graph.multiply(*nodes)
-        if kind == ExpressionKind.Div:
-            return graph.divide(*nodes)
-        if kind == ExpressionKind.Pow:
-            return graph.power(*nodes)
-        if kind in _UNARY:
-            return graph.unary(_UNARY[kind], nodes[0])
-        if kind in _BINARY:
-            return graph.binary(_BINARY[kind], *nodes)
-        raise CompilationError(f"{self._where}: {kind} does not compile")
+        for position, argument in enumerate(arguments):
+            is_condition = name == "where" and position == 0
+            convert = self._condition if is_condition else self._node
+            nodes.append((yield convert(argument)))
+        return graph.simplified(name, *nodes)
 
     def _condition(self, formula: Any) -> Steps[int]:
         graph = self._graph
@@ -128,13 +104,12 @@ class Conversion:
         if kind in (FormulaKind.True_, FormulaKind.False_):
             holds = 1.0 if kind == FormulaKind.True_ else 0.0
             return graph.compare("gt", graph.constant(holds), graph.zero)
-        if kind not in _COMPARISONS and kind not in _LOGIC:
+        name = _FORMULAS.get(kind)
+        if name is None:
             raise CompilationError(f"{self._where}: the condition {kind} does not compile")
         _, arguments = formula.Unapply()
-        convert = self._node if kind in _COMPARISONS else self._condition
+        convert = self._node if name in COMPARISONS else self._condition
         nodes = []
         for argument in arguments:
             nodes.append((yield convert(argument)))
-        if kind in _COMPARISONS:
-            return graph.compare(_COMPARISONS[kind], *nodes)
-        return graph.logic(_LOGIC[kind], *nodes)
+        return graph.operation(name, *nodes)

@@ -24,7 +24,7 @@ from ..c.build import shared_library
 from ..c.printer import DOUBLE, literal
 from ..c.source import CSource
 from ..c.template import filled
-from ..equations.graph import Operation
+from ..equations.graph import Entry
 from ..errors import CompilationError
 from .units import BASE_UNITS, Unit, unit_of_name
 
@@ -398,7 +398,7 @@ def generation_tool(archive: bytes) -> str | None:
     return root.get("generationTool", "") if root.tag == "fmiModelDescription" else None
 
 
-def _sources(nodes: Sequence[Operation]) -> Iterator[tuple[str, int]]:
+def _sources(nodes: Sequence[Entry]) -> Iterator[tuple[str, int]]:
     for kind, *rest in nodes:
         if kind in ("input", "parameter", "state", "discrete"):
             yield str(kind), int(rest[0])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
-from ..equations.graph import COMPARISONS, SOURCES
+from ..equations.graph import SOURCES
+from ..equations.operations import OPERATIONS
 from ..equations.passes import ALWAYS, Group, Memo, Place, Program
 from . import elementary
 from .arguments import MEMO_LINES
@@ -26,10 +27,15 @@ from .ir import (
 Load = Callable[[str, int], Operand]
 """Gives an element of a source (`graph.SOURCES`), or of a ``constant`` computed once a run."""
 
-_LIBRARY = {"power": "pow"}  # of the C library, where its name is another one
-_EXACT = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "abs": "absolute"}
-_CHOICES = {"min": "minimum", "max": "maximum"}
-_OWN = ("acos", "asin", "atan", "atan2", "exp", "log")
+_EMITTERS: dict[str, Callable[[Function, str, Sequence[Operand]], Operand]] = {
+    "binary": lambda f, name, a: reduce(partial(f.binary, name), a[1:], a[0]),
+    "compare": lambda f, name, a: f.compare(name, *a),
+    "not": lambda f, _, a: ~_condition(f, a[0]),
+    "instruction": lambda f, name, a: getattr(f, name)(*a),
+    "elementary": lambda f, name, a: getattr(elementary, name)(f, *a),
+    "library": lambda f, name, a: f.library(name, *a),
+}
+"""Ways to emit an operation whose arguments are computed, by the name in `Operation.native`."""
 
 
 class Printer:
@@ -146,45 +152,25 @@ class Printer:
             return float(self.graph.nodes[node][1])
         if kind in SOURCES:
             return self.load(kind, self.graph.nodes[node][1])
-        if kind == "add":
-            return self._sum(self.graph.arguments(node), values, fused)
-        if kind == "multiply":
+        arguments = self.graph.arguments(node)
+        emitter, _, name = OPERATIONS[kind].native.partition(".")
+        if emitter == "sum":
+            return self._sum(arguments, values, fused)
+        if emitter == "product":
             sign, factors = self._factors(node, values)
             total = self._product(factors)
             return total if sign > 0 else -total
-        arguments = self.graph.arguments(node)
         a: list[Operand] = [values[argument] for argument in arguments]
-        if kind == "where":
+        if emitter == "select":
             return f.select(_condition(f, a[0]), *a[1:])
         if not any(isinstance(operand, Value) for operand in a):
             a[0] = f.coerce(a[0], DOUBLE)  # LLVM folds constants, as the processor would
-        if kind == "divide":
-            return f.binary("div", *a)
-        if kind in COMPARISONS:
-            return f.compare(kind, *a)
-        if kind in ("and", "or"):
-            result = a[0]
-            for other in a[1:]:
-                result = f.binary(kind, result, other)
-            return result
-        if kind == "not":
-            return ~_condition(f, a[0])
-        if kind in _CHOICES:
-            return self._call(getattr(f, _CHOICES[kind]), a)
-        if kind in _EXACT:
-            return self._call(getattr(f, _EXACT[kind]), a)
-        if kind in ("sin", "cos"):
+        if emitter == "sincos":
             pair = ("sin and cos", arguments[0])
             if pair not in self._made:
                 self._made[pair] = elementary.sincos(f, *f.alike(a[0]))
-            return self._made[pair][kind == "cos"]
-        if kind in _OWN:
-            return self._call(partial(getattr(elementary, kind), f), a)
-        return f.library(_LIBRARY.get(str(kind), str(kind)), *a)
-
-    @staticmethod
-    def _call(function: Callable[..., Operand], arguments: Sequence[Operand]) -> Operand:
-        return function(*arguments)
+            return self._made[pair][int(name)]
+        return _EMITTERS[emitter](f, name, a)
 
     def _sum(self, terms: Sequence[int], values: Mapping[int, Operand], fused: set[int]) -> Operand:
         """A sum, into which its products are fused."""

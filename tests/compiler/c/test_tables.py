@@ -8,7 +8,8 @@ import pytest
 from kneexo.compiler.c.source import CSource, Interface
 from kneexo.compiler.c.tables import tables_of
 from kneexo.compiler.equations.equations import Equations, Update
-from kneexo.compiler.equations.graph import UNARY, Graph
+from kneexo.compiler.equations.graph import Graph
+from kneexo.compiler.equations.operations import UNARY
 from kneexo.compiler.run_data import State
 from kneexo.errors import CompilationError
 

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from kneexo.compiler.equations.equations import Equations, Limit, Update
-from kneexo.compiler.equations.graph import COMPARISONS, SOURCES, Graph
+from kneexo.compiler.equations.graph import SOURCES, Graph
+from kneexo.compiler.equations.operations import CONDITIONS
 from kneexo.compiler.equations.passes import Layout, Program, regrouped
 from kneexo.compiler.native.llvm import Library, compile_text
 from kneexo.compiler.native.time_loop import start_text
 
 property_test = settings(max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
-CONDITIONS = (*COMPARISONS, "and", "or", "not")
 
 
 def sources(graph, kind, count):
@@ -284,6 +284,7 @@ def test_quotients_behind_a_decision_stay(printed):
 def test_hoisted_is_what_depends_on_parameters_alone(random_graphs, data):
     graph, roots = data.draw(random_graphs.graphs())
     program = Program(equations_of(graph, roots, random_graphs.sizes))
+    graph = program.graph
     hoisted = set(program.hoisted)
     assert sorted(program.hoisted.values()) == list(range(len(hoisted)))
     reachable = graph.reachable(program.instant)
@@ -343,6 +344,17 @@ def test_a_condition_on_parameters_is_computed_where_it_is_used(printed):
 # ---------------------------------------------------------------------- layout, derivatives
 
 
+def test_a_program_leaves_the_graph_of_its_equations_as_it_is():
+    graph = Graph()
+    x, p = graph.source("state"), graph.source("parameter")
+    roots = [graph.divide(graph.multiply(p, x), p)]
+    before = list(graph.nodes)
+    sizes = {"parameter": 1, "state": 1, "discrete": 0, "input": 0}
+    program = Program(equations_of(graph, roots, sizes, derivatives=roots))
+    assert graph.nodes == before
+    assert len(program.graph.nodes) > len(before)
+
+
 def test_layout_survives_json():
     graph = Graph()
     x, (d, e), (u, v) = (
@@ -390,6 +402,7 @@ def test_jacobian_is_that_of_complex_steps(interpreted, random_graphs, data, see
         random_graphs.graphs(kinds, nodes=15, roots=3, constants=(0.5, -1.0, 2.0), sizes=sizes)
     )
     program = Program(equations_of(graph, [], sizes, derivatives=roots))
+    graph = program.graph
     rng = np.random.default_rng(seed)
     values = {kind: rng.uniform(-1.0, 1.0, size) for kind, size in sizes.items()}
     places, nodes = [at for at, _ in program.jacobian], [node for _, node in program.jacobian]

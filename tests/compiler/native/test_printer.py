@@ -10,7 +10,8 @@ from hypothesis import given, settings, strategies as st
 
 import kneexo.compiler.native.llvm as native
 from kneexo.compiler.equations.equations import Equations
-from kneexo.compiler.equations.graph import COMPARISONS, UNARY, Graph
+from kneexo.compiler.equations.graph import Graph
+from kneexo.compiler.equations.operations import COMPARISONS, UNARY
 from kneexo.compiler.equations.passes import ALWAYS, Group, Memo, Program
 from kneexo.compiler.native.arguments import MEMO_LINES
 from kneexo.compiler.native.time_loop import run_text

@@ -1,0 +1,46 @@
+"""Derivatives of nodes as nodes of the same graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from .graph import SOURCES, Graph
+from .operations import OPERATIONS
+
+
+def gradients(graph: Graph, roots: Iterable[int], kind: str = "state") -> list[dict[int, int]]:
+    """Return the gradient of each root: the node of each partial derivative that is not zero.
+
+    The derivatives are those by the sources of ``kind``; a gradient has them by the index of the
+    source. At a corner (`Role.CORNER`) the derivative is that of one side.
+    """
+    roots = list(roots)
+    of_node: dict[int, dict[int, int]] = {}
+    for node in graph.reachable(roots):
+        of_node[node] = _gradient(graph, node, of_node, kind)
+    return [of_node[root] for root in roots]
+
+
+def _gradient(
+    graph: Graph, node: int, gradient_of: dict[int, dict[int, int]], kind: str
+) -> dict[int, int]:
+    """Return the gradient of a node by the chain rule; ``gradient_of`` has its arguments."""
+    name = str(graph.nodes[node][0])
+    if name == kind:
+        return {int(graph.nodes[node][1]): graph.one}
+    if name in SOURCES:
+        return {}
+    arguments = graph.arguments(node)
+    indices = sorted({index for argument in arguments for index in gradient_of[argument]})
+    if not indices:
+        return {}
+    partials = OPERATIONS[name].partials(graph, arguments, node)
+    total = {}
+    for index in indices:
+        terms = [
+            graph.multiply(partial, gradient_of[argument][index])
+            for partial, argument in zip(partials, arguments, strict=True)
+            if partial is not None and index in gradient_of[argument]
+        ]
+        total[index] = graph.add(*terms)
+    return {index: term for index, term in total.items() if term != graph.zero}

@@ -1,0 +1,58 @@
+"""Derivatives of nodes against differences."""
+
+import pytest
+
+from kneexo.compiler.equations.gradients import gradients
+from kneexo.compiler.equations.graph import Graph
+from kneexo.compiler.equations.operations import UNARY
+
+POINTS = {"asin": 0.3, "acos": 0.3, "log": 1.7, "sqrt": 1.7}
+
+
+def check_gradient(interpreted, make, x):
+    graph = Graph()
+    root = make(graph, *(graph.source("state", i) for i in range(len(x))))
+    (gradient,) = gradients(graph, [root])
+    exact = interpreted(graph, [gradient.get(i, graph.zero) for i in range(len(x))], state=x)
+    for i in range(len(x)):
+        up, down = list(x), list(x)
+        up[i] += 1e-6
+        down[i] -= 1e-6
+        values = [interpreted(graph, [root], state=near)[0] for near in (up, down)]
+        slope = (values[0] - values[1]) / 2e-6
+        assert exact[i] == pytest.approx(slope, rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", UNARY)
+def test_derivative_of_each_function_of_one_argument(interpreted, name):
+    check_gradient(interpreted, lambda g, a: g.unary(name, a), [POINTS.get(name, -0.6)])
+
+
+@pytest.mark.parametrize("x", [(1.3, 0.4), (0.4, 1.3)])
+@pytest.mark.parametrize("name", ["min", "max", "atan2", "power", "divide", "where"])
+def test_derivative_of_each_function_of_two_arguments(interpreted, name, x):
+    makers = {
+        "power": lambda g, a, b: g.power(a, b),
+        "divide": lambda g, a, b: g.divide(a, b),
+        "where": lambda g, a, b: g.where(
+            g.compare("lt", a, b), g.multiply(a, a), g.unary("sin", b)
+        ),
+    }
+    check_gradient(interpreted, makers.get(name, lambda g, a, b: g.binary(name, a, b)), x)
+
+
+def test_derivative_of_a_product_with_a_repeated_factor_and_a_quotient(interpreted):
+    check_gradient(
+        interpreted,
+        lambda g, a, b: g.add(
+            g.multiply(a, a, b, g.constant(3.0)), g.divide(a, b), g.power(a, g.constant(-1.5))
+        ),
+        (1.3, 0.4),
+    )
+
+
+def test_a_node_of_whole_numbers_has_no_gradient():
+    graph = Graph()
+    a, b = (graph.source("state", i) for i in range(2))
+    (gradient,) = gradients(graph, [graph.add(graph.unary("floor", a), graph.multiply(b, b))])
+    assert list(gradient) == [1]

@@ -1,0 +1,34 @@
+"""Drake's expressions as nodes of a graph."""
+
+import pydrake.math as drake_math
+import pytest
+from pydrake.symbolic import Expression, Variable, if_then_else
+from pydrake.systems.primitives import SymbolicVectorSystem
+
+from kneexo.compiler import State, compile_diagram
+from kneexo.compiler.equations.reader import read_equations
+
+
+def test_an_expression_of_a_thousand_levels_is_read(diagram_of, leaf):
+    def output(context, out):
+        value = context.get_time()
+        for _ in range(1000):
+            value = drake_math.sin(value)
+        out.SetAtIndex(0, value)
+
+    diagram = diagram_of(
+        leaf("Deep", lambda self, T: self.DeclareVectorOutputPort("out", 1, output))
+    )
+    kinds = [kind for kind, *_ in read_equations(diagram).graph.nodes]
+    assert kinds.count("sin") == 1000
+
+
+def test_a_case_distinction_takes_its_branch():
+    x = Variable("x")
+    rate = if_then_else(Expression(x) > 1.0, -2.0 * x, Expression(3.0))
+    system = SymbolicVectorSystem(state=[x], dynamics=[rate], output=[2.0 * x])
+    model = compile_diagram(system)
+    for start, slope in ((0.0, 3.0), (0.5, 3.0), (4.0, -8.0)):
+        run = model.simulate(model.parameters(), State([start], []), 1e-6, record_period_s=1e-6)
+        first, last = run["y0"][:, 0]
+        assert (last - first) / 2e-6 == pytest.approx(slope, rel=1e-5)
