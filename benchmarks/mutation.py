@@ -47,9 +47,6 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compiler/errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "interruption": ("command_line/test_main",),
     "version": ("test_citation",),
-    "analysis/loop_equilibrium": ("analysis/test_linearization",),
-    "analysis/plant_linearization": ("analysis/test_linearization",),
-    "analysis/sampled_loop": ("analysis/test_linearization",),
     "analysis/signals": ("analysis/test_tracking", "analysis/test_walking"),
     "compiler/diagram_equations": ("compiler/test_api", "compiler/native/test_cache"),
     "compiler/model_base": ("compiler/test_model", "compiler/test_compiled_system"),
@@ -279,7 +276,9 @@ def mirrored(module: str, root: Path = ROOT) -> list[str]:
         name = name.removesuffix("_report").removesuffix("_figures")
     names = TESTS.get(module) or TESTS.get(f"{folder}/{name}")
     names = names or (f"{folder}/test_{name}".lstrip("/"),)
-    if module.startswith(("parameters/", "studies/", "analysis/frequency_response")):
+    if module.startswith(
+        ("parameters/", "studies/", "analysis/frequency_response", "analysis/sine_estimate")
+    ):
         names = (*names, "test_defaults")
     paths = [f"tests/{test}.py" for test in names]
     return [path for path in paths if (root / path).exists()]

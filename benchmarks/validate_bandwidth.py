@@ -21,7 +21,8 @@ from kneexo.analysis.bandwidth import (
     large_signal_bandwidth_hz,
     rod_limits,
 )
-from kneexo.analysis.frequency_response import MINUS_3_DB, cycle_responses, estimate_sine
+from kneexo.analysis.frequency_response import MINUS_3_DB
+from kneexo.analysis.sine_estimate import cycle_responses, estimate_sine
 from kneexo.linkage import polynomial
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.parameters.paths import changed

@@ -6,15 +6,14 @@
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz as large_signal_bandwidth_hz
 from kneexo.analysis.frequency_response import (
     FrequencyResponse as FrequencyResponse,
-    SineEstimate as SineEstimate,
     Trial as Trial,
     crossing as crossing,
     draw_trials as draw_trials,
-    estimate_sine as estimate_sine,
     fundamental as fundamental,
     nominal_trial as nominal_trial,
     sinestream as sinestream,
 )
+from kneexo.analysis.margins import Margins as Margins
 from kneexo.analysis.plant_linearization import (
     OperatingPoint as OperatingPoint,
     PlantLinearization as PlantLinearization,
@@ -30,9 +29,12 @@ from kneexo.analysis.rate_limit import (
     rate_limited_gain as rate_limited_gain,
 )
 from kneexo.analysis.sampled_loop import (
-    Margins as Margins,
     SampledLoop as SampledLoop,
     linearize_loop as linearize_loop,
+)
+from kneexo.analysis.sine_estimate import (
+    SineEstimate as SineEstimate,
+    estimate_sine as estimate_sine,
 )
 from kneexo.analysis.tracking import (
     TrackingMetrics as TrackingMetrics,

@@ -21,15 +21,13 @@ import scipy
 from kneexo import linkage
 from kneexo.analysis.frequency_response import (
     MINUS_3_DB,
-    SineEstimateSettings,
-    estimate_sine,
     fundamental,
     highest_frequency_hz,
-    motor_limits,
     require_sine,
 )
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_follower
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.sine_estimate import SineEstimateSettings, estimate_sine, motor_limits
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed

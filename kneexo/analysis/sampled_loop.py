@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from kneexo.analysis.frequency_response import MINUS_3_DB
 from kneexo.analysis.loop_equilibrium import command_and_live, find_equilibrium
+from kneexo.analysis.margins import Margins, stability_margins
 from kneexo.analysis.plant_linearization import (
     MID_RANGE_DEG,
     Complex,
@@ -40,42 +41,6 @@ _STATE_STEP = 1e-12
 _JERK_STEP_RAD_S3 = 1e-3
 """Steps of the states (their share) and of the reference's jerk that tell the sides of a kink at
 rest apart: above the rounding of the estimates, and nothing next to the boundary layer."""
-
-
-@dataclass(frozen=True, repr=False)
-class Margins(Result):
-    """Stability margins of a sampled loop, broken at the motor speed command.
-
-    Each margin is the smallest change of the loop that puts a closed-loop eigenvalue on the unit
-    circle. A stable loop stays stable with any smaller change. If ``stable`` is False, the loop is
-    unstable; the numbers are then distances to that circle and no margins.
-
-    Gain and phase have a margin in both directions, each above zero. A conditionally stable loop
-    may lose stability by less gain (``lower_gain_margin``) or by a phase lead
-    (``phase_lead_margin_deg``). python-control returns the smaller of both phase margins, a lead
-    as a negative number.
-
-    Frequencies are in Hz. ``gain_margin`` and ``disk_gain_margin`` are factors. ``disk_margin`` is
-    that of the balanced disk (S − T)/2. A margin without a crossing is inf, its frequency nan.
-    """
-
-    stable: bool
-    gain_margin: float
-    gain_margin_frequency_hz: float
-    lower_gain_margin: float
-    """Largest factor below 1 at which the loop loses stability; 0 where there is none."""
-    phase_margin_deg: float
-    """Smallest phase lag, 0…360°, at which the loop loses stability."""
-    phase_margin_frequency_hz: float
-    phase_lead_margin_deg: float
-    """Smallest phase lead, 0…360°, at which the loop loses stability."""
-    phase_lead_margin_frequency_hz: float
-    delay_margin_s: float
-    delay_margin_frequency_hz: float
-    disk_margin: float
-    disk_margin_frequency_hz: float
-    disk_gain_margin: float
-    disk_phase_margin_deg: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -256,7 +221,7 @@ class SampledLoop(Result):
                 f"{abs(self.eigenvalues[0]):.6g} > 1): it has no {what}; reduce the gain"
             )
 
-    def _loop_on_grid(self, frequencies_hz: Array) -> Complex:
+    def loop_on_grid(self, frequencies_hz: Array) -> Complex:
         """L for many frequencies at once, exact to some 1e-9.
 
         1 + L = det(zI − closed)/det(zI − open), each the product of (z − eigenvalue).
@@ -269,64 +234,8 @@ class SampledLoop(Result):
         return np.asarray(ratio - 1.0, dtype=complex)
 
     def margins(self) -> Margins:
-        """Gain, phase, delay and disk margins up to the Nyquist frequency (`Margins`)."""
-        nyquist = 0.5 / self.sample_time_s
-        grid = np.geomspace(1e-3, nyquist, 20_000)
-        loop = self._loop_on_grid(grid)
-
-        def loop_at(frequency: float) -> complex:
-            return complex(self.loop_response(frequency)[0])
-
-        def imaginary(frequency: float) -> float:
-            return loop_at(frequency).imag
-
-        def level(frequency: float) -> float:
-            return abs(loop_at(frequency)) - 1.0
-
-        on_real_axis = [*_crossings(imaginary, grid, loop.imag), nyquist]  # L(nyquist) is real
-        gains = [(-1.0 / loop_at(f).real, f) for f in on_real_axis if loop_at(f).real < 0.0]
-        lags = [
-            (180.0 + math.degrees(cmath.phase(loop_at(f))), f)
-            for f in _crossings(level, grid, np.abs(loop) - 1.0)
-        ]
-        none = (math.inf, math.nan)
-        upper = min((c for c in gains if c[0] > 1.0), default=none)
-        lower = max((c for c in gains if c[0] < 1.0), default=(0.0, math.nan))
-        lag = min(lags, default=none)
-        lead = min(((360.0 - p, f) for p, f in lags), default=none)
-        delay = min(((p / 360.0 / f, f) for p, f in lags), default=none)
-        frequency = self._disk_frequency(grid, loop)
-        disk = float(_disk_distance(loop_at(frequency)))
-        reach = 0.5 * disk
-        return Margins(
-            stable=self.stable,
-            gain_margin=upper[0],
-            gain_margin_frequency_hz=upper[1],
-            lower_gain_margin=lower[0],
-            phase_margin_deg=lag[0],
-            phase_margin_frequency_hz=lag[1],
-            phase_lead_margin_deg=lead[0],
-            phase_lead_margin_frequency_hz=lead[1],
-            delay_margin_s=delay[0],
-            delay_margin_frequency_hz=delay[1],
-            disk_margin=disk,
-            disk_margin_frequency_hz=frequency,
-            disk_gain_margin=(1.0 + reach) / (1.0 - reach) if reach < 1.0 else math.inf,
-            disk_phase_margin_deg=math.degrees(2.0 * math.atan(reach)),
-        )
-
-    def _disk_frequency(self, grid: Array, loop: Complex) -> float:
-        """Where the loop, known on ``grid``, is nearest to instability, in Hz."""
-
-        def slope(frequency: float) -> float:
-            at = self.loop_response(frequency)[0]
-            return float((self.loop_slope(frequency) / (1.0 - at * at)).real)
-
-        index = int(np.argmin(_disk_distance(loop)))
-        low, high = grid[max(index - 1, 0)], grid[min(index + 1, grid.size - 1)]
-        if slope(low) < 0.0 < slope(high):
-            return float(scipy.optimize.brentq(slope, low, high, xtol=1e-14))
-        return float(grid[index])
+        """Return gain, phase, delay and disk margins up to the Nyquist frequency (`Margins`)."""
+        return stability_margins(self)
 
     def __str__(self) -> str:
         """Stability, margins and bandwidth in words."""
@@ -418,7 +327,7 @@ class SampledLoop(Result):
         factor f from 1/γ to γ, which belong to −γ … −1/γ on the real axis.
         """
         ax = axes_or_new(ax, figsize=(5.5, 5.5))
-        loop = self._loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
+        loop = self.loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
         ax.plot(loop.real, loop.imag, "C0", lw=1.2, label="L, f > 0")
         ax.plot(loop.real, -loop.imag, "C0:", lw=0.8, label="L, f < 0")
         circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
@@ -459,22 +368,6 @@ class SampledLoop(Result):
         ax.set_aspect("equal")
         ax.legend(loc="upper left")
         return ax
-
-
-def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:
-    """Zeros of ``function``, whose ``values`` on ``grid`` are known to a few digits."""
-    changes = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
-    brackets = ((grid[i], grid[i + 1]) for i in changes)
-    return [
-        float(scipy.optimize.brentq(function, low, high, xtol=1e-14))
-        for low, high in brackets
-        if np.sign(function(low)) * np.sign(function(high)) <= 0.0  # a product could underflow
-    ]
-
-
-def _disk_distance(loop: Any) -> Any:
-    """1/|(S − T)/2|, the balanced disk margin, from L."""
-    return 2.0 * np.abs((1.0 + loop) / (1.0 - loop))
 
 
 def linearize_loop(

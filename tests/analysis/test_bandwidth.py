@@ -16,8 +16,9 @@ from kneexo.analysis.bandwidth import (
     rod_limits,
     speed_limit_reached_hz,
 )
-from kneexo.analysis.frequency_response import MINUS_3_DB, SineEstimate, SineEstimateSettings
+from kneexo.analysis.frequency_response import MINUS_3_DB
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz
+from kneexo.analysis.sine_estimate import SineEstimate, SineEstimateSettings
 from kneexo.errors import ParameterError
 from kneexo.parameters import RampReference, Scenario, SineReference
 from kneexo.parameters.paths import changed

@@ -20,14 +20,13 @@ from kneexo.analysis.bandwidth import (
     speed_limit_reached_hz,
 )
 from kneexo.analysis.frequency_response import (
-    SineEstimateSettings,
-    estimate_sine,
     require_sampled,
     require_sine,
 )
 from kneexo.analysis.plant_linearization import Complex
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.sine_estimate import SineEstimateSettings, estimate_sine
 from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed

@@ -18,8 +18,8 @@ from kneexo.analysis.bandwidth import (
     rod_limits,
     speed_limit_reached_hz,
 )
-from kneexo.analysis.frequency_response import SineEstimate, SineEstimateSettings
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.sine_estimate import SineEstimate, SineEstimateSettings
 from kneexo.command_line.output import to_json
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import RampReference, Scenario

@@ -1,0 +1,150 @@
+"""Equilibria of sampled loops against closed forms, and the loops that have none."""
+
+import math
+
+import numpy as np
+import pytest
+from linear_cases import (
+    AREA,
+    DISPLACEMENT,
+    LEAKY,
+    PAPER,
+    SCENARIOS,
+    SOFT,
+    WEIGHT,
+    plant_parameters,
+    raises_one_line,
+    slope_of_table_1,
+    total_leakage,
+)
+
+from kneexo.analysis import loop_equilibrium
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.errors import LinearizationError
+from kneexo.parameters import (
+    DifferenceParameters,
+    ExactParameters,
+    KneeLoadParameters,
+    ObserverParameters,
+    PidParameters,
+    PlantParameters,
+    RodPolynomialParameters,
+    Scenario,
+    SlidingModeParameters,
+)
+from kneexo.studies.paper import IDEAL_SMC
+
+EQ_27_GAIN = (
+    4.0 * PAPER["bulk"] * AREA * DISPLACEMENT / (6.0 * math.sqrt(1.4 * 1.8) * PAPER["volume"])
+)
+"""b̂ of Eq. 27 in m/s³ per rad/s."""
+
+
+def test_a_loop_rests_where_leakage_and_slope_of_the_boundary_layer_meet():
+    # Eq. 27 at rest: u = −(k/Φ) λ² e/b̂ must feed the leakage under a constant force.
+    force, n = 300.0, PAPER | {"c_im": 2e-12}
+    load = KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force)
+    loop = linearize_loop(Scenario(plant=plant_parameters(n, load=load)))
+    speed = n["gear"] / DISPLACEMENT * total_leakage(n) * force / AREA
+    slope = math.sqrt(1.8 / 1.4) * 2.8e5 / 3.2
+    error = -speed * EQ_27_GAIN / (slope * 20.0**2)
+    p = RodPolynomialParameters().p_mm_deg
+    rod = np.polyval(p, math.degrees(loop.knee_angle_rad))
+    assert 1e-3 * (rod - np.polyval(p, 40.0)) == pytest.approx(error, rel=1e-8)
+
+
+@pytest.mark.parametrize("estimator", [ObserverParameters(), DifferenceParameters()])
+@pytest.mark.parametrize("force", [0.0, 300.0, 800.0])
+def test_the_kink_of_eq_27_at_rest_leaves_no_trace(force, estimator):
+    # |x⃛_d − 2λë − λ²ė| multiplies s, which is not zero under a load: its slope there is the mean
+    # of both sides, 0, and the jerk of the reference acts through b̂⁻¹ alone.
+    n = PAPER | {"c_im": 2e-12}
+    load = KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force)
+    controller = SlidingModeParameters(
+        stiffness_uncertainty_n_per_m=1e4, damping_uncertainty_n_s_per_m=1e3
+    )
+    plant = plant_parameters(n, load=load)
+    loop = linearize_loop(Scenario(plant=plant, controller=controller, estimator=estimator))
+    command = loop.c_u @ loop.g_r
+    assert command[0, 3] == pytest.approx(slope_of_table_1(40.0) / EQ_27_GAIN, rel=1e-7)
+    # û has λ² and 2λ on the velocity and the acceleration, k/Φ times sat's slope 2λ and 1.
+    slope = math.sqrt(1.8 / 1.4) * 2.8e5 / 3.2
+    expected = (
+        slope_of_table_1(40.0)
+        / EQ_27_GAIN
+        * np.array([20.0**2 * slope, 20.0**2 + 40.0 * slope, 40.0 + slope])
+    )
+    assert command[0, :3] == pytest.approx(expected, rel=1e-7)
+
+
+def test_one_diagram_serves_all_loops_of_a_structure(loops, monkeypatch):
+    monkeypatch.setattr(loop_equilibrium, "_built", {})
+    for name in ("smc", "other_plant", "weight", "exact", "pid", "pid_tuned", "can_2"):
+        for scenario in (Scenario(plant=plant_parameters(LEAKY, load=WEIGHT)), SCENARIOS[name]):
+            found = linearize_loop(scenario, 52.0)
+        monkeypatch.setattr(loop_equilibrium, "_built", {})
+        fresh = linearize_loop(SCENARIOS[name], 52.0)
+        monkeypatch.setattr(loop_equilibrium, "_built", {})
+        for matrix in ("a", "b", "c", "g_x", "g_z", "g_r", "c_u"):
+            assert np.array_equal(getattr(found, matrix), getattr(fresh, matrix)), matrix
+
+
+def test_loops_that_differ_in_numbers_share_a_diagram(monkeypatch):
+    monkeypatch.setattr(loop_equilibrium, "_built", {})
+    for n in (PAPER, LEAKY, SOFT):
+        linearize_loop(Scenario(plant=plant_parameters(n), nominal=PlantParameters()))
+    assert len(loop_equilibrium._built) == 1
+
+
+def test_there_is_no_linear_loop_without_samples_or_slope():
+    with raises_one_line(LinearizationError, "controller.continuous = true"):
+        linearize_loop(IDEAL_SMC)
+    with raises_one_line(LinearizationError, "controller.switching = signum"):
+        linearize_loop(Scenario(controller=SlidingModeParameters(switching="signum")))
+
+
+def pushed(force, **more):
+    """A leaky plant whose motor must turn at ``speed`` to hold a constant force on the rod."""
+    n = PAPER | {"c_im": 5e-12}
+    load = KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force)
+    speed = n["gear"] / DISPLACEMENT * total_leakage(n) * force / AREA
+    return plant_parameters(n, load=load, **more), speed
+
+
+@pytest.mark.parametrize("share", [0.99, 0.5])
+@pytest.mark.parametrize("kind", [SlidingModeParameters, PidParameters])
+def test_a_command_limit_below_the_leakage_leaves_no_rest(share, kind):
+    plant, speed = pushed(200.0)
+    controller = kind(command_limit_rad_s=share * speed)
+    with raises_one_line(LinearizationError, "does not rest at knee angle 40 deg"):
+        linearize_loop(Scenario(plant=plant, controller=controller))
+
+
+def test_a_search_that_leaves_the_linkage_says_so():
+    plant = PlantParameters(load=KneeLoadParameters(disturbance_n=2000.0))
+    where = "Newton's method goes where the equations are not finite; reduce the load"
+    with raises_one_line(LinearizationError, f"does not rest at knee angle 45 deg: {where}"):
+        linearize_loop(Scenario(plant=plant, controller=PidParameters()), 45.0)
+
+
+def test_a_rest_at_the_speed_limit_is_refused():
+    plant, speed = pushed(200.0)
+    controller = PidParameters(proportional_per_s=50.0, command_limit_rad_s=speed * (1.0 + 1e-10))
+    with raises_one_line(LinearizationError, "motor_speed_command = .* is at its limit of"):
+        linearize_loop(Scenario(plant=plant, controller=controller))
+
+
+@pytest.mark.parametrize("eta", [3e3, 5e3, 8e3])
+def test_a_boundary_layer_too_weak_for_the_leakage_leaves_no_rest(eta):
+    plant, speed = pushed(800.0)
+    controller = SlidingModeParameters(eta_m_s3=eta)
+    assert speed > 100.0
+    with raises_one_line(LinearizationError, "does not rest at knee angle 40 deg"):
+        linearize_loop(Scenario(plant=plant, controller=controller))
+
+
+def test_a_rest_outside_the_boundary_layer_is_refused():
+    # Without η nothing pulls s to zero; Table 1 and the linkage differ by λ²·0.03 mm.
+    controller = SlidingModeParameters(eta_m_s3=0.0, phi_m_s2=1e-6)
+    with raises_one_line(LinearizationError, "outside the boundary layer"):
+        linearize_loop(Scenario(estimator=ExactParameters(), controller=controller))

@@ -1,0 +1,281 @@
+"""Stability margins against python-control, closed forms and eigenvalues on the unit circle."""
+
+import dataclasses
+import math
+
+import control
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from linear_cases import (
+    SCENARIOS,
+    SPRING,
+    STABLE,
+    T,
+    delayed,
+    frequency_response,
+    nearest,
+    plant_parameters,
+    raises_one_line,
+)
+
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.errors import LinearizationError
+from kneexo.parameters import (
+    PidParameters,
+    Scenario,
+    SlidingModeParameters,
+)
+from kneexo.parameters.paths import changed
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_margins_are_those_of_python_control(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    assert m.stable
+    f = np.geomspace(0.05, 249.9, 1500)
+    data = control.FRD(frequency_response(loop, f), 2.0 * math.pi * f, smooth=True)
+    gain, phase, _, omega_phase, omega_gain, _ = control.stability_margins(data)
+    assert m.gain_margin == pytest.approx(gain, rel=1e-6)
+    assert m.phase_margin_deg == pytest.approx(phase, rel=1e-6)
+    # The argument of a crossing is as exact as the spline through the data.
+    assert 2.0 * math.pi * m.gain_margin_frequency_hz == pytest.approx(omega_phase, rel=1e-5)
+    assert 2.0 * math.pi * m.phase_margin_frequency_hz == pytest.approx(omega_gain, rel=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore:stability_margins")
+@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "difference"])
+def test_margins_are_those_of_python_control_on_the_state_space(loops, margins, name):
+    m = margins[name]
+    gain, phase, *_ = control.stability_margins(loops[name].to_control())
+    assert m.gain_margin == pytest.approx(gain, rel=1e-6)
+    assert m.phase_margin_deg == pytest.approx(phase, rel=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:Setting the shape:DeprecationWarning:control")  # its own code
+@pytest.mark.parametrize("name", STABLE)
+def test_disk_margins_are_those_of_python_control(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    # The minimum of a dense grid about it: flat to 1e-8 between its points.
+    f = m.disk_margin_frequency_hz * (1.0 + np.linspace(-0.03, 0.03, 401))
+    f = np.sort(np.concatenate([np.geomspace(0.05, 249.9, 600), f[f < 250.0]]))
+    disk, gain_db, phase = control.disk_margins(loop.to_control(), 2.0 * math.pi * f, skew=0.0)
+    assert m.disk_margin == pytest.approx(disk, rel=1e-6)
+    assert 20.0 * math.log10(m.disk_gain_margin) == pytest.approx(gain_db, rel=1e-6)
+    assert m.disk_phase_margin_deg == pytest.approx(phase, rel=1e-6)
+
+
+def scaled(loop, factor):
+    """The loop with its gain multiplied."""
+    return dataclasses.replace(loop, b=factor * loop.b)
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_the_gain_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    critical = np.exp(2j * math.pi * m.gain_margin_frequency_hz * T)
+    values = scaled(loop, m.gain_margin).eigenvalues
+    assert abs(nearest(values, critical) - critical) < 1e-6
+    assert scaled(loop, 0.999 * m.gain_margin).stable
+    assert not scaled(loop, 1.001 * m.gain_margin).stable
+    assert m.lower_gain_margin == 0.0
+    assert scaled(loop, 1e-3).stable
+
+
+def test_the_lower_gain_margin_makes_an_unstable_loop_stable(unstable):
+    m = unstable.margins()
+    assert not m.stable
+    assert 0.0 < m.lower_gain_margin < 1.0
+    values = scaled(unstable, m.lower_gain_margin).eigenvalues
+    assert abs(values[0]) == pytest.approx(1.0, abs=1e-6)
+    assert scaled(unstable, 0.999 * m.lower_gain_margin).stable
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_the_phase_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    system = loop.to_control()
+    turned = system.A - np.exp(-1j * math.radians(m.phase_margin_deg)) * (system.B @ system.C)
+    critical = np.exp(2j * math.pi * m.phase_margin_frequency_hz * T)
+    assert abs(nearest(np.linalg.eigvals(turned), critical) - critical) < 1e-6
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_the_delay_margin_is_the_smallest_of_all_crossings(loops, margins, name):
+    f = np.geomspace(0.05, 249.9, 4000)
+    data = control.FRD(frequency_response(loops[name], f), 2.0 * math.pi * f, smooth=True)
+    _, phases, _, _, omegas, _ = control.stability_margins(data, returnall=True)
+    expected = min(np.radians(np.mod(phases, 360.0)) / omegas)
+    # The spline is good for 1e-6 where the loop bends most (the 447 Hz mode, exact states).
+    assert margins[name].delay_margin_s == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.fixture(scope="module")
+def conditional():
+    """A wide boundary layer: three crossings of |L| = 1, of which one has turned past −180°."""
+    return linearize_loop(Scenario(controller=SlidingModeParameters(phi_m_s2=18.0)))
+
+
+@pytest.mark.filterwarnings("ignore:stability_margins")
+def test_a_conditionally_stable_loop_has_a_phase_margin_in_both_directions(conditional):
+    m = conditional.margins()
+    _, phases, *_ = control.stability_margins(conditional.to_control(), returnall=True)
+    assert m.stable
+    assert m.phase_margin_deg == pytest.approx(phases[phases > 0.0].min(), rel=1e-6)
+    assert m.phase_lead_margin_deg == pytest.approx(-phases[phases < 0.0].max(), rel=1e-6)
+    assert (m.phase_margin_deg, m.phase_lead_margin_deg) == pytest.approx((22.5, 9.07), abs=0.05)
+    # The smaller one, as a negative number, is what python-control calls the phase margin.
+    assert control.stability_margins(conditional.to_control())[1] == pytest.approx(
+        -m.phase_lead_margin_deg, rel=1e-6
+    )
+    assert m.disk_phase_margin_deg < min(m.phase_margin_deg, m.phase_lead_margin_deg)
+
+
+@pytest.mark.parametrize(
+    ("name", "sign"), [("phase_margin", -1.0), ("phase_lead_margin", 1.0)], ids=["lag", "lead"]
+)
+def test_a_turn_by_the_margin_puts_an_eigenvalue_on_the_unit_circle(conditional, name, sign):
+    m = conditional.margins()
+    turn = np.exp(1j * sign * math.radians(getattr(m, f"{name}_deg")))
+    system = conditional.to_control()
+    values = np.linalg.eigvals(system.A - turn * (system.B @ system.C))
+    critical = np.exp(2j * math.pi * getattr(m, f"{name}_frequency_hz") * T)
+    assert abs(nearest(values, critical) - critical) < 1e-6
+
+
+def test_a_conditionally_stable_loop_prints_both_phase_margins(conditional):
+    m, text = conditional.margins(), str(conditional)
+    lag = f"phase margin {m.phase_margin_deg:.4g} deg at {m.phase_margin_frequency_hz:.4g} Hz"
+    lead = f"lead {m.phase_lead_margin_deg:.4g} deg at {m.phase_lead_margin_frequency_hz:.4g} Hz"
+    assert f"{lag}, {lead}, delay margin" in text
+    assert "lower" not in text
+
+
+def test_a_loop_that_loses_stability_with_less_gain_prints_that_margin():
+    # Three integrators with the feedback (s + 10/s)³ less s³: Routh asks for a gain above 1/9.
+    three = delayed(np.eye(3, k=1), np.array([[0.0], [0.0], [1.0]]), 1.0, 0)
+    loop = dataclasses.replace(three, g_x=-np.array([[1e3, 3e2, 30.0]]))
+    m = loop.margins()
+    assert m.lower_gain_margin == pytest.approx(1.0 / 9.0, rel=0.05)  # T adds a short delay
+    assert scaled(loop, 1.001 * m.lower_gain_margin).stable
+    assert not scaled(loop, 0.999 * m.lower_gain_margin).stable
+    assert f", lower {m.lower_gain_margin:.4g}\n" in str(loop)
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_the_phase_margin_of_a_delayed_integrator_is_that_of_the_closed_form(delay):
+    # L = g z⁻ⁿ/(z − 1) has |L| = 1 at 2 sin(ωT/2) = g, and there the phase −90° − (n + ½) ωT.
+    g = 1.2
+    loop = delayed(np.array([[0.0]]), np.array([[1.0 / T]]), g, delay)
+    angle = 2.0 * math.asin(0.5 * g)
+    margin = 90.0 - math.degrees((delay + 0.5) * angle)
+    m = loop.margins()
+    assert m.stable is (margin > 0.0)  # 53.1° and −94.4°: a lead of 94.4° is missing
+    assert m.phase_margin_deg == pytest.approx(margin % 360.0, rel=1e-9)
+    assert m.phase_lead_margin_deg == pytest.approx(-margin % 360.0, rel=1e-9)
+    assert m.phase_margin_frequency_hz == pytest.approx(angle / (2.0 * math.pi * T), rel=1e-9)
+    assert m.phase_lead_margin_frequency_hz == m.phase_margin_frequency_hz
+    # A delay only turns the phase back: an unstable loop is as far from −180° the other way round.
+    turn = margin % 360.0 / 360.0
+    assert m.delay_margin_s == pytest.approx(turn / m.phase_margin_frequency_hz, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["difference", "pid_tuned"])
+def test_the_delay_margin_is_what_the_can_bus_may_take(margins, name):
+    samples = margins[name].delay_margin_s / T
+    assert 1.0 < samples < 10.0
+    below, above = (
+        linearize_loop(changed(SCENARIOS[name], {"bus.latency_samples": n}))
+        for n in (math.floor(samples), math.ceil(samples))
+    )
+    assert below.stable
+    assert not above.stable
+
+
+@pytest.mark.parametrize("unit_rpm", [1.0, 0.001])
+@pytest.mark.parametrize(("latency", "same"), [(0, "smc"), (1, "can_1"), (2, "can_2")])
+def test_the_loop_of_a_drive_is_the_one_without_rounding(loops, margins, unit_rpm, latency, same):
+    bus = {"kind": "cia402", "velocity_unit_rpm": unit_rpm, "latency_samples": latency}
+    loop = linearize_loop(Scenario(bus=bus))
+    np.testing.assert_array_equal(loop.monodromy, loops[same].monodromy)
+    # A delay in the loop takes itself from the delay margin, and nothing from the crossover.
+    m, immediate = loop.margins(), margins["smc"]
+    assert m.delay_margin_s == pytest.approx(immediate.delay_margin_s - latency * T, rel=1e-6)
+    assert m.delay_margin_frequency_hz == pytest.approx(
+        immediate.delay_margin_frequency_hz, rel=1e-9
+    )
+
+
+def test_an_unstable_loop_says_so(unstable):
+    assert not unstable.stable
+    assert not unstable.margins().stable
+    for bandwidth in (unstable.bandwidth_hz, unstable.complementary_sensitivity_bandwidth_hz):
+        with raises_one_line(LinearizationError, "unstable .* it has no bandwidth"):
+            bandwidth()
+    largest = max(abs(unstable.eigenvalues))
+    assert str(unstable) == (  # exact states hold the rod that Table 1 has at 40 deg
+        f"knee at 40.01 deg, T = 0.002 s: unstable, largest eigenvalue {largest:.6g}; "
+        f"it has no margins"
+    )
+    axes = unstable.plot()
+    shown = [text.get_text() for ax in axes for text in ax.get_legend().get_texts()]
+    assert shown == ["Nyquist, 250 Hz"] * 2
+    plt.close(axes[0].figure)
+
+
+def test_a_loop_with_hardly_any_gain_has_no_gain_margin():
+    law = PidParameters(proportional_per_s=1e-300)  # products of two values of the loop are zero
+    loop = linearize_loop(Scenario(controller=law, estimator={"kind": "exact"}))
+    assert loop.margins().gain_margin > 1e100
+
+
+def test_a_loop_below_gain_one_has_an_infinite_phase_margin_in_words():
+    # A spring holds the rod, and the controller pushes it by a thousandth of what is needed.
+    controller = PidParameters(proportional_per_s=0.001)
+    loop = linearize_loop(Scenario(plant=plant_parameters(SPRING), controller=controller))
+    assert "  phase margin infinite, delay margin infinite\n" in str(loop)
+    assert "nan" not in str(loop)
+
+
+@pytest.mark.parametrize("name", ["smc", "pid_tuned", "difference", "can_2"])
+def test_the_loop_touches_the_disk_that_it_keeps_out(loops, margins, name):
+    axes = loops[name].plot_nyquist()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("real part of L", "imaginary part of L")
+    lines = {line.get_label(): line.get_data() for line in axes.lines}
+    real, imaginary = lines["L, f > 0"]
+    np.testing.assert_array_equal(lines["L, f < 0"], (real, -imaginary))
+    assert np.hypot(*lines["|L| = 1"]) == pytest.approx(np.ones(361))
+    assert np.ravel(lines["−1"]).tolist() == [-1.0, 0.0]
+    # L has one value at each frequency, and 250 Hz makes it real.
+    assert imaginary[-1] == pytest.approx(0.0, abs=1e-6)
+    assert real[-1] == pytest.approx(loops[name].loop_response(250.0)[0].real, abs=1e-6)
+    assert (axes.get_xlim(), axes.get_ylim()) == ((-3.5, 1.5), (-2.5, 2.5))
+    shown = axes.patches[0].get_label()
+    assert shown == f"disk margin {margins[name].disk_margin:.3g}"
+    circle = axes.patches[0].get_path().vertices @ [1.0, 1.0j]
+    m = margins[name]
+    # On the real axis the disk spans the gains that the loop stands.
+    assert circle.real.min() == pytest.approx(-m.disk_gain_margin, rel=1e-9)
+    assert circle.real.max() == pytest.approx(-1.0 / m.disk_gain_margin, rel=1e-9)
+    centre = 0.5 * (circle.real.min() + circle.real.max())
+    radius = 0.5 * np.ptp(circle.real)
+    assert np.abs(circle - centre) == pytest.approx(np.full(circle.size, radius), rel=1e-9)
+    at = loops[name].loop_response(m.disk_margin_frequency_hz)[0]
+    assert abs(at - centre) == pytest.approx(radius, rel=1e-9)
+    everywhere = loops[name].loop_response(np.geomspace(0.01, 250.0, 5000))
+    assert np.abs(everywhere - centre).min() >= (1.0 - 1e-9) * radius
+    plt.close(axes.figure)
+
+
+def test_an_unstable_loop_has_no_disk(unstable):
+    axes = unstable.plot_nyquist()
+    assert not axes.patches
+    plt.close(axes.figure)
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_the_delay_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
+    loop, m = loops[name], margins[name]
+    f = m.delay_margin_frequency_hz
+    delayed = loop.loop_response(f)[0] * np.exp(-2j * math.pi * f * m.delay_margin_s)
+    assert delayed == pytest.approx(-1.0, abs=1e-9)

@@ -1,0 +1,385 @@
+"""Sampled loops against Drake's Simulator, python-control and closed forms."""
+
+import dataclasses
+import math
+
+import control
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from linear_cases import (
+    T,
+    delayed,
+    distance,
+    eq_27,
+    frequency_response,
+    raises_one_line,
+)
+from pydrake.symbolic import Variable, exp
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import SymbolicVectorSystem
+
+from kneexo.analysis.error_model import error_model
+from kneexo.analysis.plant_linearization import linearize_plant
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.diagrams import make_closed_loop, make_plant
+from kneexo.errors import LinearizationError
+from kneexo.parameters import (
+    PidParameters,
+    Scenario,
+    StepReference,
+)
+
+
+def test_states_and_sizes(loops):
+    sizes = {name: loop.g_z.shape[0] for name, loop in loops.items()}
+    # Command and estimator; the PID's filter, and its integral where it has integral action.
+    assert sizes == {
+        "smc": 4,
+        "pid": 2,
+        "pid_tuned": 3,
+        "can_1": 5,
+        "can_2": 6,
+        "difference": 3,
+        "exact": 1,
+        "weight": 4,
+        "other_plant": 4,
+    }
+    for name, loop in loops.items():
+        m = sizes[name]
+        assert loop.a.shape == (4, 4)
+        assert loop.b.shape == (4, 1)
+        assert loop.c.shape == (1, 4)
+        assert loop.g_x.shape == (m, 4)
+        assert loop.g_r.shape == (m, 4)
+        assert loop.c_u.shape == (1, m)
+        assert loop.monodromy.shape == (4 + m, 4 + m)
+        assert loop.sample_time_s == T
+        assert loop.stable
+        assert loop.to_control().dt == T
+
+
+@pytest.mark.parametrize("name", ["smc", "pid_tuned", "other_plant"])
+def test_the_held_plant_is_that_of_the_modal_sum(loops, name):
+    loop = loops[name]
+    values, right = np.linalg.eig(loop.a)
+    left = np.linalg.inv(right)
+    a_d = right @ np.diag(np.exp(values * T)) @ left
+    integral = [T if abs(v) < 1e-12 else (np.exp(v * T) - 1.0) / v for v in values]
+    b_d = right @ np.diag(integral) @ left @ loop.b
+    found = loop.plant_step()
+    assert np.abs(found[0] - a_d).max() < 1e-11 * np.abs(a_d).max()
+    assert np.abs(found[1] - b_d).max() < 1e-11 * np.abs(b_d).max()
+    sampled = control.sample_system(control.ss(loop.a, loop.b, loop.c, [[0.0]]), T, method="zoh")
+    assert np.abs(found[0] - sampled.A).max() < 1e-12 * np.abs(a_d).max()
+    assert np.abs(found[1] - sampled.B).max() < 1e-12 * np.abs(b_d).max()
+
+
+def test_the_plant_of_a_loop_is_the_linearized_plant(loops):
+    plant = linearize_plant()
+    for name in ("smc", "pid", "can_2", "exact"):
+        assert np.abs(loops[name].a - plant.a).max() < 1e-9 * np.abs(plant.a).max()
+        assert np.abs(loops[name].b - plant.b).max() < 1e-12 * np.abs(plant.b).max()
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [
+        # With these the integral's update differs from the identity by rounding.
+        PidParameters(
+            proportional_per_s=11.3, moment_arm_m=0.0931, derivative=0.03, filter_s=0.013
+        ),
+        PidParameters(proportional_per_s=7.7, moment_arm_m=0.113, velocity_feedforward=0.9),
+        PidParameters(proportional_per_s=3.1, moment_arm_m=0.077, anti_windup_s=0.37),
+    ],
+)
+def test_an_unused_integral_is_no_state_of_the_loop(controller):
+    loop = linearize_loop(Scenario(controller=controller))
+    assert loop.g_z.shape == (2, 2)
+    assert loop.stable
+
+
+def test_eigenvalues_are_sorted_and_become_poles(loops):
+    loop = loops["can_2"]
+    values = loop.eigenvalues
+    assert np.all(np.diff(np.abs(values)) <= 1e-12)
+    kept = values[np.abs(values) > 1e-9]
+    assert np.exp(loop.poles() * T) == pytest.approx(kept, rel=1e-12)
+
+
+def test_exact_states_lose_stability_between_1_0e4_and_1_3e4():
+    def stable(slope):
+        return linearize_loop(eq_27(slope)).stable
+
+    low, high = 1.0e4, 1.3e4
+    assert stable(low)
+    assert not stable(high)
+    for _ in range(25):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    assert high - low < 1e-3
+    assert low == pytest.approx(BOUNDARY_PER_S, rel=1e-4)
+    # There the hydraulic mode leaves the unit circle, seen folded below the Nyquist frequency.
+    loop = linearize_loop(eq_27(low))
+    critical = loop.eigenvalues[0]
+    assert abs(critical) == pytest.approx(1.0, abs=1e-6)
+    hydraulic = linearize_plant().poles[-1]
+    folded = abs(np.angle(np.exp(hydraulic * T)))
+    assert abs(np.angle(critical)) == pytest.approx(folded, abs=0.05)
+
+
+BOUNDARY_PER_S = 11_781.5
+
+
+def test_the_phase_in_a_bode_plot_starts_below_90_deg():
+    # L = g T²/2 (z + 1)/(z − 1)² z⁻ⁿ turns by −180° − (n + ½) ωT: the first angle is +179.9°.
+    loop = delayed(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 50.0, 2)
+    magnitude, phase = loop.plot()
+    f, values = (part[:-1] for part in phase.lines[0].get_data())  # L is zero at Nyquist
+    omega = 2.0 * math.pi * f
+    assert values == pytest.approx(-180.0 - 2.5 * np.degrees(omega * T), abs=1e-3)
+    assert f.max() == pytest.approx(250.0, rel=0.01)
+    gain = 50.0 * T**2 / 4.0 * np.cos(0.5 * omega * T) / np.sin(0.5 * omega * T) ** 2
+    assert magnitude.lines[0].get_ydata()[:-1] == pytest.approx(20.0 * np.log10(gain), abs=1e-3)
+
+
+def test_a_bode_plot_leaves_out_the_margin_that_a_loop_has_not():
+    # An integrator crosses |L| = 1; a lag with less gain than one does not. Both reach −180°.
+    integrator = delayed(np.array([[0.0]]), np.array([[1.0 / T]]), 0.1, 0)
+    small = delayed(np.array([[-500.0]]), np.array([[100.0]]), 0.5, 1)
+    for loop, phase_margin, gain_margin in ((integrator, True, True), (small, False, True)):
+        magnitude, phase = loop.plot()
+        assert math.isfinite(loop.margins().phase_margin_deg) == phase_margin
+        assert math.isfinite(loop.margins().gain_margin) == gain_margin
+        shown = [line.get_label() for axis in (magnitude, phase) for line in axis.lines]
+        assert any("crossover" in label for label in shown) == phase_margin
+        assert any("phase margin" in label for label in shown) == phase_margin
+        assert any("gain margin" in label for label in shown) == gain_margin
+
+
+def test_can_delay_is_a_delay_of_the_loop(loops):
+    f = np.array([0.3, 5.0, 90.0, 240.0])
+    z = np.exp(2j * math.pi * f * T)
+    for name, n in (("can_1", 1), ("can_2", 2)):
+        expected = loops["smc"].loop_response(f) / z**n
+        assert loops[name].loop_response(f) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["smc", "pid_tuned", "difference"])
+def test_sensitivities_are_those_of_the_closed_loop(loops, name):
+    loop = loops[name]
+    f = np.array([0.1, 1.0, 17.0, 130.0])
+    s, t = loop.sensitivity(f), loop.complementary_sensitivity(f)
+    assert s + t == pytest.approx(np.ones(4), abs=1e-12)
+    assert loop.loop_response(f) == pytest.approx(frequency_response(loop, f), rel=1e-8)
+    # det(zI − closed) = det(zI − open)(1 + L)
+    z = np.exp(2j * math.pi * f * T)
+    eye = np.eye(loop.monodromy.shape[0])
+    ratio = [np.linalg.det(v * eye - loop.to_control().A) for v in z]
+    ratio /= np.array([np.linalg.det(v * eye - loop.monodromy) for v in z])
+    assert s == pytest.approx(ratio, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "can_2", "difference", "weight"])
+def test_the_output_follows_a_slow_reference(loops, name):
+    loop = loops[name]
+    # P action alone lags by f/0.8 Hz; so does a slow rest under the weight, less than 1e-2.
+    assert loop.output_response(1e-3)[0] == pytest.approx(1.0, abs=2e-2)
+    f = 0.05
+    s, z = 2j * math.pi * f, np.exp(2j * math.pi * f * T)
+    b_d = loop.plant_step()[1]
+    drive = np.vstack([b_d @ loop.c_u @ loop.g_r, loop.g_r]) @ np.array([1.0, s, s**2, s**3])
+    state = np.linalg.solve(z * np.eye(loop.monodromy.shape[0]) - loop.monodromy, drive)
+    sampled = (loop.c @ state[:4])[0]
+    # What the samples fold down from beyond 499 Hz is all that tells them apart.
+    assert loop.output_response(f)[0] == pytest.approx(sampled, rel=1e-6)
+
+
+def test_the_output_may_be_another_port(loops):
+    rod = linearize_loop(output="rod_extension")
+    assert rod.c == pytest.approx(np.array([[0.0, 1.0, 0.0, 0.0]]))
+    f = np.array([0.5, 30.0])
+    slope = 1.0 / loops["smc"].c[0, 1]
+    assert rod.output_response(f) == pytest.approx(slope * loops["smc"].output_response(f))
+
+
+def test_a_frequency_of_zero_is_refused(loops):
+    with raises_one_line(LinearizationError, "must be > 0"):
+        loops["smc"].output_response([0.0, 1.0])
+
+
+@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "difference", "exact"])
+def test_the_bandwidth_is_the_first_crossing(loops, name):
+    loop = loops[name]
+    bandwidth = loop.bandwidth_hz()
+    threshold = math.sqrt(0.5) * abs(loop.output_response(0.01)[0])
+    assert abs(loop.output_response(bandwidth)[0]) == pytest.approx(threshold, rel=1e-9)
+    below = np.abs(loop.output_response(np.geomspace(1e-3, 0.9999 * bandwidth, 300)))
+    assert below.min() > threshold
+
+
+def test_the_bandwidth_does_not_depend_on_the_unit_of_the_output(loops):
+    loud = dataclasses.replace(loops["smc"], c=10.0 * loops["smc"].c)
+    assert loud.bandwidth_hz() == pytest.approx(loops["smc"].bandwidth_hz(), rel=1e-9)
+
+
+def test_the_bandwidth_of_the_complementary_sensitivity_is_that_of_the_closed_form():
+    # L = g/(z − 1): T = g/(z − 1 + g), and |T|² = 1/2 at cos ωT = (1 + (1 − g)² − 2g²)/(2(1 − g)).
+    g = 0.3
+    loop = delayed(np.array([[0.0]]), np.array([[1.0 / T]]), g, 0)
+    angle = math.acos((1.0 + (1.0 - g) ** 2 - 2.0 * g**2) / (2.0 * (1.0 - g)))
+    expected = angle / (2.0 * math.pi * T)
+    # It is relative to the gain at 0.01 Hz: 1 − 9e-8.
+    assert loop.complementary_sensitivity_bandwidth_hz() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "can_2", "difference"])
+def test_the_bandwidth_of_the_complementary_sensitivity_is_that_of_python_control(loops, name):
+    loop = loops[name]
+    bandwidth = loop.complementary_sensitivity_bandwidth_hz()
+    f = np.concatenate([[0.01], np.geomspace(0.02, bandwidth, 400)])
+    opened = loop.to_control()(np.exp(2j * math.pi * f * T))
+    gain = np.abs(opened / (1.0 + opened))
+    assert gain[-1] == pytest.approx(gain[0] / math.sqrt(2.0), rel=1e-6)
+    assert gain[:-1].min() > gain[0] / math.sqrt(2.0)
+
+
+def test_the_feedforward_is_no_part_of_the_complementary_sensitivity(loops):
+    smc = loops["smc"]
+    without = dataclasses.replace(smc, g_r=smc.g_r * [1.0, 0.0, 0.0, 0.0])
+    feedback = smc.complementary_sensitivity_bandwidth_hz()
+    assert without.bandwidth_hz() < 0.6 * smc.bandwidth_hz()
+    assert without.complementary_sensitivity_bandwidth_hz() == feedback
+
+
+def test_a_loop_prints_its_margins_and_plots(loops):
+    loop = loops["smc"]
+    m, text = loop.margins(), str(loop)
+    feedback = loop.complementary_sensitivity_bandwidth_hz()
+    f_gain, f_phase, f_disk = (
+        getattr(m, f"{name}_margin_frequency_hz") for name in ("gain", "phase", "disk")
+    )
+    assert text.splitlines() == [
+        f"knee at 40 deg, T = 0.002 s: stable, largest eigenvalue {max(abs(loop.eigenvalues)):.6g}",
+        f"  gain margin {m.gain_margin:.4g} at {f_gain:.4g} Hz",
+        f"  phase margin {m.phase_margin_deg:.4g} deg at {f_phase:.4g} Hz, "
+        f"delay margin {1e3 * m.delay_margin_s:.4g} ms",
+        f"  disk margin {m.disk_margin:.4g} at {f_disk:.4g} Hz: "
+        f"gain {m.disk_gain_margin:.4g}, phase {m.disk_phase_margin_deg:.4g} deg",
+        f"  small-signal bandwidth {loop.bandwidth_hz():.4g} Hz, with feedforward",
+        f"  complementary sensitivity bandwidth {feedback:.4g} Hz, feedback alone",
+    ]
+    magnitude, phase = loop.plot()
+    labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in (magnitude, phase)]
+    assert labels == [("", "loop magnitude (dB)"), ("frequency (Hz)", "loop phase (deg)")]
+    lines = {line.get_label(): line.get_data() for ax in (phase, magnitude) for line in ax.lines}
+    assert set(lines["Nyquist, 250 Hz"][0]) == {250.0}
+    f, zero = lines[f"crossover {m.phase_margin_frequency_hz:.3g} Hz"]
+    assert (*f, *zero) == pytest.approx((m.phase_margin_frequency_hz, 0.0))
+    f, ends = lines[f"phase margin {m.phase_margin_deg:.3g}°"]
+    assert f == pytest.approx([m.phase_margin_frequency_hz] * 2)
+    assert ends == pytest.approx([-180.0, m.phase_margin_deg - 180.0], abs=0.01)
+    for ax, level in ((magnitude, 0.0), (phase, -180.0)):
+        assert [line for line in ax.lines if set(line.get_ydata()) == {level}]
+    line = magnitude.lines[0]
+    at_1_hz = np.interp(0.0, np.log10(line.get_xdata()), line.get_ydata())
+    assert at_1_hz == pytest.approx(20.0 * math.log10(abs(loop.loop_response(1.0)[0])), abs=0.01)
+    assert phase.get_ylabel() == "loop phase (deg)"
+    (margin,) = (line for line in magnitude.lines if line.get_label().startswith("gain margin"))
+    f, ends = margin.get_data()
+    assert f == pytest.approx([m.gain_margin_frequency_hz] * 2)
+    assert 10.0 ** (-ends / 20.0) == pytest.approx([m.gain_margin, 1.0])
+    assert f"({-ends[0]:.3g} dB)" in margin.get_label()
+
+
+def test_the_phase_of_a_bode_plot_is_unwrapped_also_through_a_resonance(loops):
+    loop = loops["exact"]  # its 447 Hz mode, folded to 53 Hz, turns the phase within 2 Hz
+    magnitude, phase = loop.plot()
+    f, values = phase.lines[0].get_data()
+    assert np.abs(np.diff(values)).max() < 30.0
+    assert -270.0 <= values[0] < 90.0
+    mode = np.abs(np.angle(loop.eigenvalues)) / (2.0 * math.pi * T)
+    (mode,) = mode[np.abs(mode - 53.0) < 3.0][:1]
+    near = f[np.abs(f / mode - 1.0) < 0.09]
+    assert np.diff(near).max() <= 1.01e-3 * mode  # five times as dense as elsewhere
+    turned = np.degrees(np.angle(loop.loop_response(f))) - values
+    assert turned == pytest.approx(360.0 * np.round(turned / 360.0), abs=1e-6)
+    assert magnitude.get_legend().get_texts()[0].get_text() == "Nyquist, 250 Hz"
+    shown = [text.get_text() for ax in (magnitude, phase) for text in ax.get_legend().get_texts()]
+    margins = loop.margins()
+    assert f"phase margin {margins.phase_margin_deg:.3g}°" in shown
+    assert any(text.startswith(f"gain margin {margins.gain_margin:.3g} (") for text in shown)
+    plt.close(phase.figure)
+
+
+@pytest.mark.slow
+def test_a_loop_without_gain_has_plots_too():
+    loop = linearize_loop(Scenario(controller=PidParameters(proportional_per_s=0.0)))
+    for axes in (*loop.plot(), loop.plot_nyquist(), loop.plot_poles()):
+        axes.figure.canvas.draw()
+        plt.close(axes.figure)
+
+
+def test_the_pole_plot_tells_unstable_eigenvalues(loops, unstable):
+    for loop in (loops["smc"], unstable):
+        axes = loop.plot_poles()
+        marks = [line for line in axes.lines if line.get_label() in ("stable", "unstable")]
+        drawn = np.concatenate([line.get_xdata() + 1j * line.get_ydata() for line in marks])
+        assert distance(drawn, loop.eigenvalues) == 0.0
+        outside = [line for line in marks if line.get_label() == "unstable"]
+        assert bool(outside) is not loop.stable
+        plt.close(axes.figure)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("real part of z", "imaginary part of z")
+    assert [line.get_label() for line in axes.lines[-2:]] == ["stable", "unstable"]
+    for text, damping in zip(axes.texts, (0.1, 0.3, 0.5, 0.7, 0.9), strict=True):
+        z = np.log(complex(*text.get_position()))
+        assert -z.real / abs(z) == pytest.approx(damping, rel=1e-9)
+        assert text.get_text() == f"ζ = {damping:g}"
+    for line in axes.lines[:12]:
+        assert line.get_xdata()[0] == 1.0
+        assert line.get_ydata()[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-12)
+    # A line of damping ζ: z = e^{(−ζ + j√(1 − ζ²))ωT}.
+    line = axes.lines[2]
+    z = np.log(line.get_xdata()[1:] + 1j * line.get_ydata()[1:])
+    assert -z.real / np.abs(z) == pytest.approx(np.full(z.size, 0.1), rel=1e-9)
+
+
+def overflowing(diagram):
+    """A diagram with the ports of another one, and an output ``overflow`` that is infinite."""
+    builder, x, rest = DiagramBuilder(), Variable("x"), Variable("rest")
+    inner = builder.AddNamedSystem("inner", diagram)
+    for index in range(diagram.num_input_ports()):
+        port = inner.get_input_port(index)
+        builder.ExportInput(port, port.get_name())
+    for index in range(diagram.num_output_ports()):
+        port = inner.get_output_port(index)
+        builder.ExportOutput(port, port.get_name())
+    symbolic = SymbolicVectorSystem(  # without a state Drake refuses it in a continuous diagram
+        state=[rest], input=[x], dynamics=[-rest], output=[exp(1e6 * x)]
+    )
+    system = builder.AddNamedSystem("overflow", symbolic)
+    builder.Connect(inner.GetOutputPort("knee_angle"), system.get_input_port())
+    builder.ExportOutput(system.get_output_port(), "overflow")
+    return builder.Build()
+
+
+def test_a_derivative_that_is_not_finite_is_no_linearization():
+    plant = overflowing(make_plant())
+    message = "the derivative of output 1 is not finite at knee angle 40 deg: there is no linear"
+    with raises_one_line(LinearizationError, message):
+        linearize_plant(plant, outputs=("knee_angle", "overflow"))
+    posture = StepReference(start_deg=40.0, end_deg=40.0)
+    scenario = Scenario(reference=posture).without_quantizers()
+    loop = overflowing(make_closed_loop(scenario, signals=(), external_reference=True))
+    with raises_one_line(LinearizationError, message.replace("output 1", "output 0")):
+        linearize_loop(scenario, output="overflow", diagram=loop)
+
+
+@pytest.mark.parametrize("frequency", [math.nan, math.inf, -math.inf])
+def test_frequencies_must_be_finite(frequency):
+    plant, loop = linearize_plant(), linearize_loop()
+    for response in (plant.response, loop.loop_response, loop.output_response, loop.sensitivity):
+        with raises_one_line(LinearizationError, f"frequency = {frequency:g} Hz: must be finite"):
+            response([1.0, frequency])
+    with raises_one_line(LinearizationError, f"frequency = {frequency:g} Hz: must be finite"):
+        error_model().response(frequency)
