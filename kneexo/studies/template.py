@@ -1,0 +1,51 @@
+"""Reports of studies, filled from the templates in their folders."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from kneexo.studies.markdown import column_table, markdown_table, number, percent, row_table
+
+_WRAPPED = re.compile(r"(?<=[^\n])\n *(?=[^\s|>#-])")
+"""The end of a line whose paragraph goes on in the next line."""
+
+
+def _lines(table: Callable[..., list[str]]) -> Callable[..., str]:
+    return lambda *arguments: "\n".join(table(*arguments))
+
+
+def _form(value: Any, form: str) -> str:
+    return f"{value:{form}}"
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"form": _form, "number": number, "percent": percent}
+    tables: Iterable[Callable[..., list[str]]] = (column_table, markdown_table, row_table)
+    environment.globals |= {table.__name__: _lines(table) for table in tables}
+    return environment
+
+
+_ENVIRONMENT = _environment()
+
+
+def filled(template: str, **data: Any) -> str:
+    """Fill a template of a study with ``data`` and return its text.
+
+    ``template`` is a path such as ``order/report.md``. A paragraph may be wrapped there; its lines
+    become one. Several empty lines become one. A template has the filters ``number`` and
+    ``percent`` of `kneexo.studies.markdown`, ``form`` for a format specification, and the tables of
+    that module. Raises `jinja2.UndefinedError` for a name that ``data`` lacks.
+    """
+    text = _ENVIRONMENT.get_template(template).render(data)
+    return _WRAPPED.sub(" ", re.sub(r"\n{3,}", "\n\n", text)).strip() + "\n"
