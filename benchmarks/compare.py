@@ -162,8 +162,8 @@ def exported_c(scenario: Scenario, duration_s: float) -> Runner:
     """The loop as `kneexo export c` prints it."""
     _, source = exported_source(scenario, "loop", outputs=SIGNALS, step_s=STEP_S)
     replay = Replay(source)
-    steps = round(duration_s / source.sample_time_s)
-    return lambda: replay.from_start(np.zeros((steps, len(source.input_fields))))
+    steps = round(duration_s / source.plan.schedule.tick_s)
+    return lambda: replay.from_start(np.zeros((steps, len(source.plan.inputs))))
 
 
 def in_numba(scenario: Scenario, duration_s: float) -> Runner:

@@ -15,8 +15,10 @@ import numpy as np
 from hand_written import c_compiler
 from numpy.typing import NDArray
 
-from kneexo.compiler.c.export import recorded_vectors, source_of
+from kneexo.compiler.c.export import source_of
+from kneexo.compiler.c.interface import Field
 from kneexo.compiler.c.source import CSource
+from kneexo.compiler.c.vectors import recorded_vectors
 from kneexo.compiler.model import compile_diagram
 from kneexo.export.firmware import loop_inputs
 from kneexo.export.target import ENCODER_COUNT, Target, target
@@ -67,18 +69,17 @@ def params_of(source: CSource) -> NDArray[np.floating]:
     return np.concatenate(groups).astype(real(source))
 
 
-def structs(source: CSource, fields: list[tuple[str, str]]) -> np.dtype:
+def structs(source: CSource, fields: Sequence[Field]) -> np.dtype:
     """The struct of inputs or of outputs."""
-    kinds = {port: np.dtype(np.int32) for port in source.interface.integers}
-    members = [(name, kinds.get(port, np.dtype(real(source)))) for port, name in fields]
+    members = [(field.name, np.int32 if field.is_integer else real(source)) for field in fields]
     return np.dtype(members or [("none", real(source))], align=True)
 
 
 def inputs_of(source: CSource, rows: Array) -> NDArray[np.void]:
     """Rows of inputs (steps, elements) as an array of structs."""
-    inputs = np.zeros(len(rows), structs(source, source.input_fields))
-    for column, (_, name) in zip(rows.T, source.input_fields, strict=True):
-        inputs[name] = column
+    inputs = np.zeros(len(rows), structs(source, source.plan.inputs))
+    for column, field in zip(rows.T, source.plan.inputs, strict=True):
+        inputs[field.name] = column
     return inputs
 
 
@@ -136,7 +137,7 @@ class Replay:
     def from_start(self, rows: Array, source: CSource | None = None) -> Array:
         """The same with the outputs at the start, (steps + 1, elements)."""
         inputs = inputs_of(self.source, rows)
-        outputs = np.zeros((len(rows) + 1, len(self.source.output_fields)), real(self.source))
+        outputs = np.zeros((len(rows) + 1, len(self.source.plan.outputs)), real(self.source))
         parameters = params_of(source or self.source)
         steps = _call(self._library.replay, parameters, inputs, len(rows), outputs)
         if steps < len(rows):
@@ -158,12 +159,12 @@ class Loop:
 
         Raises `RuntimeError` when a step fails.
         """
-        samples = round(duration_s / self.controller.sample_time_s) + 1
+        samples = round(duration_s / self.controller.plan.schedule.tick_s) + 1
         rows = loop_inputs(self.scenario, self._exported, self.controller, samples)
         inputs = inputs_of(self.controller, rows)
         inputs[ENCODER_COUNT] = 0
-        commands = np.zeros(samples, structs(self.controller, self.controller.output_fields))
-        outputs = np.zeros(samples, structs(self.plant, self.plant.output_fields))
+        commands = np.zeros(samples, structs(self.controller, self.controller.plan.outputs))
+        outputs = np.zeros(samples, structs(self.plant, self.plant.plan.outputs))
         last = _call(
             self._library.closed_loop,
             params_of(self.controller),
@@ -184,12 +185,12 @@ class Loop:
 def without_kahan(source: CSource) -> CSource:
     """The same with plain sums of discrete states."""
     plain = replace(source)
-    vars(plain)["accumulators"] = {}
+    vars(plain)["plan"] = replace(source.plan, sums={})
     return plain
 
 
 def replayed(scenario: Scenario, exported: Target, source: CSource, duration_s: float) -> Any:
     """Inputs of a target in its closed loop, and what the compiled target makes of them."""
-    steps = round(duration_s / source.sample_time_s)
+    steps = round(duration_s / source.plan.schedule.tick_s)
     inputs = loop_inputs(scenario, exported, source, steps)
     return recorded_vectors(exported.diagram, source, inputs)

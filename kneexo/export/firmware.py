@@ -9,14 +9,13 @@ import numpy as np
 
 from kneexo.compiler.c.export import (
     Measurement,
-    Vectors,
     exported,
-    recorded_vectors,
-    require_folder,
+    require_export_folder,
     source_of,
-    write_folder,
+    write_export,
 )
 from kneexo.compiler.c.source import CSource
+from kneexo.compiler.c.vectors import Vectors, recorded_vectors
 from kneexo.compiler.model import compile_diagram
 from kneexo.errors import ParameterError
 from kneexo.export.target import ENCODER_COUNT, Target, require_step, target
@@ -100,9 +99,9 @@ def make_firmware(
         tick_s=to_print.tick_s,
         step_s=step_s,
         look_up=look_up,
-        told=f"{to_print.what} in {precision} precision",
+        subject=f"{to_print.what} in {precision} precision",
     )
-    steps = round(vectors_s / source.sample_time_s)
+    steps = round(vectors_s / source.plan.schedule.tick_s)
     inputs = loop_inputs(scenario, to_print, source, steps)
     return source, recorded_vectors(to_print.diagram, source, inputs)
 
@@ -118,9 +117,9 @@ def export_firmware(
     ``options`` are those of `make_firmware`. Raises `OutputError` where the folder has other files,
     and what `make_firmware` raises.
     """
-    require_folder(directory)
+    require_export_folder(directory)
     files, measurement = exported(*make_firmware(scenario, what, **options))
-    write_folder(directory, files)
+    write_export(directory, files)
     return measurement
 
 
@@ -129,7 +128,7 @@ def loop_inputs(scenario: Scenario, of: Target, source: CSource, steps: int) -> 
 
     What comes from outside, such as a disturbance, is zero.
     """
-    sample_time = source.sample_time_s
+    sample_time = source.plan.schedule.tick_s
     ports = {ENCODER_COUNT: "encoder_reading", "rod_state": "estimated_state"}
     wanted = [ports.get(name, name) for name in of.inputs if name not in OUTSIDE]
     model = compile_scenario(scenario)

@@ -12,7 +12,9 @@ from typing import Any
 
 from kneexo.compiler.c.export import source_of
 from kneexo.compiler.c.source import CSource
-from kneexo.compiler.fmu.fmu import VERSIONS, Fmu, Parameter, generation_tool
+from kneexo.compiler.fmu.description import generation_tool
+from kneexo.compiler.fmu.fmu import VERSIONS, Fmu
+from kneexo.compiler.fmu.variables import Parameter
 from kneexo.compiler.model import compile_diagram
 from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
 from kneexo.errors import KneexoError, OutputError, ParameterError, shown
@@ -79,9 +81,9 @@ def export_fmu(
     write_file(file, fmu.archive(library))
     return FmuFile(
         str(file),
-        fmu.source.sample_time_s,
-        tuple(field for _, field in fmu.source.input_fields),
-        tuple(field for _, field in fmu.source.output_fields),
+        fmu.source.plan.schedule.tick_s,
+        tuple(field.name for field in fmu.source.plan.inputs),
+        tuple(field.name for field in fmu.source.plan.outputs),
         len(fmu.parameters),
         tuple(p.name for p in fmu.parameters if value_at(scenario, p.name) is not None),
         library is not None,
@@ -130,7 +132,7 @@ def make_fmu(
         interface=to_print.interface,
         tick_s=to_print.tick_s,
         step_s=step_s,
-        told=f"{to_print.what} as FMU",
+        subject=f"{to_print.what} as FMU",
     )
     return Fmu(
         source,
@@ -156,7 +158,7 @@ def _tunable(scenario: Scenario, of: Target, source: CSource) -> Iterator[Parame
     """Parameters with names of the scenario, then those of the other Context parameters."""
     prefix = "controller/" if of.what == "controller" else ""
     names = [f"{prefix}{name}" for name in source.equations.parameters]
-    members = dict(zip(names, source.parameter_fields, strict=True))
+    members = dict(zip(names, source.plan.members, strict=True))
     values = dict(zip(names, source.parameters.tolist(), strict=True))
     if of.what == "plant":  # which depends on no controller
         scenario = scenario.model_copy(update={"controller": SlidingModeParameters()})
@@ -294,7 +296,8 @@ def _starts(scenario: Scenario, of: Target, source: CSource) -> dict[str, float]
         elif plant.HasOutputPort(name):
             values[name] = plant.GetOutputPort(name).Eval(within).tolist()
     elements: Mapping[str, Iterator[float]] = {name: iter(row) for name, row in values.items()}
-    return {field: next(elements[port]) for port, field in source.input_fields if port in elements}
+    inputs = [field for field in source.plan.inputs if field.port in elements]
+    return {field.name: next(elements[field.port]) for field in inputs}
 
 
 # ------------------------------------------------------------------------------------- files

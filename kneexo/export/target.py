@@ -11,7 +11,7 @@ from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Gain
 
 from kneexo import linkage
-from kneexo.compiler.c.source import Interface
+from kneexo.compiler.c.interface import Interface
 from kneexo.compiler.c.step_size import rk4_step_s
 from kneexo.compiler.model import compile_diagram
 from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of

@@ -420,14 +420,13 @@ class _Built:
         for name, text in source.files().items():
             (folder / name).write_text(text)
         real = {"double": ctypes.c_double, "float": ctypes.c_float}[source.precision]
-        integers = source.interface.integers
 
         def structure(fields):
-            kinds = [(name, ctypes.c_int32 if port in integers else real) for port, name in fields]
-            return type("Structure", (ctypes.Structure,), {"_fields_": kinds})
+            kinds = [(f.name, ctypes.c_int32 if f.is_integer else real) for f in fields]
+            return type("Structure", (ctypes.Structure,), {"_fields_": kinds or [("none", real)]})
 
-        self.inputs = structure(source.input_fields or [("", "none")])()
-        self.outputs = structure(source.output_fields or [("", "none")])()
+        self.inputs = structure(source.plan.inputs)()
+        self.outputs = structure(source.plan.outputs)()
         self.library = c_library(folder, *(name for name in source.files() if name.endswith(".c")))
         self.state = ctypes.create_string_buffer(2 * source.state_bytes + 64)
         self.params = ctypes.c_char.in_dll(self.library, f"{source.name}_params")
@@ -437,13 +436,12 @@ class _Built:
 
     def set(self, values):
         """Take the inputs in their order."""
-        for (port, name), value in zip(self.source.input_fields, values, strict=True):
-            whole = port in self.source.interface.integers
-            setattr(self.inputs, name, int(value) if whole else value)
+        for field, value in zip(self.source.plan.inputs, values, strict=True):
+            setattr(self.inputs, field.name, int(value) if field.is_integer else value)
 
     def get(self):
         """The outputs in their order."""
-        return [getattr(self.outputs, name) for _, name in self.source.output_fields]
+        return [getattr(self.outputs, field.name) for field in self.source.plan.outputs]
 
     def init(self, values=()):
         """Start with these inputs; returns the status."""

@@ -47,7 +47,7 @@ def test_vectors_of_a_controller_are_the_commands_of_the_loop(fields):
     np.testing.assert_allclose(
         vectors.outputs[:, 0], run["motor_speed_command_rad_s"][1:151], rtol=0, atol=1e-9
     )
-    names = [name for _, name in source.input_fields]
+    names = [field.name for field in source.plan.inputs]
     counts = vectors.inputs[:, names.index("encoder_count")]
     np.testing.assert_allclose(counts * 2 * np.pi / 4096, run["encoder_reading_rad"][:150])
     np.testing.assert_array_equal(counts, np.round(counts))
@@ -59,7 +59,7 @@ def test_vectors_of_the_plant_follow_the_loop():
     scenario = scenario_of().with_steps(largest_step_s(Scenario(), "loop"))
     source, vectors = make_firmware(scenario, "plant", vectors_s=0.3)
     run = simulate(scenario)
-    for column, (_, name) in enumerate(source.output_fields):
+    for column, name in enumerate(field.name for field in source.plan.outputs):
         if name == "encoder_reading_rad":
             continue  # a count may differ
         expected = run[name][1:151]
@@ -73,7 +73,7 @@ def test_vectors_of_the_loop_are_the_loop():
     scenario = scenario_of().with_steps(largest_step_s(Scenario(), "loop"))
     source, vectors = make_firmware(scenario, "loop", vectors_s=0.3)
     run = simulate(scenario)
-    for column, (_, name) in enumerate(source.output_fields):
+    for column, name in enumerate(field.name for field in source.plan.outputs):
         np.testing.assert_allclose(vectors.outputs[:, column], run[name][1:151], rtol=0, atol=1e-12)
 
 
@@ -102,7 +102,7 @@ def test_c_in_its_own_steps_agrees_with_exact_hold(exported, plant, what):
     source, vectors = make_firmware(scenario, what, vectors_s=5.0)
     outputs = exported.Replay(source)(vectors.inputs)
     run = simulate_compiled(scenario, tolerance=1e-10)
-    names = [name for _, name in source.output_fields]
+    names = [field.name for field in source.plan.outputs]
     for name, share in {
         "rod_extension_m": 1e-8,
         "knee_angle_rad": 1e-8,
@@ -129,7 +129,7 @@ def test_what_comes_from_outside_is_zero():
     scenario = scenario_of(plant={"load": {"kind": "knee"}})
     exported = target(scenario, "plant")
     source, vectors = make_firmware(scenario, "plant", vectors_s=0.1)
-    names = [name for _, name in source.input_fields]
+    names = [field.name for field in source.plan.inputs]
     assert names == ["motor_speed_command_rad_s", "disturbance_force_n", "knee_torque_n_m"]
     assert not vectors.inputs[:, 1:].any()
     assert vectors.inputs[:, 0].any()
@@ -230,7 +230,7 @@ def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short, no_comp
         source, _ = make_firmware(scenario_of(), "plant", vectors_s=0.01, step_s=step_s)
         plants.append((out / "plant.c").read_text())
         assert plants[-1] == source.files()["plant.c"]
-        assert source.steps == (29 if step_s is None else 4)
+        assert source.plan.schedule.steps == (29 if step_s is None else 4)
     assert plants[0] != plants[1]
 
 

@@ -22,7 +22,7 @@ from pydrake.systems.analysis import Simulator
 from kneexo.command_line.main import main
 from kneexo.command_line.parameter_list import parameter_rows
 from kneexo.compiler.c import build as c_build
-from kneexo.compiler.fmu.fmu import generation_tool
+from kneexo.compiler.fmu.description import generation_tool
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop, make_controller
 from kneexo.errors import OutputError, ParameterError
 from kneexo.export import fmu as exports
@@ -160,7 +160,7 @@ def test_scenario_parameters_are_those_of_kneexo_params(what):
     """Value, unit and range as `kneexo params` tells them."""
     fmu = make_fmu(LOADED, what)
     rows = {row["parameter"]: row for row in parameter_rows(LOADED)}
-    units = {v.name: v.unit.name if v.unit else "1" for v in fmu.variables}
+    units = {v.name: v.unit.name if v.unit else "1" for v in fmu.table.variables}
     named = [p for p in fmu.parameters if p.name in rows]
     assert len(named) == {"controller": 22, "plant": 34, "loop": 44}[what]
     for parameter in named:
@@ -178,8 +178,8 @@ def test_scenario_parameters_are_those_of_kneexo_params(what):
 def test_each_context_parameter_has_one_master_with_its_value(what, scenario):
     fmu = make_fmu(scenario, what)
     members = [m for p in fmu.parameters for m in p.members if not m.startswith("initial_x")]
-    assert sorted(members) == sorted(fmu.source.parameter_fields)
-    values = dict(zip(fmu.source.parameter_fields, fmu.source.parameters.tolist(), strict=True))
+    assert sorted(members) == sorted(fmu.source.plan.members)
+    values = dict(zip(fmu.source.plan.members, fmu.source.parameters.tolist(), strict=True))
     for parameter in fmu.parameters:
         for member in parameter.members:
             if member in values:
@@ -492,7 +492,7 @@ def test_libcosim_couples_plant_and_controller(path, tmp_path):
     references = {}
     for what in ("plant", "controller"):
         fmu = make_fmu(PAPER, what, 2)
-        references[what] = {v.name: i for i, v in enumerate(fmu.variables)}
+        references[what] = {v.name: i for i, v in enumerate(fmu.table.variables)}
     execution = CosimExecution.from_step_size(int(TICK_S * 1e9))
     slaves = {
         what: execution.add_local_slave(CosimLocalSlave(path(what, 2), what))
@@ -526,7 +526,7 @@ def test_step_s_of_the_command_line_is_that_of_the_sources(tmp_path, no_compiler
     with zipfile.ZipFile(file) as archive:
         code = archive.read("sources/knee_plant.c").decode()
     fmu = make_fmu(PAPER, "plant", step_s=5e-4)
-    assert fmu.source.steps == 4
+    assert fmu.source.plan.schedule.steps == 4
     assert code == fmu.source.files()["knee_plant.c"]
     assert code != make_fmu(PAPER, "plant").source.files()["knee_plant.c"]
 
@@ -617,7 +617,7 @@ def test_a_damaged_archive_is_no_fmu(damage, tmp_path, monkeypatch):
     elif damage == "bad data":
         data[50:60] = bytes([255] * 10)
     else:
-        monkeypatch.setattr("kneexo.compiler.fmu.fmu._LONGEST_DESCRIPTION", 5000)
+        monkeypatch.setattr("kneexo.compiler.fmu.description._LONGEST_DESCRIPTION", 5000)
     assert generation_tool(bytes(data)) is None
 
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kneexo.compiler.c.export import recorded_vectors
+from kneexo.compiler.c.vectors import recorded_vectors
 from kneexo.compiler.equations.contexts import parameters_of, state_of
 from kneexo.compiler.equations.tree import Node
 from kneexo.export.firmware import loop_inputs
@@ -94,7 +94,7 @@ def test_parameters_of_the_uncertainty_set_go_into_a_single_build(exported):
     }
     replays = {precision: exported.Replay(source) for precision, (_, source) in targets.items()}
     nominal, source = targets["double"]
-    steps = round(DURATION_S / source.sample_time_s)
+    steps = round(DURATION_S / source.plan.schedule.tick_s)
     largest, kinds = dict.fromkeys(TOLERANCES, 0.0), set()
     for values in draw(UNCERTAINTY, SAMPLES, seed=2020):
         scenario = realize(UNCERTAIN_KNEE, UNCERTAINTY, values)

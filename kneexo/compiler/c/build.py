@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import CompilationError
+from ..files import temporary_folder
 
 COMPILERS = ("cc", "gcc", "clang")
 """Compilers for this machine, in the order in which they are looked for."""
@@ -24,6 +23,10 @@ TARGETS = {
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 """Flags of the C compiler; no contraction to fused operations, which round otherwise."""
+
+
+BUILD = "build"
+"""Folder beside the sources in which the Makefile puts its products."""
 
 
 class BuildError(CompilationError):
@@ -58,7 +61,7 @@ def replay(name: str, files: Mapping[str, str]) -> Replay:
     compiler = _compiler()
     if compiler is None:
         raise BuildError(f"this machine has no C compiler ({', '.join(COMPILERS)})")
-    with _written(files) as folder:
+    with temporary_folder(files) as folder:
         _run(folder, compiler, *FLAGS, *_sources(files), "-o", "harness", "-lm")
         done = _ended(folder, str(folder / "harness"))
     rows = re.findall(r"^(\w+): difference (\S+), largest value (\S+)$", done.stdout, re.MULTILINE)
@@ -80,7 +83,7 @@ def shared_library(files: Mapping[str, str]) -> bytes | None:
     if compiler is None:
         return None
     options = ("-shared", "-fPIC", "-fvisibility=hidden", "-s")
-    with _written(files) as folder:
+    with temporary_folder(files) as folder:
         _run(folder, compiler, *FLAGS, *options, *_sources(files), "-o", "library.so", "-lm")
         return (folder / "library.so").read_bytes()
 
@@ -100,7 +103,7 @@ def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
         raise BuildError("this machine has no arm-none-eabi-gcc")
     sizes = {}
     for target, options in TARGETS.items():
-        with _written(files) as folder:
+        with temporary_folder(files) as folder:
             objects = []
             for source in (f"{name}.c", f"{name}_params.c"):
                 flags = (*FLAGS, *options.split(), "-fstack-usage")
@@ -118,14 +121,6 @@ def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
             sum(bytes_ for function, bytes_ in stack.items() if function not in outside),
         )
     return sizes
-
-
-@contextmanager
-def _written(files: Mapping[str, str]) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="kneexo-") as folder:
-        for name, text in files.items():
-            Path(folder, name).write_text(text, encoding="utf-8")
-        yield Path(folder)
 
 
 def _run(folder: Path, *command: str) -> str:

@@ -1,74 +1,127 @@
-"""The functions of an exported model: equations of an instant as C."""
+"""The functions of a model in C that evaluate its equations at one instant."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from itertools import compress
 
 from ..equations.equations import Update
+from .plan import Plan
 from .printer import CPrinter
 
-if TYPE_CHECKING:
-    from .source import CSource
+_ARRAYS = {"constant": "c", "state": "x", "discrete": "d"}
 
-Lines = list[str]
-"""Lines of C."""
 
-_MEMORY = {"constant": "c", "state": "x", "discrete": "d"}
-_INSTANT = {
-    "p": "const NAME_params_t *",
-    "in": "const NAME_inputs_t *",
-    "c": "const real *",
-    "x": "const real *",
-    "d": "const real *",
-    "t": "const real ",
-}
+@dataclass(frozen=True)
+class Function:
+    """A function in C: its name, its arguments after the instant, and its statements."""
+
+    name: str
+    arguments: str
+    statements: Sequence[str]
+
+    @property
+    def text(self) -> str:
+        """The statements as C text."""
+        return "\n".join(self.statements)
+
+    def reads(self, variable: str) -> bool:
+        """Return whether the statements use a variable; comments and members do not count."""
+        code = re.sub(r"/\*.*?\*/", "", self.text, flags=re.DOTALL)
+        return re.search(rf"(?<![\w>.]){variable}\b", code) is not None
 
 
 class Functions:
-    """The source file: each function, and how often a step computes what."""
+    """All functions of a plan, and the number of operations of a step.
 
-    def __init__(self, model: CSource) -> None:
-        self.model, self.equations = model, model.equations
-        self.printer = CPrinter(self.equations.graph, model.real, self.equations.sections)
-        self.printer.tables = {table.node: number for number, table in enumerate(model.tables)}
-        self.printer.collect_fixed([*model.roots(), *self.equations.initial_discrete])
+    Attributes
+    ----------
+    constants
+        ``constants_of``: computes the values that depend on parameters alone.
+    of_an_instant
+        The other functions; each reads an ``instant``. A function of a quantity
+        that the model lacks is left out.
+    constant_count
+        Number of values that ``constants_of`` computes.
+    operations
+        How often one step executes each operator, and each function of the C library by its name.
+    library
+        Names of the functions of the C library that the code calls.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        equations = plan.equations
+        self._printer = CPrinter(equations.graph, plan.real, equations.sections)
+        self._printer.tables = {table.node: number for number, table in enumerate(plan.tables)}
+        self._printer.collect_fixed([*plan.step_nodes, *equations.initial_discrete])
         self.operations: Counter[str] = Counter()
-        self.lines = self._lines()
+        targets = [(f"c[{number}]", node) for node, number in self._printer.fixed.items()]
+        block = self._printer.block(targets, self._load, fixed={})
+        self.constants = Function("constants_of", "", block)
+        self.of_an_instant = self._of_an_instant()
+        self.constant_count = len(self._printer.fixed)
+        self.library = sorted(self._printer.functions)
 
-    # ------------------------------------------------------------------------- equations
+    def call(self, name: str) -> bool:
+        """Return whether a statement calls the function ``name``."""
+        return any(f"{name}(" in f.text for f in (self.constants, *self.of_an_instant))
+
+    def _of_an_instant(self) -> list[Function]:
+        plan, equations = self._plan, self._plan.equations
+        rates = [(f"rate[{i}]", node) for i, node in enumerate(equations.derivatives)]
+        margins = [(f"margin[{i}]", limit.margin) for i, limit in enumerate(equations.limits)]
+        initial = [(f"next[{i}]", node) for i, node in enumerate(equations.initial_discrete)]
+        fields = (f"out->{field.name}" for field in plan.outputs)
+        outputs = list(zip(fields, plan.output_nodes, strict=True))
+        ticks = ", uint32_t tick" if plan.schedule.counts_ticks else ""
+        lost = ", real *lost" if plan.sums else ""
+        functions = [
+            # RK4 evaluates the derivatives four times in each of its steps.
+            Function("rate_at", ", real *rate", self._block(rates, 4 * plan.schedule.steps)),
+            Function("margins_at", ", real *margin", self._block(margins)),
+            Function("initial_at", ", real *next", self._printer.block(initial, self._load)),
+            Function("update_at", f"{ticks}{lost}, real *next", self._updates()),
+            Function("outputs_at", f", {plan.name}_outputs_t *out", self._block(outputs)),
+        ]
+        are_needed = map(bool, (rates, margins, initial, equations.discrete, outputs))
+        return list(compress(functions, are_needed))
 
     def _load(self, kind: str, index: int) -> str:
-        model = self.model
+        """Return the C text that reads an element of a source, a constant or a table."""
+        plan = self._plan
         if kind == "parameter":
-            return f"p->{model.parameter_fields[index]}"
+            return f"p->{plan.members[index]}"
         if kind == "input":
-            port, of = model.input_fields[index]
-            return f"(real)in->{of}" if port in model.interface.integers else f"in->{of}"
+            field = plan.inputs[index]
+            return f"{'(real)' if field.is_integer else ''}in->{field.name}"
         if kind == "table":
-            table = model.tables[index]
-            _, of = model.input_fields[table.element]
-            place = f"in->{of} {'+' if table.first < 0 else '-'} {abs(table.first)}"
-            return f"{model.name}_table_{index}[{place}]"
+            table = plan.tables[index]
+            sign = "+" if table.first < 0 else "-"
+            place = f"in->{plan.inputs[table.element].name} {sign} {abs(table.first)}"
+            return f"{plan.name}_table_{index}[{place}]"
         if kind == "time":
             return "t"
-        return f"{_MEMORY[kind]}[{index}]"
+        return f"{_ARRAYS[kind]}[{index}]"
 
-    def _block(self, targets: Sequence[tuple[str, int]], times: int = 1, depth: int = 1) -> Lines:
-        """Statements; ``times``: how often a step executes them."""
-        self.printer.operations.clear()
-        lines = self.printer.block(targets, self._load, indent="    " * depth)
-        for operation, count in self.printer.operations.items():
+    def _block(
+        self, targets: Sequence[tuple[str, int]], times: int = 1, depth: int = 1
+    ) -> list[str]:
+        """Return statements that compute the targets; a step executes them ``times`` times."""
+        self._printer.operations.clear()
+        lines = self._printer.block(targets, self._load, indent="    " * depth)
+        for operation, count in self._printer.operations.items():
             self.operations[operation] += times * count
         return lines
 
-    def _updates(self) -> Lines:
-        """Statements that put the next values of discrete states into ``next``."""
-        _, periods, offsets = self.model.timing
+    def _updates(self) -> list[str]:
+        """Return statements that write the discrete states after the updates into ``next``."""
+        schedule, updates = self._plan.schedule, self._plan.equations.updates
         lines = []
-        for update, period, offset in zip(self.equations.updates, periods, offsets, strict=True):
+        for update, period, offset in zip(updates, schedule.periods, schedule.offsets, strict=True):
             if period == 1 and offset == 0:
                 lines += self._update(update, 1)
                 continue
@@ -78,69 +131,18 @@ class Functions:
             lines += [f"    if ({due}) {{", *self._update(update, 2), "    }"]
         return lines
 
-    def _update(self, update: Update, depth: int) -> Lines:
-        accumulators = self.model.accumulators
-        order = {state: number for number, state in enumerate(accumulators)}
-        targets, after = [], []
+    def _update(self, update: Update, depth: int) -> list[str]:
+        sums = self._plan.sums
+        numbers = {state: number for number, state in enumerate(sums)}
         indent = "    " * depth
+        targets, additions = [], []
         for state, node in update.values:
-            if state not in accumulators:
-                targets.append((f"next[{state}]", node))
+            target = f"next[{state}]"
+            if state not in sums:
+                targets.append((target, node))
                 continue
-            number = order[state]
-            targets.append((f"next[{state}]", self.equations.graph.add(*accumulators[state])))
-            after.append(
-                f"{indent}next[{state}] = sum(d[{state}], next[{state}], &lost[{number}]);"
-            )
-            self.operations["+"] += 4
-        return [*self._block(targets, depth=depth), *after]
-
-    # ------------------------------------------------------------------------- functions
-
-    def _lines(self) -> Lines:
-        model, equations, name = self.model, self.equations, self.model.name
-        constants = [(f"c[{number}]", node) for node, number in self.printer.fixed.items()]
-        initial = [(f"next[{i}]", node) for i, node in enumerate(equations.initial_discrete)]
-        rates = [(f"rate[{i}]", node) for i, node in enumerate(equations.derivatives)]
-        margins = [(f"margin[{i}]", limit.margin) for i, limit in enumerate(equations.limits)]
-        fields = (f"out->{of}" for _, of in model.output_fields)
-        outputs = list(zip(fields, model.output_nodes, strict=True))
-        lost = ", real *lost" if model.accumulators else ""
-        ticks = ", uint32_t tick" if model.counts_ticks else ""
-        lines: Lines = []
-        if constants:
-            block = self.printer.block(constants, self._load, fixed={})
-            unused = [] if "p->" in "".join(block) else ["    (void)p;"]
-            head = f"static void constants_of(const {name}_params_t *p, real *c)"
-            lines += [head, "{", *unused, *block, "}", ""]
-        if rates:
-            lines += self._function("rate_at", ", real *rate", self._block(rates, 4 * model.steps))
-        if margins:
-            lines += self._function("margins_at", ", real *margin", self._block(margins))
-        if initial:
-            block = self.printer.block(initial, self._load)
-            lines += self._function("initial_at", ", real *next", block)
-        if equations.discrete:
-            lines += self._function("update_at", f"{ticks}{lost}, real *next", self._updates())
-        if outputs:
-            lines += self._function("outputs_at", f", {name}_outputs_t *out", self._block(outputs))
-        return lines
-
-    def _function(self, called: str, arguments: str, block: Lines) -> Lines:
-        """A function of an instant."""
-        text = re.sub(r"/\*.*?\*/", "", "\n".join(block), flags=re.DOTALL)
-        name = self.model.name
-        locals_ = [
-            f"    {kind.replace('NAME', name)}{of} = at->{of};"
-            for of, kind in _INSTANT.items()
-            if re.search(rf"(?<![\w>.]){of}\b", text)
-        ]
-        return [
-            f"static void {called}(const instant *at{arguments})",
-            "{",
-            *(locals_ or ["    (void)at;"]),
-            "",
-            *block,
-            "}",
-            "",
-        ]
+            targets.append((target, self._plan.equations.graph.add(*sums[state])))
+            call = f"sum(d[{state}], {target}, &lost[{numbers[state]}])"
+            additions.append(f"{indent}{target} = {call};")
+            self.operations["+"] += 4  # of the function `sum`
+        return [*self._block(targets, depth=depth), *additions]

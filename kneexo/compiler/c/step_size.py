@@ -33,6 +33,8 @@ def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
     initialization events. Raises `CompilationError` where the linearization is not finite.
     """
     graph, size = equations.graph, len(equations.states)
+    if not size:
+        return STEP_S
     sources = {
         "parameter": parameters,
         "time": np.zeros(1),

@@ -1,43 +1,45 @@
-"""Files of the folder ``templates``, with their gaps filled."""
+"""Text files from the templates of a package, by Jinja2."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
-from importlib import resources
+from functools import cache
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from .printer import comment_lines, literal
 
 
-def filled(
-    template: str,
-    names: Mapping[str, str],
-    words: Mapping[str, str],
-    blocks: Mapping[str, Sequence[str]],
-    conditions: Collection[str],
-) -> str:
-    """A file of ``templates``.
+def rendered(package: str, template: str, **data: Any) -> str:
+    """Return the text of a template in the folder ``templates`` of a package.
 
-    ``names`` replace the words in capitals, alone or as the beginning of an identifier. ``words``
-    replace ``@{word}``, ``blocks`` the lines ``@block``. list[str] between ``@if`` and ``@end`` (or
-    ``@else``) stay where the condition holds.
+    Besides the filters of Jinja2 a template has ``comment`` (`comment_lines` as text), ``literal``,
+    and ``quoted`` (a string of C). Raises ``jinja2.UndefinedError`` for a name that ``data`` lacks.
     """
-    package = resources.files(__package__.rpartition(".")[0])
-    text = package.joinpath(template).read_text("utf-8")
-    pattern = re.compile(rf"(?<![A-Za-z_])({'|'.join(names)})(?=[U_]?\b|_)")
-    lines: list[str] = []
-    kept = [True]
-    for line in text.splitlines():
-        mark, _, condition = line.partition(" ")
-        if mark == "@if":
-            kept.append(condition in conditions)
-        elif mark == "@else":
-            kept[-1] = not kept[-1]
-        elif mark == "@end":
-            kept.pop()
-        elif not all(kept):
-            continue
-        elif line.startswith("@") and line[1:] in blocks:
-            lines += blocks[line[1:]]
-        else:
-            line = pattern.sub(lambda match: names[match[1]], line)
-            lines.append(re.sub(r"@\{(\w+)\}", lambda match: words[match[1]], line))
-    return "\n".join(lines)
+    return _environment(package).get_template(template).render(data)
+
+
+@cache
+def _environment(package: str) -> Environment:
+    environment = Environment(
+        loader=PackageLoader(package),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,  # C is no HTML
+    )
+    environment.filters["comment"] = _comment
+    environment.filters["literal"] = literal
+    environment.filters["quoted"] = _quoted
+    return environment
+
+
+def _quoted(text: str) -> str:
+    """Return the text as a string of C; characters that mean something to C or printf become _."""
+    return '"' + re.sub(r'[^ -~]|[\\"%?]', "_", text) + '"'
+
+
+def _comment(text: str, indent: str = "") -> str:
+    return "\n".join(comment_lines(text, indent))

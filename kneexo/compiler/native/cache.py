@@ -3,7 +3,8 @@
 Each entry is one file that holds a format version, a SHA-256 seal over key and content, and the
 content. The files stand in ``KNEEXO_CACHE_DIR``, else in ``kneexo`` below ``XDG_CACHE_HOME``, else
 in ``~/.cache/kneexo``. That directory may be deleted at any time. Its size is limited to 512 MiB,
-or to ``KNEEXO_CACHE_SIZE_MB`` MiB; the entries with the oldest last use are deleted first.
+or to ``KNEEXO_CACHE_SIZE_MB`` MiB; the entries with the oldest last use are deleted first. All
+these names follow from the name of the package (`root`).
 
 The seal detects damage, but anybody can compute it. Trust rests on file ownership: a directory or
 file that another user could have written is never used.
@@ -11,44 +12,38 @@ file that another user could have written is never used.
 
 from __future__ import annotations
 
-import atexit
 import errno
 import hashlib
 import os
 import re
-import shutil
 import stat
-import tempfile
-import time
 import warnings
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 from ..errors import OutputError, shortened
+from ..files import (
+    FileStatus,
+    delete_stale,
+    files_in,
+    make_private_directory,
+    process_directory,
+    write_whole,
+)
+from ..root import ROOT, variable
 
-_FORMAT = b"kneexo code 1\n"  # raise the number when the layout of the files changes
+_FORMAT = f"{ROOT} code 1\n".encode()  # raise the number when the layout of the files changes
 _HEADER_BYTES = len(_FORMAT) + hashlib.sha256().digest_size
 _LARGEST_ENTRY_BYTES = 256 * 2**20
 _DEFAULT_LIMIT_MB = 512
 _LARGEST_LIMIT_MB = 10**9
 _LONGEST_WARNING = 400  # characters
-_STALE_S = 3600.0
-_ENTRY = re.compile(r"[0-9a-f]{32}\.kneexo")
-_TEMPORARY = re.compile(r"\.[0-9a-f]{32}\.kneexo\.[0-9a-f]{16}")
+_NAME = rf"[0-9a-f]{{32}}\.{ROOT}"
+_ENTRY = re.compile(_NAME)
 
 _unwritable: set[Path] = set()
 _warnings_given: set[str] = set()
-
-
-class Entry(NamedTuple):
-    """One file of the cache."""
-
-    path: Path
-    size_bytes: int
-    last_use_s: float
-    """Unix time in seconds."""
 
 
 # ----------------------------------------------------------------------------- entries
@@ -88,8 +83,8 @@ def store(key: str, content: bytes) -> None:
     directory = cache_directory()
     path = directory / _name(key)
     try:
-        _make_directory(directory)
-        _write(path, _header(key, content) + content)
+        make_private_directory(directory)
+        write_whole(path, _header(key, content) + content, mode=0o600)
     except OSError as error:
         reason = f"cannot be written ({error.strerror or error})"
         if directory == _private_directory():
@@ -99,13 +94,13 @@ def store(key: str, content: bytes) -> None:
         _warn_replaced(f"{directory}: {reason}")
         store(key, content)
     else:
-        _delete_stale(directory)
+        delete_stale(directory, _NAME)
         _shrink(path)
 
 
-def entries() -> list[Entry]:
+def entries() -> list[FileStatus]:
     """All entries, the one used last first."""
-    files = [entry for directory in _directories() for entry in _files(directory, _ENTRY)]
+    files = [entry for directory in _directories() for entry in files_in(directory, _ENTRY)]
     return sorted(files, key=lambda entry: entry.last_use_s, reverse=True)
 
 
@@ -116,8 +111,8 @@ def clear() -> int:
     """
     count = 0
     for directory in _directories():
-        _delete_stale(directory)
-        for entry in _files(directory, _ENTRY):
+        delete_stale(directory, _NAME)
+        for entry in files_in(directory, _ENTRY):
             try:
                 entry.path.unlink()
                 count += 1
@@ -130,15 +125,16 @@ def clear() -> int:
 
 
 def size_limit() -> int:
-    """Largest total size of the entries in bytes."""
-    text = os.environ.get("KNEEXO_CACHE_SIZE_MB") or str(_DEFAULT_LIMIT_MB)
+    """Return the largest total size of the entries in bytes."""
+    setting = variable("CACHE_SIZE_MB")
+    text = os.environ.get(setting) or str(_DEFAULT_LIMIT_MB)
     try:
         limit_mb = int(text) if text.isascii() and "_" not in text else -1
     except ValueError:
         limit_mb = -1
     if not 0 <= limit_mb <= _LARGEST_LIMIT_MB:
         _warn_once(
-            f"KNEEXO_CACHE_SIZE_MB = {shortened(text)!r}: must be a whole number of MiB from 0 to "
+            f"{setting} = {shortened(text)!r}: must be a whole number of MiB from 0 to "
             f"{_LARGEST_LIMIT_MB}; the limit is {_DEFAULT_LIMIT_MB} MiB"
         )
         limit_mb = _DEFAULT_LIMIT_MB
@@ -149,7 +145,7 @@ def size_limit() -> int:
 
 
 def _name(key: str) -> str:
-    return hashlib.sha256(key.encode()).hexdigest()[:32] + ".kneexo"
+    return hashlib.sha256(key.encode()).hexdigest()[:32] + f".{ROOT}"
 
 
 def _header(key: str, content: bytes) -> bytes:
@@ -163,10 +159,6 @@ def _open_for_reading(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 
-def _open_for_writing(path: str, flags: int) -> int:
-    return os.open(path, flags, 0o600)
-
-
 def _is_trusted(status: os.stat_result) -> bool:
     """Whether an open file is regular, of this user alone, and of reasonable size."""
     return (
@@ -177,42 +169,10 @@ def _is_trusted(status: os.stat_result) -> bool:
     )
 
 
-def _write(path: Path, data: bytes) -> None:
-    temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
-    try:
-        with open(temporary, "xb", opener=_open_for_writing) as file:
-            file.write(data)
-        os.replace(temporary, path)
-    except BaseException:  # KeyboardInterrupt too
-        with suppress(OSError):
-            temporary.unlink()
-        raise
-
-
-def _files(directory: Path, names: re.Pattern[str]) -> list[Entry]:
-    """Files of a directory whose whole name matches; empty where it cannot be read."""
-    files = []
-    with suppress(OSError), os.scandir(directory) as items:
-        for item in items:
-            if names.fullmatch(item.name) and not item.is_dir(follow_symlinks=False):
-                with suppress(FileNotFoundError):  # another process deleted it
-                    status = item.stat(follow_symlinks=False)
-                    files.append(Entry(Path(item.path), status.st_size, status.st_mtime))
-    return files
-
-
-def _delete_stale(directory: Path) -> None:
-    """Delete temporary files that killed processes left."""
-    for file in _files(directory, _TEMPORARY):
-        if file.last_use_s < time.time() - _STALE_S:
-            with suppress(OSError):
-                file.path.unlink()
-
-
 def _shrink(stored: Path) -> None:
     """Keep the entry just stored and, of the others, those used last that fit the limit."""
     limit, total = size_limit(), 0
-    files = _files(stored.parent, _ENTRY)
+    files = files_in(stored.parent, _ENTRY)
     for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
         total += entry.size_bytes
         if total > limit and entry.path != stored:
@@ -247,12 +207,12 @@ def _directories() -> list[Path]:
 
 
 def _chosen_directory() -> Path:
-    if directory := os.environ.get("KNEEXO_CACHE_DIR"):
+    if directory := os.environ.get(variable("CACHE_DIR")):
         return Path(directory).expanduser().absolute()
     base = os.environ.get("XDG_CACHE_HOME", "")
     if os.path.isabs(base):  # the XDG base directory specification ignores relative paths
-        return Path(base, "kneexo")
-    return Path.home().absolute() / ".cache" / "kneexo"
+        return Path(base, ROOT)
+    return Path.home().absolute() / ".cache" / ROOT
 
 
 def _refusal(directory: Path) -> str:
@@ -274,23 +234,9 @@ def _refusal(directory: Path) -> str:
 def _private_directory() -> Path:
     """A directory of this process alone, deleted at its end."""
     try:
-        directory = Path(tempfile.mkdtemp(prefix="kneexo-"))
+        return process_directory()
     except OSError:  # no temporary directory either: a path that no file can have
-        return Path(os.devnull, "kneexo")
-    atexit.register(_delete_directory, directory, os.getpid())
-    return directory
-
-
-def _delete_directory(directory: Path, process: int) -> None:
-    if os.getpid() == process:  # not in a fork
-        shutil.rmtree(directory, ignore_errors=True)
-
-
-def _make_directory(directory: Path) -> None:
-    """Make a directory and its parents, closed to other users."""
-    if not directory.is_dir():
-        _make_directory(directory.parent)
-        directory.mkdir(mode=0o700, exist_ok=True)
+        return Path(os.devnull, ROOT)
 
 
 def _warn_replaced(reason: str) -> None:

@@ -12,16 +12,9 @@ from pydrake.systems.primitives import LinearSystem, Sine, SymbolicVectorSystem
 from kneexo.compiler import export_c
 from kneexo.compiler.c import build as c_build
 from kneexo.compiler.c.build import BuildError, CodeSize, Replay, code_sizes, replay
-from kneexo.compiler.c.export import (
-    Measurement,
-    Vectors,
-    _numbers,
-    exported,
-    recorded_vectors,
-    source_of,
-    write_folder,
-)
+from kneexo.compiler.c.export import Measurement, _measured, exported, source_of, write_export
 from kneexo.compiler.c.source import CSource
+from kneexo.compiler.c.vectors import Vectors, recorded_vectors
 from kneexo.compiler.equations.equations import Equations
 from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.model import compile_diagram
@@ -165,8 +158,8 @@ def test_steps_follow_the_fastest_mode_of_any_diagram(tmp_path):
         )
     measurement = export_c(stiff(), tmp_path / "out", **options)
     source = source_of(compile_diagram(stiff(), inputs=["u0"]), "stiff", tick_s=2e-3)
-    assert source.largest_step_s == pytest.approx(0.2 / STIFF_PER_S, rel=1e-12)
-    assert source.steps == 500
+    assert source.plan.schedule.largest_step_s == pytest.approx(0.2 / STIFF_PER_S, rel=1e-12)
+    assert source.plan.schedule.steps == 500
     text = (tmp_path / "out" / "stiff.c").read_text()
     assert "step < 500U" in text
     vectors = recorded_vectors(stiff(), source, np.array(options["samples"]))
@@ -220,7 +213,7 @@ def test_the_rows_of_the_readme_tell_each_number_with_its_unit():
     replayed = Replay({"y0": 1.25e-12}, {"y0": 34.5}, passed=True)
     sizes = {"Cortex-M4F": CodeSize(1120, 48), "Cortex-M7": CodeSize(2040, 96)}
     measurement = Measurement({"*": 3, "sqrt": 1}, 24, replayed, sizes, {"power": "no | meter"})
-    assert list(_numbers("m", measurement)) == [
+    assert list(_measured("m", measurement)) == [
         ("operations in a step", "4: 3 *, 1 sqrt"),
         ("RAM of `m_state_t`", "24 bytes"),
         ("difference of `y0`", "1.25e-12, where it goes up to 34.5"),
@@ -292,7 +285,7 @@ def test_the_readme_lists_the_functions_of_all_that_is_printed(tmp_path):
     y = g.multiply(factor, g.source("input", 0))
     equations = Equations(graph=g, parameters=["m.a"], inputs={"u": 1}, outputs={"y": [y]})
     state = State(np.zeros(0), np.zeros(0))
-    options = {"precision": "float", "tick_s": 0.1, "told": "a ---> b"}
+    options = {"precision": "float", "tick_s": 0.1, "subject": "a ---> b"}
     source = CSource(equations, "m", np.ones(1), state, **options)
     assert source.operations == {"*": 1}
     text = exported(source, Vectors(np.ones((1, 1)), np.full((1, 1), np.e)))[0]["README.md"]
@@ -343,7 +336,7 @@ def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path):
     path = tmp_path / "out"
     path.write_text("")
     with pytest.raises(OutputError, match="cannot write there") as error:
-        write_folder(path, {"a.c": ""})
+        write_export(path, {"a.c": ""})
     assert "\n" not in str(error.value)
 
 

@@ -20,8 +20,10 @@ from pydrake.systems.primitives import (
 )
 
 from kneexo.compiler import compile_diagram
-from kneexo.compiler.c.export import recorded_vectors, source_of
-from kneexo.compiler.c.source import CSource, Interface, c_name
+from kneexo.compiler.c.export import source_of
+from kneexo.compiler.c.interface import Interface, c_name
+from kneexo.compiler.c.source import CSource
+from kneexo.compiler.c.vectors import recorded_vectors
 from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
 from kneexo.compiler.run_data import State
 from kneexo.errors import CompilationError
@@ -67,7 +69,7 @@ def test_a_discrete_step_takes_the_inputs_and_gives_what_follows(built, precisio
 
 def test_a_continuous_diagram_is_that_of_rk4(built):
     source = exported(oscillator(), inputs=["u0"], tick_s=0.01, step_s=0.002)
-    assert (source.sample_time_s, source.steps) == (0.01, 5)
+    assert (source.plan.schedule.tick_s, source.plan.schedule.steps) == (0.01, 5)
     inputs = np.sin(np.arange(200.0))[:, None]
     vectors = recorded_vectors(oscillator(), source, inputs)
     outputs = built(source).replay(inputs)
@@ -89,11 +91,11 @@ def test_a_continuous_diagram_is_that_of_rk4(built):
 
 def test_several_sample_times_with_offset_and_a_clock(built, multirate):
     source = exported(multirate)
-    assert source.sample_time_s == 0.001
+    assert source.plan.schedule.tick_s == 0.001
     vectors = recorded_vectors(multirate, source, np.zeros((400, 0)))
     outputs = built(source).replay(np.zeros((400, 0)))
     np.testing.assert_allclose(outputs, vectors.outputs, rtol=0, atol=1e-12)
-    fields = [name for _, name in source.output_fields]
+    fields = [field.name for field in source.plan.outputs]
     held = outputs[:, fields.index("held")]
     sampled = outputs[:, fields.index("sampled")]
     assert np.flatnonzero(np.diff(held))[:3].tolist() == [3, 7, 11]  # at 4, 8, 12 ms
@@ -108,7 +110,7 @@ def test_sample_times_without_a_clock_wrap_after_a_cycle(built):
         builder.ExportOutput(hold.get_output_port(), name)
     diagram = builder.Build()
     source = exported(diagram, inputs=["u_a", "u_b"])
-    assert not source.needs_time
+    assert not source.plan.needs_time
     inputs = np.arange(1.0, 41.0)[:, None] * [1.0, 10.0]
     outputs = built(source).replay(inputs)
     k = np.arange(40)  # ticks of 2 ms
@@ -157,7 +159,7 @@ def test_parameters_are_read_from_the_struct(built):
         inputs={"u": 1},
     )
     source = CSource(equations, "m", np.array([2.0, 3.0, 5.0]), State(np.zeros(0), np.zeros(1)))
-    assert source.parameter_fields == ["a_law.gain", "a_law.group_0[0]", "b_law.gain"]
+    assert source.plan.members == ("a_law.gain", "a_law.group_0[0]", "b_law.gain")
     assert built(source).replay([[7.0]]).tolist() == [[42.0, 5.0]]
 
 
@@ -310,7 +312,7 @@ def test_a_double_needs_53_bits():
 def test_operations_of_a_step_count_all_stages():
     source = exported(oscillator(), inputs=["u0"], tick_s=0.01, step_s=0.002)
     stage = replace(source, step_s=0.01)
-    assert source.steps == 5
+    assert source.plan.schedule.steps == 5
     difference = source.operations.total() - stage.operations.total()
     rates = stage.operations.total()  # the output is a state: nothing to compute
     assert difference == 4 * rates
@@ -320,7 +322,7 @@ def test_operations_of_a_step_count_all_stages():
 def test_state_bytes_are_those_of_the_compiler(c_text, multirate, precision):
     clocked = exported(multirate, precision=precision)
     unclocked = exported(accumulator(), inputs=["u0"], precision=precision)
-    assert (clocked.counts_steps, unclocked.counts_steps) == (True, False)
+    assert (clocked.plan.counts_steps, unclocked.plan.counts_steps) == (True, False)
     for source in (clocked, unclocked):
         files = source.files()
         text = files["model.h"] + "unsigned long size(void) { return sizeof(model_state_t); }\n"
@@ -382,7 +384,7 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
 
     equations = equations_of(graph_of, parameters=[f"{name}.k"], discrete=[f"{name}.0[0]\n*/"])
     state = State(np.zeros(0), np.array([3.0]))
-    source = CSource(equations, "m", np.array([2.0]), state, told=f"{name}\nall: */")
+    source = CSource(equations, "m", np.array([2.0]), state, subject=f"{name}\nall: */")
     assert built(source).replay(np.zeros((1, 0))).tolist() == [[6.0]]
     assert "\n" not in source.first_line
     assert "\\" not in source.first_line
@@ -434,7 +436,7 @@ def test_bad_options_are_one_line(options, match):
 
 def test_steps_fit_their_counter():
     options = {"inputs": ["u0"], "tick_s": 1.0}
-    assert exported(oscillator(), step_s=1.0 / 65_535, **options).steps == 65_535
+    assert exported(oscillator(), step_s=1.0 / 65_535, **options).plan.schedule.steps == 65_535
     with pytest.raises(CompilationError, match=r"step_s = 1e-07 s: makes 10000000 steps .* 65535"):
         exported(oscillator(), step_s=1e-7, **options)
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from kneexo.compiler.c.source import CSource, Interface
+from kneexo.compiler.c.interface import Interface
+from kneexo.compiler.c.source import CSource
 from kneexo.compiler.c.tables import tables_of
 from kneexo.compiler.equations.equations import Equations, Update
 from kneexo.compiler.equations.graph import Graph
@@ -37,10 +38,10 @@ def counting(**options):
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_a_table_has_the_values_of_what_it_replaces(built, precision):
     source = counting(precision=precision)
-    assert [table.first for table in source.tables] == [-3, -3]
+    assert [table.first for table in source.plan.tables] == [-3, -3]
     counts = np.arange(-3.0, 6.0)
     expected = np.array([np.sin(0.3 * counts), np.cos(0.3 * counts)])
-    np.testing.assert_allclose([table.values for table in source.tables], expected, rtol=1e-15)
+    np.testing.assert_allclose([table.values for table in source.plan.tables], expected, rtol=1e-15)
     inputs = np.column_stack([np.tile(counts, 3), np.linspace(-1.0, 1.0, 27)])
     outputs = built(source).replay(inputs)
     plain = built(counting(precision=precision, look_up=False)).replay(inputs)
@@ -71,7 +72,7 @@ def test_a_step_neither_computes_nor_keeps_what_is_looked_up():
 
 def test_nothing_to_look_up_is_an_error():
     with pytest.raises(CompilationError, match="look_up: nothing depends on an integer input"):
-        counting(interface=Interface(integers=frozenset(["count"]))).tables  # noqa: B018
+        counting(interface=Interface(integers=frozenset(["count"])))
 
 
 def test_a_value_that_is_not_finite_is_refused():

@@ -23,8 +23,10 @@ from pydrake.systems.primitives import (
 from kneexo.compiler import compile_diagram
 from kneexo.compiler.c import build as c_build
 from kneexo.compiler.c.export import source_of
-from kneexo.compiler.c.source import Interface
-from kneexo.compiler.fmu.fmu import Fmu, Parameter, generation_tool
+from kneexo.compiler.c.interface import Interface
+from kneexo.compiler.fmu.description import generation_tool
+from kneexo.compiler.fmu.fmu import Fmu
+from kneexo.compiler.fmu.variables import Parameter
 from kneexo.errors import CompilationError
 
 TICK_S = 0.1

@@ -1,34 +1,35 @@
-#include "NAME.h"
+{{ first_line | comment }}
+#include "{{ name }}.h"
 
 #include <math.h>
 #include <stdbool.h>
 
-typedef NAME_real_t real;
+typedef {{ name }}_real_t real;
 
 /* What the equations of an instant read. */
 typedef struct {
-    const NAME_params_t *p;
-    const NAME_inputs_t *in;
-@if constants
+    const {{ name }}_params_t *p;
+    const {{ name }}_inputs_t *in;
+{% if constants %}
     const real *c; /* what depends on parameters alone */
-@end
-@if states
+{% endif %}
+{% if states %}
     const real *x; /* continuous states */
-@end
-@if held
+{% endif %}
+{% if discrete %}
     const real *d; /* discrete states */
-@end
-@if time
+{% endif %}
+{% if needs_time %}
     real t; /* in s */
-@end
+{% endif %}
 } instant;
 
 static bool is_finite(real value)
 {
-    return (value >= -@{largest}) && (value <= @{largest});
+    return (value >= -{{ real.largest | literal(real) }}) && (value <= {{ real.largest | literal(real) }});
 }
 
-@if counted
+{% if constants or numbers %}
 static bool are_finite(const real *values, uint16_t count)
 {
     bool all = true;
@@ -39,22 +40,22 @@ static bool are_finite(const real *values, uint16_t count)
     return all;
 }
 
-@end
-@if minimum
+{% endif %}
+{% if functions.call("minimum") %}
 static real minimum(real a, real b)
 {
     return (b < a) ? b : a;
 }
 
-@end
-@if maximum
+{% endif %}
+{% if functions.call("maximum") %}
 static real maximum(real a, real b)
 {
     return (a < b) ? b : a;
 }
 
-@end
-@if accumulators
+{% endif %}
+{% if sums %}
 /* Sum whose rounding error is kept for the next one (Kahan). */
 static real sum(real total, real term, real *lost)
 {
@@ -65,318 +66,376 @@ static real sum(real total, real term, real *lost)
     return result;
 }
 
-@end
-static bool inputs_are_right(const NAME_inputs_t *in)
+{% endif %}
+static bool inputs_are_right(const {{ name }}_inputs_t *in)
 {
-@input_checks
+{% for field in inputs if field.range or not field.is_integer %}
+{% set ends = field.limits(real) %}
+{% set inside = "(in->%s >= %s) && (in->%s <= %s)" %}
+    {{ "return" if loop.first else "    &&" }} {{
+        inside | format(field.name, ends[0], field.name, ends[1])
+        if ends else "is_finite(in->%s)" | format(field.name)
+    }}{{ ";" if loop.last }}
+{% else %}
+    (void)in;
+    return true;
+{% endfor %}
 }
 
-static bool outputs_are_right(const NAME_outputs_t *out)
+static bool outputs_are_right(const {{ name }}_outputs_t *out)
 {
-@output_checks
+{% for field in outputs %}
+    {{ "return" if loop.first else "    &&" }} is_finite(out->{{ field.name }}){{ ";" if loop.last }}
+{% else %}
+    (void)out;
+    return true;
+{% endfor %}
 }
 
-static bool params_are_right(const NAME_params_t *p)
+static bool params_are_right(const {{ name }}_params_t *p)
 {
-@parameter_checks
+{% if numbers %}
+    const real values[{{ numbers | length }}] = {
+{% for number in numbers %}
+        p->{{ number }},
+{% endfor %}
+    };
+
+    return are_finite(values, {{ numbers | length }}U);
+{% else %}
+    (void)p;
+    return true;
+{% endif %}
 }
 
-@functions
-@if states
-/* The classical Runge-Kutta method over a sample time, in STEPS equal steps. */
+{% if constants %}
+static void constants_of(const {{ name }}_params_t *p, real *c)
+{
+{% if not functions.constants.reads("p") %}
+    (void)p;
+{% endif %}
+{{ functions.constants.text }}
+}
+
+{% endif %}
+{% set types = {
+    "p": "const %s_params_t *" | format(name),
+    "in": "const %s_inputs_t *" | format(name),
+    "c": "const real *",
+    "x": "const real *",
+    "d": "const real *",
+    "t": "const real ",
+} %}
+{% for function in functions.of_an_instant %}
+static void {{ function.name }}(const instant *at{{ function.arguments }})
+{
+{% for member, type in types.items() if function.reads(member) %}
+    {{ type }}{{ member }} = at->{{ member }};
+{% else %}
+    (void)at;
+{% endfor %}
+
+{% for statement in function.statements %}
+{{ statement }}
+{% endfor %}
+}
+
+{% endfor %}
+{% if states %}
+/* The classical Runge-Kutta method over a sample time, in {{ schedule.steps }} equal steps. */
 static void integrate(instant *at, real *x)
 {
-@if time
+{% if needs_time %}
     const real start = at->t;
-@end
-    real rate[STATES];
-    real total[STATES];
-    real z[STATES];
+{% endif %}
+    real rate[{{ states }}];
+    real total[{{ states }}];
+    real z[{{ states }}];
 
-    for (uint16_t step = 0U; step < STEPSU; step++) {
-@if time
-        const real t = start + ((real)step * @{step});
+    for (uint16_t step = 0U; step < {{ schedule.steps }}U; step++) {
+{% if needs_time %}
+        const real t = start + ((real)step * {{ schedule.step_s | literal(real, "step") }});
 
-@end
-@if time
+{% endif %}
+{% if needs_time %}
         at->t = t;
-@end
+{% endif %}
         at->x = x;
         rate_at(at, rate);
-        for (uint16_t i = 0U; i < STATESU; i++) {
+        for (uint16_t i = 0U; i < {{ states }}U; i++) {
             total[i] = rate[i];
-            z[i] = x[i] + (@{half_step} * rate[i]);
+            z[i] = x[i] + ({{ (0.5 * schedule.step_s) | literal(real, "half_step") }} * rate[i]);
         }
-@if time
-        at->t = t + @{half_step};
-@end
+{% if needs_time %}
+        at->t = t + {{ (0.5 * schedule.step_s) | literal(real, "half_step") }};
+{% endif %}
         at->x = z;
         rate_at(at, rate);
-        for (uint16_t i = 0U; i < STATESU; i++) {
-            total[i] += @{two} * rate[i];
-            z[i] = x[i] + (@{half_step} * rate[i]);
+        for (uint16_t i = 0U; i < {{ states }}U; i++) {
+            total[i] += {{ 2.0 | literal(real) }} * rate[i];
+            z[i] = x[i] + ({{ (0.5 * schedule.step_s) | literal(real, "half_step") }} * rate[i]);
         }
         rate_at(at, rate);
-        for (uint16_t i = 0U; i < STATESU; i++) {
-            total[i] += @{two} * rate[i];
-            z[i] = x[i] + (@{step} * rate[i]);
+        for (uint16_t i = 0U; i < {{ states }}U; i++) {
+            total[i] += {{ 2.0 | literal(real) }} * rate[i];
+            z[i] = x[i] + ({{ schedule.step_s | literal(real, "step") }} * rate[i]);
         }
-@if time
-        at->t = t + @{step};
-@end
+{% if needs_time %}
+        at->t = t + {{ schedule.step_s | literal(real, "step") }};
+{% endif %}
         rate_at(at, rate);
-        for (uint16_t i = 0U; i < STATESU; i++) {
-            x[i] += @{sixth_step} * (total[i] + rate[i]);
+        for (uint16_t i = 0U; i < {{ states }}U; i++) {
+            x[i] += {{ (schedule.step_s / 6.0) | literal(real, "sixth_step") }} * (total[i] + rate[i]);
         }
     }
     at->x = x;
 }
 
-@end
-@if limits
+{% endif %}
+{% if limits %}
 static bool is_within_limits(const instant *at)
 {
-    real margin[LIMITS];
+    real margin[{{ limits }}];
     bool within = true;
 
     margins_at(at, margin);
-    for (uint16_t i = 0U; i < LIMITSU; i++) {
-        within = within && (margin[i] >= @{zero});
+    for (uint16_t i = 0U; i < {{ limits }}U; i++) {
+        within = within && (margin[i] >= {{ 0.0 | literal(real) }});
     }
     return within;
 }
 
-@end
-static instant instant_of(const NAME_params_t *params, const NAME_state_t *state,
-    const NAME_inputs_t *inputs)
+{% endif %}
+static instant instant_of(const {{ name }}_params_t *params, const {{ name }}_state_t *state,
+    const {{ name }}_inputs_t *inputs)
 {
     instant at;
 
-@if stateless
+{% if not (states or discrete or constants or needs_time) %}
     (void)state;
-@end
+{% endif %}
     at.p = params;
     at.in = inputs;
-@if constants
+{% if constants %}
     at.c = state->c;
-@end
-@if states
+{% endif %}
+{% if states %}
     at.x = state->x;
-@end
-@if held
+{% endif %}
+{% if discrete %}
     at.d = state->d;
-@end
-@if time
-    at.t = (real)state->tick * UPPER_SAMPLE_TIME_S;
-@end
+{% endif %}
+{% if needs_time %}
+    at.t = (real)state->tick * {{ NAME }}_SAMPLE_TIME_S;
+{% endif %}
     return at;
 }
 
-static uint16_t outputs_of(const instant *at, NAME_outputs_t *outputs)
+static uint16_t outputs_of(const instant *at, {{ name }}_outputs_t *outputs)
 {
-    uint16_t status = UPPER_OK;
-    NAME_outputs_t out = *outputs;
+    uint16_t status = {{ NAME }}_OK;
+    {{ name }}_outputs_t out = *outputs;
 
-@if outputs
+{% if outputs %}
     outputs_at(at, &out);
-@else
+{% else %}
     (void)at;
-@end
+{% endif %}
     if (outputs_are_right(&out)) {
         *outputs = out;
     } else {
-        status = UPPER_BAD_RESULT;
+        status = {{ NAME }}_BAD_RESULT;
     }
     return status;
 }
 
-uint16_t NAME_update_parameters(NAME_state_t *state, const NAME_params_t *params)
+uint16_t {{ name }}_update_parameters({{ name }}_state_t *state, const {{ name }}_params_t *params)
 {
-    uint16_t status = UPPER_OK;
-@if constants
-    real c[CONSTANTS];
-@else
+    uint16_t status = {{ NAME }}_OK;
+{% if constants %}
+    real c[{{ constants }}];
+{% else %}
 
     (void)state;
-@end
+{% endif %}
 
     if (!params_are_right(params)) {
-        status = UPPER_BAD_PARAMETER;
+        status = {{ NAME }}_BAD_PARAMETER;
     }
-@if constants
-    if (status == UPPER_OK) {
+{% if constants %}
+    if (status == {{ NAME }}_OK) {
         constants_of(params, c);
-        if (are_finite(c, CONSTANTSU)) {
-            for (uint16_t i = 0U; i < CONSTANTSU; i++) {
+        if (are_finite(c, {{ constants }}U)) {
+            for (uint16_t i = 0U; i < {{ constants }}U; i++) {
                 state->c[i] = c[i];
             }
         } else {
-            status = UPPER_BAD_RESULT;
+            status = {{ NAME }}_BAD_RESULT;
         }
     }
-@end
+{% endif %}
     return status;
 }
 
-uint16_t NAME_init(NAME_state_t *state, const NAME_params_t *params,
-    const NAME_inputs_t *inputs)
+uint16_t {{ name }}_init({{ name }}_state_t *state, const {{ name }}_params_t *params,
+    const {{ name }}_inputs_t *inputs)
 {
-    static const NAME_state_t zero = {0};
+    static const {{ name }}_state_t zero = {0};
     uint16_t status;
 
     *state = zero;
-@if states
-    for (uint16_t i = 0U; i < STATESU; i++) {
+{% if states %}
+    for (uint16_t i = 0U; i < {{ states }}U; i++) {
         state->x[i] = params->initial_x[i];
     }
-@end
-@if held
-    for (uint16_t i = 0U; i < HELDU; i++) {
+{% endif %}
+{% if discrete %}
+    for (uint16_t i = 0U; i < {{ discrete }}U; i++) {
         state->d[i] = params->initial_d[i];
     }
-@end
-    status = NAME_update_parameters(state, params);
-    if ((status == UPPER_OK) && !inputs_are_right(inputs)) {
-        status = UPPER_BAD_INPUT;
+{% endif %}
+    status = {{ name }}_update_parameters(state, params);
+    if ((status == {{ NAME }}_OK) && !inputs_are_right(inputs)) {
+        status = {{ NAME }}_BAD_INPUT;
     }
-    if (status == UPPER_OK) {
+    if (status == {{ NAME }}_OK) {
         const instant at = instant_of(params, state, inputs);
-@if held
-        real next[HELD];
+{% if discrete %}
+        real next[{{ discrete }}];
 
         initial_at(&at, next);
-        if (are_finite(next, HELDU)) {
-            for (uint16_t i = 0U; i < HELDU; i++) {
+        if (are_finite(next, {{ discrete }}U)) {
+            for (uint16_t i = 0U; i < {{ discrete }}U; i++) {
                 state->d[i] = next[i];
             }
         } else {
-            status = UPPER_BAD_RESULT;
+            status = {{ NAME }}_BAD_RESULT;
         }
-@end
-        if (status == UPPER_OK) {
+{% endif %}
+        if (status == {{ NAME }}_OK) {
             status = outputs_of(&at, &state->last);
         }
     }
-    if (status == UPPER_OK) {
+    if (status == {{ NAME }}_OK) {
         state->started = 1U;
     }
     return status;
 }
 
-uint16_t NAME_step(const NAME_params_t *params, NAME_state_t *state,
-    const NAME_inputs_t *inputs, NAME_outputs_t *outputs)
+uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *state,
+    const {{ name }}_inputs_t *inputs, {{ name }}_outputs_t *outputs)
 {
-    uint16_t status = UPPER_OK;
-@if ticks
+    uint16_t status = {{ NAME }}_OK;
+{% if counts_steps %}
     uint32_t tick = state->tick;
-@end
-    NAME_outputs_t last = state->last;
-@if states
-    real x[STATES];
-@end
-@if held
-    real d[HELD];
-@end
-@if accumulators
-    real lost[LOST];
-@end
+{% endif %}
+    {{ name }}_outputs_t last = state->last;
+{% if states %}
+    real x[{{ states }}];
+{% endif %}
+{% if discrete %}
+    real d[{{ discrete }}];
+{% endif %}
+{% if sums %}
+    real lost[{{ sums }}];
+{% endif %}
 
-@if states
-    for (uint16_t i = 0U; i < STATESU; i++) {
+{% if states %}
+    for (uint16_t i = 0U; i < {{ states }}U; i++) {
         x[i] = state->x[i];
     }
-@end
-@if held
-    for (uint16_t i = 0U; i < HELDU; i++) {
+{% endif %}
+{% if discrete %}
+    for (uint16_t i = 0U; i < {{ discrete }}U; i++) {
         d[i] = state->d[i];
     }
-@end
-@if accumulators
-    for (uint16_t i = 0U; i < LOSTU; i++) {
+{% endif %}
+{% if sums %}
+    for (uint16_t i = 0U; i < {{ sums }}U; i++) {
         lost[i] = state->lost[i];
     }
-@end
+{% endif %}
     if (state->started == 0U) {
-        status = UPPER_NOT_STARTED;
+        status = {{ NAME }}_NOT_STARTED;
     } else if (!inputs_are_right(inputs)) {
-        status = UPPER_BAD_INPUT;
+        status = {{ NAME }}_BAD_INPUT;
     } else {
         instant at = instant_of(params, state, inputs);
 
-@if limits
+{% if limits %}
         if (!is_within_limits(&at)) {
-            status = UPPER_OUT_OF_LIMITS;
+            status = {{ NAME }}_OUT_OF_LIMITS;
         }
-@end
-@if held
-        update_at(&at, @{update_arguments}d);
+{% endif %}
+{% if discrete %}
+        update_at(&at, {{ "tick, " if schedule.counts_ticks }}{{ "lost, " if sums }}d);
         at.d = d;
-        if (!are_finite(d, HELDU)) {
-            status = UPPER_BAD_RESULT;
+        if (!are_finite(d, {{ discrete }}U)) {
+            status = {{ NAME }}_BAD_RESULT;
         }
-@end
-@if states
-        if (status == UPPER_OK) {
+{% endif %}
+{% if states %}
+        if (status == {{ NAME }}_OK) {
             integrate(&at, x);
-            if (!are_finite(x, STATESU)) {
-                status = UPPER_BAD_RESULT;
+            if (!are_finite(x, {{ states }}U)) {
+                status = {{ NAME }}_BAD_RESULT;
             }
         }
-@end
-@if ticks
+{% endif %}
+{% if counts_steps %}
         tick++;
-@end
-@if wraps
-        if (tick == @{last_tick}U) {
-            tick = @{first_tick}U;
+{% endif %}
+{% if schedule.counts_ticks and not needs_time %}
+        if (tick == {{ schedule.cycle[1] }}U) {
+            tick = {{ schedule.cycle[0] }}U;
         }
-@end
-        if (status == UPPER_OK) {
-@if time
-            at.t = (real)tick * UPPER_SAMPLE_TIME_S;
-@end
+{% endif %}
+        if (status == {{ NAME }}_OK) {
+{% if needs_time %}
+            at.t = (real)tick * {{ NAME }}_SAMPLE_TIME_S;
+{% endif %}
             status = outputs_of(&at, &last);
         }
     }
-    if (status == UPPER_OK) {
-@if states
-        for (uint16_t i = 0U; i < STATESU; i++) {
+    if (status == {{ NAME }}_OK) {
+{% if states %}
+        for (uint16_t i = 0U; i < {{ states }}U; i++) {
             state->x[i] = x[i];
         }
-@end
-@if held
-        for (uint16_t i = 0U; i < HELDU; i++) {
+{% endif %}
+{% if discrete %}
+        for (uint16_t i = 0U; i < {{ discrete }}U; i++) {
             state->d[i] = d[i];
         }
-@end
-@if accumulators
-        for (uint16_t i = 0U; i < LOSTU; i++) {
+{% endif %}
+{% if sums %}
+        for (uint16_t i = 0U; i < {{ sums }}U; i++) {
             state->lost[i] = lost[i];
         }
-@end
-@if ticks
+{% endif %}
+{% if counts_steps %}
         state->tick = tick;
-@end
+{% endif %}
         state->last = last;
     }
     *outputs = state->last;
     return status;
 }
 
-uint16_t NAME_outputs(const NAME_params_t *params, const NAME_state_t *state,
-    const NAME_inputs_t *inputs, NAME_outputs_t *outputs)
+uint16_t {{ name }}_outputs(const {{ name }}_params_t *params, const {{ name }}_state_t *state,
+    const {{ name }}_inputs_t *inputs, {{ name }}_outputs_t *outputs)
 {
     uint16_t status;
 
     *outputs = state->last;
     if (state->started == 0U) {
-        status = UPPER_NOT_STARTED;
+        status = {{ NAME }}_NOT_STARTED;
     } else if (inputs_are_right(inputs)) {
         const instant at = instant_of(params, state, inputs);
 
         status = outputs_of(&at, outputs);
     } else {
-        status = UPPER_BAD_INPUT;
+        status = {{ NAME }}_BAD_INPUT;
     }
     return status;
 }

@@ -1,5 +1,6 @@
-#ifndef UPPER_H
-#define UPPER_H
+{{ first_line | comment }}
+#ifndef {{ NAME }}_H
+#define {{ NAME }}_H
 
 #include <float.h>
 #include <stdint.h>
@@ -8,74 +9,100 @@
 extern "C" {
 #endif
 
-@if double
+{% if real.name == "double" %}
 #if DBL_MANT_DIG < 53
 #error "double has fewer than 53 bits here: export single precision"
 #endif
 
-@end
-typedef REAL NAME_real_t;
+{% endif %}
+typedef {{ real.name }} {{ name }}_real_t;
 
-#define UPPER_SAMPLE_TIME_S @{sample_time}
+#define {{ NAME }}_SAMPLE_TIME_S {{ schedule.tick_s | literal(real, "sample_time") }}
 
 /* Status of a call: 0, or the sum of what went wrong. After a failed step the state is as it was
  * before, and the outputs are the last ones that were right; without a start they are zero. */
-#define UPPER_OK 0U
-#define UPPER_BAD_INPUT 1U /* an input is not finite, or out of its range */
-#define UPPER_BAD_RESULT 2U /* a result is not finite */
-@if limits
-#define UPPER_OUT_OF_LIMITS 4U /* a leaf system left its limits */
-@end
-#define UPPER_NOT_STARTED 8U /* NAME_init has not succeeded yet */
-#define UPPER_BAD_PARAMETER 16U /* a parameter or a start value is not finite */
+#define {{ NAME }}_OK 0U
+#define {{ NAME }}_BAD_INPUT 1U /* an input is not finite, or out of its range */
+#define {{ NAME }}_BAD_RESULT 2U /* a result is not finite */
+{% if limits %}
+#define {{ NAME }}_OUT_OF_LIMITS 4U /* a leaf system left its limits */
+{% endif %}
+#define {{ NAME }}_NOT_STARTED 8U /* {{ name }}_init has not succeeded yet */
+#define {{ NAME }}_BAD_PARAMETER 16U /* a parameter or a start value is not finite */
 
 /* Context parameters of the leaf systems, in SI units, and the start. */
 typedef struct {
-@parameters
-} NAME_params_t;
+{% for leaf, members in leaves.items() %}
+    struct {
+{% for member in members %}
+        {{ name }}_real_t {{ member.name }}{{ "[%d]" | format(member.values | length) if member.is_array }};
+{% endfor %}
+    } {{ leaf }};
+{% endfor %}
+{% for letter, values in start.items() %}
+    {{ name }}_real_t initial_{{ letter }}[{{ values | length }}];
+{% endfor %}
+{% if not numbers %}
+    {{ name }}_real_t none; /* nothing here */
+{% endif %}
+} {{ name }}_params_t;
 
 typedef struct {
-@inputs
-} NAME_inputs_t;
+{% for field in inputs %}
+{% set ends = field.limits(real) %}
+    {{ "int32_t" if field.is_integer else name ~ "_real_t" }} {{ field.name }};{{ " /* %s */" | format(ends | join(" ... ")) if ends }}
+{% else %}
+    {{ name }}_real_t none; /* nothing here */
+{% endfor %}
+} {{ name }}_inputs_t;
 
 typedef struct {
-@outputs
-} NAME_outputs_t;
+{% for field in outputs %}
+    {{ name }}_real_t {{ field.name }};
+{% else %}
+    {{ name }}_real_t none; /* nothing here */
+{% endfor %}
+} {{ name }}_outputs_t;
 
 typedef struct {
-@state
-    NAME_outputs_t last; /* the last outputs that were right */
-@if ticks
-    uint32_t tick; /* @{tick_meaning} */
-@end
-    uint32_t started; /* 1 after NAME_init has succeeded, else 0 */
-} NAME_state_t;
+{% for member, size, meaning in state %}
+{{ meaning | comment("    ") }}
+    {{ name }}_real_t {{ member }}[{{ size }}];
+{% endfor %}
+    {{ name }}_outputs_t last; /* the last outputs that were right */
+{% if counts_steps %}
+    uint32_t tick; /* {{ "steps so far" if needs_time else "steps in the cycle of the sample times" }} */
+{% endif %}
+    uint32_t started; /* 1 after {{ name }}_init has succeeded, else 0 */
+} {{ name }}_state_t;
 
-extern const NAME_params_t NAME_params;
+extern const {{ name }}_params_t {{ name }}_params;
 
-@if tables
+{% if tables %}
 /* What follows from a whole-number input alone, computed when this was exported. Parameters that
  * were used only for that act no more. */
-@tables
+{% for table in tables %}
+extern const {{ name }}_real_t {{ name }}_table_{{ loop.index0 }}[{{ table.values | length }}];
+{% endfor %}
 
-@end
+{% endif %}
 /* Start anew; the inputs are those of the first step. After a failure the model is not started:
- * steps and outputs are refused until NAME_init succeeds. */
-uint16_t NAME_init(NAME_state_t *state, const NAME_params_t *params,
-    const NAME_inputs_t *inputs);
+ * steps and outputs are refused until {{ name }}_init succeeds. */
+uint16_t {{ name }}_init({{ name }}_state_t *state, const {{ name }}_params_t *params,
+    const {{ name }}_inputs_t *inputs);
 
 /* To be called when parameters have changed; the state is kept. Change a second struct, call this,
  * and use that struct for the steps only after status 0: after a failure the state still has what
  * followed from the parameters before. */
-uint16_t NAME_update_parameters(NAME_state_t *state, const NAME_params_t *params);
+uint16_t {{ name }}_update_parameters({{ name }}_state_t *state, const {{ name }}_params_t *params);
 
 /* Go over one sample time. */
-uint16_t NAME_step(const NAME_params_t *params, NAME_state_t *state,
-    const NAME_inputs_t *inputs, NAME_outputs_t *outputs);
+uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *state,
+    const {{ name }}_inputs_t *inputs, {{ name }}_outputs_t *outputs);
 
 /* The outputs at the present state and these inputs, without a step. */
-uint16_t NAME_outputs(const NAME_params_t *params, const NAME_state_t *state,
-    const NAME_inputs_t *inputs, NAME_outputs_t *outputs);
+uint16_t {{ name }}_outputs(const {{ name }}_params_t *params, const {{ name }}_state_t *state,
+    const {{ name }}_inputs_t *inputs, {{ name }}_outputs_t *outputs);
 
 #ifdef __cplusplus
 }

@@ -1,16 +1,17 @@
-#ifndef UPPER_VECTORS_H
-#define UPPER_VECTORS_H
+{{ first_line | comment }}
+#ifndef {{ NAME }}_VECTORS_H
+#define {{ NAME }}_VECTORS_H
 
-#include "NAME.h"
+#include "{{ name }}.h"
 
 /* Inputs of a step, and the outputs that must follow. */
 typedef struct {
-    NAME_inputs_t inputs;
-    NAME_outputs_t outputs;
-} NAME_vector_t;
+    {{ name }}_inputs_t inputs;
+    {{ name }}_outputs_t outputs;
+} {{ name }}_vector_t;
 
-#define UPPER_VECTORS @{vectors}UL
+#define {{ NAME }}_VECTORS {{ vectors | length }}UL
 
-extern const NAME_vector_t NAME_vectors[UPPER_VECTORS];
+extern const {{ name }}_vector_t {{ name }}_vectors[{{ NAME }}_VECTORS];
 
 #endif

@@ -1,27 +1,8 @@
-/* The functions of FMI 2.0 for co-simulation, declared here so that no header is needed. */
-#include "NAME_fmu.h"
-
-#include <stdlib.h>
-#include <string.h>
-
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#elif defined(__GNUC__)
-#define EXPORT __attribute__((visibility("default")))
-#else
-#define EXPORT
-#endif
-
-/* A program that holds several FMUs in source form gives each the prefix of its own. */
-#if defined(FMI2_FUNCTION_PREFIX) && !defined(FMI2_OVERRIDE_FUNCTION_PREFIX)
-#define JOINED(a, b) a##b
-#define PREFIXED(a, b) JOINED(a, b)
-#define FMI(name) PREFIXED(FMI2_FUNCTION_PREFIX, fmi2##name)
-#else
-#define FMI(name) fmi2##name
-#endif
-
-typedef enum { FMI2_OK = 0, FMI2_ERROR = 3 } status_t;
+{% extends "fmi.c" %}
+{% set fmi, instance = 2, "component" %}
+{% set State, Deserialize, byte = "state", "DeSerialize", "char" %}
+{% set kind, reading = "type", "reading" %}
+{% block types %}
 typedef void (*logger_t)(void *environment, const char *instance, status_t status,
     const char *category, const char *message, ...);
 
@@ -34,22 +15,14 @@ typedef struct {
 } callbacks_t;
 
 typedef struct {
-    NAME_fmu_t fmu;
+    {{ name }}_fmu_t fmu;
     logger_t logger;
     void *environment;
     char *name;
 } component_t;
 
-static status_t status_of(bool success)
-{
-    return success ? FMI2_OK : FMI2_ERROR;
-}
-
-static NAME_fmu_t *fmu_of(void *component)
-{
-    return &((component_t *)component)->fmu;
-}
-
+{% endblock %}
+{% block report %}
 static void report(void *owner, const char *text)
 {
     const component_t *component = owner;
@@ -60,17 +33,8 @@ static void report(void *owner, const char *text)
     }
 }
 
-static status_t refuse(void *component, const char *text)
-{
-    return status_of(NAME_fmu_refuse(fmu_of(component), text));
-}
-
-/* There are no variables of a type: reading none of them is right. */
-static status_t refuse_any(void *component, size_t count, const char *text)
-{
-    return (count == 0U) ? FMI2_OK : refuse(component, text);
-}
-
+{% endblock %}
+{% block start %}
 EXPORT const char *FMI(GetTypesPlatform)(void)
 {
     return "default";
@@ -103,7 +67,7 @@ EXPORT void FMI(FreeInstance)(void *component)
 EXPORT void *FMI(Instantiate)(const char *name, int type, const char *guid, const char *resources,
     const callbacks_t *callbacks, int visible, int logging)
 {
-    const char *const shown = ((name == NULL) || (name[0] == '\0')) ? "NAME" : name;
+    const char *const shown = ((name == NULL) || (name[0] == '\0')) ? "{{ name }}" : name;
     const char *wrong = NULL;
     component_t *component = calloc(1U, sizeof *component);
 
@@ -129,15 +93,15 @@ EXPORT void *FMI(Instantiate)(const char *name, int type, const char *guid, cons
         wrong = "instance name: must not be empty";
     } else if (type != 1) {
         wrong = "FMU type: must be co-simulation";
-    } else if ((guid == NULL) || (strcmp(guid, UPPER_TOKEN) != 0)) {
-        wrong = "GUID: must be " UPPER_TOKEN ", that of this FMU";
+    } else if ((guid == NULL) || (strcmp(guid, {{ NAME }}_TOKEN) != 0)) {
+        wrong = "GUID: must be " {{ NAME }}_TOKEN ", that of this FMU";
     }
     if (wrong != NULL) {
         report(component, wrong);
         FMI(FreeInstance)(component);
         return NULL;
     }
-    NAME_fmu_reset(&component->fmu);
+    {{ name }}_fmu_reset(&component->fmu);
     return component;
 }
 
@@ -147,40 +111,26 @@ EXPORT status_t FMI(SetupExperiment)(void *component, int has_tolerance, double 
 {
     (void)has_tolerance;
     (void)tolerance;
-    return status_of(NAME_fmu_set_times(fmu_of(component), start, has_stop != 0, stop));
+    return status_of({{ name }}_fmu_set_times(fmu_of(component), start, has_stop != 0, stop));
 }
 
 EXPORT status_t FMI(EnterInitializationMode)(void *component)
 {
-    return status_of(NAME_fmu_enter_initialization(fmu_of(component)));
+    return status_of({{ name }}_fmu_enter_initialization(fmu_of(component)));
 }
 
-EXPORT status_t FMI(ExitInitializationMode)(void *component)
-{
-    return status_of(NAME_fmu_exit_initialization(fmu_of(component)));
-}
-
-EXPORT status_t FMI(Terminate)(void *component)
-{
-    return status_of(NAME_fmu_terminate(fmu_of(component)));
-}
-
-EXPORT status_t FMI(Reset)(void *component)
-{
-    NAME_fmu_reset(fmu_of(component));
-    return FMI2_OK;
-}
-
+{% endblock %}
+{% block values %}
 EXPORT status_t FMI(GetReal)(void *component, const unsigned int *references, size_t count,
     double *values)
 {
-    return status_of(NAME_fmu_get(fmu_of(component), references, count, values));
+    return status_of({{ name }}_fmu_get(fmu_of(component), references, count, values));
 }
 
 EXPORT status_t FMI(SetReal)(void *component, const unsigned int *references, size_t count,
     const double *values)
 {
-    return status_of(NAME_fmu_set(fmu_of(component), references, count, values));
+    return status_of({{ name }}_fmu_set(fmu_of(component), references, count, values));
 }
 
 #define NO_VARIABLES(call, type) \
@@ -199,44 +149,8 @@ NO_VARIABLES(SetBoolean, const int *)
 NO_VARIABLES(GetString, const char **)
 NO_VARIABLES(SetString, const char *const *)
 
-EXPORT status_t FMI(GetFMUstate)(void *component, void **saved)
-{
-    return status_of(NAME_fmu_save(fmu_of(component), saved));
-}
-
-EXPORT status_t FMI(SetFMUstate)(void *component, void *saved)
-{
-    return status_of(NAME_fmu_restore(fmu_of(component), saved));
-}
-
-EXPORT status_t FMI(FreeFMUstate)(void *component, void **saved)
-{
-    (void)component;
-    if (saved != NULL) {
-        free(*saved);
-        *saved = NULL;
-    }
-    return FMI2_OK;
-}
-
-EXPORT status_t FMI(SerializedFMUstateSize)(void *component, void *saved, size_t *size)
-{
-    (void)component;
-    (void)saved;
-    *size = NAME_fmu_serialized_size();
-    return FMI2_OK;
-}
-
-EXPORT status_t FMI(SerializeFMUstate)(void *component, void *saved, char *bytes, size_t size)
-{
-    return status_of(NAME_fmu_serialize(fmu_of(component), saved, bytes, size));
-}
-
-EXPORT status_t FMI(DeSerializeFMUstate)(void *component, const char *bytes, size_t size, void **saved)
-{
-    return status_of(NAME_fmu_deserialize(fmu_of(component), bytes, size, saved));
-}
-
+{% endblock %}
+{% block step %}
 EXPORT status_t FMI(GetDirectionalDerivative)(void *component, const unsigned int *unknowns,
     size_t unknown_count, const unsigned int *knowns, size_t known_count, const double *seed,
     double *sensitivity)
@@ -272,7 +186,7 @@ EXPORT status_t FMI(GetRealOutputDerivatives)(void *component, const unsigned in
 EXPORT status_t FMI(DoStep)(void *component, double point, double size, int keeps_no_state)
 {
     (void)keeps_no_state;
-    return status_of(NAME_fmu_step(fmu_of(component), point, size));
+    return status_of({{ name }}_fmu_step(fmu_of(component), point, size));
 }
 
 EXPORT status_t FMI(CancelStep)(void *component)
@@ -320,3 +234,4 @@ EXPORT status_t FMI(GetStringStatus)(void *component, int kind, const char **val
     (void)value;
     return refuse(component, "GetStringStatus: no step is pending");
 }
+{% endblock %}

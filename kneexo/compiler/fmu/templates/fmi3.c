@@ -1,46 +1,19 @@
-/* The functions of FMI 3.0 for co-simulation, declared here so that no header is needed. */
-#include "NAME_fmu.h"
-
-#include <stdlib.h>
-#include <string.h>
-
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#elif defined(__GNUC__)
-#define EXPORT __attribute__((visibility("default")))
-#else
-#define EXPORT
-#endif
-
-/* A program that holds several FMUs in source form gives each the prefix of its own. */
-#if defined(FMI3_FUNCTION_PREFIX) && !defined(FMI3_OVERRIDE_FUNCTION_PREFIX)
-#define JOINED(a, b) a##b
-#define PREFIXED(a, b) JOINED(a, b)
-#define FMI(name) PREFIXED(FMI3_FUNCTION_PREFIX, fmi3##name)
-#else
-#define FMI(name) fmi3##name
-#endif
-
-typedef enum { FMI3_OK = 0, FMI3_ERROR = 3 } status_t;
+{% extends "fmi.c" %}
+{% set fmi, instance = 3, "instance" %}
+{% set State, Deserialize, byte = "State", "Deserialize", "uint8_t" %}
+{% set kind, reading = "kind", "asking for" %}
+{% block types %}
 typedef void (*logger_t)(void *environment, status_t status, const char *category,
     const char *message);
 
 typedef struct {
-    NAME_fmu_t fmu;
+    {{ name }}_fmu_t fmu;
     logger_t logger;
     void *environment;
 } instance_t;
 
-static status_t status_of(bool success)
-{
-    return success ? FMI3_OK : FMI3_ERROR;
-}
-
-static NAME_fmu_t *fmu_of(void *instance)
-{
-    return &((instance_t *)instance)->fmu;
-}
-
+{% endblock %}
+{% block report %}
 static void report(void *owner, const char *text)
 {
     const instance_t *instance = owner;
@@ -50,17 +23,8 @@ static void report(void *owner, const char *text)
     }
 }
 
-static status_t refuse(void *instance, const char *text)
-{
-    return status_of(NAME_fmu_refuse(fmu_of(instance), text));
-}
-
-/* There are no variables of a kind: asking for none of them is right. */
-static status_t refuse_any(void *instance, size_t count, const char *text)
-{
-    return (count == 0U) ? FMI3_OK : refuse(instance, text);
-}
-
+{% endblock %}
+{% block start %}
 EXPORT const char *FMI(GetVersion)(void)
 {
     return "3.0";
@@ -106,8 +70,8 @@ EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
     instance->fmu.owner = instance;
     if ((name == NULL) || (name[0] == '\0')) {
         wrong = "instance name: must not be empty";
-    } else if ((token == NULL) || (strcmp(token, UPPER_TOKEN) != 0)) {
-        wrong = "instantiation token: must be " UPPER_TOKEN ", that of this FMU";
+    } else if ((token == NULL) || (strcmp(token, {{ NAME }}_TOKEN) != 0)) {
+        wrong = "instantiation token: must be " {{ NAME }}_TOKEN ", that of this FMU";
     } else if (uses_events) {
         wrong = "event mode: this FMU has none";
     } else if (intermediate_count != 0U) {
@@ -118,7 +82,7 @@ EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
         FMI(FreeInstance)(instance);
         return NULL;
     }
-    NAME_fmu_reset(&instance->fmu);
+    {{ name }}_fmu_reset(&instance->fmu);
     return instance;
 }
 
@@ -151,30 +115,16 @@ EXPORT void *FMI(InstantiateScheduledExecution)(const char *name, const char *to
 EXPORT status_t FMI(EnterInitializationMode)(void *instance, bool has_tolerance, double tolerance,
     double start, bool has_stop, double stop)
 {
-    NAME_fmu_t *fmu = fmu_of(instance);
+    {{ name }}_fmu_t *fmu = fmu_of(instance);
 
     (void)has_tolerance;
     (void)tolerance;
-    return status_of(NAME_fmu_set_times(fmu, start, has_stop, stop)
-        && NAME_fmu_enter_initialization(fmu));
+    return status_of({{ name }}_fmu_set_times(fmu, start, has_stop, stop)
+        && {{ name }}_fmu_enter_initialization(fmu));
 }
 
-EXPORT status_t FMI(ExitInitializationMode)(void *instance)
-{
-    return status_of(NAME_fmu_exit_initialization(fmu_of(instance)));
-}
-
-EXPORT status_t FMI(Terminate)(void *instance)
-{
-    return status_of(NAME_fmu_terminate(fmu_of(instance)));
-}
-
-EXPORT status_t FMI(Reset)(void *instance)
-{
-    NAME_fmu_reset(fmu_of(instance));
-    return FMI3_OK;
-}
-
+{% endblock %}
+{% block values %}
 /* ------------------------------------------------------------------------------- values */
 
 EXPORT status_t FMI(GetFloat64)(void *instance, const uint32_t *references, size_t count,
@@ -183,7 +133,7 @@ EXPORT status_t FMI(GetFloat64)(void *instance, const uint32_t *references, size
     if (value_count != count) {
         return refuse(instance, "GetFloat64: all variables are scalar, give as many values");
     }
-    return status_of(NAME_fmu_get(fmu_of(instance), references, count, values));
+    return status_of({{ name }}_fmu_get(fmu_of(instance), references, count, values));
 }
 
 EXPORT status_t FMI(SetFloat64)(void *instance, const uint32_t *references, size_t count,
@@ -192,7 +142,7 @@ EXPORT status_t FMI(SetFloat64)(void *instance, const uint32_t *references, size
     if (value_count != count) {
         return refuse(instance, "SetFloat64: all variables are scalar, give as many values");
     }
-    return status_of(NAME_fmu_set(fmu_of(instance), references, count, values));
+    return status_of({{ name }}_fmu_set(fmu_of(instance), references, count, values));
 }
 
 #define NO_VARIABLES(call, type) \
@@ -284,52 +234,15 @@ EXPORT status_t FMI(GetIntervalFraction)(void *instance, const uint32_t *referen
 
 /* ------------------------------------------------------------------------- saved states */
 
-EXPORT status_t FMI(GetFMUState)(void *instance, void **saved)
-{
-    return status_of(NAME_fmu_save(fmu_of(instance), saved));
-}
-
-EXPORT status_t FMI(SetFMUState)(void *instance, void *saved)
-{
-    return status_of(NAME_fmu_restore(fmu_of(instance), saved));
-}
-
-EXPORT status_t FMI(FreeFMUState)(void *instance, void **saved)
-{
-    (void)instance;
-    if (saved != NULL) {
-        free(*saved);
-        *saved = NULL;
-    }
-    return FMI3_OK;
-}
-
-EXPORT status_t FMI(SerializedFMUStateSize)(void *instance, void *saved, size_t *size)
-{
-    (void)instance;
-    (void)saved;
-    *size = NAME_fmu_serialized_size();
-    return FMI3_OK;
-}
-
-EXPORT status_t FMI(SerializeFMUState)(void *instance, void *saved, uint8_t *bytes, size_t size)
-{
-    return status_of(NAME_fmu_serialize(fmu_of(instance), saved, bytes, size));
-}
-
-EXPORT status_t FMI(DeserializeFMUState)(void *instance, const uint8_t *bytes, size_t size,
-    void **saved)
-{
-    return status_of(NAME_fmu_deserialize(fmu_of(instance), bytes, size, saved));
-}
-
+{% endblock %}
+{% block step %}
 /* --------------------------------------------------------------------------------- step */
 
 EXPORT status_t FMI(DoStep)(void *instance, double point, double size, bool keeps_no_state,
     bool *needs_event, bool *terminates, bool *returned_early, double *last_time)
 {
-    NAME_fmu_t *fmu = fmu_of(instance);
-    const bool success = NAME_fmu_step(fmu, point, size);
+    {{ name }}_fmu_t *fmu = fmu_of(instance);
+    const bool success = {{ name }}_fmu_step(fmu, point, size);
 
     (void)keeps_no_state;
     *needs_event = false;
@@ -469,3 +382,4 @@ EXPORT status_t FMI(ActivateModelPartition)(void *instance, uint32_t clock, doub
     (void)time;
     return refuse_exchange(instance);
 }
+{% endblock %}

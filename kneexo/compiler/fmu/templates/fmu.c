@@ -1,4 +1,5 @@
-#include "NAME_fmu.h"
+{{ first_line | comment }}
+#include "{{ name }}_fmu.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -7,10 +8,10 @@
 
 /* Value references: time, inputs, tunable and fixed parameters, outputs, constants. */
 #define FIRST_INPUT 1U
-#define FIRST_TUNABLE FIRSTTUNABLEU
-#define FIRST_FIXED FIRSTFIXEDU
-#define FIRST_OUTPUT FIRSTOUTPUTU
-#define FIRST_CONSTANT FIRSTCONSTANTU
+#define FIRST_TUNABLE {{ first_tunable }}U
+#define FIRST_FIXED {{ first_fixed }}U
+#define FIRST_OUTPUT {{ first_output }}U
+#define FIRST_CONSTANT {{ first_constant }}U
 
 /* Parts of a sample time by which a communication point and a step may miss the grid. */
 #define POINT_SLACK 1e-2
@@ -26,28 +27,49 @@ typedef struct {
     double high;
 } variable;
 
-static const variable variables[VARIABLES] = {
-@variables
+static const variable variables[{{ variables|length }}] = {
+{% for variable in variables %}
+{% set unit = " " ~ variable.unit.name if variable.unit else "" %}
+{% set numbers = [variable.start or 0.0, variable.low, variable.high] %}
+    { {{- variable.name | quoted }}, {{ unit | quoted }}
+{%- for number in numbers %}, {{ number | literal(real, variable.name) }}{% endfor %}},
+{% endfor %}
 };
 
-static void read_parameters(const double *v, NAME_params_t *p)
+static void read_parameters(const double *v, {{ name }}_params_t *p)
 {
-@parameters
+{% for member, reference, parameter in assignments %}
+{% set divisor = parameter.divisor | literal(real, parameter.name) %}
+    p->{{ member }} = v[{{ reference }}]{{ " / " ~ divisor if parameter.divisor != 1.0 }};
+{% else %}
+    (void)v;
+    (void)p;
+{% endfor %}
 }
 
-static void read_inputs(const double *v, NAME_inputs_t *in)
+static void read_inputs(const double *v, {{ name }}_inputs_t *in)
 {
-@inputs
+{% for field in inputs %}
+    in->{{ field.name }} = v[{{ loop.index }}];
+{% else %}
+    (void)v;
+    (void)in;
+{% endfor %}
 }
 
-static void write_outputs(const NAME_outputs_t *out, double *v)
+static void write_outputs(const {{ name }}_outputs_t *out, double *v)
 {
-@outputs
+{% for field in outputs %}
+    v[{{ first_output + loop.index0 }}] = out->{{ field.name }};
+{% else %}
+    (void)v;
+    (void)out;
+{% endfor %}
 }
 
 /* ------------------------------------------------------------------------------ reports */
 
-bool NAME_fmu_refuse(NAME_fmu_t *fmu, const char *text)
+bool {{ name }}_fmu_refuse({{ name }}_fmu_t *fmu, const char *text)
 {
     fmu->report(fmu->owner, text);
     return false;
@@ -69,7 +91,7 @@ static void append_value(char *text, const char *before, const char *name, doubl
         unit);
 }
 
-static bool refuse_value(NAME_fmu_t *fmu, const variable *of, double value)
+static bool refuse_value({{ name }}_fmu_t *fmu, const variable *of, double value)
 {
     char text[LONGEST_TEXT] = "";
 
@@ -79,20 +101,20 @@ static bool refuse_value(NAME_fmu_t *fmu, const variable *of, double value)
         append_value(text, ", ", "lowest", of->low, of->unit);
         append_value(text, ", ", "highest", of->high, of->unit);
     }
-    return NAME_fmu_refuse(fmu, text);
+    return {{ name }}_fmu_refuse(fmu, text);
 }
 
-static bool refuse_variable(NAME_fmu_t *fmu, uint32_t reference, const char *why)
+static bool refuse_variable({{ name }}_fmu_t *fmu, uint32_t reference, const char *why)
 {
     char text[LONGEST_TEXT] = "";
 
     append(text, variables[reference].name);
     append(text, why);
-    return NAME_fmu_refuse(fmu, text);
+    return {{ name }}_fmu_refuse(fmu, text);
 }
 
 /* The status word of the model in words. */
-static bool refuse_status(NAME_fmu_t *fmu, const char *what, double time, uint16_t status)
+static bool refuse_status({{ name }}_fmu_t *fmu, const char *what, double time, uint16_t status)
 {
     const double *v = fmu->memory.values;
     char text[LONGEST_TEXT] = "";
@@ -101,7 +123,7 @@ static bool refuse_status(NAME_fmu_t *fmu, const char *what, double time, uint16
     append(text, ": ");
     append(text, what);
     append_value(text, " failed, ", "status", (double)status, "");
-    if ((status & UPPER_BAD_INPUT) != 0U) {
+    if ((status & {{ NAME }}_BAD_INPUT) != 0U) {
         append(text, ": an input is not finite or out of its range");
         for (uint32_t i = FIRST_INPUT; i < FIRST_TUNABLE; i++) {
             if (!((v[i] >= variables[i].low) && (v[i] <= variables[i].high))) {
@@ -109,52 +131,52 @@ static bool refuse_status(NAME_fmu_t *fmu, const char *what, double time, uint16
             }
         }
     }
-    if ((status & UPPER_BAD_RESULT) != 0U) {
+    if ((status & {{ NAME }}_BAD_RESULT) != 0U) {
         append(text, ": a result is not finite; check parameters and inputs");
     }
-@if limits
-    if ((status & UPPER_OUT_OF_LIMITS) != 0U) {
-        append(text, @{limits});
+{% if limits %}
+    if ((status & {{ NAME }}_OUT_OF_LIMITS) != 0U) {
+        append(text, {{ (": the state is outside the limits of %s" | format(limits | join(", "))) | quoted }});
     }
-@end
-    if ((status & UPPER_NOT_STARTED) != 0U) {
+{% endif %}
+    if ((status & {{ NAME }}_NOT_STARTED) != 0U) {
         append(text, ": the model is not started; initialize the instance again");
     }
-    if ((status & UPPER_BAD_PARAMETER) != 0U) {
+    if ((status & {{ NAME }}_BAD_PARAMETER) != 0U) {
         append(text, ": a parameter or start value of the model is not finite");
     }
-    return NAME_fmu_refuse(fmu, text);
+    return {{ name }}_fmu_refuse(fmu, text);
 }
 
 /* ------------------------------------------------------------------------------- values */
 
-void NAME_fmu_reset(NAME_fmu_t *fmu)
+void {{ name }}_fmu_reset({{ name }}_fmu_t *fmu)
 {
-    NAME_memory_t *m = &fmu->memory;
+    {{ name }}_memory_t *m = &fmu->memory;
 
     (void)memset(m, 0, sizeof *m);
-    for (uint32_t i = 0U; i < VARIABLESU; i++) {
+    for (uint32_t i = 0U; i < {{ variables|length }}U; i++) {
         m->values[i] = variables[i].start;
     }
     m->stop = HUGE_VAL;
-    m->params = NAME_params;
-    m->mode = UPPER_INSTANTIATED;
+    m->params = {{ name }}_params;
+    m->mode = {{ NAME }}_INSTANTIATED;
 }
 
-static bool is_known(NAME_fmu_t *fmu, uint32_t reference)
+static bool is_known({{ name }}_fmu_t *fmu, uint32_t reference)
 {
     char text[LONGEST_TEXT] = "";
 
-    if (reference >= VARIABLESU) {
+    if (reference >= {{ variables|length }}U) {
         append_value(text, "", "value reference", (double)reference, ": no Float64 has it");
-        return NAME_fmu_refuse(fmu, text);
+        return {{ name }}_fmu_refuse(fmu, text);
     }
     return true;
 }
 
-static bool may_be_set(NAME_fmu_t *fmu, uint32_t reference, double value)
+static bool may_be_set({{ name }}_fmu_t *fmu, uint32_t reference, double value)
 {
-    const NAME_mode_t mode = fmu->memory.mode;
+    const {{ name }}_mode_t mode = fmu->memory.mode;
 
     if (!is_known(fmu, reference)) {
         return false;
@@ -162,10 +184,10 @@ static bool may_be_set(NAME_fmu_t *fmu, uint32_t reference, double value)
     if ((reference < FIRST_INPUT) || (reference >= FIRST_OUTPUT)) {
         return refuse_variable(fmu, reference, ": is computed, and cannot be set");
     }
-    if (mode == UPPER_TERMINATED) {
+    if (mode == {{ NAME }}_TERMINATED) {
         return refuse_variable(fmu, reference, ": cannot be set after the end");
     }
-    if ((reference >= FIRST_FIXED) && (mode == UPPER_STEPPING)) {
+    if ((reference >= FIRST_FIXED) && (mode == {{ NAME }}_STEPPING)) {
         return refuse_variable(fmu, reference, ": is fixed once the initialization has ended");
     }
     if ((reference >= FIRST_TUNABLE)
@@ -175,10 +197,10 @@ static bool may_be_set(NAME_fmu_t *fmu, uint32_t reference, double value)
     return true;
 }
 
-bool NAME_fmu_set(NAME_fmu_t *fmu, const uint32_t *references, size_t count,
+bool {{ name }}_fmu_set({{ name }}_fmu_t *fmu, const uint32_t *references, size_t count,
     const double *values)
 {
-    NAME_memory_t *m = &fmu->memory;
+    {{ name }}_memory_t *m = &fmu->memory;
 
     for (size_t i = 0U; i < count; i++) {
         if (!may_be_set(fmu, references[i], values[i])) {
@@ -194,16 +216,16 @@ bool NAME_fmu_set(NAME_fmu_t *fmu, const uint32_t *references, size_t count,
 }
 
 /* State and outputs at the start, from inputs and parameters. */
-static bool start_model(NAME_fmu_t *fmu)
+static bool start_model({{ name }}_fmu_t *fmu)
 {
-    NAME_memory_t *m = &fmu->memory;
-    NAME_inputs_t in;
+    {{ name }}_memory_t *m = &fmu->memory;
+    {{ name }}_inputs_t in;
     uint16_t status;
 
     read_parameters(m->values, &m->params);
     read_inputs(m->values, &in);
-    status = NAME_init(&m->state, &m->params, &in);
-    if (status != UPPER_OK) {
+    status = {{ name }}_init(&m->state, &m->params, &in);
+    if (status != {{ NAME }}_OK) {
         return refuse_status(fmu, "the initialization", m->start, status);
     }
     write_outputs(&m->state.last, m->values);
@@ -212,9 +234,9 @@ static bool start_model(NAME_fmu_t *fmu)
     return true;
 }
 
-bool NAME_fmu_get(NAME_fmu_t *fmu, const uint32_t *references, size_t count, double *values)
+bool {{ name }}_fmu_get({{ name }}_fmu_t *fmu, const uint32_t *references, size_t count, double *values)
 {
-    NAME_memory_t *m = &fmu->memory;
+    {{ name }}_memory_t *m = &fmu->memory;
 
     for (size_t i = 0U; i < count; i++) {
         const uint32_t reference = references[i];
@@ -223,10 +245,10 @@ bool NAME_fmu_get(NAME_fmu_t *fmu, const uint32_t *references, size_t count, dou
             return false;
         }
         if ((reference >= FIRST_OUTPUT) && (reference < FIRST_CONSTANT)) {
-            if (m->mode == UPPER_INSTANTIATED) {
+            if (m->mode == {{ NAME }}_INSTANTIATED) {
                 return refuse_variable(fmu, reference, ": has no value before initialization");
             }
-            if ((m->mode == UPPER_INITIALIZING) && !m->outputs_are_fresh && !start_model(fmu)) {
+            if ((m->mode == {{ NAME }}_INITIALIZING) && !m->outputs_are_fresh && !start_model(fmu)) {
                 return false;
             }
         }
@@ -237,7 +259,7 @@ bool NAME_fmu_get(NAME_fmu_t *fmu, const uint32_t *references, size_t count, dou
 
 /* -------------------------------------------------------------------------------- modes */
 
-static bool is_in(NAME_fmu_t *fmu, NAME_mode_t mode, const char *call)
+static bool is_in({{ name }}_fmu_t *fmu, {{ name }}_mode_t mode, const char *call)
 {
     static const char *const modes[] = {
         "instantiated", "in initialization", "initialized", "terminated"};
@@ -251,14 +273,14 @@ static bool is_in(NAME_fmu_t *fmu, NAME_mode_t mode, const char *call)
     append(text, modes[mode]);
     append(text, "; it is ");
     append(text, modes[fmu->memory.mode]);
-    return NAME_fmu_refuse(fmu, text);
+    return {{ name }}_fmu_refuse(fmu, text);
 }
 
-bool NAME_fmu_set_times(NAME_fmu_t *fmu, double start, bool has_stop, double stop)
+bool {{ name }}_fmu_set_times({{ name }}_fmu_t *fmu, double start, bool has_stop, double stop)
 {
-    NAME_memory_t *m = &fmu->memory;
+    {{ name }}_memory_t *m = &fmu->memory;
 
-    if (!is_in(fmu, UPPER_INSTANTIATED, "start and stop time")) {
+    if (!is_in(fmu, {{ NAME }}_INSTANTIATED, "start and stop time")) {
         return false;
     }
     if (!isfinite(start) || (has_stop && !(stop >= start))) {
@@ -266,7 +288,7 @@ bool NAME_fmu_set_times(NAME_fmu_t *fmu, double start, bool has_stop, double sto
 
         append_value(text, "", "start time", start, " s: must be finite, and not after");
         append_value(text, " ", "stop time", has_stop ? stop : HUGE_VAL, " s");
-        return NAME_fmu_refuse(fmu, text);
+        return {{ name }}_fmu_refuse(fmu, text);
     }
     m->start = start;
     m->stop = has_stop ? stop : HUGE_VAL;
@@ -274,40 +296,40 @@ bool NAME_fmu_set_times(NAME_fmu_t *fmu, double start, bool has_stop, double sto
     return true;
 }
 
-bool NAME_fmu_enter_initialization(NAME_fmu_t *fmu)
+bool {{ name }}_fmu_enter_initialization({{ name }}_fmu_t *fmu)
 {
-    if (!is_in(fmu, UPPER_INSTANTIATED, "beginning of the initialization")) {
+    if (!is_in(fmu, {{ NAME }}_INSTANTIATED, "beginning of the initialization")) {
         return false;
     }
-    fmu->memory.mode = UPPER_INITIALIZING;
+    fmu->memory.mode = {{ NAME }}_INITIALIZING;
     return true;
 }
 
-bool NAME_fmu_exit_initialization(NAME_fmu_t *fmu)
+bool {{ name }}_fmu_exit_initialization({{ name }}_fmu_t *fmu)
 {
-    if (!is_in(fmu, UPPER_INITIALIZING, "end of the initialization") || !start_model(fmu)) {
+    if (!is_in(fmu, {{ NAME }}_INITIALIZING, "end of the initialization") || !start_model(fmu)) {
         return false;
     }
-    fmu->memory.mode = UPPER_STEPPING;
+    fmu->memory.mode = {{ NAME }}_STEPPING;
     return true;
 }
 
-bool NAME_fmu_terminate(NAME_fmu_t *fmu)
+bool {{ name }}_fmu_terminate({{ name }}_fmu_t *fmu)
 {
-    if (!is_in(fmu, UPPER_STEPPING, "termination")) {
+    if (!is_in(fmu, {{ NAME }}_STEPPING, "termination")) {
         return false;
     }
-    fmu->memory.mode = UPPER_TERMINATED;
+    fmu->memory.mode = {{ NAME }}_TERMINATED;
     return true;
 }
 
 /* --------------------------------------------------------------------------------- step */
 
 /* Whether a step lies on the grid of the sample times; gives its sample times. */
-static bool is_on_grid(NAME_fmu_t *fmu, double point, double size, uint32_t *ticks)
+static bool is_on_grid({{ name }}_fmu_t *fmu, double point, double size, uint32_t *ticks)
 {
-    const NAME_memory_t *m = &fmu->memory;
-    const double tick = UPPER_SAMPLE_TIME_S;
+    const {{ name }}_memory_t *m = &fmu->memory;
+    const double tick = {{ NAME }}_SAMPLE_TIME_S;
     const double expected = m->start + ((double)m->ticks * tick);
     const double counted = size / tick;
     const double rounded = floor(counted + 0.5);
@@ -317,53 +339,53 @@ static bool is_on_grid(NAME_fmu_t *fmu, double point, double size, uint32_t *tic
     if (!(fabs(point - expected) <= (POINT_SLACK * tick))) {
         append_value(text, "", "communication point", point, " s");
         append_value(text, ": ", "must be the end of the last step, t", expected, " s");
-        return NAME_fmu_refuse(fmu, text);
+        return {{ name }}_fmu_refuse(fmu, text);
     }
     if (!((rounded >= 1.0) && (fabs(counted - rounded) <= slack))) {
         append_value(text, "", "communication step", size, " s");
         append_value(text, ": must be a whole multiple of the ", "sample time", tick, " s");
-        return NAME_fmu_refuse(fmu, text);
+        return {{ name }}_fmu_refuse(fmu, text);
     }
     if (!((point + size) <= (m->stop + (POINT_SLACK * tick)))) {
         append_value(text, "", "end of the step", point + size, " s");
         append_value(text, ": must not be after the ", "stop time", m->stop, " s");
-        return NAME_fmu_refuse(fmu, text);
+        return {{ name }}_fmu_refuse(fmu, text);
     }
     if (rounded > (double)(UINT32_MAX - m->ticks)) {
         append_value(text, "", "end of the step", point + size, " s");
         append(text, ": must be less than 2^32 sample times after the start");
-        return NAME_fmu_refuse(fmu, text);
+        return {{ name }}_fmu_refuse(fmu, text);
     }
     *ticks = (uint32_t)rounded;
     return true;
 }
 
-bool NAME_fmu_step(NAME_fmu_t *fmu, double point, double size)
+bool {{ name }}_fmu_step({{ name }}_fmu_t *fmu, double point, double size)
 {
-    NAME_memory_t *m = &fmu->memory;
-    NAME_state_t state = m->state;
-    NAME_params_t params = m->params;
-    NAME_inputs_t in;
-    NAME_outputs_t out = m->state.last;
-    uint16_t status = UPPER_OK;
+    {{ name }}_memory_t *m = &fmu->memory;
+    {{ name }}_state_t state = m->state;
+    {{ name }}_params_t params = m->params;
+    {{ name }}_inputs_t in;
+    {{ name }}_outputs_t out = m->state.last;
+    uint16_t status = {{ NAME }}_OK;
     uint32_t ticks = 0U;
     uint32_t i;
 
-    if (!is_in(fmu, UPPER_STEPPING, "step") || !is_on_grid(fmu, point, size, &ticks)) {
+    if (!is_in(fmu, {{ NAME }}_STEPPING, "step") || !is_on_grid(fmu, point, size, &ticks)) {
         return false;
     }
     if (m->is_tuned) {
         read_parameters(m->values, &params);
-        status = NAME_update_parameters(&state, &params);
-        if (status != UPPER_OK) {
+        status = {{ name }}_update_parameters(&state, &params);
+        if (status != {{ NAME }}_OK) {
             return refuse_status(fmu, "the change of parameters", point, status);
         }
     }
     read_inputs(m->values, &in);
     for (i = 0U; i < ticks; i++) {
-        status = NAME_step(&params, &state, &in, &out);
-        if (status != UPPER_OK) {
-            const double time = m->start + (((double)m->ticks + (double)i) * UPPER_SAMPLE_TIME_S);
+        status = {{ name }}_step(&params, &state, &in, &out);
+        if (status != {{ NAME }}_OK) {
+            const double time = m->start + (((double)m->ticks + (double)i) * {{ NAME }}_SAMPLE_TIME_S);
 
             return refuse_status(fmu, "the step", time, status);
         }
@@ -372,80 +394,80 @@ bool NAME_fmu_step(NAME_fmu_t *fmu, double point, double size)
     m->params = params;
     m->is_tuned = false;
     m->ticks += ticks;
-    m->values[0] = m->start + ((double)m->ticks * UPPER_SAMPLE_TIME_S);
+    m->values[0] = m->start + ((double)m->ticks * {{ NAME }}_SAMPLE_TIME_S);
     write_outputs(&out, m->values);
     return true;
 }
 
 /* ------------------------------------------------------------------------- saved states */
 
-bool NAME_fmu_save(NAME_fmu_t *fmu, void **saved)
+bool {{ name }}_fmu_save({{ name }}_fmu_t *fmu, void **saved)
 {
     if (*saved == NULL) {
         *saved = malloc(sizeof fmu->memory);
     }
     if (*saved == NULL) {
-        return NAME_fmu_refuse(fmu, "out of memory");
+        return {{ name }}_fmu_refuse(fmu, "out of memory");
     }
     (void)memcpy(*saved, &fmu->memory, sizeof fmu->memory);
     return true;
 }
 
-bool NAME_fmu_restore(NAME_fmu_t *fmu, const void *saved)
+bool {{ name }}_fmu_restore({{ name }}_fmu_t *fmu, const void *saved)
 {
     if (saved == NULL) {
-        return NAME_fmu_refuse(fmu, "saved state: there is none");
+        return {{ name }}_fmu_refuse(fmu, "saved state: there is none");
     }
     (void)memcpy(&fmu->memory, saved, sizeof fmu->memory);
     return true;
 }
 
-size_t NAME_fmu_serialized_size(void)
+size_t {{ name }}_fmu_serialized_size(void)
 {
-    return sizeof(UPPER_TOKEN) + sizeof(NAME_memory_t);
+    return sizeof({{ NAME }}_TOKEN) + sizeof({{ name }}_memory_t);
 }
 
-static bool has_size(NAME_fmu_t *fmu, size_t size)
+static bool has_size({{ name }}_fmu_t *fmu, size_t size)
 {
     char text[LONGEST_TEXT] = "";
 
-    if (size == NAME_fmu_serialized_size()) {
+    if (size == {{ name }}_fmu_serialized_size()) {
         return true;
     }
     append_value(text, "serialized state: ", "size", (double)size, " bytes");
-    append_value(text, ", must be ", "that of this FMU", (double)NAME_fmu_serialized_size(),
+    append_value(text, ", must be ", "that of this FMU", (double){{ name }}_fmu_serialized_size(),
         " bytes");
-    return NAME_fmu_refuse(fmu, text);
+    return {{ name }}_fmu_refuse(fmu, text);
 }
 
-bool NAME_fmu_serialize(NAME_fmu_t *fmu, const void *saved, void *bytes, size_t size)
+bool {{ name }}_fmu_serialize({{ name }}_fmu_t *fmu, const void *saved, void *bytes, size_t size)
 {
     unsigned char *to = bytes;
 
     if (!has_size(fmu, size)) {
         return false;
     }
-    (void)memcpy(to, UPPER_TOKEN, sizeof(UPPER_TOKEN));
-    (void)memcpy(&to[sizeof(UPPER_TOKEN)], saved, sizeof(NAME_memory_t));
+    (void)memcpy(to, {{ NAME }}_TOKEN, sizeof({{ NAME }}_TOKEN));
+    (void)memcpy(&to[sizeof({{ NAME }}_TOKEN)], saved, sizeof({{ name }}_memory_t));
     return true;
 }
 
-bool NAME_fmu_deserialize(NAME_fmu_t *fmu, const void *bytes, size_t size, void **saved)
+bool {{ name }}_fmu_deserialize({{ name }}_fmu_t *fmu, const void *bytes, size_t size, void **saved)
 {
     const unsigned char *from = bytes;
 
     if (!has_size(fmu, size)) {
         return false;
     }
-    if (memcmp(from, UPPER_TOKEN, sizeof(UPPER_TOKEN)) != 0) {
-        return NAME_fmu_refuse(fmu, "serialized state: is of another FMU");
+    if (memcmp(from, {{ NAME }}_TOKEN, sizeof({{ NAME }}_TOKEN)) != 0) {
+        return {{ name }}_fmu_refuse(fmu, "serialized state: is of another FMU");
     }
     if (*saved == NULL) {
-        *saved = malloc(sizeof(NAME_memory_t));
+        *saved = malloc(sizeof({{ name }}_memory_t));
     }
     if (*saved == NULL) {
-        return NAME_fmu_refuse(fmu, "out of memory");
+        return {{ name }}_fmu_refuse(fmu, "out of memory");
     }
-    (void)memcpy(*saved, &from[sizeof(UPPER_TOKEN)], sizeof(NAME_memory_t));
+    (void)memcpy(*saved, &from[sizeof({{ NAME }}_TOKEN)], sizeof({{ name }}_memory_t));
     return true;
 }

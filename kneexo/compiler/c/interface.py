@@ -1,0 +1,188 @@
+"""Names and types in C of the inputs, outputs and parameters of a model."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from ..errors import CompilationError
+from .printer import Precision, literal
+
+_KEYWORDS = frozenset(
+    [
+        *("auto", "bool", "break", "case", "char", "const", "continue", "default", "do", "double"),
+        *("else", "enum", "extern", "false", "float", "for", "goto", "if", "inline", "int", "long"),
+        *("register", "restrict", "return", "short", "signed", "sizeof", "static", "struct"),
+        *("switch", "true", "typedef", "union", "unsigned", "void", "volatile", "while"),
+        *("_Bool", "_Complex", "_Imaginary", "_Alignas", "_Alignof", "_Atomic", "_Generic"),
+        *("_Noreturn", "_Static_assert", "_Thread_local", "asm", "typeof"),
+        # C++, because a program in C++ may include the header:
+        *("alignas", "alignof", "and", "and_eq", "bitand", "bitor", "catch", "char8_t", "char16_t"),
+        *("char32_t", "class", "co_await", "co_return", "co_yield", "compl", "concept"),
+        *("consteval", "constexpr", "constinit", "decltype", "delete", "dynamic_cast", "explicit"),
+        *("const_cast", "export", "friend", "mutable", "namespace", "new", "noexcept", "not"),
+        *("not_eq", "nullptr"),
+        *("operator", "or", "or_eq", "private", "protected", "public", "reinterpret_cast"),
+        *("requires", "static_assert", "static_cast", "template", "this", "thread_local", "throw"),
+        *("try", "typeid", "typename", "using", "virtual", "wchar_t", "xor", "xor_eq"),
+        # Macros of the standard headers and of compilers:
+        *("NULL", "NAN", "INFINITY", "HUGE_VAL", "HUGE_VALF", "HUGE_VALL", "EOF", "DECIMAL_DIG"),
+        *("errno", "math_errhandling", "stdin", "stdout", "stderr", "linux", "unix", "i386"),
+    ]
+)
+_MACRO = re.compile(r"(M|FP|FLT|DBL|LDBL)_[A-Z0-9]\w*|U?INT\w*_(MAX|MIN|C)")
+"""Further macros of math.h, float.h and stdint.h."""
+
+_HEADERS = frozenset(
+    [
+        *("assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646", "limits"),
+        *("locale", "math", "setjmp", "signal", "stdalign", "stdarg", "stdatomic", "stdbool"),
+        *("stddef", "stdint", "stdio", "stdlib", "stdnoreturn", "string", "tgmath", "threads"),
+        *("time", "uchar", "wchar", "wctype"),
+    ]
+)
+"""Headers of the C library; a file of the same name would hide one of them."""
+
+_START_MEMBERS = ("initial_x", "initial_d")
+"""Members of the struct of parameters that hold the start; leaf systems must not have them."""
+
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+
+
+@dataclass(frozen=True)
+class Field:
+    """One element of a port: a member of the struct of inputs or outputs."""
+
+    port: str
+    name: str
+    is_integer: bool = False
+    """True: the type is int32_t; False: the floating-point type of the model."""
+    range: tuple[float, float] | None = None
+    """Lowest and highest allowed value; None: every finite value is allowed."""
+
+    def limits(self, real: Precision) -> list[str]:
+        """Return the lowest and highest allowed value as C text; an empty list without a range.
+
+        The limits of an int32_t are the outermost whole numbers within the range.
+        """
+        if self.range is None:
+            return []
+        low, high = self.range
+        if self.is_integer:
+            return [str(math.ceil(low)), str(math.floor(high))]
+        return [literal(low, real, self.name), literal(high, real, self.name)]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Names, types and ranges of ports in C.
+
+    Parameters
+    ----------
+    fields
+        Names of the elements of a port, by the name of the port. A name should end in the unit.
+        A port that is missing here gets its own name, followed by the number of the element if the
+        port has more than one.
+    integers
+        Input ports of type int32_t, such as encoder counts.
+    ranges
+        Lowest and highest allowed value of an input, by the name of the element.
+    """
+
+    fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    integers: frozenset[str] = frozenset()
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def members(self, sizes: Mapping[str, int]) -> tuple[Field, ...]:
+        """Return the elements of ports, of which ``sizes`` gives name and size, in their order.
+
+        Raises `CompilationError` if `fields` has a wrong number of names for a port, and if two
+        elements have the same name.
+        """
+        members = []
+        for port, size in sizes.items():
+            default = [port] if size == 1 else [f"{port}_{i}" for i in range(size)]
+            names = self.fields.get(port, default)
+            if len(names) != size:
+                raise CompilationError(
+                    f"{port}: has {len(names)} names in C; must be {size}, one an element"
+                )
+            for name in map(c_name, names):
+                members.append(Field(port, name, port in self.integers, self.ranges.get(name)))
+        _require_unique([member.name for member in members])
+        return tuple(members)
+
+
+def parameter_members(parameters: Sequence[str], root: str) -> tuple[str, ...]:
+    """Return the member of the struct in C for each Context parameter.
+
+    Parameters
+    ----------
+    parameters
+        Names of the Context parameters: path of the leaf system, dot, name of the parameter or
+        ``group[element]``.
+    root
+        Member for a leaf system that has no path, because it is the whole diagram.
+
+    Returns
+    -------
+        ``leaf.parameter`` or ``leaf.group_1[2]``. ``leaf`` is the last part of the path, or more
+        parts if two paths have the same last part.
+
+    Raises `CompilationError` if two parameters have the same member.
+    """
+    pairs = [name.rpartition(".")[::2] for name in parameters]
+    leaves = _short_names({path for path, _ in pairs})
+    members = []
+    for path, parameter in pairs:
+        leaf = c_name(leaves[path] or root)
+        leaf += "_" * (leaf in _START_MEMBERS)
+        group = re.fullmatch(r"(\d+)\[(\d+)\]", parameter)
+        members.append(
+            f"{leaf}.group_{group[1]}[{group[2]}]" if group else f"{leaf}.{c_name(parameter)}"
+        )
+    _require_unique(members)
+    return tuple(members)
+
+
+def require_model_name(name: str) -> None:
+    """Raise `CompilationError` for a name that no file and no identifier of a model can begin with.
+
+    Such names are headers of the C library, keywords, and texts that are no C identifier of at most
+    31 characters.
+    """
+    if name.lower() in _HEADERS:
+        raise CompilationError(f"name = {name!r}: is a header of C; choose another name")
+    if not _IDENTIFIER.fullmatch(name) or name in _KEYWORDS:
+        raise CompilationError(
+            f"name = {name!r}: must be a C identifier of at most 31 letters, digits and _"
+        )
+
+
+def c_name(text: str) -> str:
+    """Return the text as a C identifier that is neither a keyword nor a common macro."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    if not name or name[0].isdigit():
+        name = f"_{name}" if not name else f"n{name}"
+    return f"{name}_" if name in _KEYWORDS or _MACRO.fullmatch(name) else name
+
+
+def _short_names(paths: Collection[str]) -> dict[str, str]:
+    """Return for each path of a system its shortest end that is the end of no other path."""
+    short = {}
+    for path in paths:
+        names = path.split("/")
+        ends = ("/".join(names[first:]) for first in reversed(range(len(names))))
+        short[path] = next(
+            end for end in ends if sum(f"/{other}".endswith(f"/{end}") for other in paths) == 1
+        )
+    return short
+
+
+def _require_unique(names: Sequence[str]) -> None:
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise CompilationError(f"{name}: {count} values have this name in C; rename a system")

@@ -1,0 +1,86 @@
+"""Ticks of a model in C, and the Runge-Kutta steps within a tick."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ..equations.equations import Equations
+from ..errors import CompilationError
+from ..native.timing import timing
+from ..run_data import Array, State
+from .step_size import rk4_step_s
+
+_LONGEST_CYCLE = 2**31
+_MOST_STEPS = 2**16 - 1  # an uint16_t counts them
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Times of a model: one call of ``NAME_step`` covers one tick."""
+
+    tick_s: float
+    """Length of a tick in s: the sample time of the model."""
+    periods: tuple[int, ...]
+    """Period of each group of updates, in ticks."""
+    offsets: tuple[int, ...]
+    """First tick at which each group of updates is due."""
+    largest_step_s: float
+    """Largest allowed step of the Runge-Kutta method in s."""
+
+    @property
+    def steps(self) -> int:
+        """Number of Runge-Kutta steps in a tick."""
+        return max(1, math.ceil(self.tick_s / self.largest_step_s - 1e-9))
+
+    @property
+    def step_s(self) -> float:
+        """Length of a Runge-Kutta step in s."""
+        return self.tick_s / self.steps
+
+    @property
+    def counts_ticks(self) -> bool:
+        """Whether a group of updates exists that is not due at every tick."""
+        return any(self.offsets) or any(period > 1 for period in self.periods)
+
+    @property
+    def cycle(self) -> tuple[int, int]:
+        """First tick of the cycle in which the sample times repeat, and of the cycle after it."""
+        first = max(self.offsets, default=0)
+        return first, first + math.lcm(1, *self.periods)
+
+
+def schedule_of(
+    name: str,
+    equations: Equations,
+    parameters: Array,
+    state: State,
+    tick_s: float | None,
+    step_s: float | None,
+) -> Schedule:
+    """Return the times of the model ``name``; see `CSource` for the arguments.
+
+    Raises `CompilationError` for a diagram without a sample time if ``tick_s`` is None, for a
+    ``step_s`` that is not finite and positive, for too many steps in a tick, and for sample times
+    that repeat only after 2³¹ ticks.
+    """
+    if not equations.updates and tick_s is None:
+        raise CompilationError(f"{name}: tick_s is needed, for it has no sample time")
+    if step_s is not None and not 0.0 < step_s < math.inf:
+        raise CompilationError(f"step_s = {step_s} s: must be finite and > 0")
+    periods: list[int] = []
+    offsets: list[int] = []
+    if equations.updates:
+        times = timing(tuple((u.period_s, u.offset_s) for u in equations.updates), tick_s)
+        tick_s, periods, offsets = times.tick, times.periods.tolist(), times.offsets.tolist()
+    assert tick_s is not None
+    largest_s = rk4_step_s(equations, parameters, state) if step_s is None else step_s
+    result = Schedule(tick_s, tuple(periods), tuple(offsets), largest_s)
+    if equations.states and result.steps > _MOST_STEPS:
+        raise CompilationError(
+            f"step_s = {largest_s:g} s: makes {result.steps} steps in a sample time of "
+            f"{tick_s:g} s; must be at most {_MOST_STEPS}"
+        )
+    if result.cycle[1] >= _LONGEST_CYCLE:
+        raise CompilationError(f"{name}: sample times repeat only after 2^31 ticks")
+    return result

@@ -1,0 +1,97 @@
+"""Test vectors of a model in C: the inputs of each step, and the outputs that must follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import DiagramBuilder, System
+from pydrake.systems.primitives import ZeroOrderHold
+
+from ..errors import CompilationError
+from ..model import compile_diagram
+from ..run_data import Array, InputTable, State
+from .source import CSource
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """Inputs of each step (steps, input elements), and outputs (steps, output elements)."""
+
+    inputs: Array
+    outputs: Array
+
+
+def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors:
+    """Run the compiled diagram with the inputs of each step, and return inputs and outputs.
+
+    Inputs are constant over a step. Outputs are recorded just before the updates of the next step.
+    The integrator is RK4 with the steps of the source.
+
+    Parameters
+    ----------
+    diagram
+        The diagram of the source.
+    source
+        The model in C; it gives parameters, state, ticks and outputs.
+    inputs
+        Inputs of each step (steps, input elements).
+
+    Raises
+    ------
+    CompilationError
+        The inputs vary, and the diagram has continuous states and sample times.
+    SimulationError
+        The run fails.
+    """
+    schedule, equations, state = source.plan.schedule, source.equations, source.state
+    tick_s, steps, ports = schedule.tick_s, len(inputs), tuple(source.equations.inputs)
+    ends_s: Array = tick_s * np.arange(1.0, steps + 1.0)
+    if equations.states and ports:
+        # The last stage of RK4 lies at the end of the step, and would read the next input.
+        if equations.updates and np.ptp(inputs, axis=0).any():
+            raise CompilationError(
+                f"{source.name}: has continuous states, sample times and inputs; test vectors need "
+                f"inputs that are constant"
+            )
+        if not equations.updates:
+            diagram = _with_holds(diagram, ports, tick_s)
+            state = State(state.continuous, np.concatenate([state.discrete, inputs[0]]))
+    model = compile_diagram(diagram, inputs=ports)
+    table = model.no_inputs
+    if ports:
+        table = InputTable(ends_s, np.concatenate([inputs, inputs[-1:]])[:, :, None])
+    # Without continuous states an output may follow an input at once, and an output at the end of a
+    # step would read the next input.
+    records: dict[str, Any] = {"record_times_s": ends_s - 1e-6 * tick_s}
+    if equations.states:
+        records = {"record_period_s": tick_s}
+    run = model.simulate(
+        source.parameters,
+        model.initialized(source.parameters, state, table),
+        steps * tick_s,
+        inputs=table,
+        integrator="rk4",
+        step_s=schedule.largest_step_s,
+        outputs=source.output_ports,
+        **records,
+    )
+    outputs = np.hstack([run[name] for name in source.output_ports])
+    return Vectors(inputs, outputs[-steps:])
+
+
+def _with_holds(diagram: System, ports: Sequence[str], tick_s: float) -> System:
+    """Return a copy of the diagram with a zero-order hold before each of the input ports."""
+    builder = DiagramBuilder()
+    model = builder.AddNamedSystem("model", diagram.Clone())
+    for name in ports:
+        port = model.GetInputPort(name)
+        hold = builder.AddNamedSystem(f"hold_{name}", ZeroOrderHold(tick_s, port.size()))
+        builder.Connect(hold.get_output_port(), port)
+        builder.ExportInput(hold.get_input_port(), name)
+    for index in range(model.num_output_ports()):
+        port = model.get_output_port(index)
+        builder.ExportOutput(port, port.get_name())
+    return builder.Build()

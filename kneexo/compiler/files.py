@@ -1,0 +1,159 @@
+"""Files that appear whole or not at all, folders of them, and the clean-up after killed processes.
+
+The functions raise `OSError`, unless their text says otherwise.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from .errors import OutputError, shown
+from .root import ROOT
+
+_STALE_S = 3600.0
+
+
+class FileStatus(NamedTuple):
+    """A file in a directory."""
+
+    path: Path
+    size_bytes: int
+    last_use_s: float
+    """Unix time in seconds."""
+
+
+def files_in(directory: Path, names: re.Pattern[str]) -> list[FileStatus]:
+    """Return the files of a directory whose whole name matches.
+
+    A directory that cannot be read gives an empty list.
+    """
+    files = []
+    with suppress(OSError), os.scandir(directory) as items:
+        for item in items:
+            if names.fullmatch(item.name) and not item.is_dir(follow_symlinks=False):
+                with suppress(FileNotFoundError):  # another process deleted it
+                    status = item.stat(follow_symlinks=False)
+                    files.append(FileStatus(Path(item.path), status.st_size, status.st_mtime))
+    return files
+
+
+# --------------------------------------------------------------------------------- one file
+
+
+def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
+    """Write a file under a temporary name, then give it its name, in place of an earlier file.
+
+    If writing fails, the earlier file stays. ``mode``: permissions, from which the umask is taken.
+    """
+    temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
+    try:
+        with open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
+            file.write(content)
+        os.replace(temporary, path)
+    except BaseException:  # KeyboardInterrupt too
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def delete_stale(directory: Path, names: str) -> None:
+    """Delete temporary files of `write_whole` that killed processes left more than an hour ago.
+
+    ``names`` is a regular expression for the final names of the files. Never raises `OSError`.
+    """
+    for file in files_in(directory, re.compile(rf"\.{names}\.[0-9a-f]{{16}}")):
+        if file.last_use_s < time.time() - _STALE_S:
+            with suppress(OSError):
+                file.path.unlink()
+
+
+# ------------------------------------------------------------------------------ directories
+
+
+def make_private_directory(directory: Path) -> None:
+    """Make a directory and its missing parents, closed to other users."""
+    if not directory.is_dir():
+        make_private_directory(directory.parent)
+        directory.mkdir(mode=0o700, exist_ok=True)
+
+
+def process_directory() -> Path:
+    """Make a temporary directory that is deleted at the end of this process; a fork keeps it."""
+    directory = Path(tempfile.mkdtemp(prefix=f"{ROOT}-"))
+    atexit.register(_delete_directory, directory, os.getpid())
+    return directory
+
+
+def _delete_directory(directory: Path, process: int) -> None:
+    if os.getpid() == process:  # not in a fork
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+@contextmanager
+def temporary_folder(files: Mapping[str, str]) -> Iterator[Path]:
+    """Context manager: a temporary folder that holds ``files``, texts by their names."""
+    with tempfile.TemporaryDirectory(prefix=f"{ROOT}-") as folder:
+        _write_texts(Path(folder), files)
+        yield Path(folder)
+
+
+def require_marked(folder: Path, mark: str, kind: str, build: str) -> None:
+    """Raise `OutputError` if a folder has a file without our ``mark`` in its first line.
+
+    ``kind`` names the origin of marked files in the message. The folder ``build`` in the folder,
+    and folders that a killed `write_folder` left, need no mark. A missing folder passes.
+    """
+    for file in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if not (file.name == build or _is_unfinished(file, build) or _is_marked(file, mark)):
+            raise OutputError(
+                f"directory {shown(folder)}: {shown(file.name)} is not of {kind}; choose another "
+                f"directory"
+            )
+
+
+def write_folder(folder: Path, files: Mapping[str, str], *, keep: str) -> None:
+    """Write texts by their names into a folder, and delete the other files in the folder.
+
+    The folder is created if it is missing. Its folder ``keep`` stays. All files are written before
+    the first one replaces an earlier file. Raises `OutputError` if writing fails.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=f"{keep}-") as new:
+            _write_texts(Path(new), files)
+            for name in files:
+                os.replace(Path(new, name), folder / name)
+        for file in folder.iterdir():
+            if _is_unfinished(file, keep):
+                shutil.rmtree(file)
+            elif file.is_file() and file.name not in files:
+                file.unlink()
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"directory {shown(folder)}: cannot write there ({reason})") from None
+
+
+def _write_texts(folder: Path, files: Mapping[str, str]) -> None:
+    for name, text in files.items():
+        Path(folder, name).write_text(text, encoding="utf-8")
+
+
+def _is_unfinished(file: Path, build: str) -> bool:
+    """Return whether this is a folder that a killed `write_folder` left."""
+    return file.is_dir() and file.name.startswith(f"{build}-")
+
+
+def _is_marked(file: Path, mark: str) -> bool:
+    if not file.is_file():
+        return False
+    with file.open(encoding="utf-8", errors="replace") as stream:
+        return mark in stream.readline(200)

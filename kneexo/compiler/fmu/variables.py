@@ -1,0 +1,157 @@
+"""The variables of an FMU: inputs, parameters and outputs of a model, with value references."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from ..c.plan import Plan
+from ..c.printer import DOUBLE
+from ..equations.graph import Entry
+from ..errors import CompilationError
+from .units import Unit, unit_of_name
+
+Causality = Literal["independent", "input", "parameter", "output", "local"]
+"""The role of a variable for the importer of an FMU, in the terms of the standard."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of an FMU; its value, divided by ``divisor``, sets members of the struct in C."""
+
+    name: str
+    start: float
+    members: tuple[str, ...]
+    """The members that it sets: ``leaf.parameter`` or ``initial_x[1]``."""
+    description: str = ""
+    low: float = -DOUBLE.largest
+    high: float = DOUBLE.largest
+    divisor: float = 1.0
+    tunable: bool = True
+    """True: it may change during a run; False: only before the end of the initialization."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A scalar variable of an FMU."""
+
+    name: str
+    causality: Causality
+    variability: str
+    """``continuous``, ``tunable``, ``fixed`` or ``constant``."""
+    start: float | None = None
+    description: str = ""
+    low: float = -DOUBLE.largest
+    high: float = DOUBLE.largest
+
+    @property
+    def unit(self) -> Unit | None:
+        """The unit at the end of the name; s for the time; None without a unit."""
+        return unit_of_name("time_s" if self.causality == "independent" else self.name)
+
+
+class VariableTable:
+    """All variables of an FMU; the value reference of a variable is its index in ``variables``.
+
+    The order is: time, inputs, tunable parameters, fixed parameters, outputs, sample time.
+
+    Parameters
+    ----------
+    plan
+        The model.
+    parameters
+        Parameters of the FMU, in any order. ``self.parameters`` has the tunable ones first.
+    starts
+        Start values of inputs by their names; zero for the others.
+
+    Raises `CompilationError` if two variables have the same name, if two parameters set the same
+    member, and if the model lacks a member.
+    """
+
+    def __init__(
+        self, plan: Plan, parameters: Iterable[Parameter], starts: Mapping[str, float]
+    ) -> None:
+        self._plan = plan
+        self._states = [f"initial_x[{i}]" for i in range(len(plan.equations.states))]
+        self.parameters = sorted(parameters, key=lambda parameter: not parameter.tunable)
+        self._require_members()
+        inputs = [
+            Variable(field.name, "input", "continuous", starts.get(field.name, 0.0))
+            for field in plan.inputs
+        ]
+        settable = [
+            Variable(
+                parameter.name,
+                "parameter",
+                "tunable" if parameter.tunable else "fixed",
+                parameter.start,
+                parameter.description,
+                parameter.low,
+                parameter.high,
+            )
+            for parameter in self.parameters
+        ]
+        outputs = [Variable(field.name, "output", "continuous") for field in plan.outputs]
+        time = Variable("time", "independent", "continuous")
+        sample_time = Variable(
+            "sample_time_s",
+            "local",
+            "constant",
+            plan.schedule.tick_s,
+            "every communication step is a whole multiple of it",
+        )
+        self.variables = [time, *inputs, *settable, *outputs, sample_time]
+        names = [variable.name for variable in self.variables]
+        for name in names:
+            if names.count(name) > 1:
+                raise CompilationError(f"{name}: two variables of the FMU have this name")
+
+    def _require_members(self) -> None:
+        known = {*self._plan.members, *self._states}
+        members = [member for parameter in self.parameters for member in parameter.members]
+        for member in members:
+            if member not in known or members.count(member) > 1:
+                reason = "is unknown" if member not in known else "is set by two parameters"
+                raise CompilationError(f"{self._plan.name}: the parameter {member} in C {reason}")
+
+    def references(self, causality: Causality) -> list[int]:
+        """Return the value references of all variables of a causality."""
+        return [i for i, v in enumerate(self.variables) if v.causality == causality]
+
+    def assignments(self) -> list[tuple[str, int, Parameter]]:
+        """Return each member that a parameter sets, with value reference and parameter."""
+        pairs = zip(self.references("parameter"), self.parameters, strict=True)
+        return [(member, i, parameter) for i, parameter in pairs for member in parameter.members]
+
+    def initial_dependencies(self) -> list[list[int]]:
+        """Return for each output the references of the inputs and parameters that set its start."""
+        graph = self._plan.equations.graph
+        initial_nodes = self._plan.equations.initial_discrete
+        dependencies = []
+        for node in self._plan.output_nodes:
+            operations = [graph.nodes[n] for n in graph.reachable([node])]
+            initial = [initial_nodes[i] for kind, i in _sources(operations) if kind == "discrete"]
+            operations += [graph.nodes[n] for n in graph.reachable(initial)]
+            dependencies.append(self._setters(operations))
+        return dependencies
+
+    def _setters(self, operations: Sequence[Entry]) -> list[int]:
+        """Return the references of the inputs and parameters that set sources among operations."""
+        inputs = self.references("input")
+        setters = {member: reference for member, reference, _ in self.assignments()}
+        members = {"parameter": self._plan.members, "state": self._states}
+        references: set[int] = set()
+        for kind, index in _sources(operations):
+            if kind == "input":
+                references.add(inputs[index])
+            elif kind in members and (member := members[kind][index]) in setters:
+                references.add(setters[member])
+        return sorted(references)
+
+
+def _sources(operations: Iterable[Entry]) -> Iterator[tuple[str, int]]:
+    """Yield kind and index of each operation that reads an input, a parameter or a state."""
+    for kind, *rest in operations:
+        if kind in ("input", "parameter", "state", "discrete"):
+            yield str(kind), int(rest[0])
