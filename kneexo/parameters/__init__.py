@@ -1,16 +1,15 @@
-"""Every physical number of kneexo: value, unit (in the field's name), range and provenance.
+"""Every physical number of kneexo: value, unit, range and provenance.
 
-Values are SI, except where a field's name says otherwise (Table 1 and the knee references are
-in the paper's units). "Table n", "Eq. n" and "Section n" are those of Lee, Lee, Song and Baek,
-"Design and Control of a Polycentric Knee Exoskeleton Using an Electro-Hydraulic Actuator",
-Sensors 2020, 20(1), 211. "Assumption" marks what the paper does not print, with the reason.
+The name of a field ends with its unit. Units are SI units, but Table 1 and the knee references have
+those of the paper. "Table n", "Eq. n" and "Section n" refer to Lee, Lee, Song and Baek, "Design and
+Control of a Polycentric Knee Exoskeleton Using an Electro-Hydraulic Actuator", Sensors 2020, 20(1),
+211. "Assumption" marks a number that the paper does not print, and gives the reason for it.
 
-A range is what such hardware and such a task could ever have, with a decade to spare. A quantity
-that divides has a lower limit above zero for the same reason: no value within the ranges takes the
-arithmetic near an overflow.
+A range covers all values that such hardware and such a task could have, and about a decade beyond.
+The lower limit of a divisor lies above zero. So no value within its range causes an overflow.
 
-All classes are frozen and validated on construction; a bad value raises `ParameterError` with
-one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
+All classes are frozen and validated on construction. A bad value raises `ParameterError` with a
+message of one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
 """
 
 from kneexo.parameters.bus import Cia402Parameters as Cia402Parameters, NoBus as NoBus

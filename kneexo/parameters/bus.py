@@ -1,4 +1,4 @@
-"""The bus from controller to motor: how it codes a speed command, and how late the motor acts."""
+"""Parameters of the bus from controller to motor: coding of the speed command, and latency."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, quantity
 
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
-"""The range of a drive's 32-bit target velocity."""
+"""Range of the target velocity of a drive, a 32-bit integer."""
 
 
 def _latency(default: int, source: str) -> Any:
@@ -17,26 +17,27 @@ def _latency(default: int, source: str) -> Any:
 
 
 class NoBus(Parameters):
-    """No coding: the motor gets the command as a real number."""
+    """A bus without coding: the motor receives the command as a real number."""
 
     kind: Literal["none"] = "none"
     latency_samples: int = _latency(0, "assumption: latency from controller to motor; not printed")
 
     @property
     def velocity_unit_rad_s(self) -> float:
-        """Zero: no command is rounded."""
+        """Zero, because no command is rounded."""
         return 0.0
 
 
 class Cia402Parameters(Parameters):
     """CANopen to a CiA 402 drive in cyclic synchronous velocity mode (0x6060 = 9).
 
-    Each sample the controller sends its command as target velocity (0x60FF): an int32 in units of
-    0x60A9. Source: CiA 301, CiA 402 (IEC 61800-7-201), maxon EPOS4 Firmware Specification.
+    In each sample the controller sends its command as target velocity (object 0x60FF), a 32-bit
+    integer in units of object 0x60A9. Source: CiA 301, CiA 402 (IEC 61800-7-201), maxon EPOS4
+    Firmware Specification.
     """
 
     kind: Literal["cia402"] = "cia402"
-    # mypy knows no Literal of floats; pydantic does.
+    # mypy rejects a Literal of floats, pydantic accepts it.
     velocity_unit_rpm: Literal[1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6] = quantity(  # type: ignore[valid-type]
         1.0,
         "rpm",
@@ -45,19 +46,20 @@ class Cia402Parameters(Parameters):
     )
     latency_samples: int = _latency(
         1,
-        "assumption: SYNC once a sample and a synchronous PDO (CiA 301), which acts at the SYNC "
-        "after the one it was computed at; 0 is an event-driven PDO",
+        "assumption: one SYNC per sample and a synchronous PDO (CiA 301), whose command acts one "
+        "SYNC later than it is computed; 0 is an event-driven PDO",
     )
 
     @property
     def velocity_unit_rad_s(self) -> float:
-        """Speed of one unit of 0x60FF in rad/s."""
+        """Motor speed of one unit of object 0x60FF, in rad/s."""
         return self.velocity_unit_rpm * RPM
 
     @property
     def si_unit_velocity(self) -> int:
-        """Object 0x60A9: power of ten (int8), revolution (0xB4) per minute (0x47), reserved byte.
+        """Value of object 0x60A9.
 
+        Its bytes are the power of ten (int8), revolution (0xB4), minute (0x47) and a reserved byte.
         Source: CiA 303-2; EPOS4 Firmware Specification, "SI unit velocity".
         """
         return (round(math.log10(self.velocity_unit_rpm)) & 0xFF) << 24 | 0x00B44700

@@ -1,4 +1,4 @@
-"""What runs on the embedded target: encoder, state estimator, controller."""
+"""Parameters of encoder, state estimator and controller."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class EncoderParameters(Parameters):
     mounting_error_rad: float = quantity(
         0.0,
         "rad",
-        "assumption: true θ_4 minus what calibration takes it for; not printed",
+        "assumption: true θ_4 minus calibrated θ_4; not printed",
         ge=-0.2,
         le=0.2,
     )
@@ -52,7 +52,7 @@ class ObserverParameters(Parameters):
 
 
 class DifferenceParameters(Parameters):
-    """Plain backward differences of the measured position, as a first attempt would do."""
+    """Backward differences of the measured position, the simplest estimator."""
 
     kind: Literal["difference"] = "difference"
 
@@ -113,8 +113,8 @@ class SlidingModeParameters(Parameters):
     area_uncertainty: float = quantity(
         0.0,
         "1",
-        "Eq. 27 has no such term: bound on |A/Ā − 1|, how far the area that moves the oil may be "
-        "from the mean area; 1/7 covers A_1 and A_2 of Table 3",
+        "Eq. 27 has no such term: bound on |A/Ā − 1|, the deviation of the area of a chamber from "
+        "the mean area; 1/7 covers A_1 and A_2 of Table 3",
         ge=0,
         le=1,
     )
@@ -129,12 +129,12 @@ class SlidingModeParameters(Parameters):
 
     @property
     def gain_ratio(self) -> float:
-        """β = √(b_max/b_min) = √(m_max/m_min); Eq. 23 prints its inverse."""
+        """Ratio β = √(b_max/b_min) = √(m_max/m_min); Eq. 23 prints its inverse."""
         return math.sqrt(self.mass_max_kg / self.mass_min_kg)
 
 
 class PidParameters(Parameters):
-    """PID controller on the knee angle; the output is a motor speed."""
+    """PID controller of the knee angle. Its output is a motor speed."""
 
     kind: Literal["pid"] = "pid"
     sample_time_s: float = _sample_time()
@@ -152,8 +152,8 @@ class PidParameters(Parameters):
     filter_s: float = quantity(
         0.020,
         "s",
-        "assumption: lag of the error's filter, on P and D; as the observer's, because both see "
-        "the same encoder",
+        "assumption: time constant of the error's filter for P and D; that of the observer, "
+        "because both filter the same encoder",
         ge=1e-4,
         le=10,
     )
@@ -183,12 +183,12 @@ class PidParameters(Parameters):
 
 
 class CustomControllerParameters(Parameters):
-    """A controller of the user's own: a Drake system in place of ours.
+    """A controller of the user: a Drake system in place of kneexo's controller.
 
-    ``make`` names a function as ``module:function``; a function itself is accepted too. It gets
-    what a controller may know of the scenario, and returns a system with the ports of
-    `kneexo.diagrams.make_controller`. ``values`` are numbers for it, which ``--set``, uncertainty
-    sets and the contest reach as ``controller.values.NAME``.
+    ``make`` is the name of a function as ``module:function``, or the function itself. The function
+    receives the scenario as far as a controller may know it, and returns a system with the ports of
+    `kneexo.diagrams.make_controller`. ``values`` are numbers for the function. Their paths for
+    ``--set``, uncertainty sets and the contest are ``controller.values.NAME``.
     """
 
     kind: Literal["custom"] = "custom"
@@ -200,20 +200,20 @@ class CustomControllerParameters(Parameters):
     command_limit_rad_s: float = quantity(
         5000.0 * RPM,
         "rad/s",
-        "given by the user; by default as that of the other controllers",
+        "given by the user; the default is that of the other controllers",
         ge=1e-3,
         le=1e12,
     )
 
     def __hash__(self) -> int:
-        """Of all values; a mapping has no hash of its own."""
+        """Return a hash of all fields; the mapping ``values`` itself has no hash."""
         values = tuple(sorted(self.values.items()))
         return hash((self.make, values, self.sample_time_s, self.command_limit_rad_s))
 
     @field_validator("make", mode="before")
     @classmethod
     def _named(cls, make: Any) -> Any:
-        """A function by its name."""
+        """Replace a function by its name, ``module:function``."""
         return f"{make.__module__}:{make.__qualname__}" if callable(make) else make
 
     @field_validator("make")

@@ -1,4 +1,4 @@
-"""Four-bar linkages of the knee; the paper prints none."""
+"""Parameters of four-bar linkages of the knee; the paper prints no lengths."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class LinkageParameters(Parameters):
 
     The origin is the nominal knee axis, y points proximally, and flexion is counter-clockwise.
     Link 1 is the ground O_A–O_B, link 2 is O_A–A, link 3 is the coupler A–B, link 4 is O_B–B.
-    The defaults are geometry G1: the shank is the ground and the coupler (the shortest link)
-    belongs to the thigh.
+    The defaults are geometry G1: the shank is the ground, and the coupler, the shortest link, is
+    fixed to the thigh.
     """
 
     o_a_x_m: float = _coordinate(22.2063e-3)
@@ -44,27 +44,27 @@ class LinkageParameters(Parameters):
     phi_rad: float = _angle(-167.0801)
     """Knee angle minus coupler angle, φ of Eq. 7."""
     rod_pin_radius_m: float = _length(265.8651e-3)
-    """|P'B| of Eq. 8: from the coupler's joint B to the pin of the rod."""
+    """|P'B| of Eq. 8, the distance of the coupler's joint B and the pin of the rod."""
     rod_pin_angle_rad: float = _angle(-62.9916)
     """φ' of Eq. 8."""
     rod_anchor_radius_m: float = _length(118.1887e-3)
-    """|P_rod O| of Eq. 9: from the origin to the pin of the cylinder."""
+    """|P_rod O| of Eq. 9, the distance of the origin and the pin of the cylinder."""
     rod_anchor_angle_rad: float = _angle(-97.3807)
     """θ_rod of Eq. 9."""
     rod_length_m: float = _length(231.3769e-3)
-    """L_0: distance of the pins at x = 0; the paper leaves it out."""
+    """L_0, the distance of the pins of rod and cylinder at x = 0; the paper does not print it."""
     branch: Literal[-1, 1] = choice(
         -1, "assembly branch, the sign of sin(θ_4 − θ_2); the paper never states it"
     )
 
     def __repr__(self) -> str:
-        """The name of one of `LINKAGES`; of others, what differs from G1."""
+        """Return the name of one of `LINKAGES`; for others, the values that differ from G1."""
         names = (name for name, linkage in LINKAGES.items() if linkage == self)
         return next(names, None) or super().__repr__()
 
 
 G1 = LinkageParameters()
-"""Shank as ground, coupler shortest (double rocker): the default."""
+"""The default: the shank is the ground, and the coupler is the shortest link (double rocker)."""
 
 G2 = LinkageParameters(
     o_a_x_m=-24.3737e-3,
@@ -81,7 +81,10 @@ G2 = LinkageParameters(
     rod_anchor_angle_rad=math.radians(77.0024),
     rod_length_m=288.7536e-3,
 )
-"""Thigh as ground, coupler shortest; its instantaneous centre moves the wrong way."""
+"""The thigh is the ground, and the coupler is the shortest link.
+
+Its instantaneous centre moves in the wrong direction.
+"""
 
 G3 = LinkageParameters(
     o_a_x_m=-12.207e-3,
@@ -99,7 +102,7 @@ G3 = LinkageParameters(
     rod_length_m=230.0e-3,
     branch=1,
 )
-"""Thigh as ground, ground shortest (drag link); mechanically the best conditioned."""
+"""The thigh is the ground, the shortest link (drag link); mechanically the best conditioned."""
 
 G4 = LinkageParameters(
     o_a_x_m=-1.52785e-3,
@@ -117,8 +120,10 @@ G4 = LinkageParameters(
     rod_length_m=924.81905e-3,
     branch=1,
 )
-"""Thigh as ground, ground shortest (drag link); identified from both polynomials of Table 1 over
-5…90°, whose printed errors it meets."""
+"""The thigh is the ground, the shortest link (drag link).
+
+It is identified from both polynomials of Table 1 over 5…90°, and has their printed errors.
+"""
 
 LINKAGES = {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
-"""Geometries that reproduce Table 1; a scenario may name one in place of its numbers."""
+"""Geometries that reproduce Table 1, by the names that a scenario may have for ``linkage``."""

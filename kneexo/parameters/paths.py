@@ -1,4 +1,4 @@
-"""Values of parameters by their dotted paths, such as ``plant.cylinder.mass_kg``."""
+"""Read and change values of parameters by dotted paths, such as ``plant.cylinder.mass_kg``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _Changed = TypeVar("_Changed", bound=Parameters)
 
 
 def value_at(parameters: Parameters, path: str) -> Any:
-    """The value at a dotted path, such as ``plant.cylinder.mass_kg``; None where there is none."""
+    """Return the value at a dotted path, or None if the parameters have no such path."""
     value: Any = parameters
     for name in path.split("."):
         value = getattr(value, name, None)
@@ -24,10 +24,10 @@ def value_at(parameters: Parameters, path: str) -> Any:
 
 
 def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
-    """A copy with other values at dotted paths, such as ``plant.cylinder.mass_kg``; validated.
+    """Return a copy of a scenario, or of other parameters, with other values at dotted paths.
 
-    ``scenario``: a scenario, or other parameters. A value may be a mapping, as in a scenario file.
-    Raises `ParameterError` for a path that they do not have, and for a value out of range.
+    A value may be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
+    parameters do not have, and for a value out of range.
     """
     data = dict(vars(scenario))
     for path, value in values.items():
@@ -35,7 +35,7 @@ def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
         holder: Any = data
         for parent in parents:
             part = holder.get(parent)
-            if isinstance(part, Parameters):  # only the parts that change are validated again
+            if isinstance(part, Parameters):  # parts without a change are not validated again
                 part = holder[parent] = dict(vars(part))
             elif isinstance(part, dict):
                 part = holder[parent] = dict(part)

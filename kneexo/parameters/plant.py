@@ -1,4 +1,4 @@
-"""The plant: motor and pump, cylinder, knee, load."""
+"""Parameters of the plant: motor and pump, cylinder, knee, load."""
 
 from __future__ import annotations
 
@@ -16,10 +16,13 @@ RPM = 2.0 * math.pi / 60.0
 
 
 ATMOSPHERE_PA = 101_325.0
-"""Standard atmosphere in Pa; pressures are relative to it."""
+"""Standard atmosphere in Pa. All other pressures are relative to it."""
 
 AIR_EXPONENT = 1.4
-"""Polytropic exponent of entrained air: adiabatic, as the hydraulic mode is fast (assumption)."""
+"""Polytropic exponent of entrained air.
+
+Assumption: the air is adiabatic, because the oscillation of the oil column is fast.
+"""
 
 
 class BldcPumpParameters(Parameters):
@@ -63,11 +66,11 @@ class BldcPumpParameters(Parameters):
 
     @property
     def leakage_m3_per_s_pa(self) -> float:
-        """Leakage of the load flow, C_im + C_em/2 (Eq. 13), in m³/(s·Pa)."""
+        """Leakage coefficient of the load flow, C_im + C_em/2 (Eq. 13), in m³/(s·Pa)."""
         return self.internal_leakage_m3_per_s_pa + 0.5 * self.external_leakage_m3_per_s_pa
 
 
-_THICKEST_ROD = 0.98  # of the bore; the annulus that is left, 4 % of the area, is a divisor
+_THICKEST_ROD = 0.98  # diameter relative to the bore; the annular area, then 4 %, is a divisor
 
 
 class CylinderParameters(Parameters):
@@ -126,10 +129,10 @@ class CylinderParameters(Parameters):
 
 
 class FullCylinderParameters(Parameters):
-    """What the full order adds to `CylinderParameters`: both chambers, valves and seals (Eq. 14).
+    """Chambers, valves and seals of the full order, in addition to `CylinderParameters` (Eq. 14).
 
-    C_im' of Eq. 14 is ``leakage_m3_per_s_pa`` of `CylinderParameters`; with external leakage C_em'
-    the reduced order's C_L is C_im' + C_em'/2. Pressures are relative to the atmosphere.
+    C_im' of Eq. 14 is ``leakage_m3_per_s_pa`` of `CylinderParameters`. A reduced-order cylinder
+    that leaks as much has C_L = C_im' + C_em'/2. Pressures are relative to the atmosphere.
     """
 
     dead_volume_m3: float = quantity(
@@ -198,7 +201,7 @@ class FullCylinderParameters(Parameters):
         0.0, "N", "assumption: seal friction in motion; Eq. 16 has none", ge=0, le=1e5
     )
     stribeck_friction_n: float = quantity(
-        0.0, "N", "assumption: what breakaway takes beyond it", ge=0, le=1e5
+        0.0, "N", "assumption: additional friction at breakaway", ge=0, le=1e5
     )
     stribeck_speed_m_s: float = quantity(
         0.01, "m/s", "assumption: typical of hydraulic seals", ge=1e-5, le=10
@@ -209,7 +212,7 @@ class FullCylinderParameters(Parameters):
 
 
 class KneeParameters(Parameters):
-    """Range of motion of the knee; the end stops are an error, not a force."""
+    """Range of motion of the knee. There are no end stops: a run that leaves the range fails."""
 
     flexion_min_deg: float = quantity(0.0, "deg", "Section 2: 0…90°", ge=-2, le=90)
     flexion_max_deg: float = quantity(90.0, "deg", "Section 2: 0…90°", ge=0, le=91)
@@ -225,7 +228,7 @@ class KneeParameters(Parameters):
     _ordered = ordered_limits(strict=True)
 
     def require_in_range(self, low_deg: float, high_deg: float) -> None:
-        """`ParameterError` when a reference of that range, in deg, leaves the range of motion."""
+        """Raise `ParameterError` if a reference with this range leaves the range of motion."""
         if low_deg < self.flexion_min_deg or high_deg > self.flexion_max_deg:
             raise ParameterError(
                 f"reference = {low_deg:.4g} … {high_deg:.4g} deg leaves the range of motion "
@@ -241,7 +244,10 @@ def _coefficients(default: _Six, unit: str, source: str) -> Any:
 
 
 class RodPolynomialParameters(Parameters):
-    """Eq. 10 and 11 with Table 1: the controller's map from knee angle (deg) to rod (mm)."""
+    """Polynomials of Eq. 10 and 11 with Table 1: the controller's relation of knee and rod.
+
+    Knee angles are in deg, rod extensions in mm.
+    """
 
     p_mm_deg: _Six = _coefficients(
         (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0),
@@ -264,13 +270,13 @@ class RodPolynomialParameters(Parameters):
 
 
 class NoLoad(Parameters):
-    """No load, as in the paper's simulation: the disturbance input acts on the rod directly."""
+    """No load, as in the paper's simulation: only the disturbance input acts on the rod."""
 
     kind: Literal["none"] = "none"
 
 
 class KneeLoadParameters(Parameters):
-    """What acts on the knee: weight of the shank, disturbance on the rod, torque of the wearer."""
+    """Load of the knee: weight of the shank, disturbance on the rod, torque of the wearer."""
 
     kind: Literal["knee"] = "knee"
     segment_mass_kg: float = quantity(
@@ -298,7 +304,7 @@ class KneeLoadParameters(Parameters):
 
 
 class PlantParameters(Parameters):
-    """Motor and pump, cylinder, knee and load, and which idealizations hold."""
+    """The plant: motor and pump, cylinder, knee and load, and the choice of idealizations."""
 
     pump: BldcPumpParameters = BldcPumpParameters()
     cylinder: CylinderParameters = CylinderParameters()

@@ -1,7 +1,7 @@
-"""Numbers with unit, range and provenance: what the parameter classes are made of.
+"""Fields of the parameter classes: numbers with unit, range and provenance.
 
-pydantic validates; this module adds unit and provenance to its fields, and turns its reports into
-one line.
+pydantic validates the values. This module adds unit and provenance to pydantic's fields, and turns
+pydantic's reports into messages of one line.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def quantity(
     gt: float | None = None,
     le: float | None = None,
 ) -> Any:
-    """A pydantic field for one number, real or integer, with its unit, range and provenance."""
+    """Make a pydantic field for one number, real or integer, with unit, range and provenance."""
     return Field(
         default=default, ge=ge, gt=gt, le=le, json_schema_extra={"unit": unit, "source": source}
     )
@@ -51,9 +51,10 @@ def quantities(
     le: float | None = None,
     min_length: int | None = 1,
 ) -> Any:
-    """A pydantic field for a tuple of physical numbers; ``ge`` and ``le`` hold for each of them.
+    """Make a pydantic field for a tuple of numbers, with unit, range and provenance.
 
-    ``min_length`` is None where the annotation fixes the length.
+    ``ge`` and ``le`` bound each number of the tuple. ``min_length`` is None where the annotation
+    fixes the length.
     """
     field: Any = Field(
         default=default, min_length=min_length, json_schema_extra={"unit": unit, "source": source}
@@ -64,7 +65,7 @@ def quantities(
 
 @dataclass(frozen=True)
 class _ElementRange:
-    """The range of each number of a tuple, where pydantic's own bounds are those of the tuple."""
+    """Bounds of each number of a tuple. pydantic would compare its own bounds with the tuple."""
 
     ge: float | None
     le: float | None
@@ -77,24 +78,28 @@ class _ElementRange:
 
 
 def choice(default: Any, source: str) -> Any:
-    """A pydantic field for a structural choice (no unit), with its provenance."""
+    """Make a pydantic field for a choice, which has no unit, with its provenance."""
     return Field(default=default, json_schema_extra={"unit": "", "source": source})
 
 
 def positive_values(default: tuple[float, ...], unit: str, source: str) -> Any:
-    """A pydantic field for the numbers above zero that a study tries, with their provenance."""
+    """Make a pydantic field for the positive numbers that a study tries, with their provenance."""
     return quantities(default, unit, source, ge=1e-6, le=1e9)
 
 
 def require_increasing(values: tuple[float, ...]) -> tuple[float, ...]:
-    """The values of a field, each above the one before it; else `ValueError`."""
+    """Return the values of a field. Raises `ValueError` unless each exceeds the one before it."""
     if any(b <= a for a, b in pairwise(values)):
         raise ValueError("must increase")
     return values
 
 
 def ordered_limits(*, strict: bool = False) -> Any:
-    """A validator of a class: no ``…_min_…`` exceeds its ``…_max_…``, nor, if strict, equals it."""
+    """Make a validator of a parameter class for its pairs of fields ``…_min_…`` and ``…_max_…``.
+
+    The validator raises `ValueError` where a minimum exceeds its maximum, or, if ``strict``, equals
+    it.
+    """
 
     def check(parameters: Parameters) -> Parameters:
         for name, field in type(parameters).model_fields.items():
@@ -111,7 +116,7 @@ def ordered_limits(*, strict: bool = False) -> Any:
 
 
 def allowed_range(field: FieldInfo) -> str:
-    """The range of a field, or of its elements, as text, for instance ``>= 0 and <= 150``."""
+    """Return the range of a field, or of its elements, as text such as ``>= 0 and <= 150``."""
     bounds = [
         f"{sign} {getattr(bound, key):g}"
         for key, sign in (("ge", ">="), ("gt", ">"), ("le", "<="))
@@ -122,7 +127,10 @@ def allowed_range(field: FieldInfo) -> str:
 
 
 def limits_of(field: FieldInfo) -> tuple[float, float]:
-    """Lowest and highest value of a field made by `quantity`; infinite where there is none."""
+    """Return the lowest and the highest value of a field made by `quantity`.
+
+    A missing bound is infinite. An excluded bound counts as the next double inside the range.
+    """
     low, high = -math.inf, math.inf
     for bound in field.metadata:
         low = max(low, float(getattr(bound, "ge", low)))
@@ -132,21 +140,21 @@ def limits_of(field: FieldInfo) -> tuple[float, float]:
 
 
 def unit_of(field: FieldInfo) -> str:
-    """The unit of a field made by `quantity`, or an empty string."""
+    """Return the unit of a field made by `quantity`, or an empty string."""
     extra = field.json_schema_extra
     return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
 
 
 def source_of(field: FieldInfo) -> str:
-    """The provenance of a field made by `quantity` or `choice`, or an empty string."""
+    """Return the provenance of a field made by `quantity` or `choice`, or an empty string."""
     extra = field.json_schema_extra
     return str(extra.get("source", "")) if isinstance(extra, dict) else ""
 
 
 def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:
-    """Where the first fault of a validation error lies, and one line that says what it is."""
+    """Return the location of the first fault of a validation error, and a message of one line."""
     faults = error.errors()
-    # A misspelt name explains the value that is missing because of it.
+    # A misspelt name also makes a required value missing: report the name.
     fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
     location, holders = _without_tags(model, fault["loc"])
     path = shortened(".".join(str(key) for key in location))
@@ -172,7 +180,7 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
     elif kind in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
         bounds = f"finite and {bounds}" if bounds else "finite"
         if field is None or not allowed_range(field):
-            unit = ""  # "finite" needs none
+            unit = ""  # "must be finite" has no unit
         line = f"{path} = {shown_with_unit} is out of range: must be {bounds} {unit}".rstrip()
     elif kind == "union_tag_invalid":
         tag, expected = shortened(fault["ctx"]["tag"]), fault["ctx"]["expected_tags"]
@@ -193,7 +201,7 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
         line = f"{path} = {shown_with_unit}: must be {expected}"
         if bounds:
             line += f", {bounds} {unit}".rstrip()
-    # A bad sample also makes its list too short: that is no second fault.
+    # A bad sample also makes its list too short, which does not count as a second fault.
     more = sum(f is not fault and f["type"] != "too_short" for f in faults)
     return location, line + (f" (and {more} more)" if more else "")
 
@@ -201,18 +209,21 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
 def _without_tags(
     model: type[BaseModel], location: tuple[str | int, ...]
 ) -> tuple[tuple[str | int, ...], tuple[type[BaseModel], ...]]:
-    """The location without pydantic's discriminator tags, and the classes of its last key."""
-    kept: list[str | int] = []
+    """Return the location without pydantic's discriminator tags.
+
+    Also returns the parameter classes that may have the last key of the location.
+    """
+    keys: list[str | int] = []
     holders: tuple[type[BaseModel], ...] = ()
     members: tuple[type[BaseModel], ...] = (model,)
     for key in location:
         if len(members) > 1 and any(_kind(member) == key for member in members):
             members = tuple(member for member in members if _kind(member) == key)
             continue
-        kept.append(key)
+        keys.append(key)
         holders = members
         members = models_of(members[0].model_fields.get(str(key))) if members else ()
-    return tuple(kept), holders
+    return tuple(keys), holders
 
 
 def _kind(model: type[BaseModel]) -> object:
@@ -221,7 +232,7 @@ def _kind(model: type[BaseModel]) -> object:
 
 
 def models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
-    """The parameter classes that a field may hold."""
+    """Return the parameter classes that a field may hold."""
     models: list[type[BaseModel]] = []
     pending: list[Any] = [] if field is None else [field.annotation]
     while pending:
@@ -247,7 +258,7 @@ def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldI
 
 @cache
 def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
-    """The fields whose kind may be left out, and their defaults' kinds."""
+    """Return the fields whose kind may be left out, each with the kind of its default."""
     return tuple(
         (name, field.default.kind)
         for name, field in model.model_fields.items()
@@ -257,7 +268,7 @@ def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
 
 @cache
 def _tuple_fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
-    """The fields that hold tuples, and whether any number of values is a valid length."""
+    """Return the fields that hold tuples, each with whether a tuple may have any length."""
     return tuple(
         (name, get_args(field.annotation)[-1] is ...)
         for name, field in model.model_fields.items()
@@ -266,9 +277,10 @@ def _tuple_fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
 
 
 def _as_tuple(value: Any, *, any_length: bool) -> Any:
-    """Lists, NumPy arrays and pandas columns as tuples; a single number as a tuple of one.
+    """Return a list, a NumPy array or a pandas column as a tuple.
 
-    Values of other types are returned unchanged, so that pydantic reports them.
+    With ``any_length`` a single number becomes a tuple of one number. Values of other types are
+    returned unchanged, so that pydantic reports them.
     """
     if hasattr(value, "tolist"):  # NumPy and pandas
         value = value.tolist()
@@ -280,7 +292,7 @@ def _as_tuple(value: Any, *, any_length: bool) -> Any:
 
 
 class _Short:
-    """A long tuple, whose middle `repr` leaves out."""
+    """A long tuple for `repr`, which leaves out the middle of the tuple."""
 
     def __init__(self, values: tuple[Any, ...]) -> None:
         self._values = values
@@ -291,10 +303,10 @@ class _Short:
 
 
 class Parameters(BaseModel):
-    """Base of all parameter classes: frozen, no unknown names, no silent type changes.
+    """Base of all parameter classes: frozen, without unknown names or silent type changes.
 
-    Where a tuple of numbers is asked for, lists, NumPy arrays, pandas columns and, for tuples of
-    any length, single numbers are accepted.
+    A field that holds a tuple of numbers also accepts a list, a NumPy array or a pandas column. If
+    its tuple may have any length, the field accepts a single number too.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -302,7 +314,7 @@ class Parameters(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _completed(cls, data: Any) -> Any:
-        """Arrays as tuples; a mapping that does not say its kind is of the default's kind."""
+        """Turn arrays into tuples, and give mappings without a kind the kind of the default."""
         if not isinstance(data, dict):
             return data
         tuples = {
@@ -319,20 +331,23 @@ class Parameters(BaseModel):
         return data | kinds if kinds else data
 
     def __repr_args__(self) -> Iterator[tuple[str, Any]]:
-        """What differs from the defaults: `repr` is short, and still makes an equal object."""
+        """Yield name and value of the fields that differ from their defaults.
+
+        So `repr` is short. Without long tuples, it is also code that makes an equal object.
+        """
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
             if field.is_required() or value != field.default:
                 yield name, _Short(value) if isinstance(value, tuple) and len(value) > 8 else value
 
     def __str__(self) -> str:
-        """As `repr`."""
+        """Return `repr`."""
         return repr(self)
 
     if not TYPE_CHECKING:  # the type checker keeps the signature that pydantic makes
 
         def __init__(self, **data: Any) -> None:
-            """Validate; raises `ParameterError` with one line."""
+            """Validate the values. Raises `ParameterError` with a message of one line."""
             try:
                 super().__init__(**data)
             except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Knee references: sine, step, ramp, samples, and what stands for samples in a file."""
+"""Parameters of the knee references: sine, step, ramp, samples, CSV files and the gait curve."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class _KneeReference(Parameters):
 
     @property
     def middle_deg(self) -> float:
-        """Middle of that range in deg: the posture at which a loop is linearized."""
+        """Middle of the range in deg, the posture at which a loop is linearized."""
         return 0.5 * sum(self.range_deg)
 
 
 class SineReference(_KneeReference):
-    """Knee angle mean − amplitude·cos(2πft): starts at rest at its smallest value.
+    """Knee angle mean − amplitude·cos(2πft), which starts at rest at its smallest value.
 
-    With a ramp it starts at its mean and the amplitude grows smoothly.
+    With a ramp it starts at its mean, and its amplitude grows smoothly during ``ramp_s``.
     """
 
     kind: Literal["sine"] = "sine"
@@ -99,7 +99,7 @@ class RampReference(_KneeReference):
 
 
 Interpolation = Literal["cubic", "pchip", "linear"]
-"""How a reference runs between its samples."""
+"""Curve of a reference between its samples."""
 _INTERPOLATION = (
     "cubic: spline with continuous acceleration, which may pass the samples' range; pchip: "
     "shape-preserving cubic, which stays within neighbouring samples; linear: straight lines"
@@ -107,9 +107,9 @@ _INTERPOLATION = (
 
 
 class SampledReference(_KneeReference):
-    """Knee angle from samples, by default joined by a cubic spline with continuous acceleration.
+    """Knee angle through samples, by default a cubic spline with continuous acceleration.
 
-    A sequence of numbers may be a tuple, a list, a NumPy array or a pandas column.
+    Times and angles may be tuples, lists, NumPy arrays or pandas columns.
     """
 
     kind: Literal["samples"] = "samples"
@@ -162,11 +162,11 @@ class CsvReference(Parameters):
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
 
     def samples(self, directory: str | os.PathLike[str] = ".") -> SampledReference:
-        """The samples; ``directory`` is what a relative path starts from.
+        """Read the samples from the file; a relative path starts at ``directory``.
 
-        Lines that are empty or start with ``#`` are left out. Raises `ScenarioError`, a
-        `ParameterError`, where the file cannot be read, and where a column or a number is missing
-        or wrong.
+        Empty lines and lines that start with ``#`` are left out. Raises `ScenarioError`, a
+        `ParameterError`, when the file cannot be read, and when a column or a number is missing or
+        wrong.
         """
         path = Path(directory, self.file)
         table = read_table(path, (self.time, self.angle))
@@ -184,7 +184,7 @@ class CsvReference(Parameters):
 
 
 class GaitReference(Parameters):
-    """The built-in gait curve by name: see `gait_reference`."""
+    """The built-in gait curve; `gait_reference` makes its samples."""
 
     kind: Literal["gait"] = "gait"
     frequency_hz: float = quantity(1.0, "Hz", "assumption: strides per second", gt=0, le=10)
@@ -192,17 +192,18 @@ class GaitReference(Parameters):
 
 
 def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReference:
-    """The measured knee flexion as a periodic reference, ``cycles`` strides long.
+    """Return the measured knee flexion of a stride, repeated ``cycles`` times, as a reference.
 
-    It starts at t = 0 and ends at the least flexion, where the knee is at rest
-    (`gait_start_percent`). Subtracting a straight line closes the curve; it moves no sample by more
-    than 0.03°, a twentieth of the standard deviation. The loop settles during the first stride.
+    The reference starts, at t = 0, and ends at the least flexion, where the knee is at rest
+    (`gait_start_percent`). A straight line is subtracted from the measured stride, so that its ends
+    meet. This changes no sample by more than 0.03°, a twentieth of the standard deviation. The loop
+    settles during the first stride.
 
     Parameters
     ----------
     frequency_hz
-        Strides per second, > 0 and at most 10 Hz (beyond, a sample lasts less than a millisecond);
-        the measured one is `kneexo.gait.GAIT_STRIDE_S`.
+        Strides per second, > 0 and at most 10 Hz, where a sample lasts a millisecond. The measured
+        stride lasts `kneexo.gait.GAIT_STRIDE_S`.
     cycles
         Number of strides, 1 … 1000.
 
@@ -224,10 +225,10 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
 
 
 def read_reference(value: Any, directory: Any) -> Any:
-    """Samples of a reference that a name or a CSV file stands for; other values unchanged.
+    """Replace the gait curve and CSV files by their samples; return other values unchanged.
 
-    ``directory``: what the name of a CSV file is relative to. Raises `ParameterError` for a faulty
-    file or value, `ValueError` for an unknown name.
+    A relative path of a CSV file starts at ``directory``. Raises `ParameterError` for a faulty file
+    or value, `ValueError` for an unknown name.
     """
     if isinstance(value, str):
         if value != "gait":
@@ -249,4 +250,4 @@ def read_reference(value: Any, directory: Any) -> Any:
 Reference = Annotated[
     SineReference | StepReference | RampReference | SampledReference, Field(discriminator="kind")
 ]
-"""Any reference; ``kind`` tells which."""
+"""Any reference; ``kind`` says which one."""

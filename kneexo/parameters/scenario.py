@@ -1,4 +1,4 @@
-"""One closed-loop run: `Scenario`, and how it is simulated."""
+"""Parameters of one closed-loop run: `Scenario`, with the settings of its simulation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from kneexo.parameters.reference import Reference, SineReference, read_reference
 
 
 class SimulationParameters(Parameters):
-    """How a closed loop is run: by the compiled engine, or by Drake's Simulator."""
+    """Settings of a simulation, by the compiled engine or by Drake's Simulator."""
 
     duration_s: float = quantity(
         30.0, "s", "three periods of 0.1 Hz, as in Fig. 12", ge=1e-3, le=1e5
@@ -38,7 +38,9 @@ class SimulationParameters(Parameters):
     step_s: float = quantity(
         0.002, "s", "the control period; exact_hold controls its error instead", ge=1e-7, le=1
     )
-    error_controlled: bool = choice(False, "of Drake's: step_s is only the largest step")
+    error_controlled: bool = choice(
+        False, "True: Drake's integrator controls its error, and step_s is the largest step"
+    )
     accuracy: float = quantity(
         1e-4, "1", "accuracy of Drake's error-controlled integrators", ge=1e-12, le=0.1
     )
@@ -52,18 +54,18 @@ class SimulationParameters(Parameters):
 
     @property
     def compiled(self) -> bool:
-        """Whether the compiled engine runs it."""
+        """Whether the compiled engine runs the simulation."""
         return self.integrator in ("exact_hold", "rk4")
 
     def with_drake(self) -> SimulationParameters:
-        """The same for Drake's Simulator: radau3 replaces an integrator that Drake lacks."""
+        """Return the settings for Drake's Simulator; radau3 replaces an integrator of kneexo."""
         return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
 
 
 class Scenario(Parameters):
     """One closed-loop run: plant, measurement, controller, bus, reference and simulation.
 
-    ``nominal`` is the plant that the controller believes in; left out, it is ``plant``.
+    ``nominal`` is the plant that the controller is designed for, by default ``plant``.
     """
 
     plant: PlantParameters = PlantParameters()
@@ -85,7 +87,10 @@ class Scenario(Parameters):
     simulation: SimulationParameters = SimulationParameters()
 
     def with_engine(self, engine: Literal["compiled", "drake"] | None) -> Scenario:
-        """The same run by the compiled engine or Drake's Simulator; unchanged for None."""
+        """Return the scenario with the compiled engine or with Drake's Simulator.
+
+        For None it is unchanged.
+        """
         if engine is None or (engine == "compiled") == self.simulation.compiled:
             return self
         integrator = "exact_hold" if engine == "compiled" else "radau3"
@@ -93,15 +98,18 @@ class Scenario(Parameters):
         return self.model_copy(update={"simulation": simulation})
 
     def with_steps(self, step_s: float) -> Scenario:
-        """The same run by explicit Runge–Kutta steps: rk4, or with Drake its runge_kutta3."""
+        """Return the scenario with explicit Runge–Kutta steps of ``step_s`` in s.
+
+        The integrator is rk4 with the compiled engine, and runge_kutta3 with Drake's Simulator.
+        """
         integrator = "rk4" if self.simulation.compiled else "runge_kutta3"
         steps = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
         return self.model_copy(update={"simulation": self.simulation.model_copy(update=steps)})
 
     def without_quantizers(self) -> Scenario:
-        """The same for linear analysis: an encoder without counts, a command that is not rounded.
+        """Return the scenario for linear analysis: encoder and bus round nothing.
 
-        The latency of the bus stays.
+        The latency of the bus remains.
         """
         encoder = self.encoder.model_copy(update={"quantized": False})
         bus = NoBus(latency_samples=self.bus.latency_samples)
@@ -114,15 +122,17 @@ class Scenario(Parameters):
 
     @property
     def command_limit_rad_s(self) -> float:
-        """Limit of the command: the controller's, or the believed motor's where that is lower.
+        """Limit of the command in rad/s: the lower one of the controller's and the motor's limit.
 
-        A bus lowers it to a whole number of its velocity units, of which int32 has 2³¹ − 1.
+        The motor is that of the plant that the controller is designed for. A bus lowers the limit
+        to a whole number of its velocity units, at most 2³¹ − 1 of them.
         """
         limit, plant = self.controller.command_limit_rad_s, self.believed_plant
         if not plant.ideal_motor:
             limit = min(limit, plant.pump.speed_limit_rad_s)
         if unit := self.bus.velocity_unit_rad_s:
-            units = math.floor(limit / unit * (1.0 + 1e-12))  # a whole number may divide to below
+            # The quotient of a whole number of units may lie just below this number.
+            units = math.floor(limit / unit * (1.0 + 1e-12))
             limit = unit * min(units, INT32_MAX)
         return limit
 

@@ -1,9 +1,14 @@
-"""Files of uncertain values: what they give, and one line for each fault."""
+"""Uncertain values: their intervals and options, their files, and one line for each fault."""
+
+import math
+import re
 
 import pytest
+from hypothesis import given, strategies as st
 
-from kneexo.errors import ScenarioError
+from kneexo.errors import ParameterError, ScenarioError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_uncertainty
 from kneexo.parameters.uncertainty import applicable
 from kneexo.studies.paper import PID_TUNED
@@ -20,7 +25,7 @@ def load(tmp_path):
 
 
 def test_a_file_gives_its_set(load):
-    found = load(
+    uncertainty = load(
         "# what may be\n"
         "plant.cylinder.mass_kg: {low: 1.4, high: 1.8, source: Table 2}\n"
         "plant.pump.lag_s:\n"
@@ -30,7 +35,7 @@ def test_a_file_gives_its_set(load):
         "plant.linkage: {options: [G1, G3], known: true}\n"
         "plant.full_order: {options: [null, {}, {coulomb_friction_n: 40}]}\n"
     )
-    assert found == UncertaintySet(
+    assert uncertainty == UncertaintySet(
         values={
             "plant.cylinder.mass_kg": Uncertainty(low=1.4, high=1.8, source="Table 2"),
             "plant.pump.lag_s": Uncertainty(low=5e-3, high=0.02, scale="log"),
@@ -44,17 +49,17 @@ def test_values_that_the_scenario_does_not_have_are_kept(load):
     text = (
         "plant.load.segment_mass_kg: {low: 0, high: 3}\nplant.cylinder.mass_kg: {low: 1, high: 2}"
     )
-    found = load(text, Scenario())
-    assert list(found.values) == ["plant.load.segment_mass_kg", "plant.cylinder.mass_kg"]
-    kept, left_out = applicable(Scenario(), found)
-    assert list(kept.values) == ["plant.cylinder.mass_kg"]
-    assert left_out == ("plant.load.segment_mass_kg",)
-    assert applicable(UNCERTAIN_KNEE, found) == (found, ())
+    uncertainty = load(text, Scenario())
+    assert list(uncertainty.values) == ["plant.load.segment_mass_kg", "plant.cylinder.mass_kg"]
+    present, absent = applicable(Scenario(), uncertainty)
+    assert list(present.values) == ["plant.cylinder.mass_kg"]
+    assert absent == ("plant.load.segment_mass_kg",)
+    assert applicable(UNCERTAIN_KNEE, uncertainty) == (uncertainty, ())
 
 
 def test_another_controller_does_not_make_a_path_unknown(load):
-    found = load("controller.phi_m_s2: {low: 1, high: 4}", Scenario(controller=PID_TUNED))
-    assert list(found.values) == ["controller.phi_m_s2"]
+    uncertainty = load("controller.phi_m_s2: {low: 1, high: 4}", Scenario(controller=PID_TUNED))
+    assert list(uncertainty.values) == ["controller.phi_m_s2"]
 
 
 def test_the_default_set_applies_to_the_default_scenario():
@@ -104,3 +109,42 @@ def test_a_fault_is_one_line_with_file_line_and_path(load, text):
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ScenarioError, match=r"none\.yaml: cannot be read: [^\n]*\Z"):
         load_uncertainty(tmp_path / "none.yaml")
+
+
+@given(share=st.floats(0.0, 1.0))
+def test_an_interval_spans_its_ends_on_its_scale(share: float) -> None:
+    linear = Uncertainty(low=-2.0, high=6.0)
+    assert linear.at(share) == pytest.approx(-2.0 + 8.0 * share, abs=1e-12)
+    log = Uncertainty(low=1e-14, high=1e-12, scale="log")
+    assert math.log10(log.at(share)) == pytest.approx(-14.0 + 2.0 * share, abs=1e-12)
+    assert (log.at(0.0), log.at(1.0)) == (1e-14, 1e-12)  # exactly
+    assert Uncertainty(options=("a", "b", "c")).at(share) == "abc"[min(int(3 * share), 2)]
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({}, "must have either low and high, or options"),
+        ({"low": 1.0}, "must have either"),
+        ({"low": 1.0, "options": (1,)}, "must have either"),
+        ({"low": 1.0, "high": 2.0, "options": (1,)}, "must have either"),
+        ({"low": 2.0, "high": 2.0}, "low = 2 must be below high = 2"),
+        ({"low": 0.0, "high": 2.0, "scale": "log"}, "low = 0 must be > 0"),
+    ],
+)
+def test_an_uncertainty_is_an_interval_or_options(fields: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=re.escape(message)):
+        Uncertainty(**fields)
+
+
+def test_an_empty_uncertainty_set_is_refused() -> None:
+    with pytest.raises(ParameterError, match="values"):
+        UncertaintySet(values={})
+
+
+@pytest.mark.parametrize("path", UNCERTAINTY.values)
+def test_every_uncertain_value_has_a_source_and_fits_the_scenario(path: str) -> None:
+    uncertain = UNCERTAINTY.values[path]
+    assert uncertain.source != "given by the user"
+    for share in (0.0, 0.5, 1.0):
+        changed(UNCERTAIN_KNEE, {path: uncertain.at(share)})

@@ -1,12 +1,10 @@
-"""Parameter classes: the paper's numbers, units, ranges, provenance and the faults they raise."""
+"""Every field has unit, range and provenance, and each fault of a value is one line."""
 
 from __future__ import annotations
 
 import math
-import pickle
 import re
 import typing
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,22 +14,11 @@ from pydantic.fields import FieldInfo
 
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import (
-    G1,
-    G2,
-    G3,
-    G4,
-    LINKAGES,
-    RPM,
-    UNCERTAIN_KNEE,
-    UNCERTAINTY,
     BldcPumpParameters,
-    CsvReference,
     CustomControllerParameters,
     CylinderParameters,
-    EncoderParameters,
     ExactParameters,
     FullCylinderParameters,
-    GaitReference,
     KneeLoadParameters,
     KneeParameters,
     LinkageParameters,
@@ -41,13 +28,8 @@ from kneexo.parameters import (
     SampledReference,
     Scenario,
     SimulationParameters,
-    SineReference,
     SlidingModeParameters,
-    Uncertainty,
-    UncertaintySet,
-    gait_reference,
 )
-from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import (
     Parameters,
     allowed_range,
@@ -56,7 +38,6 @@ from kneexo.parameters.quantity import (
     unit_of,
 )
 from kneexo.studies.bandwidth import BandwidthSettings
-from kneexo.studies.paper import IDEAL_SMC
 
 
 def classes_of(annotation: typing.Any) -> list[type[Parameters]]:
@@ -89,13 +70,13 @@ each_bounded = pytest.mark.parametrize(("model", "name", "field"), BOUNDED.value
 
 def bounds_of(field: FieldInfo) -> tuple[float, float, bool]:
     """Lower and upper bound, and whether the lower one is excluded."""
-    found = {
+    bounds = {
         key: getattr(bound, key)
         for bound in field.metadata
         for key in ("ge", "gt", "le")
         if getattr(bound, key, None) is not None
     }
-    return found.get("gt", found.get("ge")), found["le"], "gt" in found
+    return bounds.get("gt", bounds.get("ge")), bounds["le"], "gt" in bounds
 
 
 def fault(model: type[Parameters], **values: typing.Any) -> str:
@@ -191,80 +172,6 @@ def test_classes_are_documented_and_frozen(model: type[Parameters]) -> None:
         with pytest.raises(ValidationError, match="frozen"):
             setattr(instance, name, getattr(instance, name))
     assert hash(instance) == hash(instance.model_copy())
-
-
-# -------------------------------------------------------------------- the paper's tables
-
-
-def test_table_1() -> None:
-    polynomial = RodPolynomialParameters()
-    assert polynomial.p_mm_deg == (1.571e-8, -4.164e-6, 4.789e-4, -0.03192, -0.6195, 148.0)
-    assert polynomial.q_deg_mm == (-1.807e-9, 5.788e-7, -7.285e-5, 0.004161, -0.6389, 91.73)
-    angle = math.radians(60.0)
-    rod = sum(p * angle ** (5 - n) for n, p in enumerate(polynomial.p_si))
-    rod_mm = sum(p * 60.0 ** (5 - n) for n, p in enumerate(polynomial.p_mm_deg))
-    assert 1e3 * rod == pytest.approx(rod_mm, rel=1e-13)
-    back = sum(q * rod_mm ** (5 - n) for n, q in enumerate(polynomial.q_deg_mm))
-    assert back == pytest.approx(60.0, abs=0.1)  # the printed maps are inverse to 0.1 deg
-
-
-def test_table_2() -> None:
-    cylinder, controller = CylinderParameters(), SlidingModeParameters()
-    assert 1e6 * cylinder.mean_area_m2 == pytest.approx(274.8894, abs=5e-5)
-    assert 1e9 * cylinder.total_volume_m3 == pytest.approx(41_233.0, rel=1e-14)
-    assert 1e9 * cylinder.mean_area_m2 * cylinder.stroke_m == pytest.approx(41_233.0, abs=0.5)
-    assert cylinder.bulk_modulus_pa == pytest.approx(17_200 * 1e5, rel=1e-14)
-    assert cylinder.mass_kg == 1.6
-    assert cylinder.damping_n_s_per_m == 0.05
-    assert (controller.mass_min_kg, controller.mass_max_kg) == (1.4, 1.8)
-    assert controller.mass_estimate_kg == pytest.approx(1.587, abs=5e-4)
-    assert controller.gain_ratio == pytest.approx(1.134, abs=5e-4)
-    for limited in (controller, PidParameters()):
-        assert limited.command_limit_rad_s / RPM == pytest.approx(5000.0, rel=1e-14)
-
-
-def test_table_3() -> None:
-    pump, cylinder = BldcPumpParameters(), CylinderParameters()
-    assert pump.speed_limit_rad_s == pytest.approx(5000 * 2 * math.pi / 60, rel=1e-14)
-    assert 1e6 * pump.displacement_m3_per_rad * 2 * math.pi == pytest.approx(0.8, rel=1e-14)
-    assert pump.rated_power_w == 200.0
-    assert (cylinder.bore_m, cylinder.rod_diameter_m, cylinder.stroke_m) == (0.02, 0.01, 0.15)
-    assert 1e6 * cylinder.cap_area_m2 == pytest.approx(100 * math.pi, rel=1e-14)
-    assert 1e6 * cylinder.rod_side_area_m2 == pytest.approx(75 * math.pi, rel=1e-14)
-    assert cylinder.pressure_rating_pa == 3.5e6
-    assert SlidingModeParameters().sample_time_s == PidParameters().sample_time_s == 0.002
-
-
-def test_text_of_the_paper() -> None:
-    assert BldcPumpParameters().gear_ratio == 6.0
-    assert EncoderParameters().counts_per_revolution == 2**12
-    assert EncoderParameters().resolution_rad == pytest.approx(2 * math.pi / 4096, rel=1e-14)
-    assert EncoderParameters(quantized=False).resolution_rad == 0.0
-    knee, reference = KneeParameters(), SineReference()
-    assert (knee.flexion_min_deg, knee.flexion_max_deg) == (0.0, 90.0)
-    assert reference.mean_deg - reference.amplitude_deg == 10.0
-    assert reference.mean_deg + reference.amplitude_deg == 70.0
-    assert reference.frequency_hz == 0.1
-
-
-def test_derived_values() -> None:
-    pump = BldcPumpParameters(
-        internal_leakage_m3_per_s_pa=3e-13, external_leakage_m3_per_s_pa=2e-13
-    )
-    assert pump.leakage_m3_per_s_pa == pytest.approx(4e-13, rel=1e-14, abs=0)  # C_im + C_em/2
-    nominal = PlantParameters(cylinder=CylinderParameters(mass_kg=1.0))
-    assert Scenario().believed_plant is Scenario().plant
-    assert Scenario(nominal=nominal).believed_plant == nominal
-
-
-def test_linkage_may_be_named() -> None:
-    assert LINKAGES == {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
-    assert len({G1, G2, G3, G4}) == 4
-    assert LinkageParameters() == G1 == PlantParameters().linkage
-    assert PlantParameters(linkage="G3").linkage is G3
-    line = fault(PlantParameters, linkage="G9")
-    assert "linkage" in line
-    assert "must be one of G1, G2, G3" in line
 
 
 # ------------------------------------------------------------------------------- faults
@@ -453,74 +360,9 @@ def test_parameter_error_is_a_value_error() -> None:
     assert issubclass(ParameterError, KneexoError)
 
 
-# ----------------------------------------------------------------------- hash and pickle
-
-
-@pytest.mark.parametrize(
-    "scenario",
-    [
-        Scenario(),
-        IDEAL_SMC,
-        Scenario(
-            nominal=PlantParameters(linkage=G2, load=KneeLoadParameters()),
-            controller=PidParameters(),
-            reference=SampledReference(times_s=(0.0, 1.0, 2.0), angles_deg=(5.0, 6.0, 5.5)),
-        ),
-    ],
-    ids=["default", "ideal", "pid"],
-)
-def test_scenario_is_hashable_and_picklable(scenario: Scenario) -> None:
-    copy = pickle.loads(pickle.dumps(scenario))
-    assert copy == scenario
-    assert hash(copy) == hash(scenario)
-    assert len({scenario, copy, Scenario(bus={"latency_samples": 3})}) == 2
-
-
 def test_integers_become_floats() -> None:
     mass = CylinderParameters(mass_kg=2).mass_kg
     assert isinstance(mass, float)
-
-
-# --------------------------------------------------------------------------- uncertainty
-
-
-@given(share=st.floats(0.0, 1.0))
-def test_an_interval_spans_its_ends_on_its_scale(share: float) -> None:
-    linear = Uncertainty(low=-2.0, high=6.0)
-    assert linear.at(share) == pytest.approx(-2.0 + 8.0 * share, abs=1e-12)
-    log = Uncertainty(low=1e-14, high=1e-12, scale="log")
-    assert math.log10(log.at(share)) == pytest.approx(-14.0 + 2.0 * share, abs=1e-12)
-    assert (log.at(0.0), log.at(1.0)) == (1e-14, 1e-12)  # exactly
-    assert Uncertainty(options=("a", "b", "c")).at(share) == "abc"[min(int(3 * share), 2)]
-
-
-@pytest.mark.parametrize(
-    ("fields", "told"),
-    [
-        ({}, "must have either low and high, or options"),
-        ({"low": 1.0}, "must have either"),
-        ({"low": 1.0, "options": (1,)}, "must have either"),
-        ({"low": 1.0, "high": 2.0, "options": (1,)}, "must have either"),
-        ({"low": 2.0, "high": 2.0}, "low = 2 must be below high = 2"),
-        ({"low": 0.0, "high": 2.0, "scale": "log"}, "low = 0 must be > 0"),
-    ],
-)
-def test_an_uncertainty_is_an_interval_or_options(fields: dict[str, typing.Any], told: str) -> None:
-    with pytest.raises(ParameterError, match=re.escape(told)):
-        Uncertainty(**fields)
-
-
-def test_an_empty_uncertainty_set_is_refused() -> None:
-    with pytest.raises(ParameterError, match="values"):
-        UncertaintySet(values={})
-
-
-@pytest.mark.parametrize("path", UNCERTAINTY.values)
-def test_every_uncertain_value_has_a_source_and_fits_the_scenario(path: str) -> None:
-    uncertain = UNCERTAINTY.values[path]
-    assert uncertain.source != "given by the user"
-    for share in (0.0, 0.5, 1.0):
-        changed(UNCERTAIN_KNEE, {path: uncertain.at(share)})
 
 
 # ------------------------------------------------------------------------------- arrays
@@ -556,66 +398,3 @@ def test_arrays_of_wrong_shape_or_type_are_refused() -> None:
     assert "times_s.0" in two
     assert "must be a valid number" in two
     assert "must be a valid tuple" in fault(SampledReference, times_s="012", angles_deg=(1.0,) * 3)
-
-
-# ---------------------------------------------------------------------- named references
-
-
-def csv_file(directory: Path, text: str) -> CsvReference:
-    (directory / "gait.csv").write_text(text, encoding="utf-8")
-    return CsvReference(file="gait.csv", time="t", angle="knee")
-
-
-def test_csv_reference_reads_two_columns(tmp_path: Path) -> None:
-    text = "# measured\n\nt, hip ,knee\n0,1,10\n0.5,2,20\n\n1,3,12.5\n"
-    given = csv_file(tmp_path, text).model_copy(update={"interpolation": "pchip"})
-    assert given.samples(tmp_path) == SampledReference(
-        times_s=(0.0, 0.5, 1.0), angles_deg=(10.0, 20.0, 12.5), interpolation="pchip"
-    )
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("", "gait.csv: is empty"),
-        ("t,hip\n0,1\n", "gait.csv: has no column 'knee'; it has t, hip"),
-        ("t,knee\n0,1\n1,two\n", "gait.csv:3: knee: 'two'; must be a finite number"),
-        ("t,knee\n0,1\n1\n", "gait.csv:3: knee: no value; must be a finite number"),
-        ("t,knee\n0,1\n1,2\n", "gait.csv: times_s has 2 values: must have at least 3"),
-        (
-            "t,knee\n0,1\n0,2\n1,2\n",
-            "gait.csv:3: t = 0 s after 0 s: must increase by at least 1e-06 s",
-        ),
-        (
-            "t,knee\n0,1\n1,2\n2e5,2\n",
-            "gait.csv:4: t = 200000 s is out of range: must be >= -100000",
-        ),
-    ],
-)
-def test_faults_of_a_csv_reference_name_file_and_line(tmp_path: Path, text: str, line: str) -> None:
-    with pytest.raises(ParameterError) as caught:
-        csv_file(tmp_path, text).samples(tmp_path)
-    assert str(caught.value).startswith(f"{tmp_path}/{line}")
-
-
-def test_a_missing_csv_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match=r"none\.csv: cannot be read: No such file"):
-        CsvReference(file="none.csv").samples(tmp_path)
-
-
-def test_the_gait_curve_has_a_name() -> None:
-    named = Scenario(reference={"kind": "gait", "frequency_hz": 0.5, "cycles": 2})
-    assert named.reference == gait_reference(0.5, 2)
-    assert Scenario(reference="gait").reference == gait_reference(1.0, 30)
-    assert Scenario(reference=GaitReference(cycles=4)).reference == gait_reference(1.0, 4)
-    with pytest.raises(ParameterError, match="reference: 'walk' must be gait, or a mapping"):
-        Scenario(reference="walk")
-    with pytest.raises(ParameterError, match="reference: cycles = 0 is out of range"):
-        Scenario(reference={"kind": "gait", "cycles": 0})
-
-
-def test_proportional_action_alone_errs_as_fig_12_shows():
-    # The error feeds the speed: 30° at 0.1 Hz is at most 18.8 deg/s; Fig. 12 shows some 4°.
-    pid = PidParameters()
-    assert (pid.integral_per_s2, pid.derivative) == (0.0, 0.0)
-    assert 30.0 * math.tau * 0.1 / pid.proportional_per_s == pytest.approx(4.0, abs=0.5)

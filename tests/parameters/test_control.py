@@ -1,0 +1,38 @@
+"""Encoder and controllers have the numbers that the paper prints, or that its figures show."""
+
+import math
+
+import pytest
+
+from kneexo.parameters import (
+    RPM,
+    EncoderParameters,
+    PidParameters,
+    SlidingModeParameters,
+)
+
+
+def test_the_sliding_mode_controller_has_the_numbers_of_table_2() -> None:
+    controller = SlidingModeParameters()
+    assert (controller.mass_min_kg, controller.mass_max_kg) == (1.4, 1.8)
+    assert controller.mass_estimate_kg == pytest.approx(1.587, abs=5e-4)
+    assert controller.gain_ratio == pytest.approx(1.134, abs=5e-4)
+
+
+@pytest.mark.parametrize("controller", [SlidingModeParameters(), PidParameters()])
+def test_controllers_have_the_speed_limit_of_table_2_and_the_period_of_table_3(controller) -> None:
+    assert controller.command_limit_rad_s / RPM == pytest.approx(5000.0, rel=1e-14)
+    assert controller.sample_time_s == 0.002
+
+
+def test_the_encoder_has_12_bits_unless_its_quantizer_is_bypassed() -> None:
+    assert EncoderParameters().counts_per_revolution == 2**12
+    assert EncoderParameters().resolution_rad == pytest.approx(2 * math.pi / 4096, rel=1e-14)
+    assert EncoderParameters(quantized=False).resolution_rad == 0.0
+
+
+def test_proportional_action_alone_errs_as_fig_12_shows() -> None:
+    # The error feeds the speed: 30° at 0.1 Hz is at most 18.8 deg/s; Fig. 12 shows some 4°.
+    pid = PidParameters()
+    assert (pid.integral_per_s2, pid.derivative) == (0.0, 0.0)
+    assert 30.0 * math.tau * 0.1 / pid.proportional_per_s == pytest.approx(4.0, abs=0.5)
