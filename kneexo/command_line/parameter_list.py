@@ -1,4 +1,4 @@
-"""What ``kneexo params`` lists: a row for each parameter, setting and uncertain value."""
+"""The rows that ``kneexo params`` lists: parameters, settings and uncertain values."""
 
 from __future__ import annotations
 
@@ -12,15 +12,22 @@ from kneexo.parameters.quantity import allowed_range, models_of, source_of, unit
 from kneexo.studies.catalogue import STUDIES
 
 Row = dict[str, Any]
-"""``parameter`` (its dotted name), ``value``, ``unit``, ``range`` and ``provenance``."""
+"""The keys are ``parameter`` (a dotted name), ``value``, ``unit``, ``range``, ``provenance``."""
 
 
 def parameter_rows(
     model: BaseModel | type[BaseModel], path: str = "", *, all_kinds: bool = False
 ) -> Iterator[Row]:
-    """Every number and choice of a parameter object or class; ``path`` precedes their names.
+    """Yield a row for each number and choice of a parameter object or class.
 
-    ``all_kinds``: also the kinds that are not chosen, with their defaults.
+    Parameters
+    ----------
+    model
+        The object, or a class with its defaults.
+    path
+        Text before the name of each parameter.
+    all_kinds
+        Whether to add rows of the kinds, such as of controllers, that ``model`` does not have.
     """
     cls = model if isinstance(model, type) else type(model)
     for name, field in cls.model_fields.items():
@@ -44,13 +51,13 @@ def parameter_rows(
 
 
 def setting_rows() -> Iterator[Row]:
-    """The settings of all studies; imports them, and so Drake."""
+    """Yield the settings of all studies; imports the studies, and so Drake."""
     for study in STUDIES.values():
         yield from parameter_rows(study.settings(), f"{study.label or study.command}: ")
 
 
 def uncertainty_rows() -> Iterator[Row]:
-    """The default uncertainty set."""
+    """Yield the default uncertainty set."""
     for path, uncertainty in UNCERTAINTY.values.items():
         options = uncertainty.options
         yield {

@@ -139,6 +139,6 @@ def _number(path: str | os.PathLike[str], line: int, name: str, text: str) -> fl
     text = text.strip(" \t")
     if NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
         return value
-    given = repr(shortened(text, 60)) if text else "no value"
-    message = f"{shortened(name)}: {given}; must be a finite number in the digits 0-9"
+    quoted = repr(shortened(text, 60)) if text else "no value"
+    message = f"{shortened(name)}: {quoted}; must be a finite number in the digits 0-9"
     raise file_error(path, line, message)

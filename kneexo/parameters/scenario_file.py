@@ -1,7 +1,11 @@
-"""Scenario files: YAML to `kneexo.parameters.Scenario` and back; files of uncertain values.
+"""Read and write scenario files in YAML, and read files of uncertain values.
 
-A file names only what differs from the defaults. Every fault is a `ScenarioError` whose single
-line tells file, line, path, value, unit and range.
+A file contains only the values that differ from the defaults. Each error of a file is a
+`ScenarioError`, whose message is one line with file, line, path, value, unit and range.
+
+The files follow YAML 1.2 with fewer forms of scalars: no dates, no octal or hexadecimal numbers, no
+tags, no merge keys. They have limits of depth and of values. PyYAML parses them; `_Loader` adds
+these rules and the line of each path.
 """
 
 from __future__ import annotations
@@ -27,23 +31,24 @@ from kneexo.parameters.uncertainty import require_applicable
 _Path = tuple[str | int, ...]
 _TAG = "tag:yaml.org,2002:"
 _MOST_BYTES = MIB
-_MOST_VALUES = 100_000  # two seconds; aliases can multiply a short text without end
+_MOST_VALUES = 100_000  # read in two seconds; aliases can multiply a short text without end
 _DEEPEST = 20
 
 
 def load_scenario(path: str | os.PathLike[str]) -> Scenario:
-    """Scenario from a YAML file in UTF-8; what the file leaves out has its default.
+    """Read a scenario from a YAML file; values that the file lacks have their defaults.
 
     Parameters
     ----------
     path
-        A regular file of at most 1 MiB with at most 100 000 values. An empty one is the default
-        scenario.
+        A regular file in UTF-8 of at most 1 MiB with at most 100 000 values. An empty file is the
+        default scenario.
 
     Raises
     ------
     ScenarioError
-        The file cannot be read, is not YAML, or has a duplicate, unknown, missing or wrong entry.
+        The file cannot be read or is not YAML, or an entry is unknown, missing, wrong or there
+        twice.
     """
     name = os.fspath(path)
     data, lines = _read(name, read_text(name, _MOST_BYTES))
@@ -57,7 +62,7 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
 def load_uncertainty(
     path: str | os.PathLike[str], scenario: Scenario = UNCERTAIN_KNEE
 ) -> UncertaintySet:
-    """Uncertain values from a YAML file in UTF-8: a mapping from dotted paths to `Uncertainty`.
+    """Read uncertain values from a YAML file, a mapping from dotted paths to `Uncertainty`.
 
     .. code-block:: yaml
 
@@ -65,12 +70,12 @@ def load_uncertainty(
         plant.pump.lag_s: {low: 0.005, high: 0.02, scale: log}
         plant.linkage: {options: [G1, G2, G3], known: true}
 
-    Values that ``scenario`` does not have are kept: `applicable` tells which.
+    The result also has the paths that ``scenario`` lacks; see `applicable`.
 
     Raises
     ------
     ScenarioError
-        As `load_scenario`; also for an empty file, and for a value that is out of range.
+        As `load_scenario`; the file is empty, or a value is out of range.
     """
     name = os.fspath(path)
     data, lines = _read(name, read_text(name, _MOST_BYTES))
@@ -94,17 +99,17 @@ def load_uncertainty(
 
 
 def dump_scenario(scenario: Scenario) -> str:
-    """YAML text (write it as UTF-8) of every value, with unit, range or choices as a comment.
+    """Return YAML text of all values, with unit and range or choices as comments.
 
-    `load_scenario` reads an equal scenario from it: floats have all their digits.
+    Floats have all their digits, so `load_scenario` reads an equal scenario from the text.
     """
     return "\n".join(_dumped(scenario, "")) + "\n"
 
 
 def read_value(name: str, text: str) -> Any:
-    """One value as a scenario file would write it: a scalar, list or mapping in YAML.
+    """Read one value in YAML: a scalar, list or mapping. Messages call it ``name``.
 
-    ``name`` is what a `ScenarioError` calls it.
+    Raises `ScenarioError` if the text is not YAML, or has more than one value.
     """
     data, _ = _read(name, f"value: {text}")
     if list(data) != ["value"]:
@@ -119,7 +124,10 @@ _TOO_MUCH = (
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader with the scalars of YAML 1.2: 1e5 is a number; on, 1:30 and dates are text."""
+    """A loader that reads 1e5 as a number, and on, 1:30 and dates as text.
+
+    Messages call the text ``name``.
+    """
 
     def __init__(self, name: str, text: str) -> None:
         super().__init__(text)
@@ -128,7 +136,7 @@ class _Loader(yaml.SafeLoader):
         self._composed, self._depth = 0, 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """As PyYAML's, but too deep and too long a text ends before it has been read."""
+        """Compose a node as PyYAML does; raises `ScenarioError` if the text is too long or deep."""
         self._composed += 1
         self._depth += 1
         if self._depth > _DEEPEST + 1 or self._composed > 2 * _MOST_VALUES:
@@ -139,20 +147,25 @@ class _Loader(yaml.SafeLoader):
         self._depth -= 1
         return node
 
-    def fault(self, node: yaml.Node, path: _Path, message: str) -> ScenarioError:
+    def error(self, node: yaml.Node, path: _Path, message: str) -> ScenarioError:
+        """Return the error of a node: file, line, path and message."""
         where = f"{_dotted(path)}: " if path else ""
         return file_error(self.name, node.start_mark.line + 1, where + message)
 
     def plain(self, node: yaml.Node, path: _Path) -> Any:
-        """Dictionaries, tuples and scalars of a node; notes the line of each path in ``lines``."""
+        """Return a node as dictionaries, tuples and scalars.
+
+        Stores the line of each path in ``lines``. Raises `ScenarioError` for a tag, a name that is
+        not text or is there twice, and too many levels or values.
+        """
         self.lines.setdefault(path, node.start_mark.line + 1)
         if len(path) > _DEEPEST or len(self.lines) > _MOST_VALUES:
-            raise self.fault(node, path, _TOO_MUCH)
+            raise self.error(node, path, _TOO_MUCH)
         quoted = isinstance(node, yaml.ScalarNode) and node.style is not None
         # PyYAML's stubs leave resolve() untyped.
         implied = self.resolve(type(node), node.value, (not quoted, quoted))  # type: ignore[no-untyped-call]
         if node.tag != implied:
-            raise self.fault(node, path, f"tag {shortened(node.tag)!r} is not supported")
+            raise self.error(node, path, f"tag {shortened(node.tag)!r} is not supported")
         if isinstance(node, yaml.ScalarNode):
             return self.construct_object(node)
         if isinstance(node, yaml.SequenceNode):
@@ -161,17 +174,17 @@ class _Loader(yaml.SafeLoader):
         for key_node, value_node in node.value:
             key = key_node.value
             if not isinstance(key_node, yaml.ScalarNode) or key_node.tag != f"{_TAG}str":
-                shown = shortened(key or "null") if isinstance(key, str) else "a list or mapping"
-                raise self.fault(key_node, path, f"a name must be text, not {shown}")
+                kind = shortened(key or "null") if isinstance(key, str) else "a list or mapping"
+                raise self.error(key_node, path, f"a name must be text, not {kind}")
             at = (*path, key)
             if first := self.lines.get(at):
-                raise self.fault(key_node, at, f"duplicate name, first on line {first}")
+                raise self.error(key_node, at, f"duplicate name, first on line {first}")
             self.lines[at] = key_node.start_mark.line + 1
             data[key] = self.plain(value_node, at)
         return data
 
 
-_Loader.yaml_implicit_resolvers = {}  # its own, in place of SafeLoader's
+_Loader.yaml_implicit_resolvers = {}  # in place of those of SafeLoader
 for _kind, _pattern in {
     "null": r"|~|null|Null|NULL",
     "bool": r"true|True|TRUE|false|False|FALSE",
@@ -183,14 +196,14 @@ for _kind, _pattern in {
 
 
 def _line(lines: Mapping[_Path, int], location: _Path) -> int:
-    """Line of a location, or of what holds it."""
+    """Return the line of a location, or of the nearest mapping or list that contains it."""
     while location not in lines:
         location = location[:-1]
     return lines[location]
 
 
 def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
-    """The top-level mapping of a YAML text, and the line of each path in it."""
+    """Return the top-level mapping of a YAML text, and the line of each path in it."""
     try:
         loader = _Loader(name, text)
         root = loader.get_single_node()
@@ -204,7 +217,11 @@ def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
         raise file_error(
             name, line, f"YAML syntax: {text[error.position]!a}: {error.reason}"
         ) from None
-    except (ArithmeticError, ValueError, RecursionError) as error:  # an absurd \U, %YAML, nesting
+    except (
+        ArithmeticError,
+        ValueError,
+        RecursionError,
+    ) as error:  # wrong \U or %YAML, nesting
         raise file_error(name, None, f"YAML syntax: {error}") from None
     if root is None or (data := loader.plain(root, ())) is None:
         return {}, loader.lines
@@ -215,6 +232,7 @@ def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
 
 
 def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
+    """Yield the lines of parameters in YAML."""
     for name, field in type(parameters).model_fields.items():
         value = getattr(parameters, name)
         comment = f"  # {note}" if (note := _note(field)) else ""
@@ -226,7 +244,7 @@ def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
 
 
 def _text_of(value: Any) -> str:
-    """A value in YAML, floats with the point that YAML 1.1 wants."""
+    """Return a value in YAML; floats have a point, which other readers require (YAML 1.1)."""
     if isinstance(value, dict):
         return f"{{{', '.join(f'{json.dumps(k)}: {_text_of(v)}' for k, v in value.items())}}}"
     if isinstance(value, str):
@@ -235,7 +253,7 @@ def _text_of(value: Any) -> str:
 
 
 def _note(field: FieldInfo) -> str:
-    """Unit and range of a field, or what may be chosen."""
+    """Return unit and range of a field, or its choices."""
     options = get_args(field.annotation)
     if field.discriminator:
         return "kind: " + ", ".join(member.model_fields["kind"].default for member in options)

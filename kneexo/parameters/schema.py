@@ -1,7 +1,7 @@
-"""JSON schema of scenario files, for editors and other programs.
+"""The JSON schema of scenario files, for editors and other programs.
 
-pydantic makes it from the parameter classes; this module adds what a scenario file may write in
-place of a mapping, and a description of each value.
+pydantic creates the schema from the parameter classes. This module adds the names that a file may
+have in place of a mapping, such as ``linkage: G1``, and a description of each value.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from pydantic.json_schema import models_json_schema
 from kneexo.parameters import LINKAGES, CsvReference, GaitReference, Scenario
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
-"""The draft that editors know; nothing in the schema needs a later one."""
+"""The newest draft that editors support; the schema needs no later one."""
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON schema of a scenario file (draft 7).
+    """Return the JSON schema of a scenario file (draft 7).
 
-    Each value has ``unit``, ``source`` and a ``description`` with unit, range and source. What no
-    single value shows, such as a reference that leaves the range of motion, `load_scenario` alone
-    finds.
+    Each value has ``unit``, ``source`` and a ``description`` with unit, range and source. The
+    schema checks each value alone. Only `load_scenario` also checks conditions on several values,
+    such as a reference that leaves the range of motion.
     """
     models: Any = [(model, "validation") for model in (Scenario, CsvReference, GaitReference)]
     classes = models_json_schema(models)[1]["$defs"]
@@ -46,7 +46,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _require_kinds(value: dict[str, Any], classes: dict[str, Any]) -> None:
-    """All members of a union but the default one must say their kind."""
+    """Require ``kind`` in all members of a union but the default member."""
     if value.pop("discriminator", None) is None:
         return
     default = value["default"]["kind"]
@@ -57,20 +57,20 @@ def _require_kinds(value: dict[str, Any], classes: dict[str, Any]) -> None:
 
 
 def _parts(value: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """A schema and its alternatives."""
+    """Yield a schema and its alternatives."""
     yield value
     yield from (part for key in ("anyOf", "oneOf") for part in value.get(key, []))
 
 
 def _without_prefix_items(value: dict[str, Any]) -> None:
-    """Tuples of equal items as arrays of a fixed length, which draft 7 knows."""
+    """Change a tuple of equal items to an array of fixed length, as draft 7 writes it."""
     items = value.pop("prefixItems", None)
     if items is not None:
         value["items"] = items[0]
 
 
 def _description(value: dict[str, Any]) -> str:
-    """Unit, range and source of a value in one line; empty when it has none."""
+    """Return unit, range and source of a value in one line; empty if it has no source."""
     if "source" not in value:
         return ""
     bounds = [

@@ -86,7 +86,7 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
         """Return the positions of a point of the coupler; ``point``: its position at 0 rad."""
         return np.asarray(turn * (point - straight.joint_b) + now.joint_b)
 
-    def seen(point: Points | complex) -> Points:
+    def from_thigh(point: Points | complex) -> Points:
         """Transform points from the frame of the ground link to that of the thigh."""
         values = point * np.ones(angle.size, dtype=complex)
         if shank_is_ground:
@@ -111,12 +111,17 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     ):
         for name, point in (leg | of_linkage).items():
             key = name if name in ("ankle", "toe", "hip") else f"{limb}_{name}"
-            result[key] = seen(point if on_ground else moved(point))
-    result |= {"o_a": seen(o_a), "o_b": seen(o_b), "a": seen(now.joint_a), "b": seen(now.joint_b)}
-    result |= {"cylinder_pin": seen(anchor), "rod_pin": seen(now.rod_pin)}
+            result[key] = from_thigh(point if on_ground else moved(point))
+    result |= {
+        "o_a": from_thigh(o_a),
+        "o_b": from_thigh(o_b),
+        "a": from_thigh(now.joint_a),
+        "b": from_thigh(now.joint_b),
+    }
+    result |= {"cylinder_pin": from_thigh(anchor), "rod_pin": from_thigh(now.rod_pin)}
     along = result["rod_pin"] - result["cylinder_pin"]
     along = along / np.abs(along) * link.rod_length_m
     result["cylinder_end"] = result["cylinder_pin"] + HEAD * along
     result["rod_start"] = result["rod_pin"] - along
-    result["icr"] = seen(np.asarray(centre_x + 1j * centre_y))
+    result["icr"] = from_thigh(np.asarray(centre_x + 1j * centre_y))
     return result

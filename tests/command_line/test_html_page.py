@@ -106,9 +106,9 @@ def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
             assert float(value) == pytest.approx(numbers[name], rel=1e-5)
     assert re.search("duration_s: 0.5", text)
     assert ("knee_angle_deg: 40.0" in text) == (command == "linearize")
-    told = html.escape(shlex.join(["kneexo", command, short, f"--set={change}"]))
-    assert f"<title>{told}</title>" in text
-    assert f"<p>kneexo {__version__}: <code>{told}</code></p>" in text
+    title = html.escape(shlex.join(["kneexo", command, short, f"--set={change}"]))
+    assert f"<title>{title}</title>" in text
+    assert f"<p>kneexo {__version__}: <code>{title}</code></p>" in text
     assert len(text) < 3e6
 
 
@@ -144,8 +144,8 @@ def test_html_writes_over_no_file_of_others(command, tmp_path, capsys):
     page = tmp_path / f"{command}.html"
     page.write_text("<title>mine</title>", encoding="utf-8")
     assert main([command, "--out", str(tmp_path), "--html"]) == 2
-    told = f"kneexo: {page} exists and is no page of kneexo; choose another --out\n"
-    assert capsys.readouterr().err == told
+    message = f"kneexo: {page} exists and is no page of kneexo; choose another --out\n"
+    assert capsys.readouterr().err == message
     assert page.read_text(encoding="utf-8") == "<title>mine</title>"
     assert list(tmp_path.iterdir()) == [page]
 

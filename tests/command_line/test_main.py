@@ -38,14 +38,14 @@ def test_a_full_device_is_a_line(arguments, short, run_command):
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
     words = [short if word == "SCENARIO" else word for word in arguments]
     with open("/dev/full", "w") as full:
-        done = run_command(*words, stdout=full, env=environment)
-    assert (done.returncode, done.stderr) == (2, "kneexo: No space left on device\n")
+        process = run_command(*words, stdout=full, env=environment)
+    assert (process.returncode, process.stderr) == (2, "kneexo: No space left on device\n")
 
 
 def test_a_closed_output_is_no_failure():
     line = ["sh", "-c", 'exec "$0" -m kneexo cache >&-', sys.executable]
-    done = subprocess.run(line, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    process = subprocess.run(line, capture_output=True, text=True)
+    assert (process.returncode, process.stderr) == (0, "")
 
 
 def test_an_unknown_matplotlib_backend_does_not_matter(monkeypatch):
@@ -64,10 +64,10 @@ def test_no_home_directory_is_a_line(tmp_path):
     )
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("KNEEXO", "XDG"))}
     line = [sys.executable, "-c", code]
-    done = subprocess.run(line, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0
-    (told,) = done.stderr.splitlines()
-    assert told.startswith("kneexo: cache directory: cannot be determined")
+    process = subprocess.run(line, env=environment, capture_output=True, text=True)
+    assert process.returncode == 0
+    (message,) = process.stderr.splitlines()
+    assert message.startswith("kneexo: cache directory: cannot be determined")
 
 
 def test_too_little_memory_is_a_line(capsys, monkeypatch, tmp_path):
@@ -122,7 +122,7 @@ def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (
             ["simulate", "a\nb\x1b", "--out", "o"],
@@ -135,32 +135,32 @@ def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp
         (["view", "--out", "k", "loop"], "kneexo: loop: cannot be read: Too many levels of symb"),
     ],
 )
-def test_names_are_short_and_on_one_line(capsys, tmp_path, monkeypatch, arguments, told):
+def test_names_are_short_and_on_one_line(capsys, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     Path("loop").symlink_to("loop")
     assert main(arguments) == 2
     line = capsys.readouterr().err
-    assert line.startswith(told)
+    assert line.startswith(message)
     assert line.count("\n") == 1
     assert len(line) < 1000
     assert os.listdir() == ["loop"]
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "message"),
     [
         (SystemExit(5), "kneexo: SystemExit: 5 ("),
         (ZeroDivisionError("mine"), "kneexo: ZeroDivisionError: mine ("),
     ],
 )
-def test_an_error_of_the_users_code_is_one_line_with_its_place(capsys, monkeypatch, error, told):
+def test_an_error_of_the_users_code_is_one_line_with_its_place(capsys, monkeypatch, error, message):
     def fail(*_):
         raise error
 
     monkeypatch.setattr(utilities, "params", fail)
     assert main(["params", "--schema"]) == 2
     line = capsys.readouterr().err
-    assert line.startswith(told)
+    assert line.startswith(message)
     assert line.endswith("; correct that code\n")
     assert "test_main.py, line " in line
 
@@ -185,15 +185,15 @@ def wait_for(condition, seconds=60.0):
 
 def alive(session):
     """Processes of a session that still work."""
-    found = []
+    processes = []
     for file in Path("/proc").glob("[0-9]*/stat"):
         try:
-            state, _, _, of = file.read_text().rpartition(")")[2].split()[:4]
+            state, _, _, its_session = file.read_text().rpartition(")")[2].split()[:4]
         except OSError:  # it has just ended
             continue
-        if int(of) == session and state != "Z":
-            found.append(int(file.parent.name))
-    return found
+        if int(its_session) == session and state != "Z":
+            processes.append(int(file.parent.name))
+    return processes
 
 
 @contextmanager
@@ -219,13 +219,13 @@ SWEEP = ["bandwidth", "--workers", "2"]
 
 
 @pytest.mark.parametrize(
-    ("number", "told", "code"),
+    ("number", "word", "code"),
     [
         pytest.param(signal.SIGINT, "interrupted", 130, marks=pytest.mark.slow),
         (signal.SIGTERM, "terminated", 143),
     ],
 )
-def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, told, code):
+def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, word, code):
     out = tmp_path / "deep" / "out"
     with started(*SWEEP, "--out", out) as process:
         wait_for(lambda: len(alive(process.pid)) >= 3)  # workers are there, or are starting
@@ -234,7 +234,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, told, cod
         error = process.communicate(timeout=20)[1]
         assert process.returncode == code
         assert "Traceback" not in error
-        assert error.splitlines()[-1] == f"kneexo: {told}; nothing was written"
+        assert error.splitlines()[-1] == f"kneexo: {word}; nothing was written"
         assert not (tmp_path / "deep").exists()
         wait_for(lambda: not alive(process.pid), 5.0)
 
@@ -247,10 +247,10 @@ def test_a_killed_sweep_leaves_no_process_and_its_pieces(tmp_path):
         process.kill()
         process.wait()
         wait_for(lambda: not alive(process.pid), 5.0)
-    kept = path.read_bytes()
+    pieces = path.read_bytes()
     assert [file.name for file in tmp_path.glob(".*")] == [next(tmp_path.glob(".kneexo-*")).name]
     with started("bandwidth", "--workers", "1", "--out", tmp_path) as process:
-        wait_for(lambda: path.stat().st_size > len(kept))  # it has gone on
+        wait_for(lambda: path.stat().st_size > len(pieces))  # it has gone on
         process.terminate()
         error = process.communicate(timeout=20)[1]
         assert process.returncode == 143
@@ -260,7 +260,7 @@ def test_a_killed_sweep_leaves_no_process_and_its_pieces(tmp_path):
         rf"the same command goes on from them",
         last,
     )
-    assert path.read_bytes().startswith(kept)
+    assert path.read_bytes().startswith(pieces)
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
@@ -278,7 +278,7 @@ runpy.run_module("kneexo", run_name="__main__", alter_sys=True)
 
 
 @pytest.mark.parametrize(
-    ("module", "told"),
+    ("module", "message"),
     [
         ("kneexo.command_line.main", "interrupted"),
         ("argparse", "interrupted"),
@@ -287,25 +287,25 @@ runpy.run_module("kneexo", run_name="__main__", alter_sys=True)
         pytest.param("matplotlib", "interrupted; KEPT", marks=pytest.mark.slow),
     ],
 )
-def test_an_interrupt_of_an_import_is_one_true_line(tmp_path, module, told):
-    kept = tmp_path / "bandwidth.checkpoint.jsonl"
-    kept.write_text("")
-    done = subprocess.run(
+def test_an_interrupt_of_an_import_is_one_true_line(tmp_path, module, message):
+    checkpoint = tmp_path / "bandwidth.checkpoint.jsonl"
+    checkpoint.write_text("")
+    process = subprocess.run(
         [sys.executable, "-c", EARLY, module, "bandwidth", "--out", str(tmp_path)],
         capture_output=True,
         text=True,
     )
-    line = f"finished pieces are kept in {kept}; the same command goes on from them"
-    assert done.stderr == f"kneexo: {told.replace('KEPT', line)}\n"
-    assert done.returncode == 130
+    line = f"finished pieces are kept in {checkpoint}; the same command goes on from them"
+    assert process.stderr == f"kneexo: {message.replace('KEPT', line)}\n"
+    assert process.returncode == 130
 
 
 @pytest.mark.parametrize(
-    ("interrupt", "code", "told"),
+    ("interrupt", "code", "message"),
     [(KeyboardInterrupt(), 130, "interrupted"), (Terminated(), 143, "terminated")],
 )
 def test_an_interrupt_behind_import_errors_is_one_line(
-    capsys, monkeypatch, tmp_path, interrupt, code, told
+    capsys, monkeypatch, tmp_path, interrupt, code, message
 ):
     """Extension modules that import each other make an ImportError of an ImportError."""
     inner, middle, outer = ImportError("common"), ImportError("trees"), ImportError("framework")
@@ -316,7 +316,7 @@ def test_an_interrupt_behind_import_errors_is_one_line(
 
     monkeypatch.setattr(single_runs, "simulate", imports)
     assert main(["simulate", "--out", str(tmp_path)]) == code
-    assert capsys.readouterr().err == f"kneexo: {told}; nothing was written\n"
+    assert capsys.readouterr().err == f"kneexo: {message}; nothing was written\n"
     inner.__cause__ = ModuleNotFoundError("trees")
     with pytest.raises(ImportError, match="framework"):
         main(["simulate", "--out", str(tmp_path)])
@@ -363,6 +363,6 @@ def test_drake_does_not_see_an_interrupt_of_its_import(tmp_path):
     )
     code += "sys.exit(cli.main(['simulate', '--out', sys.argv[1]]))"
     line = [sys.executable, "-c", code, str(tmp_path)]
-    done = subprocess.run(line, capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "kneexo: interrupted; nothing was written\n"
+    process = subprocess.run(line, capture_output=True, text=True)
+    assert (process.returncode, process.stdout) == (130, "")
+    assert process.stderr == "kneexo: interrupted; nothing was written\n"

@@ -61,7 +61,7 @@ def test_the_engine_wins_over_the_values(capsys, short, tmp_path, undrawn):
 
 @pytest.mark.parametrize("command", ["simulate", "linearize"])
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("plant.cylinder.mass_kg", "--set plant.cylinder.mass_kg: must be NAME=VALUE"),
         ("plant.cylinder.mass_kg=-1", "plant.cylinder.mass_kg = -1 kg is out of range"),
@@ -73,12 +73,12 @@ def test_the_engine_wins_over_the_values(capsys, short, tmp_path, undrawn):
         ("controller.mass_min_kg=2", "must not exceed mass_max_kg"),
     ],
 )
-def test_bad_values_of_the_scenario_are_one_line(capsys, tmp_path, command, text, told):
+def test_bad_values_of_the_scenario_are_one_line(capsys, tmp_path, command, text, message):
     out = tmp_path / "out"
     assert main([command, "--set", text, "--out", str(out)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("kneexo: ")
-    assert told in line
+    assert message in line
     assert not out.exists()
 
 

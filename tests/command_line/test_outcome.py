@@ -2,20 +2,69 @@ import fcntl
 import sys
 import warnings
 
+import matplotlib.pyplot as plt
 import pytest
 
 from kneexo.command_line.main import main
-from kneexo.errors import WorkerError
+from kneexo.command_line.outcome import Delivery, Outcome, Request, file_names, named_in_errors
+from kneexo.errors import ParameterError, WorkerError
 from kneexo.interruption import Terminated
+
+
+@pytest.mark.parametrize(
+    ("json", "document", "stdout", "stderr"),
+    [
+        (False, "{}\n", "text\n", "notice\nadvice\n"),
+        (True, "{}\n", "{}\n", "notice\n"),
+        (True, None, "text\n", "notice\nadvice\n"),
+    ],
+)
+def test_text_or_document_is_printed_and_notices_go_to_stderr(
+    capsys, json, document, stdout, stderr
+):
+    outcome = Outcome("text\n", document, ["notice"], "advice")
+    assert Delivery(Request(lambda: outcome, json=json)).run() == 0
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == (stdout, stderr)
+
+
+def test_files_and_figures_are_written_to_the_directory(tmp_path):
+    files = {
+        "a.txt": "λ",
+        "b.bin": b"\xff",
+        "c.txt": lambda path: path.write_text("by a function"),
+    }
+    figures = {"d": plt.figure()}
+    delivery = Delivery(
+        Request(lambda: Outcome(files=files, figures=figures), directory=tmp_path / "out")
+    )
+    assert delivery.interrupt_notice() == "nothing was written"
+    assert delivery.run() == 0
+    assert delivery.interrupt_notice() == f"the results are in {tmp_path / 'out'}"
+    out = tmp_path / "out"
+    assert sorted(file.name for file in out.iterdir()) == file_names(files, figures)
+    assert (out / "a.txt").read_text(encoding="utf-8") == "λ"
+    assert (out / "b.bin").read_bytes() == b"\xff"
+    assert (out / "c.txt").read_text() == "by a function"
+    assert not plt.fignum_exists(figures["d"].number)
+
+
+def test_an_error_names_its_file_once():
+    for message in ("wrong", "a.yaml:3: wrong"):
+        with pytest.raises(ParameterError) as error, named_in_errors("a.yaml"):
+            raise ParameterError(message)
+        assert str(error.value) in ("a.yaml: wrong", "a.yaml:3: wrong")
+    with pytest.raises(ParameterError, match=r"^wrong$"), named_in_errors(None):
+        raise ParameterError("wrong")
 
 
 @pytest.mark.parametrize("pieces", [0, 2])
 @pytest.mark.parametrize(
-    ("interrupt", "told", "code"),
+    ("interrupt", "message", "code"),
     [(KeyboardInterrupt, "interrupted", 130), (Terminated, "terminated", 143)],
 )
 def test_an_interrupt_tells_how_many_pieces_are_kept(
-    capsys, tmp_path, interrupt, told, code, pieces, stand_in
+    capsys, tmp_path, interrupt, message, code, pieces, stand_in
 ):
     def interrupted(checkpoint):
         for n in range(pieces):
@@ -31,7 +80,7 @@ def test_an_interrupt_tells_how_many_pieces_are_kept(
         if pieces
         else "nothing was written"
     )
-    assert capsys.readouterr().err.splitlines() == [f"kneexo: {told}; {fate}"]
+    assert capsys.readouterr().err.splitlines() == [f"kneexo: {message}; {fate}"]
     assert list((tmp_path / "deep").rglob("*.*")) == ([path] if pieces else [])
     assert (tmp_path / "deep").exists() == bool(pieces)
 
@@ -46,15 +95,17 @@ def test_finished_pieces_go_only_when_asked(capsys, tmp_path, stand_in):
 
     stand_in(interrupted)
     assert main(command) == 130
-    seen = []
-    stand_in(lambda checkpoint: seen.append(len(checkpoint)))
+    pieces_at_start = []
+    stand_in(lambda checkpoint: pieces_at_start.append(len(checkpoint)))
     for option in ([], ["--resume"]):
         assert main([*command, *option]) == 0
-        told = f"kneexo: 1 finished pieces of other settings stay in {path}; --restart deletes them"
-        assert capsys.readouterr().err.splitlines()[-1] == told
+        message = (
+            f"kneexo: 1 finished pieces of other settings stay in {path}; --restart deletes them"
+        )
+        assert capsys.readouterr().err.splitlines()[-1] == message
     assert main([*command, "--restart"]) == 0
     assert not path.exists()
-    assert seen == [1, 1, 0]
+    assert pieces_at_start == [1, 1, 0]
 
 
 @pytest.mark.parametrize("option", [[], ["--resume"], ["--restart"]])

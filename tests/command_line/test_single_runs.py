@@ -67,7 +67,7 @@ def test_a_run_that_would_not_fit_into_memory_is_refused(capsys, scenario_file, 
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("plant: {cylinder: {mass_kg: -1}}", "plant.cylinder.mass_kg = -1 kg is out of range"),
         ("plant: {cylinder: {mass_kg: .nan}}", "mass_kg = nan kg is out of range"),
@@ -99,13 +99,13 @@ def test_a_run_that_would_not_fit_into_memory_is_refused(capsys, scenario_file, 
     ],
 )
 def test_bad_scenarios_are_one_line_exit_2_and_leave_nothing(
-    capsys, scenario_file, tmp_path, text, told
+    capsys, scenario_file, tmp_path, text, message
 ):
     out = tmp_path / "out"
     assert main(["simulate", scenario_file(text), "--out", str(out)]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("kneexo:")]
     assert len(lines) == 1
-    assert told in lines[0]
+    assert message in lines[0]
     assert "scenario.yaml" in lines[0]
     assert not out.exists()
 
@@ -135,9 +135,9 @@ def test_linearize_writes_what_it_finds_and_refuses_a_posture_out_of_range(capsy
     zeta = (oil.damping_n_s_per_m / oil.mass_kg + softness * leak) / (2.0 * omega)
     pair = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
     poles = [0.0, -1.0 / pump.lag_s, pair, pair.conjugate()]
-    found = [complex(*pole) for pole in printed["plant_poles_per_s"]]
+    printed_poles = [complex(*pole) for pole in printed["plant_poles_per_s"]]
     by_imaginary_part = {"key": lambda pole: (pole.imag, pole.real)}
-    assert sorted(found, **by_imaginary_part) == pytest.approx(
+    assert sorted(printed_poles, **by_imaginary_part) == pytest.approx(
         sorted(map(complex, poles), **by_imaginary_part), rel=1e-9, abs=1e-6
     )
     assert printed["plant_frequencies_rad_s"] == pytest.approx(

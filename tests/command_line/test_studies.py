@@ -52,18 +52,18 @@ def test_an_interrupted_study_goes_on_with_identical_results(
 
 @pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
 def test_each_study_is_wired(capsys, tmp_path, study, replace_study):
-    seen = {}
+    options = {}
 
     def compute(scenario=Scenario(), *, settings, workers, executor, progress, checkpoint=None):
         assert executor is None
         assert (checkpoint is not None) == study.resumable
-        seen["workers"] = workers
+        options["workers"] = workers
 
     replace_study(study.name, compute)
     command = study.command.split()
     out = tmp_path / "out"
     assert main([*command, "--workers", "2", "--out", str(out), "--json"]) == 0
-    assert seen["workers"] == 2
+    assert options["workers"] == 2
     printed = json.loads(capsys.readouterr().out)
     assert printed["settings"] == study.settings.__name__
     names = ("results", "report") if study.name == "reproduce" else (study.name, study.name)
@@ -85,15 +85,15 @@ def test_json_of_a_sweep_says_version_scenario_and_settings(capsys, tmp_path, un
 
 
 def test_reproduce_takes_settings_of_fig_13(capsys, tmp_path, replace_study):
-    seen = []
+    passed = []
 
     def compute(scenario=Scenario(), *, settings, **_):
-        seen.append(settings)
+        passed.append(settings)
 
     replace_study("reproduce", compute)
     command = ["reproduce", "--set", "trials=2", "--set", "frequencies_hz=[0.2, 0.21, 0.3]"]
     assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
-    assert seen == [SinestreamSettings(trials=2, frequencies_hz=(0.2, 0.21, 0.3))]
+    assert passed == [SinestreamSettings(trials=2, frequencies_hz=(0.2, 0.21, 0.3))]
 
 
 def test_a_scalar_is_a_list_of_one(capsys, tmp_path, undrawn, small_map):
@@ -108,7 +108,7 @@ def test_workers_below_one_are_refused(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--set", "frequencies_hz=[1, 2, 90]"], "90 Hz is too high: must be <= 50 Hz"),
         (["--set", "frequencies_hz=[1, 2, 300]"], "frequencies_hz.2 = 300 Hz is out of range"),
@@ -122,17 +122,19 @@ def test_workers_below_one_are_refused(capsys, tmp_path):
         (["--workers", "0"], "--workers = 0: must be at least 1"),
     ],
 )
-def test_bad_settings_of_a_study_are_one_line_and_leave_nothing(capsys, tmp_path, arguments, told):
+def test_bad_settings_of_a_study_are_one_line_and_leave_nothing(
+    capsys, tmp_path, arguments, message
+):
     out = tmp_path / "out"
     assert main(["bandwidth", *arguments, "--out", str(out)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
-    assert told in lines[0]
+    assert message in lines[0]
     assert not out.exists()
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("estimate.tolerance=9", "estimate.tolerance = 9 is out of range"),
         ("estimate.tol=9", "estimate.tol: unknown name; known here: averaged_cycles"),
@@ -140,13 +142,13 @@ def test_bad_settings_of_a_study_are_one_line_and_leave_nothing(capsys, tmp_path
         ("tol=9", "tol: unknown name; known here: amplitudes_deg"),
     ],
 )
-def test_faults_of_nested_settings_name_their_path(capsys, tmp_path, text, told):
+def test_faults_of_nested_settings_name_their_path(capsys, tmp_path, text, message):
     assert main(["bandwidth", "--set", text, "--out", str(tmp_path / "out")]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("trials=0", "trials = 0 is out of range: must be finite and >= 1"),
         ("trial=1", "trial: unknown name; known here: acceleration_limit_max_rad_s2"),
@@ -154,8 +156,8 @@ def test_faults_of_nested_settings_name_their_path(capsys, tmp_path, text, told)
         ("mass_min_kg=1.9", "mass_min_kg = 1.9 kg must not exceed mass_max_kg = 1.8 kg"),
     ],
 )
-def test_bad_settings_of_fig_13_are_one_line(capsys, tmp_path, text, told):
+def test_bad_settings_of_fig_13_are_one_line(capsys, tmp_path, text, message):
     assert main(["reproduce", "--set", text, "--out", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert told in line
+    assert message in line
     assert not (tmp_path / "out").exists()

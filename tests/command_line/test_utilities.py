@@ -32,12 +32,12 @@ def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenar
         assert main(["params", *arguments, "--json"]) == 0
         rows = json.loads(capsys.readouterr().out)["parameters"]
         listed.append({row["parameter"] for row in rows})
-    everything, own = listed
+    everything, of_file = listed
     assert "controller(pid).integral_per_s2" in everything
     assert "bandwidth: amplitudes_deg" in everything
     assert "reproduce, Fig. 13: trials" in everything
-    assert "controller.integral_per_s2" in own
-    assert not any("(" in name or ":" in name for name in own)
+    assert "controller.integral_per_s2" in of_file
+    assert not any("(" in name or ":" in name for name in of_file)
 
 
 def test_params_prints_a_json_schema(capsys):

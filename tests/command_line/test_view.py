@@ -46,8 +46,8 @@ def test_a_page_opens_where_there_is_a_browser(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     page.unlink()
     assert main([*command, "--open"]) == 2
-    told = capsys.readouterr().err
-    assert told == f"kneexo: --open: no browser here; {page} is written, open it elsewhere\n"
+    message = capsys.readouterr().err
+    assert message == f"kneexo: --open: no browser here; {page} is written, open it elsewhere\n"
     assert page.exists()
     assert main(command) == 0
     assert len(opened) == 2
@@ -113,8 +113,8 @@ def test_a_scenario_file_and_a_directory_of_one_name_have_names_that_differ(
 def test_values_of_a_finished_run_cannot_be_set(tmp_path, capsys, finished):
     run, page = finished("run"), tmp_path / "knee.html"
     assert main(["view", run, "--set", "plant.linkage=G3", "--out", str(page)]) == 2
-    told = f"kneexo: --set: {run} holds a finished run; its values are fixed\n"
-    assert capsys.readouterr().err == told
+    message = f"kneexo: --set: {run} holds a finished run; its values are fixed\n"
+    assert capsys.readouterr().err == message
     assert not page.exists()
 
 

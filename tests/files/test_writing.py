@@ -161,7 +161,7 @@ def test_an_error_in_the_middle_restores_the_old_files(tmp_path, monkeypatch, li
 
 
 def test_an_interrupt_in_the_middle_comes_after_the_last_file(tmp_path, monkeypatch):
-    replace, seen = os.replace, []
+    replace, files_when_written = os.replace, []
 
     def interrupted(source, target):
         if source.name == "b.csv":
@@ -171,14 +171,16 @@ def test_an_interrupt_in_the_middle_comes_after_the_last_file(tmp_path, monkeypa
     monkeypatch.setattr(os, "replace", interrupted)
 
     def write_it():
-        with output_directory(tmp_path, lambda: seen.append(texts(tmp_path))) as directory:
+        with output_directory(
+            tmp_path, lambda: files_when_written.append(texts(tmp_path))
+        ) as directory:
             for name in ("a.csv", "b.csv", "c.csv"):
                 (directory / name).write_text("new")
 
     with pytest.raises(KeyboardInterrupt):
         write_it()
-    assert seen == [{"a.csv": "new", "b.csv": "new", "c.csv": "new"}]
-    assert texts(tmp_path) == seen[0]
+    assert files_when_written == [{"a.csv": "new", "b.csv": "new", "c.csv": "new"}]
+    assert texts(tmp_path) == files_when_written[0]
     assert len(list(tmp_path.iterdir())) == 3
 
 
@@ -193,7 +195,7 @@ with output_directory(sys.argv[1]) as directory:
 
 def test_leftovers_of_the_dead_are_deleted_and_of_the_living_are_not(tmp_path):
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)])
-    (left,) = tmp_path.glob(".kneexo-*")
+    (leftover,) = tmp_path.glob(".kneexo-*")
     (tmp_path / ".kneexo-mine").mkdir()
     (tmp_path / ".kneexo-mine" / "text").write_text("mine")
     (tmp_path / ".kneexo-file").write_text("mine")
@@ -201,7 +203,7 @@ def test_leftovers_of_the_dead_are_deleted_and_of_the_living_are_not(tmp_path):
     (tmp_path / ".kneexo-half").mkdir()  # killed while it was deleted
     (tmp_path / ".kneexo-half" / "kneexo.lock").touch()
     with output_directory(tmp_path) as directory:
-        assert not left.exists()
+        assert not leftover.exists()
         write(tmp_path)
         assert directory.exists()
     names = {".kneexo-mine", ".kneexo-file", "a.csv", "b.csv", "c.csv"}

@@ -143,8 +143,8 @@ def test_each_section_loads_from_its_own_dump(file: File, section: str) -> None:
         part["estimator"] = whole["estimator"]
     loaded = file.load(yaml.safe_dump(part))
     expected = G2 if section == "nominal" else getattr(IDEAL_SMC, section)
-    found = loaded.nominal.linkage if section == "nominal" else getattr(loaded, section)
-    assert found == expected
+    value = loaded.nominal.linkage if section == "nominal" else getattr(loaded, section)
+    assert value == expected
 
 
 @pytest.mark.parametrize(
@@ -357,10 +357,12 @@ def test_fault_is_one_line_with_file_line_and_path(
         ("simulation: {duration_s: " + "1" * 5000 + "}", ["simulation.duration_s = inf s"]),
     ],
 )
-def test_fault_on_line_1_tells(file: File, text: str, parts: list[str]) -> None:
-    found = file.fault(text)
-    assert found.startswith(("scenario.yaml:1: ", "scenario.yaml: YAML"))
-    assert all(part in found for part in parts), found
+def test_the_message_of_a_fault_on_line_1_has_all_its_parts(
+    file: File, text: str, parts: list[str]
+) -> None:
+    message = file.fault(text)
+    assert message.startswith(("scenario.yaml:1: ", "scenario.yaml: YAML"))
+    assert all(part in message for part in parts), message
 
 
 def test_each_wrong_value_is_reported_on_its_line(file: File) -> None:
@@ -371,8 +373,8 @@ def test_each_wrong_value_is_reported_on_its_line(file: File) -> None:
         path[name.count("  ") :] = [name.strip()]
         if value.strip() and path[-1] != "kind":
             wrong = [*lines[:n], f"{name}: [{{}}]", *lines[n + 1 :]]
-            found = file.fault("\n".join(wrong))
-            assert found.startswith(f"scenario.yaml:{n + 1}: {'.'.join(path)}")
+            message = file.fault("\n".join(wrong))
+            assert message.startswith(f"scenario.yaml:{n + 1}: {'.'.join(path)}")
 
 
 @pytest.mark.parametrize("depth", [25, 5_000])
@@ -417,7 +419,7 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (" " * (2**20 + 1), "cannot be read: is too large, must have at most 1048576 bytes"),
         ("\n".join(["- 1"] * 21_000), "too deep or too many values"),
@@ -425,10 +427,10 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
     ],
 )
 def test_large_files_are_refused_before_their_end_is_read(
-    file: File, text: str, told: str, monkeypatch: pytest.MonkeyPatch
+    file: File, text: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scenario_file, "_MOST_VALUES", 10_000)
-    assert told in file.fault(text + "\n}")  # a syntax error, where it is read
+    assert message in file.fault(text + "\n}")  # a syntax error, where it is read
 
 
 @pytest.mark.parametrize(
@@ -643,7 +645,7 @@ def test_changed_leaves_its_argument_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "told"),
+    ("path", "value", "message"),
     [
         ("plant.pomp.lag_s", 0.01, "plant.pomp.lag_s: this scenario has no plant.pomp"),
         ("plant.full_order.dead_volume_m3", 1e-6, "this scenario has no plant.full_order"),
@@ -654,9 +656,9 @@ def test_changed_leaves_its_argument_alone() -> None:
     ],
 )
 def test_a_change_that_the_scenario_does_not_have_is_refused(
-    path: str, value: object, told: str
+    path: str, value: object, message: str
 ) -> None:
-    with pytest.raises(ParameterError, match=re.escape(told)):
+    with pytest.raises(ParameterError, match=re.escape(message)):
         changed(Scenario(), {path: value})
 
 

@@ -66,10 +66,10 @@ def test_a_restart_begins_empty_and_remove_deletes_the_file(tmp_path):
 def test_floats_come_back_bit_by_bit(tmp_path_factory, value):
     path = tmp_path_factory.mktemp("sweep") / "sweep.jsonl"
     checkpoint = Checkpoint(path)
-    kept = checkpoint.keep("a", {"x": value, "none": None, "nan": math.nan})
+    stored = checkpoint.keep("a", {"x": value, "none": None, "nan": math.nan})
     checkpoint.close()
     read = Checkpoint(path)["a"]
-    assert read["x"] == kept["x"] == value
+    assert read["x"] == stored["x"] == value
     assert math.isnan(read["nan"])
 
 
@@ -111,10 +111,10 @@ DAMAGE = {
 def test_a_damaged_line_is_skipped_and_counted_alone(tmp_path, name):
     path, header, lines = lines_of(tmp_path, 3)
     path.write_bytes(header + lines[0] + DAMAGE[name](lines[1]) + lines[2])
-    with pytest.warns(UserWarning, match="1 damaged line is skipped") as told:
+    with pytest.warns(UserWarning, match="1 damaged line is skipped") as caught:
         checkpoint = Checkpoint(path)
     # In random order, a file that an earlier test left open may be collected here, with a warning.
-    (warning,) = [w for w in told if w.category is not ResourceWarning]
+    (warning,) = [w for w in caught if w.category is not ResourceWarning]
     assert "\n" not in str(warning.message)
     assert [f"piece {n}" in checkpoint for n in range(3)] == [True, False, True]
     assert checkpoint["piece 2"] == {"value": 2.5}
@@ -276,8 +276,8 @@ def test_a_piece_that_was_cut_short_spoils_no_other(tmp_path):
     failing.fail = False
     checkpoint.keep("b", 2)
     with pytest.warns(UserWarning, match="1 damaged line"):
-        kept = Checkpoint(path)
-    assert ("a" in kept, kept["b"]) == (False, 2)
+        read = Checkpoint(path)
+    assert ("a" in read, read["b"]) == (False, 2)
 
 
 def test_a_piece_is_in_the_file_at_once(tmp_path):

@@ -127,8 +127,8 @@ def test_pins_have_the_distances_of_the_compass_construction(name, compass):
         points = {pin: np.broadcast_to(at, walk.joint_a.shape) for pin, at in expected.items()}
         for first, second in combinations(expected, 2):
             distance = np.linalg.norm(places[first] - places[second])
-            wanted = abs(points[first][index] - points[second][index])
-            assert distance == pytest.approx(wanted, abs=1e-12), (first, second)
+            expected_distance = abs(points[first][index] - points[second][index])
+            assert distance == pytest.approx(expected_distance, abs=1e-12), (first, second)
 
 
 @names

@@ -41,8 +41,8 @@ def test_a_run_that_fails_is_shown_up_to_there():
         simulate(FAILING)
     leg, failure = leg_of_scenario("failing", FAILING)
     assert failure == str(error.value)
-    told = float(failure.partition("t = ")[2].partition(" ")[0])
-    assert told - 0.005 < leg.time_s[-1] < told
+    failure_s = float(failure.partition("t = ")[2].partition(" ")[0])
+    assert failure_s - 0.005 < leg.time_s[-1] < failure_s
     assert np.isfinite(leg.knee_angle_rad).all()
 
 

@@ -160,18 +160,17 @@ def test_a_recording_holds_the_pressure_as_colour(recorded, leg):
 
 
 def test_legs_stand_beside_each_other_the_first_one_nearest(recorded):
-    told = recorded.commands
-    recording = Recording(told)
+    recording = Recording(recorded.commands)
     depths = [recording.values(f"{leg}/shank", ".position")[:, 1] for leg in ("smc", "pid")]
     assert [set(depth) for depth in depths] == [{-0.15}, {0.15}]
     (camera,) = (
         command["value"]
-        for command in told
+        for command in recorded.commands
         if command.get("path") == "/Cameras/default/rotated/<object>"
         and command.get("property") == "position"
     )
     assert camera[2] > 0.15  # three.js: z is Drake's −y
-    lines = {c["path"]: c for c in told if "icr_paths" in str(c.get("path"))}
+    lines = {c["path"]: c for c in recorded.commands if "icr_paths" in str(c.get("path"))}
     assert set(lines) == {"/drake/icr_paths/smc", "/drake/icr_paths/pid"}
 
 
@@ -248,8 +247,10 @@ def test_a_view_goes_beside_the_scene_graph_of_a_user(meshcat):
 
 def test_diagrams_do_not_import_the_geometry_that_only_views_need():
     code = "import sys, kneexo.diagrams, kneexo.systems; print('pydrake.geometry' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "False\n"
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert process.stdout == "False\n"
 
 
 @pytest.mark.slow

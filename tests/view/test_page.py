@@ -83,11 +83,11 @@ def test_a_page_holds_the_parts_where_the_live_view_has_them(linkage, commands):
             places = [f"{folder}/{name}", f"{folder}/on_shank/{name}"]
             (path,) = (place for place in places if f"/knee/{place}" in paths)
             assert opacity[f"/knee/{path}"] == (0.35 if ghost else 1.0)
-            seen = shown(path, frame)
+            in_page = shown(path, frame)
             np.testing.assert_allclose(
-                seen.translation(), pose.translation(), atol=1e-6, err_msg=part
+                in_page.translation(), pose.translation(), atol=1e-6, err_msg=part
             )
-            axes = [where.rotation().matrix()[:, 2] for where in (seen, pose)]
+            axes = [where.rotation().matrix()[:, 2] for where in (in_page, pose)]
             np.testing.assert_allclose(*axes, atol=1e-6, err_msg=part)
 
 
@@ -105,8 +105,8 @@ def test_a_page_tells_where_it_ends_and_stays_small(tmp_path, capsys):
     short = Leg("c", Scenario().plant.linkage, *(values[:101] for values in (time, *[angle] * 3)))
     assert shown_s([short]) == 10.0
     assert "the first 1" not in view_page([short])
-    told = ["view", "--out", str(tmp_path / "knee.html"), "--set", "simulation.duration_s=200"]
-    assert main(told) == 0
+    command = ["view", "--out", str(tmp_path / "knee.html"), "--set", "simulation.duration_s=200"]
+    assert main(command) == 0
     assert "kneexo: only the first 150 s are shown" in capsys.readouterr().err
 
 
@@ -157,7 +157,7 @@ def test_the_parts_are_seen_where_the_linkage_has_them(linkage, moving, browser,
     browser.open(page, WIDTH, HEIGHT)
     browser.wait_for("viewer.animator.actions.length > 0")
     largest = np.abs(leg.pressure_pa).max()
-    seen = {}
+    centres = {}
     for time in (1.0, 4.0):
         angle, pressure = (
             np.interp(time, leg.time_s, v) for v in (leg.knee_angle_rad, leg.pressure_pa)
@@ -176,8 +176,8 @@ def test_the_parts_are_seen_where_the_linkage_has_them(linkage, moving, browser,
             centre = np.array([0.5 * (v.min() + v.max()) for v in (columns, rows)])
             expected = np.mean([pixel_of((p.real, -0.15, p.imag)) for p in ends[part]], axis=0)
             np.testing.assert_allclose(centre, expected, atol=5.0, err_msg=part)
-            seen[part, time] = centre
-    way = {part: np.linalg.norm(seen[part, 4.0] - seen[part, 1.0]) for part in PINS}
+            centres[part, time] = centre
+    way = {part: np.linalg.norm(centres[part, 4.0] - centres[part, 1.0]) for part in PINS}
     assert way[moving] > 20.0
     assert way["rod_pin" if moving == "cylinder_pin" else "cylinder_pin"] < 1.0  # at the thigh
     browser.require_health()
