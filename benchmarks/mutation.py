@@ -41,7 +41,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 TESTS: dict[str, tuple[str, ...]] = {
-    "__init__": ("compiler/test_api",),
+    "__init__": ("test_compile",),
     "command_line/export": ("export/test_firmware", "export/test_fmu"),
     "errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "compiler/errors": ("command_line/test_main", "parameters/test_scenario_file"),
@@ -59,8 +59,6 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compiler/equations/symbolic": ("compiler/equations/test_symbolic", "compiler/test_drake_zoo"),
     "compiler/equations/tree": ("compiler/equations/test_tree", "compiler/test_drake_zoo"),
     "compiler/native/arguments": ("compiler/native/test_time_loop",),
-    "compiler/native/buffers": ("compiler/test_model",),
-    "compiler/native/timing": ("compiler/test_model", "compiler/native/test_time_loop"),
     "compiler/native/ir": ("compiler/native/test_ir", "compiler/native/test_printer"),
     "compiler/native/exact_hold": (
         "compiler/native/test_exact_hold",
@@ -69,7 +67,11 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compiler/native/integrators": ("compiler/native/test_time_loop", "compiler/test_model"),
     "compiler/native/machine_code": ("compiler/native/test_cache", "compiler/test_model"),
     "compiler/native/llvm": ("compiler/native/test_cache", "compiler/native/test_time_loop"),
-    "compiler/native/runner": ("compiler/native/test_time_loop", "compiler/test_model"),
+    "compiler/native/runner": (
+        "compiler/native/test_runner",
+        "compiler/native/test_time_loop",
+        "compiler/test_model",
+    ),
     "compiler/c/export": ("compiler/c/test_export", "compiler/c/test_source"),
     "compiler/c/interface": ("compiler/c/test_source",),
     "compiler/c/plan": ("compiler/c/test_source", "compiler/c/test_tables"),

@@ -1,4 +1,4 @@
-"""Shared by the tests of compilation: IR text as functions, an interpreter, and a diagram."""
+"""Shared by the tests of the compiler: IR text as functions, an interpreter, and diagrams."""
 
 import ctypes
 import hashlib
@@ -6,6 +6,7 @@ import itertools
 import math
 import shutil
 import subprocess
+import sys
 from collections import Counter
 from fractions import Fraction
 from functools import reduce
@@ -14,10 +15,12 @@ from types import SimpleNamespace
 
 import llvmlite.binding as llvm
 import numpy as np
+import pydrake.math as drake_math
 import pytest
 from hypothesis import strategies as st
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import BasicVector_, DiagramBuilder, LeafSystem_
 from pydrake.systems.primitives import (
+    Adder,
     Gain,
     LinearSystem,
     LogVectorOutput,
@@ -25,7 +28,9 @@ from pydrake.systems.primitives import (
     Sine,
     ZeroOrderHold,
 )
+from pydrake.systems.scalar_conversion import TemplateSystem
 
+from kneexo.compiler import SimulationError, compile_diagram
 from kneexo.compiler.equations.graph import SOURCES, Graph
 from kneexo.compiler.equations.operations import COMPARISONS, UNARY
 from kneexo.compiler.equations.passes import ALWAYS, Group
@@ -407,6 +412,98 @@ def multirate():
         log = LogVectorOutput(system.get_output_port(), builder, publish_period=0.002)
         log.set_name(f"log_{name}")
     return builder.Build()
+
+
+ARM = {"lag_s": 0.01, "mass_kg": 1.6, "stiffness_kn_m": 1.25e4, "limit_m": 0.15}
+"""Parameters of the arm of `servo`."""
+
+
+class ServoArm:
+    """Construction of a mass on a stiff drive, behind a motor with lag; limits of its position.
+
+    States: motor speed v in rad/s, position x in m, velocity w in m/s, force f in kN. With the
+    command u: v' = (u - v)/lag, x' = w, w' = 1000 f/m - d w, f' = k (c v - w).
+    """
+
+    @staticmethod
+    def construct(leaf, T):
+        leaf.DeclareContinuousState(4)
+        leaf.parameter_names = tuple(ARM)
+        leaf.DeclareNumericParameter(BasicVector_[T](list(ARM.values())))
+        command = leaf.DeclareVectorInputPort("command", 1)
+        for index, name in enumerate(("speed", "position", "velocity", "force")):
+            leaf.DeclareVectorOutputPort(
+                name,
+                1,
+                lambda context, out, i=index: out.SetAtIndex(
+                    0, context.get_continuous_state_vector()[i]
+                ),
+                {leaf.all_state_ticket()},
+            )
+
+        def rates(context, derivatives):
+            v, _, w, f = context.get_continuous_state_vector().CopyToVector()
+            lag, mass, stiffness, _ = context.get_numeric_parameter(0).CopyToVector()
+            (u,) = command.Eval(context)
+            rate = [(u - v) / lag, w, 1e3 * f / mass - 20.0 * w, stiffness * (0.01 * v - w)]
+            derivatives.get_mutable_vector().SetFromVector(rate)
+
+        def margin(context):
+            limit = context.get_numeric_parameter(0)[3]
+            return limit - drake_math.abs(context.get_continuous_state_vector()[1])
+
+        def check(context):
+            if not margin(context) >= 0.0:
+                position = context.get_continuous_state_vector()[1]
+                raise SimulationError(
+                    f"t = {context.get_time():.6g} s: arm: position = {position:.6g} m"
+                )
+
+        leaf.rates = rates
+        leaf.margin, leaf.check = margin, check
+
+
+def _servo_arm():
+    def template(T):
+        class Impl(LeafSystem_[T]):
+            def _construct(self, *, converter=None):
+                LeafSystem_[T].__init__(self, converter)
+                ServoArm.construct(self, T)
+
+            def _construct_copy(self, other, converter=None):
+                Impl._construct(self, converter=converter)
+
+            def DoCalcTimeDerivatives(self, context, derivatives):
+                self.rates(context, derivatives)
+
+        return Impl
+
+    return TemplateSystem.define("Arm_", scope=sys.modules[__name__])(template)[float]()
+
+
+@pytest.fixture(scope="session")
+def servo():
+    """A model of a sampled position loop, its parameters and its initialized state."""
+    builder = DiagramBuilder()
+    reference = builder.AddNamedSystem("reference", Sine(0.05, 6.0, 0.3, 1))
+    error = builder.AddNamedSystem("error", Adder(2, 1))
+    law = builder.AddNamedSystem("law", Gain(4000.0, 1))
+    limit = builder.AddNamedSystem("limit", Saturation([-60.0], [60.0]))
+    hold = builder.AddNamedSystem("hold", ZeroOrderHold(0.002, 1))
+    arm = builder.AddNamedSystem("arm", _servo_arm())
+    back = builder.AddNamedSystem("back", Gain(-1.0, 1))
+    builder.Connect(reference.get_output_port(0), error.get_input_port(0))
+    builder.Connect(arm.GetOutputPort("position"), back.get_input_port())
+    builder.Connect(back.get_output_port(), error.get_input_port(1))
+    for first, second in ((error, law), (law, limit), (limit, hold), (hold, arm)):
+        builder.Connect(first.get_output_port(), second.get_input_port())
+    builder.ExportOutput(reference.get_output_port(0), "reference")
+    builder.ExportOutput(hold.get_output_port(), "command")
+    for name in ("speed", "position", "velocity", "force"):
+        builder.ExportOutput(arm.GetOutputPort(name), name)
+    model = compile_diagram(builder.Build())
+    parameters = model.parameters()
+    return model, parameters, model.initialized(parameters, model.state())
 
 
 # ---------------------------------------------------------------------------- exported code

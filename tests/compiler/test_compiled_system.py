@@ -14,17 +14,9 @@ from pydrake.systems.primitives import (
 )
 
 from kneexo.compiler import State, compile_diagram
-from kneexo.errors import ParameterError, SimulationError
-from kneexo.parameters import BldcPumpParameters, PlantParameters, Scenario, SineReference
-from kneexo.simulation import compile_scenario, scenario_run
+from kneexo.compiler.errors import ParameterError, SimulationError
 
-SIGNALS = ("knee_angle", "motor_speed_command", "load_pressure")
-
-
-@pytest.fixture(scope="module")
-def compiled():
-    model = compile_scenario(Scenario())
-    return model, scenario_run(Scenario(), model)
+SIGNALS = ("position", "command", "force")
 
 
 def run_logged(system, names, duration_s, period_s, value=None):
@@ -43,8 +35,8 @@ def run_logged(system, names, duration_s, period_s, value=None):
 
 
 @pytest.mark.parametrize("integrator", ["exact_hold", "rk4"])
-def test_logs_are_the_records_of_a_direct_run_bit_by_bit(compiled, integrator):
-    model, (parameters, state, _) = compiled
+def test_logs_are_the_records_of_a_direct_run_bit_by_bit(servo, integrator):
+    model, parameters, state = servo
     direct = model.simulate(parameters, state, 0.5, outputs=SIGNALS, integrator=integrator)
     system = model.as_system(parameters, state, integrator=integrator)
     logs, context = run_logged(system, SIGNALS, 0.5, 0.002)
@@ -55,8 +47,8 @@ def test_logs_are_the_records_of_a_direct_run_bit_by_bit(compiled, integrator):
     np.testing.assert_array_equal(context.get_discrete_state(0).value(), final)
 
 
-def test_structure(compiled):
-    model, (parameters, state, _) = compiled
+def test_structure(servo):
+    model, parameters, state = servo
     system = model.as_system(parameters, state)
     assert system.num_continuous_states() == 0
     assert system.num_input_ports() == 0
@@ -67,22 +59,22 @@ def test_structure(compiled):
     assert system.GetUniquePeriodicDiscreteUpdateAttribute().period_sec() == 0.002
 
 
-def test_a_parameter_of_the_context_takes_effect(compiled):
-    model, (parameters, state, _) = compiled
+def test_a_parameter_of_the_context_takes_effect(servo):
+    model, parameters, state = servo
     system = model.as_system(parameters, state)
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
     simulator.AdvanceTo(0.1)
-    before = system.GetOutputPort("rod_velocity").Eval(context)
-    index = model.parameter_names.index("plant/cylinder.mass_kg")
+    before = system.GetOutputPort("velocity").Eval(context)
+    index = model.parameter_names.index("arm.mass_kg")
     context.get_mutable_numeric_parameter(0).SetAtIndex(index, 2.0 * parameters[index])
     simulator.AdvanceTo(0.2)
-    after = system.GetOutputPort("rod_velocity").Eval(context)
-    same = model.simulate(parameters, state, 0.2, outputs=["rod_velocity"])["rod_velocity"]
+    after = system.GetOutputPort("velocity").Eval(context)
+    same = model.simulate(parameters, state, 0.2, outputs=["velocity"])["velocity"]
     assert before == same[50]
     assert 1e-9 < abs(after - same[100]) < 1e-3
     context.get_mutable_numeric_parameter(0).SetAtIndex(index, np.nan)
-    with pytest.raises(ParameterError, match=r"plant/cylinder\.mass_kg = nan: must be finite"):
+    with pytest.raises(ParameterError, match=r"arm\.mass_kg = nan: must be finite"):
         simulator.AdvanceTo(0.3)
 
 
@@ -112,17 +104,14 @@ def test_an_open_input_is_a_port(multirate):
     assert logs[0].data()[0, -1] == pytest.approx(0.5, abs=1e-3)  # settled: e^(−2·4)
 
 
-def test_a_failed_run_raises_what_a_direct_one_raises():
-    scenario = Scenario(  # too slow a motor to turn in time
-        reference=SineReference(mean_deg=45.0, amplitude_deg=44.9, frequency_hz=0.15),
-        plant=PlantParameters(pump=BldcPumpParameters(acceleration_limit_rad_s2=500.0)),
-    )
-    model = compile_scenario(scenario)
-    parameters, state, _ = scenario_run(scenario, model)
-    with pytest.raises(SimulationError) as direct:
-        model.simulate(parameters, state, 5.0)
+def test_a_failed_run_raises_what_a_direct_one_raises(servo):
+    model, parameters, state = servo
+    narrow = parameters.copy()
+    narrow[model.parameter_names.index("arm.limit_m")] = 0.04
+    with pytest.raises(SimulationError, match="arm: position = ") as direct:
+        model.simulate(narrow, state, 5.0)
     with pytest.raises(SimulationError) as wrapped:
-        Simulator(model.as_system(parameters, state)).AdvanceTo(5.0)
+        Simulator(model.as_system(narrow, state)).AdvanceTo(5.0)
     assert str(wrapped.value) == str(direct.value)
 
 
@@ -158,17 +147,17 @@ def test_feedback_around_a_plant_is_no_algebraic_loop():
     )  # held over each tick
 
 
-def test_between_the_ticks_stands_the_next_one_and_a_context_can_be_copied(compiled):
-    model, (parameters, state, _) = compiled
-    direct = model.simulate(parameters, state, 0.1, outputs=["rod_velocity"])["rod_velocity"]
+def test_between_the_ticks_stands_the_next_one_and_a_context_can_be_copied(servo):
+    model, parameters, state = servo
+    direct = model.simulate(parameters, state, 0.1, outputs=["velocity"])["velocity"]
     system = model.as_system(parameters, state)
     simulator = Simulator(system)
     simulator.AdvanceTo(0.021)
-    port = system.GetOutputPort("rod_velocity")
+    port = system.GetOutputPort("velocity")
     assert port.Eval(simulator.get_context())[0] == direct[11, 0]
-    reference = system.GetOutputPort("knee_reference").Eval(simulator.get_context())
-    expected = model.simulate(parameters, state, 0.1, outputs=["knee_reference"])
-    np.testing.assert_array_equal(reference, expected["knee_reference"][11])  # of time alone
+    reference = system.GetOutputPort("reference").Eval(simulator.get_context())
+    expected = model.simulate(parameters, state, 0.1, outputs=["reference"])
+    np.testing.assert_array_equal(reference, expected["reference"][11])  # of time alone
     copy = simulator.get_context().Clone()
     other = Simulator(system, copy)
     for one in (simulator, other):

@@ -69,8 +69,8 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo.compiler import compile_diagram
 from kneexo.compiler.equations.reader import read_equations
+from kneexo.compiler.errors import CompilationError
 from kneexo.compiler.trajectories import input_table
-from kneexo.errors import CompilationError
 
 DURATION_S = 1.5
 STEP_S = 1 / 128

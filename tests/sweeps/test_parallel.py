@@ -438,3 +438,11 @@ def test_a_sweep_shows_the_bars_that_have_a_description(capsys, monkeypatch, pro
 def test_a_sweep_has_no_other_options():
     with pytest.raises(TypeError, match="'worker'"), open_sweep(worker=2):
         pass
+
+
+def test_one_core_needs_no_pool_where_the_scheduler_says_nothing(monkeypatch):
+    """As on macOS and Windows, which have no ``os.sched_getaffinity``."""
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    with process_pool(None) as pool:
+        assert pool is None

@@ -18,12 +18,11 @@ import pytest
 from pydrake.symbolic import Variable
 from pydrake.systems.primitives import SymbolicVectorSystem
 
-import kneexo
-from kneexo.compiler import State
+from kneexo.compiler import State, compile_diagram
 from kneexo.compiler.diagram_equations import equations_key
 from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
 from kneexo.compiler.equations.graph import Graph
-from kneexo.errors import OutputError
+from kneexo.compiler.errors import OutputError
 
 HOUR_S = 3600.0
 CACHE = importlib.util.find_spec("kneexo.compiler.native.cache")
@@ -577,7 +576,7 @@ def test_code_for_one_run_and_for_lanes_are_two_entries_and_loaded_once():
 
     def simulate(count):
         system = SymbolicVectorSystem(state=[x], dynamics=[-1.2345 * x], output=[x])
-        model = kneexo.compile(system)
+        model = compile_diagram(system)
         parameters, states = [model.parameters()] * count, State([1.0], [])
         model.simulate_batch(parameters, states, 0.1, record_period_s=0.1)
         return len(cache.entries())

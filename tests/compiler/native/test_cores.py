@@ -4,9 +4,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from pydrake.systems.primitives import Integrator
 
-import kneexo
+from kneexo.compiler import compile_diagram
 from kneexo.compiler.native.cores import available_cores
-from kneexo.sweeps.parallel import process_pool
 
 
 def test_cores_are_those_of_this_process():
@@ -30,11 +29,9 @@ def test_cores_without_affinity_are_those_of_the_machine(monkeypatch, count, cor
     assert available_cores() == cores
 
 
-def test_threads_and_processes_need_no_affinity(monkeypatch):
+def test_threads_need_no_affinity(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity")
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    model = kneexo.compile(Integrator(1), inputs=["u0"])
+    model = compile_diagram(Integrator(1), inputs=["u0"])
     runs = model.simulate_batch([model.parameters()] * 9, model.state(), 0.1, record_period_s=0.1)
     assert [run["y0"][-1, 0] for run in runs] == [0.0] * 9
-    with process_pool(None) as pool:
-        assert pool is None

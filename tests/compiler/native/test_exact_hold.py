@@ -8,8 +8,7 @@ import scipy.special
 from pydrake.symbolic import Variable, sin, tanh
 from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
 
-import kneexo
-from kneexo.compiler import State
+from kneexo.compiler import State, compile_diagram
 from kneexo.compiler.native.exact_hold import (
     FINEST,
     ExactHold,
@@ -159,7 +158,7 @@ def test_steps_are_as_small_as_each_run_needs():
     system = SymbolicVectorSystem(
         state=[x, y], parameter=[k], dynamics=[k * x * (1.0 - x), -k * x * y], output=[x, y]
     )
-    model = kneexo.compile(system)
+    model = compile_diagram(system)
     rates, starts = np.geomspace(1.0, 3e3, 9), np.geomspace(1e-6, 0.5, 9)[::-1]
     states = [State([start, 2.0], []) for start in starts]
     # One tick is from a hundredth to thirty times the time constant.
@@ -175,7 +174,7 @@ def test_a_linear_system_of_many_states_is_the_matrix_exponential():
     rng = np.random.default_rng(7)
     a = rng.normal(size=(size, size)) - 10.0 * np.eye(size)
     nothing = np.zeros((size, 0))
-    model = kneexo.compile(LinearSystem(a, nothing, np.eye(size), nothing, 0.0))
+    model = compile_diagram(LinearSystem(a, nothing, np.eye(size), nothing, 0.0))
     start = rng.normal(size=size)
     run = model.simulate(model.parameters(), State(start, []), 0.3, record_period_s=0.1)
     for time, row in zip(run.time_s, run["y0"], strict=True):
@@ -197,7 +196,7 @@ def friction():
     v, p, k, t = (Variable(name) for name in "vpkt")
     speed = 0.02 * sin(np.pi / REVERSAL_S * t)
     rates = [p - k * tanh(v / BAND_M_S), SPRING_N_M * (speed - v)]
-    return kneexo.compile(
+    return compile_diagram(
         SymbolicVectorSystem(time=t, state=[v, p], parameter=[k], dynamics=rates, output=[v, p])
     )
 

@@ -11,11 +11,11 @@ from kneexo.compiler import InputTable, State
 from kneexo.compiler.diagram_equations import equations_key
 from kneexo.compiler.equations.equations import Equations, Limit, Update
 from kneexo.compiler.equations.graph import Graph
+from kneexo.compiler.errors import SimulationError
 from kneexo.compiler.model import CompiledModel
 from kneexo.compiler.native.arguments import INTEGRATORS, OUTSIDE
 from kneexo.compiler.native.machine_code import MachineCode
 from kneexo.compiler.native.runner import Runner, Snapshots
-from kneexo.errors import SimulationError
 
 property_test = settings(max_examples=12, derandomize=True)
 COUNTS = (1, 3, 7, 8, 9, 17)

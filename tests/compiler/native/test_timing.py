@@ -1,0 +1,31 @@
+"""The tick of a run."""
+
+import numpy as np
+import pytest
+
+from kneexo.compiler.errors import CompilationError
+from kneexo.compiler.native.timing import timing as timing_of
+
+
+@pytest.mark.parametrize(
+    ("periods", "record", "tick", "counts"),
+    [
+        (((0.002, 0.0),), None, 0.002, [1, 1, 0]),
+        (((0.002, 0.0), (0.003, 0.0)), 0.006, 0.001, [6, 2, 0, 3, 0]),
+        (((1 / 3, 0.25),), None, 1 / 12, [4, 4, 3]),
+        ((), 0.1, 0.1, [1]),
+    ],
+)
+def test_tick_divides_all_times(periods, record, tick, counts):
+    timing = timing_of(periods, record)
+    assert timing.tick == pytest.approx(tick, rel=1e-15)
+    assert timing.record_every == counts[0]
+    assert timing.periods.tolist() == counts[1::2]
+    assert timing.offsets.tolist() == counts[2::2]
+
+
+def test_sample_times_without_common_divisor_are_refused():
+    with pytest.raises(CompilationError, match="no common divisor"):
+        timing_of(((0.002, 0.0), (0.002 * np.sqrt(2.0), 0.0)), None)
+    with pytest.raises(ValueError, match="record_period_s is needed"):
+        timing_of((), None)
