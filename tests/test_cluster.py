@@ -97,7 +97,7 @@ SWEEPS = {
             step_duration_s=0.1,
             fast_duration_s=0.5,
             hold_duration_s=0.1,
-            trap_lambdas_per_s=(20.0,),
+            limit_cycle_lambdas_per_s=(20.0,),
             map_time_constants_s=(0.02,),
             map_slopes_per_s=(1e4, 1e5),
         ),

@@ -435,8 +435,8 @@ def test_the_page_of_the_controllers_has_the_numbers_of_their_study():
     def settling(name):
         return "…".join(f"{study.values[name][n, phi, eta]:.3g}" for n in (ten, eighty))
 
-    built = {c.lambda_per_s: c for c in study.trap if c.variant == "as built"}
-    exact = {c.lambda_per_s: c for c in study.trap if c.variant == "exact encoder"}
+    built = {c.lambda_per_s: c for c in study.limit_cycle if c.variant == "as built"}
+    exact = {c.lambda_per_s: c for c in study.limit_cycle if c.variant == "exact encoder"}
     assert grid.settling_band_deg == 0.2
     texts = [f"| {claim.cases} | {100 * claim.share:.0f} % |" for claim in study.claims()]
     texts += [

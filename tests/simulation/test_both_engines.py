@@ -151,7 +151,7 @@ SMALL = {
             fast_frequency_hz=5.0,
             fast_amplitude_deg=0.5,
             hold_duration_s=0.2,
-            trap_lambdas_per_s=(20.0,),
+            limit_cycle_lambdas_per_s=(20.0,),
             map_time_constants_s=(0.02,),
             map_slopes_per_s=(1e5,),
         ),

@@ -24,28 +24,28 @@ _RATIO_AT_MINUS_3_DB = 1.0 / (math.tau * rate_limit_bandwidth_hz(1.0, 1.0))  # �
 _TICKS_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
-def figures(study: BandwidthResult) -> dict[str, Figure]:
+def figures(result: BandwidthResult) -> dict[str, Figure]:
     """The map, the Bode plots over each other, and the closed form of the rate-limited sine."""
     return {
-        "amplitude_map": plot_map(study),
-        "bode_by_amplitude": plot_bode(study),
-        "rate_limited_sine": plot_rate_limit(study),
+        "amplitude_map": plot_map(result),
+        "bode_by_amplitude": plot_bode(result),
+        "rate_limited_sine": plot_rate_limit(result),
     }
 
 
-def plot_map(study: BandwidthResult) -> Figure:
+def plot_map(result: BandwidthResult) -> Figure:
     """Gain, phase and the motor's limits over frequency and amplitude."""
     figure, axes = plt.subplots(
         2, 2, figsize=(11, 7.5), sharex=True, sharey=True, layout="constrained"
     )
-    f, amplitudes = study.frequencies_hz, study.amplitudes_deg
-    share, phase = Normalize(0.0, 1.0), study.phase_deg
+    f, amplitudes = result.frequencies_hz, result.amplitudes_deg
+    share, phase = Normalize(0.0, 1.0), result.phase_deg
     low, high = np.nanmin(phase, initial=0.0), np.nanmax(phase, initial=0.0)
     speed_limited, acceleration_limited = (
-        study.cells[f"{limit}_limited_share"] for limit in ("speed", "acceleration")
+        result.cells[f"{limit}_limited_share"] for limit in ("speed", "acceleration")
     )
     panels = (
-        (study.gain_db, Normalize(-20.0, 3.0), "gain (dB)"),
+        (result.gain_db, Normalize(-20.0, 3.0), "gain (dB)"),
         (phase, Normalize(low, high), "phase (deg)"),
         (speed_limited, share, "share of time at the speed limit"),
         (acceleration_limited, share, "share of time at the acceleration limit"),
@@ -53,14 +53,14 @@ def plot_map(study: BandwidthResult) -> Figure:
     for axis, (values, norm, label) in zip(axes.flat, panels, strict=True):
         heat_map(axis, f, amplitudes, values.T, norm=norm, label=label)
     for axis in axes[1]:
-        measured = study.bandwidths["measured_hz"]
+        measured = result.bandwidths["measured_hz"]
         axis.plot(measured, amplitudes, "wo", mec="k", ms=5, label="−3 dB, measured")
         axis.legend(loc="lower left", fontsize=8, facecolor="0.75")
         axis.set_xlabel("frequency (Hz)")
     for axis in axes[:, 0]:
         axis.set_ylabel("amplitude (deg)")
-    _plot_bandwidths(study, axes[0, 0])
-    reached = study.bandwidths["speed_limit_reached_hz"]
+    _plot_bandwidths(result, axes[0, 0])
+    reached = result.bandwidths["speed_limit_reached_hz"]
     axes[1, 0].plot(reached, amplitudes, "C3.-", label="the reference asks for more speed")
     axes[1, 0].legend(loc="lower left", fontsize=8, facecolor="0.75")
     plain_ticks(axes[0, 0].xaxis, _TICKS_HZ)
@@ -68,13 +68,13 @@ def plot_map(study: BandwidthResult) -> Figure:
     return figure
 
 
-def _plot_bandwidths(study: BandwidthResult, axis: Axes) -> None:
+def _plot_bandwidths(result: BandwidthResult, axis: Axes) -> None:
     """The −3 dB frequencies, measured and predicted, over amplitude."""
-    if study.amplitudes_deg.size > 1:
+    if result.amplitudes_deg.size > 1:
         axis.contour(
-            study.frequencies_hz,
-            study.amplitudes_deg,
-            study.gain_db,
+            result.frequencies_hz,
+            result.amplitudes_deg,
+            result.gain_db,
             levels=[_MINUS_3_DB],
             colors="w",
             linestyles="-",
@@ -88,23 +88,23 @@ def _plot_bandwidths(study: BandwidthResult, axis: Axes) -> None:
         ("linear_loop_hz", "C9.:", "linear loop"),
     ):
         edge = "k" if name == "measured_hz" else None
-        axis.plot(study.bandwidths[name], study.amplitudes_deg, style, label=label, mec=edge)
+        axis.plot(result.bandwidths[name], result.amplitudes_deg, style, label=label, mec=edge)
     axis.legend(loc="lower left", fontsize=8, facecolor="0.75")
 
 
-def plot_bode(study: BandwidthResult) -> Figure:
+def plot_bode(result: BandwidthResult) -> Figure:
     """Bode plots by amplitude, over the linear loop and the rate-limited follower."""
     figure, axes = plt.subplots(2, 1, sharex=True, figsize=(7.5, 7.5), layout="constrained")
-    colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, study.amplitudes_deg.size))
-    relative = study.relative_uncertainty
+    colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, result.amplitudes_deg.size))
+    relative = result.relative_uncertainty
     panels = (
-        (study.gain_db, 20.0 * np.log10(1.0 + relative), decibel),
-        (study.phase_deg, np.degrees(np.arcsin(np.minimum(relative, 1.0))), unwrapped_deg),
+        (result.gain_db, 20.0 * np.log10(1.0 + relative), decibel),
+        (result.phase_deg, np.degrees(np.arcsin(np.minimum(relative, 1.0))), unwrapped_deg),
     )
     for axis, (measured, errors, shown) in zip(axes, panels, strict=True):
-        for i, amplitude in enumerate(study.amplitudes_deg):
+        for i, amplitude in enumerate(result.amplitudes_deg):
             axis.errorbar(
-                study.frequencies_hz,
+                result.frequencies_hz,
                 measured[i],
                 errors[i],
                 fmt="o-",
@@ -113,8 +113,10 @@ def plot_bode(study: BandwidthResult) -> Figure:
                 color=colours[i],
                 label=f"{amplitude:g}°",
             )
-            axis.plot(study.frequencies_hz, shown(study.follower[i]), ":", lw=1.2, color=colours[i])
-        axis.plot(study.frequencies_hz, shown(study.linear), "k--", lw=1.2, label="linear loop")
+            axis.plot(
+                result.frequencies_hz, shown(result.follower[i]), ":", lw=1.2, color=colours[i]
+            )
+        axis.plot(result.frequencies_hz, shown(result.linear), "k--", lw=1.2, label="linear loop")
         axis.plot([], [], ":", color="0.4", label="rate-limited follower")
         axis.grid(alpha=0.3)
     axes[0].axhline(_MINUS_3_DB, color="0.5", lw=0.8, label="−3 dB")
@@ -125,7 +127,7 @@ def plot_bode(study: BandwidthResult) -> Figure:
     return figure
 
 
-def plot_rate_limit(study: BandwidthResult) -> Figure:
+def plot_rate_limit(result: BandwidthResult) -> Figure:
     """Rate-limited sines in time; gains of all amplitudes over aω/R, with the closed form."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     time = np.linspace(0.0, 4.0, 4001)
@@ -136,12 +138,12 @@ def plot_rate_limit(study: BandwidthResult) -> Figure:
         axes[0].plot(time[shown] - 2.5, follower[shown], label=f"ρ = {ratio:.3g}")
     axes[0].set(xlabel="time (periods)", ylabel="position (amplitudes)", ylim=(-1.1, 1.6))
     axes[0].legend(loc="upper center", fontsize=8, ncols=4)
-    reached = study.frequencies_hz / study.bandwidths["rate_limit_hz"][:, None]
+    reached = result.frequencies_hz / result.bandwidths["rate_limit_hz"][:, None]
     demand = reached / _RATIO_AT_MINUS_3_DB
-    colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, study.amplitudes_deg.size))
-    for i, amplitude in enumerate(study.amplitudes_deg):
+    colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, result.amplitudes_deg.size))
+    for i, amplitude in enumerate(result.amplitudes_deg):
         axes[1].plot(
-            demand[i], study.gain_db[i], "o", ms=3, color=colours[i], label=f"{amplitude:g}°"
+            demand[i], result.gain_db[i], "o", ms=3, color=colours[i], label=f"{amplitude:g}°"
         )
     grid = np.geomspace(demand.min(), demand.max(), 400)
     closed = decibel(rate_limited_gain(1.0 / grid))

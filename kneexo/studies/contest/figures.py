@@ -13,22 +13,24 @@ from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestResult, errors_o
 from kneexo.studies.plots import decimal_ticks, legend_below
 
 
-def outcome(study: ContestResult) -> Figure:
+def outcome(result: ContestResult) -> Figure:
     """Errors over the test plants, at both tasks, and the margin beside them."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
-    share = (np.arange(len(study.samples)) + 1.0) / len(study.samples)
-    for index, name in enumerate(study.entrants):
-        tuned = name in study.settings.contestants
+    share = (np.arange(len(result.samples)) + 1.0) / len(result.samples)
+    for index, name in enumerate(result.entrants):
+        tuned = name in result.settings.contestants
         style: dict[str, Any] = {"color": f"C{index}", "lw": 2.0 if tuned else 1.0}
         style["ls"] = "-" if tuned else "--"
-        errors, elsewhere = (_drawn(errors_of(of[name])) for of in (study.tested, study.elsewhere))
+        errors, other_reference = (
+            _drawn(errors_of(of[name])) for of in (result.tested, result.other_reference)
+        )
         axes[0].step(np.sort(errors), share, where="post", label=name, **style)
-        axes[1].step(np.sort(elsewhere), share, where="post", **style)
-        margins = [values["disk_margin"] for values in study.tested[name]]
+        axes[1].step(np.sort(other_reference), share, where="post", **style)
+        margins = [values["disk_margin"] for values in result.tested[name]]
         axes[2].plot(
             errors, margins, "o" if tuned else "x", ms=3.5, color=f"C{index}", alpha=0.6, mew=0.8
         )
-    other = study.settings.other_reference
+    other = result.settings.other_reference
     axes[0].set(ylabel="share of the test plants", title="(a) the task of the tuning")
     axes[1].set(
         ylabel="share of the test plants",
@@ -43,7 +45,7 @@ def outcome(study: ContestResult) -> Figure:
         ax.grid(alpha=0.3)
     for marker, label in (("o", "tuned here"), ("x", "not tuned here")):
         axes[2].plot([], [], marker, color="0.3", ms=3.5, mew=0.8, ls="none", label=f"(c) {label}")
-    least = study.settings.least_disk_margin
+    least = result.settings.least_disk_margin
     label = f"(c) least in the tuning, {least:g}"
     axes[2].axhline(least, color="0.4", ls=":", lw=1, label=label)
     legend_below(figure, (axes[0], axes[2]), ncols=5, fontsize=8)
@@ -55,14 +57,14 @@ def _drawn(errors: Array) -> Array:
     return np.where(np.isfinite(errors), errors, np.nan)
 
 
-def search(study: ContestResult) -> Figure:
+def search(result: ContestResult) -> Figure:
     """The best objective of each search over its evaluations; the first seed solid."""
     figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
-    names = list(study.settings.contestants)
-    for tuning in study.tunings:
+    names = list(result.settings.contestants)
+    for tuning in result.tunings:
         best = np.array(tuning.history_deg)
-        evaluations = study.settings.population * (np.arange(best.size) + 2)
-        first = tuning.seed == study.settings.optimizer_seeds[0]
+        evaluations = result.settings.population * (np.arange(best.size) + 2)
+        first = tuning.seed == result.settings.optimizer_seeds[0]
         ax.semilogy(
             evaluations,
             np.where(best < INFEASIBLE_DEG, best, np.nan),
@@ -77,6 +79,6 @@ def search(study: ContestResult) -> Figure:
     return figure
 
 
-def figures(study: ContestResult) -> dict[str, Figure]:
+def figures(result: ContestResult) -> dict[str, Figure]:
     """Figures by name; the caller closes them."""
-    return {"contest": outcome(study), "contest_search": search(study)}
+    return {"contest": outcome(result), "contest_search": search(result)}

@@ -169,7 +169,7 @@ class Tuning:
 class ContestResult(Result):
     """Tuned and untuned controllers on the test plants.
 
-    ``entrants``: by name, what each sets in the scenario. ``tested`` and ``elsewhere``: by
+    ``entrants``: by name, what each sets in the scenario. ``tested`` and ``other_reference``: by
     entrant, `assess` of each test plant at the scenario's reference and, without margins, at one
     that nobody was tuned for. ``budget_rpm``: mean change of command per sample of the default
     SMC over the training plants.
@@ -184,11 +184,13 @@ class ContestResult(Result):
     entrants: Mapping[str, Values]
     samples: tuple[Values, ...]
     tested: Mapping[str, Sequence[Values]]
-    elsewhere: Mapping[str, Sequence[Values]]
+    other_reference: Mapping[str, Sequence[Values]]
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """Figures of each entrant over the test plants."""
-        return {name: _summary(self.tested[name], self.elsewhere[name]) for name in self.entrants}
+        return {
+            name: _summary(self.tested[name], self.other_reference[name]) for name in self.entrants
+        }
 
     def better_share(self, name: str, other: str) -> float:
         """Share of the test plants on which entrant ``name`` has the smaller largest error."""
@@ -221,7 +223,7 @@ class ContestResult(Result):
             "better_share": {a: {b: self.better_share(a, b) for b in tuned} for a in tuned},
             "samples": self.samples,
             "tested": self.tested,
-            "elsewhere": self.elsewhere,
+            "other_reference": self.other_reference,
         }
 
 
@@ -313,11 +315,11 @@ def _contest(
     test = [plant for entrant in entrants.values() for plant in plants(entrant, samples)]
     tested = sweep.map(assess, test, "test")
     at_task = [changed(plant, task) for plant in test]
-    elsewhere = sweep.map(without_margins, at_task, "another task")
+    other_reference = sweep.map(without_margins, at_task, "another task")
 
-    def by_entrant(figures: Sequence[Values]) -> dict[str, Sequence[Values]]:
+    def by_entrant(metrics: Sequence[Values]) -> dict[str, Sequence[Values]]:
         n = len(samples)
-        return {name: figures[i * n : (i + 1) * n] for i, name in enumerate(entrants)}
+        return {name: metrics[i * n : (i + 1) * n] for i, name in enumerate(entrants)}
 
     return ContestResult(
         scenario,
@@ -329,7 +331,7 @@ def _contest(
         entrants,
         tuple(samples),
         tested=by_entrant(tested),
-        elsewhere=by_entrant(elsewhere),
+        other_reference=by_entrant(other_reference),
     )
 
 
@@ -402,9 +404,9 @@ def _entrant(contestant: Contestant, gains: Values) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------- summary
 
 
-def errors_of(figures: Sequence[Values], name: str = "max_error_deg") -> Array:
+def errors_of(metrics: Sequence[Values], name: str = "max_error_deg") -> Array:
     """One figure of every plant (n,); inf where the run failed."""
-    return np.array([math.inf if math.isnan(v[name]) else v[name] for v in figures])
+    return np.array([math.inf if math.isnan(v[name]) else v[name] for v in metrics])
 
 
 def _level(values: Array, share: float) -> float:
@@ -412,8 +414,8 @@ def _level(values: Array, share: float) -> float:
     return float(np.quantile(values, share, method="inverted_cdf"))
 
 
-def _summary(tested: Sequence[Values], elsewhere: Sequence[Values]) -> dict[str, Any]:
-    errors, other = errors_of(tested), errors_of(elsewhere)
+def _summary(tested: Sequence[Values], other_reference: Sequence[Values]) -> dict[str, Any]:
+    errors, other = errors_of(tested), errors_of(other_reference)
     changes = errors_of(tested, "mean_command_change_rpm")
     margins = np.nan_to_num([values["disk_margin"] for values in tested])
     return {
@@ -427,8 +429,8 @@ def _summary(tested: Sequence[Values], elsewhere: Sequence[Values]) -> dict[str,
         "unstable": sum(values["stable"] is False for values in tested),
         "not_linearized": sum(bool(values["margins_failure"]) for values in tested),
         "failed_runs": int(np.count_nonzero(np.isinf(errors))),
-        "median_error_elsewhere_deg": _level(other, 0.5),
-        "error_of_95_percent_elsewhere_deg": _level(other, 0.95),
+        "median_error_other_reference_deg": _level(other, 0.5),
+        "error_of_95_percent_other_reference_deg": _level(other, 0.95),
     }
 
 
@@ -443,7 +445,7 @@ COLUMNS = {
     "unstable": "unstable",
     "not_linearized": "no linear loop found",
     "failed_runs": "failed runs",
-    "median_error_elsewhere_deg": "median error elsewhere (deg)",
-    "error_of_95_percent_elsewhere_deg": "95 % error elsewhere (deg)",
+    "median_error_other_reference_deg": "median error, other reference (deg)",
+    "error_of_95_percent_other_reference_deg": "95 % error, other reference (deg)",
 }
 """Key of a contestant's result and its title in the table."""

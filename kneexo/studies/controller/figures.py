@@ -33,14 +33,14 @@ def _map(
     plain_ticks(ax.xaxis, x[::2])
 
 
-def lambda_and_slope(study: ControllerResult) -> Figure:
+def lambda_and_slope(result: ControllerResult) -> Figure:
     """Heat maps over λ and k/Φ at the η of the grid's centre."""
-    lambda_, phi, eta = study.centre
-    lambdas, slope = study.settings.lambdas_per_s, study.slope_per_s[::-1, eta]
-    default = (lambdas[lambda_], study.slope_per_s[phi, eta])
+    lambda_, phi, eta = result.centre
+    lambdas, slope = result.settings.lambdas_per_s, result.slope_per_s[::-1, eta]
+    default = (lambdas[lambda_], result.slope_per_s[phi, eta])
 
     def at(name: str) -> Array:
-        return study.values[name][:, ::-1, eta]
+        return result.values[name][:, ::-1, eta]
 
     figure, axes = plt.subplots(2, 2, figsize=(9.5, 7.5), layout="constrained", sharex=True)
     panels = (
@@ -49,8 +49,8 @@ def lambda_and_slope(study: ControllerResult) -> Figure:
         (
             at("settling_s"),
             LogNorm(0.1, 1.0),
-            f"{study.settings.step_deg:g}° step, settling to "
-            f"±{study.settings.settling_band_deg:g}° (s)",
+            f"{result.settings.step_deg:g}° step, settling to "
+            f"±{result.settings.settling_band_deg:g}° (s)",
         ),
         (at("disk_margin"), _SHARE_NORM, "disk margin"),
     )
@@ -59,18 +59,18 @@ def lambda_and_slope(study: ControllerResult) -> Figure:
     plt.setp(axes[1], xlabel="λ (1/s)")
     plt.setp(axes[:, 0], ylabel="k/Φ (1/s)")
     figure.suptitle(
-        f"η = {study.settings.etas_m_s3[eta]:g} m/s³; star: default, cross: linearly unstable, "
+        f"η = {result.settings.etas_m_s3[eta]:g} m/s³; star: default, cross: linearly unstable, "
         f"grey: failed, not settled or no margin",
         fontsize=10,
     )
     return figure
 
 
-def phi_and_eta(study: ControllerResult) -> Figure:
+def phi_and_eta(result: ControllerResult) -> Figure:
     """Heat maps over Φ and η at the λ of the grid's centre."""
-    lambda_, phi, eta = study.centre
-    phis, etas = study.settings.phis_m_s2, study.settings.etas_m_s3
-    beta = study.slope_per_s[phi, eta] * phis[phi] / etas[eta]
+    lambda_, phi, eta = result.centre
+    phis, etas = result.settings.phis_m_s2, result.settings.etas_m_s3
+    beta = result.slope_per_s[phi, eta] * phis[phi] / etas[eta]
     figure, axes = plt.subplots(
         2, 2, figsize=(9.5, 7.5), layout="constrained", sharex=True, sharey=True
     )
@@ -81,7 +81,7 @@ def phi_and_eta(study: ControllerResult) -> Figure:
         ("disk_margin", _SHARE_NORM, "disk margin"),
     )
     for ax, (name, norm, label) in zip(axes.flat, panels, strict=True):
-        values, stable = study.values[name][lambda_], study.values["stable"][lambda_]
+        values, stable = result.values[name][lambda_], result.values["stable"][lambda_]
         _map(ax, phis, etas, values, stable, (phis[phi], etas[eta]), norm=norm, label=label)
         ends = np.array(ax.get_xlim())
         for power in (4, 5, 6):
@@ -92,7 +92,7 @@ def phi_and_eta(study: ControllerResult) -> Figure:
     plt.setp(axes[1], xlabel="Φ (m/s²)")
     plt.setp(axes[:, 0], ylabel="η (m/s³)")
     figure.suptitle(
-        f"λ = {study.settings.lambdas_per_s[lambda_]:g} 1/s; dashed: k/Φ (1/s), star: default, "
+        f"λ = {result.settings.lambdas_per_s[lambda_]:g} 1/s; dashed: k/Φ (1/s), star: default, "
         f"cross: linearly unstable, grey: failed or no margin",
         fontsize=10,
     )
@@ -104,10 +104,10 @@ def _spread(count: int, centre: int) -> list[int]:
     return sorted({0, centre // 2, centre, (centre + count) // 2, count - 1})
 
 
-def claims(study: ControllerResult) -> Figure:
+def claims(result: ControllerResult) -> Figure:
     """The paper's three statements, and the error over k/Φ."""
-    lambda_, phi, eta = study.centre
-    grid, values = study.settings, study.values
+    lambda_, phi, eta = result.centre
+    grid, values = result.settings, result.values
     lambdas, phis, etas = grid.lambdas_per_s, grid.phis_m_s2, grid.etas_m_s3
     error, change = values["max_error_deg"], values["mean_command_change_rpm"]
     figure, axes = plt.subplots(2, 2, figsize=(9.5, 7.5), layout="constrained")
@@ -131,7 +131,7 @@ def claims(study: ControllerResult) -> Figure:
         adherent.loglog(etas, error[lambda_, n], ".-", label=f"{phis[n]:g}")
     adherent.set(xlabel="η (m/s³)", ylabel=_ERROR, title="(c) larger η")
     for n, value in enumerate(etas):
-        collapse.loglog(study.slope_per_s[:, n], error[lambda_, :, n], ".-", label=f"{value:g}")
+        collapse.loglog(result.slope_per_s[:, n], error[lambda_, :, n], ".-", label=f"{value:g}")
     collapse.set(xlabel="k/Φ (1/s)", ylabel=_ERROR, title="(d) the same over k/Φ")
     for ax, title in (
         (faster, None),
@@ -146,13 +146,13 @@ def claims(study: ControllerResult) -> Figure:
     return figure
 
 
-def trap(study: ControllerResult) -> Figure:
-    """Error of the trap over time, and where it lies on the map of T_f and k/Φ."""
-    grid = study.settings
-    law, observer = observed_smc(study.scenario)
+def limit_cycle(result: ControllerResult) -> Figure:
+    """Error of the limit cycle over time, and where it lies on the map of T_f and k/Φ."""
+    grid = result.settings
+    law, observer = observed_smc(result.scenario)
     figure, axes = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
-    shown = grid.trap_lambdas_per_s[0]
-    for case in study.trap:
+    shown = grid.limit_cycle_lambdas_per_s[0]
+    for case in result.limit_cycle:
         if case.lambda_per_s == shown:
             axes[0].plot(case.time_s, case.error_deg, lw=0.9, label=case.variant)
     low, high = axes[0].get_ylim()
@@ -165,24 +165,30 @@ def trap(study: ControllerResult) -> Figure:
     axes[0].legend(fontsize=8, loc="upper right")
     times, slopes = 1e3 * np.array(grid.map_time_constants_s), grid.map_slopes_per_s
     default = (1e3 * observer.time_constant_s, law.gain_ratio * law.eta_m_s3 / law.phi_m_s2)
-    stable = study.map_values["stable"]
+    stable = result.map_values["stable"]
     for ax, name, norm, label, title in (
         (axes[1], "max_error_deg", _ERROR_NORM, _ERROR, "(b) star: default"),
         (axes[2], "disk_margin", _SHARE_NORM, "disk margin", "(c) cross: linearly unstable"),
     ):
-        values = study.map_values[name]
+        values = result.map_values[name]
         _map(ax, times, slopes, values, stable, default, norm=norm, label=label)
-        ax.plot(1e3 * grid.trap_time_constant_s, grid.trap_slope_per_s, "C1o", mec="w", ms=9)
+        ax.plot(
+            1e3 * grid.limit_cycle_time_constant_s,
+            grid.limit_cycle_slope_per_s,
+            "C1o",
+            mec="w",
+            ms=9,
+        )
         ax.set(xlabel="T_f (ms)", ylabel="k/Φ (1/s)")
         ax.set_title(title, loc="left", fontsize=10)
     return figure
 
 
-def figures(study: ControllerResult) -> dict[str, Figure]:
+def figures(result: ControllerResult) -> dict[str, Figure]:
     """Figures by name; the caller closes them."""
     return {
-        "study_lambda_slope": lambda_and_slope(study),
-        "study_phi_eta": phi_and_eta(study),
-        "study_claims": claims(study),
-        "study_trap": trap(study),
+        "study_lambda_slope": lambda_and_slope(result),
+        "study_phi_eta": phi_and_eta(result),
+        "study_claims": claims(result),
+        "study_limit_cycle": limit_cycle(result),
     }

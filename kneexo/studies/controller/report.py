@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kneexo.parameters import RPM
-from kneexo.studies.controller.study import ControllerResult, TrapCase
+from kneexo.studies.controller.study import ControllerResult, LimitCycleCase
 from kneexo.studies.markdown import number, percent
 from kneexo.studies.template import filled
 
@@ -17,7 +17,7 @@ def report(result: ControllerResult) -> str:
     """Return the report on a controller study in Markdown."""
     per_sample = RPM / result.scenario.controller.sample_time_s
 
-    def acceleration_rad_s2(case: TrapCase) -> float:
+    def acceleration_rad_s2(case: LimitCycleCase) -> float:
         return case.mean_command_change_rpm * per_sample
 
     limit = result.scenario.plant.pump.acceleration_limit_rad_s2
@@ -33,7 +33,7 @@ def report(result: ControllerResult) -> str:
         lines=list(_lines(result)),
         linear_loop=lambda case: "stable" if case.stable else "unstable",
         acceleration=lambda case: number(acceleration_rad_s2(case)),
-        demand=acceleration_rad_s2(result.trap[0]) / limit,
+        demand=acceleration_rad_s2(result.limit_cycle[0]) / limit,
         largest=_largest_error_of_a_stable_loop(result),
     )
 

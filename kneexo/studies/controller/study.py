@@ -106,15 +106,17 @@ class ControllerSettings(Parameters):
         ge=1e-3,
         le=2,
     )
-    trap_time_constant_s: float = quantity(
+    limit_cycle_time_constant_s: float = quantity(
         0.008,
         "s",
         "assumption: T_f of a loop that is linearly stable and errs by degrees",
         ge=1e-5,
         le=1,
     )
-    trap_slope_per_s: float = quantity(1e4, "1/s", "assumption: k/Φ of the same", ge=1e-3, le=1e12)
-    trap_lambdas_per_s: tuple[float, ...] = positive_values(
+    limit_cycle_slope_per_s: float = quantity(
+        1e4, "1/s", "assumption: k/Φ of the same", ge=1e-3, le=1e12
+    )
+    limit_cycle_lambdas_per_s: tuple[float, ...] = positive_values(
         (20.0, 10.0), "1/s", "assumption: λ of the same"
     )
     hold_duration_s: float = quantity(
@@ -149,7 +151,7 @@ class ControllerSettings(Parameters):
         return self
 
 
-FIGURES = (
+METRICS = (
     "max_error_deg",
     "mean_command_change_rpm",
     "saturated_share",
@@ -166,10 +168,10 @@ The margins of an unstable loop are nan, and so are the results of a failed run.
 ``large_settling_s`` are the times after which the error of the small and of the large step stays
 within ± ``settling_band_deg``. They are inf for a step that does not settle in its run."""
 
-MAP_FIGURES = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin")
+MAP_METRICS = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin")
 """What the maps over two gains keep of a run."""
 
-TRAP_VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
+LIMIT_CYCLE_VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
 """The variants of the loop that tell what makes the limit cycle."""
 
 _SATURATED = 0.01  # share of the samples from which on a run counts as saturated
@@ -202,7 +204,7 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class TrapCase:
+class LimitCycleCase:
     """A loop that is linearly stable and errs by degrees; ``time_s`` and ``error_deg`` (n,).
 
     ``oscillation_at_rest_deg``: peak to peak, at the upper end of the reference. Of a run that
@@ -223,17 +225,17 @@ class TrapCase:
 
 @dataclass(frozen=True, repr=False)
 class ControllerResult(Result):
-    """The grid, the trap, and what both say about the paper's discussion.
+    """The grid, the limit cycle, and what both say about the paper's discussion.
 
-    ``values``: an array (λ, Φ, η) for each of `FIGURES`. ``map_values``: an array (T_f, k/Φ) for
-    each of ``MAP_FIGURES``, at the scenario's λ and η. ``failures``: why runs failed, by λ, Φ, η.
+    ``values``: an array (λ, Φ, η) for each of `METRICS`. ``map_values``: an array (T_f, k/Φ) for
+    each of ``MAP_METRICS``, at the scenario's λ and η. ``failures``: why runs failed, by λ, Φ, η.
     """
 
     scenario: Scenario
     settings: ControllerSettings
     values: Mapping[str, Array]
     failures: Mapping[tuple[float, float, float], str]
-    trap: tuple[TrapCase, ...]
+    limit_cycle: tuple[LimitCycleCase, ...]
     map_values: Mapping[str, Array]
 
     @property
@@ -271,9 +273,9 @@ class ControllerResult(Result):
                 for point, why in self.failures.items()
             ],
             "claims": [asdict(claim) | {"verdict": claim.verdict} for claim in self.claims()],
-            "trap": [
+            "limit_cycle": [
                 {key: v for key, v in asdict(case).items() if not isinstance(v, np.ndarray)}
-                for case in self.trap
+                for case in self.limit_cycle
             ],
             "map": {
                 "time_constants_s": grid.map_time_constants_s,
@@ -291,7 +293,7 @@ def controller_study(
     settings: ControllerSettings = ControllerSettings(),
     **options: Unpack[SweepOptions],
 ) -> ControllerResult:
-    """Run the grid and the trap; ``options``: see `kneexo.sweeps.SweepOptions`.
+    """Run the grid and the limit cycle; ``options``: see `kneexo.sweeps.SweepOptions`.
 
     A run of the grid that fails leaves nan and its reason. Raises `ParameterError` when
     ``scenario`` has no sampled sliding-mode controller behind an observer, or when a step or the
@@ -307,29 +309,37 @@ def controller_study(
     axes = (settings.lambdas_per_s, settings.phis_m_s2, settings.etas_m_s3)
     points = list(product(*axes))
     grid = [_with_law(scenario, *point) for point in points]
-    cases = list(product(settings.trap_lambdas_per_s, TRAP_VARIANTS))
-    trap_slope, trap_time_constant = settings.trap_slope_per_s, settings.trap_time_constant_s
-    traps = [
-        changed(with_slope(trap_slope, trap_time_constant, lambda_), _variant(variant, settings))
+    cases = list(product(settings.limit_cycle_lambdas_per_s, LIMIT_CYCLE_VARIANTS))
+    limit_cycle_slope, limit_cycle_time_constant = (
+        settings.limit_cycle_slope_per_s,
+        settings.limit_cycle_time_constant_s,
+    )
+    limit_cycles = [
+        changed(
+            with_slope(limit_cycle_slope, limit_cycle_time_constant, lambda_),
+            _variant(variant, settings),
+        )
         for lambda_, variant in cases
     ]
     map_axes = (settings.map_time_constants_s, settings.map_slopes_per_s)
     loops = [with_slope(slope, time, law.lambda_per_s) for time, slope in product(*map_axes)]
     with open_sweep(**options) as sweep:
         measured = sweep.map(partial(_measure, settings), grid, "grid of λ, Φ, η")
-        trapped = sweep.map(partial(_trap, settings), traps, "trap")
+        cycled = sweep.map(partial(_limit_cycle, settings), limit_cycles, "limit cycle")
         mapped = sweep.map(assess, loops, "map of T_f, k/Φ")
     return ControllerResult(
         scenario,
         settings,
-        values=_arrays(measured, FIGURES, axes),
+        values=_arrays(measured, METRICS, axes),
         failures={
             point: values["failure"]
             for point, values in zip(points, measured, strict=True)
             if values["failure"]
         },
-        trap=tuple(_trap_case(*case, run) for case, run in zip(cases, trapped, strict=True)),
-        map_values=_arrays(mapped, MAP_FIGURES, map_axes),
+        limit_cycle=tuple(
+            _limit_cycle_case(*case, run) for case, run in zip(cases, cycled, strict=True)
+        ),
+        map_values=_arrays(mapped, MAP_METRICS, map_axes),
     )
 
 
@@ -381,12 +391,12 @@ def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
 
 @needs_runs
 async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
-    """`FIGURES` of one point of the grid, and the first reason of a failure."""
+    """`METRICS` of one point of the grid, and the first reason of a failure."""
     cases = experiments(scenario, settings)
     at_reference = await awaitable(assess, scenario)
     fast = await awaitable(assess, cases["fast"], margins=False)
-    figures: dict[str, Any] = {name: at_reference[name] for name in FIGURES if name in at_reference}
-    figures["fast_max_error_deg"] = fast["max_error_deg"]
+    metrics: dict[str, Any] = {name: at_reference[name] for name in METRICS if name in at_reference}
+    metrics["fast_max_error_deg"] = fast["max_error_deg"]
     reasons = [
         at_reference["tracking_failure"],
         at_reference["margins_failure"],
@@ -396,17 +406,17 @@ async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str
         try:
             step = await awaitable(track, cases[name])
             band = settings.settling_band_deg
-            figures[key] = settling_time_s(step.run.time_s, step.error_deg, band)
+            metrics[key] = settling_time_s(step.run.time_s, step.error_deg, band)
         except KneexoError as failure:
-            figures[key] = math.nan
+            metrics[key] = math.nan
             reasons.append(str(failure))
-    figures["failure"] = next(filter(None, reasons), "")
-    return figures
+    metrics["failure"] = next(filter(None, reasons), "")
+    return metrics
 
 
 @needs_runs
-async def _trap(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
-    """Fields of a `TrapCase` but for λ and the variant."""
+async def _limit_cycle(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
+    """Fields of a `LimitCycleCase` but for λ and the variant."""
     linear = assess(scenario, tracking=False)
     margins = {name: linear[name] for name in ("stable", "disk_margin")}
     try:
@@ -424,11 +434,11 @@ async def _trap(settings: ControllerSettings, scenario: Scenario) -> dict[str, A
     }
 
 
-def _trap_case(lambda_: float, variant: str, run: dict[str, Any]) -> TrapCase:
+def _limit_cycle_case(lambda_: float, variant: str, run: dict[str, Any]) -> LimitCycleCase:
     arrays: dict[str, Any] = {
         name: np.array(run[name]) for name in ("time_s", "error_deg") if name in run
     }
-    return TrapCase(lambda_, variant, **(run | arrays))
+    return LimitCycleCase(lambda_, variant, **(run | arrays))
 
 
 def _variant(name: str, settings: ControllerSettings) -> dict[str, Any]:
@@ -534,7 +544,7 @@ def _chattering(study: ControllerResult) -> Claim:
         finding=f"Too small a Φ chatters in {percent(_share(chatters[small]))} of "
         f"{np.count_nonzero(small)} cases (the counts of the encoder, amplified up to the speed "
         f"limit), too large a Φ in {percent(_share(chatters[large]))} of "
-        f"{np.count_nonzero(large)} (an oscillation of a loop without damping, see the trap "
+        f"{np.count_nonzero(large)} (an oscillation of a loop without damping, see the limit cycle "
         f"below). The calmest Φ at the default η is {_numbers(np.array(grid.phis_m_s2)[chosen])} "
         f"m/s² at λ = {_numbers(grid.lambdas_per_s)} 1/s; λk/Φ there is "
         f"{rule.min():.2g}…{rule.max():.2g} 1/s².",

@@ -18,9 +18,9 @@ _STYLES = (("-", 5.0, 0.3), ("--", 2.2, 0.6), (":", 1.6, 1.0), ("-.", 0.8, 1.0))
 """Line, width and opacity for each load."""
 
 
-def tracking(study: OrderResult) -> Figure:
+def tracking(result: OrderResult) -> Figure:
     """Errors (left) and pressures (right) over time, a row for each load."""
-    loads = study.settings.disturbances_n
+    loads = result.settings.disturbances_n
     figure, ax = plt.subplots(
         len(loads),
         2,
@@ -30,7 +30,7 @@ def tracking(study: OrderResult) -> Figure:
         squeeze=False,
     )
     for row, force in zip(ax, loads, strict=True):
-        for case in (case for case in study.tracking if case["disturbance_n"] == force):
+        for case in (case for case in result.tracking if case["disturbance_n"] == force):
             trace, order = case["trace"], case["order"]
             row[0].plot(trace["time_s"], trace["error_deg"], _COLORS[order], lw=1.2, label=order)
             for name, values in trace["pressures_mpa"].items():
@@ -48,32 +48,32 @@ def tracking(study: OrderResult) -> Figure:
     return figure
 
 
-def switching(study: OrderResult) -> Figure:
+def switching(result: OrderResult) -> Figure:
     """Swing of the rod's velocity over the force on the rod."""
     figure, ax = plt.subplots(figsize=(6, 4), layout="constrained")
     for direction, color, words in (("in", "C3", "retracting"), ("out", "C0", "extending")):
-        rows = [row for row in study.switching if row["direction"] == direction]
+        rows = [row for row in result.switching if row["direction"] == direction]
         forces = [row["force_n"] for row in rows]
         ax.semilogy(
             forces, [row["velocity_swing_mm_s"] for row in rows], f"{color}o-", ms=4, label=words
         )
-    force = switching_force_n(study.scenario)
+    force = switching_force_n(result.scenario)
     ax.axvline(force, color="0.4", ls=":", label=f"P_r(A_1 − A_2) = {force:.1f} N")
     ax.set(xlabel="force on the rod (N)", ylabel="swing of the rod's velocity about v_d (mm/s)")
     ax.legend()
     return figure
 
 
-def frequency(study: OrderResult) -> Figure:
+def frequency(result: OrderResult) -> Figure:
     """Response of the plant from command to rod velocity, at the middle posture.
 
     The lines become narrower from load to load, so that those which coincide are all seen.
     """
     figure, ax = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
-    postures = study.settings.postures_deg
+    postures = result.settings.postures_deg
     posture = postures[len(postures) // 2]
-    styles = dict(zip(study.settings.disturbances_n, _STYLES, strict=False))
-    for row in study.frequency:
+    styles = dict(zip(result.settings.disturbances_n, _STYLES, strict=False))
+    for row in result.frequency:
         if row["posture_deg"] == posture and "trace" in row:
             order, force, trace = row["order"], row["disturbance_n"], row["trace"]
             ls, lw, alpha = styles.get(force, _STYLES[0])
@@ -86,7 +86,7 @@ def frequency(study: OrderResult) -> Figure:
                 alpha=alpha,
                 label=f"{order}, {force:g} N",
             )
-    nyquist = 0.5 / study.scenario.controller.sample_time_s
+    nyquist = 0.5 / result.scenario.controller.sample_time_s
     ax.axvline(nyquist, color="0.4", ls=":", lw=1, label=f"Nyquist, {nyquist:g} Hz")
     ax.set(
         xlabel="frequency (Hz)",
@@ -97,10 +97,10 @@ def frequency(study: OrderResult) -> Figure:
     return figure
 
 
-def figures(study: OrderResult) -> dict[str, Figure]:
+def figures(result: OrderResult) -> dict[str, Figure]:
     """``order_tracking``, ``order_switching`` and ``order_frequency``."""
     return {
-        "order_tracking": tracking(study),
-        "order_switching": switching(study),
-        "order_frequency": frequency(study),
+        "order_tracking": tracking(result),
+        "order_switching": switching(result),
+        "order_frequency": frequency(result),
     }

@@ -19,8 +19,8 @@ from kneexo.parameters.uncertainty import realize
 from kneexo.studies.plots import CENTRED, legend_below
 from kneexo.studies.robustness.study import (
     MERITS,
+    Assessment,
     RobustnessResult,
-    Visit,
     merit_value,
     merit_values,
     short_names,
@@ -31,19 +31,19 @@ from kneexo.studies.robustness.study import (
 _SHOWN = ("max_error_deg", "bandwidth_hz", "disk_margin")
 
 
-def distribution(study: RobustnessResult) -> Figure:
+def distribution(result: RobustnessResult) -> Figure:
     """Empirical distribution of each figure of merit, with the nominal plant and the worst corner.
 
     What failed is missing: the curve then ends below one, or begins above zero.
     """
-    names = [merit for merit in study.merits if merit != "rms_error_deg"]
+    names = [merit for merit in result.merits if merit != "rms_error_deg"]
     columns = min(3, len(names))
     rows = math.ceil(len(names) / columns)
     figure, axes = plt.subplots(
         rows, columns, figsize=(3.6 * columns, 2.9 * rows), layout="constrained", squeeze=False
     )
     for ax, merit in zip(axes.flat, names, strict=False):
-        _plot_distribution(ax, study, merit)
+        _plot_distribution(ax, result, merit)
     for ax in axes.flat[len(names) :]:
         ax.set_visible(False)
     for row in axes:
@@ -52,12 +52,12 @@ def distribution(study: RobustnessResult) -> Figure:
     return figure
 
 
-def _plot_distribution(ax: Axes, study: RobustnessResult, merit: str) -> None:
-    values = np.sort(merit_values(study.samples, merit))
+def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
+    values = np.sort(merit_values(result.samples, merit))
     share = np.arange(1, values.size + 1) / values.size
     finite = np.isfinite(values)
-    nominal = merit_value(study.nominal, merit)
-    corner = worst_value(study.corners, merit)
+    nominal = merit_value(result.nominal, merit)
+    corner = worst_value(result.corners, merit)
     ax.step(values[finite], share[finite], where="post", color="C0", label="samples")
     for value, colour, ls, lw, label in (
         (nominal, "0.4", "--", 1.0, "nominal"),
@@ -72,16 +72,16 @@ def _plot_distribution(ax: Axes, study: RobustnessResult, merit: str) -> None:
         ax.xaxis.set_minor_locator(NullLocator())
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     failed = int(np.sum(~finite))
-    lost = "fail" if MERITS[merit].worse > 0.0 else "fail or are unstable"
+    lost = "fail" if MERITS[merit].sign_of_worse > 0.0 else "fail or are unstable"
     ax.set_title(f"{failed} of {values.size} {lost}" if failed else " ", fontsize=8, color="C3")
     ax.set(xlabel=MERITS[merit].label, ylim=(0.0, 1.02))
     ax.grid(alpha=0.3)
 
 
-def tornado(study: RobustnessResult) -> Figure:
+def tornado(result: RobustnessResult) -> Figure:
     """What each value alone does to error, bandwidth and disk margin, the largest on top."""
-    merits = [merit for merit in _SHOWN if merit in study.merits]
-    names = short_names(study.uncertainty.values)
+    merits = [merit for merit in _SHOWN if merit in result.merits]
+    names = short_names(result.uncertainty.values)
     figure, axes = plt.subplots(
         1,
         len(merits),
@@ -90,11 +90,11 @@ def tornado(study: RobustnessResult) -> Figure:
         squeeze=False,
     )
     for ax, merit in zip(axes[0], merits, strict=True):
-        _plot_tornado(ax, study, merit, names)
+        _plot_tornado(ax, result, merit, names)
     entries = {"low end": "C0<", "high end": "C1>"}
-    options = max(len(span.options) for span in study.uncertainty.values.values())
+    options = max(len(span.options) for span in result.uncertainty.values.values())
     entries |= {f"option {n + 1}": f"C{n}{'os^Dv'[n % 5]}" for n in range(min(options, 5))}
-    if any(np.isinf(merit_values(study.one_at_a_time, merit)).any() for merit in merits):
+    if any(np.isinf(merit_values(result.one_at_a_time, merit)).any() for merit in merits):
         entries["fails or is unstable"] = "C3x"
     handles = [Line2D([], [], color=s[:2], marker=s[2], ls="", ms=5) for s in entries.values()]
     handles.append(Line2D([], [], color="0.4", ls="--", lw=1))
@@ -103,16 +103,16 @@ def tornado(study: RobustnessResult) -> Figure:
     return figure
 
 
-def _plot_tornado(ax: Axes, study: RobustnessResult, merit: str, names: dict[str, str]) -> None:
-    effects = study.effects(merit)
-    nominal = merit_value(study.nominal, merit)
+def _plot_tornado(ax: Axes, result: RobustnessResult, merit: str, names: dict[str, str]) -> None:
+    effects = result.effects(merit)
+    nominal = merit_value(result.nominal, merit)
     finite = [v for values in effects.values() for v in [*values, nominal] if math.isfinite(v)]
-    order = sorted(names, key=lambda path: study.spread(merit, path))
+    order = sorted(names, key=lambda path: result.spread(merit, path))
     low, high = (min(finite), max(finite)) if finite else (0.0, 1.0)
     margin = 0.15 * (high - low) or 0.1 * abs(high) or 1.0
-    failed_at = high + margin if MERITS[merit].worse > 0.0 else low - margin
+    failed_at = high + margin if MERITS[merit].sign_of_worse > 0.0 else low - margin
     for row, path in enumerate(order):
-        span, values = study.uncertainty.values[path], effects[path]
+        span, values = result.uncertainty.values[path], effects[path]
         ends = [v for v in [*values, nominal] if math.isfinite(v)]
         if ends:
             ax.plot([min(ends), max(ends)], [row, row], color="0.8", lw=7, solid_capstyle="butt")
@@ -131,28 +131,28 @@ def _plot_tornado(ax: Axes, study: RobustnessResult, merit: str, names: dict[str
     ax.grid(axis="x", alpha=0.3)
 
 
-def importance(study: RobustnessResult) -> Figure:
+def importance(result: RobustnessResult) -> Figure:
     """Rank correlations over the samples, beside the linear effect of each whole interval."""
-    names = short_names(study.uncertainty.values)
-    merits = list(study.merits)
-    correlations = study.correlations()
+    names = short_names(result.uncertainty.values)
+    merits = list(result.merits)
+    correlations = result.correlations()
     ranks = np.array([[correlations[m][path] for m in merits] for path in names])
     figure, axes = plt.subplots(
         1, 2, figsize=(12.0, 1.9 + 0.36 * len(names)), layout="constrained", sharey=True
     )
-    chosen = np.array([bool(study.uncertainty.values[path].options) for path in names])
+    chosen = np.array([bool(result.uncertainty.values[path].options) for path in names])
     labels = [
         name + (" (η)" if has_options else "")
         for name, has_options in zip(names.values(), chosen, strict=True)
     ]
     _plot_table(axes[0], ranks, merits, labels, chosen)
     axes[0].set_title("rank correlation over the samples, ρ or η", fontsize=9)
-    local = [m for m in merits if m in study.local]
-    linear = np.array([[study.linear_effect(m, path) for m in local] for path in names])
-    scale = np.array([abs(study.nominal.figures[m]) for m in local])
+    local = [m for m in merits if m in result.local]
+    linear = np.array([[result.linear_effect(m, path) for m in local] for path in names])
+    scale = np.array([abs(result.nominal.metrics[m]) for m in local])
     if local:
         _plot_table(axes[1], 100.0 * linear / scale, local, labels, chosen, limit=100.0)
-        axes[1].set_title("whole interval by AutoDiff, % of the nominal figure", fontsize=9)
+        axes[1].set_title("whole interval by AutoDiff, % of the nominal metric", fontsize=9)
     else:
         axes[1].set_visible(False)
     key = {
@@ -178,7 +178,7 @@ def _plot_table(
     Rows that are ``unsigned`` are grey. The columns are ``merits`` without their units, which the
     numbers do not have.
     """
-    signs = np.array([MERITS[merit].worse for merit in merits])
+    signs = np.array([MERITS[merit].sign_of_worse for merit in merits])
     rows = np.broadcast_to(unsigned[:, None], values.shape)
     ax.set_facecolor("0.92")
     for shades, cmap, low in ((values * signs, "RdBu_r", -limit), (values, "Greys", 0.0)):
@@ -206,12 +206,14 @@ def _plot_table(
     ax.set_yticks(range(len(labels)), labels, fontsize=8)
 
 
-def nyquist(study: RobustnessResult) -> Figure:
+def nyquist(result: RobustnessResult) -> Figure:
     """Loops of the first samples, with the disk that the worst disk margin keeps out."""
     figure, ax = plt.subplots(figsize=(6.0, 6.0), layout="constrained")
-    visits = [*study.samples, *study.corners, *study.one_at_a_time, study.nominal]
-    stable = [visit for visit in visits if visit.figures["stable"]]
-    loops = [_loop(study, visit) for visit in study.samples[: study.settings.nyquist_loops]]
+    assessments = [*result.samples, *result.corners, *result.one_at_a_time, result.nominal]
+    stable = [assessment for assessment in assessments if assessment.metrics["stable"]]
+    loops = [
+        _loop(result, assessment) for assessment in result.samples[: result.settings.nyquist_loops]
+    ]
     drawn = [loop for loop in loops if loop is not None]
     lost = sum(not loop.stable for loop in drawn)
     labels = {True: f"L of {len(drawn) - lost} samples", False: f"L of {lost} unstable samples"}
@@ -221,33 +223,33 @@ def nyquist(study: RobustnessResult) -> Figure:
         colour = "0.6" if loop.stable else "C3"
         label = labels.pop(loop.stable, None)  # once each
         ax.plot(response.real, response.imag, color=colour, lw=0.5, alpha=0.6, label=label)
-    unstable = sum(visit.figures["stable"] is False for visit in visits)
+    unstable = sum(assessment.metrics["stable"] is False for assessment in assessments)
     title = ""
     if stable:
-        nearest = _loop(study, worst(stable, "disk_margin"))
+        nearest = _loop(result, worst(stable, "disk_margin"))
         if nearest is not None:
             nearest.plot_nyquist(ax)
             title = f"blue: the smallest disk margin of {len(stable)} stable plants"
     if unstable:
-        title += f"\n{unstable} of {len(visits)} plants are unstable"
+        title += f"\n{unstable} of {len(assessments)} plants are unstable"
     ax.set_title(title, fontsize=9)
     return figure
 
 
-def _loop(study: RobustnessResult, visit: Visit) -> SampledLoop | None:
-    """The linear loop of a visit, as `assess` takes it; None when there is none."""
+def _loop(result: RobustnessResult, assessment: Assessment) -> SampledLoop | None:
+    """The linear loop of a assessment, as `assess` takes it; None when there is none."""
     try:
-        plant = realize(study.scenario, study.uncertainty, visit.values)
+        plant = realize(result.scenario, result.uncertainty, assessment.values)
         return linearize_loop(plant, plant.reference.middle_deg)
     except KneexoError:
         return None
 
 
-def figures(study: RobustnessResult) -> dict[str, Figure]:
+def figures(result: RobustnessResult) -> dict[str, Figure]:
     """Distributions, tornado, what matters most, and Nyquist plots of the sampled loops."""
     return {
-        "robustness_distribution": distribution(study),
-        "robustness_tornado": tornado(study),
-        "robustness_importance": importance(study),
-        "robustness_nyquist": nyquist(study),
+        "robustness_distribution": distribution(result),
+        "robustness_tornado": tornado(result),
+        "robustness_importance": importance(result),
+        "robustness_nyquist": nyquist(result),
     }

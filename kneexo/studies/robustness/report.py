@@ -11,8 +11,8 @@ import numpy as np
 from kneexo.studies.robustness.study import (
     CONFIDENCE,
     MERITS,
+    Assessment,
     RobustnessResult,
-    Visit,
     chance,
     failures,
     merit_value,
@@ -66,19 +66,21 @@ def _distribution(result: RobustnessResult) -> Iterator[list[str]]:
     for merit in result.merits:
         values = [merit_value(result.nominal, merit)]
         values += [quantile(result.samples, merit, share) for share in (0.5, 0.05, 0.95)]
-        values += [worst_value(visits, merit) for visits in (result.samples, result.corners)]
+        values += [
+            worst_value(assessments, merit) for assessments in (result.samples, result.corners)
+        ]
         yield [MERITS[merit].label, *map(shown, values)]
 
 
-def _failures(name: str, visits: Sequence[Visit]) -> dict[str, Any]:
+def _failures(name: str, assessments: Sequence[Assessment]) -> dict[str, Any]:
     """Count the failures of a set of plants, and list the errors of its unstable loops."""
-    unstable = [visit for visit in visits if visit.figures["stable"] is False]
+    unstable = [assessment for assessment in assessments if assessment.metrics["stable"] is False]
     errors = merit_values(unstable, "max_error_deg")
     return {
         "name": name,
-        "size": len(visits),
-        "count": sum(bool(visit.failures) for visit in visits),
-        "reasons": failures(visits),
+        "size": len(assessments),
+        "count": sum(bool(assessment.failures) for assessment in assessments),
+        "reasons": failures(assessments),
         "unstable": len(unstable),
         "errors_of_unstable_deg": errors[np.isfinite(errors)].tolist(),
     }
@@ -92,15 +94,17 @@ def _corners(
     for path, name in names.items():
         yield [name, *(shown(corner.values[path]) for corner in corners)]
     yield [
-        "**the figure there**",
+        "**the metric there**",
         *(shown(worst_value(result.corners, merit)) for merit in merits),
     ]
 
 
 def _sample_is_worst(result: RobustnessResult, merit: str) -> bool:
     """Whether a sample is worse than all corners."""
-    sample, corner = (worst_value(visits, merit) for visits in (result.samples, result.corners))
-    return MERITS[merit].worse * sample > MERITS[merit].worse * corner
+    sample, corner = (
+        worst_value(assessments, merit) for assessments in (result.samples, result.corners)
+    )
+    return MERITS[merit].sign_of_worse * sample > MERITS[merit].sign_of_worse * corner
 
 
 def _importance(

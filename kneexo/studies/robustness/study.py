@@ -73,7 +73,7 @@ class Merit(NamedTuple):
     """A figure of merit: its name with the unit, and 1 where larger is worse, else −1."""
 
     label: str
-    worse: float
+    sign_of_worse: float
 
 
 MERITS = {
@@ -89,17 +89,17 @@ MERITS = {
 
 
 @dataclass(frozen=True)
-class Visit:
+class Assessment:
     """One plant: the values that are not nominal, and what `assess` found."""
 
     values: Values
-    figures: dict[str, Any]
+    metrics: dict[str, Any]
 
     @property
     def failures(self) -> tuple[str, ...]:
         """Why a figure is missing; empty when all is well."""
-        texts = [text for name, text in self.figures.items() if name.endswith("_failure") and text]
-        return (*texts, UNSTABLE) if self.figures["stable"] is False else tuple(texts)
+        texts = [text for name, text in self.metrics.items() if name.endswith("_failure") and text]
+        return (*texts, UNSTABLE) if self.metrics["stable"] is False else tuple(texts)
 
 
 @needs_runs
@@ -120,60 +120,66 @@ async def assess_plant(
     return await awaitable(judge, plant)
 
 
-def merit_value(visit: Visit, merit: str) -> float:
-    """A figure of merit of a visit; what failed is infinitely bad."""
-    value = visit.figures[merit]
+def merit_value(assessment: Assessment, merit: str) -> float:
+    """A figure of merit of a assessment; what failed is infinitely bad."""
+    value = assessment.metrics[merit]
     failed = value is None or math.isnan(value)
-    return MERITS[merit].worse * math.inf if failed else float(value)
+    return MERITS[merit].sign_of_worse * math.inf if failed else float(value)
 
 
-def merit_values(visits: Iterable[Visit], merit: str) -> Array:
-    """`merit_value` of each visit, (n,)."""
-    return np.array([merit_value(visit, merit) for visit in visits], dtype=float)
+def merit_values(assessments: Iterable[Assessment], merit: str) -> Array:
+    """`merit_value` of each assessment, (n,)."""
+    return np.array([merit_value(assessment, merit) for assessment in assessments], dtype=float)
 
 
-def worst(visits: Sequence[Visit], merit: str) -> Visit:
-    """The visit with the worst figure of merit, the first of several."""
-    return visits[int(np.argmax(MERITS[merit].worse * merit_values(visits, merit)))]
+def worst(assessments: Sequence[Assessment], merit: str) -> Assessment:
+    """The assessment with the worst figure of merit, the first of several."""
+    return assessments[
+        int(np.argmax(MERITS[merit].sign_of_worse * merit_values(assessments, merit)))
+    ]
 
 
-def worst_value(visits: Sequence[Visit], merit: str) -> float:
-    """The figure of merit of the `worst` visit."""
-    return merit_value(worst(visits, merit), merit)
+def worst_value(assessments: Sequence[Assessment], merit: str) -> float:
+    """The figure of merit of the `worst` assessment."""
+    return merit_value(worst(assessments, merit), merit)
 
 
-def quantile(visits: Sequence[Visit], merit: str, share: float) -> float:
-    """Order statistic at ``share``: infinite where that many visits failed."""
-    return float(np.quantile(merit_values(visits, merit), share, method="inverted_cdf"))
+def quantile(assessments: Sequence[Assessment], merit: str, share: float) -> float:
+    """Order statistic at ``share``: infinite where that many assessments failed."""
+    return float(np.quantile(merit_values(assessments, merit), share, method="inverted_cdf"))
 
 
-def failures(visits: Sequence[Visit]) -> list[dict[str, Any]]:
+def failures(assessments: Sequence[Assessment]) -> list[dict[str, Any]]:
     """Reasons of failures, alike but for their numbers: how many, and the first one's words."""
     kinds: dict[str, dict[str, Any]] = {}
-    for visit in visits:
-        for text in visit.failures:
+    for assessment in assessments:
+        for text in assessment.failures:
             kind = re.sub(r"[-+−]?\d[\d.e+-]*", "#", text)
-            entry = kinds.setdefault(kind, {"count": 0, "example": text, "values": visit.values})
+            entry = kinds.setdefault(
+                kind, {"count": 0, "example": text, "values": assessment.values}
+            )
             entry["count"] += 1
     return sorted(kinds.values(), key=lambda entry: -entry["count"])
 
 
-def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit: str) -> Array:
-    """How each uncertain value ranks with a figure of merit over ``visits``, (values,).
+def rank_correlation(
+    uncertainty: UncertaintySet, assessments: Sequence[Assessment], merit: str
+) -> Array:
+    """How each uncertain value ranks with a figure of merit over ``assessments``, (values,).
 
     Intervals: Spearman's rank correlation. Options: the correlation ratio η of the figure's ranks,
     the root of the share of their variance that lies between the options (no sign). What failed
     has the worst rank. nan for a figure that is the same everywhere.
     """
-    ranks = scipy.stats.rankdata(merit_values(visits, merit)) - 0.5 * (len(visits) + 1)
+    ranks = scipy.stats.rankdata(merit_values(assessments, merit)) - 0.5 * (len(assessments) + 1)
     size = math.sqrt(ranks @ ranks)
     if size == 0.0:
         return np.full(len(uncertainty.values), math.nan)
 
     def strength(path: str, span: Uncertainty) -> float:
-        values = [visit.values[path] for visit in visits]
+        values = [assessment.values[path] for assessment in assessments]
         if not span.options:
-            x = scipy.stats.rankdata(values) - 0.5 * (len(visits) + 1)
+            x = scipy.stats.rankdata(values) - 0.5 * (len(assessments) + 1)
             return float(x @ ranks / (math.sqrt(x @ x) * size))
         groups = np.array([span.options.index(value) for value in values])
         sums = [ranks[groups == g].sum() ** 2 / np.sum(groups == g) for g in np.unique(groups)]
@@ -183,7 +189,7 @@ def rank_correlation(uncertainty: UncertaintySet, visits: Sequence[Visit], merit
 
 
 def chance(span: Uncertainty, count: int) -> float:
-    """What `rank_correlation` over ``count`` visits stays below by chance, with 95 % confidence."""
+    """Return the bound that `rank_correlation` over ``count`` plants keeps by chance, at 95 %."""
     freedom = max(len(span.options), 2) - 1
     return math.sqrt(scipy.stats.chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
 
@@ -202,10 +208,10 @@ class RobustnessResult(Result):
     uncertainty: UncertaintySet
     left_out: tuple[str, ...]
     settings: RobustnessSettings
-    nominal: Visit
-    one_at_a_time: tuple[Visit, ...]
-    samples: tuple[Visit, ...]
-    corners: tuple[Visit, ...]
+    nominal: Assessment
+    one_at_a_time: tuple[Assessment, ...]
+    samples: tuple[Assessment, ...]
+    corners: tuple[Assessment, ...]
     corners_possible: int
     corners_settled: bool | None
     local: dict[str, dict[str, float]]
@@ -214,7 +220,7 @@ class RobustnessResult(Result):
     @property
     def merits(self) -> tuple[str, ...]:
         """The figures of merit that were asked for."""
-        return tuple(name for name in MERITS if name in self.nominal.figures)
+        return tuple(name for name in MERITS if name in self.nominal.metrics)
 
     def effects(self, merit: str) -> dict[str, list[float]]:
         """The figure of merit at each level of one value, all others nominal, by path."""
@@ -260,26 +266,26 @@ class RobustnessResult(Result):
     def results(self) -> dict[str, Any]:
         """All numbers as plain data; a figure that is missing because of a failure is null."""
 
-        def listed(visits: Sequence[Visit]) -> list[dict[str, Any]]:
-            return [{"values": dict(v.values), **v.figures} for v in visits]
+        def listed(assessments: Sequence[Assessment]) -> list[dict[str, Any]]:
+            return [{"values": dict(v.values), **v.metrics} for v in assessments]
 
         def summary(merit: str) -> dict[str, Any]:
             sets = {"sample": self.samples, "corner": self.corners}
             return {
-                "nominal": self.nominal.figures[merit],
+                "nominal": self.nominal.metrics[merit],
                 "median": quantile(self.samples, merit, 0.5),
                 "percentile_5": quantile(self.samples, merit, 0.05),
                 "percentile_95": quantile(self.samples, merit, 0.95),
                 **{
                     f"worst_{name}": {
-                        "value": worst(visits, merit).figures[merit],
-                        "values": dict(worst(visits, merit).values),
+                        "value": worst(assessments, merit).metrics[merit],
+                        "values": dict(worst(assessments, merit).values),
                     }
-                    for name, visits in sets.items()
+                    for name, assessments in sets.items()
                 },
                 **{
-                    f"failed_{name}s": int(np.sum(~np.isfinite(merit_values(visits, merit))))
-                    for name, visits in sets.items()
+                    f"failed_{name}s": int(np.sum(~np.isfinite(merit_values(assessments, merit))))
+                    for name, assessments in sets.items()
                 },
             }
 
@@ -287,7 +293,7 @@ class RobustnessResult(Result):
             "uncertainty": self.uncertainty.model_dump(mode="json")["values"],
             "left_out": list(self.left_out),
             "settings": self.settings.model_dump(),
-            "figures": {merit: summary(merit) for merit in self.merits},
+            "metrics": {merit: summary(merit) for merit in self.merits},
             "share_within_worst_sample_at_95_percent_confidence": self.covered,
             "failures": {
                 "samples": failures(self.samples),
@@ -300,7 +306,7 @@ class RobustnessResult(Result):
             "rank_correlation": self.correlations(),
             "local_sensitivity": self.local,
             "local_failures": list(self.local_failures),
-            "nominal": self.nominal.figures,
+            "nominal": self.nominal.metrics,
             "one_at_a_time": listed(self.one_at_a_time),
             "samples": listed(self.samples),
             "corners": listed(self.corners),
@@ -339,19 +345,19 @@ def _explore(
         assess_plant, scenario, kept, partial(assess, bandwidth=settings.bandwidth and moves)
     )
 
-    def visit(points: Sequence[Values], what: str) -> tuple[Visit, ...]:
-        figures = sweep.map(judge, points, what)
-        return tuple(map(Visit, points, (missing | values for values in figures)))
+    def assessment(points: Sequence[Values], what: str) -> tuple[Assessment, ...]:
+        metrics = sweep.map(judge, points, what)
+        return tuple(map(Assessment, points, (missing | values for values in metrics)))
 
     missing: dict[str, Any] = {}  # figures of a plant that cannot be
-    at_nominal = visit([{}], "nominal")[0]
-    nominal = at_nominal.figures
+    at_nominal = assessment([{}], "nominal")[0]
+    nominal = at_nominal.metrics
     missing |= {name: math.nan for name, value in nominal.items() if isinstance(value, float)}
     each = [{path: level} for path, span in kept.values.items() for level in span.levels]
-    singly = visit(each, "one at a time")
-    samples = visit(draw(kept, settings.samples, settings.seed), "samples")
+    singly = assessment(each, "one at a time")
+    samples = assessment(draw(kept, settings.samples, settings.seed), "samples")
     merits = [name for name in MERITS if name in nominal]
-    corners, settled = _corners(kept, merits, singly, settings, partial(visit, what="corners"))
+    corners, settled = _corners(kept, merits, singly, settings, partial(assessment, what="corners"))
     paths = [
         p for p, span in kept.values.items() if not span.options and differentiable(scenario, p)
     ]
@@ -396,11 +402,11 @@ def _local(
 def _corners(
     uncertainty: UncertaintySet,
     merits: Sequence[str],
-    singly: Sequence[Visit],
+    singly: Sequence[Assessment],
     settings: RobustnessSettings,
-    visit: Callable[[Sequence[Values]], tuple[Visit, ...]],
-) -> tuple[tuple[Visit, ...], bool | None]:
-    """Visit all corners, or ``corners_max`` of them; return them and ``corners_settled``.
+    assessment: Callable[[Sequence[Values]], tuple[Assessment, ...]],
+) -> tuple[tuple[Assessment, ...], bool | None]:
+    """Assessment all corners, or ``corners_max`` of them; return them and ``corners_settled``.
 
     For each figure of merit and each combination of options first the corner at whose ends the
     figure was worse one at a time; then, from the worst corner of each figure on, all that differ
@@ -408,7 +414,7 @@ def _corners(
     """
     entries = uncertainty.values
     sizes = [len(span.levels) for span in entries.values()]
-    visited: dict[Corner, Visit] = {}
+    visited: dict[Corner, Assessment] = {}
 
     def go(corners: Iterable[Corner]) -> None:
         new = list(dict.fromkeys(corner for corner in corners if corner not in visited))
@@ -417,7 +423,7 @@ def _corners(
             {path: span.levels[i] for (path, span), i in zip(entries.items(), corner, strict=True)}
             for corner in new
         ]
-        visited.update(zip(new, visit(points), strict=True))
+        visited.update(zip(new, assessment(points), strict=True))
 
     if math.prod(sizes) <= settings.corners_max:
         go(product(*map(range, sizes)))
@@ -436,21 +442,21 @@ def _corners(
 
 
 def _pointed_at(
-    uncertainty: UncertaintySet, merits: Sequence[str], singly: Sequence[Visit]
+    uncertainty: UncertaintySet, merits: Sequence[str], singly: Sequence[Assessment]
 ) -> Iterator[Corner]:
     """Corners at the ends that are worse one at a time, for all options and figures of merit."""
     one_by_one = iter(singly)
     groups = [list(islice(one_by_one, len(span.levels))) for span in uncertainty.values.values()]
     for merit in merits:
         choices = []
-        for span, visits in zip(uncertainty.values.values(), groups, strict=True):
-            bad = MERITS[merit].worse * merit_values(visits, merit)
-            choices.append(range(len(visits)) if span.options else [int(np.argmax(bad))])
+        for span, assessments in zip(uncertainty.values.values(), groups, strict=True):
+            bad = MERITS[merit].sign_of_worse * merit_values(assessments, merit)
+            choices.append(range(len(assessments)) if span.options else [int(np.argmax(bad))])
         yield from product(*choices)
 
 
-def _worst_corner(visited: Mapping[Corner, Visit], merit: str) -> Corner:
-    bad = MERITS[merit].worse * merit_values(visited.values(), merit)
+def _worst_corner(visited: Mapping[Corner, Assessment], merit: str) -> Corner:
+    bad = MERITS[merit].sign_of_worse * merit_values(visited.values(), merit)
     return list(visited)[int(np.argmax(bad))]
 
 

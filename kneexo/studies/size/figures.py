@@ -37,24 +37,24 @@ HARDWARE_LABELS = {"nominal": "hardware as it is", "sized": "sized hardware"}
 _STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
 
 
-def figures(sizing: SizeResult) -> dict[str, Figure]:
+def figures(result: SizeResult) -> dict[str, Figure]:
     """Design curves, maps, gains, walking over the cycle, pressure and power over the cycle."""
     return {
-        "sizing_sweeps": _sweeps(sizing),
-        "sizing_maps": _maps(sizing),
-        "walking_gains": _gains(sizing),
-        "walking_tracking": _tracking(sizing),
-        "walking_demand": _demand(sizing),
+        "sizing_sweeps": _sweeps(result),
+        "sizing_maps": _maps(result),
+        "walking_gains": _gains(result),
+        "walking_tracking": _tracking(result),
+        "walking_demand": _demand(result),
     }
 
 
-def _sweeps(sizing: SizeResult) -> Figure:
+def _sweeps(result: SizeResult) -> Figure:
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained")
-    settings = sizing.settings
+    settings = result.settings
     panels = (
-        (sizing.sweeps, settings.factors, "bandwidth_hz", "−3 dB bandwidth (Hz)"),
-        (sizing.sweeps, settings.factors, "max_error_deg", "largest error (deg)"),
-        (sizing.walking_sweeps, settings.walking_factors, "max_error_deg", "largest error (deg)"),
+        (result.sweeps, settings.factors, "bandwidth_hz", "−3 dB bandwidth (Hz)"),
+        (result.sweeps, settings.factors, "max_error_deg", "largest error (deg)"),
+        (result.walking_sweeps, settings.walking_factors, "max_error_deg", "largest error (deg)"),
     )
     for axis, (sweeps, factors, merit, label) in zip(axes, panels, strict=True):
         for (path, sweep), style in zip(sweeps.items(), _STYLES, strict=True):
@@ -69,11 +69,11 @@ def _sweeps(sizing: SizeResult) -> Figure:
         (DISPLACEMENT, "k--", "bound: pump displacement"),
         (ACCELERATION_LIMIT, "k:", "bound: acceleration limit"),
     ):
-        bound = [row["expected_bandwidth_hz"] for row in sizing.sweeps[path]]
+        bound = [row["expected_bandwidth_hz"] for row in result.sweeps[path]]
         axes[0].plot(settings.factors, bound, style, lw=1.2, label=label)
     bound_label = f"(c) bound of the paper, {settings.error_bound_deg:g}°"
     axes[2].axhline(settings.error_bound_deg, color="0.4", ls="--", lw=1, label=bound_label)
-    reference, frequency = require_sine(sizing.scenario), sizing.designs[0].frequency_hz
+    reference, frequency = require_sine(result.scenario), result.designs[0].frequency_hz
     low, high = reference.range_deg
     axes[0].set_title(f"(a) {low:g}…{high:g}°, hardware as it is")
     axes[1].set_title(f"(b) {low:g}…{high:g}° at {reference.frequency_hz:g} Hz, hardware as it is")
@@ -83,12 +83,12 @@ def _sweeps(sizing: SizeResult) -> Figure:
     return figure
 
 
-def _maps(sizing: SizeResult) -> Figure:
+def _maps(result: SizeResult) -> Figure:
     figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), layout="constrained")
-    design, settings = sizing.designs[0], sizing.settings
+    design, settings = result.designs[0], result.settings
     panels = (
-        (sizing.scenario, settings.factors, sizing.bandwidth_map_hz, "−3 dB bandwidth (Hz)"),
-        (design.scenario, settings.walking_factors, sizing.walking_map_deg, "largest error (deg)"),
+        (result.scenario, settings.factors, result.bandwidth_map_hz, "−3 dB bandwidth (Hz)"),
+        (design.scenario, settings.walking_factors, result.walking_map_deg, "largest error (deg)"),
     )
     for axis, (scenario, factors, values, label) in zip(axes, panels, strict=True):
         speed = 1e3 * rod_limits(scenario)[0] * np.asarray(factors)
@@ -102,8 +102,8 @@ def _maps(sizing: SizeResult) -> Figure:
         plain_ticks(axis.xaxis, [float(f"{v:.2g}") for v in speed])
         plain_ticks(axis.yaxis, [float(f"{v:.3g}") for v in limit])
         axis.tick_params(axis="x", rotation=45)
-    _regimes(axes[0], sizing)
-    _walking_limits(axes[1], sizing)
+    _regimes(axes[0], result)
+    _walking_limits(axes[1], result)
     figure.suptitle("grey: the run fails", fontsize=10)
     axes[0].set_title("(a) controller as it is", loc="left", fontsize=10)
     title = f"(b) walking at {design.frequency_hz:.3g} Hz, sized controller"
@@ -122,11 +122,11 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
         axis.text(float(speed[column]), float(limit[row]), text, fontsize=7, color=color, **CENTRED)
 
 
-def _regimes(axis: Axes, sizing: SizeResult) -> None:
+def _regimes(axis: Axes, result: SizeResult) -> None:
     """Where the acceleration limit begins to count, and below which it alone does."""
     speed = np.array(axis.get_xlim())
-    motor = sizing.scenario.plant.pump.speed_limit_rad_s
-    amplitude = rod_amplitude_m(sizing.scenario)
+    motor = result.scenario.plant.pump.speed_limit_rad_s
+    amplitude = rod_amplitude_m(result.scenario)
     for ratio, style, below in (
         (ONE_PERCENT_RATIO, "--", "the acceleration limit counts"),
         (ACCELERATION_ALONE_RATIO, ":", "it alone counts"),
@@ -137,10 +137,10 @@ def _regimes(axis: Axes, sizing: SizeResult) -> None:
     _legend_below(axis)
 
 
-def _walking_limits(axis: Axes, sizing: SizeResult) -> None:
+def _walking_limits(axis: Axes, result: SizeResult) -> None:
     """What the motion itself asks for, and the sized hardware."""
     speed = np.array(axis.get_xlim())
-    peaks, design = sizing.demands[0].peaks(), sizing.designs[0].scenario
+    peaks, design = result.demands[0].peaks(), result.designs[0].scenario
     motor = design.plant.pump.speed_limit_rad_s
     needed = peaks["peak_rod_acceleration_m_s2"] * motor / (1e-3 * speed)
     axis.plot(speed, needed, "C3--", lw=1.6, label="speed and acceleration of the motion")
@@ -154,11 +154,11 @@ def _legend_below(axis: Axes) -> None:
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=9)
 
 
-def _gains(sizing: SizeResult) -> Figure:
-    settings = sizing.settings
+def _gains(result: SizeResult) -> Figure:
+    settings = result.settings
     shape = (len(settings.observer_s), len(settings.slope_per_s), len(settings.lambda_per_s))
     errors, margins, meets = (
-        np.reshape([row[name] for row in sizing.gains], shape)
+        np.reshape([row[name] for row in result.gains], shape)
         for name in ("max_error_deg", "disk_margin", "meets")
     )
     figure, axes = plt.subplots(
@@ -192,28 +192,28 @@ def _gains(sizing: SizeResult) -> Figure:
     return figure
 
 
-def _tracking(sizing: SizeResult) -> Figure:
+def _tracking(result: SizeResult) -> Figure:
     figure, axes = plt.subplots(
         3, 1, figsize=(7, 7.4), sharex=True, layout="constrained", height_ratios=(2, 1.1, 1.2)
     )
-    frequency = sizing.designs[0].frequency_hz
+    frequency = result.designs[0].frequency_hz
     percent, mean, deviation = gait_knee_flexion()
     axes[0].fill_between(
         percent, mean - deviation, mean + deviation, color="0.8", label="measured, mean ± SD"
     )
     for (name, label), color in zip(HARDWARE_LABELS.items(), ("C3", "C0"), strict=True):
-        if not sizing.traces[name]:
+        if not result.traces[name]:
             continue
-        cycle, trace = last_stride(sizing.traces[name], frequency)
+        cycle, trace = last_stride(result.traces[name], frequency)
         angle = np.degrees(trace["knee_angle_rad"])
         reference = np.degrees(trace["knee_reference_rad"])
         axes[0].plot(cycle, angle, color, lw=1.6, label=label)
         axes[1].plot(cycle, reference - angle, color, lw=1.2)
         axes[2].plot(cycle, to_rpm(trace["motor_speed_rad_s"]), color, lw=1.2)
-    demand = sizing.demands[0]
+    demand = result.demands[0]
     axes[0].plot(demand.cycle_percent, demand.knee_angle_deg, "k--", lw=1, label="reference")
-    limit = to_rpm(sizing.scenario.plant.pump.speed_limit_rad_s)
-    bound = sizing.settings.error_bound_deg
+    limit = to_rpm(result.scenario.plant.pump.speed_limit_rad_s)
+    bound = result.settings.error_bound_deg
     for axis, value, color, label in (
         (axes[1], bound, "0.4", f"bound, ±{bound:g}°"),
         (axes[2], limit, "k", f"limit, ±{limit:.0f} rpm"),
@@ -229,13 +229,13 @@ def _tracking(sizing: SizeResult) -> Figure:
     return figure
 
 
-def motions(sizing: SizeResult) -> dict[str, Motion]:
+def motions(result: SizeResult) -> dict[str, Motion]:
     """Walking with the hardware as it is beside the sized one; without a run that failed."""
-    linkage = sizing.scenario.plant.linkage
+    linkage = result.scenario.plant.linkage
     return {
         label: (linkage, {**trace, "time_s": trace["time_s"] - trace["time_s"][0]})
         for name, label in HARDWARE_LABELS.items()
-        if (trace := sizing.traces[name])
+        if (trace := result.traces[name])
     }
 
 
@@ -249,14 +249,14 @@ def last_stride(
     return cycle[order], {name: values[last][order] for name, values in trace.items()}
 
 
-def _demand(sizing: SizeResult) -> Figure:
+def _demand(result: SizeResult) -> Figure:
     figure, axes = plt.subplots(2, 2, figsize=(9.5, 6.4), sharex=True, layout="constrained")
-    design = sizing.designs[0]
-    reach = 1e3 * rod_limits(sizing.scenario)[0]
+    design = result.designs[0]
+    reach = 1e3 * rod_limits(result.scenario)[0]
     axes[0, 0].axhspan(-reach, reach, color="0.8", label="reach of the hardware as it is")
-    needed = [("C0", "needed, moving mass of Eq. 16", sizing.demands[0])]
+    needed = [("C0", "needed, moving mass of Eq. 16", result.demands[0])]
     needed += [
-        ("C1", "needed, inertia of the shank", demand) for demand in sizing.segment_demands[:1]
+        ("C1", "needed, inertia of the shank", demand) for demand in result.segment_demands[:1]
     ]
     for color, label, demand in needed:
         lw = 3.0 if color == "C0" else 1.3  # speed and flow of both coincide
@@ -265,8 +265,8 @@ def _demand(sizing: SizeResult) -> Figure:
         axes[0, 1].plot(x, 6e4 * demand.load_flow_m3_s, color, lw=lw)
         axes[1, 0].plot(x, 1e-6 * demand.load_pressure_pa, color, lw=lw, label=label)
         axes[1, 1].plot(x, demand.shaft_power_w, color, lw=lw)
-    if sizing.traces["sized"]:
-        _closed_loop_demand(axes, sizing)
+    if result.traces["sized"]:
+        _closed_loop_demand(axes, result)
     axes[0, 0].set(ylabel="rod speed (mm/s)", xlim=(0, 100), title="(a)")
     axes[0, 1].set(ylabel="pump flow (L/min)", title="(b)")
     axes[1, 0].set(ylabel="load pressure (MPa)", xlabel="gait cycle (%)", title="(c)")
@@ -277,10 +277,10 @@ def _demand(sizing: SizeResult) -> Figure:
     return figure
 
 
-def _closed_loop_demand(axes: Any, sizing: SizeResult) -> None:
-    design = sizing.designs[0]
+def _closed_loop_demand(axes: Any, result: SizeResult) -> None:
+    design = result.designs[0]
     pump = design.scenario.plant.pump
-    cycle, trace = last_stride(sizing.traces["sized"], design.frequency_hz)
+    cycle, trace = last_stride(result.traces["sized"], design.frequency_hz)
     flow = pump.displacement_m3_per_rad / pump.gear_ratio * trace["motor_speed_rad_s"]
     axes[0, 1].plot(cycle, 6e4 * flow, "k--", lw=1)
     axes[1, 0].plot(cycle, 1e-6 * trace["load_pressure_pa"], "k--", lw=1, label="closed loop")

@@ -31,50 +31,50 @@ CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivere
 """What a walking run with half the step is compared by."""
 
 
-def results(sizing: SizeResult) -> dict[str, Any]:
+def results(result: SizeResult) -> dict[str, Any]:
     """Plain data with units in the names."""
-    settings, scenario = sizing.settings, sizing.scenario
+    settings, scenario = result.settings, result.scenario
 
     def demands(values: Iterable[WalkingDemand]) -> list[dict[str, float]]:
         return [_demand(demand, scenario) for demand in values]
 
-    torques = (f"{torque:g}" for torque in sizing.torque_demands)
+    torques = (f"{torque:g}" for torque in result.torque_demands)
     return {
         "limits": _limits(scenario),
-        "nominal": sizing.nominal,
+        "nominal": result.nominal,
         "sweeps": {
             path: [
-                {"factor": factor, "value": _shown(scenario, path, factor), **figures}
-                for factor, figures in zip(settings.factors, sweep, strict=True)
+                {"factor": factor, "value": _shown(scenario, path, factor), **metrics}
+                for factor, metrics in zip(settings.factors, sweep, strict=True)
             ]
-            for path, sweep in sizing.sweeps.items()
+            for path, sweep in result.sweeps.items()
         },
         "bandwidth_map": {
             "factors": list(settings.factors),
-            "bandwidth_hz": sizing.bandwidth_map_hz.tolist(),
+            "bandwidth_hz": result.bandwidth_map_hz.tolist(),
         },
-        "demand": demands(sizing.demands),
-        "demand_with_segment_inertia": demands(sizing.segment_demands),
+        "demand": demands(result.demands),
+        "demand_with_segment_inertia": demands(result.segment_demands),
         "demand_by_wearer_torque_n_m": dict(
-            zip(torques, demands(sizing.torque_demands.values()), strict=True)
+            zip(torques, demands(result.torque_demands.values()), strict=True)
         ),
-        "controller": _controller(sizing),
-        "gains": sizing.gains,
-        "best_gains": sizing.best_gains,
-        "steps": sizing.steps,
-        "designs": [_design(design, scenario) for design in sizing.designs],
-        "design_at_reference": sizing.design_at_reference,
-        "variations": sizing.variations,
+        "controller": _controller(result),
+        "gains": result.gains,
+        "best_gains": result.best_gains,
+        "steps": result.steps,
+        "designs": [_design(design, scenario) for design in result.designs],
+        "design_at_reference": result.design_at_reference,
+        "variations": result.variations,
         "walking_sweeps": {
             path: [
-                {"factor": factor, **figures}
-                for factor, figures in zip(settings.walking_factors, sweep, strict=True)
+                {"factor": factor, **metrics}
+                for factor, metrics in zip(settings.walking_factors, sweep, strict=True)
             ]
-            for path, sweep in sizing.walking_sweeps.items()
+            for path, sweep in result.walking_sweeps.items()
         },
         "walking_map": {
             "factors": list(settings.walking_factors),
-            "max_error_deg": sizing.walking_map_deg.tolist(),
+            "max_error_deg": result.walking_map_deg.tolist(),
         },
     }
 
@@ -120,11 +120,11 @@ def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
     }
 
 
-def _controller(sizing: SizeResult) -> dict[str, float]:
+def _controller(result: SizeResult) -> dict[str, float]:
     """What the motor's lag asks of the controller at the first stride frequency."""
-    demand = sizing.demands[0]
-    ample = scaled(sizing.scenario, {DISPLACEMENT: sizing.settings.largest_flow_factor})
-    law, model = sliding_mode(sizing.scenario), error_model(sizing.scenario)
+    demand = result.demands[0]
+    ample = scaled(result.scenario, {DISPLACEMENT: result.settings.largest_flow_factor})
+    law, model = sliding_mode(result.scenario), error_model(result.scenario)
     acceleration = demand.peaks()["peak_rod_acceleration_m_s2"]
     return {
         "authority_m_s3": law.gain_ratio * law.eta_m_s3,
@@ -132,7 +132,7 @@ def _controller(sizing: SizeResult) -> dict[str, float]:
         "slope_per_s": model.slope_per_s,
         "linear_error_deg": float(np.max(np.abs(linear_error_deg(ample, demand)))),
         "linear_error_tuned_deg": float(
-            np.max(np.abs(linear_error_deg(tuned(ample, sizing.best_gains), demand)))
+            np.max(np.abs(linear_error_deg(tuned(ample, result.best_gains), demand)))
         ),
     }
 

@@ -174,12 +174,12 @@ async def _at_reference(scenario: Scenario) -> dict[str, Any]:
         metrics = (await awaitable(track, scenario)).metrics
         return [metrics.max_error_deg, metrics.rms_error_deg, metrics.mean_command_change_rpm]
 
-    figures = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
-    figures |= await measured("bandwidth_hz", part=large_signal())
-    figures |= await measured("small_signal_bandwidth_hz", part=small_signal())
+    metrics = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
+    metrics |= await measured("bandwidth_hz", part=large_signal())
+    metrics |= await measured("small_signal_bandwidth_hz", part=small_signal())
     names = ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
-    figures |= await measured(*names, part=tracking())
-    return figures | {"failure": "; ".join(failures)}
+    metrics |= await measured(*names, part=tracking())
+    return metrics | {"failure": "; ".join(failures)}
 
 
 # ---------------------------------------------------------------------------------- search
@@ -405,7 +405,7 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeResult:
         nominal=nominal,
         sweeps=_by_path(swept, settings.factors),
         bandwidth_map_hz=np.reshape(
-            [figures["bandwidth_hz"] for figures in bandwidths], (len(settings.factors), -1)
+            [metrics["bandwidth_hz"] for metrics in bandwidths], (len(settings.factors), -1)
         ),
         demands=demands,
         segment_demands=segment_demands,

@@ -15,31 +15,31 @@ _OFF = 40.0
 """Where |s|/Φ of a run is drawn that left the range of motion."""
 
 
-def _shown_eta(study: SlidingResult) -> float:
+def _shown_eta(result: SlidingResult) -> float:
     """η of the figures over time: the smallest with which the paper's k ends its run."""
-    load = study.settings.loads_n[0]
+    load = result.settings.loads_n[0]
     complete = [
         case.eta_m_s3
-        for case in study.of("motion", plant="full", law="paper", load_n=load)
+        for case in result.of("motion", plant="full", law="paper", load_n=load)
         if not case.measured["failure"]
     ]
-    return min(complete, default=study.settings.etas_m_s3[0])
+    return min(complete, default=result.settings.etas_m_s3[0])
 
 
-def condition(study: SlidingResult) -> Figure:
+def condition(result: SlidingResult) -> Figure:
     """sgn(s)·ds/dt outside the layer over time: from a start there, and along the reference."""
     figure, ax = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
-    load = study.settings.loads_n[0]
+    load = result.settings.loads_n[0]
     for axis, part, eta, scale in (
-        (ax[0], "start", study.settings.start_eta_m_s3, 1e3),
-        (ax[1], "motion", _shown_eta(study), 1.0),
+        (ax[0], "start", result.settings.start_eta_m_s3, 1e3),
+        (ax[1], "motion", _shown_eta(result), 1.0),
     ):
-        for case in study.of(part, plant="full", load_n=load, eta_m_s3=eta):
+        for case in result.of(part, plant="full", load_n=load, eta_m_s3=eta):
             trace = case.measured["trace"]
             if trace["outside_time_s"]:
                 axis.plot(
                     scale * np.array(trace["outside_time_s"]),
-                    trace["away_m_s3"],
+                    trace["reaching_rate_m_s3"],
                     f"C{list(LAWS).index(case.law)}.",
                     ms=3,
                     label=LAWS[case.law],
@@ -53,18 +53,18 @@ def condition(study: SlidingResult) -> Figure:
     return figure
 
 
-def error_bound(study: SlidingResult) -> Figure:
+def error_bound(result: SlidingResult) -> Figure:
     """The error over time beside its bound, one axis for each load; a cross ends a failed run.
 
     One legend stands below both: inside, it would hide where an error changes its sign.
     """
-    loads, law = study.settings.loads_n, study.law
+    loads, law = result.settings.loads_n, result.law
     figure, ax = plt.subplots(
         1, len(loads), figsize=(4.5 * len(loads), 4), layout="constrained", squeeze=False
     )
-    eta, bound = _shown_eta(study), 1e3 * law.phi_m_s2 / law.lambda_per_s**2
+    eta, bound = _shown_eta(result), 1e3 * law.phi_m_s2 / law.lambda_per_s**2
     for axis, load in zip(ax[0], loads, strict=True):
-        for case in study.of("motion", plant="full", load_n=load, eta_m_s3=eta):
+        for case in result.of("motion", plant="full", load_n=load, eta_m_s3=eta):
             trace, color = case.measured["trace"], f"C{list(LAWS).index(case.law)}"
             error = 1e3 * np.abs(np.array(trace["error_m"]))
             axis.semilogy(trace["time_s"], error, color, lw=1.2, label=LAWS[case.law])
@@ -78,12 +78,12 @@ def error_bound(study: SlidingResult) -> Figure:
     return figure
 
 
-def boundary_layer(study: SlidingResult) -> Figure:
+def boundary_layer(result: SlidingResult) -> Figure:
     """The largest |s|/Φ along the reference over η; marks on top left the range of motion."""
     figure, ax = plt.subplots(figsize=(6.5, 5.0), layout="constrained")
-    for style, load in zip(("-", "--", ":", "-."), study.settings.loads_n, strict=False):
+    for style, load in zip(("-", "--", ":", "-."), result.settings.loads_n, strict=False):
         for index, (name, label) in enumerate(LAWS.items()):
-            cases = study.of("motion", plant="full", law=name, load_n=load)
+            cases = result.of("motion", plant="full", law=name, load_n=load)
             ax.loglog(
                 [case.eta_m_s3 for case in cases],
                 [math.nan if c.measured["failure"] else c.measured["largest_s"] for c in cases],
@@ -96,7 +96,7 @@ def boundary_layer(study: SlidingResult) -> Figure:
             marker = "x" if load < 0.0 else "+"
             ax.plot(off, [_OFF] * len(off), f"C{index}{marker}", ms=9, label=text)
     ax.axhline(1.0, color="k", lw=1, label="edge of the layer")
-    for value, name in ((study.needed.speed, "speed"), (study.needed.stability, "stability")):
+    for value, name in ((result.needed.speed, "speed"), (result.needed.stability, "stability")):
         ax.axvline(value, color="0.5", ls=":", lw=1)
         text = f" needed for {name}"
         ax.text(value, 0.56, text, rotation=90, transform=ax.get_xaxis_transform())
@@ -105,10 +105,10 @@ def boundary_layer(study: SlidingResult) -> Figure:
     return figure
 
 
-def figures(study: SlidingResult) -> dict[str, Figure]:
+def figures(result: SlidingResult) -> dict[str, Figure]:
     """``sliding_condition``, ``error_bound`` and ``boundary_layer``."""
     return {
-        "sliding_condition": condition(study),
-        "error_bound": error_bound(study),
-        "boundary_layer": boundary_layer(study),
+        "sliding_condition": condition(result),
+        "error_bound": error_bound(result),
+        "boundary_layer": boundary_layer(result),
     }

@@ -280,16 +280,16 @@ async def check_sliding(
     )
 
     chosen = _thinned(np.flatnonzero(outside), settings.rated_samples)
-    away = np.empty(0)
+    reaching_rate = np.empty(0)
     if chosen.size:
         eta = law.eta_m_s3 * (1.0 - _ROUNDING)
-        away = _away(scenario, run, chosen, command[chosen])
-        measured["holding_share"] = float(np.mean(away <= -eta))
-        measured["attracting_share"] = float(np.mean(away < 0.0))
-        measured["worst_rate_m_s3"] = float(np.max(away))
+        reaching_rate = _reaching_rate(scenario, run, chosen, command[chosen])
+        measured["holding_share"] = float(np.mean(reaching_rate <= -eta))
+        measured["attracting_share"] = float(np.mean(reaching_rate < 0.0))
+        measured["worst_rate_m_s3"] = float(np.max(reaching_rate))
         if not law.continuous:
             inner = chosen[chosen < rows.size - 1]
-            late = _away(scenario, run, inner + 1, command[inner])
+            late = _reaching_rate(scenario, run, inner + 1, command[inner])
             mean = np.sign(s[inner]) * (s[inner + 1] - s[inner]) / law.sample_time_s
             measured["held_share"] = float(np.mean(late <= -eta))
             measured["mean_share"] = float(np.mean(mean <= -eta))
@@ -325,7 +325,7 @@ async def check_sliding(
         "error_m": error[points].tolist(),
         "bound_m": bound[points].tolist(),
         "outside_time_s": time[chosen[shown]].tolist(),
-        "away_m_s3": away[shown].tolist(),
+        "reaching_rate_m_s3": reaching_rate[shown].tolist(),
     }
     return measured
 
@@ -345,7 +345,7 @@ async def _longest_run(scenario: Scenario) -> tuple[Run, str]:
                 raise
 
 
-def _away(scenario: Scenario, run: Run, rows: Array, command: Array) -> Array:
+def _reaching_rate(scenario: Scenario, run: Run, rows: Array, command: Array) -> Array:
     """sgn(s)·ds/dt at rows outside the layer: at most −η, the law promises."""
     s, s_rate = sliding_rates(scenario, run, rows, command)
     return np.asarray(np.sign(s) * s_rate)

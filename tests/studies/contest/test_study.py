@@ -147,7 +147,7 @@ def test_contestants_have_as_many_gains():
 # ---------------------------------------------------------------------------- the outcome
 
 
-def figures_of(error, change=10.0, margin=0.8, stable=True, margins_failure=""):
+def metrics_of(error, change=10.0, margin=0.8, stable=True, margins_failure=""):
     failed = math.isnan(error)
     return {
         "max_error_deg": error,
@@ -189,13 +189,13 @@ def made_up():
         )
     )
     tested = {
-        "SMC": [figures_of(e, 10.0 + 10.0 * e, 0.8 - 0.1 * e) for e in (0.1, 0.2, 0.3, 0.4)],
-        "PID": [figures_of(e, 12.0, 0.9) for e in (0.05, 0.3, 0.5)]
-        + [figures_of(math.nan, stable=None, margins_failure="does not rest")],
-        "SMC, default": [figures_of(0.6, stable=False)] * 4,
+        "SMC": [metrics_of(e, 10.0 + 10.0 * e, 0.8 - 0.1 * e) for e in (0.1, 0.2, 0.3, 0.4)],
+        "PID": [metrics_of(e, 12.0, 0.9) for e in (0.05, 0.3, 0.5)]
+        + [metrics_of(math.nan, stable=None, margins_failure="does not rest")],
+        "SMC, default": [metrics_of(0.6, stable=False)] * 4,
     }
-    elsewhere = {
-        name: [figures_of(1.0 + n + 0.1 * k) for k in range(4)] for n, name in enumerate(tested)
+    other_reference = {
+        name: [metrics_of(1.0 + n + 0.1 * k) for k in range(4)] for n, name in enumerate(tested)
     }
     entrants = {name: {"controller": {"kind": "smc"}} for name in tested}
     samples = tuple({"plant.cylinder.mass_kg": 1.5} for _ in range(4))
@@ -209,7 +209,7 @@ def made_up():
         entrants,
         samples,
         tested,
-        elsewhere,
+        other_reference,
     )
 
 
@@ -239,7 +239,7 @@ def test_results_hold_what_was_tuned_and_tested(flat):
         "PID": {"SMC": 0.25, "PID": 0.0},
     }
     assert found["budget_rpm"] == 12.0
-    for name in ("tested", "elsewhere", "entrants"):
+    for name in ("tested", "other_reference", "entrants"):
         assert flat(dict(found[name])) == pytest.approx(
             flat(dict(getattr(done, name))), nan_ok=True
         )
@@ -292,7 +292,7 @@ def test_every_cell_of_the_report_is_in_the_summary(contest, tables, check_cells
     settings, task = contest.settings, contest.settings.other_reference
     for sentence in (
         f"{len(contest.samples)} test plants, none",
-        f"elsewhere is {task.amplitude_deg:g}° at {task.frequency_hz:g} Hz, which",
+        f"the other reference is {task.amplitude_deg:g}° at {task.frequency_hz:g} Hz, which",
         f"at most {settings.population * settings.generations + settings.population} evaluations",
         f"on {1 + settings.training_samples} training plants",
         f"with at most {contest.budget_rpm:.1f} rpm per sample",
@@ -315,7 +315,7 @@ def test_the_outcome_shows_each_entrant_at_its_errors_and_margins(contest, curve
         assert x == pytest.approx(np.sort(errors_of(contest.tested[name])), nan_ok=True)
         assert y == pytest.approx(share)
         x, y = there.lines[n].get_data()
-        assert x == pytest.approx(np.sort(errors_of(contest.elsewhere[name])), nan_ok=True)
+        assert x == pytest.approx(np.sort(errors_of(contest.other_reference[name])), nan_ok=True)
         assert y == pytest.approx(share)
         x, y = margins.lines[n].get_data()
         assert x == pytest.approx(errors_of(contest.tested[name]), nan_ok=True)
@@ -387,8 +387,8 @@ def test_the_legend_names_everybody_once():
 
 def test_a_contest_whose_every_run_failed_is_drawn():
     done = made_up()
-    failed = {name: [figures_of(math.nan)] * 4 for name in done.tested}
-    figure = figures(dataclasses.replace(done, tested=failed, elsewhere=failed))["contest"]
+    failed = {name: [metrics_of(math.nan)] * 4 for name in done.tested}
+    figure = figures(dataclasses.replace(done, tested=failed, other_reference=failed))["contest"]
     figure.canvas.draw()
     assert [ax.get_xlim() for ax in figure.axes] == [(0.1, 10.0)] * 3
 
@@ -458,8 +458,10 @@ def test_every_entrant_is_assessed_on_every_test_plant(small, flat):
     for name, (law, gains) in entrants.items():
         tested = [assess(plant) for plant in plants(law, lags, **gains)]
         assert flat(contest.tested[name]) == flat(tested)
-        elsewhere = [assess(plant, margins=False) for plant in plants(law, lags, **gains, **task)]
-        assert flat(contest.elsewhere[name]) == flat(elsewhere)
+        other_reference = [
+            assess(plant, margins=False) for plant in plants(law, lags, **gains, **task)
+        ]
+        assert flat(contest.other_reference[name]) == flat(other_reference)
 
 
 def test_the_search_is_for_the_smallest_objective_within_the_default_smcs_budget(small):

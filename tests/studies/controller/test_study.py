@@ -22,12 +22,12 @@ from kneexo.studies.controller import study as module
 from kneexo.studies.controller.figures import figures
 from kneexo.studies.controller.report import report
 from kneexo.studies.controller.study import (
-    FIGURES,
-    MAP_FIGURES,
-    TRAP_VARIANTS,
+    LIMIT_CYCLE_VARIANTS,
+    MAP_METRICS,
+    METRICS,
     ControllerResult,
     ControllerSettings,
-    TrapCase,
+    LimitCycleCase,
     controller_study,
     experiments,
     ideal_settling_time_s,
@@ -49,13 +49,13 @@ SHAPE = (3, 5, 2)
 def made_up(failures=None, **values):
     """A study whose arrays are given by functions of λ, Φ and η; all loops stable and sound."""
     axes = (GRID.lambdas_per_s, GRID.phis_m_s2, GRID.etas_m_s3)
-    given = dict.fromkeys(FIGURES, lambda lambda_, phi, eta: 1.0)
+    given = dict.fromkeys(METRICS, lambda lambda_, phi, eta: 1.0)
     given["saturated_share"] = lambda lambda_, phi, eta: 0.0
     arrays = {
         name: np.array([function(*point) for point in product(*axes)]).reshape(SHAPE)
         for name, function in (given | values).items()
     }
-    mapped = {name: np.ones((2, 2)) for name in MAP_FIGURES}
+    mapped = {name: np.ones((2, 2)) for name in MAP_METRICS}
     return ControllerResult(Scenario(), GRID, arrays, failures or {}, (), mapped)
 
 
@@ -209,7 +209,7 @@ SMALL = ControllerSettings(
     fast_frequency_hz=10.0,
     fast_amplitude_deg=0.2,
     hold_duration_s=0.1,
-    trap_lambdas_per_s=(20.0,),
+    limit_cycle_lambdas_per_s=(20.0,),
     map_time_constants_s=(0.01, 0.02),
     map_slopes_per_s=(1e4, 1e5),
 )
@@ -251,7 +251,7 @@ def test_every_row_is_that_of_runs_and_margins_of_its_own_scenario(small, in_num
             "large_settling_s": settled(scenario, 5.0),
         }
         row = {name: values[i, j, 0] for name, values in study.values.items()}
-        expected = {name: expected[name] for name in FIGURES}
+        expected = {name: expected[name] for name in METRICS}
         assert row == pytest.approx(expected, rel=1e-9, nan_ok=True)
     assert study.failures == {}
 
@@ -267,11 +267,11 @@ def test_every_loop_of_the_map_has_its_own_observer_and_slope(small, in_numbers,
         scenario = with_slope((1e4, 1e5)[j], (0.01, 0.02)[i])
         expected = in_numbers(scenario, 0.25) | margins(scenario, 40.0)
         row = {name: values[i, j] for name, values in study.map_values.items()}
-        assert row == pytest.approx({name: expected[name] for name in MAP_FIGURES}, rel=1e-6)
+        assert row == pytest.approx({name: expected[name] for name in MAP_METRICS}, rel=1e-6)
 
 
 def test_the_trap_has_its_variants(small, in_numbers, margins):
-    cases = {case.variant: case for case in small[0].trap}
+    cases = {case.variant: case for case in small[0].limit_cycle}
     variants = {
         "as built": {},
         "exact encoder": {"encoder.quantized": False},
@@ -294,13 +294,13 @@ def test_the_oscillation_at_rest_is_that_of_the_later_half_of_the_hold(small):
         BASE,
         {
             "controller.lambda_per_s": 20.0,
-            "controller.phi_m_s2": law.gain_ratio * law.eta_m_s3 / SMALL.trap_slope_per_s,
-            "estimator.time_constant_s": SMALL.trap_time_constant_s,
+            "controller.phi_m_s2": law.gain_ratio * law.eta_m_s3 / SMALL.limit_cycle_slope_per_s,
+            "estimator.time_constant_s": SMALL.limit_cycle_time_constant_s,
         },
     )
     run = simulate(experiments(own, SMALL)["hold"], signals=("knee_angle",))
     angle = run["knee_angle_rad"][run.time_s >= 0.05 - 1e-9]  # the reference is constant
-    built = next(case for case in small[0].trap if case.variant == "as built")
+    built = next(case for case in small[0].limit_cycle if case.variant == "as built")
     assert built.oscillation_at_rest_deg == pytest.approx(np.degrees(np.ptp(angle)), rel=1e-9)
 
 
@@ -327,8 +327,8 @@ def test_every_figure_can_be_drawn(small):
 # --------------------------------------------------------- results, report and figures by hand
 
 
-def trap_case(number, lambda_, variant):
-    return TrapCase(
+def limit_cycle_case(number, lambda_, variant):
+    return LimitCycleCase(
         lambda_per_s=lambda_,
         variant=variant,
         stable=number != 2,
@@ -346,26 +346,28 @@ def trap_case(number, lambda_, variant):
 def by_hand():
     """A study in which no two numbers are equal."""
     grid = np.arange(30.0).reshape(SHAPE)
-    values = {name: 0.05 + 0.001 * grid + 0.04 * n for n, name in enumerate(FIGURES)}
+    values = {name: 0.05 + 0.001 * grid + 0.04 * n for n, name in enumerate(METRICS)}
     values["stable"] = np.where(grid % 7 == 3, 0.0, 1.0)
     values["settling_s"][0, 0, 0] = math.inf
     values["disk_margin"][2, 4, 0] = math.nan
     mapped = {
         name: 0.3 + 0.1 * n + np.array([[0.01, 0.02], [0.03, 0.04]])
-        for n, name in enumerate(MAP_FIGURES)
+        for n, name in enumerate(MAP_METRICS)
     }
     mapped["stable"] = np.array([[1.0, 1.0], [1.0, 0.0]])
-    trap = [
-        trap_case(n, lambda_, variant)
-        for n, (lambda_, variant) in enumerate(product(GRID.trap_lambdas_per_s, TRAP_VARIANTS))
+    limit_cycle = [
+        limit_cycle_case(n, lambda_, variant)
+        for n, (lambda_, variant) in enumerate(
+            product(GRID.limit_cycle_lambdas_per_s, LIMIT_CYCLE_VARIANTS)
+        )
     ]
     failures = {(10.0, 0.32, 2.8e4): "left the range"}
-    return ControllerResult(Scenario(), GRID, values, failures, tuple(trap), mapped)
+    return ControllerResult(Scenario(), GRID, values, failures, tuple(limit_cycle), mapped)
 
 
 def test_results_are_the_grid_the_trap_and_the_map(by_hand, flat, check_rules):
     found = by_hand.results()
-    check_rules({name: found[name] for name in ("grid", "map", "trap", "claims")})
+    check_rules({name: found[name] for name in ("grid", "map", "limit_cycle", "claims")})
     beta = math.sqrt(1.8 / 1.4)
     expected = {
         "lambdas_per_s": GRID.lambdas_per_s,
@@ -376,9 +378,9 @@ def test_results_are_the_grid_the_trap_and_the_map(by_hand, flat, check_rules):
         "failures": [
             {"lambda_per_s": 10.0, "phi_m_s2": 0.32, "eta_m_s3": 2.8e4, "why": "left the range"}
         ],
-        "trap": [
+        "limit_cycle": [
             {key: v for key, v in vars(case).items() if key not in ("time_s", "error_deg")}
-            for case in by_hand.trap
+            for case in by_hand.limit_cycle
         ],
         "map": {
             "time_constants_s": GRID.map_time_constants_s,
@@ -393,7 +395,7 @@ def test_results_are_the_grid_the_trap_and_the_map(by_hand, flat, check_rules):
 
 
 def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
-    claims, *lines, trap = tables(report(by_hand))
+    claims, *lines, limit_cycle = tables(report(by_hand))
     for row, claim in zip(claims[1:], by_hand.claims(), strict=True):
         assert row[2] == str(claim.cases)
         assert row[5] == str(claim.sound_cases)
@@ -434,7 +436,7 @@ def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
         assert shown[0][0] == ("λ (1/s)", "Φ (m/s²)", "η (m/s³)")[axis]
     per_sample = math.pi / 30.0 / 0.002  # rad/s² of 1 rpm in a sample
     check_cells(
-        trap,
+        limit_cycle,
         [
             [
                 case.lambda_per_s,
@@ -446,7 +448,7 @@ def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
                 case.mean_command_change_rpm * per_sample,
                 case.oscillation_at_rest_deg,
             ]
-            for case in by_hand.trap
+            for case in by_hand.limit_cycle
         ],
     )
 
@@ -458,7 +460,7 @@ def test_the_words_have_the_largest_error_of_a_stable_loop(by_hand):
     for said in (
         "30 points; 1 of them have a run that failed",
         f"mean change is {demand:.2g} times",
-        "## A trap: T_f = 8 ms, k/Φ = 10000 1/s",
+        "## A limit cycle: T_f = 8 ms, k/Φ = 10000 1/s",
         "brings a step of 2° to within ±0.2° of its end sooner",
         "Φ at least 3 times larger or smaller",
         "more than 2 times as much per sample",
@@ -518,14 +520,14 @@ def test_the_maps_have_their_axes_where_the_labels_say(by_hand, check_heat_map):
                     away = at[0] / low[0] / 1.1, at[1] / low[1] / 1.7
                     assert min(away) == pytest.approx(1.0)
                     assert text.get_text() == f"10$^{power}$"
-    _, error, margin, *_ = drawn["study_trap"].axes
+    _, error, margin, *_ = drawn["study_limit_cycle"].axes
     for ax, name in ((error, "max_error_deg"), (margin, "disk_margin")):
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("T_f (ms)", "k/Φ (1/s)")
         check_heat_map(ax, [10.0, 20.0], GRID.map_slopes_per_s, by_hand.map_values[name])
         crosses, star, circle = ax.lines
         assert np.ravel(crosses.get_data()) == pytest.approx([20.0, 1e5])
         assert np.ravel(star.get_data()) == pytest.approx([20.0, beta * 2.8e5 / 3.2])
-        at = [1e3 * GRID.trap_time_constant_s, GRID.trap_slope_per_s]
+        at = [1e3 * GRID.limit_cycle_time_constant_s, GRID.limit_cycle_slope_per_s]
         assert np.ravel(circle.get_data()) == pytest.approx(at)
 
 
@@ -574,11 +576,14 @@ def test_the_lines_of_the_claims_are_those_of_the_grid(by_hand, curves):
     assert list(faster.get_xticks()) == [10.0, 40.0]
     assert [float(label) for label in curves(chattering)] == [10.0, 20.0, 40.0]
     assert [float(label) for label in curves(adherent)] == [0.32, 1.0, 3.2, 10.0, 32.0]
-    trap = drawn["study_trap"].axes[0]
-    assert (trap.get_xlabel(), trap.get_ylabel()) == ("time (s)", "tracking error (deg)")
-    assert trap.get_title().endswith("λ = 20 1/s")
-    lines = curves(trap)
-    shown = [c for c in by_hand.trap if c.lambda_per_s == GRID.trap_lambdas_per_s[0]]
+    limit_cycle = drawn["study_limit_cycle"].axes[0]
+    assert (limit_cycle.get_xlabel(), limit_cycle.get_ylabel()) == (
+        "time (s)",
+        "tracking error (deg)",
+    )
+    assert limit_cycle.get_title().endswith("λ = 20 1/s")
+    lines = curves(limit_cycle)
+    shown = [c for c in by_hand.limit_cycle if c.lambda_per_s == GRID.limit_cycle_lambdas_per_s[0]]
     assert list(lines) == [case.variant for case in shown]
     for case in shown:
         assert lines[case.variant][1] == pytest.approx(case.error_deg)
@@ -599,8 +604,8 @@ def test_a_run_that_fails_leaves_nan_and_its_reason(monkeypatch):
     }
     assert math.isnan(study.values["settling_s"][0, 0, 0])
     assert study.values["max_error_deg"][0, 0, 0] > 0.0
-    assert {case.failure for case in study.trap} == set(study.failures.values())
-    assert all(math.isnan(case.max_error_deg) for case in study.trap)
+    assert {case.failure for case in study.limit_cycle} == set(study.failures.values())
+    assert all(math.isnan(case.max_error_deg) for case in study.limit_cycle)
     assert "1 of them have a run that failed" in report(study)
     for figure in figures(study).values():
         plt.close(figure)
@@ -656,7 +661,7 @@ def test_the_trap_is_stable_and_errs_by_degrees():
         map_slopes_per_s=(1e5,),
     )
     study = controller_study(settings=settings)
-    cases = {(case.lambda_per_s, case.variant): case for case in study.trap}
+    cases = {(case.lambda_per_s, case.variant): case for case in study.limit_cycle}
     assert all(case.stable for case in cases.values())
     assert 3.0 < cases[20.0, "as built"].max_error_deg < 5.0
     assert cases[10.0, "as built"].max_error_deg > 10.0

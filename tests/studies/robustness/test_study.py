@@ -38,9 +38,9 @@ from kneexo.studies.robustness.figures import distribution, figures, tornado
 from kneexo.studies.robustness.report import report
 from kneexo.studies.robustness.study import (
     MERITS,
+    Assessment,
     RobustnessResult,
     RobustnessSettings,
-    Visit,
     assess_plant,
     failures,
     quantile,
@@ -171,7 +171,7 @@ def test_all_corners_are_visited_when_they_are_few(formula):
 def test_one_at_a_time_changes_one_value(formula):
     seen = formula(lambda scenario: merits(max_error_deg=scenario.plant.pump.lag_s))
     found = robustness_study(UNCERTAIN_KNEE, SMALL, FEW)
-    assert [dict(visit.values) for visit in found.one_at_a_time] == [
+    assert [dict(assessment.values) for assessment in found.one_at_a_time] == [
         {"plant.cylinder.mass_kg": 1.4},
         {"plant.cylinder.mass_kg": 1.8},
         {"plant.pump.lag_s": 0.005},
@@ -184,7 +184,7 @@ def test_one_at_a_time_changes_one_value(formula):
     assert found.effects("max_error_deg")["bus.latency_samples"] == [0.01] * 3
     assert found.spread("max_error_deg", "plant.pump.lag_s") == pytest.approx(0.015)
     assert found.spread("max_error_deg", "plant.cylinder.mass_kg") == 0.0
-    assert found.nominal.figures["max_error_deg"] == 0.01
+    assert found.nominal.metrics["max_error_deg"] == 0.01
     # Nominal, one at a time, samples, corners: each once. The option that is nominal runs again.
     assert len(seen) == 1 + 7 + 40 + 12 == len(set(seen)) + 1
 
@@ -236,8 +236,8 @@ def test_the_worst_of_many_corners_is_found_where_effects_add_up(weighted):
     assert len(found.corners) == FEW.corners_max
     assert len({json.dumps(to_json(dict(c.values))) for c in found.corners}) == FEW.corners_max
     # More is worse for an error, less for a margin.
-    assert worst(found.corners, "max_error_deg").figures["max_error_deg"] == pytest.approx(highest)
-    assert worst(found.corners, "disk_margin").figures["disk_margin"] == pytest.approx(lowest)
+    assert worst(found.corners, "max_error_deg").metrics["max_error_deg"] == pytest.approx(highest)
+    assert worst(found.corners, "disk_margin").metrics["disk_margin"] == pytest.approx(lowest)
     assert f"{FEW.corners_max} of 27648 corners" in report(found)
 
 
@@ -255,7 +255,7 @@ def test_the_search_finds_a_corner_that_no_single_effect_points_at(weighted):
     for path, span in UNCERTAINTY.values.items():
         for level in span.levels:
             assert json.dumps(to_json({**at_worst.values, path: level})) in visited
-    assert "no single change makes the worst one of any figure worse" in report(found)
+    assert "no single change makes the worst one of any metric worse" in report(found)
 
 
 def test_a_small_budget_is_kept_and_told(weighted):
@@ -343,9 +343,9 @@ def test_failures_are_counted_and_worse_than_any_number(formula):
         for v in found.samples
     )
     results = found.results()
-    assert results["figures"]["disk_margin"]["failed_samples"] == both
-    assert results["figures"]["max_error_deg"]["failed_samples"] == slow
-    assert math.isnan(results["figures"]["disk_margin"]["worst_sample"]["value"])
+    assert results["metrics"]["disk_margin"]["failed_samples"] == both
+    assert results["metrics"]["max_error_deg"]["failed_samples"] == slow
+    assert math.isnan(results["metrics"]["disk_margin"]["worst_sample"]["value"])
     reasons = results["failures"]["samples"]
     assert [entry["count"] for entry in reasons] == sorted([both, slow], reverse=True)
     assert {entry["example"].split(" ")[-1] for entry in reasons} == {"unstable", "range"}
@@ -355,7 +355,7 @@ def test_failures_are_counted_and_worse_than_any_number(formula):
     assert f"{both + slow} of the 40 samples" in text
     assert f"- {both} times: the sampled loop, linearized in the middle of" in text
     assert heavy >= both > 0 < slow
-    assert json.loads(to_json(results))["figures"]["disk_margin"]["worst_corner"]["value"] is None
+    assert json.loads(to_json(results))["metrics"]["disk_margin"]["worst_corner"]["value"] is None
 
 
 def test_values_that_do_not_go_together_are_failures(formula):
@@ -377,8 +377,10 @@ def test_values_that_do_not_go_together_are_failures(formula):
 
 def test_reasons_that_differ_in_numbers_are_one():
     texts = ["t = 1.5 s: x = -2e-5 m left", "t = 0.25 s: x = 3 m left", "no rest at 4 deg"]
-    visits = [Visit({"n": n}, merits(tracking_failure=text)) for n, text in enumerate(texts)]
-    assert failures(visits) == [
+    assessments = [
+        Assessment({"n": n}, merits(tracking_failure=text)) for n, text in enumerate(texts)
+    ]
+    assert failures(assessments) == [
         {"count": 2, "example": texts[0], "values": {"n": 0}},
         {"count": 1, "example": texts[2], "values": {"n": 2}},
     ]
@@ -391,7 +393,8 @@ OPTIONS = uncertain(a={"low": 0.0, "high": 1.0}, b={"options": ("x", "y", "z")})
 
 def visits_of(a, b, value):
     return [
-        Visit({"a": x, "b": o}, merits(disk_margin=v)) for x, o, v in zip(a, b, value, strict=True)
+        Assessment({"a": x, "b": o}, merits(disk_margin=v))
+        for x, o, v in zip(a, b, value, strict=True)
     ]
 
 
@@ -438,8 +441,8 @@ def test_what_the_worst_sample_covers(formula):
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30), st.floats(0.0, 1.0))
 def test_a_quantile_is_one_of_the_values(values, share):
-    visits = [Visit({}, merits(disk_margin=v)) for v in values]
-    found = quantile(visits, "disk_margin", share)
+    assessments = [Assessment({}, merits(disk_margin=v)) for v in values]
+    found = quantile(assessments, "disk_margin", share)
     assert found in values
     assert sum(v <= found for v in values) >= share * len(values) - 1e-9
 
@@ -452,13 +455,13 @@ def test_short_names_stay_apart():
     }
 
 
-# ----------------------------------------------- results, report and figures of visits by hand
+# ----------------------------------------------- results, report and figures of assessments by hand
 
 UNITS = dict(zip(MERITS, (1.0, 0.5, 20.0, 0.3, 60.0, 0.2, 0.7), strict=True))
-"""Size of each figure of merit; a visit has a number of its own times it."""
+"""Size of each figure of merit; an assessment has a number of its own times it."""
 
 
-def visit(number, mass, lag, delay, **changes):
+def assessment(number, mass, lag, delay, **changes):
     values = {
         "plant.cylinder.mass_kg": mass,
         "plant.pump.lag_s": lag,
@@ -466,7 +469,7 @@ def visit(number, mass, lag, delay, **changes):
     }
     kept = {path: value for path, value in values.items() if value is not None}
     found = {name: round(number * size, 6) for name, size in UNITS.items()}
-    return Visit(kept, merits(**found, bandwidth_failure="") | changes)
+    return Assessment(kept, merits(**found, bandwidth_failure="") | changes)
 
 
 @pytest.fixture(scope="module")
@@ -478,27 +481,27 @@ def by_hand():
         uncertainty=SMALL,
         left_out=("plant.load.knee_torque_n_m",),
         settings=FEW,
-        nominal=visit(1.0, None, None, None),
+        nominal=assessment(1.0, None, None, None),
         one_at_a_time=(
-            visit(1.1, 1.4, None, None),
-            visit(0.8, 1.8, None, None),
-            visit(0.7, None, 0.005, None),
-            visit(1.6, None, 0.02, None),
-            visit(1.0, None, None, 0),
-            visit(1.2, None, None, 1),
-            visit(1.25, None, None, 2),
+            assessment(1.1, 1.4, None, None),
+            assessment(0.8, 1.8, None, None),
+            assessment(0.7, None, 0.005, None),
+            assessment(1.6, None, 0.02, None),
+            assessment(1.0, None, None, 0),
+            assessment(1.2, None, None, 1),
+            assessment(1.25, None, None, 2),
         ),
         samples=(
-            visit(1.5, 1.50, 0.012, 1),
-            visit(0.9, 1.45, 0.007, 2),
-            visit(1.9, 1.60, 0.019, 0),
-            visit(1.2, 1.75, 0.011, 2, **stopped),
-            visit(1.1, 1.65, 0.009, 1),
+            assessment(1.5, 1.50, 0.012, 1),
+            assessment(0.9, 1.45, 0.007, 2),
+            assessment(1.9, 1.60, 0.019, 0),
+            assessment(1.2, 1.75, 0.011, 2, **stopped),
+            assessment(1.1, 1.65, 0.009, 1),
         ),
         corners=(
-            visit(2.3, 1.4, 0.005, 0),
-            visit(0.6, 1.8, 0.02, 1),
-            visit(2.1, 1.4, 0.02, 2),
+            assessment(2.3, 1.4, 0.005, 0),
+            assessment(0.6, 1.8, 0.02, 1),
+            assessment(2.1, 1.4, 0.02, 2),
         ),
         corners_possible=12,
         corners_settled=True,
@@ -532,8 +535,8 @@ def expected_summary(merit):
 def test_the_summary_of_each_figure_is_that_of_its_visits(by_hand, flat, check_rules):
     found = by_hand.results()
     check_rules(found)
-    assert list(found["figures"]) == list(MERITS)
-    for merit, own in found["figures"].items():
+    assert list(found["metrics"]) == list(MERITS)
+    for merit, own in found["metrics"].items():
         names = ("nominal", "median", "percentile_5", "percentile_95")
         values = [own[name] for name in names]
         values += [own[f"worst_{kind}"]["value"] for kind in ("sample", "corner")]
@@ -543,7 +546,7 @@ def test_the_summary_of_each_figure_is_that_of_its_visits(by_hand, flat, check_r
         assert values == pytest.approx(expected, nan_ok=True), merit
         assert own["failed_samples"] == (merit == "max_error_deg")
         assert own["failed_corners"] == 0
-        high = MERITS[merit].worse > 0.0
+        high = MERITS[merit].sign_of_worse > 0.0
         at_worst = by_hand.samples[3 if merit == "max_error_deg" else 2 if high else 1]
         assert own["worst_sample"]["values"] == at_worst.values
         assert own["worst_corner"]["values"] == by_hand.corners[0 if high else 1].values
@@ -556,10 +559,10 @@ def test_the_summary_of_each_figure_is_that_of_its_visits(by_hand, flat, check_r
     assert found["failures"]["corners"] == found["failures"]["one_at_a_time"] == []
     assert (found["corners_visited"], found["corners_possible"]) == (3, 12)
     for kind in ("samples", "corners", "one_at_a_time"):
-        visits = getattr(by_hand, kind)
-        expected = [{"values": dict(v.values)} | v.figures for v in visits]
+        assessments = getattr(by_hand, kind)
+        expected = [{"values": dict(v.values)} | v.metrics for v in assessments]
         assert flat(found[kind]) == pytest.approx(flat(expected), nan_ok=True)
-    assert found["nominal"] == by_hand.nominal.figures
+    assert found["nominal"] == by_hand.nominal.metrics
     assert found["local_sensitivity"] == by_hand.local
     for merit, own in found["rank_correlation"].items():
         values = SAMPLED.copy()
@@ -588,7 +591,7 @@ def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells)
             ["mass_kg", 1.4, 1.8, 1.8],
             ["lag_s", 0.005, 0.02, 0.02],
             ["latency_samples", 0.0, 1.0, 1.0],
-            ["**the figure there**", 2.3, 0.6 * 0.3, 0.6 * 0.7],
+            ["**the metric there**", 2.3, 0.6 * 0.3, 0.6 * 0.7],
         ],
     )
     assert len(effects) == 3
@@ -633,12 +636,12 @@ def test_the_words_count_as_the_results_do(by_hand):
 
 def test_values_above_chance_and_those_that_the_controller_knows_are_told(by_hand):
     known = SMALL.values["plant.pump.lag_s"].model_copy(update={"known": True})
-    samples = tuple(visit(n, 1.5, 0.01 + 1e-3 * n, n % 3) for n in range(1, 8))
+    samples = tuple(assessment(n, 1.5, 0.01 + 1e-3 * n, n % 3) for n in range(1, 8))
     text = report(
         dataclasses.replace(
             by_hand,
             uncertainty=UncertaintySet(values=SMALL.values | {"plant.pump.lag_s": known}),
-            samples=(*samples, visit(8.0, 1.6, 0.02, 0)),
+            samples=(*samples, assessment(8.0, 1.6, 0.02, 0)),
             local_failures=(),
         )
     )
@@ -651,8 +654,8 @@ def test_values_above_chance_and_those_that_the_controller_knows_are_told(by_han
 
 def test_unstable_loops_whose_runs_end_are_counted_with_their_errors(by_hand):
     lost = {"stable": False, "disk_margin": math.nan}
-    unstable = [visit(n, 1.5, 0.01, 0, **lost) for n in (3.0, 7.0, 5.0)]
-    stopped = visit(1.0, 1.5, 0.01, 0, **lost, max_error_deg=math.nan)
+    unstable = [assessment(n, 1.5, 0.01, 0, **lost) for n in (3.0, 7.0, 5.0)]
+    stopped = assessment(1.0, 1.5, 0.01, 0, **lost, max_error_deg=math.nan)
     text = report(dataclasses.replace(by_hand, corners=(*unstable, stopped)))
     assert "4 of the 4 corners (100 %) fail in part or are unstable" in text
     assert "- 3 runs of those 4 unstable loops go to their end all the same, with" in text
@@ -661,7 +664,7 @@ def test_unstable_loops_whose_runs_end_are_counted_with_their_errors(by_hand):
 
 def test_failures_are_told_as_a_share(by_hand):
     two = tuple(
-        dataclasses.replace(one, figures=by_hand.samples[3].figures) for one in by_hand.samples[:2]
+        dataclasses.replace(one, metrics=by_hand.samples[3].metrics) for one in by_hand.samples[:2]
     )
     text = report(dataclasses.replace(by_hand, samples=two + by_hand.samples[2:3] * 8))
     assert "2 of the 10 samples (20 %) fail in part" in text
@@ -717,7 +720,7 @@ def test_the_tornado_has_each_level_at_its_figure(by_hand):
 
 
 def test_a_figure_over_more_than_a_decade_has_a_logarithmic_axis(by_hand):
-    wide = dataclasses.replace(by_hand, corners=(visit(21.0, 1.4, 0.005, 0),))
+    wide = dataclasses.replace(by_hand, corners=(assessment(21.0, 1.4, 0.005, 0),))
     for study, expected in ((by_hand, "linear"), (wide, "log")):
         axes = distribution(study).axes
         assert axes[0].get_xlabel() == "largest error (deg)"
@@ -730,8 +733,8 @@ def test_a_figure_over_more_than_a_decade_has_a_logarithmic_axis(by_hand):
 
 def test_what_fails_is_crossed_beyond_the_worst_end(by_hand):
     nothing = dict.fromkeys(UNITS, math.nan)
-    failed = (visit(1.1, 1.4, None, None, **nothing), *by_hand.one_at_a_time[1:])
-    samples = (*by_hand.samples[:4], visit(1.0, 1.5, 0.01, 0, **nothing))
+    failed = (assessment(1.1, 1.4, None, None, **nothing), *by_hand.one_at_a_time[1:])
+    samples = (*by_hand.samples[:4], assessment(1.0, 1.5, 0.01, 0, **nothing))
     study = dataclasses.replace(by_hand, one_at_a_time=failed, samples=samples)
     drawn = tornado(study)
     for ax, merit, sign in zip(
@@ -789,7 +792,7 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
 
 
 def test_nyquist_draws_the_loops_of_the_samples(by_hand):
-    unstable = visit(1.2, 1.7, None, None, stable=False, disk_margin=math.nan)
+    unstable = assessment(1.2, 1.7, None, None, stable=False, disk_margin=math.nan)
     one_at_a_time = (*by_hand.one_at_a_time[:-1], unstable)
     done = dataclasses.replace(by_hand, one_at_a_time=one_at_a_time)
     (ax,) = figures(done)["robustness_nyquist"].axes
@@ -835,14 +838,16 @@ def real():
 
 
 def test_every_row_is_that_of_runs_and_margins_of_its_own_plant(real, in_numbers, margins):
-    visits = (real.nominal, *real.one_at_a_time, *real.samples, *real.corners)
-    assert len(visits) == 1 + 4 + 4 + 4
-    for visit in visits:
-        plant = changed(REAL, {"nominal": REAL.plant, **visit.values})  # only the plant changes
+    assessments = (real.nominal, *real.one_at_a_time, *real.samples, *real.corners)
+    assert len(assessments) == 1 + 4 + 4 + 4
+    for assessment in assessments:
+        plant = changed(
+            REAL, {"nominal": REAL.plant, **assessment.values}
+        )  # only the plant changes
         expected = in_numbers(plant, 0.25) | margins(plant, 40.0)
-        row = {name: visit.figures[name] for name in expected}
+        row = {name: assessment.metrics[name] for name in expected}
         assert row == pytest.approx(expected, rel=1e-9)
-        assert visit.failures == ()
+        assert assessment.failures == ()
 
 
 def test_a_narrow_interval_moves_the_figures_as_the_local_sensitivity_says(real):

@@ -323,7 +323,7 @@ def measured(scenario):
     if scenario.estimator.kind != "exact":
         s = sliding_rates(scenario, run, range(count), command)[0]
 
-    def away(rows, commands):
+    def reaching_rate(rows, commands):
         values, rates = sliding_rates(scenario, run, rows, commands)
         return np.sign(values) * rates
 
@@ -342,13 +342,13 @@ def measured(scenario):
     result["promised_s"] = max(0.0, abs(s[0]) - phi) / law.eta_m_s3
     rated, rates, bound = thinned(outside, 20), [], np.full(count, math.nan)
     if outside:
-        rates = away(rated, command[rated])
+        rates = reaching_rate(rated, command[rated])
         result["holding_share"] = np.mean([rate <= -eta for rate in rates])
         result["attracting_share"] = np.mean([rate < 0.0 for rate in rates])
         result["worst_rate_m_s3"] = max(rates)
         if not law.continuous:
             rated = [k for k in rated if k + 1 < count]
-            late = away([k + 1 for k in rated], command[rated])
+            late = reaching_rate([k + 1 for k in rated], command[rated])
             result["held_share"] = np.mean([rate <= -eta for rate in late])
             slopes = [math.copysign(1.0, s[k]) * (s[k + 1] - s[k]) / 0.002 for k in rated]
             result["mean_share"] = np.mean([slope <= -eta for slope in slopes])
@@ -381,7 +381,7 @@ def measured(scenario):
             "error_m": e[shown],
             "bound_m": bound[shown],
             "outside_time_s": time[drawn],
-            "away_m_s3": rates,
+            "reaching_rate_m_s3": rates,
         }
     }
 
@@ -430,7 +430,7 @@ def by_hand():
             "error_m": [1e-3 * n, -2e-3 * n, 3e-3 * n],
             "bound_m": [8e-3] * 3,
             "outside_time_s": [0.1 * n, 0.2 * n],
-            "away_m_s3": [-1e3 * n, -2e3 * n],
+            "reaching_rate_m_s3": [-1e3 * n, -2e3 * n],
         }
         cases.append(SlidingCase(part, plant, law, load, eta, found | changes))
 
@@ -596,7 +596,7 @@ def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
             trace = case.measured["trace"]
             if len(trace["outside_time_s"]):
                 times = [scale * t for t in trace["outside_time_s"]]
-                assert_line(lines.pop(LAWS[case.law]), times, trace["away_m_s3"])
+                assert_line(lines.pop(LAWS[case.law]), times, trace["reaching_rate_m_s3"])
         assert lines.pop(f"−η, η = {eta:g} m/s³")[1] == pytest.approx([-eta, -eta])
         assert lines == {}
         assert [list(line.get_ydata()) for line in ax.lines if line.get_label()[0] == "_"] == [
