@@ -1,7 +1,8 @@
-"""One run of a closed loop: by compiled equations or by Drake's Simulator.
+"""Runs of closed loops, by compiled equations or by Drake's Simulator.
 
-`compiled` makes structure, parameters and initial state of a scenario for `kneexo.compiler`;
-`drake` runs a diagram; `engines` chooses between both; `run` is the result of either.
+`compiled` runs a scenario with `kneexo.compiler`, `drake` runs a diagram with Drake's Simulator.
+`engines` chooses between both engines. `run` holds the result of either engine. `coroutines` lets
+async functions share batches of runs.
 """
 
 from kneexo.simulation.compiled import (

@@ -1,9 +1,9 @@
-"""Closed loops of scenarios, compiled: a run without any Drake diagram.
+"""Runs of compiled closed loops.
 
-What a scenario decides about the equations is its *structure*; a compiled model is made once for
-each and kept on disk. All other numbers go into the parameter vector and the initial state, which
-plain functions make from the scenario, the same that the leaf systems take their Context
-parameters from.
+The *structure* of a scenario decides the form of the equations. Scenarios of one structure share
+one compiled model, whose machine code is cached on disk. All other numbers of a scenario become
+parameters and initial states of the model. The lists of parts in `kneexo.diagrams` give these
+numbers, so that a run builds no diagram.
 """
 
 from __future__ import annotations
@@ -68,9 +68,10 @@ _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into consta
 
 
 def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
-    """What parameters say about the form of the equations: all but plain numbers.
+    """Return names and values of the fields that decide the form of the equations.
 
-    Whole numbers (counts, delays, branches) belong to it, and so do sample times.
+    These are all fields but floats and tuples: choices, whole numbers (counts, delays) and nested
+    structures. A sample time belongs to them too, because leaf systems turn it into a constant.
     """
     kept: list[tuple[str, Any]] = []
     values = vars(parameters)
@@ -85,7 +86,7 @@ def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
 
 @cache
 def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
-    """The fields of a class that may hold more than numbers, and whether they hold parameters."""
+    """Return the fields of ``kind`` that `structure` reads; True: the value holds parameters."""
 
     def structural(annotation: Any) -> bool:
         if isinstance(annotation, type) and issubclass(annotation, Parameters):
@@ -100,15 +101,18 @@ def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
 
 
 def structure_key(scenario: Scenario) -> str:
-    """Text that is equal for scenarios whose closed loops differ in parameters only."""
+    """Return a text that is equal for scenarios that can share a compiled model.
+
+    It contains the structure, and a digest of the sources that make the equations.
+    """
     kept = dict(structure(scenario))
     if scenario.nominal is None:
         kept["nominal"] = kept["plant"]
-    kept.pop("simulation", None)  # says how to run, not what
+    kept.pop("simulation", None)  # decides how a loop is run, not its equations
     if isinstance(scenario.reference, SampledReference):
-        kept["reference"] = scenario.reference.kind  # an input, however it is interpolated
+        kept["reference"] = scenario.reference.kind  # the samples enter by an open input
     if isinstance(scenario.controller, CustomControllerParameters):
-        # Its numbers may be anywhere in its equations.
+        # Its numbers may be constants of its equations, so the key contains the equations.
         kept["controller"] = scenario.controller.sample_time_s, _custom(scenario).key
     return _key(tuple(kept.items()))
 
@@ -120,7 +124,7 @@ def _key(kept: tuple[Any, ...]) -> str:
 
 @cache
 def _fingerprint() -> str:
-    """Of everything that makes equations from a scenario."""
+    """Return a digest of Drake's version and of all sources that make equations of a scenario."""
     digest = hashlib.sha256(version("drake").encode())
     for pattern in _SOURCES:
         for path in sorted(_PACKAGE.glob(pattern)):
@@ -129,15 +133,16 @@ def _fingerprint() -> str:
 
 
 def scenario_diagram(scenario: Scenario) -> Any:
-    """The closed loop to compile; a sampled reference stays an input, for it is not symbolic."""
+    """Build the closed loop to compile; a sampled reference, not symbolic, stays an open input."""
     external = isinstance(scenario.reference, SampledReference)
     return make_closed_loop(scenario, signals=(), external_reference=external)
 
 
 def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
-    """The compiled closed loop of a scenario, and of all that differ from it in numbers only.
+    """Compile the closed loop of a scenario.
 
-    Its parameters, state and inputs come from `scenario_run`.
+    All scenarios of the same structure get the same model. `scenario_run` returns parameters,
+    state and inputs of a scenario for it.
     """
     return _model(structure_key(scenario), scenario)
 
@@ -145,7 +150,7 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
 def _model(key: str, scenario: Scenario) -> CompiledModel:
     with _lock:
         if key not in _models:
-            # A diagram that cannot be built says so now, not where its equations are needed.
+            # Raise the errors of a wrong scenario here, before the diagram is built.
             _require_reference_in_range(scenario)
             scenario_values(scenario)
             scenario_start(scenario)
@@ -161,7 +166,7 @@ _diagrams: dict[str, Any] = {}
 
 
 def _diagram(key: str, scenario: Scenario) -> Any:
-    """The `scenario_diagram` of that structure: Python 3.11 frees none, so there is but one."""
+    """Return the `scenario_diagram` of a structure; cached, as Python 3.11 never frees one."""
     with _lock:
         if key not in _diagrams:
             _diagrams[key] = scenario_diagram(scenario)
@@ -169,14 +174,14 @@ def _diagram(key: str, scenario: Scenario) -> Any:
 
 
 class _Custom(NamedTuple):
-    """What a compiled loop needs of a custom controller."""
+    """Equations, parameters and states of a custom controller, for its closed loop."""
 
     key: str
-    """Of its equations."""
+    """Digest of the equations."""
     values: dict[str, float]
-    """Context parameters, by their names in the closed loop."""
+    """Default Context parameters by their names in the closed loop."""
     state: dict[str, float]
-    """Default continuous and discrete states, in the same way."""
+    """Default continuous and discrete states by their names in the closed loop."""
 
 
 _customs: dict[str, _Custom] = {}
@@ -208,7 +213,7 @@ def _custom(scenario: Scenario) -> _Custom:
 
 
 def scenario_values(scenario: Scenario) -> dict[str, float]:
-    """Every Context parameter of the closed loop, by its name in the compiled model."""
+    """Return all Context parameters of the closed loop by their names in the compiled model."""
     values = {
         f"{path}.{name}": value
         for path, values in loop_values(scenario)
@@ -220,12 +225,12 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
 
 
 def _parameters(scenario: Scenario, model: CompiledModel) -> Array:
-    """`scenario_values` in the order of the model's parameters."""
+    """Return `scenario_values` in the order of the model's parameters."""
     groups = [values.values() for _, values in loop_values(scenario)]
     if isinstance(scenario.controller, CustomControllerParameters):
         groups.append(_custom(scenario).values.values())
     values = np.array([value for group in groups for value in group], dtype=float)
-    if model not in _orders:  # a model has one structure, and so one order of the values
+    if model not in _orders:  # scenarios of one structure have one order of the values
         place = {name: n for n, name in enumerate(scenario_values(scenario))}
         _orders[model] = np.array([place[name] for name in model.parameter_names], dtype=np.intp)
     return np.asarray(values[_orders[model]])
@@ -250,7 +255,10 @@ _NO_INPUTS = InputTable()
 
 @lru_cache(maxsize=64)
 def reference_table(reference: SampledReference) -> InputTable:
-    """The curve of a sampled reference and its derivatives; constant before and after."""
+    """Return a sampled reference and its three derivatives as the table of an open input.
+
+    Before the first sample and after the last one the reference is constant.
+    """
     return input_table(knee_reference.sampled_spline(reference), derivatives=3)
 
 
@@ -259,7 +267,7 @@ def _require_reference_in_range(scenario: Scenario) -> None:
 
 
 def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:
-    """Parameters, state after initialization and inputs of a scenario for its compiled model.
+    """Return parameters, initialized state and input table of a scenario for its compiled model.
 
     Raises `ParameterError` and `LinkageError` as `make_closed_loop` does.
     """
@@ -282,17 +290,17 @@ def simulate_compiled(
     step_s: float = STEP_S,
     tolerance: float = TOLERANCE,
 ) -> Run:
-    """Run the closed loop of ``scenario`` as machine code; all available signals by default.
+    """Run the closed loop of ``scenario`` as machine code.
 
-    Agrees with `kneexo.analysis.simulate`; of ``scenario.simulation`` only the duration counts.
-    The first run of a structure compiles it (some seconds, kept on disk).
+    Of ``scenario.simulation`` only the duration is used. The first run of a structure compiles the
+    loop, which takes some seconds; the machine code is cached on disk.
 
     Parameters
     ----------
     scenario
-        The closed loop, and how long it runs.
+        The closed loop and the duration of the run.
     signals
-        Names of `kneexo.diagrams.SIGNALS`.
+        Signals to log, names of `kneexo.diagrams.SIGNALS`; None: all available ones.
     integrator, step_s, tolerance
         See `CompiledModel.simulate`.
 
@@ -316,7 +324,10 @@ def simulate_together(
     step_s: float = STEP_S,
     tolerance: float = TOLERANCE,
 ) -> list[Run | KneexoError]:
-    """`simulate_compiled` for scenarios of one structure: each one's run, or why it failed."""
+    """Run scenarios of one structure in one batch; return the run or the error of each.
+
+    `simulate_compiled` describes the arguments.
+    """
     results: list[Any] = []
     ready = {}
     model = None

@@ -22,12 +22,26 @@ def simulate_diagram(
     settings: SimulationParameters,
     progress: Callable[[float], Any] | None = None,
 ) -> Run:
-    """Run a diagram that has a `VectorLogSink` named ``log`` with the columns ``names``.
+    """Run a diagram by Drake's Simulator and return what its log recorded.
 
-    ``context`` is the root Context to start from; it is changed. ``progress`` gets the simulated
-    time every 0.25 s. Drake's ``radau3`` stands in for the compiled engine's integrators. Raises
-    `SimulationError` when the run diverges, stalls or leaves the range of motion, and when the
-    code of a user's system fails.
+    Parameters
+    ----------
+    diagram
+        A diagram with a `VectorLogSink` named ``log``.
+    context
+        Root Context from which the run starts; the run changes it.
+    names
+        Names of the columns of the log.
+    settings
+        Duration and integrator. Drake's ``radau3`` replaces an integrator of the compiled engine.
+    progress
+        Called with the simulated time in s after every 0.25 s of it.
+
+    Raises
+    ------
+    SimulationError
+        The run diverges, the integrator fails, a system leaves its range of motion, or the code of
+        a user's system fails.
     """
     settings = settings.with_drake()
     log = diagram.GetSubsystemByName("log").FindMutableLog(context)
@@ -47,7 +61,7 @@ def simulate_diagram(
     while end < start + settings.duration_s:
         end = min(end + 0.25, start + settings.duration_s)
         try:
-            simulator.AdvanceTo(end)  # initializes, the first time
+            simulator.AdvanceTo(end)  # the first call initializes the Context
         except (Exception, SystemExit) as error:
             if isinstance(error, KneexoError):
                 raise

@@ -1,4 +1,4 @@
-"""Runs of closed loops as arrays: by either engine, one alone or many together."""
+"""Runs of closed loops by either engine, alone or in batches."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class RunRequest(Request[Run]):
 
 
 LARGEST_BATCH = 32
-"""Most runs that the compiled engine gets together."""
+"""Largest number of runs in a batch of the compiled engine."""
 
-_LARGEST_RECORD = 4_000_000  # numbers that these may log: 32 MB
+_LARGEST_RECORD = 4_000_000  # numbers that a batch may log: 32 MB
 
 LARGEST_RUN_BYTES = 2 * 2**30
-"""Most that the logged signals of a run may take."""
+"""Largest size of the logged signals of a run in bytes."""
 
 MOST_STEPS = 1_000_000_000
-"""Most steps of a fixed size in a run."""
+"""Largest number of steps of a run with a fixed step size."""
 
 
 def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
@@ -64,7 +64,7 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
     rough: dict[Any, list[int]] = {}
     for (signals, way), indices in ways.items():
         for index, run in _compiled_runs(requests, indices, signals, way):
-            if isinstance(run, StiffnessError):  # valves that open and close all the time
+            if isinstance(run, StiffnessError):  # such as valves that chatter
                 rough.setdefault(signals, []).append(index)
             else:
                 yield index, run
@@ -73,7 +73,7 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
 
 
 def _too_large(request: RunRequest) -> ParameterError | None:
-    """Why a run would take too much memory or time."""
+    """Return the error of a run that would take too much memory or time; None for other runs."""
     settings = request.scenario.simulation
     duration = f"simulation.duration_s = {settings.duration_s:g} s"
     samples, width = _records(request), _width(request)
@@ -94,13 +94,13 @@ def _too_large(request: RunRequest) -> ParameterError | None:
 
 
 def _records(request: RunRequest) -> float:
-    """Samples that a run logs."""
+    """Return the number of samples that a run logs."""
     scenario = request.scenario
     return scenario.simulation.duration_s / scenario.controller.sample_time_s
 
 
 def _width(request: RunRequest) -> int:
-    """Columns that a run logs; signals that do not exist have none."""
+    """Return the number of columns that a run logs; an unknown signal counts as none."""
     names = request.signals
     if names is None:
         names = available_signals(request.scenario)
@@ -121,7 +121,10 @@ def _drake_run(request: RunRequest) -> Run | KneexoError:
 
 
 def _diagram_run(request: RunRequest, diagram: Diagram) -> Run | KneexoError:
-    """Run a closed loop of the user's own, compiled; without names all its `SIGNALS`."""
+    """Compile and run a user's closed loop; return the run or its error.
+
+    Without names of signals the run logs all `SIGNALS` that are output ports of the diagram.
+    """
     settings, names = request.scenario.simulation, request.signals
     if names is None:
         names = [name for name in SIGNALS if diagram.HasOutputPort(name)]
@@ -177,8 +180,7 @@ def _compiled_runs(
 
 
 def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterator[list[int]]:
-    """Runs of a group that go together: of similar duration, and not too much to keep."""
-
+    """Yield batches of requests of similar duration whose logged signals fit into memory."""
     width = _width(requests[group[0]])
     waiting = sorted(group, key=lambda index: _records(requests[index]), reverse=True)
     while waiting:
@@ -204,13 +206,29 @@ async def simulate(
     progress: Callable[[float], Any] | None = None,
     diagram: Diagram | None = None,
 ) -> Run:
-    """Run the closed loop of ``scenario``; all available signals by default.
-
-    ``diagram``: a closed loop of the user's own, with output ports of `kneexo.diagrams.SIGNALS`, in
-    place of the scenario's, which then only tells sample time of the log and integrator.
+    """Run the closed loop of ``scenario`` and return the logged signals.
 
     ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator.
-    Where the exact hold cannot follow, RK4 with steps of 20 µs goes on in its place (the run's
-    ``settings`` say so). Raises what `make_closed_loop` and `simulate_diagram` raise.
+    If the exact hold fails because the valves make the equations too stiff, RK4 with steps of
+    20 µs repeats the run; ``settings`` of the run then name RK4.
+
+    Parameters
+    ----------
+    scenario
+        The closed loop, its duration and its solver.
+    signals
+        Signals to log, names of `kneexo.diagrams.SIGNALS`; None: all available ones.
+    progress
+        Called with the simulated time in s; by the compiled engine once, at the end.
+    diagram
+        A closed loop of the user with output ports of `kneexo.diagrams.SIGNALS`. It replaces the
+        closed loop of ``scenario``, of which then only solver and sample time of the log count.
+
+    Raises
+    ------
+    SimulationError
+        The run diverges or leaves its range.
+    ParameterError, LinkageError
+        As `kneexo.diagrams.make_closed_loop`, and for a run that is too large.
     """
     return await RunRequest(scenario, signals, progress, diagram)

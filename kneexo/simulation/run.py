@@ -1,4 +1,4 @@
-"""The result of one simulation, by either engine."""
+"""The result of one run, by either engine."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from kneexo.result import Array, Result, data_frame
 
 @dataclass(frozen=True, repr=False)
 class Run(Result):
-    """Logged signals of one simulation: ``time_s`` (n,) and ``data`` by column name, each (n,).
+    """Logged signals of one run: ``time_s`` (n,) and ``data`` by column name, each (n,).
 
-    A command at time t is the value that was held up to t. ``settings`` are those of the solver.
-    All values of a run are finite, with either engine.
+    A controller's output at time t is the value that was held until t, before the update at t.
+    ``settings`` are those of the solver that ran. All values are finite.
     """
 
     time_s: Array
@@ -22,16 +22,16 @@ class Run(Result):
     settings: SimulationParameters
 
     def __getitem__(self, column: str) -> Array:
-        """The column of that name, (n,)."""
+        """Return the values of a column, (n,)."""
         return self.data[column]
 
     @property
     def columns(self) -> dict[str, Array]:
-        """``time_s`` and the signals."""
+        """``time_s`` and ``data`` in one dictionary."""
         return {"time_s": self.time_s, **self.data}
 
     def to_dataframe(self) -> Any:
-        """The signals as `pandas.DataFrame` over ``time_s``; names end in the unit.
+        """Return ``data`` as a `pandas.DataFrame` with the index ``time_s``.
 
         Raises `PackageError` without pandas.
         """

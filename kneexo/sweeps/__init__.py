@@ -1,4 +1,4 @@
-"""Many runs: worker processes, checkpoints, progress."""
+"""Sweeps of many runs: worker processes, checkpoints and progress bars."""
 
 from kneexo.sweeps.checkpoint import Checkpoint as Checkpoint
 from kneexo.sweeps.parallel import (

@@ -1,4 +1,4 @@
-"""The finished pieces of a long sweep on disk, so that an interrupted sweep can go on."""
+"""A file of finished results, by which an interrupted sweep continues where it stopped."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kneexo.files.locking import LockedFile
 from kneexo.files.reading import MIB
 from kneexo.version import __version__
 
-_HEADER = b'{"kneexo checkpoint": 1}'  # raise the number when the lines change
+_HEADER = b'{"kneexo checkpoint": 1}'  # increase the number when the format changes
 _MOST_BYTES = 4096 * MIB
 
 
@@ -65,7 +65,7 @@ class Checkpoint:
             raise _output_error(path, error) from None
 
     def _read(self, path: Path, file: LockedFile) -> None:
-        """Fill ``_results`` with the undamaged pieces of the file."""
+        """Read the undamaged pieces of the file into ``_results``; warn of damaged lines."""
         data = file.read(_MOST_BYTES)
         if _HEADER.startswith(data):  # empty, or the first write was cut short
             file.clear()
@@ -103,7 +103,7 @@ class Checkpoint:
         return result
 
     def keep(self, key: str, result: Any) -> Any:
-        """Store the result of a piece; return it as a later process will read it."""
+        """Store the result of a piece and return it as read back from JSON."""
         payload = json.dumps([key, result])
         if self.path is not None and self._file is not None:
             try:
@@ -120,15 +120,15 @@ class Checkpoint:
         self._torn = False
 
     def close(self) -> None:
-        """Release the file; an empty one is deleted."""
+        """Release the lock on the file; delete an empty file."""
         if self._file is not None:
             self._file.close()
 
     def remove(self) -> int:
-        """Delete the file, because the sweep is complete and its results are elsewhere.
+        """Delete the file after a complete sweep and return the number of unused pieces.
 
-        The file stays if it also holds pieces that nobody has used yet, which belong to other
-        settings. Returns their number.
+        An unused piece is one that this sweep did not ask for, such as one of other settings. If
+        there are unused pieces, the file is only closed.
         """
         unused = len(self._results.keys() - self._used)
         if self._file is not None and not unused:
@@ -143,11 +143,14 @@ def _sealed(payload: bytes) -> bytes:
     return b'{"sha256": "' + seal + b'", "piece": ' + payload + b"}"
 
 
-_PAYLOAD = len(_sealed(b"")) - len(b"}")  # where the payload of a line begins
+_PAYLOAD = len(_sealed(b"")) - len(b"}")  # index at which the payload of a line begins
 
 
 def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
-    """Return a name for each piece ``function(item)``; every process computes the same names."""
+    """Return the key of each piece ``function(item)``.
+
+    The key is a digest of kneexo's version, the function with its bound arguments, and the item.
+    """
     shared = hashlib.sha256(_text([__version__, function]))
     keys = []
     for item in items:

@@ -1,4 +1,4 @@
-"""Run independent pieces of work in processes or on a cluster; Ctrl-C stops at once."""
+"""Maps a function over items in worker processes or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -34,28 +34,32 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 UNIT_S = 0.5
-"""Small pieces go to a worker together, as many as it does in that time."""
+"""Duration in s for which a worker computes before it returns results.
+
+A worker gets short pieces of work in units that take about this time.
+"""
 
 CONNECT_S = 10.0
-"""How long a Dask scheduler and its workers are waited for."""
+"""Largest time in s to wait for a Dask scheduler, and then for its first worker."""
 
 LARGEST_LOT = 512
 """Largest number of calls that share batches of runs (`kneexo.simulation.needs_runs`)."""
 
-_BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # read when numpy is imported
-_UNITS_PER_WORKER = 4  # under way at a time, so that no worker waits for this process
-_FIRST_UNIT = 8  # calls that share batches; as many as a batch has lanes
-_WORKERS = 250  # of an executor that does not say how many it has
+_BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # NumPy reads it when it is imported
+_UNITS_PER_WORKER = 4  # units submitted per worker, so that no worker runs out of work
+_FIRST_UNIT = 8  # size of the first units of calls that share batches: the lanes of a vector
+_WORKERS = 250  # assumed workers of an executor that does not say how many it has
 
 
 @contextmanager
 def process_pool(
     workers: int | None, executor: Executor | None = None
 ) -> Iterator[Executor | None]:
-    """An executor of spawned processes, which die at once when the body fails or is interrupted.
+    """Context manager: yield an executor of spawned processes, or None for a single worker.
 
-    ``workers``: their number, None for all cores of this process; with 1 there is none, and
-    `parallel_map` works in this process. An ``executor`` of the caller's replaces them.
+    ``workers`` is the number of processes; None: one for each core that this process may use. For
+    one worker, `parallel_map` computes in this process. If ``executor`` is given, it is yielded
+    instead. The processes are killed when the body raises an exception, KeyboardInterrupt too.
     """
     if executor is not None:
         yield executor
@@ -69,7 +73,7 @@ def process_pool(
     try:
         with _single_threaded_blas():
             yield pool
-    except BaseException:  # KeyboardInterrupt too: nothing may go on working
+    except BaseException:  # KeyboardInterrupt too: no process may continue
         for process in list((pool._processes or {}).values()):
             process.kill()
         raise
@@ -79,10 +83,11 @@ def process_pool(
 
 @contextmanager
 def _single_threaded_blas() -> Iterator[None]:
-    """Processes that start meanwhile leave the other cores to each other.
+    """Context manager: processes started in its body use one BLAS thread each.
 
-    The matrices are so small that threads of OpenBLAS only wait for each other: on busy cores a
-    least-squares fit of a cycle takes 13 ms with two of them, 0.2 ms with one.
+    If the environment sets the number of threads, that number is kept. The matrices are so small
+    that several threads of OpenBLAS wait for each other: on busy cores a least-squares fit of a
+    cycle takes 13 ms with two threads and 0.2 ms with one.
     """
     before = os.environ.get(_BLAS_THREADS)
     os.environ[_BLAS_THREADS] = before or "1"
@@ -95,12 +100,14 @@ def _single_threaded_blas() -> Iterator[None]:
 
 @contextmanager
 def dask_cluster(address: str) -> Iterator[Executor]:
-    """An executor of the workers of a running Dask cluster, such as ``tcp://host:8786``.
+    """Context manager: yield an executor of the workers of a running Dask cluster.
 
-    What a lost worker had is done again by the others; where all are lost, Dask waits for new
-    ones. Raises `WorkerError` when the package ``distributed`` is missing, when within 10 s there
-    is no scheduler at ``address`` or no worker, when a worker has another version of kneexo, when
-    a piece of work kills one worker after another, and when the scheduler is lost.
+    ``address`` is that of the scheduler, such as ``tcp://host:8786``. If a worker is lost, other
+    workers repeat its work; if all workers are lost, Dask waits for new ones.
+
+    Raises `WorkerError` when the package ``distributed`` is missing, when no scheduler or no worker
+    is found within 10 s, when a worker has another version of kneexo, when a piece of work kills
+    one worker after another, and when the connection to the scheduler is lost.
     """
     try:
         distributed: Any = import_module("distributed")
@@ -109,7 +116,7 @@ def dask_cluster(address: str) -> Iterator[Executor]:
             "a Dask cluster needs the package distributed: pip install 'kneexo[cluster]'"
         ) from None
     for name in ("distributed.client", "tornado.application"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what ends the work is raised
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # errors are raised, no need to log them
     try:
         distributed.comm.get_address_host_port(address, strict=True)
     except ValueError:
@@ -130,7 +137,7 @@ def dask_cluster(address: str) -> Iterator[Executor]:
             f"a piece of work killed one worker after another of the Dask cluster {address} (out "
             f"of memory?)"
         ) from None
-    except Exception:  # a lost scheduler shows in whatever was under way
+    except Exception:  # any call may fail when the scheduler is lost
         if client.status != "running":
             raise WorkerError(f"the Dask scheduler {address} was lost") from None
         raise
@@ -139,9 +146,9 @@ def dask_cluster(address: str) -> Iterator[Executor]:
 
 
 def _require_this_version(client: Any, address: str) -> None:
-    """Refuse workers that would compute something else, and a cluster without any."""
+    """Raise `WorkerError` for a worker with another version, and for a cluster without workers."""
 
-    def version() -> str:  # travels as code, because a worker may have no kneexo
+    def version() -> str:  # sent as code, because a worker may not have kneexo
         from kneexo.version import __version__
 
         return __version__
@@ -162,7 +169,7 @@ def _require_this_version(client: Any, address: str) -> None:
 
 
 def _end_with_parent() -> None:
-    """Make this worker process die as soon as its parent has died, however that came."""
+    """Start a thread that ends this worker process as soon as its parent process has ended."""
     parent = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -183,20 +190,34 @@ def parallel_map(
     weight: Callable[[Item], float] = lambda item: 1.0,
     checkpoint: Checkpoint | None = None,
 ) -> list[Result]:
-    """``[function(item) for item in items]``, the heaviest items first.
+    """Return ``[function(item) for item in items]``, computed in parallel.
 
-    ``workers``: see `process_pool`; with more than one a script needs
-    ``if __name__ == "__main__":``, because processes are spawned. An ``executor`` of the caller's
-    goes before ``workers``; any of the kind of ``concurrent.futures`` will do, such as
-    `dask_cluster`'s. Small items go there together (`UNIT_S`). Calls of a function that
-    `needs_runs` share batches of runs, with the same results as alone. ``description`` shows a
-    progress bar that advances by ``weight(item)``. The first error ends the work and is raised;
-    so does KeyboardInterrupt.
+    Calls of a function with the decorator `kneexo.simulation.needs_runs` share batches of runs;
+    each result is the same as without a batch. The first exception of a call ends the map and is
+    raised, and so is KeyboardInterrupt.
 
-    With a ``checkpoint`` every result is kept there as soon as it is known, and what it has
-    already is not computed again; ``function`` then returns plain JSON data.
+    Parameters
+    ----------
+    function, items
+        With more than one worker both must be picklable.
+    workers
+        Number of processes, as in `process_pool`. Processes are spawned, so that a script needs
+        ``if __name__ == "__main__":`` for more than one.
+    executor
+        A `concurrent.futures.Executor` in place of ``workers``, such as that of `dask_cluster`.
+    description
+        Text of a progress bar; None: no bar.
+    weight
+        Cost of an item in any unit. The items with the largest weights are computed first, and the
+        progress bar advances by the weights.
+    checkpoint
+        Stores each result as soon as it is computed. Results that it has already are not computed
+        again. The function must then return plain JSON data.
 
-    Raises `WorkerError` when a worker process dies.
+    Raises
+    ------
+    WorkerError
+        A worker process died.
     """
     keys = [] if checkpoint is None else piece_keys(function, items)
     results: dict[int, Result] = {}
@@ -206,12 +227,14 @@ def parallel_map(
         advance(index)
 
     def advance(index: int) -> None:
-        bar.update(min(weight(items[index]), whole - bar.n))  # rounding must not pass the end
+        bar.update(
+            min(weight(items[index]), total_weight - bar.n)
+        )  # rounding must not exceed the total
 
-    whole = round(sum(weight(item) for item in items), 6)
+    total_weight = round(sum(weight(item) for item in items), 6)
     with (
         process_pool(workers, executor) as pool,
-        progress_bar(whole, description) as bar,
+        progress_bar(total_weight, description) as bar,
     ):
         if checkpoint is not None:
             for index in (n for n, key in enumerate(keys) if key in checkpoint):
@@ -235,7 +258,7 @@ def parallel_map(
 
 
 class _Units:
-    """Indices in units that grow until one runs out of time; what it leaves waits again."""
+    """A queue of indices that is taken in units, whose size adapts to the time limit `UNIT_S`."""
 
     def __init__(self, order: Iterable[int], size: int) -> None:
         self._waiting = deque(order)
@@ -245,25 +268,36 @@ class _Units:
         return bool(self._waiting)
 
     def take(self, most: int = sys.maxsize) -> list[int]:
-        """The next unit, of at most ``most``; empty when nothing waits."""
+        """Remove the next unit from the queue and return it, at most ``most`` indices."""
         size = min(self._size, most, len(self._waiting))
         return [self._waiting.popleft() for _ in range(size)]
 
-    def give_back(self, left: Sequence[int], ended: int, in_time: bool) -> None:
-        """What a unit has left, how many of it ended, and whether there was time for more."""
-        self._waiting.extendleft(reversed(left))
-        self._size = max(self._size, 2 * ended) if in_time else ended
+    def give_back(self, unfinished: Sequence[int], finished: int, in_time: bool) -> None:
+        """Return the unfinished indices of a unit to the front of the queue and adapt the size.
+
+        ``finished`` is the number of finished indices. If the unit ended within the time limit,
+        the size becomes at least twice this number; otherwise it becomes this number.
+        """
+        self._waiting.extendleft(reversed(unfinished))
+        self._size = max(self._size, 2 * finished) if in_time else finished
 
 
 def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
-    """Items of the first units: several if calls share batches and all workers still get work."""
+    """Return the size of the first units.
+
+    It is more than 1 if calls share batches and each worker still gets several units.
+    """
     if not is_synchronous(function):
         return 1
     return max(1, min(_FIRST_UNIT, count // (_UNITS_PER_WORKER * workers)))
 
 
 def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], bool]:
-    """Results of the first of ``items``, those begun within `UNIT_S`, and whether time is left."""
+    """Call ``function`` for ``items`` in a worker until `UNIT_S` has elapsed.
+
+    Return the results of the items that were begun by then, and whether the last of them ended
+    before `UNIT_S` had elapsed.
+    """
     end = time.perf_counter() + UNIT_S
     lot = LARGEST_LOT if is_synchronous(function) else 1
     results: dict[int, Result] = {}
@@ -282,7 +316,10 @@ def _by_executor(
     executor: Executor,
     keep: Callable[[int, Result], None],
 ) -> None:
-    """Run the items of the indices ``order``; ``keep`` gets index and result of each."""
+    """Compute the items with the indices ``order`` by an executor.
+
+    The function calls ``keep`` with index and result of each item.
+    """
     workers = getattr(executor, "_max_workers", _WORKERS)
     most = _UNITS_PER_WORKER * workers
     units = _Units(order, _first_unit(function, len(order), workers))
@@ -305,5 +342,5 @@ def _by_executor(
     except (BrokenExecutor, CancelledError):
         raise WorkerError("a worker process died (out of memory?); use fewer workers") from None
     finally:
-        for future in under_way:  # none, unless there was an error or an interrupt
+        for future in under_way:  # empty, unless there was an error or an interrupt
             future.cancel()

@@ -1,4 +1,4 @@
-"""What every study takes to run its pieces of work: workers, checkpoint, progress."""
+"""Options of a sweep: worker processes, checkpoint and progress bars."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from kneexo.sweeps.parallel import Item, Result, parallel_map, process_pool
 
 
 class SweepOptions(TypedDict, total=False):
-    """Keyword arguments of every study."""
+    """Keyword arguments that every study accepts."""
 
     workers: int | None
-    """Processes; 1, the default, works in this one, None takes all cores. With more than one a
-    script needs ``if __name__ == "__main__":``, because processes are spawned."""
+    """Number of processes. 1 (default): work in this process. None: one process for each core.
+    Processes are spawned, so that a script needs ``if __name__ == "__main__":`` for them."""
     executor: Executor | None
-    """Replaces ``workers``: any of the kind of ``concurrent.futures``, such as `dask_cluster`'s."""
+    """A `concurrent.futures.Executor` in place of ``workers``, such as that of `dask_cluster`."""
     checkpoint: Checkpoint | None
-    """Keeps each result as soon as it is known; what it has already is not computed again."""
+    """Stores each result as soon as it is computed, and supplies stored results again."""
     progress: bool
-    """Whether bars show the progress; default: False."""
+    """Whether progress bars are shown; False by default."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Open workers, a checkpoint and the choice of progress bars, for several maps."""
+    """Workers, checkpoint and progress bars that several maps share; see `open_sweep`."""
 
     executor: Executor | None
     checkpoint: Checkpoint | None
@@ -41,7 +41,10 @@ class Sweep:
         description: str = "",
         weight: Callable[[Item], float] = lambda item: 1.0,
     ) -> list[Result]:
-        """`parallel_map`; a bar needs a ``description``."""
+        """Call `parallel_map` with the options of the sweep.
+
+        A progress bar is shown if the sweep has ``progress`` and ``description`` is not empty.
+        """
         return parallel_map(
             function,
             items,
@@ -60,6 +63,9 @@ def open_sweep(
     checkpoint: Checkpoint | None = None,
     progress: bool = False,
 ) -> Iterator[Sweep]:
-    """A `Sweep` with the `SweepOptions`; its worker processes end with the body."""
+    """Context manager: yield a `Sweep` with the given `SweepOptions`.
+
+    The worker processes end with its body.
+    """
     with process_pool(workers, executor) as pool:
         yield Sweep(pool, checkpoint, progress)
