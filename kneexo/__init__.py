@@ -1,10 +1,12 @@
 """kneexo: a polycentric knee exoskeleton with electro-hydraulic actuator, on Drake.
 
-Subpackages, each of which knows only those before it: ``kneexo.parameters`` (every physical
-number), ``kneexo.systems`` (leaf systems), ``kneexo.diagrams`` (builders), ``kneexo.compiler``
-(diagrams as machine code), ``kneexo.simulation`` (one run), ``kneexo.sweeps`` (many runs),
-``kneexo.analysis`` (measures of one scenario) and ``kneexo.studies`` (comparisons of many).
-``kneexo.linkage`` has the four-bar mathematics as plain functions.
+Each subpackage of this list imports only those before it: ``kneexo.compiler`` (Drake diagrams as
+machine code, C and FMU), ``kneexo.parameters`` (every physical number), ``kneexo.linkage``
+(four-bar mathematics as plain functions), ``kneexo.systems`` (leaf systems), ``kneexo.diagrams``
+(systems wired to plant, controller and loop), ``kneexo.simulation`` (one run), ``kneexo.sweeps``
+(many runs), ``kneexo.export`` (C and FMU of a scenario), ``kneexo.analysis`` (measures of one
+scenario), ``kneexo.studies`` (comparisons of many scenarios), ``kneexo.view`` (the knee in three
+dimensions) and ``kneexo.command_line``.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ def compile(system: System, *, inputs: Iterable[str] = ()) -> DiagramModel: ...
 def compile(
     system: Scenario | str | PathLike[str] | System, *, inputs: Iterable[str] = ()
 ) -> CompiledModel:
-    """Compile the closed loop of a scenario or of a scenario file, or a diagram.
+    """Compile a Drake diagram, or the closed loop of a scenario or scenario file.
 
     See `kneexo.simulation.compile_scenario` and `kneexo.compiler.compile_diagram`.
 
@@ -42,7 +44,7 @@ def compile(
     system
         A scenario, the path of a scenario file, or a Diagram or leaf system of floats.
     inputs
-        Names of the input ports of a diagram that stay inputs of the model.
+        Names of the input ports of a diagram that become inputs of the model.
 
     Raises
     ------
@@ -52,7 +54,7 @@ def compile(
         ``system`` is something else, or a subsystem cannot be converted; ``inputs`` are given for
         a scenario, whose inputs follow from its reference.
     """
-    # LLVM and Drake only when asked for.
+    # Importing kneexo alone loads neither LLVM nor Drake.
     from kneexo.compiler import compile_diagram
     from kneexo.errors import CompilationError
     from kneexo.parameters import Scenario

@@ -1,6 +1,6 @@
 """The errors that kneexo raises for wrong input or a failed run; each message is one line.
 
-The errors that the compiler raises too are defined in `kneexo.compiler.errors`.
+The compiler has errors of its own in `kneexo.compiler.errors`; this module imports them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ KneexoError = Error
 
 
 class ScenarioError(ParameterError):
-    """A scenario file cannot be read: says file, line, path, value, unit and range."""
+    """A scenario file is faulty. The message says file, line, path, value, unit and range."""
 
 
 class LinkageError(KneexoError, ValueError):
@@ -30,12 +30,12 @@ class LinkageError(KneexoError, ValueError):
 
 
 class LinearizationError(KneexoError, ArithmeticError):
-    """There is no equilibrium, or no linear loop, where a linearization was asked for."""
+    """A linearization fails: there is no equilibrium or no linear loop at this posture."""
 
 
 class PackageError(KneexoError, ImportError):
-    """A package that something needs is not installed: says which."""
+    """A required package is not installed. The message names the package."""
 
 
 class WorkerError(KneexoError, RuntimeError):
-    """A worker process died, or workers cannot be had."""
+    """A worker process died, or no workers can be started or reached."""

@@ -1,7 +1,8 @@
-"""A measured knee in walking: flexion over the gait cycle.
+"""Measured flexion of a knee in walking, over the gait cycle.
 
-The data are the mean of 56 strides of one healthy adult, derived from NONAN GaitPrint (Wiles et
-al., Scientific Data), CC BY 4.0: see the head of ``kneexo/data/gait_knee_flexion.csv``.
+The data are the mean of 56 strides of one healthy adult. They are derived from NONAN GaitPrint
+(Wiles et al., Scientific Data), CC BY 4.0; the first lines of
+``kneexo/data/gait_knee_flexion.csv`` say more.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ import numpy as np
 from kneexo.result import Array
 
 GAIT_STRIDE_S = 0.890
-"""Median stride time of the measured gait, as the head of ``data/gait_knee_flexion.csv`` says."""
+"""Median duration of the measured strides in s, from ``data/gait_knee_flexion.csv``."""
 
 
 def gait_knee_flexion() -> tuple[Array, Array, Array]:
-    """Gait cycle in %, mean knee flexion in deg and its standard deviation in deg, each (101,).
+    """Return gait cycle in %, mean knee flexion in deg and its standard deviation in deg.
 
-    From heel contact (0 %) to heel contact (100 %) of the same leg, as measured: the two ends
-    differ by 0.03°.
+    Each array has the shape (101,). The cycle begins at heel contact (0 %) and ends at the next
+    heel contact of the same leg (100 %). The measured flexions at both ends differ by 0.03°.
     """
     text = files("kneexo").joinpath("data", "gait_knee_flexion.csv").read_text(encoding="utf-8")
     rows = [line for line in text.splitlines() if line[:1].isdigit()]
@@ -29,6 +30,6 @@ def gait_knee_flexion() -> tuple[Array, Array, Array]:
 
 
 def gait_start_percent() -> float:
-    """Where `gait_reference` starts: least flexion (mid-stance), in % after heel contact."""
+    """Return the start of `gait_reference` in % after heel contact: the least flexion."""
     percent, mean, _ = gait_knee_flexion()
     return float(percent[np.argmin(mean)])

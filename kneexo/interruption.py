@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: both end a command in order."""
+"""Handle Ctrl-C and SIGTERM so that a command saves its work before it ends."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM arrived; everything that handles Ctrl-C handles it as well."""
+    """SIGTERM arrived. Code that handles Ctrl-C, a `KeyboardInterrupt`, handles it too."""
 
 
 def _terminate(number: int, frame: Any) -> None:
@@ -25,27 +25,30 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def sigterm_raises() -> Iterator[None]:
-    """SIGTERM raises `Terminated` in the body, unless the caller of Python handles it."""
-    replaced = _in_main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    if replaced:
+    """Context manager: SIGTERM raises `Terminated` in the body.
+
+    Has no effect outside the main thread, and if the program has a handler for SIGTERM already.
+    """
+    unhandled = _in_main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    if unhandled:
         signal.signal(signal.SIGTERM, _terminate)
     try:
         yield
     finally:
-        if replaced:
+        if unhandled:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager
 def interrupt_later() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back until the body has ended.
+    """Context manager: Ctrl-C and SIGTERM act when the body has ended.
 
-    Processes that start meanwhile do not get Ctrl-C at all: this process ends them.
+    Processes that the body starts never receive Ctrl-C. This process ends them itself.
     """
     arrived: list[int] = []
     handlers: dict[int, Any] = {}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    if _in_main_thread():  # a mask does not bind the other threads, which hand the signal on
+    if _in_main_thread():  # other threads do not have this mask, and pass the signal to this one
         for number in _SIGNALS:
             if signal.getsignal(number) is not None:
                 handlers[number] = signal.signal(number, lambda n, _: arrived.append(n))
@@ -53,7 +56,7 @@ def interrupt_later() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for held, handler in handlers.items():
-            signal.signal(held, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
         if arrived:
             signal.raise_signal(arrived[0])

@@ -1,4 +1,4 @@
-"""A progress bar with the time left, in a terminal and in a notebook."""
+"""Progress bar with the remaining time, for terminals and notebooks."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}, {remaining} left"
 
 
 def progress_bar(total: float, description: str | None) -> Any:
-    """A bar of tqdm that ends at ``total``; ``update(amount)`` moves it.
+    """Return a bar of tqdm that ends at ``total``; its method ``update(amount)`` advances it.
 
-    It is silent without a description, where stderr is no terminal, and in a notebook without
-    ipywidgets (``pip install "kneexo[notebook]"``).
+    The bar shows nothing if ``description`` is None, if stderr is not a terminal, and in a notebook
+    without ipywidgets (``pip install "kneexo[notebook]"``).
     """
     settings: dict[str, Any] = {
         "total": total,
@@ -31,6 +31,9 @@ def progress_bar(total: float, description: str | None) -> Any:
 
 
 def _in_notebook() -> bool:
-    """Whether a Jupyter kernel runs this code; IPython puts ``get_ipython`` among the builtins."""
+    """Return whether a Jupyter kernel runs this code.
+
+    IPython adds the function ``get_ipython`` to the builtins.
+    """
     shell = getattr(builtins, "get_ipython", None)
     return shell is not None and "IPKernelApp" in shell().config

@@ -1,4 +1,4 @@
-"""Base of results with their text for notebooks, arrays, axes and data frames."""
+"""Base class of results, and helpers that results share: arrays, axes and data frames."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _LONGEST = 60  # characters of one value
 
 
 class Result:
-    """Base of result dataclasses, which are made with ``repr=False``.
+    """Base of the dataclasses of results. A subclass is a dataclass with ``repr=False``.
 
-    ``repr`` names each field in a few words: a number by its value, an array by its shape. In a
-    notebook the same stands in a table.
+    ``repr`` shows each field in a few words: a number by its value, an array by its shape. A
+    notebook shows the same as a table.
     """
 
     def __repr__(self) -> str:
-        """One line."""
+        """Return name and short text of all fields in one line."""
         values = ", ".join(f"{name}={text}" for name, text in _texts(self))
         return f"{type(self).__name__}({values})"
 
     def _repr_html_(self) -> str:
-        """A table with a row for each field."""
+        """Return an HTML table with a row for each field."""
         rows = "".join(
             f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(text)}</td></tr>"
             for name, text in _texts(self)
@@ -40,12 +40,12 @@ class Result:
 
 
 def _texts(result: Any) -> Iterable[tuple[str, str]]:
-    """Name and short text of each field of a dataclass."""
+    """Yield name and short text of each field of a dataclass."""
     return ((field.name, short(getattr(result, field.name))) for field in fields(result))
 
 
 def short(value: Any) -> str:
-    """A value in a few words."""
+    """Return a value in a few words."""
     if isinstance(value, float | complex | np.floating):
         return f"{value:.6g}"
     if isinstance(value, np.ndarray):
@@ -63,23 +63,27 @@ def short(value: Any) -> str:
 
 
 def _counted(value: Mapping[Any, Any], left: str, right: str) -> str:
-    """The names of a mapping, the first of many."""
+    """Return the first three names of a mapping, and their count if there are more."""
     names = ", ".join(str(name) for name in list(value)[:3])
     more = f", … {len(value)} names" if len(value) > 3 else ""
     return f"{left}{names}{more}{right}"
 
 
 def axes_or_new(ax: Any, *shape: int, **options: Any) -> Any:
-    """``ax``; where it is None new axes, by what ``matplotlib.pyplot.subplots`` takes."""
+    """Return ``ax``, or new axes if it is None.
+
+    ``shape`` and ``options`` are arguments of ``matplotlib.pyplot.subplots``.
+    """
     import matplotlib.pyplot as plt
 
     return plt.subplots(*shape, layout="constrained", **options)[1] if ax is None else ax
 
 
 def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
-    """A `pandas.DataFrame` of columns by name, each (n,); ``index``: the column that is the index.
+    """Return a `pandas.DataFrame` of columns by name, each (n,).
 
-    Raises `PackageError` when pandas is not installed.
+    ``index`` is the name of the column that becomes the index. Raises `PackageError` when pandas is
+    not installed.
     """
     try:
         import pandas

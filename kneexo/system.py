@@ -1,6 +1,6 @@
-"""What the system must have before pip installs the rest: ``python3 -m kneexo.system`` checks it.
+"""Check that the system has the libraries that pip cannot install: ``python3 -m kneexo.system``.
 
-Needs no package, so that it runs in a clone before anything is installed.
+This module imports no package, so that it runs in a clone before anything is installed.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ import sys
 from collections.abc import Iterable
 
 LIBRARIES = {"libglib-2.0.so.0": "libglib2.0-0"}
-"""Each library that Drake loads and no wheel brings, and its package in Debian and Ubuntu."""
+"""Libraries that Drake loads but no wheel contains, with their packages in Debian and Ubuntu."""
 
 
 def lacking(modules: Iterable[str] = ()) -> str:
-    """What is missing and how to install it, in one line; empty when nothing is.
+    """Return a line that names what is missing and how to install it, or an empty text.
 
-    ``modules``: modules of the standard library, which Debian has in ``python3-venv``.
+    ``modules`` are modules of the standard library that must be there too. Debian has them in the
+    package ``python3-venv``.
     """
     missing = {name: package for name, package in LIBRARIES.items() if not _loads(name)}
     missing |= {name: "python3-venv" for name in modules if not importlib.util.find_spec(name)}
@@ -31,7 +32,8 @@ def lacking(modules: Iterable[str] = ()) -> str:
 
 
 def _loads(library: str) -> bool:
-    if sys.platform != "linux":  # Drake for macOS needs none
+    """Return whether a shared library can be loaded; True on other systems than Linux."""
+    if sys.platform != "linux":  # Drake for macOS does not need it
         return True
     try:
         ctypes.CDLL(library)
@@ -41,7 +43,7 @@ def _loads(library: str) -> bool:
 
 
 def main() -> int:
-    """Check for an installation."""
+    """Check what an installation needs. Returns 2 and prints a line when something is missing."""
     if line := lacking(("ensurepip", "venv")):
         print(f"kneexo: {line}", file=sys.stderr)
         return 2

@@ -1,4 +1,4 @@
-"""Errors of a user's code that runs within kneexo: one line with their cause, file and line."""
+"""Report an error in the user's code in one line, with its cause, file and line."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _LIBRARIES = tuple(
 def user_code(failure: str) -> Iterator[None]:
     """Context manager for a body that runs code of the user.
 
-    Turns every error in the body into a `ParameterError` of one line: ``failure``, the error, and
-    file and line of its cause. A call of ``sys.exit`` is an error too. A `KneexoError` and a
-    `KeyboardInterrupt` pass.
+    An error in the body becomes a `ParameterError`. Its message of one line has ``failure``, the
+    error, and file and line of its cause. A call of ``sys.exit`` is an error too. A `KneexoError`
+    and a `KeyboardInterrupt` are raised unchanged.
     """
     try:
         yield
@@ -36,12 +36,12 @@ def user_code(failure: str) -> Iterator[None]:
 
 
 def cause_of(error: BaseException) -> str:
-    """Return type of an error, first line of its message, and file and line of its cause."""
+    """Describe an error: type, first line of its message, and file and line of its cause."""
     place: tuple[str | None, int | None] | None
     if isinstance(error, SyntaxError):
         reason, place = error.msg, (error.filename, error.lineno)
     else:
-        # Unlike str(error), this never fails.
+        # str(error) could raise an error itself.
         _, _, reason = traceback.format_exception_only(error)[0].strip().partition(": ")
         place = place_in_user_code(error) or _innermost(error)
     message = ": ".join(part for part in (type(error).__name__, reason.partition("\n")[0]) if part)
@@ -50,18 +50,22 @@ def cause_of(error: BaseException) -> str:
 
 
 def place_in_user_code(error: BaseException) -> tuple[str, int] | None:
-    """Return file and line of the innermost frame outside kneexo and all libraries, else None."""
+    """Return file and line of the innermost frame outside kneexo and all libraries.
+
+    Returns None if there is no such frame.
+    """
     places = [place for place in _places(error) if not place[0].startswith(_LIBRARIES)]
     return places[-1] if places else None
 
 
 def _innermost(error: BaseException) -> tuple[str, int] | None:
-    """Return file and line of the innermost frame outside kneexo, else None."""
+    """Return file and line of the innermost frame outside kneexo, or None if there is none."""
     places = _places(error)
     return places[-1] if places else None
 
 
 def _places(error: BaseException) -> list[tuple[str, int]]:
+    """Return file and line of all frames of an error outside kneexo, the innermost last."""
     return [
         (frame.f_code.co_filename, line)
         for frame, line in traceback.walk_tb(error.__traceback__)
