@@ -1,8 +1,5 @@
 """Study `controller`: effects of λ, Φ and η of the sliding-mode controller."""
 
-from kneexo.studies.controller.study import (
-    Claim as Claim,
-    ControllerResult as ControllerResult,
-    ControllerSettings as ControllerSettings,
-    controller_study as controller_study,
-)
+from kneexo.studies.controller.result import Claim as Claim, ControllerResult as ControllerResult
+from kneexo.studies.controller.settings import ControllerSettings as ControllerSettings
+from kneexo.studies.controller.study import controller_study as controller_study

@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from kneexo.result import Array
-from kneexo.studies.controller.study import ControllerResult, ideal_settling_time_s, observed_smc
+from kneexo.studies.controller.result import ControllerResult, ideal_settling_time_s, observed_smc
 from kneexo.studies.plots import heat_map, plain_ticks
 
 _ERROR = "max error (deg)"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kneexo.parameters import RPM
-from kneexo.studies.controller.study import ControllerResult, LimitCycleCase
+from kneexo.studies.controller.result import ControllerResult, LimitCycleCase
 from kneexo.studies.markdown import number, percent
 from kneexo.studies.template import filled
 

@@ -1,8 +1,5 @@
 """Study `size`: hardware that a task needs."""
 
-from kneexo.studies.size.study import (
-    SizeResult as SizeResult,
-    SizeSettings as SizeSettings,
-    WalkingDesign as WalkingDesign,
-    size_study as size_study,
-)
+from kneexo.studies.size.result import SizeResult as SizeResult, WalkingDesign as WalkingDesign
+from kneexo.studies.size.settings import SizeSettings as SizeSettings
+from kneexo.studies.size.study import size_study as size_study

@@ -26,7 +26,7 @@ from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
 from kneexo.result import Array
 from kneexo.studies.plots import CENTRED, decimal_ticks, heat_map, legend_below, plain_ticks
-from kneexo.studies.size.study import SizeResult
+from kneexo.studies.size.result import SizeResult
 
 if TYPE_CHECKING:
     from kneexo.studies.catalogue import Motion

@@ -9,8 +9,7 @@ from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.hardware import HARDWARE, sliding_mode
 from kneexo.parameters.paths import value_at
 from kneexo.studies.markdown import Cell, number
-from kneexo.studies.size.results import CHECKED
-from kneexo.studies.size.study import SizeResult
+from kneexo.studies.size.result import CHECKED, SizeResult
 from kneexo.studies.template import filled
 
 _WALKING = {

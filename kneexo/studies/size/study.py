@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
-from pydantic import field_validator
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
@@ -30,14 +28,12 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.signals import to_rpm
 from kneexo.analysis.tracking import track
 from kneexo.analysis.walking import (
-    WalkingDemand,
     moment_arm_m,
     walk,
     walking_demand,
     walking_metrics,
 )
 from kneexo.errors import KneexoError, ParameterError
-from kneexo.gait import GAIT_STRIDE_S
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
     FullCylinderParameters,
@@ -46,103 +42,11 @@ from kneexo.parameters import (
     gait_reference,
 )
 from kneexo.parameters.paths import changed, value_at
-from kneexo.parameters.quantity import (
-    Parameters,
-    ordered_limits,
-    positive_values,
-    quantities,
-    quantity,
-    require_increasing,
-)
-from kneexo.result import Array, Result
+from kneexo.result import Array
 from kneexo.simulation import awaitable, needs_runs
-from kneexo.studies.size import results as size_results
+from kneexo.studies.size.result import Search, SizeResult, WalkingDesign
+from kneexo.studies.size.settings import SizeSettings
 from kneexo.sweeps import SweepOptions, open_sweep
-
-
-class SizeSettings(Parameters):
-    """Hardware and gains that `kneexo.studies.size.study` tries, and what walking must reach."""
-
-    factors: tuple[float, ...] = positive_values(
-        (0.125, 0.25, 0.5, 0.707, 1.0, 1.414, 2.0, 4.0, 8.0),
-        "1",
-        "assumption: what each value of the scenario's hardware is multiplied by",
-    )
-    walking_factors: tuple[float, ...] = positive_values(
-        (0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0),
-        "1",
-        "assumption: the same for the hardware that was sized for walking",
-    )
-    stride_frequencies_hz: tuple[float, ...] = quantities(
-        (1.0, 1.0 / GAIT_STRIDE_S),
-        "Hz",
-        "assumption: walking at 1 Hz; the measured stride",
-        ge=1e-5,
-        le=10,
-    )
-    cycles: int = quantity(3, "1", "assumption: strides; the first is discarded", ge=2, le=1000)
-    error_bound_deg: float = quantity(
-        2.0, "deg", "Section 5: the error was less than 2° with the SMC", ge=1e-3, le=90
-    )
-    largest_flow_factor: float = quantity(
-        25.0,
-        "1",
-        "assumption: the search for the smallest flow begins here, 40 % above what the measured "
-        "stride asks for",
-        gt=1,
-        le=100,
-    )
-    acceleration_limit_min_rad_s2: float = quantity(
-        1e3, "rad/s²", "assumption: a tenth of the default", ge=1, le=1e7
-    )
-    acceleration_limit_max_rad_s2: float = quantity(
-        1e5, "rad/s²", "assumption: ten times the default, without effect on walking", ge=1, le=1e7
-    )
-    search_tolerance: float = quantity(
-        0.005, "1", "assumption: relative accuracy of the smallest values", ge=1e-4, le=0.5
-    )
-    margin: float = quantity(
-        1.1, "1", "assumption: sized flow and acceleration limit over the smallest", ge=1, le=10
-    )
-    lambda_per_s: tuple[float, ...] = positive_values(
-        (20.0, 40.0, 60.0, 80.0, 100.0, 120.0), "1/s", "assumption: λ to try"
-    )
-    slope_per_s: tuple[float, ...] = positive_values(
-        (2.5e4, 3.5e4, 5e4, 7e4, 1e5, 1.4e5), "1/s", "assumption: k/Φ to try, with k = β·η"
-    )
-    observer_s: tuple[float, ...] = positive_values((0.010, 0.020), "s", "assumption: T_f to try")
-    disk_margin_min: float = quantity(
-        0.5, "1", "assumption: 28° of phase or a gain of 0.6…1.67, each alone", ge=1e-3, le=2
-    )
-    command_change_ratio_max: float = quantity(
-        1.5,
-        "1",
-        "assumption: mean change of the command over what the motion itself asks for; beyond it "
-        "is chattering",
-        gt=1,
-        le=1000,
-    )
-    check_step_s: float = quantity(
-        1e-4,
-        "s",
-        "assumption: step of RK4 for pressure and power; half of it too",
-        ge=1e-6,
-        le=2e-3,
-    )
-    seal_friction_n: float = quantity(
-        40.0, "N", "assumption: as in UNCERTAINTY; a sized design must bear it", ge=0, le=1e5
-    )
-    wearer_torques_n_m: tuple[float, ...] = quantities(
-        (-20.0, -10.0, 0.0, 10.0, 20.0),
-        "N·m",
-        "assumption: constant torques of a wearer",
-        ge=-500,
-        le=500,
-    )
-
-    _increasing = field_validator("factors", "walking_factors")(require_increasing)
-    _ordered = ordered_limits(strict=True)
-
 
 _IMPLICIT_STEP_S = 1e-3
 
@@ -185,17 +89,6 @@ async def _at_reference(scenario: Scenario) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------- search
 
 
-@dataclass(frozen=True)
-class Search:
-    """Smallest value whose error is within the bound, or the best one where none is."""
-
-    value: float
-    max_error_deg: float
-    reached: bool
-    low: float
-    high: float
-
-
 def smallest(
     error_deg: Callable[[float], float],
     low: float,
@@ -231,63 +124,6 @@ def smallest(
 
 
 # ---------------------------------------------------------------------------------- results
-
-
-@dataclass(frozen=True)
-class WalkingDesign:
-    """Hardware sized for one stride frequency, and how it walks.
-
-    ``flow`` is a factor on the scenario's flow per motor revolution, ``acceleration`` a limit in
-    rad/s²; the design is ``margin`` times both. ``walking`` holds `walking_metrics` with the
-    scenario's own solver, ``checked`` and ``halved`` the same with RK4 at the check step and half
-    of it.
-    """
-
-    frequency_hz: float
-    flow: Search
-    acceleration: Search
-    scenario: Scenario
-    walking: Mapping[str, Any]
-    checked: Mapping[str, Any]
-    halved: Mapping[str, Any]
-
-
-@dataclass(frozen=True, repr=False)
-class SizeResult(Result):
-    """What `size_study` finds."""
-
-    scenario: Scenario
-    settings: SizeSettings
-    nominal: Mapping[str, Any]
-    """Bandwidth and error of the scenario's hardware at its own sine."""
-    sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
-    """The same with one value of `HARDWARE` times each of the factors."""
-    bandwidth_map_hz: Array
-    """Over the factors of the acceleration limit (rows) and of the flow (columns)."""
-    demands: Sequence[WalkingDemand]
-    """For each stride frequency, with the moving mass of Eq. 16."""
-    segment_demands: Sequence[WalkingDemand]
-    """The same with the shank's inertia; empty without a load."""
-    torque_demands: Mapping[float, WalkingDemand]
-    """At the first stride frequency, by the wearer's torque in N·m; empty without a load."""
-    gains: Sequence[Mapping[str, Any]]
-    """Gains that were tried, with walking and margins at the highest stride frequency."""
-    best_gains: Mapping[str, Any]
-    steps: Mapping[str, Sequence[Mapping[str, Any]]]
-    """From the scenario to a loop that walks: `walking_metrics` for each stride frequency."""
-    designs: Sequence[WalkingDesign]
-    """For each stride frequency; what follows is about the first."""
-    design_at_reference: Mapping[str, Any]
-    variations: Mapping[str, Mapping[str, Any]]
-    walking_sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
-    walking_map_deg: Array
-    """Largest error over the factors of the acceleration limit (rows) and the flow (columns)."""
-    traces: Mapping[str, Mapping[str, Array]]
-    """Signals of the scenario's and of the sized hardware; none of a run that fails."""
-
-    def results(self) -> dict[str, Any]:
-        """Plain data with units in the names."""
-        return size_results.results(self)
 
 
 def size_study(

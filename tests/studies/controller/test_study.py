@@ -21,16 +21,18 @@ from kneexo.simulation.engines import simulate
 from kneexo.studies.controller import study as module
 from kneexo.studies.controller.figures import figures
 from kneexo.studies.controller.report import report
-from kneexo.studies.controller.study import (
-    LIMIT_CYCLE_VARIANTS,
+from kneexo.studies.controller.result import (
     MAP_METRICS,
     METRICS,
     ControllerResult,
-    ControllerSettings,
     LimitCycleCase,
+    ideal_settling_time_s,
+)
+from kneexo.studies.controller.settings import ControllerSettings
+from kneexo.studies.controller.study import (
+    LIMIT_CYCLE_VARIANTS,
     controller_study,
     experiments,
-    ideal_settling_time_s,
     settling_time_s,
 )
 from kneexo.studies.paper import IDEAL_SMC, PID_PAPER

@@ -23,7 +23,8 @@ from kneexo.command_line.output import to_json
 from kneexo.parameters import UNCERTAIN_KNEE
 from kneexo.studies.size.figures import figures, last_stride, motions
 from kneexo.studies.size.report import report
-from kneexo.studies.size.study import Search, SizeResult, SizeSettings, WalkingDesign
+from kneexo.studies.size.result import Search, SizeResult, WalkingDesign
+from kneexo.studies.size.settings import SizeSettings
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
 AREA_MM2 = math.pi / 4.0 * (20.0**2 - 0.5 * 10.0**2)

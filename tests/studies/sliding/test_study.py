@@ -13,21 +13,22 @@ from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import PidParameters, Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
 from kneexo.simulation.run import Run
+from kneexo.studies.sliding.condition import (
+    check_sliding,
+    error_bounds,
+    sliding_rates,
+    sliding_signals,
+)
 from kneexo.studies.sliding.figures import figures
 from kneexo.studies.sliding.report import report
+from kneexo.studies.sliding.settings import SLIDING_LAW, SlidingSettings
 from kneexo.studies.sliding.study import (
     LAWS,
-    SLIDING_LAW,
     NeededEta,
     SlidingCase,
     SlidingResult,
-    SlidingSettings,
-    check_sliding,
     effective_masses_kg,
-    error_bounds,
     needed_eta,
-    sliding_rates,
-    sliding_signals,
     sliding_study,
 )
 from kneexo.sweeps.checkpoint import Checkpoint

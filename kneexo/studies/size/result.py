@@ -1,10 +1,10 @@
-"""The numbers of `kneexo.studies.size.study.SizeResult`."""
+"""The result of a sizing, as data and as plain numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,18 +20,91 @@ from kneexo.analysis.hardware import (
     tuned,
 )
 from kneexo.analysis.signals import to_rpm
-from kneexo.analysis.walking import WalkingDemand, linear_error_deg
-from kneexo.parameters import Scenario
+from kneexo.analysis.walking import (
+    WalkingDemand,
+    linear_error_deg,
+)
+from kneexo.parameters import (
+    Scenario,
+)
 from kneexo.parameters.paths import value_at
+from kneexo.result import Array, Result
+from kneexo.studies.size.settings import SizeSettings
 
-if TYPE_CHECKING:
-    from kneexo.studies.size.study import SizeResult, WalkingDesign
+
+@dataclass(frozen=True)
+class Search:
+    """Smallest value whose error is within the bound, or the best one where none is."""
+
+    value: float
+    max_error_deg: float
+    reached: bool
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class WalkingDesign:
+    """Hardware sized for one stride frequency, and how it walks.
+
+    ``flow`` is a factor on the scenario's flow per motor revolution, ``acceleration`` a limit in
+    rad/s²; the design is ``margin`` times both. ``walking`` holds `walking_metrics` with the
+    scenario's own solver, ``checked`` and ``halved`` the same with RK4 at the check step and half
+    of it.
+    """
+
+    frequency_hz: float
+    flow: Search
+    acceleration: Search
+    scenario: Scenario
+    walking: Mapping[str, Any]
+    checked: Mapping[str, Any]
+    halved: Mapping[str, Any]
+
+
+@dataclass(frozen=True, repr=False)
+class SizeResult(Result):
+    """What `size_study` finds."""
+
+    scenario: Scenario
+    settings: SizeSettings
+    nominal: Mapping[str, Any]
+    """Bandwidth and error of the scenario's hardware at its own sine."""
+    sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
+    """The same with one value of `HARDWARE` times each of the factors."""
+    bandwidth_map_hz: Array
+    """Over the factors of the acceleration limit (rows) and of the flow (columns)."""
+    demands: Sequence[WalkingDemand]
+    """For each stride frequency, with the moving mass of Eq. 16."""
+    segment_demands: Sequence[WalkingDemand]
+    """The same with the shank's inertia; empty without a load."""
+    torque_demands: Mapping[float, WalkingDemand]
+    """At the first stride frequency, by the wearer's torque in N·m; empty without a load."""
+    gains: Sequence[Mapping[str, Any]]
+    """Gains that were tried, with walking and margins at the highest stride frequency."""
+    best_gains: Mapping[str, Any]
+    steps: Mapping[str, Sequence[Mapping[str, Any]]]
+    """From the scenario to a loop that walks: `walking_metrics` for each stride frequency."""
+    designs: Sequence[WalkingDesign]
+    """For each stride frequency; what follows is about the first."""
+    design_at_reference: Mapping[str, Any]
+    variations: Mapping[str, Mapping[str, Any]]
+    walking_sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
+    walking_map_deg: Array
+    """Largest error over the factors of the acceleration limit (rows) and the flow (columns)."""
+    traces: Mapping[str, Mapping[str, Array]]
+    """Signals of the scenario's and of the sized hardware; none of a run that fails."""
+
+    def results(self) -> dict[str, Any]:
+        """Plain data with units in the names."""
+        return _results(self)
+
 
 CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
 """What a walking run with half the step is compared by."""
 
 
-def results(result: SizeResult) -> dict[str, Any]:
+def _results(result: SizeResult) -> dict[str, Any]:
     """Plain data with units in the names."""
     settings, scenario = result.settings, result.scenario
 

@@ -1,0 +1,254 @@
+"""The sliding condition s·ds/dt ≤ −η|s| in one run, and what follows from it.
+
+With the true s = ë + 2λė + λ²e, ds/dt = x⃛ − x⃛_d + 2λë + λ²ė, and x⃛ comes from the plant's own
+equations: the acceleration of the rod differentiated along dx/dt by AutoDiff, exactly, at each
+logged state. So whether the condition holds at a state does not depend on the solver.
+
+On a plant with another loaded area A_i, gain b and a motor without lag, outside the layer,
+
+    ds/dt = (b/b̂)[ω̂²(1 − A_i/Ā) ẋ − k sgn s] + (b/b̂ − 1)(x⃛_d − 2λë − λ²ė),
+
+so that the condition takes k ≥ ω̂²|1 − A_i/Ā||ẋ| + |1 − b̂/b||x⃛_d − 2λë − λ²ė| + (b̂/b) η. Eq. 27
+lacks the first term, and bounds b̂/b by the masses alone. In full order one chamber is stiff and
+its volume V_i follows the rod, b̂/b = (m/m̂)(Ā/A_i)(4V_i/V_t): as if the mass changed.
+
+Inside the layer |s| ≤ Φ implies |e| ≤ Φ/λ² once the start has died down (Slotine), and here
+`error_bounds` says what it implies before.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
+
+from kneexo.analysis.hardware import sliding_mode
+from kneexo.diagrams import SIGNALS, make_plant
+from kneexo.diagrams.plant import plant_parts
+from kneexo.errors import SimulationError
+from kneexo.parameters import (
+    PlantParameters,
+    Scenario,
+)
+from kneexo.parameters.paths import changed
+from kneexo.result import Array
+from kneexo.simulation import Run, awaitable, needs_runs, simulate
+from kneexo.studies.sliding.settings import SLIDING_LAW, SlidingSettings
+from kneexo.systems.sliding_mode_controller import sliding_variable
+
+_ROUNDING = 1e-6
+"""Share of η by which the condition may seem violated where it holds with equality."""
+
+
+_TRACE_POINTS = 600
+
+
+_SHORTEST = 20
+"""Samples of the shortest run that says anything."""
+
+
+def plant_state_columns(plant: PlantParameters) -> tuple[tuple[str, float], ...]:
+    """The plant's continuous state: columns of a run, and their factors to the Context's units."""
+    states = (state for part in plant_parts(plant) for state in part.states)
+    return tuple((state.column, 1.0 / state.factor) for state in states)
+
+
+def sliding_signals(scenario: Scenario) -> tuple[str, ...]:
+    """The signals that `sliding_rates` needs."""
+    states = {column for column, _ in plant_state_columns(scenario.plant)}
+    return (
+        *("rod_reference", "sliding_variable", "motor_speed_command"),
+        *(name for name, columns in SIGNALS.items() if states.intersection(columns)),
+    )
+
+
+def sliding_rates(
+    scenario: Scenario, run: Run, rows: Any, commands_rad_s: Array
+) -> tuple[Array, Array]:
+    """True s and ds/dt, each (n,), at ``rows`` of a run with the motor speed commands in force.
+
+    The run needs the signals of `sliding_signals`. Raises `ParameterError` for another controller.
+    """
+    lambda_ = sliding_mode(scenario).lambda_per_s
+    plant: Any = make_plant(scenario.plant, table_1=scenario.polynomial)
+    automatic = plant.ToAutoDiffXd()
+    context, seeded = plant.CreateDefaultContext(), automatic.CreateDefaultContext()
+    rod_state = automatic.GetOutputPort("rod_state")
+    state_columns = plant_state_columns(scenario.plant)
+    states = np.stack([factor * run[name] for name, factor in state_columns], axis=1)
+    reference = np.stack(
+        [
+            run[f"rod_reference_{name}"]
+            for name in ("m", "velocity_m_s", "acceleration_m_s2", "jerk_m_s3")
+        ]
+    )
+    s, s_rate = np.empty(len(rows)), np.empty(len(rows))
+    for index, (row, command) in enumerate(zip(rows, commands_rad_s, strict=True)):
+        time, state = float(run.time_s[row]), states[row]
+        context.SetTime(time)
+        context.SetContinuousState(state)
+        plant.GetInputPort("motor_speed_command").FixValue(context, [command])
+        rates = plant.EvalTimeDerivatives(context).CopyToVector()
+        # One direction is enough: along the flow, time included.
+        seeded.SetTime(AutoDiffXd(time, [1.0]))
+        seeded.SetContinuousState(
+            [AutoDiffXd(x, [rate]) for x, rate in zip(state, rates, strict=True)]
+        )
+        motion = rod_state.Eval(seeded)
+        here, there = reference[:, row], reference[1:, row]
+        s[index] = sliding_variable([x.value() for x in motion], here, lambda_)
+        s_rate[index] = sliding_variable([x.derivatives()[0] for x in motion], there, lambda_)
+    return s, s_rate
+
+
+def error_bounds(
+    time_s: Array, error_m: float, rate_m_s: float, *, lambda_per_s: float, phi_m_s2: float
+) -> tuple[Array, Array]:
+    """Bounds on |e| in m and |ė| in m/s, each (n,), while |s| ≤ Φ.
+
+    ``error_m`` and ``rate_m_s``: e and ė at the first of ``time_s``. From (d/dt + λ)² e = s:
+    the free motion, plus Φ times the integral over the absolute impulse response. The second part
+    ends at Φ/λ² and at 2Φ/(eλ), below Slotine's 2Φ/λ.
+    """
+    z = lambda_per_s * (time_s - time_s[0])
+    decay, slope = np.exp(-z), rate_m_s / lambda_per_s + error_m
+    free = np.abs(decay * (error_m + slope * z))
+    free_rate = lambda_per_s * np.abs(decay * (slope - error_m - slope * z))
+    rise = 1.0 - decay * (1.0 + z)
+    rate_rise = np.where(z < 1.0, z * decay, 2.0 / math.e - z * decay)
+    return (
+        np.asarray(free + phi_m_s2 / lambda_per_s**2 * rise),
+        np.asarray(free_rate + phi_m_s2 / lambda_per_s * rate_rise),
+    )
+
+
+@needs_runs
+async def check_sliding(
+    settings: SlidingSettings, scenario: Scenario = SLIDING_LAW
+) -> dict[str, Any]:
+    """Run a scenario and measure, in plain numbers by name, what Eq. 27 promises.
+
+    ``outside_share``: share of the run with |s| > Φ; of these samples, ``holding_share`` has
+    s·ds/dt ≤ −η|s| and ``attracting_share`` s·ds/dt < 0, and ``worst_rate_m_s3`` is the largest
+    sgn(s)·ds/dt. ``reaching_s`` is when the layer is reached, at the latest expected after
+    ``promised_s``; ``left_share`` is the share of the time after it that is outside again, and
+    ``largest_s`` the largest |s|/Φ then. ``error_share``, ``rate_share`` and
+    ``acceleration_share`` are the largest |e|, |ė| and |ë| after the start has died down, over
+    Slotine's bounds Φ/λ², 2Φ/λ and 4Φ; ``bounded_share`` counts the samples with |e| within
+    `error_bounds`, until the layer is left.
+
+    With a sampled law the rates are those just after an update; ``held_share`` and ``mean_share``
+    count the condition just before the next one, and for the mean ds/dt in between. A run that
+    fails, as ``failure`` says, is repeated over half the time until it does not (``duration_s``).
+    What does not exist is nan. ``trace`` holds signals for figures.
+    """
+    law = sliding_mode(scenario)
+    measured: dict[str, Any] = dict.fromkeys(
+        (
+            *("outside_share", "holding_share", "attracting_share", "worst_rate_m_s3"),
+            *("held_share", "mean_share", "reaching_s", "left_share", "largest_s"),
+            *("error_share", "rate_share", "acceleration_share", "bounded_share"),
+            "largest_error_mm",
+        ),
+        math.nan,
+    )
+    run, measured["failure"] = await _longest_run(scenario)
+    measured["duration_s"] = float(run.time_s[-1])
+    command = run["motor_speed_command_rad_s"]
+    if not law.continuous:
+        command = command[1:]  # logged is what was held up to the sample
+    rows = np.arange(command.size)
+    if scenario.estimator.kind == "exact":
+        s = run["sliding_variable_m_s2"][rows]
+    else:
+        s, _ = sliding_rates(scenario, run, rows, command)
+    error = (run["rod_extension_m"] - run["rod_reference_m"])[rows]
+    rate = (run["rod_velocity_m_s"] - run["rod_reference_velocity_m_s"])[rows]
+    time, phi, lambda_ = run.time_s[rows], law.phi_m_s2, law.lambda_per_s
+    outside = np.abs(s) > phi
+    measured["outside_share"] = float(np.mean(outside))
+    measured["promised_s"] = (
+        max(0.0, float(abs(s[0]) - phi)) / law.eta_m_s3 if law.eta_m_s3 else 0.0
+    )
+
+    chosen = _thinned(np.flatnonzero(outside), settings.rated_samples)
+    reaching_rate = np.empty(0)
+    if chosen.size:
+        eta = law.eta_m_s3 * (1.0 - _ROUNDING)
+        reaching_rate = _reaching_rate(scenario, run, chosen, command[chosen])
+        measured["holding_share"] = float(np.mean(reaching_rate <= -eta))
+        measured["attracting_share"] = float(np.mean(reaching_rate < 0.0))
+        measured["worst_rate_m_s3"] = float(np.max(reaching_rate))
+        if not law.continuous:
+            inner = chosen[chosen < rows.size - 1]
+            late = _reaching_rate(scenario, run, inner + 1, command[inner])
+            mean = np.sign(s[inner]) * (s[inner + 1] - s[inner]) / law.sample_time_s
+            measured["held_share"] = float(np.mean(late <= -eta))
+            measured["mean_share"] = float(np.mean(mean <= -eta))
+    bound = np.full(time.size, math.nan)
+    if not outside.all():
+        reached = int(np.argmin(outside))
+        measured["reaching_s"] = float(time[reached])
+        measured["left_share"] = float(np.mean(outside[reached:]))
+        measured["largest_s"] = float(np.max(np.abs(s[reached:]))) / phi
+        left = reached + int(np.argmax(outside[reached:])) if outside[reached:].any() else time.size
+        inside = slice(reached, left)
+        bound[inside], _ = error_bounds(
+            time[inside],
+            float(error[reached]),
+            float(rate[reached]),
+            lambda_per_s=lambda_,
+            phi_m_s2=phi,
+        )
+        within = np.abs(error[inside]) <= bound[inside] * (1.0 + _ROUNDING)
+        measured["bounded_share"] = float(np.mean(within))
+        late = time >= time[reached] + settings.settling_factor / lambda_
+        if late.any():
+            acceleration = s[late] - 2.0 * lambda_ * rate[late] - lambda_**2 * error[late]
+            measured["largest_error_mm"] = 1e3 * float(np.max(np.abs(error[late])))
+            measured["error_share"] = float(np.max(np.abs(error[late]))) * lambda_**2 / phi
+            measured["rate_share"] = float(np.max(np.abs(rate[late]))) * lambda_ / (2.0 * phi)
+            measured["acceleration_share"] = float(np.max(np.abs(acceleration))) / (4.0 * phi)
+    points = _thinned(rows, _TRACE_POINTS)
+    shown = np.linspace(0, chosen.size - 1, min(chosen.size, _TRACE_POINTS)).astype(int)
+    measured["trace"] = {
+        "time_s": time[points].tolist(),
+        "s_m_s2": s[points].tolist(),
+        "error_m": error[points].tolist(),
+        "bound_m": bound[points].tolist(),
+        "outside_time_s": time[chosen[shown]].tolist(),
+        "reaching_rate_m_s3": reaching_rate[shown].tolist(),
+    }
+    return measured
+
+
+async def _longest_run(scenario: Scenario) -> tuple[Run, str]:
+    """The run of a scenario, over half the time as long as it fails; and why it failed first."""
+    failure, duration = "", scenario.simulation.duration_s
+    while True:
+        shortened = changed(scenario, {"simulation.duration_s": duration})
+        try:
+            run = await awaitable(simulate, shortened, signals=sliding_signals(scenario))
+            return run, failure
+        except SimulationError as error:
+            failure = failure or str(error)
+            duration *= 0.5
+            if duration < _SHORTEST * scenario.controller.sample_time_s:
+                raise
+
+
+def _reaching_rate(scenario: Scenario, run: Run, rows: Array, command: Array) -> Array:
+    """sgn(s)·ds/dt at rows outside the layer: at most −η, the law promises."""
+    s, s_rate = sliding_rates(scenario, run, rows, command)
+    return np.asarray(np.sign(s) * s_rate)
+
+
+def _thinned(rows: Any, largest: int) -> Any:
+    """At most ``largest`` rows: the first half of them in a row, the rest evenly spread."""
+    if rows.size <= largest:
+        return rows
+    half = largest // 2
+    spread = np.linspace(half, rows.size - 1, largest - half).astype(int)
+    return np.concatenate([rows[:half], rows[spread]])
