@@ -45,7 +45,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "command_line/export": ("export/test_firmware", "export/test_fmu"),
     "errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "compiler/errors": ("command_line/test_main", "parameters/test_scenario_file"),
-    "interruption": ("command_line/test_main",),
+    "interruption": ("test_interruption", "command_line/test_main"),
     "version": ("test_citation",),
     "analysis/signals": ("analysis/test_tracking", "analysis/test_walking"),
     "compiler/diagram_equations": ("compiler/test_api", "compiler/native/test_cache"),

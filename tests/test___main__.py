@@ -1,3 +1,5 @@
+"""``python -m kneexo`` in a process of its own: exit codes, messages, interrupts."""
+
 import os
 import signal
 import subprocess

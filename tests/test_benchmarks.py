@@ -151,8 +151,8 @@ def test_targets_are_judged_by_the_rows(load, monkeypatch):
         row(idiomatic, 10.0),
     ]
     batches = [compare.Batch("case", 10, 2, 0.4e-3, 5e-3, 1.5, True, 0.6e-3, True)]
-    found = {one.what.partition(": ")[2]: one for one in compare.targets(rows, batches)}
-    verdicts = {what: (round(one.found, 12), one.met) for what, one in found.items()}
+    targets = {one.what.partition(": ")[2]: one for one in compare.targets(rows, batches)}
+    verdicts = {what: (round(one.found, 12), one.met) for what, one in targets.items()}
     assert verdicts == {
         "other programs with RK4 (1), from kneexo's": (1e-12, True),
         "compiled RK4, time by C's": (2.0, False),
@@ -166,11 +166,11 @@ def test_targets_are_judged_by_the_rows(load, monkeypatch):
         "batch, scaling by cores": (0.75, False),
     }
     weight = compare.Batch("with weight", 10, 2, 0.8e-3, 20e-3, 1.9, False)
-    found = {one.what.partition(": ")[2]: one for one in compare.targets([], [weight])}
-    assert found["batch, ms a run and core"].met  # a 25th of C
-    assert not found["runs of the batch equal those alone"].met
-    assert found["batch, scaling by cores"].met
-    assert str(found["AVX2 code gives the same bits"]).endswith("not measured")
+    targets = {one.what.partition(": ")[2]: one for one in compare.targets([], [weight])}
+    assert targets["batch, ms a run and core"].met  # a 25th of C
+    assert not targets["runs of the batch equal those alone"].met
+    assert targets["batch, scaling by cores"].met
+    assert str(targets["AVX2 code gives the same bits"]).endswith("not measured")
     missing = next(compare.targets([row(compare.C, 0.01)], []))
     assert math.isnan(missing.found)
     assert str(missing).endswith("not measured")
@@ -218,8 +218,8 @@ def test_the_command_prints_every_row(tmp_path):
     for row in data["rows"]:
         assert row["way"] in run.stdout
         measured = (row["time_s"] or 0.0) > 0.0
-        told = row["note"].startswith(("not installed", "no C compiler"))
-        assert measured or (told and row not in ours), row
+        excused = row["note"].startswith(("not installed", "no C compiler"))
+        assert measured or (excused and row not in ours), row
         if row["rk4"] and measured:
             assert row["difference"] < 1e-9
     assert "MISSED" in run.stdout or "OK" in run.stdout

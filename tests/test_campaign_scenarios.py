@@ -40,9 +40,9 @@ def test_random_runs_are_finite_or_one_line():
 
 
 def test_every_number_is_tried_at_both_ends_of_its_range():
-    told = [text for text, _ in campaign.corners(TEMPLATES[:1], seed=1)]
+    subjects = [text for text, _ in campaign.corners(TEMPLATES[:1], seed=1)]
     for text in ("bore_m = 0.001", "bore_m = 1", "ramp_s = 1e-300", "tolerance = 1e-14"):
-        assert any(line.endswith(text) for line in told)
+        assert any(line.endswith(text) for line in subjects)
 
 
 def test_a_traceback_is_told_of_its_run_alone(monkeypatch):

@@ -271,9 +271,9 @@ def test_a_dask_scheduler_that_dies_is_one_line_and_resumes(cluster, tmp_path):
     with pytest.raises(WorkerError, match="was lost") as caught, dask_cluster(address) as executor:
         parallel_map(judge, points, executor=executor, checkpoint=checkpoint)
     assert "\n" not in str(caught.value)
-    kept = Checkpoint(path)
-    assert 20 <= len(kept) < len(points)
-    resumed = parallel_map(judge, points, checkpoint=kept)
+    stored = Checkpoint(path)
+    assert 20 <= len(stored) < len(points)
+    resumed = parallel_map(judge, points, checkpoint=stored)
     assert json.dumps(resumed) == json.dumps(parallel_map(judge, points))
 
 
@@ -312,19 +312,21 @@ def test_a_cluster_without_workers_is_one_line(cluster, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("address", "told"),
+    ("address", "line"),
     [
         ("tcp://127.0.0.1:1", "there is no Dask scheduler at tcp://127.0.0.1:1 (tried for 0.5 s)"),
         ("localhost", "Dask scheduler 'localhost': must be tcp://HOST:PORT"),
         ("tcp://localhost", "Dask scheduler 'tcp://localhost': must be tcp://HOST:PORT"),
     ],
 )
-def test_no_scheduler_is_one_line_and_leaves_nothing(capsys, tmp_path, monkeypatch, address, told):
+def test_no_scheduler_is_one_line_and_leaves_nothing(
+    capsys, tmp_path, monkeypatch, address, message
+):
     pytest.importorskip("distributed", reason="needs the extra cluster")
     monkeypatch.setattr(parallel, "CONNECT_S", 0.5)
     out = tmp_path / "out"
     assert main([*SMALL_MAP, "--dask", address, "--out", str(out)]) == 2
-    assert capsys.readouterr().err == f"kneexo: {told}\n"
+    assert capsys.readouterr().err == f"kneexo: {line}\n"
     assert not out.exists()
 
 
@@ -333,18 +335,18 @@ def test_what_an_interrupted_sweep_left_outlives_a_scheduler_that_is_not_there(
 ):
     pytest.importorskip("distributed", reason="needs the extra cluster")
     monkeypatch.setattr(parallel, "CONNECT_S", 0.1)
-    left = tmp_path / "bandwidth.checkpoint.jsonl"
-    left.write_text('["a", 1]\n')
+    checkpoint = tmp_path / "bandwidth.checkpoint.jsonl"
+    checkpoint.write_text('["a", 1]\n')
     assert main([*SMALL_MAP, "--dask", "tcp://127.0.0.1:1", "--out", str(tmp_path)]) == 2
-    assert left.read_text() == '["a", 1]\n'
+    assert checkpoint.read_text() == '["a", 1]\n'
 
 
 def test_without_distributed_the_line_says_what_to_install(capsys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     out = tmp_path / "out"
     assert main([*SMALL_MAP, "--dask", "tcp://127.0.0.1:1", "--out", str(out)]) == 2
-    told = "a Dask cluster needs the package distributed: pip install 'kneexo[cluster]'"
-    assert capsys.readouterr().err == f"kneexo: {told}\n"
+    message = "a Dask cluster needs the package distributed: pip install 'kneexo[cluster]'"
+    assert capsys.readouterr().err == f"kneexo: {message}\n"
     assert not out.exists()
 
 
@@ -381,18 +383,18 @@ def test_a_full_disk_is_one_line_and_what_is_finished_stays(capsys, tmp_path, mo
     out = tmp_path / "out"
     path = out / "bandwidth.checkpoint.jsonl"
     # Room for a few pieces; then for all, but not for the figures.
-    for size, told in ((800, "checkpoint "), (20_000, "--out ")):
+    for size, message in ((800, "checkpoint "), (20_000, "--out ")):
         with files_of_at_most(size):
             assert main([*command, str(out)]) == 2
         last = capsys.readouterr().err.splitlines()[-1]
-        assert last.startswith(f"kneexo: {told}")
+        assert last.startswith(f"kneexo: {message}")
         assert "File too large" in last
         assert [file.name for file in out.iterdir()] == [path.name]
         assert path.stat().st_size <= size
     fill = Checkpoint(tmp_path / "sweep.jsonl")
     with files_of_at_most(2400), pytest.raises(OutputError, match="pieces that it holds are kept"):
         parallel_map(str, [n + 0.5 for n in range(100)], checkpoint=fill)
-    kept = Checkpoint(tmp_path / "sweep.jsonl")
-    assert 10 < len(kept) == len(fill) < 100
+    stored = Checkpoint(tmp_path / "sweep.jsonl")
+    assert 10 < len(stored) == len(fill) < 100
     assert main([*command, str(out)]) == 0
     assert capsys.readouterr().out == whole

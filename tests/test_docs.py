@@ -315,9 +315,9 @@ def test_what_the_rounding_of_table_1_explains():
 
 @pytest.mark.slow
 def test_the_validation_has_the_numbers_of_reproduce():
-    found = reproduce_study().results()
-    table, g4, fig9, fig12 = (found[n] for n in ("table1", "table1_g4", "fig9", "fig12"))
-    fig13, scaling, limit = (found[n] for n in ("fig13", "scaling", "speed_limit"))
+    results = reproduce_study().results()
+    table, g4, fig9, fig12 = (results[n] for n in ("table1", "table1_g4", "fig9", "fig12"))
+    fig13, scaling, limit = (results[n] for n in ("fig13", "scaling", "speed_limit"))
     at = [list(fig13["frequencies_hz"]).index(f) for f in (0.2, 0.21, 0.22, 0.24)]
     smc = fig12["smc"]
     texts = [
@@ -364,10 +364,10 @@ def test_the_validation_has_the_numbers_of_reproduce():
 def test_the_refits_of_fig_5_over_the_whole_range():
     knee = np.linspace(0.0, 90.0, 901)
     rod = np.polyval(RodPolynomialParameters().p_mm_deg, knee)
-    left = np.polynomial.Polynomial.fit(rod, knee, 5)(rod) - knee
+    residual = np.polynomial.Polynomial.fit(rod, knee, 5)(rod) - knee
     fits = [rms(fit_polynomials(LINKAGES[name]).q_error_deg) for name in ("G1", "G2", "G3")]
     texts = [f"{fit:.3f}° on {name}" for fit, name in zip(fits, ("G1", "G2", "G3"), strict=True)]
-    assert unsaid("validation.md", *texts, f"at the same points, leaves {rms(left):.3f}°") == []
+    assert unsaid("validation.md", *texts, f"at the same points, leaves {rms(residual):.3f}°") == []
 
 
 @pytest.mark.slow
@@ -463,9 +463,9 @@ def undocumented(source):
             if is_type_variable(node):
                 continue
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
             leaves = [leaf for target in targets for leaf in ast.walk(target)]
-            named = [n.id for n in leaves if isinstance(n, ast.Name) and not told]
+            named = [n.id for n in leaves if isinstance(n, ast.Name) and not documented]
         else:
             continue
         names += [name for name in named if not name.startswith("_")]

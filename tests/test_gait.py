@@ -76,15 +76,15 @@ def test_it_is_periodic_closed_and_smooth():
     assert np.abs(first - second)[:, :3].max() <= 1e-9 * np.abs(first).max()
     assert reference.angles_deg[0] == reference.angles_deg[-1]
     percent, mean, _ = gait_knee_flexion()
-    kept = np.array(reference.angles_deg[59:160])  # heel contact to heel contact
+    stride = np.array(reference.angles_deg[59:160])  # heel contact to heel contact
     # A straight line closes the cycle: nothing at its start, all of the gap at its end.
     assert np.allclose(
-        mean - kept,
+        mean - stride,
         (mean[-1] - mean[0]) * percent / 100.0 * (percent < 100.0)
         + (mean[-1] - mean[0]) * (percent == 100.0),
         atol=1e-12,
     )
-    assert np.abs(mean - kept).max() < 0.033
+    assert np.abs(mean - stride).max() < 0.033
     # Continuous acceleration: no jump within a microsecond at the samples.
     beside = evaluate(reference, [1.5 - 1e-7, 1.5 + 1e-7])
     assert np.abs(np.diff(beside[:, :3], axis=0)).max() < 0.05
@@ -113,7 +113,7 @@ def test_only_time_scales_with_the_frequency(frequency, cycles):
 
 
 @pytest.mark.parametrize(
-    ("frequency", "cycles", "told"),
+    ("frequency", "cycles", "message"),
     [
         (0.0, 3, "frequency_hz = 0 Hz: must be > 0 and <= 10 Hz"),
         (float("nan"), 3, "frequency_hz = nan Hz"),
@@ -122,10 +122,10 @@ def test_only_time_scales_with_the_frequency(frequency, cycles):
         (1.0, 1001, "cycles = 1001"),
     ],
 )
-def test_bad_input_is_one_line(frequency, cycles, told):
+def test_bad_input_is_one_line(frequency, cycles, message):
     with pytest.raises(ParameterError) as caught:
         gait_reference(frequency, cycles)
-    assert str(caught.value).startswith(told)
+    assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
 
 

@@ -1,3 +1,5 @@
+"""Linkage mathematics against Table 1, a compass construction, and differences."""
+
 import math
 
 import numpy as np

@@ -44,8 +44,8 @@ def mutation(monkeypatch):
 
 
 def test_mutants_change_what_runs_and_nothing_else(mutation):
-    found = mutation.mutants(TOY, 100, "seed")
-    assert {(m.before, m.after) for m in found} == {
+    mutants = mutation.mutants(TOY, 100, "seed")
+    assert {(m.before, m.after) for m in mutants} == {
         ("width * height", "width / height"),
         ("width - 0.0", "width + 0.0"),
         ("width < 0.0", "width <= 0.0"),
@@ -55,18 +55,18 @@ def test_mutants_change_what_runs_and_nothing_else(mutation):
         ("width", "height"),
         ("height", "width"),
     }
-    lines = {m.before: m.line for m in found}
+    lines = {m.before: m.line for m in mutants}
     assert (lines["width < 0.0"], lines["width * height"]) == (8, 10)
-    for mutant in found:
+    for mutant in mutants:
         assert mutant.source != mutation.ast.unparse(mutation.ast.parse(TOY))
         assert "2 numbers in its docstring" in mutant.source
 
 
 def test_attributes_and_keys_are_swapped_with_their_neighbours(mutation):
     source = "def f(a, b):\n    return a.x + b.y * a['low'] - a.z + a['high'] + b.x\n"
-    found = {(m.before, m.after) for m in mutation.mutants(source, 100, "seed")}
-    assert {("a.x", "a.z"), ("a.z", "a.x"), ("b.y", "b.x"), ("b.x", "b.y")} <= found
-    assert {("a['low']", "a['high']"), ("a['high']", "a['low']")} <= found
+    changes = {(m.before, m.after) for m in mutation.mutants(source, 100, "seed")}
+    assert {("a.x", "a.z"), ("a.z", "a.x"), ("b.y", "b.x"), ("b.x", "b.y")} <= changes
+    assert {("a['low']", "a['high']"), ("a['high']", "a['low']")} <= changes
 
 
 def test_the_seed_decides(mutation):
@@ -80,8 +80,8 @@ def test_the_seed_decides(mutation):
 @pytest.mark.parametrize(("tests", "killed"), [(CHECKS, 2), (RUNS, 0)], ids=["checks", "runs"])
 def test_tests_that_check_kill_and_tests_that_run_do_not(mutation, toy, tests, killed, capsys):
     root = toy(SHORT, tests)
-    found = mutation.run({"toy": 2}, seed=1, root=root)
-    assert (found["toy"][0], len(found["toy"][1])) == (killed, 2 - killed)
+    outcome = mutation.run({"toy": 2}, seed=1, root=root)
+    assert (outcome["toy"][0], len(outcome["toy"][1])) == (killed, 2 - killed)
     assert f"toy: {killed} killed, {2 - killed} survived" in capsys.readouterr().out
     assert (root / "kneexo" / "toy.py").read_text() == SHORT
 

@@ -1,3 +1,5 @@
+"""The fitted inverse of the rod against Newton's method and exact arithmetic."""
+
 import os
 import subprocess
 import sys

@@ -70,8 +70,8 @@ def test_a_library_that_we_do_not_know_is_one_line_too(monkeypatch, capsys):
     text = "libx.so.1: cannot open shared object file: No such file or directory"
     monkeypatch.setattr("kneexo.command_line.utilities.params", Mock(side_effect=ImportError(text)))
     assert main(["params"]) == 2
-    told = "kneexo: this system lacks libx.so.1; install the package that has it\n"
-    assert capsys.readouterr().err == told
+    message = "kneexo: this system lacks libx.so.1; install the package that has it\n"
+    assert capsys.readouterr().err == message
 
 
 def test_another_import_error_is_raised(monkeypatch):

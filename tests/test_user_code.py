@@ -25,8 +25,10 @@ def test_the_place_is_that_of_the_innermost_frame_of_the_user():
     error = caught(lambda: json.loads("["))
     file, line = place_in_user_code(error)
     assert (file, line) == (__file__, error.__traceback__.tb_next.tb_lineno)
-    told = f"JSONDecodeError: Expecting value: line 1 column 2 (char 1) ({__file__}, line {line})"
-    assert cause_of(error) == told
+    message = (
+        f"JSONDecodeError: Expecting value: line 1 column 2 (char 1) ({__file__}, line {line})"
+    )
+    assert cause_of(error) == message
 
 
 def test_any_error_has_a_cause_of_one_line():
@@ -46,8 +48,8 @@ def test_any_error_has_a_cause_of_one_line():
 
 @pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit(), RecursionError("deep")])
 def test_every_error_becomes_one_of_ours(error):
-    told = f"^it fails: {type(error).__name__}"
-    with pytest.raises(ParameterError, match=told) as info, user_code("it fails"):
+    message = f"^it fails: {type(error).__name__}"
+    with pytest.raises(ParameterError, match=message) as info, user_code("it fails"):
         raise error
     assert info.value.__cause__ is error
 

@@ -19,7 +19,6 @@ import pytest
 from hypothesis import given, strategies as st
 
 from kneexo.errors import WorkerError
-from kneexo.interruption import interrupt_later
 from kneexo.simulation.coroutines import Request, awaitable, synchronous
 from kneexo.sweeps import open_sweep, parallel, parallel_map, process_pool
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
@@ -381,29 +380,6 @@ def test_workers_die_with_their_parent(tmp_path):
     finally:
         for worker in filter(is_alive, workers):
             os.kill(worker, signal.SIGKILL)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_waits_until_a_unit_is_submitted(number):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    before = signal.signal(number, interrupted)
-    ended = []
-
-    def body():
-        with interrupt_later():
-            signal.raise_signal(number)
-            os.kill(os.getpid(), number)
-            ended.append(True)
-
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            body()
-        assert signal.getsignal(number) is interrupted
-    finally:
-        signal.signal(number, before)
-    assert ended
 
 
 def test_workers_leave_an_interrupt_to_the_parent(pool):

@@ -51,17 +51,17 @@ def response(command, times, pressure=0.0):
 
 
 def test_ports_state_and_feedthrough(leaf):
-    found = leaf.structure(BldcPump())
-    assert found.inputs == {"motor_speed_command": 1, "load_pressure": 1}
-    assert found.outputs == dict.fromkeys(OUTPUTS, 1)
-    assert (found.continuous, found.discrete) == (1, [])
-    assert found.feedthrough == {("load_pressure", name) for name in OUTPUTS[1:]}
+    structure = leaf.structure(BldcPump())
+    assert structure.inputs == {"motor_speed_command": 1, "load_pressure": 1}
+    assert structure.outputs == dict.fromkeys(OUTPUTS, 1)
+    assert (structure.continuous, structure.discrete) == (1, [])
+    assert structure.feedthrough == {("load_pressure", name) for name in OUTPUTS[1:]}
 
 
 def test_ideal_pump_has_no_state_and_feeds_the_command_through(leaf):
-    found = leaf.structure(BldcPump(ideal=True))
-    assert (found.continuous, found.discrete) == (0, [])
-    assert {name for source, name in found.feedthrough if source == "motor_speed_command"} == {
+    structure = leaf.structure(BldcPump(ideal=True))
+    assert (structure.continuous, structure.discrete) == (0, [])
+    assert {name for source, name in structure.feedthrough if source == "motor_speed_command"} == {
         "motor_speed", "load_flow", "shaft_power", "hydraulic_power",
     }  # fmt: skip
 

@@ -38,11 +38,11 @@ def drive(unit_rpm):
 
 
 def test_the_drive_is_stateless_and_fed_through(leaf):
-    found = leaf.structure(Cia402Drive())
-    assert found.inputs == {"motor_speed_command": 1}
-    assert found.outputs == {"target_velocity": 1, "motor_speed_command": 1}
-    assert (found.continuous, found.discrete) == (0, [])
-    assert found.feedthrough == {
+    structure = leaf.structure(Cia402Drive())
+    assert structure.inputs == {"motor_speed_command": 1}
+    assert structure.outputs == {"target_velocity": 1, "motor_speed_command": 1}
+    assert (structure.continuous, structure.discrete) == (0, [])
+    assert structure.feedthrough == {
         ("motor_speed_command", "target_velocity"),
         ("motor_speed_command", "motor_speed_command"),
     }

@@ -63,11 +63,11 @@ def advance_by_steps(simulator, times):
 
 
 def test_ports_are_stateless_and_fed_through(leaf):
-    found = leaf.structure(FourBarKnee())
-    assert found.inputs == {"rod_extension": 1}
-    assert found.outputs == OUTPUTS
-    assert (found.continuous, found.discrete) == (0, [])
-    assert found.feedthrough == {("rod_extension", name) for name in OUTPUTS}
+    structure = leaf.structure(FourBarKnee())
+    assert structure.inputs == {"rod_extension": 1}
+    assert structure.outputs == OUTPUTS
+    assert (structure.continuous, structure.discrete) == (0, [])
+    assert structure.feedthrough == {("rod_extension", name) for name in OUTPUTS}
 
 
 def test_parameters_are_links_and_scaling_and_three_groups_of_coefficients():
@@ -103,14 +103,14 @@ def test_conversions_keep_the_table_and_the_range_of_motion(leaf):
     system = FourBarKnee(G1, knee, RodPolynomialParameters())
     leaf.Probe(system, INPUTS).check_conversions_keep_arguments()
     converted = system.ToAutoDiffXd()
-    kept = converted.parameters(converted.CreateDefaultContext()).flexion_max_rad.value()
-    assert kept == pytest.approx(math.radians(80.0), rel=1e-15)
+    largest_angle = converted.parameters(converted.CreateDefaultContext()).flexion_max_rad.value()
+    assert largest_angle == pytest.approx(math.radians(80.0), rel=1e-15)
 
 
 def test_extracted_elements_equal_the_cached_kinematics():
-    found = outputs(FourBarKnee(), 0.1)
-    single = [found[n][0] for n in ("knee_angle", "encoder_angle", "moment_arm")]
-    assert list(found["knee_kinematics"]) == single
+    outputs_at_10_cm = outputs(FourBarKnee(), 0.1)
+    single = [outputs_at_10_cm[n][0] for n in ("knee_angle", "encoder_angle", "moment_arm")]
+    assert list(outputs_at_10_cm["knee_kinematics"]) == single
 
 
 # -------------------------------------------------------------------------------- numbers
@@ -120,11 +120,11 @@ def test_extracted_elements_equal_the_cached_kinematics():
 def test_knee_and_encoder_angles_meet_the_compass_construction(name, compass):
     link = LINKAGES[name]
     walk = compass(link, np.radians(np.linspace(*THETA_4_DEG[name], 301)))
-    found = many_outputs(FourBarKnee(link), walk.rod_extension)
+    values = many_outputs(FourBarKnee(link), walk.rod_extension)
     # The fit leaves 4e-13 m at arms of 0.03 m or more, and up to 4e-12 rad; on G4 ten times that.
     limit = 1e-10 if name == "G4" else 2e-11
-    np.testing.assert_allclose(found["knee_angle"][:, 0], walk.knee_angle, rtol=0.0, atol=limit)
-    np.testing.assert_allclose(found["encoder_angle"][:, 0], walk.theta_4, rtol=0.0, atol=limit)
+    np.testing.assert_allclose(values["knee_angle"][:, 0], walk.knee_angle, rtol=0.0, atol=limit)
+    np.testing.assert_allclose(values["encoder_angle"][:, 0], walk.theta_4, rtol=0.0, atol=limit)
 
 
 @names
@@ -139,22 +139,22 @@ def test_moment_arm_and_centre_of_rotation_meet_differences_of_the_construction(
     arm = -(ahead.rod_extension - behind.rod_extension)[1:] / turned
     # A point of the coupler at A moves at j(A − centre) per rad.
     centre = at.joint_a[1:] + 1j * (ahead.joint_a - behind.joint_a)[1:] / turned
-    found = many_outputs(FourBarKnee(link), at.rod_extension[1:])
+    values = many_outputs(FourBarKnee(link), at.rod_extension[1:])
     # Truncation h² ~ 1e-10 times curvatures below 1e2 (m, rad); rounding 1e-16/1e-5.
-    np.testing.assert_allclose(found["moment_arm"][:, 0], arm, rtol=0.0, atol=1e-8)
-    np.testing.assert_allclose(found["icr"] @ [1.0, 1.0j], centre, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(values["moment_arm"][:, 0], arm, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(values["icr"] @ [1.0, 1.0j], centre, rtol=0.0, atol=1e-8)
 
 
 def test_knee_of_table_1_follows_eq_10_and_keeps_the_encoder_of_the_linkage(compass):
     knee_deg = np.linspace(0.0, 90.0, 91)
     x = 1e-3 * np.polyval(P_MM_DEG, knee_deg)
-    found = many_outputs(FourBarKnee(G1, table_1=RodPolynomialParameters()), x)
+    values = many_outputs(FourBarKnee(G1, table_1=RodPolynomialParameters()), x)
     # Degree 25 leaves 2.4e-10 rad for the polynomial.
-    np.testing.assert_allclose(found["knee_angle"][:, 0], np.radians(knee_deg), atol=1e-9)
+    np.testing.assert_allclose(values["knee_angle"][:, 0], np.radians(knee_deg), atol=1e-9)
     walk = compass(G1, np.radians(np.linspace(82.6, -5.0, 20_001)))
     theta_4 = np.interp(np.radians(knee_deg), walk.knee_angle, walk.theta_4)
     # Linear interpolation over 8e-5 rad: its square over 8, times curvature.
-    np.testing.assert_allclose(found["encoder_angle"][:, 0], theta_4, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(values["encoder_angle"][:, 0], theta_4, rtol=0.0, atol=1e-8)
 
 
 def test_extended_knee_has_the_rod_out_148_mm_and_flexion_draws_it_in():

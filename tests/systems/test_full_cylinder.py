@@ -128,26 +128,26 @@ def written_out(state, flow, force, c=CYLINDER, n=FULL, c_em=PUMP_LEAKAGE):
 
 
 def test_ports_state_and_feedthrough(leaf):
-    found = leaf.structure(FullCylinder())
-    assert found.inputs == leaf.structure(ReducedCylinder()).inputs
-    assert found.outputs == OUTPUTS
+    structure = leaf.structure(FullCylinder())
+    assert structure.inputs == leaf.structure(ReducedCylinder()).inputs
+    assert structure.outputs == OUTPUTS
     assert set(leaf.structure(ReducedCylinder()).outputs) <= set(OUTPUTS)
-    assert (found.continuous, found.discrete) == (4, [])
-    assert found.feedthrough == {("load_force", "rod_state")}
+    assert (structure.continuous, structure.discrete) == (4, [])
+    assert structure.feedthrough == {("load_force", "rod_state")}
 
 
 def test_parameters_are_those_of_the_two_classes_by_name():
     system = FullCylinder(pump_external_leakage_m3_per_s_pa=6e-13)
-    found = system.parameters(system.CreateDefaultContext())._asdict()
-    assert found.pop("cap_area_m2") == pytest.approx(AREA_1, rel=1e-15)
-    assert found.pop("rod_side_area_m2") == pytest.approx(AREA_2, rel=1e-15)
-    assert found.pop("pump_external_leakage_m3_per_s_pa") == 6e-13
+    values = system.parameters(system.CreateDefaultContext())._asdict()
+    assert values.pop("cap_area_m2") == pytest.approx(AREA_1, rel=1e-15)
+    assert values.pop("rod_side_area_m2") == pytest.approx(AREA_2, rel=1e-15)
+    assert values.pop("pump_external_leakage_m3_per_s_pa") == 6e-13
     for name, value in FullCylinderParameters():
-        assert found.pop(name) == value
+        assert values.pop(name) == value
     reduced = ReducedCylinder()
     common = reduced.parameters(reduced.CreateDefaultContext())._asdict()
-    assert set(common) - set(found) == {"mean_area_m2", "total_volume_m3"}
-    assert found == {name: common[name] for name in found}
+    assert set(common) - set(values) == {"mean_area_m2", "total_volume_m3"}
+    assert values == {name: common[name] for name in values}
 
 
 def test_rod_starts_at_rest_holding_nothing_or_where_told():

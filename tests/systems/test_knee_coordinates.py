@@ -42,20 +42,20 @@ def rod(system, knee):
 
 
 def test_coordinates_are_stateless_and_fed_through(leaf):
-    found = leaf.structure(KneeCoordinates())
-    assert found.inputs == {"encoder_reading": 1}
-    assert found.outputs == {"knee_angle": 1, "rod_extension": 1}
-    assert (found.continuous, found.discrete) == (0, [])
-    assert found.feedthrough == {
+    structure = leaf.structure(KneeCoordinates())
+    assert structure.inputs == {"encoder_reading": 1}
+    assert structure.outputs == {"knee_angle": 1, "rod_extension": 1}
+    assert (structure.continuous, structure.discrete) == (0, [])
+    assert structure.feedthrough == {
         ("encoder_reading", "knee_angle"), ("encoder_reading", "rod_extension"),
     }  # fmt: skip
 
 
 def test_rod_reference_is_stateless_and_fed_through(leaf):
-    found = leaf.structure(RodReference())
-    assert (found.inputs, found.outputs) == ({"knee_reference": 4}, {"rod_reference": 4})
-    assert (found.continuous, found.discrete) == (0, [])
-    assert found.feedthrough == {("knee_reference", "rod_reference")}
+    structure = leaf.structure(RodReference())
+    assert (structure.inputs, structure.outputs) == ({"knee_reference": 4}, {"rod_reference": 4})
+    assert (structure.continuous, structure.discrete) == (0, [])
+    assert structure.feedthrough == {("knee_reference", "rod_reference")}
 
 
 def test_parameters_of_coordinates_are_links_sign_offset_and_table_1():
@@ -113,11 +113,11 @@ def test_coordinates_meet_the_compass_construction_and_table_1(name, compass):
     link = LINKAGES[name]
     walk = compass(link, np.radians(np.linspace(*THETA_4_DEG[name], 201)))
     system = KneeCoordinates(link)
-    found = np.array([coordinates(system, theta_4) for theta_4 in walk.theta_4])
+    knee_and_rod = np.array([coordinates(system, theta_4) for theta_4 in walk.theta_4])
     x = 1e-3 * np.polyval(P_MM_DEG, np.degrees(walk.knee_angle))
     # Rounding of acos near the stretched positions: 1e-12 rad.
-    np.testing.assert_allclose(found[:, 0], walk.knee_angle, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(found[:, 1], x, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(knee_and_rod[:, 0], walk.knee_angle, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(knee_and_rod[:, 1], x, rtol=0.0, atol=1e-12)
 
 
 def test_measured_angle_is_the_same_for_every_full_turn_of_the_encoder():
@@ -153,9 +153,9 @@ def test_rod_reference_equals_the_derivatives_of_a_composed_polynomial():
         knee = poly1d([jerk / 6.0, acceleration / 2.0, rate, angle])  # of time, at t = 0
         x = p_rad(knee)  # numpy composes polynomials
         expected = [x(0.0), x.deriv(1)(0.0), x.deriv(2)(0.0), x.deriv(3)(0.0)]
-        found = rod(system, [angle, rate, acceleration, jerk])
+        derivatives = rod(system, [angle, rate, acceleration, jerk])
         # Rounding of a dozen products of order one.
-        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
+        np.testing.assert_allclose(derivatives, expected, rtol=1e-11, atol=1e-13)
 
 
 def test_flexing_knee_draws_the_rod_in():

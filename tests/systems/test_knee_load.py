@@ -44,11 +44,11 @@ def force(system, knee_angle, moment_arm, *, torque=None, disturbance=None, time
 
 
 def test_ports_are_stateless_and_fed_through(leaf):
-    found = leaf.structure(KneeLoad())
-    assert found.inputs == dict.fromkeys(INPUTS, 1)
-    assert found.outputs == {"load_force": 1}
-    assert (found.continuous, found.discrete) == (0, [])
-    assert found.feedthrough == {(name, "load_force") for name in INPUTS}
+    structure = leaf.structure(KneeLoad())
+    assert structure.inputs == dict.fromkeys(INPUTS, 1)
+    assert structure.outputs == {"load_force": 1}
+    assert (structure.continuous, structure.discrete) == (0, [])
+    assert structure.feedthrough == {(name, "load_force") for name in INPUTS}
 
 
 def test_parameters_have_these_names_and_values():

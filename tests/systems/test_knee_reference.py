@@ -62,9 +62,9 @@ def rad(*degrees):
 
 @kinds
 def test_one_output_of_four_and_no_state(leaf, kind, parameters, change):
-    found = leaf.structure(kind(parameters))
-    assert (found.inputs, found.outputs) == ({}, {"knee_reference": 4})
-    assert (found.continuous, found.discrete) == (0, [])
+    structure = leaf.structure(kind(parameters))
+    assert (structure.inputs, structure.outputs) == ({}, {"knee_reference": 4})
+    assert (structure.continuous, structure.discrete) == (0, [])
 
 
 def test_parameters_are_in_si_and_named():
@@ -209,11 +209,11 @@ def test_spline_of_a_cubic_is_that_cubic():
     times = (0.0, 0.2, 0.5, 0.9, 1.0)
     cubic = np.poly1d([40.0, -60.0, 30.0, 10.0])
     samples = SampledReference(times_s=times, angles_deg=tuple(map(float, cubic(np.array(times)))))
-    found = references(make_knee_reference(samples), np.linspace(0.01, 0.99, 23))
+    derivatives = references(make_knee_reference(samples), np.linspace(0.01, 0.99, 23))
     # Not-a-knot ends reproduce any cubic; rounding of the linear solve.
     for order in range(4):
         expected = np.radians(cubic.deriv(order)(np.linspace(0.01, 0.99, 23)))
-        np.testing.assert_allclose(found[:, order], expected, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(derivatives[:, order], expected, rtol=0.0, atol=1e-10)
 
 
 def test_spline_holds_its_first_and_last_angle_outside():

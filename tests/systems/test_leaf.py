@@ -27,8 +27,7 @@ class Sample(NamedLeaf):
         self._u = self.DeclareVectorInputPort("u", 1)
         self._declare_update(period, 2, self._update)
         self._declare_initialization(lambda c: [value_or_zero(self._u, c), -1.0])
-        given = self.all_parameters_ticket()
-        self._declare_output("y", 1, self._calc, self._u, given)
+        self._declare_output("y", 1, self._calc, self._u)
         self._declare_output("held", 2, discrete_state, self.xd_ticket())
         self._declare_output("constant", 2, lambda c: [3.0, 4.0])
 
@@ -45,11 +44,11 @@ class Sample(NamedLeaf):
 
 
 def test_outputs_depend_on_their_sources_only(leaf):
-    found = leaf.structure(Sample())
-    assert found.inputs == {"u": 1}
-    assert found.outputs == {"y": 1, "held": 2, "constant": 2}
-    assert (found.continuous, found.discrete) == (0, [2])
-    assert found.feedthrough == {("u", "y")}
+    structure = leaf.structure(Sample())
+    assert structure.inputs == {"u": 1}
+    assert structure.outputs == {"y": 1, "held": 2, "constant": 2}
+    assert (structure.continuous, structure.discrete) == (0, [2])
+    assert structure.feedthrough == {("u", "y")}
 
 
 def test_output_without_sources_is_computed_once():

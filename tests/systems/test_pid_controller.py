@@ -61,9 +61,9 @@ def written_out(error, rod_velocity, state, limit=LIMIT, gain=SPEED_GAIN, dt=T):
     decay = math.exp(-dt / 0.015)
     filtered = decay * filtered + (1.0 - decay) * error
     rate = 8.0 * filtered + integral + 0.4 * (error - filtered) / 0.015
-    wanted = gain * (0.7 * rod_velocity - 0.09 * rate)
-    limited = min(max(wanted, -limit), limit)
-    surplus = (wanted - limited) / (gain * 0.09)  # knee rate that the limit takes away, negative
+    unlimited = gain * (0.7 * rod_velocity - 0.09 * rate)
+    limited = min(max(unlimited, -limit), limit)
+    surplus = (unlimited - limited) / (gain * 0.09)  # knee rate that the limit takes away, negative
     return [
         limited,
         integral + dt * (30.0 * error + surplus / 0.05),
@@ -75,11 +75,11 @@ def written_out(error, rod_velocity, state, limit=LIMIT, gain=SPEED_GAIN, dt=T):
 
 
 def test_held_command_has_no_direct_feedthrough(leaf):
-    found = leaf.structure(PidController())
-    assert found.inputs == {"knee_angle": 1, "knee_reference": 4, "rod_reference": 4}
-    assert found.outputs == {"motor_speed_command": 1}
-    assert (found.continuous, found.discrete) == (0, [3])
-    assert found.feedthrough == set()
+    structure = leaf.structure(PidController())
+    assert structure.inputs == {"knee_angle": 1, "knee_reference": 4, "rod_reference": 4}
+    assert structure.outputs == {"motor_speed_command": 1}
+    assert (structure.continuous, structure.discrete) == (0, [3])
+    assert structure.feedthrough == set()
 
 
 def test_command_is_renewed_every_2_ms_or_as_told():

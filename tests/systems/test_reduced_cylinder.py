@@ -54,11 +54,11 @@ def written_out(p, state, flow, force):
 
 
 def test_ports_state_and_feedthrough(leaf):
-    found = leaf.structure(ReducedCylinder())
-    assert found.inputs == {"load_flow": 1, "load_force": 1}
-    assert found.outputs == OUTPUTS
-    assert (found.continuous, found.discrete) == (3, [])
-    assert found.feedthrough == {("load_force", "rod_state")}
+    structure = leaf.structure(ReducedCylinder())
+    assert structure.inputs == {"load_flow": 1, "load_force": 1}
+    assert structure.outputs == OUTPUTS
+    assert (structure.continuous, structure.discrete) == (3, [])
+    assert structure.feedthrough == {("load_force", "rod_state")}
 
 
 def test_parameters_have_these_names_and_the_values_of_the_paper():
@@ -78,10 +78,10 @@ def test_parameters_have_these_names_and_the_values_of_the_paper():
 def test_rod_starts_at_rest_in_the_middle_of_the_stroke_or_where_told():
     start = ReducedCylinder().CreateDefaultContext().get_continuous_state_vector().CopyToVector()
     assert list(start) == [0.075, 0.0, 0.0]
-    told = ReducedCylinder(CylinderParameters(), 0.02, 1.5e6)
-    context = told.CreateDefaultContext()
+    cylinder = ReducedCylinder(CylinderParameters(), 0.02, 1.5e6)
+    context = cylinder.CreateDefaultContext()
     assert list(context.get_continuous_state_vector().CopyToVector()) == [0.02, 0.0, 1.5]
-    assert told.GetOutputPort("load_pressure").Eval(context) == [1.5e6]
+    assert cylinder.GetOutputPort("load_pressure").Eval(context) == [1.5e6]
 
 
 # ----------------------------------------------------------------------------- conversion

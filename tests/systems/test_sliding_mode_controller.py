@@ -78,19 +78,19 @@ def written_out(state, reference, *, signum=False):
 
 
 def test_held_command_has_no_direct_feedthrough(leaf):
-    found = leaf.structure(SlidingModeController())
-    assert found.inputs == {"estimated_state": 3, "rod_reference": 4}
-    assert found.outputs == {"motor_speed_command": 1, "sliding_variable": 1}
-    assert (found.continuous, found.discrete) == (0, [1])
-    assert found.feedthrough == {
+    structure = leaf.structure(SlidingModeController())
+    assert structure.inputs == {"estimated_state": 3, "rod_reference": 4}
+    assert structure.outputs == {"motor_speed_command": 1, "sliding_variable": 1}
+    assert (structure.continuous, structure.discrete) == (0, [1])
+    assert structure.feedthrough == {
         ("estimated_state", "sliding_variable"), ("rod_reference", "sliding_variable"),
     }  # fmt: skip
 
 
 def test_continuous_controller_has_no_state_and_feeds_through(leaf):
-    found = leaf.structure(SlidingModeController(SlidingModeParameters(continuous=True)))
-    assert (found.continuous, found.discrete) == (0, [])
-    assert found.feedthrough == {(i, o) for i in found.inputs for o in found.outputs}
+    structure = leaf.structure(SlidingModeController(SlidingModeParameters(continuous=True)))
+    assert (structure.continuous, structure.discrete) == (0, [])
+    assert structure.feedthrough == {(i, o) for i in structure.inputs for o in structure.outputs}
 
 
 def test_command_is_renewed_every_2_ms_or_as_told():

@@ -37,10 +37,13 @@ def run(system, positions):
 
 @pytest.mark.parametrize(("kind", "states"), [(TrackingObserver, 3), (BackwardDifference, 2)])
 def test_estimate_feeds_the_measurement_through_and_remembers(leaf, kind, states):
-    found = leaf.structure(kind())
-    assert (found.inputs, found.outputs) == ({"measured_position": 1}, {"estimated_state": 3})
-    assert (found.continuous, found.discrete) == (0, [states])
-    assert found.feedthrough == {("measured_position", "estimated_state")}
+    structure = leaf.structure(kind())
+    assert (structure.inputs, structure.outputs) == (
+        {"measured_position": 1},
+        {"estimated_state": 3},
+    )
+    assert (structure.continuous, structure.discrete) == (0, [states])
+    assert structure.feedthrough == {("measured_position", "estimated_state")}
 
 
 @both
@@ -101,9 +104,11 @@ def test_observer_has_its_three_poles_at_exp_of_minus_t_over_t_f(time_constant):
         context.SetDiscreteState(0, unit)
         update = system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0)
         columns.append(update.CopyToVector())
-    found = np.poly(np.transpose(columns))
+    characteristic_polynomial = np.poly(np.transpose(columns))
     # A triple root is ill-conditioned, its polynomial is not: rounding of gains up to 1e4.
-    np.testing.assert_allclose(found, np.poly([math.exp(-T / time_constant)] * 3), atol=1e-10)
+    np.testing.assert_allclose(
+        characteristic_polynomial, np.poly([math.exp(-T / time_constant)] * 3), atol=1e-10
+    )
 
 
 def test_observer_follows_constant_acceleration_without_error():
