@@ -319,9 +319,7 @@ def test_a_cluster_without_workers_is_one_line(cluster, monkeypatch):
         ("tcp://localhost", "Dask scheduler 'tcp://localhost': must be tcp://HOST:PORT"),
     ],
 )
-def test_no_scheduler_is_one_line_and_leaves_nothing(
-    capsys, tmp_path, monkeypatch, address, message
-):
+def test_no_scheduler_is_one_line_and_leaves_nothing(capsys, tmp_path, monkeypatch, address, line):
     pytest.importorskip("distributed", reason="needs the extra cluster")
     monkeypatch.setattr(parallel, "CONNECT_S", 0.5)
     out = tmp_path / "out"
