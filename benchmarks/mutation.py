@@ -42,7 +42,11 @@ ROOT = Path(__file__).parents[1]
 
 TESTS: dict[str, tuple[str, ...]] = {
     "__init__": ("test_compile",),
-    "command_line/export": ("export/test_firmware", "export/test_fmu"),
+    "command_line/export": (
+        "command_line/test_export",
+        "export/test_firmware",
+        "export/test_fmu",
+    ),
     "errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "compiler/errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "interruption": ("test_interruption", "command_line/test_main"),

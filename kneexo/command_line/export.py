@@ -4,36 +4,24 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kneexo.command_line.options import (
-    HelpFormatter,
-    ScenarioChoice,
-    add_command,
-    add_out,
-    add_scenario,
-    add_values,
-    decimal,
-    integer,
-    origin_of,
-    scenario_choice,
-    scenario_request,
-)
-from kneexo.command_line.outcome import Outcome, Request
+from kneexo.command_line import arguments
+from kneexo.command_line.arguments import ScenarioChoice
+from kneexo.command_line.outcome import Outcome
 from kneexo.errors import shown
 
 
 def add_exports(subparsers: Any) -> None:
     """Add ``export c`` and ``export fmu``."""
     summary = "write the controller, the plant or the closed loop for use outside Python"
-    group = subparsers.add_parser("export", help=summary, formatter_class=HelpFormatter)
+    group = subparsers.add_parser("export", help=summary, formatter_class=arguments.HelpFormatter)
     forms = group.add_subparsers(title="forms", required=True, metavar="FORM")
-    parser = add_command(
+    parser = arguments.add_command(
         forms,
         "c",
-        _c_request,
+        export_c,
         "write C99 for a microcontroller",
         "With the parameters as one struct, test vectors from the compiled closed loop, a harness "
         "that replays them, Makefile, CMakeLists.txt and a README that shows how to call it.",
@@ -49,21 +37,28 @@ def add_exports(subparsers: Any) -> None:
         "in float; the parameters behind it are fixed then",
     )
     parser.add_argument(
-        "--vectors-s", type=decimal, metavar="S", help="time of the test vectors in s; left out: 2"
+        "--vectors-s",
+        type=arguments.decimal,
+        metavar="S",
+        help="time of the test vectors in s; left out: 2",
     )
-    add_out(parser, "the files, which no other files may share")
+    arguments.add_out(parser, "the files, which no other files may share")
 
-    parser = add_command(
+    parser = arguments.add_command(
         forms,
         "fmu",
-        _fmu_request,
+        export_fmu,
         "write a functional mock-up unit for co-simulation in other simulators",
         "With C sources and, where there is a C compiler, the binary of this machine. Numbers of "
         "the scenario are parameters of the FMU.",
     )
     _add_target(parser, "encoder reading (rad)")
     parser.add_argument(
-        "--fmi", type=integer, choices=(2, 3), default=3, help="version of the FMI standard"
+        "--fmi",
+        type=arguments.integer,
+        choices=(2, 3),
+        default=3,
+        help="version of the FMI standard",
     )
     parser.add_argument(
         "--out",
@@ -77,10 +72,11 @@ def add_exports(subparsers: Any) -> None:
 
 def _add_target(parser: argparse.ArgumentParser, measurement: str) -> None:
     """Add the arguments of both forms; ``measurement`` is the input of the controller."""
-    add_scenario(parser)
-    add_values(parser)
+    arguments.add_scenario(parser)
+    arguments.add_values(parser)
     parser.add_argument(
         "--what",
+        dest="target",
         choices=("controller", "plant", "loop"),
         default="controller",
         help=f"the controller, from {measurement} and knee reference to motor speed command; the "
@@ -88,44 +84,21 @@ def _add_target(parser: argparse.ArgumentParser, measurement: str) -> None:
     )
     parser.add_argument(
         "--step-s",
-        type=decimal,
+        type=arguments.decimal,
         metavar="S",
         help="largest step of RK4 of plant and loop in s; left out: from the plant's fastest mode, "
         "at most 0.0002",
     )
 
 
-def _c_request(options: argparse.Namespace) -> Request:
-    run = partial(
-        export_c,
-        scenario_choice(options),
-        options.out,
-        options.what,
-        precision=options.precision,
-        vectors_s=options.vectors_s,
-        step_s=options.step_s,
-        look_up=options.look_up,
-    )
-    return scenario_request(options, run)
-
-
-def _fmu_request(options: argparse.Namespace) -> Request:
-    choice = scenario_choice(options)
-    run = partial(
-        export_fmu, choice, options.out, options.what, fmi=options.fmi, step_s=options.step_s
-    )
-    return scenario_request(options, run)
-
-
 def export_c(
     choice: ScenarioChoice,
     out: Path,
     target: str,
-    *,
-    precision: str = "double",
-    vectors_s: float | None = None,
-    step_s: float | None = None,
-    look_up: bool = False,
+    precision: str,
+    vectors_s: float | None,
+    step_s: float | None,
+    look_up: bool,
 ) -> Outcome:
     """Write a target as C to the directory ``out``, see `kneexo.export.firmware`; say how it went.
 
@@ -164,12 +137,12 @@ def export_c(
         lines.append(f"  {processor}: {size.flash} bytes of flash, {size.stack} bytes of stack")
     for quantity, reason in measurement.not_measured.items():
         lines.append(f"  {quantity} not measured: {reason}")
-    document = to_json(origin_of(scenario) | asdict(measurement))
+    document = to_json(arguments.origin_of(scenario) | asdict(measurement))
     return Outcome("\n".join(lines) + "\n", document, notices)
 
 
 def export_fmu(
-    choice: ScenarioChoice, out: Path, target: str, *, fmi: int = 3, step_s: float | None = None
+    choice: ScenarioChoice, out: Path, target: str, fmi: int, step_s: float | None
 ) -> Outcome:
     """Write a target as FMU, see `kneexo.export.fmu`; list its inputs, outputs and parameters."""
     from kneexo.command_line.output import to_json
@@ -187,4 +160,4 @@ def export_fmu(
     ]
     if not file.binary:
         lines.append("  sources only: no C compiler (cc, gcc or clang), or not Linux on x86-64")
-    return Outcome("\n".join(lines) + "\n", to_json(origin_of(scenario) | asdict(file)))
+    return Outcome("\n".join(lines) + "\n", to_json(arguments.origin_of(scenario) | asdict(file)))

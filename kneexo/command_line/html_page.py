@@ -77,17 +77,12 @@ button.onclick = async () => {
 class ReportPage:
     """The HTML page of the report of a command, a file of the output directory."""
 
-    command: str
-    """The words after ``kneexo`` that name the command."""
-    arguments: Sequence[str]
-    """The arguments that follow them in the title of the page."""
+    words: Sequence[str]
+    """The command and the arguments that change its result: the title of the page."""
     directory: Path
     """The output directory."""
-
-    @property
-    def name(self) -> str:
-        """The name of the file: the last word of the command."""
-        return f"{self.command.split()[-1]}.html"
+    name: str
+    """The name of the file."""
 
     def require_replaceable(self) -> None:
         """Raise `OutputError` if the output directory has such a file that is not of kneexo."""
@@ -112,8 +107,7 @@ class ReportPage:
 
             legs = [Leg.of_signals(name, *motion) for name, motion in motions.items()]
             view = view_page(legs, MOST_FRAMES_IN_REPORT)
-        title = shlex.join(["kneexo", *self.command.split(), *self.arguments])
-        return {self.name: html_page(title, report, figures, origin, view)}
+        return {self.name: html_page(shlex.join(self.words), report, figures, origin, view)}
 
 
 def html_page(

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any, NoReturn
 
+from kneexo.command_line import arguments
 from kneexo.command_line.export import add_exports
-from kneexo.command_line.options import HelpFormatter
 from kneexo.command_line.outcome import Outcome, Request
 from kneexo.command_line.single_runs import add_single_runs
 from kneexo.command_line.studies import add_studies
@@ -83,7 +83,7 @@ def _add_completion(subparsers: Any) -> None:
         "completion",
         help=summary,
         description=f'{summary.capitalize()}: eval "$(kneexo completion bash)" in ~/.bashrc.',
-        formatter_class=HelpFormatter,
+        formatter_class=arguments.HelpFormatter,
     )
     parser.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="the shell")
     parser.set_defaults(

@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kneexo.command_line import arguments
+from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.html_page import ReportPage
-from kneexo.command_line.options import (
-    ScenarioChoice,
-    add_command,
-    add_engine,
-    add_html,
-    add_out,
-    add_scenario,
-    add_values,
-    decimal,
-    origin_of,
-    report_page,
-    scenario_choice,
-    scenario_request,
-)
-from kneexo.command_line.outcome import Outcome, Request, file_names
+from kneexo.command_line.outcome import Outcome, file_names
 from kneexo.command_line.view import run_names
 from kneexo.errors import shown
 
@@ -35,46 +21,37 @@ if TYPE_CHECKING:
 
 def add_single_runs(subparsers: Any) -> None:
     """Add ``simulate`` and ``linearize``."""
-    parser = add_command(subparsers, "simulate", _simulate_request, "run one scenario")
-    add_scenario(parser)
-    add_engine(parser)
-    add_values(parser)
-    add_out(parser, "signals.csv, metrics.json, scenario.yaml and tracking.png, .pdf")
-    add_html(parser)
+    parser = arguments.add_command(
+        subparsers, "simulate", simulate, "run one scenario", directory=arguments.out
+    )
+    arguments.add_scenario(parser)
+    arguments.add_engine(parser)
+    arguments.add_values(parser)
+    arguments.add_out(parser, "signals.csv, metrics.json, scenario.yaml and tracking.png, .pdf")
+    arguments.add_html(parser)
 
-    parser = add_command(
+    parser = arguments.add_command(
         subparsers,
         "linearize",
-        _linearize_request,
+        linearize,
         "poles, margins and small-signal bandwidths of plant and sampled loop",
         "At a posture; the quantizer is bypassed.",
+        directory=arguments.out,
     )
-    add_scenario(parser)
-    add_values(parser)
+    arguments.add_scenario(parser)
+    arguments.add_values(parser)
     parser.add_argument(
         "--knee-angle",
-        type=decimal,
+        type=arguments.decimal,
         default=40.0,
         metavar="DEG",
         help="posture, knee angle in deg",
     )
-    add_out(parser, "linearization.json; loop, nyquist and poles as PNG and PDF")
-    add_html(parser)
+    arguments.add_out(parser, "linearization.json; loop, nyquist and poles as PNG and PDF")
+    arguments.add_html(parser)
 
 
-def _simulate_request(options: argparse.Namespace) -> Request:
-    choice, page = scenario_choice(options), report_page(options, "simulate")
-    run = partial(simulate, choice, out=options.out, page=page)
-    return scenario_request(options, run, directory=options.out)
-
-
-def _linearize_request(options: argparse.Namespace) -> Request:
-    choice, page = scenario_choice(options), report_page(options, "linearize")
-    run = partial(linearize, choice, options.knee_angle, out=options.out, page=page)
-    return scenario_request(options, run, directory=options.out)
-
-
-def simulate(choice: ScenarioChoice, *, out: Path, page: ReportPage | None = None) -> Outcome:
+def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) -> Outcome:
     """Run a scenario; return its signals, metrics and plot, and a page if one is requested."""
     scenario = choice.load()
     from kneexo.analysis import track
@@ -89,7 +66,7 @@ def simulate(choice: ScenarioChoice, *, out: Path, page: ReportPage | None = Non
     else:
         result = _track_with_bar(scenario)
     metrics = asdict(result.metrics)
-    document = to_json(origin_of(scenario) | metrics)
+    document = to_json(arguments.origin_of(scenario) | metrics)
     files: dict[str, Any] = {
         "signals.csv": lambda path: write_csv(path, result.run),
         "metrics.json": document,
@@ -101,7 +78,7 @@ def simulate(choice: ScenarioChoice, *, out: Path, page: ReportPage | None = Non
         report = "\n".join(markdown_table(("metric", "value"), rows))
         (name,) = run_names([choice.path] if choice.path else [])
         motions = {name: (scenario.plant.linkage, result.run.columns)}
-        files |= page.file(report, figures, origin_of(scenario), motions)
+        files |= page.file(report, figures, arguments.origin_of(scenario), motions)
     lines = [f"{name:28s} {value}" for name, value in rows]
     lines.append(f"In {shown(out)}: {', '.join(file_names(files, figures))}")
     return Outcome("\n".join(lines) + "\n", document, files=files, figures=figures)
@@ -119,9 +96,9 @@ def _track_with_bar(scenario: Scenario) -> TrackingResult:
 
 
 def linearize(
-    choice: ScenarioChoice, knee_angle_deg: float, *, out: Path, page: ReportPage | None = None
+    choice: ScenarioChoice, knee_angle: float, out: Path, page: ReportPage | None = None
 ) -> Outcome:
-    """Linearize plant and sampled loop at a posture; return poles, margins and plots."""
+    """Linearize plant and sampled loop at a knee angle in deg; return poles, margins and plots."""
     scenario = choice.load()
     from kneexo.analysis import linearize_loop, linearize_plant
     from kneexo.command_line.output import to_json
@@ -129,13 +106,13 @@ def linearize(
 
     if page is not None:
         page.require_replaceable()
-    plant = linearize_plant(scenario.plant, knee_angle_deg)
-    loop = linearize_loop(scenario, knee_angle_deg)
+    plant = linearize_plant(scenario.plant, knee_angle)
+    loop = linearize_loop(scenario, knee_angle)
     frequency, damping = plant.damping
     margins = asdict(loop.margins())
     if not loop.stable:  # the margins of an unstable loop are not defined
         margins = dict.fromkeys(margins, math.nan) | {"stable": False}
-    origin = origin_of(scenario) | {"settings": {"knee_angle_deg": knee_angle_deg}}
+    origin = arguments.origin_of(scenario) | {"settings": {"knee_angle_deg": knee_angle}}
     results = to_json(
         {
             **origin,

@@ -9,24 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kneexo.command_line import arguments
+from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.html_page import ReportPage
-from kneexo.command_line.options import (
-    HelpFormatter,
-    ScenarioChoice,
-    add_command,
-    add_engine,
-    add_html,
-    add_out,
-    add_scenario,
-    add_set,
-    integer,
-    origin_of,
-    report_page,
-    scenario_choice,
-    scenario_request,
-    with_values,
-)
-from kneexo.command_line.outcome import Outcome, Request, file_names
+from kneexo.command_line.outcome import Outcome, file_names
 from kneexo.errors import ParameterError, shown
 from kneexo.studies.catalogue import Study
 
@@ -43,21 +29,36 @@ def add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
         group, _, name = study.command.rpartition(" ")
         if group not in groups:
             summary = "compare controllers, or the full order with the reduced one"
-            parser = subparsers.add_parser(group, help=summary, formatter_class=HelpFormatter)
+            parser = subparsers.add_parser(
+                group, help=summary, formatter_class=arguments.HelpFormatter
+            )
             groups[group] = parser.add_subparsers(title="studies", required=True, metavar="STUDY")
         _add_study(groups[group], name, study)
 
 
 def _add_study(group: Any, name: str, study: Study) -> None:
-    parser = add_command(group, name, partial(_request, study), study.summary, study.detail)
+    def checkpoint_path(options: argparse.Namespace) -> Path:
+        return arguments.out(options) / f"{name}.checkpoint.jsonl"
+
+    parser = arguments.add_command(
+        group,
+        name,
+        partial(run_study, study),
+        study.summary,
+        study.detail,
+        directory=arguments.out,
+        checkpoint_path=checkpoint_path if study.resumable else None,
+        restart=lambda options: study.resumable and options.restart,
+        uses_workers=True,
+    )
     if study.setup:
-        add_scenario(parser, study.setup)
-    add_engine(parser)
-    add_out(parser, "figures (PNG, PDF), results (JSON) and report (Markdown)")
-    add_html(parser)
+        arguments.add_scenario(parser, study.setup)
+    arguments.add_engine(parser)
+    arguments.add_out(parser, "figures (PNG, PDF), results (JSON) and report (Markdown)")
+    arguments.add_html(parser)
     label = study.label or study.command
     listed = f"`kneexo params` lists them with their defaults after '{label}:'"
-    add_set(parser, f"a setting, by its dotted name; {listed}", "settings")
+    arguments.add_set(parser, f"a setting, by its dotted name; {listed}", "settings")
     if study.uncertain:
         parser.add_argument(
             "--uncertainty",
@@ -67,7 +68,10 @@ def _add_study(group: Any, name: str, study: Study) -> None:
         )
     workers = parser.add_mutually_exclusive_group()
     workers.add_argument(
-        "--workers", type=integer, metavar="N", help="processes; left out: one for each core"
+        "--workers",
+        type=arguments.integer,
+        metavar="N",
+        help="processes; left out: one for each core",
     )
     workers.add_argument(
         "--dask",
@@ -90,66 +94,25 @@ def _add_study(group: Any, name: str, study: Study) -> None:
         )
 
 
-def _request(study: Study, options: argparse.Namespace) -> Request:
-    run = partial(
-        run_study,
-        study,
-        scenario_choice(options),
-        options.settings,
-        out=options.out,
-        page=report_page(options, study.command),
-        uncertainty=getattr(options, "uncertainty", None),
-        workers=options.workers,
-        dask=options.dask,
-    )
-    name = study.command.split()[-1]
-    return scenario_request(
-        options,
-        run,
-        directory=options.out,
-        checkpoint_path=options.out / f"{name}.checkpoint.jsonl" if study.resumable else None,
-        restart=getattr(options, "restart", False),
-        uses_workers=True,
-    )
-
-
 def run_study(
     study: Study,
     choice: ScenarioChoice,
-    settings_texts: Sequence[str],
-    *,
+    settings: Sequence[str],
     out: Path,
-    page: ReportPage | None = None,
+    page: ReportPage | None,
+    workers: int | None,
+    dask: str | None,
     uncertainty: str | None = None,
-    workers: int | None = None,
-    dask: str | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Outcome:
-    """Run a study.
+    """Run a study; return results, report, figures, and a page if one is requested.
 
-    Parameters
-    ----------
-    study
-        The row of the catalogue.
-    choice
-        The scenario; without a file the default of the study.
-    settings_texts
-        Changes of the settings, each NAME=VALUE.
-    out
-        The directory of the results, which the text names.
-    page
-        The HTML page of the report; None: no page.
-    uncertainty
-        A file with uncertain values; None: the default set. Only for a study that is `uncertain`.
-    workers
-        Number of processes; None: one for each core.
-    dask
-        Address of a Dask cluster that replaces the processes.
-    checkpoint
-        Keeps finished pieces. Only for a study that is `resumable`.
+    ``settings`` are changes of the settings, each NAME=VALUE. ``dask`` is the address of a cluster,
+    which replaces ``workers`` processes. ``uncertainty`` is a file of uncertain values, for a study
+    that is `uncertain`. ``checkpoint`` keeps finished pieces of a study that is `resumable`.
     """
     scenario = choice.load(study.scenario)
-    settings = with_values(study.settings(), settings_texts)
+    changed = arguments.with_values(study.settings(), settings)
     compute = study.compute
     if uncertainty is not None:
         from kneexo.parameters.scenario_file import load_uncertainty
@@ -165,9 +128,9 @@ def run_study(
         compute = partial(compute, checkpoint=checkpoint)
     with _executor(workers, dask) as executor:
         result = compute(
-            scenario, settings=settings, workers=workers, executor=executor, progress=True
+            scenario, settings=changed, workers=workers, executor=executor, progress=True
         )
-    origin = origin_of(scenario, settings)
+    origin = arguments.origin_of(scenario, changed)
     document = to_json(origin | result.results())
     report = study.report(result)
     results_file, report_file = study.files

@@ -2,95 +2,73 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import subprocess
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kneexo.command_line.options import (
-    ScenarioChoice,
-    add_command,
-    add_out,
-    add_scenario,
-    origin_of,
-    scenario_choice,
-    scenario_request,
-)
-from kneexo.command_line.outcome import Outcome, Request
+from kneexo.command_line import arguments
+from kneexo.command_line.arguments import ScenarioChoice
+from kneexo.command_line.outcome import Outcome
 from kneexo.errors import shown
 from kneexo.version import __version__
 
 
 def add_utilities(subparsers: Any) -> None:
     """Add ``params``, ``diagram`` and ``cache``."""
-    parser = add_command(
+    parser = arguments.add_command(
         subparsers,
         "params",
-        _params_request,
+        params,
         "list every parameter with value, unit, range and provenance",
         "Without a scenario file also the settings of all studies. With --schema, editors complete "
         "and check scenario files: save the schema as kneexo.schema.json and begin a file with "
         "the line '# yaml-language-server: $schema=kneexo.schema.json'.",
+        # The list of all settings imports the studies, and so Drake.
+        uses_drake=lambda options: not (options.scenario or options.yaml or options.schema),
     )
-    add_scenario(parser)
+    arguments.add_scenario(parser)
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--yaml", action="store_true", help="print a complete scenario file instead")
     form.add_argument(
         "--schema", action="store_true", help="print the JSON schema of scenario files instead"
     )
 
-    parser = add_command(
+    parser = arguments.add_command(
         subparsers,
         "diagram",
-        _diagram_request,
+        diagram,
         "draw the block diagram of a scenario",
         "Always writes closed_loop.dot; also SVG and PNG when Graphviz is installed.",
+        directory=arguments.out,
     )
-    add_scenario(parser)
-    add_out(parser, "closed_loop.dot, .svg and .png")
+    arguments.add_scenario(parser)
+    arguments.add_out(parser, "closed_loop.dot, .svg and .png")
 
-    parser = add_command(
+    parser = arguments.add_command(
         subparsers,
         "cache",
-        _cache_request,
+        cache,
         "show or delete the compiled models that are kept on disk",
         "They stand in KNEEXO_CACHE_DIR, else in kneexo below XDG_CACHE_HOME, else in "
         "~/.cache/kneexo. KNEEXO_CACHE_SIZE_MB limits their total size in MiB; left out: 512.",
+        uses_drake=False,
     )
     parser.add_argument("--clear", action="store_true", help="delete all of them")
 
 
-def _params_request(options: argparse.Namespace) -> Request:
-    form = "yaml" if options.yaml else "schema" if options.schema else "list"
-    choice = scenario_choice(options)
-    with_settings = form == "list" and choice.path is None  # those of studies, which import Drake
-    return scenario_request(options, partial(params, choice, form), uses_drake=with_settings)
-
-
-def _diagram_request(options: argparse.Namespace) -> Request:
-    run = partial(diagram, scenario_choice(options), out=options.out)
-    return scenario_request(options, run, directory=options.out)
-
-
-def _cache_request(options: argparse.Namespace) -> Request:
-    run = clear_cache if options.clear else cache
-    return Request(run, json=options.json, uses_drake=False)
-
-
-def params(choice: ScenarioChoice, form: str) -> Outcome:
-    """Return all parameters as a ``"list"``, or the text of a ``"yaml"`` file or a ``"schema"``.
+def params(choice: ScenarioChoice, yaml: bool, schema: bool) -> Outcome:
+    """Return the list of all parameters, or the text of a scenario file or of a schema.
 
     The list has the settings of all studies too if the user named no scenario file.
     """
     scenario = choice.load()
-    if form == "yaml":
+    if yaml:
         from kneexo.parameters.scenario_file import dump_scenario
 
         return Outcome(dump_scenario(scenario))
-    if form == "schema":
+    if schema:
         from kneexo.parameters.schema import json_schema
 
         return Outcome(json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n")
@@ -105,11 +83,11 @@ def params(choice: ScenarioChoice, form: str) -> Outcome:
         unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
         value = f"{row['value']:.10g}" if isinstance(row["value"], float) else row["value"]
         lines.append(f"{row['parameter']} = {value}{unit}{bounds}\n    {row['provenance']}\n")
-    document = {**origin_of(scenario), "parameters": rows}
+    document = {**arguments.origin_of(scenario), "parameters": rows}
     return Outcome("".join(lines), json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
-def diagram(choice: ScenarioChoice, *, out: Path) -> Outcome:
+def diagram(choice: ScenarioChoice, out: Path) -> Outcome:
     """Return the block diagram as a Graphviz file, and as pictures if Graphviz is installed."""
     scenario = choice.load()
     from kneexo.diagrams import make_closed_loop
@@ -132,7 +110,7 @@ def diagram(choice: ScenarioChoice, *, out: Path) -> Outcome:
         "For a picture install Graphviz (Debian, Ubuntu: apt-get install graphviz) and run this "
         "again."
     )
-    document = {**origin_of(scenario), "directory": str(out), "files": names}
+    document = {**arguments.origin_of(scenario), "directory": str(out), "files": names}
     verb = "are" if len(names) > 1 else "is"
     line = f"{', '.join(names)} {verb} in {shown(out)}\n"
     return Outcome(
@@ -144,18 +122,22 @@ def diagram(choice: ScenarioChoice, *, out: Path) -> Outcome:
     )
 
 
-def cache() -> Outcome:
-    """Return size, limit and last use of the compiled models on disk."""
+def cache(clear: bool) -> Outcome:
+    """Return size, limit and last use of the compiled models on disk; or delete the models."""
     import time
 
     from kneexo.compiler.native import cache as models
 
     directory = models.cache_directory()
+    origin = {"kneexo": __version__, "directory": str(directory)}
+    if clear:
+        count = models.clear()
+        text = f"{directory}: {count} {'entry' if count == 1 else 'entries'} deleted\n"
+        return Outcome(text, json.dumps({**origin, "deleted": count}) + "\n")
     entries, limit_bytes = models.entries(), models.size_limit()
     size_bytes = sum(entry.size_bytes for entry in entries)
     document = {
-        "kneexo": __version__,
-        "directory": str(directory),
+        **origin,
         "size_bytes": size_bytes,
         "limit_bytes": limit_bytes,
         "entries": [
@@ -178,14 +160,3 @@ def cache() -> Outcome:
         last_use = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.last_use_s))
         lines.append(f"  {last_use}  {entry.size_bytes / 2**10:8.1f} KiB  {entry.path.name}")
     return Outcome("\n".join(lines) + "\n", json.dumps(document, indent=2) + "\n")
-
-
-def clear_cache() -> Outcome:
-    """Delete the compiled models on disk; return their number."""
-    from kneexo.compiler.native import cache as models
-
-    directory = models.cache_directory()
-    count = models.clear()
-    document = {"kneexo": __version__, "directory": str(directory), "deleted": count}
-    text = f"{directory}: {count} {'entry' if count == 1 else 'entries'} deleted\n"
-    return Outcome(text, json.dumps(document) + "\n")

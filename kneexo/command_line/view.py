@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kneexo.command_line.options import ScenarioChoice, add_command, add_values
-from kneexo.command_line.outcome import Outcome, Request, named_in_errors
+from kneexo.command_line import arguments
+from kneexo.command_line.arguments import ScenarioChoice
+from kneexo.command_line.outcome import Outcome, named_in_errors
 from kneexo.errors import ParameterError, shown
 from kneexo.studies.catalogue import PAPER
 from kneexo.version import __version__
@@ -18,13 +17,14 @@ from kneexo.version import __version__
 
 def add_view(subparsers: Any) -> None:
     """Add ``view``."""
-    parser = add_command(
+    parser = arguments.add_command(
         subparsers,
         "view",
-        _request,
+        view,
         "show runs in three dimensions: an HTML page with a time slider",
         "The page is one file that any browser opens, without network. Several runs stand beside "
         "each other. The cylinder's colour is its pressure, the grey shank is the reference.",
+        file=arguments.out,
     )
     parser.add_argument(
         "runs",
@@ -33,7 +33,7 @@ def add_view(subparsers: Any) -> None:
         help=f"scenario files to run, or directories that `kneexo simulate` wrote; left out: "
         f"{PAPER}",
     )
-    add_values(parser)
+    arguments.add_values(parser)
     parser.add_argument(
         "--out",
         metavar="FILE.html",
@@ -42,28 +42,15 @@ def add_view(subparsers: Any) -> None:
         help="the page; replaces a page of an earlier view",
     )
     parser.add_argument(
-        "--open", action="store_true", help="show the page in this system's browser"
+        "--open", dest="browser", action="store_true", help="show the page in this system's browser"
     )
 
 
-def _request(options: argparse.Namespace) -> Request:
-    run = partial(view, options.runs, options.values, out=options.out, browser=options.open)
-    return Request(run, json=options.json, file=options.out)
+def view(runs: Sequence[str], values: Sequence[str], out: Path, browser: bool) -> Outcome:
+    """Return a page that shows runs in three dimensions, and whether the browser opens it.
 
-
-def view(runs: Sequence[str], values: Sequence[str], *, out: Path, browser: bool) -> Outcome:
-    """Return a page that shows runs in three dimensions.
-
-    Parameters
-    ----------
-    runs
-        Scenario files, which are run, and directories of earlier runs. Empty: the paper's setup.
-    values
-        Changes of the scenarios, each NAME=VALUE.
-    out
-        The file of the page, which the text names.
-    browser
-        Whether the browser shows the page.
+    A run is a scenario file, with changes ``values`` (each NAME=VALUE), or the directory of an
+    earlier run. Without runs the page shows the paper's setup.
     """
     from kneexo.command_line.output import to_json
     from kneexo.parameters.scenario_file import load_scenario

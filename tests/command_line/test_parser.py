@@ -49,13 +49,3 @@ def test_completion_knows_commands_and_options(shell, capsys):
             "_study_contest___out_COMPGEN=_shtab_compgen_dirs",
         ):
             assert line in script
-
-
-@pytest.mark.parametrize(
-    ("form", "measured"), [("c", "encoder count"), ("fmu", "encoder reading (rad)")]
-)
-def test_export_tells_what_the_controller_measures(form, measured, capsys):
-    with pytest.raises(SystemExit, match="0"):
-        main(["export", form, "--help"])
-    text = " ".join(capsys.readouterr().out.split())
-    assert f"the controller, from {measured} and knee reference" in text

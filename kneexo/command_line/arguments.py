@@ -1,12 +1,14 @@
-"""Arguments that several commands share: adding them to a parser, and reading them."""
+"""Add commands with their arguments to the parser, and read the arguments that they share."""
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -39,11 +41,17 @@ class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
 def add_command(
     group: Any,
     name: str,
-    request: Callable[[argparse.Namespace], Request],
+    command: Callable[..., Outcome],
     summary: str,
     detail: str = "",
+    **attributes: Any,
 ) -> argparse.ArgumentParser:
-    """Add a command to a group of subparsers; ``request`` reads its parsed arguments."""
+    """Add a command to a group of subparsers.
+
+    Each parameter of ``command`` gets the parsed argument of the same name. ``choice`` gets a
+    `ScenarioChoice`, and ``page`` a `ReportPage` or None. ``attributes`` are those of the
+    `Request`; a function among them computes its attribute from all parsed arguments.
+    """
     parser: argparse.ArgumentParser = group.add_parser(
         name,
         help=summary,
@@ -51,8 +59,39 @@ def add_command(
         formatter_class=HelpFormatter,
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.set_defaults(request=request)
+    parser.set_defaults(request=partial(_request, parser.prog, command, attributes))
     return parser
+
+
+def _request(
+    program: str,
+    command: Callable[..., Outcome],
+    attributes: dict[str, Any],
+    options: argparse.Namespace,
+) -> Request:
+    """Return the request of a command; ``program`` is kneexo with the words of the command."""
+    values = vars(options)
+    path, texts = values.get("scenario"), values.get("values", ())
+    choice = ScenarioChoice(path, texts, values.get("engine"))
+    page = None
+    if values.get("html"):
+        changes = [f"--set={text}" for text in (*texts, *values.get("settings", ()))]
+        words = program.split()
+        name = f"{words[-1]}.html"
+        page = ReportPage([*words, *([path] if path else []), *changes], options.out, name)
+    values = values | {"choice": choice, "page": page}
+    names = inspect.signature(command).parameters.keys() & values.keys()
+    computed = {
+        name: value(options) if callable(value) else value for name, value in attributes.items()
+    }
+    run = partial(command, **{name: values[name] for name in names})
+    return Request(run, json=options.json, scenario=path, **computed)
+
+
+def out(options: argparse.Namespace) -> Path:
+    """Return the argument of ``--out``."""
+    path: Path = options.out
+    return path
 
 
 def add_scenario(parser: argparse.ArgumentParser, default: str = PAPER) -> None:
@@ -145,35 +184,6 @@ class ScenarioChoice:
 
         scenario = (default or Scenario()) if self.path is None else load_scenario(self.path)
         return with_values(scenario, self.values).with_engine(self.engine)
-
-
-def scenario_choice(options: argparse.Namespace) -> ScenarioChoice:
-    """Return the scenario that the arguments choose."""
-    arguments = vars(options)
-    return ScenarioChoice(
-        arguments.get("scenario"), arguments.get("values", ()), arguments.get("engine")
-    )
-
-
-def report_page(options: argparse.Namespace, command: str) -> ReportPage | None:
-    """Return the page for the report of a command; None without ``--html``.
-
-    The title of the page is the command with the arguments that change the result.
-    """
-    if not options.html:
-        return None
-    arguments = vars(options)
-    words = [arguments["scenario"]] if arguments.get("scenario") else []
-    words += [f"--set={value}" for value in arguments.get("values", arguments.get("settings", ()))]
-    return ReportPage(command, words, options.out)
-
-
-def scenario_request(
-    options: argparse.Namespace, run: Callable[..., Outcome], **attributes: Any
-) -> Request:
-    """Return the `Request` of a command that has a scenario and ``--json``."""
-    path = getattr(options, "scenario", None)
-    return Request(run, json=options.json, scenario=path, **attributes)
 
 
 def with_values(parameters: _P, texts: Sequence[str]) -> _P:
