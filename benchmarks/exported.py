@@ -15,13 +15,12 @@ import numpy as np
 from hand_written import c_compiler
 from numpy.typing import NDArray
 
-from kneexo.compiler.c.export import source_of
+from kneexo.compiler import read_diagram
 from kneexo.compiler.c.interface import Field
-from kneexo.compiler.c.source import CSource
+from kneexo.compiler.c.source import CSource, source_of
 from kneexo.compiler.c.vectors import recorded_vectors
-from kneexo.compiler.model import compile_diagram
 from kneexo.export.firmware import loop_inputs
-from kneexo.export.target import ENCODER_COUNT, Target, target
+from kneexo.export.target import ENCODER_COUNT, Target, make_target
 from kneexo.parameters import Scenario
 
 Array = NDArray[np.float64]
@@ -44,10 +43,10 @@ def exported_source(
 
     Without ``check_ranges`` the code takes any count: the range belongs to one geometry.
     """
-    exported = target(scenario, what, counts=True)
+    exported = make_target(scenario, what, counts=True)
     interface = exported.interface
     source = source_of(
-        compile_diagram(exported.diagram, inputs=exported.inputs),
+        read_diagram(exported.diagram, inputs=exported.inputs),
         exported.what,
         precision=precision,
         outputs=outputs or exported.outputs,
@@ -150,7 +149,7 @@ class Loop:
 
     def __init__(self, scenario: Scenario, controller: CSource) -> None:
         self.scenario, self.controller = scenario, controller
-        self._exported = target(scenario, "controller", counts=True)
+        self._exported = make_target(scenario, "controller", counts=True)
         _, self.plant = exported_source(scenario, "plant")
         self._library = library(LOOP_C, controller, self.plant)
 

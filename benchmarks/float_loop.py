@@ -23,8 +23,8 @@ import numpy as np
 from exported import Loop, Replay, exported_source, replayed, without_kahan
 from pydrake.systems.primitives import DiscreteTimeIntegrator
 
-from kneexo.compiler.c.export import source_of
-from kneexo.compiler.model import compile_diagram
+from kneexo.compiler import read_diagram
+from kneexo.compiler.c.source import source_of
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE
@@ -89,7 +89,7 @@ def rows(name: str, scenario: Scenario, duration_s: float = DURATION_S) -> Itera
 def hour_in_float() -> dict[str, float]:
     """The time after an hour by a sum of 2 ms, in s: compensated and plain."""
     clock = DiscreteTimeIntegrator(1, TICK_S)
-    source = source_of(compile_diagram(clock, inputs=("u",)), "clock", precision="float")
+    source = source_of(read_diagram(clock, inputs=("u",)), "clock", precision="float")
     rate = np.ones((round(3600.0 / TICK_S), 1))
     return {
         "compensated": float(Replay(source)(rate)[-1, 0]),

@@ -105,7 +105,7 @@ def export_c(
     Adds a notice if the replay of the test vectors differs by more than the tolerance.
     """
     from kneexo.command_line.output import to_json
-    from kneexo.compiler.c.export import TOLERANCES
+    from kneexo.compiler import REPLAY_TOLERANCES
     from kneexo.export.firmware import export_firmware
 
     scenario = choice.load()
@@ -122,7 +122,7 @@ def export_c(
     if measurement.replay is not None and not measurement.replay.passed:
         notices.append(
             f"kneexo: {target} in {precision} precision: the replay differs by more than "
-            f"{TOLERANCES[precision]:g} of an output's largest value; make test fails"
+            f"{REPLAY_TOLERANCES[precision]:g} of an output's largest value; make test fails"
         )
     lines = [
         f"{target} in {precision} precision: {shown(out)}",

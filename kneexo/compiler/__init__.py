@@ -18,7 +18,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # mypy and editors see these names; it would accept any name of `__getattr__`
-    from .c.export import export_c as export_c
+    from .c.export import (
+        REPLAY_TOLERANCES as REPLAY_TOLERANCES,
+        Measurement as Measurement,
+        export_c as export_c,
+        require_export_folder as require_export_folder,
+        write_c as write_c,
+    )
+    from .c.interface import Field as Field, Interface as Interface
+    from .c.source import CSource as CSource, source_of as source_of
+    from .c.step_size import rk4_step_s as rk4_step_s
+    from .c.vectors import Vectors as Vectors, recorded_vectors as recorded_vectors
     from .compiled_system import CompiledSystem as CompiledSystem
     from .diagram_equations import (
         DiagramEquations as DiagramEquations,
@@ -35,6 +45,9 @@ if TYPE_CHECKING:  # mypy and editors see these names; it would accept any name 
         shortened as shortened,
         shown as shown,
     )
+    from .fmu.description import generation_tool as generation_tool
+    from .fmu.fmu import FMI_VERSIONS as FMI_VERSIONS, Fmu as Fmu
+    from .fmu.variables import FmuParameter as FmuParameter
     from .model import (
         CompiledModel as CompiledModel,
         DiagramModel as DiagramModel,
@@ -53,13 +66,22 @@ if TYPE_CHECKING:  # mypy and editors see these names; it would accept any name 
     from .trajectories import input_table as input_table, stack_tables as stack_tables
 else:
     _NAMES = {
-        "c.export": ("export_c",),
+        "c.export": (
+            *("REPLAY_TOLERANCES", "Measurement", "export_c", "require_export_folder", "write_c"),
+        ),
+        "c.interface": ("Field", "Interface"),
+        "c.source": ("CSource", "source_of"),
+        "c.step_size": ("rk4_step_s",),
+        "c.vectors": ("Vectors", "recorded_vectors"),
         "compiled_system": ("CompiledSystem",),
         "diagram_equations": ("DiagramEquations", "read_diagram"),
         "errors": (
             *("CompilationError", "Error", "OutputError", "ParameterError", "SimulationError"),
             *("StiffnessError", "escaped", "shortened", "shown"),
         ),
+        "fmu.description": ("generation_tool",),
+        "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
+        "fmu.variables": ("FmuParameter",),
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),
         ),

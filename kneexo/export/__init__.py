@@ -1,6 +1,6 @@
-"""Out of Python: the controller, the plant or the closed loop of a scenario as C and FMU.
+"""Controller, plant or closed loop of a scenario as code for other programs.
 
-- `target` makes the diagram that is exported, and says how its ports look outside;
-- `firmware` writes it as C for a microcontroller, with test vectors;
-- `fmu` packs it as a functional mock-up unit for other simulators.
+- `target` builds the diagram to export, with names, types and ranges of its ports;
+- `firmware` writes the diagram as C for a microcontroller, with test vectors;
+- `fmu` packs the diagram as a functional mock-up unit for other simulators.
 """

@@ -1,4 +1,4 @@
-"""C for the microcontroller: a target of a scenario, with test vectors of its closed loop."""
+"""C for a microcontroller: controller, plant or loop of a scenario, with test vectors."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from typing import Any
 
 import numpy as np
 
-from kneexo.compiler.c.export import (
+from kneexo.compiler import (
+    CSource,
     Measurement,
-    exported,
+    Vectors,
+    read_diagram,
+    recorded_vectors,
     require_export_folder,
     source_of,
-    write_export,
+    write_c,
 )
-from kneexo.compiler.c.source import CSource
-from kneexo.compiler.c.vectors import Vectors, recorded_vectors
-from kneexo.compiler.model import compile_diagram
 from kneexo.errors import ParameterError
-from kneexo.export.target import ENCODER_COUNT, Target, require_step, target
+from kneexo.export.target import ENCODER_COUNT, Target, make_target, require_step
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.result import Array
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
 OUTSIDE = ("disturbance_force", "knee_torque")
-"""Inputs that nothing in the closed loop feeds."""
+"""Inputs that no part of the closed loop drives; zero in the test vectors."""
 
 VECTORS_S = 2.0
-"""Time that the test vectors cover by default, or the whole run where that is shorter."""
+"""Default length of the test vectors in s; a shorter scenario gives vectors of its whole run."""
 
 
 def make_firmware(
@@ -39,34 +39,35 @@ def make_firmware(
     step_s: float | None = None,
     look_up: bool = False,
 ) -> tuple[CSource, Vectors]:
-    """A target of a scenario as C99, and test vectors: steps of its compiled closed loop.
+    """Return a target of a scenario as C99, and test vectors from its compiled closed loop.
 
     Parameters
     ----------
     scenario
         The closed loop; a custom controller too.
     what
-        ``controller``, ``plant`` or ``loop``: see `target`. A controller that reads a quantized
-        encoder takes its count as int32_t.
+        ``controller``, ``plant`` or ``loop``: see `make_target`. The input of a controller with a
+        quantized encoder is the encoder count, an int32_t.
     precision
         ``double`` or ``float``.
     vectors_s
-        Time that the test vectors cover; at most the duration of the scenario. `VECTORS_S` by
-        default.
+        Length of the test vectors in s, at most the duration of the scenario; by default
+        `VECTORS_S`.
     step_s
-        Largest step of RK4, where there are continuous states; `rk4_step_s` by default.
+        Largest step of RK4 in s; by default `rk4_step_s`. A target without continuous states
+        ignores it.
     look_up
-        Knee angle and rod extension of each count come from a table: see `CSource`.
+        Replace the computation of knee angle and rod extension from the count by tables.
 
     Raises
     ------
     ParameterError
-        ``what``, ``vectors_s`` or ``step_s`` is wrong, the reference of a loop is sampled, and as
-        `make_closed_loop`.
+        ``what``, ``vectors_s`` or ``step_s`` is wrong; the reference of a loop is sampled; errors
+        of `make_closed_loop`.
     CompilationError
-        The target cannot be printed: as `CSource`.
+        The target cannot be printed: see `CSource`.
     SimulationError
-        The closed loop does not run.
+        The run of the closed loop or of the target fails.
     """
     require_step(step_s)
     if what == "loop" and isinstance(scenario.reference, SampledReference):
@@ -88,22 +89,21 @@ def make_firmware(
             f"vectors_s = {vectors_s:g} s: must be {sample_time_s:g} … {duration_s:g} s, the "
             f"scenario's sample time and duration"
         )
-    to_print = target(scenario, what, counts=True)
-    model = compile_diagram(to_print.diagram, inputs=to_print.inputs)
+    target = make_target(scenario, what, counts=True)
     source = source_of(
-        model,
-        to_print.what,
+        read_diagram(target.diagram, inputs=target.inputs),
+        target.what,
         precision=precision,
-        outputs=to_print.outputs,
-        interface=to_print.interface,
-        tick_s=to_print.tick_s,
+        outputs=target.outputs,
+        interface=target.interface,
+        tick_s=target.tick_s,
         step_s=step_s,
         look_up=look_up,
-        subject=f"{to_print.what} in {precision} precision",
+        subject=f"{target.what} in {precision} precision",
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
-    inputs = loop_inputs(scenario, to_print, source, steps)
-    return source, recorded_vectors(to_print.diagram, source, inputs)
+    inputs = loop_inputs(scenario, target, source, steps)
+    return source, recorded_vectors(target.diagram, source, inputs)
 
 
 def export_firmware(
@@ -112,32 +112,30 @@ def export_firmware(
     what: str = "controller",
     **options: Any,
 ) -> Measurement:
-    """Write `make_firmware` into a folder: sources, vectors, harness, build files, README.
+    """Write the result of `make_firmware` to a folder, with harness, build files and README.
 
-    ``options`` are those of `make_firmware`. Raises `OutputError` where the folder has other files,
-    and what `make_firmware` raises.
+    ``options`` are options of `make_firmware`. Raises the errors of `make_firmware`, and
+    `OutputError` if the folder has files that no export wrote or cannot be written.
     """
-    require_export_folder(directory)
-    files, measurement = exported(*make_firmware(scenario, what, **options))
-    write_export(directory, files)
-    return measurement
+    require_export_folder(directory)  # before the run, which may take long
+    return write_c(directory, *make_firmware(scenario, what, **options))
 
 
-def loop_inputs(scenario: Scenario, of: Target, source: CSource, steps: int) -> Array:
-    """Inputs of each step of a target in the scenario's closed loop, (steps, input elements).
+def loop_inputs(scenario: Scenario, target: Target, source: CSource, steps: int) -> Array:
+    """Run the closed loop, and return the inputs of a target at each step.
 
-    What comes from outside, such as a disturbance, is zero.
+    The result has the shape (steps, input elements). Inputs in `OUTSIDE` are zero.
     """
     sample_time = source.plan.schedule.tick_s
-    ports = {ENCODER_COUNT: "encoder_reading", "rod_state": "estimated_state"}
-    wanted = [ports.get(name, name) for name in of.inputs if name not in OUTSIDE]
+    signals = {ENCODER_COUNT: "encoder_reading", "rod_state": "estimated_state"}
+    inside = [signals.get(name, name) for name in target.inputs if name not in OUTSIDE]
     model = compile_scenario(scenario)
     parameters, state, table = scenario_run(scenario, model)
     run = model.simulate(
         parameters,
         state,
         (steps + 1) * sample_time,
-        outputs=tuple(dict.fromkeys(wanted)),
+        outputs=tuple(dict.fromkeys(inside)),
         record_period_s=sample_time,
         inputs=table,
     )
@@ -148,7 +146,7 @@ def loop_inputs(scenario: Scenario, of: Target, source: CSource, steps: int) -> 
         elif name == "motor_speed_command":  # a record at t is the command up to t
             values = run[name][1 : steps + 1]
         else:
-            values = run[ports.get(name, name)][:steps]
+            values = run[signals.get(name, name)][:steps]
         if name == ENCODER_COUNT:
             values = np.round(values / scenario.encoder.resolution_rad)
         columns.append(values)

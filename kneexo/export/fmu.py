@@ -1,4 +1,4 @@
-"""FMUs of a scenario: its controller, its plant or its closed loop for other simulators."""
+"""FMUs for other simulators: controller, plant or closed loop of a scenario."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kneexo.compiler.c.export import source_of
-from kneexo.compiler.c.source import CSource
-from kneexo.compiler.fmu.description import generation_tool
-from kneexo.compiler.fmu.fmu import VERSIONS, Fmu
-from kneexo.compiler.fmu.variables import Parameter
-from kneexo.compiler.model import compile_diagram
+from kneexo.compiler import (
+    FMI_VERSIONS,
+    CSource,
+    Fmu,
+    FmuParameter,
+    generation_tool,
+    read_diagram,
+    source_of,
+)
 from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
 from kneexo.errors import KneexoError, OutputError, ParameterError, shown
-from kneexo.export.target import Target, require_step, target
+from kneexo.export.target import Target, make_target, require_step
 from kneexo.files.reading import MIB, read_bytes
 from kneexo.files.writing import write_file
 from kneexo.parameters import CustomControllerParameters, Scenario, SlidingModeParameters
@@ -29,10 +32,10 @@ from kneexo.systems import knee_reference
 from kneexo.version import __version__
 
 TOOL = "kneexo"
-"""The generation tool that the FMU's description names."""
+"""Name at the beginning of the generation tool in the description of an FMU."""
 
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
-"""By what a number is changed to see where it goes."""
+"""Factors that probe which Context parameters a number of the scenario reaches."""
 
 _AT_REST = "; the initial state does not follow"
 
@@ -43,18 +46,18 @@ _MOST_BYTES = 256 * MIB  # no FMU of kneexo is larger
 
 @dataclass(frozen=True)
 class FmuFile:
-    """An FMU that was written."""
+    """Summary of a written FMU."""
 
     path: str
     sample_time_s: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     parameters: int
-    """How many there are."""
+    """Number of parameters."""
     scenario_parameters: tuple[str, ...]
-    """Those that have the names of the scenario."""
+    """Names of the parameters that are values of the scenario."""
     binary: bool
-    """Whether it holds a binary; sources alone where there is no C compiler."""
+    """True: it holds a binary; False: sources alone."""
 
 
 def export_fmu(
@@ -65,14 +68,15 @@ def export_fmu(
     fmi: int = 3,
     step_s: float | None = None,
 ) -> FmuFile:
-    """Write `make_fmu` with sources and, where there is a C compiler, the binary of this machine.
+    """Write the FMU of `make_fmu` with its sources and, if a C compiler exists, a Linux binary.
 
-    ``path``: the file, or a directory for ``knee_plant.fmu``. Raises `OutputError` where something
-    lies there that is no FMU of ours, and what `make_fmu` raises.
+    ``path`` is the file, or a directory in which the file is called ``knee_plant.fmu`` or the like.
+    Raises the errors of `make_fmu`, and `OutputError` if another file than an FMU of kneexo stands
+    there.
     """
     file = Path(path)
     if not file.is_dir():
-        _require_own(file)  # before the FMU is made, which takes long
+        _require_own(file)  # before the FMU is made, which may take long
     fmu = make_fmu(scenario, what, fmi=fmi, step_s=step_s)
     if file.is_dir() or (file.suffix != ".fmu" and not file.exists()):
         file /= f"{fmu.name}.fmu"
@@ -97,50 +101,51 @@ def make_fmu(
     fmi: int = 3,
     step_s: float | None = None,
 ) -> Fmu:
-    """A target of a scenario as FMU.
+    """Return a target of a scenario as FMU.
 
-    A number of the scenario that goes into Context parameters as it is becomes one parameter with
-    its dotted name, which sets all of them. Every other Context parameter is a parameter of its
-    own. Both may change during a run. The initial states of the plant are fixed parameters.
+    The FMU has these parameters: each number of the scenario that Context parameters repeat
+    unchanged, under its dotted name; each remaining Context parameter; and the initial states of
+    the plant. Initial states are fixed parameters; the others may change during a run.
 
     Parameters
     ----------
     scenario
         The closed loop; a custom controller too.
     what
-        ``controller``, ``plant`` or ``loop``: see `target`.
+        ``controller``, ``plant`` or ``loop``: see `make_target`.
     fmi
         Version of the standard: 2 or 3.
     step_s
-        Largest step of RK4, where there are continuous states; `rk4_step_s` by default.
+        Largest step of RK4 in s; by default `rk4_step_s`. A target without continuous states
+        ignores it.
 
     Raises
     ------
     ParameterError
-        ``what``, ``fmi`` or ``step_s`` is wrong, and as `make_closed_loop`.
+        ``what``, ``fmi`` or ``step_s`` is wrong; errors of `make_closed_loop`.
     CompilationError
-        The target cannot be printed: as `CSource`.
+        The target cannot be printed: see `CSource`.
     """
-    if fmi not in VERSIONS:
-        raise ParameterError(f"fmi = {fmi!r}: must be one of {', '.join(map(str, VERSIONS))}")
+    if fmi not in FMI_VERSIONS:
+        raise ParameterError(f"fmi = {fmi!r}: must be one of {', '.join(map(str, FMI_VERSIONS))}")
     require_step(step_s)
-    to_print = target(scenario, what)
+    target = make_target(scenario, what)
     source = source_of(
-        compile_diagram(to_print.diagram, inputs=to_print.inputs),
-        f"knee_{to_print.what}",
-        outputs=[name for name in to_print.outputs if name not in to_print.inputs],
-        interface=to_print.interface,
-        tick_s=to_print.tick_s,
+        read_diagram(target.diagram, inputs=target.inputs),
+        f"knee_{target.what}",
+        outputs=[name for name in target.outputs if name not in target.inputs],
+        interface=target.interface,
+        tick_s=target.tick_s,
         step_s=step_s,
-        subject=f"{to_print.what} as FMU",
+        subject=f"{target.what} as FMU",
     )
     return Fmu(
         source,
-        [*_tunable(scenario, to_print, source), *_initial(scenario, source)],
+        [*_tunable(scenario, target, source), *_initial(scenario, source)],
         fmi,
         f"{TOOL} {__version__}",
-        f"{_DESCRIPTIONS[to_print.what]} of a polycentric knee exoskeleton",
-        _starts(scenario, to_print, source),
+        f"{_DESCRIPTIONS[target.what]} of a polycentric knee exoskeleton",
+        _starts(scenario, target, source),
         scenario.simulation.duration_s,
     )
 
@@ -154,13 +159,13 @@ _DESCRIPTIONS = {
 # ------------------------------------------------------------------------------- parameters
 
 
-def _tunable(scenario: Scenario, of: Target, source: CSource) -> Iterator[Parameter]:
-    """Parameters with names of the scenario, then those of the other Context parameters."""
-    prefix = "controller/" if of.what == "controller" else ""
+def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[FmuParameter]:
+    """Yield parameters for numbers of the scenario, then for the other Context parameters."""
+    prefix = "controller/" if target.what == "controller" else ""
     names = [f"{prefix}{name}" for name in source.equations.parameters]
     members = dict(zip(names, source.plan.members, strict=True))
     values = dict(zip(names, source.parameters.tolist(), strict=True))
-    if of.what == "plant":  # which depends on no controller
+    if target.what == "plant":  # no controller reaches it
         scenario = scenario.model_copy(update={"controller": SlidingModeParameters()})
     custom = isinstance(scenario.controller, CustomControllerParameters)
     effects = {} if custom else parameter_effects(scenario, names)
@@ -173,38 +178,39 @@ def _tunable(scenario: Scenario, of: Target, source: CSource) -> Iterator[Parame
             continue
         set_by_scenario |= group
         low, high = limits_of(_field(scenario, path))
-        told = f"sets {', '.join(sorted(group))}"
-        told += f"; {provenance_of(_field(scenario, path))}"
-        told += at_rest * effects[path].start
-        kept = tuple(members[name] for name in names if name in group)
-        yield Parameter(path, values[min(group)], kept, told, low, high)
+        description = f"sets {', '.join(sorted(group))}"
+        description += f"; {provenance_of(_field(scenario, path))}"
+        description += at_rest * effects[path].start
+        fields = tuple(members[name] for name in names if name in group)
+        yield FmuParameter(path, values[min(group)], fields, description, low, high)
     for name in names:
         if name in set_by_scenario:
             continue
         origin = [path for path, effect in effects.items() if name in effect.touched]
-        told = f"Context parameter {name}"
-        told += f", computed from {', '.join(origin)}" if origin else ""
-        told += at_rest * any(effects[path].start for path in origin)
-        yield Parameter(members[name], values[name], (members[name],), told)
+        description = f"Context parameter {name}"
+        description += f", computed from {', '.join(origin)}" if origin else ""
+        description += at_rest * any(effects[path].start for path in origin)
+        yield FmuParameter(members[name], values[name], (members[name],), description)
 
 
 @dataclass(frozen=True)
 class Effect:
-    """What a number of the scenario changes."""
+    """The reach of one number of the scenario."""
 
     touched: set[str]
-    """Context parameters that follow it."""
+    """Context parameters that change with the number."""
     same: set[str]
-    """All of these, where they are always equal to it; else none."""
+    """All of ``touched`` if each of them always equals the number; otherwise empty."""
     start: bool
-    """Whether the start of the plant follows it."""
+    """Whether the initial state of the plant changes with the number."""
 
 
 def parameter_effects(scenario: Scenario, names: list[str]) -> dict[str, Effect]:
-    """Of each number of a scenario, by its dotted path, what it changes of Context parameters.
+    """Return which Context parameters each number of a scenario changes, by its dotted path.
 
-    Each number is set to the ends of its range and to several others, as far as the scenario
-    allows; a change of the form of the equations does not count.
+    The function sets each number to the ends of its range and to several other values, and
+    compares the Context parameters ``names``. Values that the scenario refuses, and values that
+    change the form of the equations, are left out. So are numbers that change no parameter.
     """
     before, start = scenario_values(scenario), scenario_start(scenario)
     effects = {}
@@ -237,9 +243,9 @@ def _start(scenario: Scenario, default: dict[str, float]) -> dict[str, float]:
 
 
 def _numbers(parameters: Parameters, path: str = "") -> Iterator[tuple[str, float, list[Any]]]:
-    """Each number of parameters: its path, its value, and other values of the field at that path.
+    """Yield for each number of parameters its path, its value, and other values of its field.
 
-    A number of a tuple has the path ``name[index]``.
+    A number in a tuple has the path ``name[index]``; the other values are whole tuples.
     """
     for name, field in type(parameters).model_fields.items():
         value = getattr(parameters, name)
@@ -263,34 +269,34 @@ def _field(scenario: Scenario, path: str) -> Any:
     return type(holder).model_fields[name]
 
 
-def _initial(scenario: Scenario, source: CSource) -> Iterator[Parameter]:
-    """The initial states of the plant, which rests at an angle of the knee."""
+def _initial(scenario: Scenario, source: CSource) -> Iterator[FmuParameter]:
+    """Yield a parameter for each initial state of the plant, which starts at rest."""
     start = math.degrees(knee_reference.start_angle_rad(scenario.reference))
     variables = plant_states(scenario)
-    told = f"the scenario starts at rest, the knee at {start:.6g} deg"
+    description = f"the scenario starts at rest, the knee at {start:.6g} deg"
     if scenario.initial_offset_m:
-        told += f", the rod {scenario.initial_offset_m:g} m further out"
+        description += f", the rod {scenario.initial_offset_m:g} m further out"
     for i, name in enumerate(source.equations.states):
         if name in variables:
             column, factor = variables[name]
-            yield Parameter(
+            yield FmuParameter(
                 f"initial.{column}",
                 factor * float(source.state.continuous[i]),
                 (f"initial_x[{i}]",),
-                told,
+                description,
                 divisor=factor,
                 tunable=False,
             )
 
 
-def _starts(scenario: Scenario, of: Target, source: CSource) -> dict[str, float]:
-    """Start values of inputs: what the closed loop gives at its start, zero where it gives none."""
+def _starts(scenario: Scenario, target: Target, source: CSource) -> dict[str, float]:
+    """Return the values of inputs at the start of the closed loop; others are left out."""
     loop = make_closed_loop(scenario, signals=())
     context = loop.CreateDefaultContext()
     plant = loop.GetSubsystemByName("plant")
     within = plant.GetMyContextFromRoot(context)
     values: dict[str, list[float]] = {}
-    for name in of.inputs:
+    for name in target.inputs:
         if loop.HasOutputPort(name):
             values[name] = loop.GetOutputPort(name).Eval(context).tolist()
         elif plant.HasOutputPort(name):
@@ -304,7 +310,7 @@ def _starts(scenario: Scenario, of: Target, source: CSource) -> dict[str, float]
 
 
 def _require_own(file: Path) -> None:
-    """Raise `OutputError` where something lies that we did not make."""
+    """Raise `OutputError` if a file exists that is no FMU of kneexo."""
     try:
         tool = generation_tool(read_bytes(file, _MOST_BYTES))
     except (FileNotFoundError, NotADirectoryError):
@@ -313,5 +319,5 @@ def _require_own(file: Path) -> None:
         reason = error.strerror or error
         raise OutputError(f"--out {shown(file)}: {reason}; choose another file") from None
     if not (tool or "").startswith(TOOL):
-        what = "no FMU" if tool is None else f"an FMU of {shown(tool) or 'another tool'}"
-        raise OutputError(f"--out {shown(file)}: is {what}; choose another file")
+        kind = "no FMU" if tool is None else f"an FMU of {shown(tool) or 'another tool'}"
+        raise OutputError(f"--out {shown(file)}: is {kind}; choose another file")

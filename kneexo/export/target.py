@@ -1,4 +1,4 @@
-"""What is exported of a scenario: its controller, its plant or its closed loop."""
+"""Diagrams to export: controller, plant or closed loop of a scenario, with their ports."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Gain
 
 from kneexo import linkage
-from kneexo.compiler.c.interface import Interface
-from kneexo.compiler.c.step_size import rk4_step_s
-from kneexo.compiler.model import compile_diagram
+from kneexo.compiler import Interface, read_diagram, rk4_step_s
 from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
 from kneexo.diagrams.signals import SIGNALS
@@ -22,9 +20,9 @@ from kneexo.parameters import SampledReference, Scenario, SimulationParameters
 from kneexo.parameters.quantity import limits_of
 
 What = Literal["controller", "plant", "loop"]
-"""What can be exported."""
+"""Name of a part of a scenario that can be exported."""
 WHAT: tuple[What, ...] = ("controller", "plant", "loop")
-"""All that can be exported."""
+"""Names of all parts of a scenario that can be exported."""
 
 ENCODER_COUNT = "encoder_count"
 """Name of the port that carries the encoder's count."""
@@ -49,23 +47,23 @@ class Target:
     outputs: tuple[str, ...]
     interface: Interface
     tick_s: float | None
-    """Time of a step, where the diagram has no sample time."""
+    """Time in s that a step covers; None for a diagram with a sample time."""
 
 
-def target(scenario: Scenario, what: str, *, counts: bool = False) -> Target:
-    """The diagram of a scenario that is exported.
+def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Target:
+    """Return a diagram of a scenario, with everything that an export must know about its ports.
 
     ``controller``
-        `make_controller`: encoder reading and knee reference in, motor speed command out. With
-        ``counts`` the reading is the encoder's count, a whole number.
+        `make_controller`. Inputs: encoder reading and knee reference. Output: motor speed command.
+        With ``counts``, the count of a quantized encoder, a whole number, replaces the reading.
     ``plant``
-        The plant with its encoder: motor speed command in, and forces from outside; encoder reading
-        and the plant's signals out.
+        The plant with its encoder. Inputs: motor speed command and external forces. Outputs:
+        encoder reading and the signals of the plant.
     ``loop``
-        `make_closed_loop`: all available signals out; in what comes from outside, and the reference
-        when it is sampled.
+        `make_closed_loop`. Inputs: external forces, and the knee reference if it is sampled.
+        Outputs: all available signals.
 
-    Raises `ParameterError` for another ``what``, and as `make_closed_loop` does.
+    Raises `ParameterError` for another ``what``, and the errors of `make_closed_loop`.
     """
     if what not in WHAT:
         raise ParameterError(f"what = {what!r}: must be one of {', '.join(WHAT)}")
@@ -75,13 +73,13 @@ def target(scenario: Scenario, what: str, *, counts: bool = False) -> Target:
 
 
 def largest_step_s(scenario: Scenario, what: str) -> float:
-    """Largest step of RK4 of an exported target in s, where none is given: see `rk4_step_s`.
+    """Return the default of the largest step of RK4 of a target in s: see `rk4_step_s`.
 
-    Raises as `target`.
+    Raises the errors of `make_target`.
     """
-    to_print = target(scenario, what)
-    model = compile_diagram(to_print.diagram, inputs=to_print.inputs)
-    return rk4_step_s(model.code.program.equations, model.parameters(), model.state())
+    target = make_target(scenario, what)
+    diagram = read_diagram(target.diagram, inputs=target.inputs)
+    return rk4_step_s(diagram.equations, diagram.parameters(), diagram.state())
 
 
 def require_step(step_s: float | None) -> None:
@@ -121,10 +119,11 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
 
 
 def count_range(scenario: Scenario) -> tuple[float, float]:
-    """Lowest and highest count that the controller takes: a knee between its stops, or just beyond.
+    """Return the lowest and highest encoder count that the controller accepts.
 
-    θ_4 by Eq. 3–7 of the stops and the overshoot that the plant allows, with the mounting error on
-    either side, less the phase.
+    The counts are those of θ_4 (Eq. 3–7) less the phase of the encoder, for all knee angles between
+    the stops and up to the allowed overshoot beyond. One count and the mounting error are added on
+    either side.
     """
     encoder, plant = scenario.encoder, scenario.believed_plant
     knee = plant.knee
@@ -136,10 +135,10 @@ def count_range(scenario: Scenario) -> tuple[float, float]:
 
 
 def reference_range_rad(scenario: Scenario) -> tuple[float, float]:
-    """Lowest and highest knee angle that the controller takes as reference.
+    """Return the lowest and highest reference of the knee angle that the controller accepts.
 
-    As `require_reference_in_range`: the range of motion and the overshoot beyond. An angle far
-    outside would fill the integral of a PID for longer than it lasts.
+    The range is that of `require_reference_in_range`: the range of motion, and the allowed
+    overshoot beyond. An angle far outside would wind up the integral of a PID.
     """
     knee = scenario.plant.knee
     return (

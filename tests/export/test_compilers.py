@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from pydrake.systems.primitives import Gain, Integrator, ZeroOrderHold
 
-from kneexo.compiler.c.export import files_of, source_of
-from kneexo.compiler.model import compile_diagram
+from kneexo.compiler import read_diagram
+from kneexo.compiler.c.export import files_of
+from kneexo.compiler.c.source import source_of
 from kneexo.export.firmware import make_firmware
 from kneexo.export.target import count_range, reference_range_rad
 from kneexo.parameters import Scenario
@@ -107,9 +108,11 @@ def test_compilers_have_nothing_to_say_of_a_users_controller(tmp_path, tool, bac
 )
 def test_compilers_have_nothing_to_say_of_small_systems(tmp_path, tool, system, precision):
     (port,) = (system.get_input_port(i).get_name() for i in range(system.num_input_ports()))
-    model = compile_diagram(system, inputs=[port])
-    tick_s = None if model.sample_times_s else 0.1
-    compiles(tmp_path, tool, source_of(model, "small", precision=precision, tick_s=tick_s).files())
+    diagram = read_diagram(system, inputs=[port])
+    tick_s = None if diagram.equations.updates else 0.1
+    compiles(
+        tmp_path, tool, source_of(diagram, "small", precision=precision, tick_s=tick_s).files()
+    )
 
 
 def test_a_warning_would_be_seen(tmp_path, tool):

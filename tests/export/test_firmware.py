@@ -17,7 +17,7 @@ from kneexo.compiler.c import build as c_build, export as c_export
 from kneexo.errors import ParameterError
 from kneexo.export import firmware
 from kneexo.export.firmware import loop_inputs, make_firmware
-from kneexo.export.target import largest_step_s, target
+from kneexo.export.target import largest_step_s, make_target
 from kneexo.parameters import Scenario
 from kneexo.simulation import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
@@ -127,7 +127,7 @@ def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys, no_compiler):
 
 def test_what_comes_from_outside_is_zero():
     scenario = scenario_of(plant={"load": {"kind": "knee"}})
-    exported = target(scenario, "plant")
+    exported = make_target(scenario, "plant")
     source, vectors = make_firmware(scenario, "plant", vectors_s=0.1)
     names = [field.name for field in source.plan.inputs]
     assert names == ["motor_speed_command_rad_s", "disturbance_force_n", "knee_torque_n_m"]

@@ -21,7 +21,7 @@ from kneexo.compiler.c.vectors import recorded_vectors
 from kneexo.compiler.equations.contexts import parameters_of, state_of
 from kneexo.compiler.equations.tree import Node
 from kneexo.export.firmware import loop_inputs
-from kneexo.export.target import largest_step_s, target
+from kneexo.export.target import largest_step_s, make_target
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY, draw, realize
@@ -98,7 +98,7 @@ def test_parameters_of_the_uncertainty_set_go_into_a_single_build(exported):
     largest, kinds = dict.fromkeys(TOLERANCES, 0.0), set()
     for values in draw(UNCERTAINTY, SAMPLES, seed=2020):
         scenario = realize(UNCERTAIN_KNEE, UNCERTAINTY, values)
-        sample = target(scenario, "controller", counts=True)
+        sample = make_target(scenario, "controller", counts=True)
         root, context = Node(sample.diagram), sample.diagram.CreateDefaultContext()
         state = state_of(root, context)
         sampled = replace(source, parameters=parameters_of(root, context), state=state)

@@ -7,7 +7,7 @@ from kneexo import linkage
 from kneexo.analysis import linearize_plant
 from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.errors import ParameterError
-from kneexo.export.target import WHAT, count_range, largest_step_s, require_step, target
+from kneexo.export.target import WHAT, count_range, largest_step_s, make_target, require_step
 from kneexo.parameters import Scenario
 
 LOADED = {"plant": {"load": {"kind": "knee"}}}
@@ -24,7 +24,7 @@ def ports(diagram):
 
 
 def test_a_controller_reads_counts_or_the_angle():
-    counts, angle = (target(Scenario(), "controller", counts=flag) for flag in (True, False))
+    counts, angle = (make_target(Scenario(), "controller", counts=flag) for flag in (True, False))
     assert counts.inputs == ("encoder_count", "knee_reference")
     assert set(angle.inputs) == {"encoder_reading", "knee_reference"}
     assert counts.interface.integers == {"encoder_count"}
@@ -41,18 +41,18 @@ def test_a_controller_reads_counts_or_the_angle():
 
 
 def test_an_encoder_that_is_not_quantized_has_no_counts():
-    exact = target(scenario_of(encoder={"quantized": False}), "controller", counts=True)
+    exact = make_target(scenario_of(encoder={"quantized": False}), "controller", counts=True)
     assert set(exact.inputs) == {"encoder_reading", "knee_reference"}
     assert set(exact.interface.ranges) == {"knee_reference_rad"}
 
 
 def test_exact_states_are_an_input():
-    exact = target(scenario_of(estimator={"kind": "exact"}), "controller", counts=True)
+    exact = make_target(scenario_of(estimator={"kind": "exact"}), "controller", counts=True)
     assert exact.inputs == ("encoder_count", "knee_reference", "rod_state")
 
 
 def test_fields_of_the_rod_state_follow_its_port():
-    exported = target(scenario_of(estimator={"kind": "exact"}), "controller")
+    exported = make_target(scenario_of(estimator={"kind": "exact"}), "controller")
     plant = make_plant()
     context = plant.CreateDefaultContext()
     state = np.array([0.3, 0.12, 0.034, 0.5])  # motor speed, extension, velocity, pressure
@@ -86,7 +86,7 @@ def test_counts_are_taken_where_the_knee_may_be(fields):
 
 
 def test_the_plant_has_its_encoder_and_all_signals_of_the_plant():
-    exported = target(scenario_of(**LOADED), "plant")
+    exported = make_target(scenario_of(**LOADED), "plant")
     assert exported.inputs == ("motor_speed_command", "disturbance_force", "knee_torque")
     assert exported.outputs[0] == "encoder_reading"
     assert {"knee_angle", "rod_extension", "load_pressure"} <= set(exported.outputs)
@@ -96,25 +96,25 @@ def test_the_plant_has_its_encoder_and_all_signals_of_the_plant():
 
 
 def test_the_loop_is_the_closed_loop():
-    exported = target(Scenario(), "loop")
+    exported = make_target(Scenario(), "loop")
     loop = make_closed_loop(Scenario(), signals=())
     assert ports(exported.diagram) == ports(loop)
     sampled = scenario_of(
         reference={"kind": "samples", "times_s": [0, 1, 2], "angles_deg": [10, 20, 10]}
     )
-    assert "knee_reference" in target(sampled, "loop").inputs
+    assert "knee_reference" in make_target(sampled, "loop").inputs
 
 
 def test_a_reference_is_taken_within_the_range_of_motion_and_its_overshoot():
     scenario = scenario_of(plant={"knee": {"flexion_max_deg": 80.0, "overshoot_deg": 0.25}})
-    exported = target(scenario, "controller", counts=True)
+    exported = make_target(scenario, "controller", counts=True)
     (field, *_) = exported.interface.fields["knee_reference"]
     assert np.degrees(exported.interface.ranges[field]) == pytest.approx([-0.25, 80.25])
 
 
 @pytest.mark.parametrize("what", WHAT)
 def test_every_port_has_names_in_c_that_end_in_a_unit(what):
-    exported = target(scenario_of(**LOADED), what)
+    exported = make_target(scenario_of(**LOADED), what)
     fields = exported.interface.fields
     units = ("_rad", "_rad_s", "_rad_s2", "_rad_s3", "_m", "_m_s", "_m_s2", "_m_s3", "_m3_s")
     for port in (*exported.inputs, *exported.outputs):
@@ -160,9 +160,9 @@ def test_a_count_falls_with_flexion_from_its_zero_at_the_phase(fields):
 
 def test_bad_targets_are_one_line():
     with pytest.raises(ParameterError, match="what = 'motor': must be one of controller, plant"):
-        target(Scenario(), "motor")
+        make_target(Scenario(), "motor")
     continuous = scenario_of(
         controller={"kind": "smc", "continuous": True}, estimator={"kind": "exact"}
     )
     with pytest.raises(ParameterError, match=r"controller.continuous = true: has no sample time"):
-        target(continuous, "controller")
+        make_target(continuous, "controller")

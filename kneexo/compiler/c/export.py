@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import System
 
+from ..diagram_equations import read_diagram
 from ..errors import CompilationError
 from ..files import require_marked, write_folder
-from ..model import DiagramModel, compile_diagram
 from ..run_data import Array
 from .build import BUILD, BuildError, CodeSize, Replay, code_sizes, replay
 from .interface import Field
 from .printer import literal
-from .source import MARK, CSource
+from .source import MARK, CSource, source_of
 from .template import rendered
 from .vectors import Vectors, recorded_vectors
 
-TOLERANCES = {"double": 1e-9, "float": 1e-3}
+REPLAY_TOLERANCES = {"double": 1e-9, "float": 1e-3}
 """Largest difference that the harness accepts, relative to the largest value of the output."""
 
 
@@ -86,20 +86,12 @@ def export_c(
         The compiled diagram, which makes the test vectors, fails.
     """
     require_export_folder(directory)
-    source = source_of(compile_diagram(diagram, inputs=inputs), name, context, **options)
+    source = source_of(read_diagram(diagram, inputs=inputs), name, context, **options)
     width = len(source.plan.inputs)
     rows = np.zeros((steps, width)) if samples is None else np.array(samples, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != width or not len(rows):
         raise CompilationError(f"samples has the shape {rows.shape}: must be (steps, {width})")
-    files, measurement = exported(source, recorded_vectors(diagram, source, rows))
-    write_export(directory, files)
-    return measurement
-
-
-def source_of(model: DiagramModel, name: str, context: Any = None, **options: Any) -> CSource:
-    """Return the C source of a compiled diagram; ``options`` are options of `CSource`."""
-    equations = model.code.program.equations
-    return CSource(equations, name, model.parameters(context), model.state(context), **options)
+    return write_c(directory, source, recorded_vectors(diagram, source, rows))
 
 
 def require_export_folder(directory: str | os.PathLike[str]) -> None:
@@ -107,14 +99,17 @@ def require_export_folder(directory: str | os.PathLike[str]) -> None:
     require_marked(Path(directory), MARK, "an export", BUILD)
 
 
-def write_export(directory: str | os.PathLike[str], files: dict[str, str]) -> None:
-    """Write ``files`` into the directory and delete the other files of the last export there.
+def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors) -> Measurement:
+    """Build, run and measure a model in C, and write its folder.
 
-    Raises `OutputError` as `require_export_folder`, and if a file cannot be written. Then the
-    files of the last export stay.
+    Files of the last export in the directory are replaced, and the others of them deleted. Raises
+    `OutputError` as `require_export_folder`, and if a file cannot be written; then the files of the
+    last export stay.
     """
+    files, measurement = exported(source, vectors)
     require_export_folder(directory)
     write_folder(Path(directory), files, keep=BUILD)
+    return measurement
 
 
 def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measurement]:
@@ -144,7 +139,7 @@ def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
     plan = source.plan
     rows = zip(vectors.inputs.tolist(), vectors.outputs.tolist(), strict=True)
     data = source.template_data | {
-        "tolerance": TOLERANCES[source.precision],
+        "tolerance": REPLAY_TOLERANCES[source.precision],
         "vectors": [
             (_values(source, plan.inputs, inputs), _values(source, plan.outputs, outputs))
             for inputs, outputs in rows

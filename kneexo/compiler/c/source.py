@@ -12,10 +12,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+from ..diagram_equations import DiagramEquations
 from ..equations.equations import Equations
 from ..errors import CompilationError
 from ..root import ROOT
@@ -104,7 +105,9 @@ class CSource:
     @cached_property
     def plan(self) -> Plan:
         """Everything that is printed, as data."""
-        equations, real = self.equations, PRECISIONS[self.precision]
+        real = PRECISIONS[self.precision]
+        # The printers add nodes of their own, and the key of machine code depends on all nodes.
+        equations = replace(self.equations, graph=self.equations.graph.copy())
         nodes = {port: equations.outputs[port] for port in self.output_ports}
         output_nodes = tuple(node for port_nodes in nodes.values() for node in port_nodes)
         inputs = self.interface.members(equations.inputs)
@@ -230,6 +233,16 @@ class CSource:
             ("c", self.functions.constant_count, "what depends on parameters alone"),
         ]
         return [row for row in rows if row[1]]
+
+
+def source_of(diagram: DiagramEquations, name: str, context: Any = None, **options: Any) -> CSource:
+    """Return the model in C of a diagram that `read_diagram` has read.
+
+    Parameters and state are those of ``context``, by default of the default Context. ``options``
+    are options of `CSource`.
+    """
+    values = diagram.parameters(context), diagram.state(context)
+    return CSource(diagram.equations, name, *values, **options)
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import ZeroOrderHold
 
+from ..diagram_equations import DiagramEquations
 from ..errors import CompilationError
-from ..model import compile_diagram
+from ..model import DiagramModel, compile_diagram
 from ..run_data import Array, InputTable, State
 from .source import CSource
 
@@ -33,7 +34,7 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     Parameters
     ----------
     diagram
-        The diagram of the source.
+        The diagram from which the equations of the source were read.
     source
         The model in C; it gives parameters, state, ticks and outputs.
     inputs
@@ -47,6 +48,7 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
         The run fails.
     """
     schedule, equations, state = source.plan.schedule, source.equations, source.state
+    model = DiagramModel(DiagramEquations(diagram, equations))
     tick_s, steps, ports = schedule.tick_s, len(inputs), tuple(source.equations.inputs)
     ends_s: Array = tick_s * np.arange(1.0, steps + 1.0)
     if equations.states and ports:
@@ -57,9 +59,8 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
                 f"inputs that are constant"
             )
         if not equations.updates:
-            diagram = _with_holds(diagram, ports, tick_s)
+            model = compile_diagram(_with_holds(diagram, ports, tick_s), inputs=ports)
             state = State(state.continuous, np.concatenate([state.discrete, inputs[0]]))
-    model = compile_diagram(diagram, inputs=ports)
     table = model.no_inputs
     if ports:
         table = InputTable(ends_s, np.concatenate([inputs, inputs[-1:]])[:, :, None])

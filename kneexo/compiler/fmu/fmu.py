@@ -23,9 +23,9 @@ from ..c.template import rendered
 from ..errors import CompilationError
 from ..root import ROOT
 from .description import Header, build_description, model_description
-from .variables import Parameter, VariableTable
+from .variables import FmuParameter, VariableTable
 
-VERSIONS = (2, 3)
+FMI_VERSIONS = (2, 3)
 """Versions of the FMI standard."""
 
 _PLATFORMS = {2: "linux64", 3: "x86_64-linux"}
@@ -58,7 +58,7 @@ class Fmu:
     """
 
     source: CSource
-    parameters: Sequence[Parameter] = ()
+    parameters: Sequence[FmuParameter] = ()
     fmi: int = 3
     tool: str = ROOT
     description: str = ""
@@ -68,7 +68,7 @@ class Fmu:
     def __post_init__(self) -> None:
         """Check the arguments."""
         source = self.source
-        if self.fmi not in VERSIONS:
+        if self.fmi not in FMI_VERSIONS:
             raise CompilationError(f"fmi = {self.fmi!r}: must be one of 2, 3")
         if source.precision != "double":
             raise CompilationError(f"precision = {source.precision!r}: must be double in an FMU")

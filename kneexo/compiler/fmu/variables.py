@@ -17,7 +17,7 @@ Causality = Literal["independent", "input", "parameter", "output", "local"]
 
 
 @dataclass(frozen=True)
-class Parameter:
+class FmuParameter:
     """A parameter of an FMU; its value, divided by ``divisor``, sets members of the struct in C."""
 
     name: str
@@ -70,7 +70,7 @@ class VariableTable:
     """
 
     def __init__(
-        self, plan: Plan, parameters: Iterable[Parameter], starts: Mapping[str, float]
+        self, plan: Plan, parameters: Iterable[FmuParameter], starts: Mapping[str, float]
     ) -> None:
         self._plan = plan
         self._states = [f"initial_x[{i}]" for i in range(len(plan.equations.states))]
@@ -119,7 +119,7 @@ class VariableTable:
         """Return the value references of all variables of a causality."""
         return [i for i, v in enumerate(self.variables) if v.causality == causality]
 
-    def assignments(self) -> list[tuple[str, int, Parameter]]:
+    def assignments(self) -> list[tuple[str, int, FmuParameter]]:
         """Return each member that a parameter sets, with value reference and parameter."""
         pairs = zip(self.references("parameter"), self.parameters, strict=True)
         return [(member, i, parameter) for i, parameter in pairs for member in parameter.members]

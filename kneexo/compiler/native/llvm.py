@@ -13,6 +13,8 @@ from typing import Any
 import llvmlite
 import llvmlite.binding as llvm
 
+from ..root import variable
+
 LANES = 8
 """Runs in lock-step: a vector of AVX-512, or two of AVX2, whose operations then overlap."""
 
@@ -41,7 +43,7 @@ def _start() -> None:
 def processor() -> Processor:
     """The processor of this machine, or the one that ``KNEEXO_CPU`` names (x86-64-v3 …)."""
     _start()
-    chosen = os.environ.get("KNEEXO_CPU")
+    chosen = os.environ.get(variable("CPU"))
     if chosen:
         return Processor(chosen, "")
     return Processor(llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())

@@ -9,17 +9,17 @@ import pytest
 from pydrake.symbolic import Variable
 from pydrake.systems.primitives import LinearSystem, Sine, SymbolicVectorSystem
 
-from kneexo.compiler import export_c
+from kneexo.compiler import export_c, read_diagram, source_of
 from kneexo.compiler.c import build as c_build
 from kneexo.compiler.c.build import BuildError, CodeSize, Replay, code_sizes, replay
-from kneexo.compiler.c.export import Measurement, _measured, exported, source_of, write_export
+from kneexo.compiler.c.export import Measurement, _measured, exported
 from kneexo.compiler.c.source import CSource
 from kneexo.compiler.c.vectors import Vectors, recorded_vectors
 from kneexo.compiler.equations.equations import Equations
 from kneexo.compiler.equations.graph import Graph
-from kneexo.compiler.model import compile_diagram
+from kneexo.compiler.errors import CompilationError, OutputError, SimulationError
+from kneexo.compiler.files import write_folder
 from kneexo.compiler.run_data import State
-from kneexo.errors import CompilationError, OutputError, SimulationError
 
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
 FILES = {
@@ -58,8 +58,8 @@ def no_targets(monkeypatch):
 
 def test_vectors_are_the_outputs_after_each_step():
     for feedthrough in (0.0, 3.0):
-        model = compile_diagram(low_pass(feedthrough), inputs=["u0"])
-        vectors = recorded_vectors(low_pass(feedthrough), source_of(model, "m"), SAMPLES)
+        read = read_diagram(low_pass(feedthrough), inputs=["u0"])
+        vectors = recorded_vectors(low_pass(feedthrough), source_of(read, "m"), SAMPLES)
         x, expected = 0.0, []
         for (u,) in SAMPLES:
             x = 0.5 * x + u
@@ -78,7 +78,7 @@ def test_inputs_that_vary_need_a_diagram_without_sample_times_or_without_states(
     builder.ExportInput(plant.get_input_port(), "u")
     builder.ExportOutput(law.get_output_port(), "y")
     diagram = builder.Build()
-    source = source_of(compile_diagram(diagram, inputs=["u"]), "m")
+    source = source_of(read_diagram(diagram, inputs=["u"]), "m")
     constant = np.full((50, 1), 2.0)
     assert np.ptp(recorded_vectors(diagram, source, constant).outputs) > 0.0
     with pytest.raises(CompilationError, match="test vectors need inputs that are constant"):
@@ -88,7 +88,7 @@ def test_inputs_that_vary_need_a_diagram_without_sample_times_or_without_states(
 @needs_compiler
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_the_harness_reports_differences(precision, no_targets):
-    source = source_of(compile_diagram(low_pass(), inputs=["u0"]), "filter", precision=precision)
+    source = source_of(read_diagram(low_pass(), inputs=["u0"]), "filter", precision=precision)
     vectors = recorded_vectors(low_pass(), source, SAMPLES)
     files, measurement = exported(source, vectors)
     assert set(files) == FILES
@@ -130,7 +130,7 @@ def test_make_and_cmake_build_the_folder(folder, no_targets):
 
 def test_the_readme_tells_what_was_measured(folder):
     text = (folder / "README.md").read_text()
-    source = source_of(compile_diagram(low_pass(), inputs=["u0"]), "filter")
+    source = source_of(read_diagram(low_pass(), inputs=["u0"]), "filter")
     assert "call it from a timer interrupt at 100 Hz" in text
     assert "| `u0` | double | finite |" in text
     assert "    inputs.u0 = ...;\n" in text
@@ -157,7 +157,7 @@ def test_steps_follow_the_fastest_mode_of_any_diagram(tmp_path):
             stiff(), tmp_path / "unstable", step_s=2e-4, **options | {"samples": 100 * [[2.0]]}
         )
     measurement = export_c(stiff(), tmp_path / "out", **options)
-    source = source_of(compile_diagram(stiff(), inputs=["u0"]), "stiff", tick_s=2e-3)
+    source = source_of(read_diagram(stiff(), inputs=["u0"]), "stiff", tick_s=2e-3)
     assert source.plan.schedule.largest_step_s == pytest.approx(0.2 / STIFF_PER_S, rel=1e-12)
     assert source.plan.schedule.steps == 500
     text = (tmp_path / "out" / "stiff.c").read_text()
@@ -336,7 +336,7 @@ def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path):
     path = tmp_path / "out"
     path.write_text("")
     with pytest.raises(OutputError, match="cannot write there") as error:
-        write_export(path, {"a.c": ""})
+        write_folder(path, {"a.c": ""}, keep="build")
     assert "\n" not in str(error.value)
 
 

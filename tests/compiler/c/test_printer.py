@@ -11,7 +11,7 @@ from kneexo.compiler.c.printer import DOUBLE, FLOAT, WIDTH, CPrinter, comment_li
 from kneexo.compiler.equations.equations import Section
 from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.equations.operations import UNARY
-from kneexo.errors import CompilationError
+from kneexo.compiler.errors import CompilationError
 
 ORDINARY = (0.0, -0.0, 1.0, -1.0, 0.5, 2.0, 3.0, 0.1, 1e200, 1e-200, math.pi, -1e9, 2.0**52 + 1.0)
 """Constants that a literal of C can say; the sources take the other edges."""

@@ -19,14 +19,13 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from kneexo.compiler import compile_diagram
-from kneexo.compiler.c.export import source_of
+from kneexo.compiler import read_diagram
 from kneexo.compiler.c.interface import Interface, c_name
-from kneexo.compiler.c.source import CSource
+from kneexo.compiler.c.source import CSource, source_of
 from kneexo.compiler.c.vectors import recorded_vectors
 from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
+from kneexo.compiler.errors import CompilationError
 from kneexo.compiler.run_data import State
-from kneexo.errors import CompilationError
 
 
 def accumulator(increment=0.0):
@@ -44,7 +43,7 @@ def oscillator():
 
 
 def exported(diagram, name="model", inputs=(), **options):
-    return source_of(compile_diagram(diagram, inputs=inputs), name, **options)
+    return source_of(read_diagram(diagram, inputs=inputs), name, **options)
 
 
 def equations_of(graph_of, **fields):

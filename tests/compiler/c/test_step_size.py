@@ -7,9 +7,9 @@ import pytest
 
 from kneexo.compiler.c.step_size import rk4_step_s
 from kneexo.compiler.equations.equations import Equations
+from kneexo.compiler.errors import CompilationError
 from kneexo.compiler.native.runner import STEP_S
 from kneexo.compiler.run_data import State
-from kneexo.errors import CompilationError
 
 
 def linear(matrix):

@@ -11,8 +11,8 @@ from kneexo.compiler.c.tables import tables_of
 from kneexo.compiler.equations.equations import Equations, Update
 from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.equations.operations import UNARY
+from kneexo.compiler.errors import CompilationError
 from kneexo.compiler.run_data import State
-from kneexo.errors import CompilationError
 
 RANGES = {"count": (-3.0, 5.0)}
 

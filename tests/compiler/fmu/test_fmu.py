@@ -20,14 +20,14 @@ from pydrake.systems.primitives import (
     Sine,
 )
 
-from kneexo.compiler import compile_diagram
+from kneexo.compiler import read_diagram
 from kneexo.compiler.c import build as c_build
-from kneexo.compiler.c.export import source_of
 from kneexo.compiler.c.interface import Interface
+from kneexo.compiler.c.source import source_of
+from kneexo.compiler.errors import CompilationError
 from kneexo.compiler.fmu.description import generation_tool
 from kneexo.compiler.fmu.fmu import Fmu
-from kneexo.compiler.fmu.variables import Parameter
-from kneexo.errors import CompilationError
+from kneexo.compiler.fmu.variables import FmuParameter
 
 TICK_S = 0.1
 RATE_PER_S = 2.0
@@ -54,13 +54,13 @@ def _source(**options):
     builder.ExportOutput(gain.get_output_port(), "direct")
     diagram = builder.Build()
     interface = Interface({"u": ["u_m_s"], "x": ["x_m"], "late": ["late_m"], "direct": ["d_m_s"]})
-    model = compile_diagram(diagram, inputs=["u"])
-    return source_of(model, "lag", interface=interface, **options)
+    read = read_diagram(diagram, inputs=["u"])
+    return source_of(read, "lag", interface=interface, **options)
 
 
 PARAMETERS = (
-    Parameter("offset_m_s", 0.0, ("offset.group_0[0]",), "added to the input"),
-    Parameter("initial.x_mm", 500.0, ("initial_x[0]",), "where x starts", 0.0, 2e3, 1e3, False),
+    FmuParameter("offset_m_s", 0.0, ("offset.group_0[0]",), "added to the input"),
+    FmuParameter("initial.x_mm", 500.0, ("initial_x[0]",), "where x starts", 0.0, 2e3, 1e3, False),
 )
 
 
@@ -272,7 +272,7 @@ def sensitive(request, tmp_path, fmu_instance):
         ("start_per_mm", "initial_x[0]", False),
     )
     parameters = [
-        Parameter(name, 0.0, (member,), divisor=1e-3, tunable=tunable)
+        FmuParameter(name, 0.0, (member,), divisor=1e-3, tunable=tunable)
         for name, member, tunable in members
     ]
     fmu = Fmu(_source(), parameters, request.param)
@@ -425,7 +425,7 @@ def _clock(fmi):
     """Without inputs, parameters and states: sin(3 t)."""
     sine = Sine(amplitude=1.0, frequency=3.0, phase=0.0, size=1)
     sine.set_name('clock % "é"')
-    return Fmu(source_of(compile_diagram(sine), "clock", tick_s=TICK_S, outputs=["y0"]), fmi=fmi)
+    return Fmu(source_of(read_diagram(sine), "clock", tick_s=TICK_S, outputs=["y0"]), fmi=fmi)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -529,9 +529,9 @@ def test_other_machines_get_sources_alone(fmu, monkeypatch):
     [
         ({"fmi": 1}, "fmi = 1: must be one of 2, 3"),
         ({"fmi": "3"}, "fmi = '3': must be one of 2, 3"),
-        ({"parameters": [Parameter("p", 0.0, ("gain.k",))]}, "gain.k in C is unknown"),
+        ({"parameters": [FmuParameter("p", 0.0, ("gain.k",))]}, "gain.k in C is unknown"),
         ({"parameters": [*PARAMETERS, *PARAMETERS]}, "is set by two parameters"),
-        ({"parameters": [Parameter("x_m", 0.0, ())]}, "x_m: two variables of the FMU have"),
+        ({"parameters": [FmuParameter("x_m", 0.0, ())]}, "x_m: two variables of the FMU have"),
     ],
 )
 def test_wrong_descriptions_are_refused(fmu, changes, message):
