@@ -1,4 +1,4 @@
-"""What the figures of several studies have: heat maps, plain ticks, one legend for all axes."""
+"""Parts of figures that several studies share: heat maps, distributions, ticks, legends."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 from kneexo.result import Array
 
 CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
-"""Style of a text about its point."""
+"""Style of a text that is centred at its point."""
 
-_CLOSEST = 0.065  # share of an axis that a number needs
+_CLOSEST = 0.065  # smallest distance of two tick labels, as a share of the axis
 
 
 def legend_below(figure: Figure, axes: Iterable[Axes], ncols: int, **style: Any) -> None:
-    """A legend below the figure with each label of ``axes`` once."""
+    """Draw one legend below the figure; it has each label of ``axes`` once."""
     entries = {
         label: handle
         for ax in axes
@@ -32,32 +32,32 @@ def legend_below(figure: Figure, axes: Iterable[Axes], ncols: int, **style: Any)
 
 
 def cell_borders(values: ArrayLike) -> Array:
-    """Borders of cells about ``values`` (n,) on a logarithmic axis, (n + 1,)."""
+    """Return the borders (n + 1,) of cells about ``values`` (n,) on a logarithmic axis."""
     logs = np.log(np.asarray(values, dtype=float))
     half = 0.5 * np.diff(logs) if logs.size > 1 else np.array([0.5])
     return np.exp(np.concatenate([[logs[0] - half[0]], logs[:-1] + half, [logs[-1] + half[-1]]]))
 
 
 def plain_ticks(axis: Any, values: Any) -> None:
-    """Ticks at ``values`` (n,) alone, as plain numbers.
+    """Label a logarithmic axis at ``values`` (n,) only, with plain numbers.
 
-    The axis is logarithmic. A tick whose number would overlap that of the one before is left out.
+    A value too close to the last labelled one gets no tick, so that no two labels overlap.
     """
     logs = np.log(np.asarray(values, dtype=float))
     gap = _CLOSEST * float(np.ptp(logs))
-    kept: list[int] = []
+    labelled: list[int] = []
     for index, value in enumerate(logs):
-        if not kept or abs(value - logs[kept[-1]]) >= gap:
-            kept.append(index)
-    axis.set_major_locator(FixedLocator([values[index] for index in kept]))
+        if not labelled or abs(value - logs[labelled[-1]]) >= gap:
+            labelled.append(index)
+    axis.set_major_locator(FixedLocator([values[index] for index in labelled]))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def decimal_ticks(axis: Any) -> None:
-    """Ticks of a logarithmic axis as plain numbers: 1, 2, 5; 1, 3; or 1 of each decade.
+    """Label a logarithmic axis with plain numbers: 1, 2, 5 or 1, 3 or 1 of each decade.
 
-    Which of them follows from the decades that the axis shows now.
+    The more decades the axis shows at the time of the call, the fewer labels each decade gets.
     """
     low, high = sorted(axis.get_view_interval())
     decades = math.log10(high / low) if low > 0.0 else 1.0
@@ -68,10 +68,10 @@ def decimal_ticks(axis: Any) -> None:
 
 
 def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, label: str) -> None:
-    """Show ``values`` (x, y) with a colour bar; grey where they are not finite.
+    """Draw ``values`` over x and y, (len(x), len(y)), with a colour bar; grey where not finite.
 
-    What is drawn on the map later leaves its limits as they are. The label stands above the map,
-    clear of the axis of the panel on its right.
+    Both axes are logarithmic. Their limits are fixed, so that later curves do not change them. The
+    label stands above the map, clear of the panel on the right.
     """
     ax.set_facecolor("0.8")
     columns, rows = cell_borders(x), cell_borders(y)
@@ -91,3 +91,26 @@ def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, 
     if isinstance(norm, LogNorm):
         decimal_ticks(bar.ax.yaxis)
     ax.set_title(label, fontsize=9, loc="right")
+
+
+def heat_map_panels(
+    axes: Iterable[Axes], x: ArrayLike, y: ArrayLike, panels: Iterable[tuple[Array, Any, str]]
+) -> None:
+    """Draw a `heat_map` over the same x and y on each of ``axes``.
+
+    ``panels`` has values, norm and label of each map.
+    """
+    for ax, (values, norm, label) in zip(axes, panels, strict=True):
+        heat_map(ax, x, y, values, norm=norm, label=label)
+
+
+def ecdf(ax: Axes, values: ArrayLike, **style: Any) -> None:
+    """Draw the empirical distribution of ``values`` (n,): the share of them up to each value.
+
+    Infinite values count but are not drawn: the curve ends below one for inf, and begins above
+    zero for −inf.
+    """
+    ordered = np.sort(np.asarray(values, dtype=float))
+    share = np.arange(1, ordered.size + 1) / ordered.size
+    finite = np.isfinite(ordered)
+    ax.step(ordered[finite], share[finite], where="post", **style)

@@ -1,3 +1,5 @@
+import math
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from matplotlib.colors import LogNorm, Normalize
 from kneexo.studies.plots import (
     cell_borders,
     decimal_ticks,
+    ecdf,
     heat_map,
     legend_below,
     plain_ticks,
@@ -101,3 +104,11 @@ def test_a_legend_below_the_figure_has_each_label_once():
     left = [text.get_window_extent().x0 for text in legend.get_texts()]
     assert left[0] == pytest.approx(left[1])  # two columns
     assert left[0] < left[2]
+
+
+def test_a_distribution_counts_what_it_cannot_draw():
+    _, ax = plt.subplots()
+    ecdf(ax, [3.0, math.inf, 1.0, -math.inf], color="C0")
+    x, y = ax.lines[0].get_data()
+    assert list(x) == [1.0, 3.0]
+    assert list(y) == [0.5, 0.75]

@@ -17,7 +17,7 @@ from kneexo.analysis.rate_limit import (
     rate_limited_gain,
 )
 from kneexo.studies.bandwidth.study import BandwidthResult, decibel, unwrapped_deg
-from kneexo.studies.plots import heat_map, plain_ticks
+from kneexo.studies.plots import heat_map_panels, plain_ticks
 
 _MINUS_3_DB = 20.0 * math.log10(MINUS_3_DB)
 _RATIO_AT_MINUS_3_DB = 1.0 / (math.tau * rate_limit_bandwidth_hz(1.0, 1.0))  # ρ = 0.55539
@@ -45,13 +45,12 @@ def plot_map(result: BandwidthResult) -> Figure:
         result.cells[f"{limit}_limited_share"] for limit in ("speed", "acceleration")
     )
     panels = (
-        (result.gain_db, Normalize(-20.0, 3.0), "gain (dB)"),
-        (phase, Normalize(low, high), "phase (deg)"),
-        (speed_limited, share, "share of time at the speed limit"),
-        (acceleration_limited, share, "share of time at the acceleration limit"),
+        (result.gain_db.T, Normalize(-20.0, 3.0), "gain (dB)"),
+        (phase.T, Normalize(low, high), "phase (deg)"),
+        (speed_limited.T, share, "share of time at the speed limit"),
+        (acceleration_limited.T, share, "share of time at the acceleration limit"),
     )
-    for axis, (values, norm, label) in zip(axes.flat, panels, strict=True):
-        heat_map(axis, f, amplitudes, values.T, norm=norm, label=label)
+    heat_map_panels(axes.flat, f, amplitudes, panels)
     for axis in axes[1]:
         measured = result.bandwidths["measured_hz"]
         axis.plot(measured, amplitudes, "wo", mec="k", ms=5, label="−3 dB, measured")

@@ -8,27 +8,29 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from kneexo.result import Array
 from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestResult, errors_of
-from kneexo.studies.plots import decimal_ticks, legend_below
+from kneexo.studies.plots import decimal_ticks, ecdf, legend_below
 
 
 def outcome(result: ContestResult) -> Figure:
-    """Errors over the test plants, at both tasks, and the margin beside them."""
+    """Draw the distributions of the errors at both references, and the margins over the errors."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
-    share = (np.arange(len(result.samples)) + 1.0) / len(result.samples)
     for index, name in enumerate(result.entrants):
         tuned = name in result.settings.contestants
         style: dict[str, Any] = {"color": f"C{index}", "lw": 2.0 if tuned else 1.0}
         style["ls"] = "-" if tuned else "--"
-        errors, other_reference = (
-            _drawn(errors_of(of[name])) for of in (result.tested, result.other_reference)
-        )
-        axes[0].step(np.sort(errors), share, where="post", label=name, **style)
-        axes[1].step(np.sort(other_reference), share, where="post", **style)
+        errors = errors_of(result.tested[name])
+        ecdf(axes[0], errors, label=name, **style)
+        ecdf(axes[1], errors_of(result.other_reference[name]), **style)
         margins = [values["disk_margin"] for values in result.tested[name]]
         axes[2].plot(
-            errors, margins, "o" if tuned else "x", ms=3.5, color=f"C{index}", alpha=0.6, mew=0.8
+            np.where(np.isfinite(errors), errors, np.nan),
+            margins,
+            "o" if tuned else "x",
+            ms=3.5,
+            color=f"C{index}",
+            alpha=0.6,
+            mew=0.8,
         )
     other = result.settings.other_reference
     axes[0].set(ylabel="share of the test plants", title="(a) the task of the tuning")
@@ -52,13 +54,8 @@ def outcome(result: ContestResult) -> Figure:
     return figure
 
 
-def _drawn(errors: Array) -> Array:
-    """Errors on an axis that has no place for those of failed runs, which are infinite."""
-    return np.where(np.isfinite(errors), errors, np.nan)
-
-
 def search(result: ContestResult) -> Figure:
-    """The best objective of each search over its evaluations; the first seed solid."""
+    """Draw the best objective of each search over its evaluations; the first seed solid."""
     figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
     names = list(result.settings.contestants)
     for tuning in result.tunings:
@@ -80,5 +77,5 @@ def search(result: ContestResult) -> Figure:
 
 
 def figures(result: ContestResult) -> dict[str, Figure]:
-    """Figures by name; the caller closes them."""
+    """Return the figures by name; the caller closes them."""
     return {"contest": outcome(result), "contest_search": search(result)}

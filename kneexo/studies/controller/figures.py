@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 
 from kneexo.result import Array
 from kneexo.studies.controller.result import ControllerResult, ideal_settling_time_s, observed_smc
-from kneexo.studies.plots import heat_map, plain_ticks
+from kneexo.studies.plots import heat_map_panels, plain_ticks
 
 _ERROR = "max error (deg)"
 _CHANGE = "mean command change (rpm/sample)"
@@ -22,15 +23,16 @@ _SHARE_NORM = Normalize(0.0, 1.0)
 _STAR: dict[str, Any] = {"marker": "*", "color": "C3", "ms": 13, "mec": "w", "ls": "none"}
 
 
-def _map(
-    ax: Axes, x: Any, y: Any, values: Array, stable: Array, default: tuple[Any, Any], **style: Any
+def _maps(
+    axes: Sequence[Axes], x: Any, y: Any, panels: Any, stable: Array, default: tuple[Any, Any]
 ) -> None:
-    """Heat map of ``values`` (x, y), the unstable loops crossed; a star at the ``default``."""
-    heat_map(ax, x, y, values, **style)
+    """Draw `heat_map_panels` with a cross at each unstable loop and a star at the ``default``."""
+    heat_map_panels(axes, x, y, panels)
     column, row = np.nonzero(stable == 0.0)
-    ax.plot(np.asarray(x)[column], np.asarray(y)[row], "x", color="C3", ms=5, mew=1.4)
-    ax.plot(*default, zorder=3, **_STAR)
-    plain_ticks(ax.xaxis, x[::2])
+    for ax in axes:
+        ax.plot(np.asarray(x)[column], np.asarray(y)[row], "x", color="C3", ms=5, mew=1.4)
+        ax.plot(*default, zorder=3, **_STAR)
+        plain_ticks(ax.xaxis, x[::2])
 
 
 def lambda_and_slope(result: ControllerResult) -> Figure:
@@ -54,8 +56,7 @@ def lambda_and_slope(result: ControllerResult) -> Figure:
         ),
         (at("disk_margin"), _SHARE_NORM, "disk margin"),
     )
-    for ax, (values, norm, label) in zip(axes.flat, panels, strict=True):
-        _map(ax, lambdas, slope, values, at("stable"), default, norm=norm, label=label)
+    _maps(list(axes.flat), lambdas, slope, panels, at("stable"), default)
     plt.setp(axes[1], xlabel="λ (1/s)")
     plt.setp(axes[:, 0], ylabel="k/Φ (1/s)")
     figure.suptitle(
@@ -74,15 +75,15 @@ def phi_and_eta(result: ControllerResult) -> Figure:
     figure, axes = plt.subplots(
         2, 2, figsize=(9.5, 7.5), layout="constrained", sharex=True, sharey=True
     )
+    at = {name: values[lambda_] for name, values in result.values.items()}
     panels = (
-        ("max_error_deg", _ERROR_NORM, _ERROR),
-        ("mean_command_change_rpm", _CHANGE_NORM, _CHANGE),
-        ("saturated_share", _SHARE_NORM, "share of samples at the speed limit"),
-        ("disk_margin", _SHARE_NORM, "disk margin"),
+        (at["max_error_deg"], _ERROR_NORM, _ERROR),
+        (at["mean_command_change_rpm"], _CHANGE_NORM, _CHANGE),
+        (at["saturated_share"], _SHARE_NORM, "share of samples at the speed limit"),
+        (at["disk_margin"], _SHARE_NORM, "disk margin"),
     )
-    for ax, (name, norm, label) in zip(axes.flat, panels, strict=True):
-        values, stable = result.values[name][lambda_], result.values["stable"][lambda_]
-        _map(ax, phis, etas, values, stable, (phis[phi], etas[eta]), norm=norm, label=label)
+    _maps(list(axes.flat), phis, etas, panels, at["stable"], (phis[phi], etas[eta]))
+    for ax in axes.flat:
         ends = np.array(ax.get_xlim())
         for power in (4, 5, 6):
             ratio = 10.0**power / beta
@@ -166,12 +167,14 @@ def limit_cycle(result: ControllerResult) -> Figure:
     times, slopes = 1e3 * np.array(grid.map_time_constants_s), grid.map_slopes_per_s
     default = (1e3 * observer.time_constant_s, law.gain_ratio * law.eta_m_s3 / law.phi_m_s2)
     stable = result.map_values["stable"]
-    for ax, name, norm, label, title in (
-        (axes[1], "max_error_deg", _ERROR_NORM, _ERROR, "(b) star: default"),
-        (axes[2], "disk_margin", _SHARE_NORM, "disk margin", "(c) cross: linearly unstable"),
-    ):
-        values = result.map_values[name]
-        _map(ax, times, slopes, values, stable, default, norm=norm, label=label)
+    values = result.map_values
+    panels = (
+        (values["max_error_deg"], _ERROR_NORM, _ERROR),
+        (values["disk_margin"], _SHARE_NORM, "disk margin"),
+    )
+    _maps(list(axes[1:]), times, slopes, panels, stable, default)
+    titles = ("(b) star: default", "(c) cross: linearly unstable")
+    for ax, title in zip(axes[1:], titles, strict=True):
         ax.plot(
             1e3 * grid.limit_cycle_time_constant_s,
             grid.limit_cycle_slope_per_s,

@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.errors import KneexoError
 from kneexo.parameters.uncertainty import realize
-from kneexo.studies.plots import CENTRED, legend_below
+from kneexo.studies.plots import CENTRED, ecdf, legend_below
 from kneexo.studies.robustness.study import (
     MERITS,
     Assessment,
@@ -53,12 +53,11 @@ def distribution(result: RobustnessResult) -> Figure:
 
 
 def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
-    values = np.sort(merit_values(result.samples, merit))
-    share = np.arange(1, values.size + 1) / values.size
+    values = merit_values(result.samples, merit)
     finite = np.isfinite(values)
     nominal = merit_value(result.nominal, merit)
     corner = worst_value(result.corners, merit)
-    ax.step(values[finite], share[finite], where="post", color="C0", label="samples")
+    ecdf(ax, values, color="C0", label="samples")
     for value, colour, ls, lw, label in (
         (nominal, "0.4", "--", 1.0, "nominal"),
         (corner, "C3", ":", 1.5, "worst corner"),
