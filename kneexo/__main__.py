@@ -5,9 +5,10 @@ import sys
 
 
 def main() -> int:
-    """Run the command line and return its exit code; Ctrl-C outside it prints no traceback.
+    """Run the command line; returns the exit code.
 
-    Modules of the working directory can be imported, as with ``python -m``.
+    Ctrl-C never prints a traceback, also while kneexo is being imported. The user's modules in the
+    working directory can be imported, as with ``python -m``.
     """
     if "" not in sys.path and not sys.flags.safe_path:
         sys.path.append("")  # last, so that a file there hides no installed module
@@ -18,7 +19,7 @@ def main() -> int:
     except KeyboardInterrupt:
         print("kneexo: interrupted", file=sys.stderr)
         return 130
-    finally:  # the end of Python has nothing to clear away
+    finally:  # a second Ctrl-C ends Python at once: nothing needs clean-up
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 

@@ -69,7 +69,10 @@ def _request(
     attributes: dict[str, Any],
     options: argparse.Namespace,
 ) -> Request:
-    """Return the request of a command; ``program`` is kneexo with the words of the command."""
+    """Return the request of a command for its parsed arguments ``options``.
+
+    ``program`` is ``kneexo`` and the name of the command, such as ``kneexo export c``.
+    """
     values = vars(options)
     path, texts = values.get("scenario"), values.get("values", ())
     choice = ScenarioChoice(path, texts, values.get("engine"))
@@ -89,7 +92,7 @@ def _request(
 
 
 def out(options: argparse.Namespace) -> Path:
-    """Return the argument of ``--out``."""
+    """Return the argument of ``--out``, for an attribute of `add_command`."""
     path: Path = options.out
     return path
 

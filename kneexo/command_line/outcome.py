@@ -1,4 +1,4 @@
-"""What a command was asked for, what it returns, and the one place that writes and prints it."""
+"""The request for a command, its outcome, and the delivery that writes and prints the outcome."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class Outcome:
     advice: str = ""
     """A line that is printed on stderr after the text, but not with JSON."""
     files: Mapping[str, str | bytes | Callable[[Path], object]] = field(default_factory=dict)
-    """Files of the output directory by name: the content, or a function that writes the file."""
+    """Content of each file of `Request.directory`, by name, or a function that writes the file."""
     figures: Mapping[str, Figure] = field(default_factory=dict)
-    """Figures by name, which become a PNG and a PDF file of the output directory."""
+    """Figures by name; each becomes a PNG and a PDF file of `Request.directory`."""
     page: str = ""
-    """Content of the output file, where the command writes a single one."""
+    """Content of `Request.file`."""
     open_in_browser: bool = False
-    """Whether the browser shows the output file."""
+    """Whether the browser shows `Request.file`."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Request:
     file: Path | None = None
     """The file for `Outcome.page`."""
     scenario: str | None = None
-    """The scenario file, which messages name."""
+    """The scenario file, whose name precedes messages of errors."""
     checkpoint_path: Path | None = None
     """The file that keeps the finished pieces of a study until its results are written."""
     restart: bool = False
@@ -62,11 +62,11 @@ class Request:
     uses_drake: bool = True
     """Whether the command imports Drake."""
     uses_workers: bool = False
-    """Whether the user can choose the number of processes."""
+    """Whether the command has ``--workers``, which the message about too little memory names."""
 
 
 class Delivery:
-    """Runs the command of a request, and writes and prints its outcome."""
+    """Runs the command of one request, and writes and prints the outcome."""
 
     def __init__(self, request: Request) -> None:
         self.request = request
@@ -94,13 +94,13 @@ class Delivery:
         return self._print(outcome)
 
     def interrupt_notice(self) -> str:
-        """Return where the results of an interrupted command are, or its finished pieces."""
+        """Return a phrase that says where an interrupted command has left results or pieces."""
         if self._written:
             return f"the results are in {shown(self.request.directory or self.request.file)}"
         return self.checkpoint_notice() or "nothing was written"
 
     def checkpoint_notice(self) -> str:
-        """Return where the finished pieces of an unfinished study are; empty if there are none."""
+        """Return a phrase that says where a study has left finished pieces; empty if nowhere."""
         path = self.request.checkpoint_path
         if path is None or not (path.exists() if self._checkpoint is None else self._checkpoint):
             return ""

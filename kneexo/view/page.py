@@ -12,7 +12,7 @@ from matplotlib.ticker import EngFormatter
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform
 
-from kneexo.files.writing import require_mark, write_file
+from kneexo.files.writing import require_mark
 from kneexo.parameters import LinkageParameters
 from kneexo.result import Array
 from kneexo.version import __version__
@@ -35,16 +35,16 @@ FRAMES_PER_S = 32.0
 """Frames per second of a recording."""
 
 MOST_FRAMES = 4800
-"""Largest number of frames of all legs of a page together, 150 s of one leg; limits it to 8 MB."""
+"""Largest sum of the frames of all legs of a page, 150 s of one leg. The page has at most 8 MB."""
 
 MOST_FRAMES_IN_REPORT = 1920
-"""Largest number of frames of a page within a report; limits it to 3 MB."""
+"""The same limit for a page within a report. The page has at most 3 MB."""
 
 MOST_LEGS = 30
-"""Largest number of legs of a page; limits it to 8 MB."""
+"""Largest number of legs of a page. The page has at most 8 MB."""
 
 MARK = "<!-- made by kneexo view -->"
-"""A comment in each page; a file without it is never replaced."""
+"""A comment in each page. No command replaces a file without this comment."""
 
 _HEAD = """
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -67,17 +67,17 @@ def shown_s(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> float:
 def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
     """Return one self-contained HTML page of legs beside each other, with a slider for the time.
 
-    The colour of a cylinder shows its load pressure, from blue for the negative to red for the
-    positive of the largest pressure of all legs. A grey shank shows the reference, and a line the
-    path of the instantaneous centre of rotation. A shorter run stays at its last pose. The page
-    ends at `shown_s`.
+    The colour of a cylinder shows its load pressure. Red is the largest magnitude of all legs, blue
+    is the same magnitude with negative sign. A grey shank shows the reference, and a line shows the
+    path of the instantaneous centre of rotation. A leg whose run is shorter stays at its last pose.
+    The page ends at `shown_s`, also if a run is longer.
     """
     meshcat = _quiet_meshcat()
     meshcat.SetProperty("/Background", "visible", False)
     look_at_legs(meshcat, len(legs))
     end_s = shown_s(legs, most_frames)
     largest = max(float(np.abs(leg.pressure_pa).max()) for leg in legs)
-    # Shown at once too, a colour would replace the object that the recording alters.
+    # A colour that is also shown now would replace the object that the recording changes.
     meshcat.StartRecording(FRAMES_PER_S, set_visualizations_while_recording=False)
     for number, (leg, depth) in enumerate(zip(legs, depths_m(len(legs)), strict=True)):
         _record(meshcat, f"/knee/leg{number}", leg, depth, largest, end_s)
@@ -89,11 +89,13 @@ def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
         "<title>Drake MeshCat</title>", f"{_HEAD}<title>{html.escape(title)}</title>", 1
     )
     page = page.replace("</body>", f"{MARK}{_caption(legs, largest, end_s)}</body>")
-    return page.encode("utf-8", "replace").decode()  # a file name may have bytes that are no text
+    return page.encode(
+        "utf-8", "replace"
+    ).decode()  # the name of a file may have bytes that are not UTF-8
 
 
 def _quiet_meshcat() -> Meshcat:
-    """Return a Meshcat; Drake does not print its address."""
+    """Return a new Meshcat, without the message of Drake that prints the address of its server."""
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(logging.WARNING)
@@ -108,16 +110,14 @@ def require_page(path: Path) -> None:
     require_mark(path, MARK, "page of kneexo view")
 
 
-def write_page(path: Path, page: str) -> None:
-    """Write a page, or replace an earlier page. Raises `OutputError` as `require_page`."""
-    require_page(path)
-    write_file(path, page.encode())
-
-
 def _record(
     meshcat: Meshcat, path: str, leg: Leg, depth_m: float, largest_pa: float, end_s: float
 ) -> None:
-    """Record a leg up to ``end_s``; ``path`` is its path in Meshcat, ``depth_m`` its y."""
+    """Record a leg up to the time ``end_s``.
+
+    ``path`` is the leg's path in Meshcat, ``depth_m`` the y of its plane, ``largest_pa`` the load
+    pressure of full colour.
+    """
     end_s = min(end_s, leg.time_s[-1])
     times = np.arange(0.0, end_s + 0.5 / FRAMES_PER_S, 1.0 / FRAMES_PER_S)
     angle, reference, pressure = (
@@ -165,10 +165,10 @@ def _move(
     placement: Placement,
     poses: Iterator[RigidTransform],
 ) -> None:
-    """Record the poses of ``placement``; a single pose if they are constant.
+    """Record the poses of ``placement`` at ``path``, or a single pose if the poses are equal.
 
-    Parts that are constant relative to the shank move with its frame. So the page holds a pose of
-    each time only for the shank and for the few parts that move otherwise.
+    The frame of the shank carries all parts that are fixed to the shank. So the page holds a pose
+    of each time only for this frame and for the few parts that move in another way.
     """
     if placement.is_constant:
         meshcat.SetTransform(path, next(poses))

@@ -15,7 +15,6 @@ from kneexo.view.page import (
     MOST_FRAMES,
     shown_s,
     view_page,
-    write_page,
 )
 from kneexo.view.parts import placements
 from kneexo.view.pressure_colour import pressure_colours
@@ -153,7 +152,7 @@ def test_the_parts_are_seen_where_the_linkage_has_them(linkage, moving, browser,
     leg, _ = leg_of_scenario("mine", Scenario.model_validate(fields))
     leg = dataclasses.replace(leg, reference_rad=0.5 * leg.knee_angle_rad)
     page = tmp_path / "knee.html"
-    write_page(page, view_page([leg, leg]))
+    page.write_text(view_page([leg, leg]), encoding="utf-8")
     browser.open(page, WIDTH, HEIGHT)
     browser.wait_for("viewer.animator.actions.length > 0")
     largest = np.abs(leg.pressure_pa).max()
@@ -188,7 +187,7 @@ def test_the_parts_are_seen_where_the_linkage_has_them(linkage, moving, browser,
 def test_a_page_plays_by_itself(size, phone, browser, tmp_path):
     leg, _ = leg_of_scenario("mine", scenario_of(simulation={"duration_s": 10.0}))
     page = tmp_path / "knee.html"
-    write_page(page, view_page([leg, leg]))
+    page.write_text(view_page([leg, leg]), encoding="utf-8")
     browser.open(page, *size, phone=phone)
     pictures = browser.views_of_playing()
     for picture in pictures:  # legs on white ground
