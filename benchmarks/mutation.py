@@ -63,6 +63,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compiler/equations/symbolic": ("compiler/equations/test_symbolic", "compiler/test_drake_zoo"),
     "compiler/equations/tree": ("compiler/equations/test_tree", "compiler/test_drake_zoo"),
     "compiler/native/arguments": ("compiler/native/test_time_loop",),
+    "compiler/native/phi_functions": ("compiler/native/test_exact_hold",),
+    "compiler/native/types": ("compiler/native/test_ir",),
     "compiler/native/ir": ("compiler/native/test_ir", "compiler/native/test_printer"),
     "compiler/native/exact_hold": (
         "compiler/native/test_exact_hold",

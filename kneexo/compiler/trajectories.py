@@ -1,4 +1,4 @@
-"""Drake's trajectories as inputs of a compiled model."""
+"""Input tables of Drake's trajectories."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from .run_data import Array, InputTable
 def input_table(
     trajectory: Any, derivatives: int = 0, *, zero_derivatives_beyond_limits: bool = True
 ) -> InputTable:
-    """The output of ``TrajectorySource(trajectory, derivatives)`` as a table.
+    """Return the output of ``TrajectorySource(trajectory, derivatives)`` as a table.
 
     Parameters
     ----------
     trajectory
-        A PiecewisePolynomial with one column. Before its start and after its end it keeps the
-        value that it has there.
+        A PiecewisePolynomial with one column. Before its start the inputs have the value at the
+        start, after its end the value at the end.
     derivatives
-        How many time derivatives follow the value: an input of ``rows · (1 + derivatives)``.
+        Number of time derivatives that follow the value; the input has
+        ``rows · (1 + derivatives)`` elements.
     zero_derivatives_beyond_limits
-        Whether the derivatives are zero before the start and after the end, or keep their value.
+        Whether the derivatives are zero before the start and after the end. Else they have the
+        values at start and end.
 
     Raises
     ------
@@ -65,10 +67,10 @@ def input_table(
 
 
 def stack_tables(*tables: InputTable) -> InputTable:
-    """One table of the inputs of several, in their order.
+    """Return one table with the inputs of several tables, in their order.
 
-    The breaks of the result are those of all tables; polynomials are rewritten for the break that
-    precedes them.
+    The result has the breaks of all tables. A polynomial is rewritten in powers of the time since
+    the last of all breaks before its segment.
     """
     breaks = np.unique(np.concatenate([_breaks(table) for table in tables]))
     inputs = sum(table.coefficients.shape[1] for table in tables)
@@ -78,8 +80,7 @@ def stack_tables(*tables: InputTable) -> InputTable:
         start = breaks[segment - 1] if segment else -np.inf
         first = 0
         for table in tables:
-            ends = _breaks(table)
-            number = int(np.searchsorted(ends, start, side="right"))
+            number = int(np.searchsorted(_breaks(table), start, side="right"))
             shift = start - table.breaks[number - 1] if number else 0.0
             for powers in table.coefficients[number]:
                 moved = Polynomial(powers)(Polynomial([shift, 1.0])).coef
@@ -89,7 +90,10 @@ def stack_tables(*tables: InputTable) -> InputTable:
 
 
 def _breaks(table: InputTable) -> Array:
-    """The breaks of a table; the end of a spline still belongs to it."""
+    """Return the breaks of a table.
+
+    The last of several breaks is moved by one bit, because it belongs to the segment before it.
+    """
     breaks = table.breaks.copy()
     if breaks.size > 1:
         breaks[-1] = np.nextafter(breaks[-1], np.inf)

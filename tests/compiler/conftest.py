@@ -36,9 +36,10 @@ from kneexo.compiler.equations.operations import COMPARISONS, UNARY
 from kneexo.compiler.equations.passes import ALWAYS, Group
 from kneexo.compiler.native import cache, llvm as native_code
 from kneexo.compiler.native.arguments import MEMO_LINES
-from kneexo.compiler.native.ir import BYTE, DOUBLE, POINTER, Array, Module
+from kneexo.compiler.native.ir import Array, Module
 from kneexo.compiler.native.llvm import Library, compile_text, processor
 from kneexo.compiler.native.printer import Printer, sources
+from kneexo.compiler.native.types import BYTE, DOUBLE, POINTER
 
 # ------------------------------------------------------------------------- the interpreter
 

@@ -1,9 +1,9 @@
-"""What of a diagram's equations becomes machine code, and in which form.
+"""Rewrites the graph for speed and assigns its nodes to functions.
 
-`Program` rewrites the graph of `Equations` for speed: products by fixed factors are put together,
-what depends on parameters alone is computed once a run, and functions of one whole number, such as
-an encoder count, are kept in a table. The rewriting changes last bits; what is compared or rounded
-to a whole number keeps its form, so decisions stay as Drake makes them.
+Products with fixed factors are put together. Values that depend on parameters alone are computed
+once a run. Functions of one whole number, such as an encoder count, are looked up in a table. The
+rewriting changes last bits. Nodes that are compared or rounded keep their form, so decisions stay
+as Drake makes them.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from .operations import OPERATIONS
 from .partition import fixed_nodes, is_rounded, nodes_by_count
 
 ALWAYS = ("always", 0)
-"""Condition of a group that is computed at every instant."""
+"""Condition of a group that is computed at every tick with events."""
 
 Place = tuple[str, int]
-"""Where a value goes: ``margin``, ``after`` (a discrete state) or ``output``, and its index."""
+"""The destination of a value: ``margin``, ``after`` (a discrete state) or ``output``; index."""
 
 _TERMS = 6  # terms of the longest sum that a fixed factor is distributed over
 _COST_OF_LOOK_UP = 30
@@ -31,16 +31,16 @@ _COST_OF_LOOK_UP = 30
 
 @dataclass(frozen=True)
 class Group:
-    """Nodes that are computed under one condition, each with the place of its value."""
+    """Nodes that are computed under one condition, with the destinations of their values."""
 
     condition: tuple[str, int]
-    """`ALWAYS`, ``update`` (the sample period that fires) or ``requested`` (the output port)."""
+    """`ALWAYS`, ``update`` with the index of a sample period, ``requested`` with an output's."""
     targets: tuple[tuple[Place, int], ...]
 
 
 @dataclass(frozen=True)
 class Memo:
-    """Nodes whose values follow from one whole number, the value of the node ``count``."""
+    """Nodes whose values follow from one whole number alone, the value of the node ``count``."""
 
     count: int
     nodes: tuple[int, ...]
@@ -48,7 +48,7 @@ class Memo:
 
 @dataclass(frozen=True)
 class Layout:
-    """Names and sizes of a compiled model: all that a run must know besides the machine code."""
+    """Names and sizes of a compiled model: all that a run requires besides the machine code."""
 
     parameters: tuple[str, ...]
     states: tuple[str, ...]
@@ -58,7 +58,7 @@ class Layout:
     outputs: tuple[tuple[str, int], ...]
     """Output ports with their sizes."""
     feedthrough: tuple[str, ...]
-    """Output ports whose value depends on an open input at once."""
+    """Output ports whose value depends on an open input at the same time."""
     periods: tuple[tuple[float, float], ...]
     """Sample periods and their offsets in s."""
     limits: tuple[str, ...]
@@ -66,20 +66,20 @@ class Layout:
     constants: int
     """Number of values that depend on parameters alone."""
     memos: tuple[int, ...]
-    """Number of values in a line of each table of whole-number functions."""
+    """Number of values in a row of each table of whole-number functions."""
 
     @property
     def input_count(self) -> int:
-        """Elements of all open inputs."""
+        """Number of elements of all open inputs."""
         return sum(size for _, size in self.inputs)
 
     def plain(self) -> dict[str, Any]:
-        """The same as plain JSON data."""
+        """Return the layout as JSON data."""
         return asdict(self)
 
     @classmethod
     def from_plain(cls, data: dict[str, Any]) -> Layout:
-        """The layout of such data."""
+        """Return the layout of the data of `plain`."""
 
         def tuples(value: Any) -> Any:
             return tuple(map(tuples, value)) if isinstance(value, list | tuple) else value
@@ -88,7 +88,7 @@ class Layout:
 
 
 class Program:
-    """Nodes of one graph, ready to be printed: each list belongs to one function of the code."""
+    """The nodes of each function that is printed, rewritten for speed."""
 
     def __init__(self, equations: Equations) -> None:
         self.equations = equations
@@ -102,20 +102,20 @@ class Program:
         ]
         nodes = regrouped(graph, [node for _, node in elements])
         self.jacobian = [(at, node) for (at, _), node in zip(elements, nodes, strict=True)]
-        """Places, column by column, and nodes of the elements of df/dx that are not zero."""
+        """Index (column by column) and node of each element of df/dx that is not zero."""
         self.derivatives = regrouped(graph, equations.derivatives)
         self.initial_discrete = equations.initial_discrete
         self.groups = self._groups()
         self.instant = [node for group in self.groups for _, node in group.targets]
         self.hoisted = self._hoisted()
-        """Nodes that depend on parameters alone, with their number among the constants."""
+        """Nodes that depend on parameters alone, with their indices among the constants."""
         self.memos = self._memos()
         self.deciding = _deciding(graph, graph.reachable(self._roots()))
-        """Nodes that are compared or rounded to a whole number, and what is behind them."""
+        """Nodes that are compared or rounded, and the exact operations behind them."""
 
     @property
     def layout(self) -> Layout:
-        """Names and sizes."""
+        """Names and sizes for a run."""
         equations, graph = self.equations, self.graph
         return Layout(
             parameters=tuple(equations.parameters),
@@ -135,7 +135,7 @@ class Program:
         )
 
     def _groups(self) -> list[Group]:
-        """What is computed at an instant: margins, updates, outputs."""
+        """Return the groups of a tick: margins, updates, outputs."""
         equations = self.equations
         groups = [
             Group(
@@ -181,14 +181,14 @@ class Program:
 # ------------------------------------------------------------------------------- regrouping
 
 _Sum = tuple[dict[int, int], int | None]
-"""A sum: the fixed factor of each term, and a fixed term."""
+"""A sum: the fixed factor of each term by its node, and a fixed term."""
 
 
 def regrouped(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """The same values from fewer operations that are not fixed.
+    """Return nodes with the same values from fewer operations on values that are not fixed.
 
-    Quotients by what is fixed become products, fixed factors and fixed terms go together and into
-    the sums that they multiply, fourth powers become squares of squares.
+    A quotient by a fixed value becomes a product. Fixed factors and fixed terms are put together,
+    and go into the sums that they multiply. A fourth power becomes the square of a square.
     """
     return _Regrouping(graph, roots).roots
 
@@ -255,7 +255,7 @@ class _Regrouping:
         return self._noted(node, (total, fixed))
 
     def _noted(self, node: int, total: _Sum) -> int:
-        """The node of a sum, which stays open when a single other node uses it."""
+        """Make a sum; note its terms if a single other node uses it, which may absorb them."""
         graph = self.graph
         terms, fixed = total
         parts = [] if fixed is None else [fixed]

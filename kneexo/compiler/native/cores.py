@@ -1,4 +1,4 @@
-"""How many cores this process may use."""
+"""The number of cores that this process may use."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import os
 
 
 def available_cores() -> int:
-    """Cores that the scheduler gives this process; all of the machine where it does not say.
+    """Return the number of cores that the scheduler gives this process.
 
-    macOS and Windows have no ``os.sched_getaffinity``.
+    macOS and Windows have no ``os.sched_getaffinity``; there it is the number of the machine's
+    cores.
     """
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

@@ -1,8 +1,8 @@
-"""Elementary functions as instructions, for scalars and lanes alike: the same bits in both.
+"""Emits elementary functions as instructions, with the same bits for scalars and lanes.
 
-Each has the edges of C's function of that name (signed zeros, infinities, nan, numbers below the
-smallest normal one) and an error below 2 units in the last place. What differs between lanes is
-selected; only large arguments of sine and cosine take a branch. ``benchmarks/fit_elementary.py``
+A function gives the value of C's function of its name for signed zeros, infinities, nan and numbers
+below the smallest normal one. Its error is below 2 units in the last place. Cases that differ
+between lanes are selected; only large arguments of sine and cosine are a branch. ``benchmarks/fit_elementary.py``
 prints the constants.
 
 The methods are those of W. J. Cody and W. Waite, Software Manual for the Elementary Functions
@@ -16,7 +16,8 @@ import math
 import struct
 from collections.abc import Sequence
 
-from .ir import Function, Module, Operand, Type, Value
+from .ir import Function, Module, Operand, Value
+from .types import Type
 
 SIN = (  # relative error 1.3e-17
     -0.16666666666666666,
@@ -103,18 +104,21 @@ HALF_PI = (  # relative error 3.5e-50
     6.123233995736766e-17,
     -1.4973849048591698e-33,
 )
-"""π/2 as a sum of doubles, the largest first."""
+"""π/2 as a sum of doubles, the largest one first."""
 LN_2 = (  # relative error 8.2e-34
     0.6931471805599453,
     2.3190468138462996e-17,
 )
-"""The natural logarithm of 2 as a sum of doubles, the largest first."""
+"""The natural logarithm of 2 as a sum of doubles, the largest one first."""
 
 LARGE = 1e9
-"""Larger arguments of sin and cos take the reduction of the C library."""
+"""Largest argument of sin and cos that is reduced here; the C library computes those beyond."""
 
 ROUNDING = 1.5 * 2.0**52
-"""Its unit in the last place is 1: added to a number it leaves a whole one in the lowest bits."""
+"""A number whose unit in the last place is 1.
+
+The sum with a smaller number has that number, rounded to a whole one, in its lowest bits.
+"""
 
 
 def _bits(value: float) -> int:
@@ -129,11 +133,11 @@ ROOT_HALF = _bits(math.sqrt(0.5))
 EXPONENT = 52  # lowest bit of a double's exponent
 """The lowest bit of a double's exponent."""
 BIAS = 1023
-"""What a double's exponent field holds for 2⁰."""
+"""Content of a double's exponent field for 2⁰."""
 
 
 def estrin(f: Function, coefficients: Sequence[float], x: Value) -> Value:
-    """c₀ + c₁ x + c₂ x² + … by Estrin's scheme: products that do not wait for one another."""
+    """Emit c₀ + c₁ x + c₂ x² + … by Estrin's scheme, whose products do not wait for each other."""
     terms = [f.coerce(c, x.type) for c in coefficients]
     power = x
     while len(terms) > 1:
@@ -145,11 +149,12 @@ def estrin(f: Function, coefficients: Sequence[float], x: Value) -> Value:
 
 
 def sincos(f: Function, x: Value) -> tuple[Value, Value]:
-    """Sine and cosine.
+    """Emit sine and cosine; return both.
 
-    The remainder by π/2 keeps its relative precision next to a multiple: the first step is exact,
-    the second is rounded once, and what three parts leave out (1e-40) is far smaller than the
-    distance of the closest double up to `LARGE` (6e-19).
+    The remainder of x by π/2 keeps its relative precision next to a multiple of π/2. The first step
+    of the reduction is exact, and the second is rounded once. The error of π/2 as a sum of three
+    doubles (1e-40) is far smaller than the distance of a double up to `LARGE` from the closest
+    multiple (6e-19).
     """
     sine, cosine = _of_large(f, ("sin", "cos"), x, _sincos(f, x))
     return sine, cosine
@@ -176,7 +181,7 @@ def _sincos(f: Function, x: Value) -> tuple[Value, Value]:
 
 
 def _of_large(f: Function, names: Sequence[str], x: Value, values: Sequence[Value]) -> list[Value]:
-    """The values, but those of the C library in the lanes where the argument is `LARGE`."""
+    """Emit a choice between ``values`` and the C library's, by lane: the latter beyond `LARGE`."""
     results = [f.variable(value) for value in values]
     with f.when(f.any_lane(f.absolute(x) > LARGE)):
         for name, value, result in zip(names, values, results, strict=True):
@@ -185,14 +190,17 @@ def _of_large(f: Function, names: Sequence[str], x: Value, values: Sequence[Valu
 
 
 def _library_if_large(module: Module, name: str, type_: Type) -> Function:
-    """A function apart, so that its calls cost nothing where they are not made."""
+    """Return a function that calls the C library in lanes with an argument beyond `LARGE`.
+
+    In a function of its own the rare calls cost nothing where they are not made.
+    """
 
     def make() -> Function:
         arguments = {"x": type_, "value": type_}
         new = module.function(full, arguments, type_, attributes="cold noinline")
         x = new.arguments["x"]
         large = new.absolute(x) > LARGE
-        new.give(new.select(large, new.library(name, x), new.arguments["value"]))
+        new.return_(new.select(large, new.library(name, x), new.arguments["value"]))
         return new
 
     full = f"{name}_if_large_{type_.lanes}"
@@ -200,7 +208,10 @@ def _library_if_large(module: Module, name: str, type_: Type) -> Function:
 
 
 def atan2(f: Function, y: Operand, x: Operand) -> Value:
-    """Angle of the point (x, y): ± base ± the angle between the point and the nearer axis."""
+    """Emit the angle of the point (x, y).
+
+    It is ± base ± the angle between the point and the nearer axis.
+    """
     y, x = f.alike(y, x)
     across, up = f.absolute(x), f.absolute(y)
     steep, behind = across < up, f.bits(x) < 0
@@ -213,12 +224,12 @@ def atan2(f: Function, y: Operand, x: Operand) -> Value:
 
 
 def atan(f: Function, x: Value) -> Value:
-    """Arc tangent."""
+    """Emit the arc tangent."""
     return atan2(f, x, 1.0)
 
 
 def asin(f: Function, x: Value) -> Value:
-    """Arc sine; nan beyond ±1."""
+    """Emit the arc sine; nan beyond ±1."""
     s, rest, far = _arc(f, f.absolute(x))
     factor = f.select(far, -2.0, 1.0)
     high, low = (f.select(far, part, 0.0) for part in HALF_PI[:2])
@@ -228,7 +239,7 @@ def asin(f: Function, x: Value) -> Value:
 
 
 def acos(f: Function, x: Value) -> Value:
-    """Arc cosine; nan beyond ±1."""
+    """Emit the arc cosine; nan beyond ±1."""
     s, rest, far = _arc(f, f.absolute(x))
     behind = x < 0.0
     factor = f.select(far, 2.0, -1.0)
@@ -238,9 +249,10 @@ def acos(f: Function, x: Value) -> Value:
 
 
 def _arc(f: Function, magnitude: Value) -> tuple[Value, Value, Value]:
-    """An angle's sine s, the angle less s, and where the angle is half of that to x = 1.
+    """Emit an angle by its sine s: return s, the angle minus s, and whether x > ½.
 
-    That is where x > ½: then s = √((1 - x) / 2), else s = x.
+    For x ≤ ½ the sine is s = x, and the angle is arcsin x. For x > ½ it is s = √((1 - x) / 2), and
+    the angle is half of arccos x.
     """
     far = magnitude > 0.5
     z = f.select(far, f.fma(magnitude, -0.5, 0.5), magnitude * magnitude)
@@ -249,7 +261,10 @@ def _arc(f: Function, magnitude: Value) -> tuple[Value, Value, Value]:
 
 
 def exp(f: Function, x: Value) -> Value:
-    """Exponential: of the remainder by ln 2, scaled in two steps so that neither overflows."""
+    """Emit the exponential: that of the remainder by ln 2, times a power of 2.
+
+    The power is multiplied in two steps, neither of which overflows.
+    """
     x = f.maximum(f.minimum(x, 720.0), -760.0)  # ∞ and 0 from there on
     shifted = f.fma(x, 1.0 / math.log(2.0), ROUNDING)
     doublings = shifted - ROUNDING
@@ -267,9 +282,12 @@ def exp(f: Function, x: Value) -> Value:
 
 
 def log(f: Function, x: Value) -> Value:
-    """Natural logarithm: x = 2ᵏ (1 + u) with √½ ≤ 1 + u < √2, and log(1 + u) = 2 artanh u/(2 + u).
+    """Emit the natural logarithm of x = 2ᵏ (1 + u), with √½ ≤ 1 + u < √2.
 
-    u - u²/2 is taken out of that series, as in Sun's fdlibm, for what is left is small.
+    log(1 + u) = 2 artanh(u/(2 + u)) is a series.
+
+    The series is computed without its part u - u²/2, which is added at the end, as in Sun's fdlibm:
+    the rest is small, and so is its error.
     """
     tiny = x < 2.0**-1022
     bits = f.bits(f.select(tiny, x * 2.0**54, x)) - ROOT_HALF

@@ -28,8 +28,8 @@ tick takes eight steps or more, each step keeps a tenth of the tolerance, becaus
 Every sixteenth of these steps tries the Jacobian at its start even if it meets the tolerance. An
 old Jacobian may be good enough for small steps only, and the steps would then stay small.
 
-Each lane has its own step, Jacobians and their tables, so a lane gets the bits that it gets alone;
-a lane that has reached the end of the tick waits for the others.
+Each lane has its own step, Jacobians and tables, so a run has the same bits in a lane and alone. A
+lane that has reached the end of the tick waits for the others.
 """
 
 from __future__ import annotations
@@ -39,55 +39,45 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 from .integrators import Tick
-from .ir import (
-    BOOL,
-    DOUBLE,
-    INT,
-    POINTER,
-    UNROLLED,
-    Array,
-    Function,
-    Module,
-    Operand,
-    Value,
-    Variable,
-)
+from .ir import UNROLLED, Array, Function, Module, Operand, Value, Variable
+from .phi_functions import FINEST, define_fill_tables
+from .types import BOOL, DOUBLE, INT, POINTER
 
 ChooseSlot = Callable[[Tick, Value, Array, Value], None]
-"""``choose(tick, lane, memory, time)``: Jacobian of one lane at its state, and the slot for it."""
+"""``choose(tick, lane, memory, time)`` emits the choice of a slot for the Jacobian of one lane.
 
-FINEST = 12
-"""The exact hold halves its step at most so often."""
+The Jacobian is that at the state of the lane: see `define_choose_slot`.
+"""
 
 SLOTS = 4
-"""Jacobians that a run remembers."""
+"""Number of Jacobians that a run stores, each with its tables."""
 
-_MANY = 3  # halvings from which on a tick has "many" steps
-_SHARE = 0.1  # share of the tolerance that each of many steps keeps
-_CHECK = 16  # many steps: one in this number tries the Jacobian at its start
+_MANY = 3  # least number of halvings with which a tick has "many" steps
+_SHARE = 0.1  # share of the tolerance that each of many steps may use
+_CHECK = 16  # of many steps, one in this number tries the Jacobian at its start
 _EASY = 0.05  # share of the tolerance below which a step may double
-_NEGLIGIBLE = 0.01  # share of the tolerance that is not worth a correction
-_MOST_EXCESS = 1e-2  # sum of the errors of its finest steps that miss the tolerance
-_WHOLE = 1 << FINEST  # a tick, in finest steps
+_NEGLIGIBLE = 0.01  # share of the tolerance below which a correction is left out
+_MOST_EXCESS = 1e-2  # largest sum of the errors of finest steps that miss the tolerance
+_WHOLE = 1 << FINEST  # number of finest steps in a tick
 
 
 class Memory:
-    """Where the memory of one lane has what, in elements of eight bytes."""
+    """Places in the memory of one lane, in elements of eight bytes, for ``size`` states."""
 
     def __init__(self, size: int) -> None:
         square = size * size
         self.square = square
         self.table = 3 * square
-        """Elements of the functions for one step of one Jacobian."""
+        """Number of elements of the functions for one step of one Jacobian."""
         sizes = {
-            "filled": 1,  # slots in use
-            "made": 1,  # slots filled so far
-            "slot": 1,  # the one in use
-            "excess": 1,
+            "filled": 1,  # number of slots that hold a Jacobian
+            "made": 1,  # number of Jacobians stored so far
+            "slot": 1,  # slot of the current Jacobian
+            "excess": 1,  # sum of the errors of finest steps that miss the tolerance
             "jacobians": SLOTS * square,
-            "candidate": square,  # the Jacobian tried last
-            "change": size,
-            "rest": size,
+            "candidate": square,  # the Jacobian that is tried
+            "change": size,  # state at the middle of a step minus that at its start
+            "rest": size,  # remainder of dx/dt there that the linear part does not explain
             "tables": SLOTS * (FINEST + 2) * self.table,
         }
         places = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
@@ -95,16 +85,16 @@ class Memory:
         self.jacobians, self.candidate, self.change = (places[k] for k in list(sizes)[4:7])
         self.rest, self.tables = (places[k] for k in list(sizes)[7:])
         self.head = self.jacobians
-        """Elements that must be zero at the start."""
+        """Number of elements, from the first one on, that must be zero at the start of a run."""
         self.size = -(-sum(sizes.values()) // 8) * 8
 
     def shared(self, lanes: int) -> int:
-        """Size of the memory of all lanes together: level, Jacobian and tables in use."""
+        """Return the size of the memory for level, Jacobian and tables in use of all lanes."""
         return (1 + self.square + self.table + 2 * self.square) * lanes
 
 
 def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
-    """``out`` = matrix · vector; the matrix column by column."""
+    """Emit ``out`` = matrix · vector; the matrix is stored column by column."""
     if size <= UNROLLED:
         for row in range(size):
             total = matrix[row] * vector[0]
@@ -120,130 +110,12 @@ def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array)
             out[i] = f.fma(elements[i], factor, out[i])
 
 
-class _Columns:
-    """Square matrices whose columns are vectors, so that an operation takes a column at once.
-
-    Rows beyond the size are zero.
-    """
-
-    def __init__(self, f: Function, size: int) -> None:
-        self.f, self.size = f, size
-        self.width = 4 if size <= 4 else 8
-        self.blocks = -(-size // self.width)
-        """Vectors of a column."""
-        self.rows = self.blocks * self.width
-        self.type = DOUBLE.of(self.width)
-
-    def zero(self) -> Array:
-        """A matrix of zeros."""
-        matrix = self.f.array(self.size * self.blocks, self.type)
-        for i in self.each():
-            matrix[i] = 0.0
-        return matrix
-
-    def each(self) -> Iterator[Operand]:
-        """Numbers of the vectors of a matrix."""
-        return self.f.each(self.size * self.blocks)
-
-    def element(self, row: Operand, column: Operand) -> Value:
-        """Place of an element among the doubles of a matrix."""
-        return self.f.coerce(column, INT) * self.rows + row
-
-    def multiply(self, left: Array, right: Array, out: Array) -> None:
-        """``out`` = left · right."""
-        f, blocks = self.f, range(self.blocks)
-        for j in f.each(self.size):
-            totals = [f.variable(f.constant(0.0, self.type)) for _ in blocks]
-            for k in f.each(self.size):
-                factor = right.cast(DOUBLE)[self.element(k, j)]
-                column = left.shifted(f.coerce(k, INT) * self.blocks)
-                for block, total in zip(blocks, totals, strict=True):
-                    total.set(f.fma(column[block], f.coerce(factor, self.type), total.get()))
-            for block, total in zip(blocks, totals, strict=True):
-                out[f.coerce(j, INT) * self.blocks + block] = total.get()
-
-    def store(self, matrix: Callable[[Operand], Value], out: Array) -> None:
-        """Write a matrix, given its vectors, column by column without the rows of zeros."""
-        f, last = self.f, (self.size - 1) * self.blocks
-        for j in f.each(self.size - 1):  # the next column overwrites the zeros
-            for block in range(self.blocks):
-                place = f.coerce(j, INT) * self.size + block * self.width
-                out.shifted(place).cast(self.type)[0] = matrix(
-                    f.coerce(j, INT) * self.blocks + block
-                )
-        for block in range(self.blocks):
-            values = matrix(last + block)
-            first = (self.size - 1) * self.size + block * self.width
-            for lane in range(min(self.width, self.size - block * self.width)):
-                out[first + lane] = f.lane(values, lane)
-
-
-def define_fill_tables(module: Module, size: int) -> Function:
-    """``fill_tables(a, tick, tables)``: h phi_1, h phi_2, h (phi_2 - 4 phi_3) of each step.
-
-    Step ``level`` is h = tick/2^level. The functions of all halvings come from the smallest by
-    doubling (Skaflestad and Wright 2009, Appl. Numer. Math. 59).
-    """
-    square = size * size
-    arguments = {"a": POINTER, "tick": DOUBLE, "tables": POINTER}
-    f = module.function("fill_tables", arguments, attributes="noinline")
-    a, tables = (Array(f.arguments[name], DOUBLE) for name in ("a", "tables"))
-    tick, columns = f.arguments["tick"], _Columns(f, size)
-    z, power, spare, mixed, phi_1, phi_2, phi_3 = (columns.zero() for _ in range(7))
-    norm = f.variable(f.constant(0.0))
-    for i in f.loop(size):
-        row = f.variable(f.constant(0.0))
-        for j in f.loop(size):
-            row.set(row.get() + f.absolute(a[f.coerce(j, INT) * size + i]))
-        norm.set(f.maximum(norm.get(), row.get()))
-    level = f.variable(f.constant(FINEST + 1, INT))
-    limit = f.variable(f.constant(0.1 * 2.0 ** (FINEST + 1)))
-    h = f.variable(tick * 0.5 ** (FINEST + 1))
-    with f.forever() as loop:
-        loop.stop_if(~((norm.get() * tick > limit.get()) & (level.get() < 200)))
-        level.set(level.get() + 1)
-        limit.set(limit.get() * 2.0)
-        h.set(h.get() * 0.5)
-    for j in f.loop(size):
-        for i in f.loop(size):
-            z.cast(DOUBLE)[columns.element(i, j)] = h.get() * a[f.coerce(j, INT) * size + i]
-        power.cast(DOUBLE)[columns.element(j, j)] = 1.0
-    factorial = 1.0
-    for order in range(1, 10):  # Taylor: the next term is below 0.1^9/10!
-        factorial *= order
-        for e in columns.each():
-            term = power[e]
-            phi_1[e] = f.fma(term, 1.0 / factorial, phi_1[e])
-            phi_2[e] = f.fma(term, 1.0 / factorial / (order + 1), phi_2[e])
-            phi_3[e] = f.fma(term, 1.0 / factorial / ((order + 1) * (order + 2)), phi_3[e])
-        columns.multiply(power, z, spare)
-        power, spare = spare, power
-    with f.forever() as loop:
-        step = h.get()
-        with f.when(level.get() <= FINEST + 1):
-            to = tables.shifted(level.get() * (3 * square))
-            columns.store(lambda e: step * phi_1[e], to)
-            columns.store(lambda e: step * phi_2[e], to.shifted(square))
-            columns.store(lambda e: step * f.fma(phi_3[e], -4.0, phi_2[e]), to.shifted(2 * square))
-        loop.stop_if(level.get().equals(0))
-        columns.multiply(phi_1, phi_1, spare)
-        columns.multiply(phi_1, phi_2, mixed)
-        columns.multiply(z, spare, power)
-        for e in columns.each():
-            phi_3[e] = 0.125 * (mixed[e] + f.fma(phi_3[e], 2.0, phi_2[e]))
-            phi_2[e] = 0.25 * f.fma(phi_2[e], 2.0, spare[e])
-            phi_1[e] = f.fma(power[e], 0.5, phi_1[e])
-            z[e] = z[e] * 2.0
-        h.set(step * 2.0)
-        level.set(level.get() - 1)
-    return f
-
-
 def define_choose_slot(module: Module, size: int) -> Function:
-    """``choose_slot(x, memory, tick)``: the slot of the candidate Jacobian at the state ``x``.
+    """Define ``choose_slot(x, memory, tick)``: make the candidate the current Jacobian, or not.
 
-    Keeps the current Jacobian unless the candidate cuts the defect ``rest``, left by the state
-    change ``change``, by a tenth. The tables of a new Jacobian are made.
+    The current Jacobian stays if the candidate explains less than a tenth of ``rest`` for the
+    state change ``change`` (`Memory`). A candidate that is in a slot already is used from there.
+    Else the candidate takes the next slot, and its tables are computed. ``x``: state of the lane.
     """
     fill_tables = define_fill_tables(module, size)
     at, square = Memory(size), size * size
@@ -255,9 +127,11 @@ def define_choose_slot(module: Module, size: int) -> Function:
     jacobians, candidate = memory.shifted(at.jacobians), memory.shifted(at.candidate)
     for e in f.loop(square):
         with f.when((candidate[e] - candidate[e]).differs(0.0)):
-            candidate[e] = 0.0  # a root at zero; any matrix will do, if slowly
+            candidate[e] = (
+                0.0  # infinite slope of a root at zero; any matrix works, with smaller steps
+            )
     with f.when(filled > 0):
-        explained, left = f.variable(f.constant(0.0)), f.variable(f.constant(0.0))
+        explained, total_rest = f.variable(f.constant(0.0)), f.variable(f.constant(0.0))
         for i in f.loop(size):
             total = f.variable(f.constant(0.0))
             for k in f.loop(size):
@@ -267,8 +141,10 @@ def define_choose_slot(module: Module, size: int) -> Function:
                 total.set(f.fma(difference, change, total.get()))
             scale = 1.0 + f.absolute(x[i])
             explained.set(explained.get() + f.absolute(total.get()) / scale)
-            left.set(left.get() + f.absolute(memory[f.coerce(i, INT) + at.rest]) / scale)
-        f.give_if(explained.get() < 0.1 * left.get())
+            total_rest.set(
+                total_rest.get() + f.absolute(memory[f.coerce(i, INT) + at.rest]) / scale
+            )
+        f.return_if(explained.get() < 0.1 * total_rest.get())
     for slot in f.loop(SLOTS):
         number = f.coerce(slot, INT)
         with f.when(number < filled):
@@ -278,7 +154,7 @@ def define_choose_slot(module: Module, size: int) -> Function:
                 same.set(same.get() & equal)
             with f.when(same.get()):
                 whole[at.slot] = number
-                f.give_if(f.constant(1, BOOL))
+                f.return_if(f.constant(1, BOOL))
     slot = whole[at.made] % SLOTS
     whole[at.made] = whole[at.made] + 1
     with f.when(filled < SLOTS):
@@ -293,22 +169,26 @@ def define_choose_slot(module: Module, size: int) -> Function:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step, not yet accepted."""
+    """A step before its acceptance."""
 
     end: Array
-    """State at its end."""
+    """State at the end of the step."""
     worst: Value
-    """Error estimate by the tolerance: at most 1 where it is good."""
+    """Error estimate divided by the tolerance; a good step has at most 1."""
     middle: Array
-    """State at its middle."""
+    """State at the middle of the step."""
     rest: Array
-    """What the linear part leaves of dx/dt there."""
+    """Remainder of dx/dt at the middle that the linear part does not explain."""
 
 
 def _step(
     tick: Tick, time: Value, h: Value, slope: Array, weight: Array, tables: Array, jacobian: Array
 ) -> _Step:
-    """A step ``h`` from ``tick.x``, whose rate there is ``slope``."""
+    """Emit a step ``h`` from ``tick.x`` at ``time``; see the equations of this module.
+
+    ``slope``: dx/dt at the start; ``weight``: inverse of the tolerance of each state; ``tables``:
+    functions of the Jacobian for this step and for half of it.
+    """
     f, size, square = tick.function, tick.size, tick.size**2
     middle, predicted, end = (tick.vector() for _ in range(3))
     f_a, g_a, f_b, g_b, part, move = (tick.vector() for _ in range(6))
@@ -317,7 +197,7 @@ def _step(
     for i in f.each(size):
         middle[i] = tick.x[i] + middle[i]
         end[i] = tick.x[i] + end[i]
-    left = f.variable(f.constant(0.0, tick.type))
+    remainders = f.variable(f.constant(0.0, tick.type))
 
     def remainder(t: Value, y: Array, rate: Array, rest: Array) -> None:
         tick.rate(t, y, rate)
@@ -326,10 +206,10 @@ def _step(
         multiplied(f, size, jacobian, move, part)
         for i in f.each(size):
             rest[i] = (rate[i] - slope[i]) - part[i]
-            left.set(f.fma(f.absolute(rest[i]), weight[i], left.get()))
+            remainders.set(f.fma(f.absolute(rest[i]), weight[i], remainders.get()))
 
     remainder(f.fma(h, 0.5, time), middle, f_a, g_a)
-    large = ~(h * left.get() < _NEGLIGIBLE)
+    large = ~(h * remainders.get() < _NEGLIGIBLE)
     for i in f.each(size):
         predicted[i] = end[i]
     with f.when(f.any_lane(large)):
@@ -340,7 +220,7 @@ def _step(
             predicted[i] = f.select(large, f.fma(move[i], 4.0, end[i]), end[i])
     remainder(time + h, predicted, f_b, g_b)
     worst = f.variable(f.constant(0.0, tick.type))
-    large = ~(h * left.get() < _NEGLIGIBLE)
+    large = ~(h * remainders.get() < _NEGLIGIBLE)
     with f.when(f.any_lane(large)):
         for i in f.each(size):
             g_b[i] = f.fma(g_a[i], 2.0, -g_b[i])
@@ -353,44 +233,44 @@ def _step(
 
 
 class ExactHold:
-    """Traces the exact hold into a function; `prepare` once a run, `advance` at each tick."""
+    """Emits the exact hold; `prepare` belongs before the first tick, `advance` to each tick."""
 
     def __init__(
         self, tick_s: Value, tolerance: Value, memory: Array, shared: Array, choose: ChooseSlot
     ) -> None:
-        """``memory``: of each lane, one after the other; ``shared``: of all lanes together."""
+        """``memory``: memories of the lanes, one after the other; ``shared``: `Memory.shared`."""
         self.tick_s, self.tolerance = tick_s, tolerance
         self.memory, self.shared = memory, shared
         self.choose = choose
 
     def _lanes(self, tick: Tick) -> Iterator[tuple[Value, Array]]:
-        """Number and memory of each lane, in a loop."""
+        """Yield number and memory of a lane in the body of an emitted loop over all lanes."""
         at = Memory(tick.size)
         for lane in tick.function.loop(tick.type.lanes):
             number = tick.function.coerce(lane, INT)
             yield number, self.memory.shifted(number * at.size)
 
-    def _refresh(self, tick: Tick, lane: Value, own: Array, level: Value) -> None:
-        """Copy Jacobian and tables of one lane to where all lanes are read at once."""
+    def _refresh(self, tick: Tick, lane: Value, memory: Array, level: Value) -> None:
+        """Emit the copy of the lane's current Jacobian and tables to the shared memory."""
         f, at, lanes = tick.function, Memory(tick.size), tick.type.lanes
-        slot = own.cast(INT)[at.slot]
-        jacobian = own.shifted(slot * at.square + at.jacobians)
-        tables = own.shifted((slot * (FINEST + 2) + level) * at.table + at.tables)
+        slot = memory.cast(INT)[at.slot]
+        jacobian = memory.shifted(slot * at.square + at.jacobians)
+        tables = memory.shifted((slot * (FINEST + 2) + level) * at.table + at.tables)
         for i in f.loop(at.square):
             self.shared[(f.coerce(i, INT) + 1) * lanes + lane] = jacobian[i]
-        for i in f.loop(at.table + 2 * at.square):  # and two functions of half the step
+        for i in f.loop(at.table + 2 * at.square):  # with two functions of half the step
             self.shared[(f.coerce(i, INT) + (1 + at.square)) * lanes + lane] = tables[i]
 
     def prepare(self, tick: Tick) -> None:
-        """At the first tick of a run: the tables in use."""
+        """Emit the choice of a first Jacobian, and the copy of all tables to the shared memory."""
         levels = self.shared.cast(INT)
-        for lane, own in self._lanes(tick):
-            with tick.function.when(own.cast(INT)[Memory(tick.size).filled].equals(0)):
-                self.choose(tick, lane, own, tick.start)
-            self._refresh(tick, lane, own, levels[lane])
+        for lane, memory in self._lanes(tick):
+            with tick.function.when(memory.cast(INT)[Memory(tick.size).filled].equals(0)):
+                self.choose(tick, lane, memory, tick.start)
+            self._refresh(tick, lane, memory, levels[lane])
 
     def advance(self, tick: Tick) -> Value:
-        """Advance by a tick; returns the lanes that cannot hold the tolerance."""
+        """Emit the steps of a tick; return the lanes that cannot hold the tolerance."""
         f, size, type_ = tick.function, tick.size, tick.type
         lanes, at = type_.lanes, Memory(size)
         ints, mask = INT.of(lanes), BOOL.of(lanes)
@@ -463,17 +343,17 @@ class ExactHold:
         for i in f.each(size):
             _spill(change, i, step.middle[i] - tick.x[i])
             _spill(rest, i, step.rest[i])
-        for lane, own in self._lanes(tick):
+        for lane, memory in self._lanes(tick):
             with f.when(doubts[lane].differs(0)):
-                whole = own.cast(INT)
+                whole = memory.cast(INT)
                 slot, again = whole[at.slot], f.variable(f.constant(0, BOOL))
                 with f.when(tries[lane].equals(0)):
                     tries[lane] = 1
                     for i in f.loop(size):
                         place = f.coerce(i, INT)
-                        own[place + at.change] = change[place * lanes + lane]
-                        own[place + at.rest] = rest[place * lanes + lane]
-                    self.choose(tick, lane, own, times[lane])
+                        memory[place + at.change] = change[place * lanes + lane]
+                        memory[place + at.rest] = rest[place * lanes + lane]
+                    self.choose(tick, lane, memory, times[lane])
                     again.set(whole[at.slot].differs(slot))
                 failed = goods[lane].equals(0)
                 with f.when(again.get()):
@@ -482,17 +362,17 @@ class ExactHold:
                     finest = levels[lane].equals(FINEST)
                     with f.when(finest):
                         worst = worsts[lane]
-                        own[at.excess] = f.fma(worst, self.tolerance, own[at.excess])
+                        memory[at.excess] = f.fma(worst, self.tolerance, memory[at.excess])
                         goods[lane] = 1
                         # Accept an error estimate that is not finite. The state is not finite
                         # either, and a later check of the state reports this.
                         finite = (worst - worst).equals(0.0)
-                        with f.when(finite & (own[at.excess] > _MOST_EXCESS)):
+                        with f.when(finite & (memory[at.excess] > _MOST_EXCESS)):
                             goods[lane] = 0
                             roughs[lane] = 1
                     with f.when(~finest):
                         levels[lane] = levels[lane] + 1
-                self._refresh(tick, lane, own, levels[lane])
+                self._refresh(tick, lane, memory, levels[lane])
         ints = INT.of(lanes)
         level.set(levels.cast(ints)[0])
         tried.set(tries.cast(ints)[0])
@@ -502,11 +382,11 @@ class ExactHold:
     def _coarsen(
         self, tick: Tick, worst: Value, easy: Value, position: Value, level: Variable
     ) -> None:
-        """Lanes with a step that was far too good, one by one: double the next one."""
+        """Emit code that doubles the next step of each ``easy`` lane, whose error is small."""
         f = tick.function
         flags, positions = _spilled(f, f.flags(easy)), _spilled(f, position)
         levels, worsts = _spilled(f, level.get()), _spilled(f, worst)
-        for lane, own in self._lanes(tick):
+        for lane, memory in self._lanes(tick):
             with f.when(flags[lane].differs(0)):
                 before = levels[lane]
                 with f.forever() as loop:
@@ -517,12 +397,12 @@ class ExactHold:
                     # The estimate is of third order, and one more in a step.
                     worsts[lane] = worsts[lane] * 16.0
                 with f.when(levels[lane].differs(before)):
-                    self._refresh(tick, lane, own, levels[lane])
+                    self._refresh(tick, lane, memory, levels[lane])
         level.set(levels.cast(INT.of(tick.type.lanes))[0])
 
 
 def _spilled(f: Function, value: Value) -> Array:
-    """The lanes of a value in memory."""
+    """Return new memory, and emit the copy of the lanes of ``value`` to it."""
     memory = f.array(value.type.lanes, value.type.of(1))
     _spill(memory, 0, value)
     return memory

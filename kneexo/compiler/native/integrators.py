@@ -1,41 +1,42 @@
-"""Fixed-step integrators over one tick, traced for one lane or several."""
+"""Emits the fixed-step integrators over one tick, for one lane or several."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from .ir import INT, Array, Function, Operand, Type, Value
+from .ir import Array, Function, Operand, Value
+from .types import INT, Type
 
 Rate = Callable[[Operand, Array, Array], None]
-"""``rate(t, x, out)`` writes dx/dt at time t, with the inputs at that time."""
+"""``rate(t, x, out)`` emits ``out`` = dx/dt at the time t in s, with the open inputs at t."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """One tick as an integrator sees it: it advances ``x`` where ``running`` holds."""
+    """One tick of an integrator, which advances ``x`` in the lanes ``running``."""
 
     function: Function
     size: int
     """Number of continuous states."""
     type: Type
-    """Doubles, one a lane."""
+    """Doubles, one in each lane."""
     start: Value
     end: Value
     """Times in s, the same in all lanes."""
     x: Array
     running: Value
-    """The lanes that advance; with a single lane it always does."""
+    """The lanes that advance; ignored with a single lane, which always advances."""
     rate: Rate
     step: Value
     """Largest step in s."""
 
     def vector(self) -> Array:
-        """Memory for one value of each state."""
+        """Return local memory for one value of each state."""
         return self.function.array(self.size, self.type)
 
     def along(self, out: Array, *terms: tuple[Operand, Array]) -> None:
-        """``out`` = x + the sum of factor · vector."""
+        """Emit ``out`` = x + the sum of factor · vector."""
         f = self.function
         for i in f.each(self.size):
             total = self.x[i]
@@ -44,7 +45,7 @@ class Tick:
             out[i] = total
 
     def accept(self, new: Array) -> None:
-        """Take new values of the states in the lanes that advance."""
+        """Emit the change of ``x`` to ``new`` in the lanes that advance."""
         for i in self.function.each(self.size):
             if self.type.lanes == 1:
                 self.x[i] = new[i]
@@ -53,7 +54,7 @@ class Tick:
 
 
 def advance_rk4(tick: Tick) -> None:
-    """Equal steps of the classical fourth-order Runge-Kutta method."""
+    """Emit equal steps of the classical fourth-order Runge-Kutta method."""
     f = tick.function
     span = tick.end - tick.start
     steps = f.maximum(f.ceil(span / tick.step - 1e-9), 1.0)
@@ -76,7 +77,11 @@ def advance_rk4(tick: Tick) -> None:
 
 
 def advance_runge_kutta3(tick: Tick) -> None:
-    """The steps of Drake's RungeKutta3Integrator, of which the last may stretch by 1 %."""
+    """Emit the steps of Drake's RungeKutta3Integrator.
+
+    The last step ends exactly at the end of the tick: it is shorter than ``tick.step``, or at most
+    1 % longer.
+    """
     f = tick.function
     z, k1, k2, k3 = (tick.vector() for _ in range(4))
     time = f.variable(tick.start)

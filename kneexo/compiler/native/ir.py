@@ -1,9 +1,9 @@
-"""LLVM IR as text, written by tracing Python.
+"""Emits LLVM IR as text while Python code runs.
 
-A `Value` overloads the operators of Python, an `Array` loads and stores elements, and a `Function`
-collects the instructions. The same tracing code writes scalar code and code for several lanes of a
-vector. No floating-point flag is used: what is fused is an explicit `Function.fma`, so the same
-trace gives the same bits in scalar and vector code, on every processor.
+A `Function` collects instructions. The operators of a `Value` and the items of an `Array` append
+instructions to their function. The same Python code emits scalar code, and code for several lanes
+of a vector. No floating-point flag is used, and only `Function.fma` is fused. So scalar and vector
+code give the same bits on every processor.
 """
 
 from __future__ import annotations
@@ -11,87 +11,50 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TypeAlias
 
+from .types import BOOL, DOUBLE, INT, POINTER, Type
+
 UNROLLED = 8
-"""Longest loop that `Function.each` writes out."""
+"""Largest number of passes of a loop that `Function.each` unrolls."""
 
 
-@dataclass(frozen=True)
-class Type:
-    """An LLVM type: an element, or a vector of ``lanes`` of them."""
-
-    element: str
-    lanes: int = 1
-
-    def __str__(self) -> str:
-        return self.element if self.lanes == 1 else f"<{self.lanes} x {self.element}>"
-
-    def of(self, lanes: int) -> Type:
-        """The same element in another number of lanes."""
-        return Type(self.element, lanes)
-
-    @property
-    def suffix(self) -> str:
-        """Name of the type within the name of an intrinsic."""
-        name = {"double": "f64"}.get(self.element, self.element)
-        return name if self.lanes == 1 else f"v{self.lanes}{name}"
+_BinaryOperator: TypeAlias = "Callable[[Value, Operand], Value]"
 
 
-DOUBLE, INT, BOOL, BYTE, POINTER = (Type(name) for name in ("double", "i64", "i1", "i8", "ptr"))
-"""The types of LLVM that are used."""
+def _operators(name: str) -> tuple[_BinaryOperator, _BinaryOperator]:
+    """Return Python's operators ``a ∘ b`` and ``b ∘ a`` that emit the operation ``name``."""
+
+    def operate(self: Value, other: Operand) -> Value:
+        return self.function.binary(name, self, other)
+
+    def operate_reflected(self: Value, other: Operand) -> Value:
+        return self.function.binary(name, other, self)
+
+    return operate, operate_reflected
 
 
 class Value:
-    """A value of the code: a register or a literal, and its type."""
+    """A value of the code: a register or a literal, and its type.
+
+    The operators of Python emit instructions.
+    """
 
     __slots__ = ("function", "name", "type")
 
     def __init__(self, function: Function, name: str, type_: Type) -> None:
         self.function, self.name, self.type = function, name, type_
 
-    def __add__(self, other: Operand) -> Value:
-        return self.function.binary("add", self, other)
-
-    def __radd__(self, other: Operand) -> Value:
-        return self.function.binary("add", other, self)
-
-    def __sub__(self, other: Operand) -> Value:
-        return self.function.binary("sub", self, other)
-
-    def __rsub__(self, other: Operand) -> Value:
-        return self.function.binary("sub", other, self)
-
-    def __mul__(self, other: Operand) -> Value:
-        return self.function.binary("mul", self, other)
-
-    def __rmul__(self, other: Operand) -> Value:
-        return self.function.binary("mul", other, self)
-
-    def __truediv__(self, other: Operand) -> Value:
-        return self.function.binary("div", self, other)
-
-    def __rtruediv__(self, other: Operand) -> Value:
-        return self.function.binary("div", other, self)
-
-    def __mod__(self, other: Operand) -> Value:
-        return self.function.binary("srem", self, other)
-
-    def __lshift__(self, other: Operand) -> Value:
-        return self.function.binary("shl", self, other)
-
-    def __rshift__(self, other: Operand) -> Value:
-        return self.function.binary("lshr", self, other)
-
-    def __and__(self, other: Operand) -> Value:
-        return self.function.binary("and", self, other)
-
-    def __or__(self, other: Operand) -> Value:
-        return self.function.binary("or", self, other)
-
-    def __xor__(self, other: Operand) -> Value:
-        return self.function.binary("xor", self, other)
+    __add__, __radd__ = _operators("add")
+    __sub__, __rsub__ = _operators("sub")
+    __mul__, __rmul__ = _operators("mul")
+    __truediv__, __rtruediv__ = _operators("div")
+    __mod__ = _operators("srem")[0]
+    __lshift__ = _operators("shl")[0]
+    __rshift__ = _operators("lshr")[0]
+    __and__ = _operators("and")[0]
+    __or__ = _operators("or")[0]
+    __xor__ = _operators("xor")[0]
 
     def __invert__(self) -> Value:
         return self.function.binary("xor", self, 1 if self.type.element == "i1" else -1)
@@ -112,26 +75,29 @@ class Value:
         return self.function.compare("ge", self, other)
 
     def equals(self, other: Operand) -> Value:
-        """Whether both are equal; False for nan."""
+        """Emit a test for equality; nan is not equal to anything."""
         return self.function.compare("eq", self, other)
 
     def differs(self, other: Operand) -> Value:
-        """Whether both differ; True for nan."""
+        """Emit a test for a difference; nan differs from everything."""
         return self.function.compare("ne", self, other)
 
 
 Operand: TypeAlias = Value | float
-"""A value, or a number of Python that becomes a literal."""
+"""A value, or a Python number, which becomes a literal."""
 
 
 class Array:
-    """Elements of one type in memory, from a pointer on."""
+    """Elements of one type in memory.
+
+    Reading and setting an item emits a load or a store.
+    """
 
     def __init__(self, pointer: Value, type_: Type) -> None:
         self.function, self.pointer, self.type = pointer.function, pointer, type_
 
     def address(self, index: Operand) -> Value:
-        """Pointer to an element."""
+        """Emit the computation of an element's address; return the pointer."""
         if index == 0 and not isinstance(index, Value):
             return self.pointer
         i = self.function.coerce(index, INT)
@@ -144,53 +110,53 @@ class Array:
         return self.function.instruction(text, self.type)
 
     def __setitem__(self, index: Operand, value: Operand) -> None:
-        kept = self.function.coerce(value, self.type)
+        stored = self.function.coerce(value, self.type)
         place = self.address(index).name
-        self.function.line(f"store {self.type} {kept.name}, ptr {place}, align {self._alignment}")
+        self.function.line(f"store {self.type} {stored.name}, ptr {place}, align {self._alignment}")
 
     @property
     def _alignment(self) -> int:
-        return 1 if self.type.element == "i8" else 8  # buffers of callers hold no wider one
+        return 1 if self.type.element == "i8" else 8  # callers align their buffers to 8 bytes
 
     def shifted(self, index: Operand) -> Array:
-        """The elements from ``index`` on."""
+        """Return the array that begins at ``index``; emits the computation of its address."""
         return Array(self.address(index), self.type)
 
     def cast(self, type_: Type) -> Array:
-        """The same memory with elements of another type."""
+        """Return the same memory as an array of another type."""
         return Array(self.pointer, type_)
 
 
 class Variable:
-    """A local variable."""
+    """A local variable of the emitted code."""
 
     def __init__(self, memory: Array) -> None:
         self._memory = memory
 
     def get(self) -> Value:
-        """Its value here."""
+        """Emit a load; return the value."""
         return self._memory[0]
 
     def set(self, value: Operand) -> None:
-        """Change its value."""
+        """Emit a store."""
         self._memory[0] = value
 
 
 class Loop:
-    """The way out of the body of `Function.forever`."""
+    """The loop of `Function.forever`."""
 
     def __init__(self, function: Function, after: str) -> None:
         self._function, self._after = function, after
 
     def stop_if(self, condition: Value) -> None:
-        """Leave the loop."""
+        """Emit a jump out of the loop if a scalar condition holds."""
         (onward,) = self._function.new_labels("onward")
         self._function.line(f"br i1 {condition.name}, label %{self._after}, label %{onward}")
         self._function.label(onward)
 
 
 class Module:
-    """Functions of one text."""
+    """The functions of one text of IR."""
 
     def __init__(self) -> None:
         self._functions: list[Function] = []
@@ -205,13 +171,13 @@ class Module:
         internal: bool = True,
         attributes: str = "",
     ) -> Function:
-        """A new function; pointers among its arguments never overlap."""
+        """Return a new function. Memory behind different pointer arguments must not overlap."""
         new = Function(self, name, arguments, returns, internal, attributes)
         self._functions.append(new)
         return new
 
     def shared(self, name: str, make: Callable[[], Function]) -> Function:
-        """The function of that name, made where it is first asked for."""
+        """Return the function of that name; the first call makes it by ``make``."""
         for function in self._functions:
             if function.name == name:
                 return function
@@ -219,17 +185,17 @@ class Module:
 
     def declare(self, name: str, returns: Type, arguments: list[Type]) -> None:
         """Declare a function of the C library or of LLVM."""
-        of = ", ".join(str(type_) for type_ in arguments)
-        self._declarations[name] = f"declare {returns} @{name}({of})"
+        types = ", ".join(str(type_) for type_ in arguments)
+        self._declarations[name] = f"declare {returns} @{name}({types})"
 
     def text(self) -> str:
-        """The whole text."""
+        """Return the text of all functions."""
         parts = [*self._declarations.values(), *(f.text() for f in self._functions)]
         return "\n".join([*parts, '!0 = !{!"branch_weights", i32 1, i32 1048575}', ""])
 
 
 class Function:
-    """Instructions of one function; the methods append to them."""
+    """One function. Its methods append instructions, and most return the result as a value."""
 
     def __init__(
         self,
@@ -241,19 +207,19 @@ class Function:
         attributes: str,
     ) -> None:
         self.module, self.name, self.returns = module, name, returns
-        of = ", ".join(
+        parameters = ", ".join(
             f"{type_}{' noalias' if type_ == POINTER else ''} %{argument}"
             for argument, type_ in arguments.items()
         )
         scope = "internal " if internal else ""
-        self._head = f"define {scope}{returns or 'void'} @{name}({of}) {attributes} {{"
+        self._head = f"define {scope}{returns or 'void'} @{name}({parameters}) {attributes} {{"
         self.arguments = {key: Value(self, f"%{key}", type_) for key, type_ in arguments.items()}
         self._allocations: list[str] = []
         self._lines: list[str] = []
         self._count = 0
 
     def text(self) -> str:
-        """The definition; a function without a result ends where its instructions end."""
+        """Return the definition; a function without a result returns after its last instruction."""
         end = ["  ret void"] if self.returns is None else ["  unreachable"]
         if self._lines and self._lines[-1].startswith("  ret "):
             end = []
@@ -266,13 +232,13 @@ class Function:
         self._lines.append(f"  {text}")
 
     def instruction(self, text: str, type_: Type) -> Value:
-        """Append an instruction; returns its result."""
+        """Append an instruction; return its result."""
         self._count += 1
         self._lines.append(f"  %v{self._count} = {text}")
         return Value(self, f"%v{self._count}", type_)
 
     def constant(self, value: float, type_: Type = DOUBLE) -> Value:
-        """A literal, the same in all lanes."""
+        """Return a literal with the same value in all lanes."""
         if type_.element == "double":
             (bits,) = struct.unpack("<Q", struct.pack("<d", value))
             text = f"0x{bits:016X}"
@@ -285,27 +251,24 @@ class Function:
         return Value(self, text, type_)
 
     def lane_numbers(self, lanes: int) -> Value:
-        """The integers 0, 1, 2 …, one a lane."""
+        """Return the integers 0, 1, 2 …, one in each lane."""
         text = "<" + ", ".join(f"i64 {lane}" for lane in range(lanes)) + ">"
         return Value(self, text if lanes > 1 else "0", INT.of(lanes))
 
     def coerce(self, value: Operand, type_: Type) -> Value:
-        """The value in that type: a literal, or a scalar repeated in all lanes."""
+        """Return a value in that type; numbers become literals, a scalar fills all lanes."""
         if not isinstance(value, Value):
             return self.constant(value, type_)
         if value.type == type_:
             return value
         assert value.type == type_.of(1), (value.type, type_)
-        single = self.instruction(
-            f"insertelement {type_} poison, {value.type} {value.name}, i64 0", type_
-        )
-        mask = f"<{type_.lanes} x i32> zeroinitializer"
-        return self.instruction(
-            f"shufflevector {type_} {single.name}, {type_} poison, {mask}", type_
-        )
+        text = f"insertelement {type_} poison, {value.type} {value.name}, i64 0"
+        single, mask = self.instruction(text, type_), f"<{type_.lanes} x i32> zeroinitializer"
+        text = f"shufflevector {type_} {single.name}, {type_} poison, {mask}"
+        return self.instruction(text, type_)
 
     def alike(self, *operands: Operand) -> list[Value]:
-        """Operands in one type, that with the most lanes among them; numbers alone are doubles."""
+        """Return operands in the type with the most lanes; numbers alone become doubles."""
         types = [operand.type for operand in operands if isinstance(operand, Value)]
         widest = max(types, key=lambda type_: type_.lanes, default=DOUBLE)
         return [self.coerce(operand, widest) for operand in operands]
@@ -317,7 +280,7 @@ class Function:
         return self.instruction(f"{prefix}{name} {a.type} {a.name}, {b.name}", a.type)
 
     def compare(self, name: str, left: Operand, right: Operand) -> Value:
-        """A condition: lt, le, gt, ge, eq or ne; with nan all but ne are False."""
+        """A condition: lt, le, gt, ge, eq or ne. With nan ne is true and all others are false."""
         a, b = self.alike(left, right)
         if a.type.element == "double":
             code = "fcmp " + ("une" if name == "ne" else f"o{name}")
@@ -339,8 +302,8 @@ class Function:
         type_ = values[0].type
         full = f"llvm.{name}.{type_.suffix}"
         self.module.declare(full, type_, [type_] * len(values))
-        of = ", ".join(f"{type_} {value.name}" for value in values)
-        return self.instruction(f"call {type_} @{full}({of})", type_)
+        arguments = ", ".join(f"{type_} {value.name}" for value in values)
+        return self.instruction(f"call {type_} @{full}({arguments})", type_)
 
     def fma(self, factor: Operand, other: Operand, term: Operand) -> Value:
         """The sum factor · other + term, rounded once."""
@@ -363,43 +326,42 @@ class Function:
         return self._intrinsic("ceil", value)
 
     def copysign(self, magnitude: Operand, sign: Operand) -> Value:
-        """Magnitude of the one with the sign of the other."""
+        """The absolute value of ``magnitude`` with the sign of ``sign``."""
         return self._intrinsic("copysign", magnitude, sign)
 
     def minimum(self, first: Operand, second: Operand) -> Value:
-        """The smaller one, as std::min: the first one when one is nan."""
+        """The smaller value, as std::min; the first one if one is nan."""
         a, b = self.alike(first, second)
         return self.select(b < a, b, a)
 
     def maximum(self, first: Operand, second: Operand) -> Value:
-        """The larger one, as std::max: the first one when one is nan."""
+        """The larger value, as std::max; the first one if one is nan."""
         a, b = self.alike(first, second)
         return self.select(a < b, b, a)
 
+    def _converted(self, conversion: str, value: Value, element: Type) -> Value:
+        type_ = element.of(value.type.lanes)
+        return self.instruction(f"{conversion} {value.type} {value.name} to {type_}", type_)
+
     def to_double(self, value: Value) -> Value:
         """Integers as doubles."""
-        type_ = DOUBLE.of(value.type.lanes)
-        return self.instruction(f"sitofp {value.type} {value.name} to {type_}", type_)
+        return self._converted("sitofp", value, DOUBLE)
 
     def to_int(self, value: Value) -> Value:
-        """Doubles without their fraction as integers; they must fit."""
-        type_ = INT.of(value.type.lanes)
-        return self.instruction(f"fptosi {value.type} {value.name} to {type_}", type_)
+        """Doubles without their fraction as integers; the range of integers must hold them."""
+        return self._converted("fptosi", value, INT)
 
     def bits(self, value: Value) -> Value:
         """The 64 bits of doubles as integers."""
-        type_ = INT.of(value.type.lanes)
-        return self.instruction(f"bitcast {value.type} {value.name} to {type_}", type_)
+        return self._converted("bitcast", value, INT)
 
     def from_bits(self, value: Value) -> Value:
         """Doubles from the integers of `bits`."""
-        type_ = DOUBLE.of(value.type.lanes)
-        return self.instruction(f"bitcast {value.type} {value.name} to {type_}", type_)
+        return self._converted("bitcast", value, DOUBLE)
 
     def flags(self, condition: Value) -> Value:
         """A condition as integers 0 and 1."""
-        type_ = INT.of(condition.type.lanes)
-        return self.instruction(f"zext {condition.type} {condition.name} to {type_}", type_)
+        return self._converted("zext", condition, INT)
 
     def library(self, name: str, *operands: Operand) -> Value:
         """A function of the C library, one lane after the other."""
@@ -407,18 +369,19 @@ class Function:
         self.module.declare(name, DOUBLE, [DOUBLE] * len(values))
 
         def of_lane(lane: int) -> Value:
-            of = ", ".join(f"double {self.lane(value, lane).name}" for value in values)
-            return self.instruction(f"call double @{name}({of})", DOUBLE)
+            arguments = ", ".join(f"double {self.lane(value, lane).name}" for value in values)
+            return self.instruction(f"call double @{name}({arguments})", DOUBLE)
 
         return self.gathered(values[0].type.lanes, of_lane)
 
     def call(self, function: Function, *values: Value) -> Value:
-        """Call a function of this module; without a result the value must not be used."""
-        of = ", ".join(f"{value.type} {value.name}" for value in values)
+        """Call a function of this module; the value of one without result must not be used."""
+        arguments = ", ".join(f"{value.type} {value.name}" for value in values)
         if function.returns is None:
-            self.line(f"call void @{function.name}({of})")
+            self.line(f"call void @{function.name}({arguments})")
             return Value(self, "", POINTER)
-        return self.instruction(f"call {function.returns} @{function.name}({of})", function.returns)
+        text = f"call {function.returns} @{function.name}({arguments})"
+        return self.instruction(text, function.returns)
 
     # ---------------------------------------------------------------------------- lanes
 
@@ -427,9 +390,8 @@ class Function:
         lanes = condition.type.lanes
         if lanes == 1:
             return condition
-        bits = self.instruction(
-            f"bitcast {condition.type} {condition.name} to i{lanes}", Type(f"i{lanes}")
-        )
+        text = f"bitcast {condition.type} {condition.name} to i{lanes}"
+        bits = self.instruction(text, Type(f"i{lanes}"))
         return self.instruction(f"icmp ne i{lanes} {bits.name}, 0", BOOL)
 
     def lane(self, value: Value, lane: int) -> Value:
@@ -440,23 +402,21 @@ class Function:
         return self.instruction(text, value.type.of(1))
 
     def gathered(self, lanes: int, of_lane: Callable[[int], Value]) -> Value:
-        """A value from the scalars of its lanes."""
+        """A vector of the scalars that ``of_lane(lane)`` returns."""
         first = of_lane(0)
         if lanes == 1:
             return first
         total = Value(self, "poison", first.type.of(lanes))
         for lane in range(lanes):
             part = first if lane == 0 else of_lane(lane)
-            total = self.instruction(
-                f"insertelement {total.type} {total.name}, {part.type} {part.name}, i64 {lane}",
-                total.type,
-            )
+            text = f"insertelement {total.type} {total.name}, {part.type} {part.name}, i64 {lane}"
+            total = self.instruction(text, total.type)
         return total
 
     # --------------------------------------------------------------------------- memory
 
     def array(self, size: int, type_: Type = DOUBLE) -> Array:
-        """Local memory for at least one element, not initialized."""
+        """Return local memory for ``size`` elements, at least one; it is not initialized."""
         self._count += 1
         name = f"%a{self._count}"
         count = f"[{max(size, 1)} x {type_}]"
@@ -464,7 +424,7 @@ class Function:
         return Array(Value(self, name, POINTER), type_)
 
     def variable(self, value: Value) -> Variable:
-        """A local variable with a first value."""
+        """Return a new local variable; emits the store of its first value."""
         new = Variable(self.array(1, value.type))
         new.set(value)
         return new
@@ -476,20 +436,20 @@ class Function:
     # -------------------------------------------------------------------------- control
 
     def new_labels(self, *names: str) -> list[str]:
-        """Names of new blocks."""
+        """Return names of new blocks, which no other block has."""
         self._count += 1
         return [f"{name}{self._count}" for name in names]
 
     def label(self, name: str) -> None:
-        """Begin a block."""
+        """Begin the block of that name."""
         self._lines.append(f"{name}:")
 
     @contextmanager
     def when(self, condition: Value, *, rare: bool = False) -> Iterator[None]:
-        """The body runs where a scalar condition holds.
+        """Context manager: emit its body under a scalar condition.
 
-        A ``rare`` one stays a branch: a select in its place would make what follows wait for the
-        condition.
+        ``rare``: LLVM keeps the branch. Else it may emit a select, and the code behind would wait
+        for the condition.
         """
         body, after = self.new_labels("then", "after")
         weights = ", !prof !0" if rare else ""
@@ -501,7 +461,7 @@ class Function:
 
     @contextmanager
     def forever(self) -> Iterator[Loop]:
-        """The body runs until `Loop.stop_if`."""
+        """Context manager: emit its body as a loop that `Loop.stop_if` ends."""
         head, after = self.new_labels("loop", "after")
         self.line(f"br label %{head}")
         self.label(head)
@@ -510,7 +470,7 @@ class Function:
         self.label(after)
 
     def each(self, count: int | Value) -> Iterator[Operand]:
-        """0 … ``count`` - 1: numbers of Python when they are few, else a loop."""
+        """Yield 0 … ``count`` - 1, at most `UNROLLED` as Python numbers; else emit a loop."""
         if isinstance(count, int) and count <= UNROLLED:
             yield from range(count)
             return
@@ -522,17 +482,17 @@ class Function:
             number.set(k + 1)
 
     def loop(self, count: int | Value) -> Iterator[Operand]:
-        """The same, always as a loop: for code that runs rarely."""
+        """Yield the number of the pass in an emitted loop, as short code that runs rarely."""
         return self.each(self.coerce(count, INT))
 
-    def give(self, value: Value | None = None) -> None:
-        """Return from the function."""
+    def return_(self, value: Value | None = None) -> None:
+        """Emit a return."""
         self.line("ret void" if value is None else f"ret {value.type} {value.name}")
 
-    def give_if(self, condition: Value, value: Value | None = None) -> None:
-        """Return from the function where a scalar condition holds."""
+    def return_if(self, condition: Value, value: Value | None = None) -> None:
+        """Emit a return if a scalar condition holds."""
         leave, onward = self.new_labels("leave", "onward")
         self.line(f"br i1 {condition.name}, label %{leave}, label %{onward}")
         self.label(leave)
-        self.give(value)
+        self.return_(value)
         self.label(onward)

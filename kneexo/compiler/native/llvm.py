@@ -1,4 +1,4 @@
-"""IR text to machine code, and machine code into this process: everything that touches LLVM."""
+"""Compiles IR text to machine code and loads machine code; no other module uses LLVM."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ import llvmlite.binding as llvm
 from ..root import variable
 
 LANES = 8
-"""Runs in lock-step: a vector of AVX-512, or two of AVX2, whose operations then overlap."""
+"""Number of lanes of batches: one vector of AVX-512, or two of AVX2, whose operations overlap."""
 
 
 @dataclass(frozen=True)
 class Processor:
-    """What machine code is made for."""
+    """A processor for which machine code is made."""
 
     name: str
     features: str
 
     @cached_property
     def key(self) -> str:
-        """Text that differs where the machine code may."""
+        """Text that differs for processors and versions that may get different machine code."""
         versions = f"llvmlite {llvmlite.__version__}, LLVM {llvm.llvm_version_info}"
         return f"{versions}, {llvm.get_process_triple()}, {self.name}, {self.features}"
 
@@ -41,7 +41,7 @@ def _start() -> None:
 
 @cache
 def processor() -> Processor:
-    """The processor of this machine, or the one that ``KNEEXO_CPU`` names (x86-64-v3 …)."""
+    """Return the processor of this machine, or the one that ``KNEEXO_CPU`` names (x86-64-v3 …)."""
     _start()
     chosen = os.environ.get(variable("CPU"))
     if chosen:
@@ -50,10 +50,10 @@ def processor() -> Processor:
 
 
 def compile_text(text: str, target: Processor | None = None) -> bytes:
-    """Object code of an IR text, for the `processor` by default.
+    """Return the object code of an IR text for ``target``, by default for the `processor`.
 
-    Warns of a processor without an instruction for fused multiply-add: the function of the C
-    library in its place gives the same bits, but takes many times as long.
+    Warns if the processor has no instruction for fused multiply-add. The function of the C library
+    in its place gives the same bits, but is many times slower.
     """
     machine = _machine(target or processor())
     module = llvm.parse_assembly(text)
@@ -81,7 +81,7 @@ def _machine(target: Processor) -> Any:
 
 
 class Library:
-    """Object code in this process; it stays as long as its functions are used."""
+    """Object code in this process; it stays loaded while one of its functions is referred to."""
 
     def __init__(self, code: bytes) -> None:
         _start()
@@ -92,7 +92,7 @@ class Library:
         self._functions: dict[str, Callable[..., None]] = {}
 
     def function(self, name: str, arguments: int) -> Callable[..., None]:
-        """A function without result whose arguments are addresses; it releases the GIL."""
+        """Return a function of addresses, without result, that releases the GIL."""
         if name not in self._functions:
             address = self._engine.get_function_address(name)
             assert address, name

@@ -1,4 +1,4 @@
-"""Machine code of a model, part by part: from the cache, or compiled when it is first used."""
+"""The machine code of a model, one function at a time: from the cache, or compiled."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from .llvm import Library, compile_text, processor
 from .time_loop import between_text, run_text, start_text
 
 Source = Equations | Callable[[], Equations]
-"""Equations, or what reads them when machine code of them must be made."""
+"""Equations, or a function that reads them; it is called when the cache lacks machine code."""
 
 ANNOUNCED_AFTER_S = 1.0
-"""A compilation that takes longer is told on stderr."""
+"""Time in s after which a line on stderr says that equations are being compiled."""
 
-_lock = RLock()  # threads may want the same code
+_lock = RLock()  # two threads may ask for the same code
 _libraries: dict[str, Library] = {}
 _layouts: dict[str, Layout] = {}
 
@@ -32,8 +32,8 @@ _layouts: dict[str, Layout] = {}
 class MachineCode:
     """The functions of one model.
 
-    ``key`` is text that is equal for equal equations alone. Pickled, it takes key and source along:
-    another process loads the code from the cache, or makes it.
+    ``key`` is text that is equal for equal equations alone. A pickled object holds key and source,
+    so another process loads the code from the cache or compiles it.
     """
 
     def __init__(self, key: str, source: Source) -> None:
@@ -45,7 +45,7 @@ class MachineCode:
 
     @property
     def layout(self) -> Layout:
-        """Names and sizes."""
+        """Names and sizes; from the cache, or of the program."""
         with _lock:
             key = self._entry("layout")
             if key not in _layouts:
@@ -60,7 +60,7 @@ class MachineCode:
 
     @property
     def program(self) -> Program:
-        """What is printed; made when it is first needed."""
+        """The program that is printed; made when it is first needed."""
         with _lock:
             if self._program is None:
                 source = self._source
@@ -68,18 +68,18 @@ class MachineCode:
             return self._program
 
     def start(self, name: str) -> Callable[..., None]:
-        """``constants`` or ``initialize``."""
+        """Return the function ``constants`` or ``initialize`` of `printer`."""
         arguments = {"constants": 2, "initialize": 5}[name]
         return self._library("start", lambda: start_text(self.program)).function(name, arguments)
 
     def run(self, integrator: str, lanes: int) -> Callable[..., None]:
-        """``run`` of `time_loop`."""
+        """Return the function ``run`` of `time_loop`."""
         part = f"run, {integrator}, {lanes} lanes"
         library = self._library(part, lambda: run_text(self.program, integrator, lanes))
         return library.function("run", 1)
 
     def between(self) -> Callable[..., None]:
-        """``between`` of `time_loop`."""
+        """Return the function ``between`` of `time_loop`."""
         library = self._library("between", lambda: between_text(self.program))
         return library.function("between", 1)
 
@@ -96,13 +96,16 @@ class MachineCode:
             return _libraries[key]
 
     def _entry(self, part: str) -> str:
-        """Key of a part: everything that makes its bytes."""
+        """Return the key of a part in the cache: all that its bytes depend on."""
         return "\n".join((self.key, _sources(), processor().key, part))
 
 
 @contextmanager
 def _announced() -> Iterator[None]:
-    """A line on stderr when the body takes more than a second; worker processes are silent."""
+    """Context manager: print a line on stderr if its body takes more than `ANNOUNCED_AFTER_S`.
+
+    Worker processes print nothing.
+    """
     if parent_process() is not None:
         yield
         return
@@ -119,7 +122,7 @@ def _announced() -> Iterator[None]:
 
 @cache
 def _sources() -> str:
-    """Fingerprint of what turns equations into machine code."""
+    """Return a fingerprint of the compiler's own source files."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())

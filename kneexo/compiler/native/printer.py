@@ -1,4 +1,4 @@
-"""Nodes of a graph as instructions of a function, for one lane or several."""
+"""Emits nodes of a graph as instructions of a function, for one lane or several."""
 
 from __future__ import annotations
 
@@ -12,20 +12,14 @@ from ..equations.operations import OPERATIONS
 from ..equations.passes import ALWAYS, Group, Memo, Place, Program
 from . import elementary
 from .arguments import MEMO_LINES
-from .ir import (
-    DOUBLE,
-    INT,
-    POINTER,
-    Array,
-    Function,
-    Module,
-    Operand,
-    Type,
-    Value,
-)
+from .ir import Array, Function, Module, Operand, Value
+from .types import DOUBLE, INT, POINTER, Type
 
 Load = Callable[[str, int], Operand]
-"""Gives an element of a source (`graph.SOURCES`), or of a ``constant`` computed once a run."""
+"""``load(kind, index)`` emits the load of an element of a source (`graph.SOURCES`).
+
+The kind ``constant`` stands for the values that are computed once a run.
+"""
 
 _EMITTERS: dict[str, Callable[[Function, str, Sequence[Operand]], Operand]] = {
     "binary": lambda f, name, a: reduce(partial(f.binary, name), a[1:], a[0]),
@@ -39,7 +33,7 @@ _EMITTERS: dict[str, Callable[[Function, str, Sequence[Operand]], Operand]] = {
 
 
 class Printer:
-    """Traces nodes of a program into a function."""
+    """Emits nodes of a program into one function."""
 
     def __init__(
         self,
@@ -49,26 +43,34 @@ class Printer:
         *,
         hoisted: Mapping[int, int] | None = None,
         memory: Sequence[Array] | None = None,
-        given: Mapping[int, Operand] | None = None,
+        known: Mapping[int, Operand] | None = None,
     ) -> None:
-        """``hoisted``: nodes to load as constants, those of the program by default.
+        """Make a printer.
 
-        ``memory``: for each memo of the program its tags and its values; without them nothing is
-        looked up. ``given``: values of nodes that are known already.
+        Parameters
+        ----------
+        function, program, load
+            Function that gets the instructions, program of the nodes, loads of sources.
+        hoisted
+            Nodes that are loaded as constants, with their numbers; by default those of the program.
+        memory
+            Tags and values of each memo of the program. Without them nothing is looked up.
+        known
+            Values of nodes that are emitted already.
         """
         self.function, self.program, self.graph = function, program, program.graph
         self.load = load
         self.hoisted = program.hoisted if hoisted is None else hoisted
         self.memory = memory
-        self.given = given or {}
+        self.known = known or {}
         self.memo_of: dict[int, tuple[int, Memo]] = {}
         if memory is not None:
             for number, memo in enumerate(program.memos):
                 self.memo_of |= dict.fromkeys(memo.nodes, (number, memo))
-        self._made: dict[Any, Any] = {}  # pairs of sine and cosine, and lines that were looked up
+        self._emitted: dict[Any, Any] = {}  # pairs of sine and cosine, and rows of tables
 
     def _arguments(self, node: int) -> tuple[int, ...]:
-        if node in self.hoisted or node in self.given:
+        if node in self.hoisted or node in self.known:
             return ()
         if node in self.memo_of:
             return (self.memo_of[node][1].count,)
@@ -83,7 +85,11 @@ class Printer:
         condition: Callable[[tuple[str, int]], Value],
         store: Callable[[Place, Operand], None],
     ) -> None:
-        """Compute groups and store their targets; what two groups share comes first."""
+        """Emit the computation of groups; nodes that several groups need come first.
+
+        ``condition``: returns whether a group is computed; ``store(place, value)``: emits the store
+        of a target.
+        """
         users: dict[int, list[str]] = {}
         needed: dict[int, set[int]] = {}
         for number, group in enumerate(groups):
@@ -110,29 +116,29 @@ class Printer:
             elif group.targets:
                 with self.function.when(condition(group.condition)), self._block():
                     inner = dict(values)
-                    own = sorted(n for n, numbers in needed.items() if numbers == {number})
-                    self._compute(own, inner, fused)
+                    alone = sorted(n for n, numbers in needed.items() if numbers == {number})
+                    self._compute(alone, inner, fused)
                     for place, node in group.targets:
                         store(place, inner[node])
 
     def always(
         self, targets: Iterable[tuple[Place, int]], store: Callable[[Place, Operand], None]
     ) -> None:
-        """Compute targets without a condition."""
+        """Emit the computation of targets without a condition."""
         no_condition = Value(self.function, "", INT)
         self.groups([Group(ALWAYS, tuple(targets))], lambda _: no_condition, store)
 
     @contextmanager
     def _block(self) -> Iterator[None]:
-        """What is made within a block is unknown behind it."""
-        before = dict(self._made)
+        """Context manager: forget at its end which values its body has emitted."""
+        before = dict(self._emitted)
         yield
-        self._made = before
+        self._emitted = before
 
     def _operation(self, node: int) -> str:
-        """The operation that is printed for a node, empty when it is loaded or known."""
-        known = node in self.hoisted or node in self.given or node in self.memo_of
-        return "" if known else str(self.graph.nodes[node][0])
+        """Return the operation that is emitted for a node; empty for a loaded or known one."""
+        is_loaded = node in self.hoisted or node in self.known or node in self.memo_of
+        return "" if is_loaded else str(self.graph.nodes[node][0])
 
     def _compute(self, nodes: Iterable[int], values: dict[int, Operand], fused: set[int]) -> None:
         for node in nodes:
@@ -141,8 +147,8 @@ class Printer:
 
     def _value(self, node: int, values: Mapping[int, Operand], fused: set[int]) -> Operand:
         f = self.function
-        if node in self.given:
-            return self.given[node]
+        if node in self.known:
+            return self.known[node]
         if node in self.hoisted:
             return self.load("constant", self.hoisted[node])
         if node in self.memo_of:
@@ -167,13 +173,13 @@ class Printer:
             a[0] = f.coerce(a[0], DOUBLE)  # LLVM folds constants, as the processor would
         if emitter == "sincos":
             pair = ("sin and cos", arguments[0])
-            if pair not in self._made:
-                self._made[pair] = elementary.sincos(f, *f.alike(a[0]))
-            return self._made[pair][int(name)]
+            if pair not in self._emitted:
+                self._emitted[pair] = elementary.sincos(f, *f.alike(a[0]))
+            return self._emitted[pair][int(name)]
         return _EMITTERS[emitter](f, name, a)
 
     def _sum(self, terms: Sequence[int], values: Mapping[int, Operand], fused: set[int]) -> Operand:
-        """A sum, into which its products are fused."""
+        """Emit a sum; the products in ``fused`` are parts of its instructions."""
         total: Operand | None = None
         for term in terms:
             if term not in fused:
@@ -195,7 +201,7 @@ class Printer:
         return total
 
     def _factors(self, node: int, values: Mapping[int, Operand]) -> tuple[int, list[Operand]]:
-        """Sign and factors of a product; those that are -1 only change the sign."""
+        """Return sign and factors of a product; factors of -1 only change the sign."""
         sign, factors = 1, []
         for argument in self.graph.arguments(node):
             if self.graph.value(argument) == -1.0:
@@ -214,38 +220,41 @@ class Printer:
     # ------------------------------------------------------------------- whole-number functions
 
     def _looked_up(self, count: Operand, number: int, memo: Memo) -> dict[int, Operand]:
-        """Values of a memo's nodes; a line that is missing is computed and kept."""
-        if ("line", number) in self._made:
-            line: dict[int, Operand] = self._made["line", number]
-            return line
+        """Emit code that looks up the values of the memo's nodes in its table at ``count``.
+
+        The code computes and stores a missing row. Returns the emitted values by node.
+        """
+        if ("row", number) in self._emitted:
+            row: dict[int, Operand] = self._emitted["row", number]
+            return row
         f = self.function
         assert self.memory is not None
         assert isinstance(count, Value)
         lanes, width = count.type.lanes, len(memo.nodes)
-        tags, kept = self.memory[2 * number], self.memory[2 * number + 1]
+        tags, rows = self.memory[2 * number], self.memory[2 * number + 1]
         small = f.absolute(count) < 2.0**31
         index = f.to_int(f.select(small, count, 0.0)) & (MEMO_LINES - 1)
         place = index * lanes + f.lane_numbers(lanes)
         places = [f.lane(place, lane) for lane in range(lanes)]
         tag = f.gathered(lanes, lambda lane: tags[places[lane]])
         first = [place * width for place in places]
-        known = tag.equals(count) & f.bits(tag).equals(f.bits(count))  # 0 is not -0
-        with f.when(f.any_lane(~known)):
-            inner = Printer(f, self.program, self.load, given={memo.count: count})
+        is_stored = tag.equals(count) & f.bits(tag).equals(f.bits(count))  # 0 is not -0
+        with f.when(f.any_lane(~is_stored)):
+            inner = Printer(f, self.program, self.load, known={memo.count: count})
             for lane in range(lanes):
                 tags[places[lane]] = f.lane(count, lane)
 
-            def keep(at: Place, value: Operand) -> None:
+            def store(at: Place, value: Operand) -> None:
                 value = f.coerce(value, count.type)
                 for lane in range(lanes):
-                    kept[first[lane] + at[1]] = f.lane(value, lane)
+                    rows[first[lane] + at[1]] = f.lane(value, lane)
 
-            inner.always(((("memo", i), node) for i, node in enumerate(memo.nodes)), keep)
+            inner.always(((("memo", i), node) for i, node in enumerate(memo.nodes)), store)
 
         def value(column: int) -> Value:
-            return f.gathered(lanes, lambda lane: kept[first[lane] + column])
+            return f.gathered(lanes, lambda lane: rows[first[lane] + column])
 
-        self._made["line", number] = {node: value(i) for i, node in enumerate(memo.nodes)}
+        self._emitted["row", number] = {node: value(i) for i, node in enumerate(memo.nodes)}
         return self._looked_up(count, number, memo)
 
 
@@ -257,7 +266,7 @@ def _condition(function: Function, value: Operand) -> Value:
 
 
 def define_constants(module: Module, program: Program) -> None:
-    """``constants(parameters, c)``: what depends on parameters alone."""
+    """Define ``constants(p, c)``: the values ``c`` that depend on the parameters ``p`` alone."""
     f = module.function("constants", dict.fromkeys(("p", "c"), POINTER), internal=False)
     parameters, c = (Array(f.arguments[name], DOUBLE) for name in ("p", "c"))
 
@@ -269,12 +278,12 @@ def define_constants(module: Module, program: Program) -> None:
 
 
 def sources(time: Operand, **arrays: Array) -> Load:
-    """A `Load` from arrays by the name of their source."""
+    """Return a `Load` from arrays by the name of their source."""
     return lambda kind, index: time if kind == "time" else arrays[kind][index]
 
 
 def define_initialize(module: Module, program: Program) -> None:
-    """``initialize(x, d, u, c, after)``: discrete states after the initialization events."""
+    """Define ``initialize(x, d, u, c, after)``: discrete states after the initialization events."""
     names = ("x", "d", "u", "c", "after")
     f = module.function("initialize", dict.fromkeys(names, POINTER), internal=False)
     x, d, u, c, after = (Array(f.arguments[name], DOUBLE) for name in names)
@@ -288,7 +297,7 @@ def define_initialize(module: Module, program: Program) -> None:
 
 
 def define_derivatives(module: Module, program: Program, lanes: int, attributes: str) -> Function:
-    """``derivatives(t, x, d, u, c, out)``: dx/dt."""
+    """Define ``derivatives(t, x, d, u, c, out)``: ``out`` = dx/dt."""
     f, load, out = _of_state(module, program, "derivatives", lanes, attributes)
 
     def store(place: Place, value: Operand) -> None:
@@ -300,7 +309,7 @@ def define_derivatives(module: Module, program: Program, lanes: int, attributes:
 
 
 def define_jacobian(module: Module, program: Program) -> Function:
-    """``jacobian(t, x, d, u, c, out)``: df/dx, column by column, of one lane."""
+    """Define ``jacobian(t, x, d, u, c, out)``: ``out`` = df/dx of one lane, column by column."""
     f, load, out = _of_state(module, program, "jacobian", 1, "noinline")
     for i in f.loop(program.size**2):
         out[i] = 0.0

@@ -26,20 +26,7 @@ from .arguments import (
     TOO_ROUGH,
 )
 from .integrators import Tick, advance_rk4, advance_runge_kutta3
-from .ir import (
-    BOOL,
-    BYTE,
-    DOUBLE,
-    INT,
-    POINTER,
-    Array,
-    Function,
-    Module,
-    Operand,
-    Type,
-    Value,
-    Variable,
-)
+from .ir import Array, Function, Module, Operand, Value, Variable
 from .printer import (
     Printer,
     define_constants,
@@ -48,6 +35,7 @@ from .printer import (
     define_jacobian,
     sources,
 )
+from .types import BOOL, BYTE, DOUBLE, INT, POINTER, Type
 
 _CHECKS = 4  # independent sums, which the processor can compute at the same time
 
@@ -298,7 +286,7 @@ class _Run:
         x, d, u = (f.array(size) for size in (*sizes, self.model.input_count))
         at = exact_hold.Memory(program.size)
 
-        def choose(tick: Tick, lane: Value, own: Array, time: Value) -> None:
+        def choose(tick: Tick, lane: Value, memory: Array, time: Value) -> None:
             for values, single, count in zip(
                 (self.model.x, self.model.d), (x, d), sizes, strict=True
             ):
@@ -309,9 +297,9 @@ class _Run:
                     single[i] = spilled.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane]
             self.model.inputs_of(lane, time, u)
             c = lane_c.address(lane * len(program.hoisted))
-            pointers = (x.pointer, d.pointer, u.pointer, c, own.address(at.candidate))
+            pointers = (x.pointer, d.pointer, u.pointer, c, memory.address(at.candidate))
             f.call(jacobian, time, *pointers)
-            f.call(choose_slot, x.pointer, own.pointer, a["tick"])
+            f.call(choose_slot, x.pointer, memory.pointer, a["tick"])
 
         self.hold = exact_hold.ExactHold(
             a["tick"], a["tolerance"], a.array("memory", DOUBLE), a.array("shared", DOUBLE), choose

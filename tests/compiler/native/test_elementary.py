@@ -13,7 +13,8 @@ import pytest
 from mpmath import mp, mpf
 
 from kneexo.compiler.native import elementary
-from kneexo.compiler.native.ir import DOUBLE, INT, POINTER, Array, Module
+from kneexo.compiler.native.ir import Array, Module
+from kneexo.compiler.native.types import DOUBLE, INT, POINTER
 
 FIT = Path(__file__).parents[3] / "benchmarks" / "fit_elementary.py"
 LANES = (1, 4, 8, 16)

@@ -17,9 +17,10 @@ from kneexo.compiler.native.exact_hold import (
     define_fill_tables,
 )
 from kneexo.compiler.native.integrators import Tick
-from kneexo.compiler.native.ir import BOOL, DOUBLE, INT, POINTER, Array, Module
+from kneexo.compiler.native.ir import Array, Module
 from kneexo.compiler.native.llvm import Library, compile_text
 from kneexo.compiler.native.runner import Runner
+from kneexo.compiler.native.types import BOOL, DOUBLE, INT, POINTER
 
 
 def fill_tables(a, tick):

@@ -8,7 +8,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from kneexo.compiler.native.ir import BYTE, DOUBLE, INT, POINTER, UNROLLED, Array, Module
+from kneexo.compiler.native.ir import UNROLLED, Array, Module
+from kneexo.compiler.native.types import BYTE, DOUBLE, INT, POINTER
 
 INT64 = ctypes.c_int64
 LANES = (1, 4, 8, 16)
@@ -54,7 +55,7 @@ def scalar(native):
         f = module.function("run", {f"n{k}": INT for k in range(len(numbers))}, INT, internal=False)
         value = trace(f, *f.arguments.values())
         if value is not None:
-            f.give(f.coerce(value, INT))
+            f.return_(f.coerce(value, INT))
         return native(module.text())("run", INT64, *[INT64] * len(numbers))(*numbers)
 
     return run
@@ -301,10 +302,10 @@ def test_when(scalar):
 
 def test_returning_early(scalar):
     def trace(f, n):
-        f.give_if(n < 0, f.constant(-1, INT))
+        f.return_if(n < 0, f.constant(-1, INT))
         with f.when(n.equals(7)):
-            f.give(f.constant(70, INT))
-        f.give(n)
+            f.return_(f.constant(70, INT))
+        f.return_(n)
 
     assert [scalar(trace, n) for n in (-5, 7, 8)] == [-1, 70, 8]
 
@@ -314,7 +315,7 @@ def test_returning_early_without_a_result(native):
     f = module.function("run", {"n": INT, "result": POINTER}, internal=False)
     result = Array(f.arguments["result"], INT)
     result[0] = 1
-    f.give_if(f.arguments["n"] > 0)
+    f.return_if(f.arguments["n"] > 0)
     result[0] = 2
     found = np.zeros(1, np.int64)
     run = native(module.text())("run", None, INT64, ctypes.c_void_p)
@@ -329,7 +330,7 @@ def test_calls(scalar):
 
         def make():
             g = module.function("square", {"n": INT}, INT)
-            g.give(g.arguments["n"] * g.arguments["n"])
+            g.return_(g.arguments["n"] * g.arguments["n"])
             return g
 
         store = module.function("store", {"place": POINTER, "n": INT})
