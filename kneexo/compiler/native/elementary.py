@@ -2,8 +2,8 @@
 
 A function gives the value of C's function of its name for signed zeros, infinities, nan and numbers
 below the smallest normal one. Its error is below 2 units in the last place. Cases that differ
-between lanes are selected; only large arguments of sine and cosine are a branch. ``benchmarks/fit_elementary.py``
-prints the constants.
+between lanes are selected; only large arguments of sine and cosine are a branch.
+``benchmarks/fit_elementary.py`` prints the constants.
 
 The methods are those of W. J. Cody and W. Waite, Software Manual for the Elementary Functions
 (Prentice-Hall, 1980): reduce the argument with a constant in several parts, evaluate a polynomial,
