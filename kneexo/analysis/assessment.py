@@ -1,4 +1,4 @@
-"""One scenario in numbers: how it tracks, and how far its sampled loop is from instability."""
+"""Tracking metrics, stability margins and bandwidth of one scenario as plain numbers."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ MARGIN_METRICS = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_mar
 async def assess(
     scenario: Scenario, *, tracking: bool = True, margins: bool = True, bandwidth: bool = False
 ) -> dict[str, Any]:
-    """Plain numbers by name: `TRACKING_METRICS`, ``stable``, `MARGIN_METRICS`, ``bandwidth_hz``.
+    """Return plain numbers that rate a scenario, by name.
 
-    The margins are those at the middle of the reference's range, the bandwidth is that of the
-    reference's own sine (`large_signal_bandwidth_hz`). What fails is nan (``stable``: None) and
-    ``tracking_failure``, ``margins_failure`` or ``bandwidth_failure`` says why in one line, so that
-    a sweep over many scenarios shows where a run diverges in place of ending there. An unstable
-    loop has no margins: they are nan.
+    - ``tracking``: `TRACKING_METRICS` and ``tracking_failure``.
+    - ``margins``: ``stable``, `MARGIN_METRICS` and ``margins_failure``, with the knee in the middle
+      of the reference's range. The margins of an unstable loop are nan.
+    - ``bandwidth``: ``bandwidth_hz`` (`large_signal_bandwidth_hz`) and ``bandwidth_failure``.
+
+    No `KneexoError` is raised, so that a sweep continues after a scenario that fails. The numbers
+    of a part that fails are nan, ``stable`` is None, and the text of the failure says why. The text
+    is empty for a part that succeeds.
     """
     metrics: dict[str, Any] = {}
     if tracking:

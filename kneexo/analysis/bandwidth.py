@@ -1,13 +1,14 @@
-"""Bandwidth of the closed loop from small to large amplitudes, and what limits it.
+"""Large-signal bandwidth of the closed loop, and the bounds that the motor sets on it.
 
-Bandwidth is where the gain of the fundamental first falls below 1/√2, everywhere in kneexo. A
-small sine sees the linear loop. A larger one meets the motor's limits: with at most speed R and
-acceleration A of the rod, a fundamental of rod amplitude a at ω has, whatever the controller,
+The bandwidth is the frequency at which the gain of the fundamental first falls below 1/√2. For a
+small sine it is that of the linear loop. For a large sine the limits of the motor matter. If R is
+the largest speed and A the largest acceleration of the rod, then a reference of rod amplitude a at
+ω has with any controller
 
-    gain <= (4/π) R/(aω) and gain <= (4/π) A/(aω²),
+    gain <= (4/π) R/(aω) and gain <= (4/π) A/(aω²).
 
-the fundamentals of the fastest triangle and of the fastest parabolas. Below these bounds
-`kneexo.analysis.rate_limit` has the closed form of what a follower with speed limit R does.
+These are the fundamentals of a triangle wave of slope ±R and of parabolas of curvature ±A.
+`kneexo.analysis.rate_limit` gives the gain of a follower whose only limit is the speed R.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ from kneexo.result import Array
 from kneexo.simulation import awaitable, needs_runs, search_async
 
 LOWEST_HZ = 0.02
-"""Where a search for a bandwidth ends, downwards."""
+"""Lowest frequency in Hz at which a bandwidth is searched."""
 
 _SEARCH_STEP = 1.25
 _GAIN_TOLERANCE = 5e-4
-_NO_GAIN = 1e-12  # as of a sine between two counts of the encoder
-_FOLLOWER_STEPS = 2000  # a cycle
+_NO_GAIN = 1e-12  # replaces a gain of zero, as of a sine between two counts of the encoder
+_FOLLOWER_STEPS = 2000  # steps per cycle
 _KNEE_TABLE_RAD = np.radians(np.linspace(-1.0, 91.0, 20_001))
 
 
@@ -48,7 +49,10 @@ _KNEE_TABLE_RAD = np.radians(np.linspace(-1.0, 91.0, 20_001))
 
 
 def rod_limits(scenario: Scenario) -> tuple[float, float]:
-    """Largest speed (m/s) and acceleration (m/s²) that the motor gives the rod, mean area."""
+    """Return the largest speed (m/s) and acceleration (m/s²) of the rod that the motor can drive.
+
+    The mean piston area converts flow to rod speed.
+    """
     pump = scenario.plant.pump
     ratio = pump.displacement_m3_per_rad / pump.gear_ratio / scenario.plant.cylinder.mean_area_m2
     speed, acceleration = motor_limits(scenario)
@@ -56,28 +60,28 @@ def rod_limits(scenario: Scenario) -> tuple[float, float]:
 
 
 def acceleration_bound_hz(acceleration_limit: float, amplitude: float) -> float:
-    """Frequency in Hz above which no controller reaches −3 dB, √(4√2 A/(π a))/2π.
+    """Return the frequency in Hz above which no controller has a gain of 1/√2: √(4√2 A/(π a))/2π.
 
-    ``acceleration_limit`` A and ``amplitude`` a in the same unit of length.
+    ``acceleration_limit`` A and ``amplitude`` a have the same unit of length, such as m/s² and m.
     """
     return math.sqrt(4.0 * math.sqrt(2.0) / math.pi * acceleration_limit / amplitude) / math.tau
 
 
 def rod_of(scenario: Scenario, knee_angle_rad: Array) -> Array:
-    """Rod extension in m at knee angles in rad, by the plant's own map."""
+    """Return the rod extension in m at knee angles in rad, by the rod map of the plant."""
     if scenario.plant.rod_map == "polynomial":
         return np.asarray(linkage.polynomial(scenario.polynomial.p_si, knee_angle_rad))
     return linkage.rod_extension(scenario.plant.linkage, knee_angle_rad)
 
 
 def rod_amplitude_m(scenario: Scenario) -> float:
-    """Half the rod's way in m between the ends of the scenario's reference."""
+    """Return half the travel of the rod in m between the ends of the scenario's reference."""
     ends = rod_of(scenario, np.radians(scenario.reference.range_deg))
     return 0.5 * float(abs(ends[1] - ends[0]))
 
 
 def speed_limit_reached_hz(scenario: Scenario) -> float:
-    """Frequency in Hz from which the scenario's sine asks for more than the rod's largest speed."""
+    """Return the frequency in Hz above which the scenario's sine exceeds the rod's speed limit."""
     reference = require_sine(scenario)
     phase = np.linspace(0.0, math.pi, 10_001)
     knee = np.radians(reference.mean_deg - reference.amplitude_deg * np.cos(phase))
@@ -86,10 +90,11 @@ def speed_limit_reached_hz(scenario: Scenario) -> float:
 
 
 def follower_response(scenario: Scenario, frequency_hz: float) -> complex:
-    """Response of the scenario's knee sine if the rod did nothing but obey its speed limit.
+    """Return the response of the knee to the scenario's sine for an ideal rod with a speed limit.
 
-    Kinematics alone: the rod moves towards that of the reference at most at the limit; the knee
-    follows the rod. The plant's own map, at one frequency in Hz.
+    The rod follows the rod extension of the reference without any error but that of its speed limit
+    (`rate_limited_follower`). The rod map of the plant converts between knee and rod. The result is
+    the complex ratio of the fundamentals of knee and reference at one frequency in Hz.
     """
     reference = require_sine(scenario)
     time = np.arange(3 * _FOLLOWER_STEPS + 1) / (_FOLLOWER_STEPS * frequency_hz)
@@ -101,12 +106,14 @@ def follower_response(scenario: Scenario, frequency_hz: float) -> complex:
     )
     knee = np.interp(rod, table[::-1], _KNEE_TABLE_RAD[::-1])
     last = slice(2 * _FOLLOWER_STEPS, 3 * _FOLLOWER_STEPS)
-    measured, asked = (fundamental(time[last], s[last], frequency_hz) for s in (knee, target))
-    return measured / asked
+    measured, reference_sine = (
+        fundamental(time[last], s[last], frequency_hz) for s in (knee, target)
+    )
+    return measured / reference_sine
 
 
 def follower_bandwidth_hz(scenario: Scenario) -> float:
-    """−3 dB frequency in Hz of `follower_response`."""
+    """Return the −3 dB frequency in Hz of `follower_response`."""
     guess = math.log(rate_limit_bandwidth_hz(rod_limits(scenario)[0], rod_amplitude_m(scenario)))
 
     def excess(log_frequency: float) -> float:
@@ -123,16 +130,17 @@ async def large_signal_bandwidth_hz(
     scenario: Scenario = Scenario(),
     settings: SineEstimateSettings = SineEstimateSettings(averaged_cycles=2, largest_cycles=6),
 ) -> float:
-    """Frequency in Hz where the gain of the scenario's own sine first falls below 1/√2.
+    """Return the bandwidth in Hz for the amplitude of the scenario's sinusoidal reference.
 
-    Measured by `estimate_sine` at a few frequencies: from 0.8 times the lowest of the rate-limit
-    closed form, the acceleration bound and the linear bandwidth upwards in steps of 1.25 until the
-    gain has fallen (a narrower dip is not seen), then by interpolation of log gain over log f
-    until the frequency is known to 0.1 % or the gain is 1/√2 to 0.05 %. nan when the gain does not
-    fall between `LOWEST_HZ` and ten samples a period.
+    `estimate_sine` measures the gain at several frequencies. The search starts at 0.8 times the
+    smallest of three predictions: rate limit, acceleration bound and linear bandwidth. The
+    frequency grows by factors of 1.25 until the gain is below 1/√2, so that a narrower dip of the
+    gain can be missed. Then a root search over log gain and log frequency continues until the
+    frequency is known to 0.1 % or the gain is 1/√2 to 0.05 %.
 
-    Raises `ParameterError` when the reference is no sine or does not move, and what the simulation
-    raises.
+    The result is nan when the gain does not fall below 1/√2 between `LOWEST_HZ` and the frequency
+    with ten samples a period. Raises `ParameterError` when the reference is no sine or does not
+    move, and the errors of `kneexo.simulation.simulate`.
     """
     require_sine(scenario)
     highest = highest_frequency_hz(scenario)
@@ -152,7 +160,11 @@ async def large_signal_bandwidth_hz(
 def _first_fall_hz(
     excess: Callable[[float], float], bottom: float, start: float, top: float
 ) -> float:
-    """Where ``excess`` of log f, searched from ``start``, first falls below zero; nan: nowhere."""
+    """Return the frequency in Hz at which ``excess`` of log f first falls below zero, or nan.
+
+    The search begins at ``start`` and goes down to ``bottom`` where ``excess`` is negative, then up
+    to ``top``; all three are logarithms of a frequency in Hz.
+    """
     low, step = start, math.log(_SEARCH_STEP)
     while excess(low) < 0.0:
         if low == bottom:
@@ -167,7 +179,7 @@ def _first_fall_hz(
 
 
 def _expected_hz(scenario: Scenario) -> float:
-    """Lowest −3 dB frequency that speed limit, acceleration limit or linear loop suggest."""
+    """Return the smallest −3 dB frequency in Hz of both limits of the rod and the linear loop."""
     speed, acceleration = rod_limits(scenario)
     amplitude = rod_amplitude_m(scenario)
     limits = [
@@ -179,7 +191,7 @@ def _expected_hz(scenario: Scenario) -> float:
 
 
 def _linear_bandwidth_hz(scenario: Scenario) -> float:
-    """Small-signal bandwidth at the reference's mean; nan where there is no linear loop."""
+    """Return the bandwidth in Hz of the linear loop at the reference's mean; nan without a loop."""
     try:
         return linearize_loop(scenario, require_sine(scenario).mean_deg).bandwidth_hz()
     except LinearizationError:

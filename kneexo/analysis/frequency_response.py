@@ -30,7 +30,7 @@ _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the pape
 
 
 class SinestreamSettings(Parameters):
-    """Frequency response with one sine after another, and what differs between repetitions."""
+    """Frequencies and cycles of a sinestream, and the ranges from which its trials are drawn."""
 
     frequencies_hz: tuple[float, ...] = quantities(
         (
@@ -72,8 +72,7 @@ class SinestreamSettings(Parameters):
 
 
 MINUS_3_DB = 1.0 / math.sqrt(2.0)
-"""The bandwidth's threshold on the gain of the fundamental."""
-
+"""Gain of the fundamental that defines the bandwidth, 1/√2."""
 
 _TICKS_HZ = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
@@ -85,12 +84,12 @@ _TRIAL_PATHS = {
     "mass_kg": "plant.cylinder.mass_kg",
     "encoder_phase_rad": "encoder.phase_rad",
 }
-"""Where a scenario has the values of a `Trial`."""
+"""Paths in a scenario of the fields of `Trial`."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What differs between the repetitions of the experiment; SI units."""
+    """Values of the plant in one repetition of the experiment, in SI units."""
 
     internal_leakage_m3_per_s_pa: float
     acceleration_limit_rad_s2: float
@@ -99,16 +98,16 @@ class Trial:
     encoder_phase_rad: float
 
     def applied(self, scenario: Scenario) -> Scenario:
-        """The scenario in this trial; its controller believes in the same plant as before."""
+        """Return the scenario with the plant of this trial; the nominal plant stays the same."""
         values = {path: getattr(self, name) for name, path in _TRIAL_PATHS.items()}
         return changed(scenario, {"nominal": scenario.believed_plant} | values)
 
 
 def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> tuple[Trial, ...]:
-    """Draw the trials from the ranges of ``settings``, by its seed.
+    """Draw the trials from the ranges of ``settings`` with its seed.
 
-    Mass and encoder phase are uniform; leakage, acceleration limit and bulk modulus, known only
-    by their order of magnitude, are log-uniform.
+    Mass and encoder phase have uniform distributions. Leakage, acceleration limit and bulk modulus
+    have log-uniform ones, because only their orders of magnitude are known.
     """
     random = np.random.default_rng(settings.seed)
 
@@ -133,17 +132,18 @@ def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> tuple[Trial
 
 
 def nominal_trial(scenario: Scenario) -> Trial:
-    """The trial that changes nothing."""
+    """Return the trial with the values of the scenario itself."""
     return Trial(**{name: value_at(scenario, path) for name, path in _TRIAL_PATHS.items()})
 
 
 @dataclass(frozen=True, repr=False)
 class FrequencyResponse(Result):
-    """Sinestream response θ_p/θ_d of the fundamental.
+    """Response θ_p/θ_d of the fundamental, measured with one sine after another.
 
-    ``frequencies_hz`` (n,), ``response`` (trials, n) complex. ``bandwidth_hz`` is the −3 dB
-    crossing (gain 1/√2) of the shape-preserving cubic through the means, ``phase_at_bandwidth_deg``
-    the phase there; both nan when the gain does not cross within the frequencies.
+    ``frequencies_hz`` (n,), ``response`` (trials, n) complex. A shape-preserving cubic (PCHIP)
+    through the mean gains over the trials has the value 1/√2 at ``bandwidth_hz``;
+    ``phase_at_bandwidth_deg`` is the mean phase at this frequency. Both are nan when the gain does
+    not fall to 1/√2 within the frequencies.
     """
 
     frequencies_hz: Array
@@ -165,10 +165,10 @@ class FrequencyResponse(Result):
         return np.asarray(np.mean(_phase_deg(self.response), axis=0))
 
     def to_dataframe(self) -> Any:
-        """Means and trials as `pandas.DataFrame` over ``frequency_hz``.
+        """Return means and trials as a `pandas.DataFrame` with the index ``frequency_hz``.
 
-        ``gain`` and ``phase_deg`` are the means, ``gain_1`` … those of the trials. Raises
-        `PackageError` without pandas.
+        ``gain`` and ``phase_deg`` are the means, ``gain_1``, ``phase_1_deg`` and so on the values
+        of each trial. Raises `PackageError` without pandas.
         """
         trials = enumerate(zip(self.response, _phase_deg(self.response), strict=True), 1)
         columns = {"frequency_hz": self.frequencies_hz, "gain": self.gain}
@@ -179,7 +179,7 @@ class FrequencyResponse(Result):
         return data_frame(columns, "frequency_hz")
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot magnitude and phase as Fig. 13 does: trials, means and PCHIP; ``ax``: two axes."""
+        """Plot magnitude and phase as in Fig. 13: trials, means and PCHIP; return the two axes."""
         ax = axes_or_new(ax, 1, 2, figsize=(10, 4))
         f = self.frequencies_hz
         fine = np.linspace(f[0], f[-1], 400)
@@ -220,9 +220,9 @@ class FrequencyResponse(Result):
 
 
 def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
-    """Complex amplitude of the fundamental by least squares: signal ≈ c + Re(A e^{jωt}).
+    """Return the complex amplitude A of a signal ≈ c + Re(A e^{jωt}), by least squares.
 
-    ``time_s`` and ``signal`` (n,) should span whole periods.
+    ``time_s`` and ``signal`` (n,) should cover whole periods, so that harmonics have no effect.
     """
     phase = 2.0 * np.pi * frequency_hz * time_s
     basis = np.column_stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)])
@@ -231,7 +231,7 @@ def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
 
 
 def _phase_deg(response: Any) -> Array:
-    """Phase in deg, unwrapped along the last axis, which must be sorted by frequency."""
+    """Return the phase in deg, unwrapped along the last axis, the frequencies in rising order."""
     return np.degrees(np.unwrap(np.angle(response), axis=-1))
 
 
@@ -240,9 +240,10 @@ def _pchip(x: Array, y: Array) -> PiecewisePolynomial:
 
 
 def crossing(frequencies_hz: Array, gain: Array) -> float:
-    """First frequency in Hz where the PCHIP through ``gain`` (n,) falls to −3 dB.
+    """Return the first frequency in Hz at which the PCHIP through ``gain`` (n,) falls to 1/√2.
 
-    nan when it does not within ``frequencies_hz`` (n,), which must be increasing.
+    The result is nan when the curve does not fall to 1/√2 within ``frequencies_hz`` (n,), which
+    must be increasing.
     """
     below = np.flatnonzero((gain[:-1] >= MINUS_3_DB) & (gain[1:] < MINUS_3_DB))
     if below.size == 0:
@@ -260,14 +261,14 @@ def crossing(frequencies_hz: Array, gain: Array) -> float:
 
 @needs_runs
 async def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -> complex:
-    """Response of a scenario at one frequency in Hz."""
+    """Return the response of a scenario; ``work``: frequency in Hz and scenario."""
     frequency, scenario = work
     cycles = settings.transient_cycles + settings.measured_cycles
     at = {"reference.frequency_hz": frequency, "simulation.duration_s": cycles / frequency}
     signals = ("knee_reference", "knee_angle")
     run = await awaitable(simulate, changed(scenario, at), signals=signals)
     measured = run.time_s >= settings.transient_cycles / frequency
-    measured[-1] = False  # the end of the last period is its beginning
+    measured[-1] = False  # the last sample repeats the phase of the first one
     time = run.time_s[measured]
     return fundamental(time, run["knee_angle_rad"][measured], frequency) / fundamental(
         time, run["knee_reference_rad"][measured], frequency
@@ -275,7 +276,7 @@ async def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -
 
 
 def require_sine(scenario: Scenario) -> SineReference:
-    """The scenario's sinusoidal reference; `ParameterError` when it has none or does not move."""
+    """Return the sinusoidal reference of a scenario; `ParameterError` if it is none or constant."""
     reference = scenario.reference
     if reference.kind != "sine" or reference.amplitude_deg == 0.0:
         shown = reference.kind if reference.kind != "sine" else "sine with amplitude_deg = 0 deg"
@@ -284,12 +285,12 @@ def require_sine(scenario: Scenario) -> SineReference:
 
 
 def highest_frequency_hz(scenario: Scenario) -> float:
-    """Frequency in Hz whose period has ten samples."""
+    """Return the frequency in Hz whose period has ten samples of the controller."""
     return 0.1 / scenario.controller.sample_time_s
 
 
 def require_sampled(frequency_hz: float, scenario: Scenario) -> None:
-    """`ParameterError` when a frequency has fewer than ten samples a period."""
+    """Raise `ParameterError` for a frequency with fewer than ten samples a period."""
     highest = highest_frequency_hz(scenario)
     if frequency_hz > highest:
         nyquist = 5.0 * highest
@@ -311,12 +312,27 @@ def sinestream(
 ) -> FrequencyResponse:
     """Measure the closed loop's frequency response with one sine after another.
 
-    ``scenario`` needs a sinusoidal reference; its frequency is replaced. Each of ``trials`` (drawn
-    by `draw_trials` when left out) runs at each frequency: the transient cycles are discarded, the
-    fundamental of the rest is fitted. ``workers``, ``executor``: see `parallel_map`.
+    Each trial is simulated at each frequency. The transient cycles are discarded, and the
+    fundamental is fitted to the other cycles.
 
-    Raises `ParameterError` when the reference is no sine or does not move, there are no trials, or
-    a frequency has fewer than ten samples a period; and what the simulation raises.
+    Parameters
+    ----------
+    scenario
+        A scenario with a sinusoidal reference, whose frequency is replaced.
+    settings
+        Frequencies, numbers of cycles, and the ranges from which trials are drawn.
+    trials
+        The trials; None: drawn by `draw_trials`.
+    workers, executor, progress
+        Processes and progress bar, as in `parallel_map`.
+
+    Raises
+    ------
+    ParameterError
+        The reference is no sine or does not move, there are no trials, or a frequency has fewer
+        than ten samples a period.
+    SimulationError
+        A run fails.
     """
     require_sine(scenario)
     drawn = draw_trials(scenario, settings) if trials is None else tuple(trials)

@@ -1,18 +1,20 @@
-"""Hardware of the actuator: what it allows in closed form, and a scenario with other hardware.
+"""Bounds that the actuator's hardware sets on the bandwidth, and scenarios with other hardware.
 
-What sets them, in closed form. The rod cannot move faster than R = ω_max D_m/(gear Ā), nor
-accelerate faster than A = α_max D_m/(gear Ā) = R α_max/ω_max. Among all motions within both, the
-trapezoid of speed has the largest fundamental at ω:
+The largest speed of the rod is R = ω_max D_m/(gear Ā). The largest acceleration of the rod is
+A = α_max D_m/(gear Ā) = R α_max/ω_max. Of all motions within both limits, a trapezoidal speed
+profile has the largest fundamental at ω. For a reference of amplitude a its gain is
 
-    gain = 4A/(π ω² a) · sin(min(ωR/A, π/2)),   a the amplitude of the reference.
+    gain = 4A/(π ω² a) · sin(min(ωR/A, π/2)).
 
-- ωR/A small: 4R/(πωa); −3 dB at 0.2866 R/a, within 1 % while A > 7.3 R²/a.
-- A < 0.73 R²/a: the speed limit is never reached; −3 dB at 0.2136 √(A/a), whatever R is.
+- For small ωR/A the gain is 4R/(πωa), and the −3 dB frequency is 0.2866 R/a. The error of this
+  frequency is below 1 % while A > 7.3 R²/a.
+- For A < 0.73 R²/a the motion never reaches the speed limit, and the −3 dB frequency is
+  0.2136 √(A/a).
 
-So motor speed, displacement, gear and piston area count only as R, until the acceleration limit
-takes over. No controller gets beyond; one that is slow stays below. Inside both limits the error
-of the sliding-mode loop is that of `kneexo.analysis.error_model`, and βη must be what the delay of
-the motor asks for, τ ω̂² |ẍ_d|: a faster pump needs another η, a faster motion another λ.
+In the first case motor speed, displacement, gear and piston area matter through R alone. No
+controller exceeds this gain. Inside both limits, `kneexo.analysis.error_model` gives the error of
+the sliding-mode loop. The gain βη must compensate the delay τ of the motor, τ ω̂² |ẍ_d|. A faster
+pump therefore requires another η, and a faster motion another λ.
 """
 
 from __future__ import annotations
@@ -44,11 +46,14 @@ HARDWARE = {
     "plant.pump.lag_s": ("drive lag", "ms", 1e3),
     "encoder.counts_per_revolution": ("encoder", "counts/rev", 1.0),
 }
-"""Hardware that is sized, by dotted path: name, unit shown, and SI to that unit."""
-
+"""Hardware by dotted path in a scenario: name, displayed unit, factor from SI to this unit."""
 
 ONE_PERCENT_RATIO, ACCELERATION_ALONE_RATIO = 7.27, 0.73
-"""A a/R² at which the acceleration limit takes 1 % of the bandwidth, and all of the speed's say."""
+"""Values of A a/R².
+
+At the first the acceleration limit reduces the bandwidth by 1 %. Below the second the bandwidth
+does not depend on the speed limit.
+"""
 
 
 # ----------------------------------------------------------------------------- closed forms
@@ -57,9 +62,10 @@ ONE_PERCENT_RATIO, ACCELERATION_ALONE_RATIO = 7.27, 0.73
 def limited_gain(
     frequency_hz: float, *, speed_limit: float, acceleration_limit: float, amplitude: float
 ) -> float:
-    """Largest fundamental gain that both limits allow (at most 1), for a sine in the rod.
+    """Return the largest gain of the fundamental within both limits of the rod, at most 1.
 
-    Limits and amplitude in the same unit of length; all arguments must be positive.
+    ``speed_limit`` R, ``acceleration_limit`` A and ``amplitude`` a of the sine have the same unit
+    of length, such as m/s, m/s² and m. All arguments must be positive.
     """
     omega = 2.0 * math.pi * frequency_hz
     ramp = min(omega * speed_limit / acceleration_limit, 0.5 * math.pi)
@@ -69,9 +75,9 @@ def limited_gain(
 def limited_bandwidth_hz(
     *, speed_limit: float, acceleration_limit: float, amplitude: float
 ) -> float:
-    """Frequency in Hz at which `limited_gain` falls to 1/√2: no controller has more bandwidth.
+    """Return the frequency in Hz at which `limited_gain` is 1/√2, an upper bound of the bandwidth.
 
-    Raises `ParameterError` unless all three are finite and positive.
+    Raises `ParameterError` unless all arguments are finite and positive.
     """
     values = {
         "speed_limit": speed_limit,
@@ -81,8 +87,8 @@ def limited_bandwidth_hz(
     for name, value in values.items():
         if not 0.0 < value < math.inf:
             raise ParameterError(f"{name} = {value:g}: must be finite and > 0")
-    # sin(u) <= u puts it below that of the speed limit alone, sin(u) >= 2u/π above half the lower
-    # of the two.
+    # By sin(u) <= u the result lies below the −3 dB frequency of the speed limit alone. By
+    # sin(u) >= 2u/π it lies above half the smaller of the −3 dB frequencies of both limits.
     alone = 4.0 * speed_limit / (math.pi * amplitude * MINUS_3_DB) / (2.0 * math.pi)
     low = 0.5 * min(alone, acceleration_bound_hz(acceleration_limit, amplitude))
     high = alone * (1.0 + 1e-9)
@@ -94,7 +100,10 @@ def limited_bandwidth_hz(
 
 
 def expected_bandwidth_hz(scenario: Scenario) -> float:
-    """`limited_bandwidth_hz` of the scenario's limits and its own sine."""
+    """Return `limited_bandwidth_hz` for the limits and the sinusoidal reference of a scenario.
+
+    Raises `ParameterError` when the reference is no sine or does not move.
+    """
     require_sine(scenario)
     speed, acceleration = rod_limits(scenario)
     return limited_bandwidth_hz(
@@ -103,7 +112,7 @@ def expected_bandwidth_hz(scenario: Scenario) -> float:
 
 
 def sliding_mode(scenario: Scenario) -> SlidingModeParameters:
-    """The scenario's sliding-mode controller; `ParameterError` when it has another."""
+    """Return the sliding-mode controller of a scenario; `ParameterError` for another controller."""
     if scenario.controller.kind != "smc":
         raise ParameterError(f"controller.kind = {scenario.controller.kind}: must be smc")
     return scenario.controller
@@ -113,10 +122,11 @@ def sliding_mode(scenario: Scenario) -> SlidingModeParameters:
 
 
 def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
-    """The scenario with hardware values (paths of `HARDWARE`) times ``factors``.
+    """Return a scenario whose hardware values, by paths of `HARDWARE`, are multiplied by factors.
 
-    The controller knows: its nominal plant and its command limit change too, and η and Φ grow
-    with the rod speed, so that βη stays the same share of the motor's authority and k/Φ stays.
+    The controller is adapted. The nominal plant and the command limit get the same factors. η and
+    Φ of a sliding-mode controller get the factor of the largest rod speed, which keeps k/Φ and
+    the ratio of βη to the largest rod speed. Numbers of encoder counts are rounded.
     """
     values: dict[str, Any] = {}
     for path, factor in factors.items():
@@ -142,7 +152,11 @@ def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
 
 
 def tuned(scenario: Scenario, gains: Mapping[str, float]) -> Scenario:
-    """The scenario with ``lambda_per_s``, ``slope_per_s`` (k/Φ, by Φ) and ``observer_s`` (T_f)."""
+    """Return a scenario with other gains of the sliding-mode controller.
+
+    ``gains``: ``lambda_per_s`` (λ), ``slope_per_s`` (k/Φ, set by Φ) and ``observer_s`` (time
+    constant T_f of the observer). Raises `ParameterError` for another controller.
+    """
     control = sliding_mode(scenario)
     phi = control.gain_ratio * control.eta_m_s3 / gains["slope_per_s"]
     return changed(

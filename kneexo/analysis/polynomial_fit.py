@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SAMPLES = 901
-"""Every 0.1° from 0 to 90°."""
+"""Number of points of the default fit, one every 0.1° from 0° to 90°."""
 
 
 @dataclass(frozen=True, repr=False)
 class PolynomialFit(Result):
-    """Quintic fits of x(θ_p) and θ_p(x) to a linkage, in the paper's units, beside Table 1.
+    """Quintic fits of x(θ_p) and θ_p(x) to a linkage, compared with Table 1, in mm and deg.
 
-    ``angle_deg`` and ``extension_mm`` (n,) are the linkage. ``p_mm_deg`` and ``q_deg_mm`` (6,)
-    are the fitted coefficients, highest power first. Errors are linkage minus polynomial:
-    ``p_error_mm`` and ``q_error_deg`` of this fit, ``table_p_error_mm`` and ``table_q_error_deg``
-    of Table 1.
+    ``angle_deg`` and ``extension_mm`` (n,) are the points of the linkage. ``p_mm_deg`` and
+    ``q_deg_mm`` (6,) are the fitted coefficients of x(θ_p) and θ_p(x), highest power first.
+    ``p_error_mm`` and ``q_error_deg`` (n,) are linkage minus fitted polynomial,
+    ``table_p_error_mm`` and ``table_q_error_deg`` (n,) linkage minus polynomial of Table 1.
     """
 
     table: RodPolynomialParameters
@@ -41,21 +41,21 @@ class PolynomialFit(Result):
 
     @property
     def p_sse_mm2(self) -> float:
-        """Sum of squared errors of x(θ_p) in mm²."""
+        """Sum of the squares of ``p_error_mm`` in mm²."""
         return float(np.sum(self.p_error_mm**2))
 
     @property
     def q_sse_deg2(self) -> float:
-        """Sum of squared errors of θ_p(x) in deg²."""
+        """Sum of the squares of ``q_error_deg`` in deg²."""
         return float(np.sum(self.q_error_deg**2))
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Points less the six coefficients; the RMSE of Fig. 5 is √(SSE/degrees of freedom)."""
+        """Number of points minus six coefficients; RMSE = √(SSE/degrees of freedom) in Fig. 5."""
         return self.angle_deg.size - len(self.p_mm_deg)
 
     def to_dataframe(self) -> Any:
-        """Linkage and errors of the polynomials as `pandas.DataFrame` over ``angle_deg``.
+        """Return extension and errors as a `pandas.DataFrame` with the index ``angle_deg``.
 
         Raises `PackageError` without pandas.
         """
@@ -64,7 +64,7 @@ class PolynomialFit(Result):
         return data_frame({name: getattr(self, name) for name in names}, "angle_deg")
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot both maps as Fig. 5 does: linkage, fit and Table 1; ``ax``: two axes."""
+        """Plot both maps as in Fig. 5: linkage, fit and Table 1; return the two axes ``ax``."""
         ax = axes_or_new(ax, 1, 2, figsize=(9, 3.8))
         table = self.table
         angle, rod = self.angle_deg, self.extension_mm
@@ -89,10 +89,10 @@ def fit_polynomials(
     start_deg: float = 0.0,
     samples: int = SAMPLES,
 ) -> PolynomialFit:
-    """Fit Eq. 10 and 11 to ``samples`` points of a linkage, and compare ``table`` with it.
+    """Fit the quintics of Eq. 10 and 11 to a linkage, and compare ``table`` with the linkage.
 
-    The points lie evenly over ``start_deg`` … 90°. Raises `LinkageError` when the linkage cannot
-    be assembled.
+    The ``samples`` points have equal distances in knee angle from ``start_deg`` to 90°. Raises
+    `LinkageError` when the linkage cannot be assembled.
     """
     angle = np.linspace(start_deg, 90.0, samples)
     extension = 1e3 * linkage.rod_extension(link, np.radians(angle))
@@ -112,5 +112,5 @@ def fit_polynomials(
 
 
 def _quintic(argument: Array, value: Array) -> Array:
-    """Coefficients of the least-squares quintic, highest power first, (6,)."""
+    """Return the coefficients (6,) of the least-squares quintic, highest power first."""
     return np.asarray(Polynomial.fit(argument, value, 5).convert().coef[::-1], dtype=float)

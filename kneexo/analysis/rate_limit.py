@@ -1,15 +1,16 @@
-"""Closed form of a rate-limited sine: what a speed limit alone does to a frequency response.
+"""Frequency response of a follower with a speed limit, in closed form.
 
-A follower that moves at most at speed R tracks a sin ωt. With φ = ωt, in units of a, its rate is
-at most ρ = R/(aω) per radian.
+The follower tracks the target a sin ωt with the speed limit R. Let φ = ωt be the phase, and let a
+be the unit of length. Then the slope of the follower over φ is at most ρ = R/(aω).
 
-- ρ >= 1: the follower keeps up; gain 1.
-- ρ <= 2/√(π² + 4): it never catches up and is a triangle of slope ±ρ, whose fundamental is 4ρ/π.
-  It turns where it meets the sine: a triangle that lags by ψ has its peak πρ/2 at φ = π/2 + ψ, so
-  cos ψ = πρ/2.
-- between: it leaves the sine where that becomes too steep downwards, at φ_a = π − arccos ρ, runs
-  straight, sin φ_a − ρ(φ − φ_a), until it meets the sine again at φ_b, and follows it to φ_a + π,
-  where the other half begins. The fundamental is the Fourier integral over that half period.
+- ρ >= 1: the follower equals the target; the gain is 1.
+- ρ <= 2/√(π² + 4): the follower is a triangle wave of slope ±ρ. The gain of its fundamental is
+  4ρ/π. The triangle has its peak πρ/2 where it meets the sine. If it lags by ψ, this peak lies at
+  φ = π/2 + ψ, so that cos ψ = πρ/2.
+- Otherwise: the follower leaves the sine at φ_a = π − arccos ρ, where the slope of the sine falls
+  below −ρ. It moves along the line sin φ_a − ρ(φ − φ_a) until it meets the sine again at φ_b. It
+  follows the sine to φ_a + π, where the opposite half period begins. The gain is the Fourier
+  integral over a half period.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from kneexo.errors import ParameterError
 from kneexo.result import Array
 
 TRIANGLE_RATIO = 2.0 / math.sqrt(math.pi**2 + 4.0)
-"""ρ below which the follower never meets the sine for more than an instant: 0.5370."""
+"""ρ = 0.5370; below it the follower is a triangle wave."""
 
 
 def _gain(ratio: float) -> complex:
@@ -42,8 +43,8 @@ def _gain(ratio: float) -> complex:
     def gap(phase: float) -> float:
         return offset - ratio * phase - math.sin(phase)
 
-    # The gap opens at leave, is widest where the sine has the same slope again, closes before
-    # leave + π.
+    # The gap between line and sine is widest where the slope of the sine is −ρ again. It closes
+    # before leave + π.
     meet = scipy.optimize.brentq(gap, math.pi + math.acos(ratio), leave + math.pi)
 
     def sine_part(phase: float) -> float:  # ∫ (offset − ρφ) sin φ dφ
@@ -61,19 +62,20 @@ def _gain(ratio: float) -> complex:
 
 
 def rate_limited_gain(ratio: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-    """Complex fundamental gain of a follower with speed limit R on a sin ωt, for ρ = R/(aω).
+    """Return the complex gain of the fundamental of a follower with speed limit.
 
-    ``ratio`` any shape, > 0; returns the same shape. Raises `ParameterError` otherwise.
+    ``ratio`` is ρ = R/(aω) for the target a sin ωt, of any shape. The result has the same shape.
+    Raises `ParameterError` unless all ratios are positive.
     """
     ratios = np.asarray(ratio, dtype=float)
     return np.array([_gain(float(r)) for r in ratios.ravel()]).reshape(ratios.shape)
 
 
 def rate_limit_bandwidth_hz(speed_limit: float, amplitude: float) -> float:
-    """Frequency in Hz at which the gain falls to 1/√2: 0.28656 R/a.
+    """Return the frequency in Hz at which the gain of a follower is 1/√2: 0.28656 R/a.
 
-    ``speed_limit`` R and ``amplitude`` a in the same unit of length (per second and alone). Raises
-    `ParameterError` unless both are positive.
+    ``speed_limit`` R and ``amplitude`` a have the same unit of length, such as m/s and m. Raises
+    `ParameterError` unless both are finite and positive.
     """
     for name, value in (("speed_limit", speed_limit), ("amplitude", amplitude)):
         if not 0.0 < value < math.inf:
@@ -85,7 +87,11 @@ def rate_limit_bandwidth_hz(speed_limit: float, amplitude: float) -> float:
 
 
 def rate_limited_follower(time_s: Array, target: Array, speed_limit: float) -> Array:
-    """Kinematic follower of a sampled target (n,): moves towards it at most at ``speed_limit``."""
+    """Return the position of a follower that tracks a target (n,) with at most ``speed_limit``.
+
+    The follower starts on the target. It moves towards each sample of the target with constant
+    speed.
+    """
     follower = np.empty_like(target)
     position = follower[0] = target[0]
     for index, step in enumerate(np.diff(time_s), start=1):

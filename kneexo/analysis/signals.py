@@ -1,4 +1,4 @@
-"""Measures of a signal, and its units."""
+"""Period, root mean square and unit of signals."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from kneexo.result import Array
 
 
 def period_s(scenario: Scenario) -> float:
-    """Period of a sinusoidal reference in s; zero for every other one."""
+    """Return the period of a sinusoidal reference in s; zero for other references."""
     reference = scenario.reference
     return 1.0 / reference.frequency_hz if reference.kind == "sine" else 0.0
 
 
 def rms(values: Array) -> float:
-    """Root mean square of ``values`` (n,)."""
+    """Return the root mean square of ``values`` (n,)."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def to_rpm(speed: Any) -> Any:
-    """Speed in rpm from rad/s."""
+    """Convert a speed from rad/s to rpm."""
     return speed * 30.0 / math.pi

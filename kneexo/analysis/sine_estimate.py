@@ -21,7 +21,7 @@ from kneexo.simulation import Run, awaitable, needs_runs, simulate
 
 
 class SineEstimateSettings(Parameters):
-    """How the response to one sine is estimated: ramp, settling, averaging."""
+    """Ramp, settling criterion and number of averaged cycles of `estimate_sine`."""
 
     ramp_cycles: float = quantity(
         1.0, "cycles", "assumption: over which the amplitude grows from zero", ge=0, le=1000
@@ -65,15 +65,14 @@ class SineEstimateSettings(Parameters):
 
 @dataclass(frozen=True, repr=False)
 class SineEstimate(Result):
-    """Response θ_p/θ_d of the fundamental to one sine, the mean of its last cycles.
+    """Response θ_p/θ_d of the fundamental to one sine, averaged over the last cycles.
 
-    ``uncertainty`` is an absolute error of the complex response: the standard error of that mean
-    (the cycles' scatter over the root of their number) plus the distance between the means of
-    their first and second half (what still drifts). It leaves out errors that are the same in
-    every cycle. ``settled``: each of the averaged cycles agrees with the one before within the
-    tolerance; otherwise they are the second half of the largest number of cycles.
-    ``speed_limited_share`` and ``acceleration_limited_share`` are the shares of their samples in
-    which the motor is within 1 % of its limit.
+    ``uncertainty`` is the absolute error of the complex response (`response_uncertainty`). It does
+    not include errors that are equal in all cycles. ``settled`` is True if each averaged cycle
+    agrees with the cycle before it within the tolerance. If the response has not settled, the
+    averaged cycles are the second half of the run. ``speed_limited_share`` and
+    ``acceleration_limited_share`` are the shares of the averaged samples in which the motor is
+    within 1 % of the limit.
     """
 
     frequency_hz: float
@@ -83,21 +82,21 @@ class SineEstimate(Result):
     settled: bool
     averaged_cycles: int
     cycles: int
-    """Simulated cycles after the ramp."""
+    """Number of simulated cycles after the ramp."""
     mean_deg: float
-    """Mean knee angle of the averaged cycles: with the motor at its limits it leaves the
-    reference's."""
+    """Mean knee angle of the averaged cycles; limits of the motor may shift it from the mean of
+    the reference."""
     speed_limited_share: float
     acceleration_limited_share: float
 
     @property
     def gain(self) -> float:
-        """|response|."""
+        """Absolute value of ``response``."""
         return abs(self.response)
 
 
 def motor_limits(scenario: Scenario) -> tuple[float, float]:
-    """Largest motor speed in rad/s and acceleration in rad/s²; the latter inf when it is ideal."""
+    """Return the largest motor speed in rad/s and acceleration in rad/s² (inf for ideal motors)."""
     pump, command = scenario.plant.pump, scenario.command_limit_rad_s
     if scenario.plant.ideal_motor:
         return command, math.inf
@@ -105,8 +104,11 @@ def motor_limits(scenario: Scenario) -> tuple[float, float]:
 
 
 _HARMONICS = 3
-"""Fitted to a cycle: without the second and third, those of a signal leak into its fundamental
-where a cycle is no whole number of samples."""
+"""Number of harmonics fitted to a cycle.
+
+If a cycle is no whole number of samples, second and third harmonics that are not fitted would
+change the fundamental.
+"""
 
 
 def cycle_responses(
@@ -118,15 +120,17 @@ def cycle_responses(
     output: str = "knee_angle_rad",
     reference: str = "knee_reference_rad",
 ) -> tuple[Any, Array]:
-    """Response of the fundamental and mean of the output in each of n >= 3 cycles from ``start_s``.
+    """Return the response and the mean of the output in each cycle of a run.
 
-    The ratio of the fundamentals of two columns, complex (n,), and the means, (n,). A cycle need
-    not have a whole number of samples. While a motor is at its limits, the mean of the output may
-    drift: the linear drift estimated from neighbouring cycle means is removed.
+    The response is the ratio of the fundamentals of the columns ``output`` and ``reference``,
+    complex (cycles,). The means of ``output`` are (cycles,). At least three cycles are required; the
+    first one begins at ``start_s``. A cycle may have any number of samples, not only a whole one. The mean of
+    the output may drift while the motor is at its limits; a linear drift, estimated from the means
+    of neighbouring cycles, is removed.
     """
     means, amplitudes = np.empty((cycles, 3)), np.empty((cycles, 3), complex)
     for cycle in range(cycles):
-        # A sample on the border belongs to the next cycle, whatever its time's last bit is.
+        # A sample on the border belongs to the next cycle, in spite of rounding of its time.
         limits = start_s + (cycle + np.arange(2)) / frequency_hz - 1e-9
         inside = slice(*np.searchsorted(run.time_s, limits))
         time = run.time_s[inside]
@@ -137,21 +141,27 @@ def cycle_responses(
         signals = (run[output][inside], run[reference][inside], time - limits.mean())
         fitted = np.linalg.lstsq(np.column_stack(basis), np.column_stack(signals), rcond=None)[0]
         means[cycle], amplitudes[cycle] = fitted[0], fitted[1] + 1j * fitted[2]
-    # A drift's own fit says at which time a mean holds, and what the drift does to a fundamental.
+    # The fit of a ramp gives the time to which a mean belongs and the fundamental of a drift.
     times = np.arange(cycles) / frequency_hz + means[:, 2]
     drift = np.gradient(means[:, 0], times, edge_order=2)
-    measured, asked, ramp = amplitudes.T
-    return (measured - drift * ramp) / asked, means[:, 0]
+    measured, commanded, ramp = amplitudes.T
+    return (measured - drift * ramp) / commanded, means[:, 0]
 
 
 def settled_cycles(responses: Any, tolerance: float) -> int:
-    """How many of the last ``responses`` (n,) agree, each with the one before it."""
+    """Return the number of last ``responses`` (n,) that agree with the response before them.
+
+    Two responses agree if their difference is at most ``tolerance``, relative to the later one.
+    """
     change = np.abs(np.diff(responses)) > tolerance * np.abs(responses[1:])
     return len(responses) - (int(np.flatnonzero(change)[-1]) + 1 if change.any() else 0)
 
 
 def response_uncertainty(responses: Any) -> float:
-    """Standard error of the mean of ``responses`` (n >= 2,) plus the drift between its halves."""
+    """Return the uncertainty of the mean of ``responses``, complex (n >= 2,).
+
+    It is the standard error of the mean plus the distance between the means of both halves.
+    """
     n = len(responses)
     scatter = math.sqrt(float(np.sum(np.abs(responses - np.mean(responses)) ** 2)) / (n - 1))
     drift = abs(np.mean(responses[-(n // 2) :]) - np.mean(responses[: n // 2]))
@@ -163,14 +173,14 @@ async def estimate_sine(
     scenario: Scenario = Scenario(),
     settings: SineEstimateSettings = SineEstimateSettings(),
 ) -> SineEstimate:
-    """Measure the closed loop's response to the scenario's own sine.
+    """Measure the response of the closed loop to the sinusoidal reference of a scenario.
 
-    The amplitude grows smoothly (the scenario's own ramp and duration are replaced), then the run
-    is made longer, twice each time, until the fundamentals of ``settings.averaged_cycles``
-    successive cycles agree or ``settings.largest_cycles`` are reached.
+    The amplitude of the reference grows smoothly from zero. The run is repeated with twice the
+    number of cycles until ``settings.averaged_cycles`` successive cycles agree, or until
+    ``settings.largest_cycles`` are reached. Ramp and duration of the scenario are replaced.
 
     Raises `ParameterError` when the reference is no sine, does not move, or has fewer than ten
-    samples a period; and what the simulation raises.
+    samples a period, and the errors of `kneexo.simulation.simulate`.
     """
     reference = require_sine(scenario)
     frequency = reference.frequency_hz
@@ -192,7 +202,7 @@ async def estimate_sine(
         if settled or cycles == settings.largest_cycles:
             break
         cycles = min(2 * cycles, settings.largest_cycles)
-        del run  # other calls wait with their runs too
+        del run  # saves memory while concurrent calls hold runs too
     if not settled:
         count = max(settings.averaged_cycles, cycles // 2)
     averaged = responses[-count:]

@@ -1,4 +1,4 @@
-"""Tracking run: how well a closed loop follows its reference, and what it costs."""
+"""Tracking runs: error, chattering, pressure, power and energy of a closed loop."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TRACKING_SIGNALS = (
     "shaft_power",
     "hydraulic_power",
 )
-"""The signals that the metrics need; a run that logs no more is faster."""
+"""Signals that `TrackingMetrics` requires."""
 
 TRACKING_METRICS = (
     "max_error_deg",
@@ -36,19 +36,19 @@ TRACKING_METRICS = (
     "saturated_share",
     "peak_pressure_mpa",
 )
-"""Fields of `TrackingMetrics` that the first four of these signals give."""
+"""Fields of `TrackingMetrics` that follow from the first four `TRACKING_SIGNALS`."""
 
 
 @dataclass(frozen=True, repr=False)
 class TrackingMetrics(Result):
     """Metrics of a tracking run.
 
-    Errors and commands are insensitive to the solver's step; pressure, power and energy are not
-    while the 447 Hz mode of the oil dominates them (as without load): halve the step before you
-    quote them.
+    Errors and commands hardly depend on the solver's step. Pressure, power and energy depend on it
+    when the 447 Hz mode of the oil dominates them, as without load. Check such values with half
+    the step.
 
-    "After the first period" means from one period of a sinusoidal reference on, and from the start
-    for every other reference; those metrics are nan for a run that ends before.
+    Metrics "after the first period" exclude the first period of a sinusoidal reference; for other
+    references they include the whole run. They are nan for a run that ends within that period.
     """
 
     max_error_deg: float
@@ -58,9 +58,9 @@ class TrackingMetrics(Result):
     max_error_overall_deg: float
     rms_error_overall_deg: float
     mean_command_change_rpm: float
-    """Chattering index: mean change of the command per sample, after the first period."""
+    """Chattering index: mean absolute change of the command per sample, after the first period."""
     saturated_share: float
-    """Share of the samples whose command is at its limit, after the first period."""
+    """Share of samples with the command at its limit, after the first period."""
     peak_command_rpm: float
     peak_pressure_mpa: float
     pressure_over_rating_share: float
@@ -69,31 +69,31 @@ class TrackingMetrics(Result):
     power_over_rating_share: float
     """Share of all samples with a shaft power above the motor's rating."""
     shaft_energy_j: float
-    """Work of the motor on the pump over the run; what flows back counts negative."""
+    """Work of the motor on the pump over the run; power from pump to motor is negative."""
     shaft_energy_delivered_j: float
-    """The same without what flows back."""
+    """Work of the motor on the pump over the run, without the negative power."""
     hydraulic_energy_j: float
     """Work of the pump on the cylinder over the run."""
 
 
 def peak(values: Array) -> float:
-    """Largest absolute value of ``values`` (n,)."""
+    """Return the largest absolute value of ``values`` (n,)."""
     return abs(float(max(np.max(values), -np.min(values))))
 
 
 def mean_change(values: Array) -> float:
-    """Mean absolute difference of neighbouring samples, in the unit of ``values`` (n,)."""
+    """Return the mean absolute difference of neighbouring samples of ``values`` (n,)."""
     change = values[1:] - values[:-1]
     return float(np.mean(np.abs(change, out=change)))
 
 
 def saturated_share(command: Array, limit: float) -> float:
-    """Share of ``command`` (n,) within a millionth of ±``limit``."""
+    """Return the share of ``command`` (n,) whose magnitude reaches ``limit`` to within 1e-6."""
     return int(np.count_nonzero(np.abs(command) >= limit * (1.0 - 1e-6))) / command.size
 
 
 def share_above(values: Array, bound: float) -> float:
-    """Share of ``values`` (n,) whose absolute value exceeds ``bound``."""
+    """Return the share of ``values`` (n,) whose absolute value exceeds ``bound``."""
     return int(np.count_nonzero(np.abs(values) > bound)) / values.size
 
 
@@ -106,7 +106,10 @@ def basic_tracking_metrics(
     settled_s: float,
     command_limit_rad_s: float,
 ) -> dict[str, float]:
-    """The `TRACKING_METRICS` of `tracking_metrics` alone; raises what it raises."""
+    """Return the `TRACKING_METRICS` of uniformly sampled signals, each (n,), by name.
+
+    `tracking_metrics` describes the arguments. Raises `ParameterError` for fewer than two samples.
+    """
     if time_s.size < 2:
         raise ParameterError(
             f"{time_s.size} samples are too few for metrics: the run must be longer than the "
@@ -137,8 +140,10 @@ def tracking_metrics(
     pressure_rating_pa: float,
     power_rating_w: float = math.inf,
 ) -> TrackingMetrics:
-    """`TrackingMetrics` from equally long arrays (n,), uniformly sampled at ``time_s``.
+    """Return the `TrackingMetrics` of uniformly sampled signals, each (n,).
 
+    ``error_rad`` is θ_d − θ_p of the knee, ``command_rad_s`` the command of the motor speed,
+    ``pressure_pa`` the load pressure. Metrics "after the first period" begin at ``settled_s``.
     Raises `ParameterError` for fewer than two samples.
     """
     metrics = basic_tracking_metrics(
@@ -167,7 +172,10 @@ def tracking_metrics(
 def run_metrics(
     scenario: Scenario, time_s: Array, signals: Mapping[str, Array], *, settled_s: float
 ) -> TrackingMetrics:
-    """`tracking_metrics` of a run of ``scenario``: its columns by name, each (n,)."""
+    """Return `tracking_metrics` for the columns of a run, with the limits of ``scenario``.
+
+    ``signals``: the columns of `TRACKING_SIGNALS` by name, each (n,).
+    """
     return tracking_metrics(
         time_s,
         signals["knee_reference_rad"] - signals["knee_angle_rad"],
@@ -184,7 +192,7 @@ def run_metrics(
 
 @needs_runs
 async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
-    """The `TRACKING_METRICS` of `track`, from a run that logs no more than they need."""
+    """Simulate a scenario and return its `TRACKING_METRICS`; the run logs no other signals."""
     run = await awaitable(simulate, scenario, signals=TRACKING_SIGNALS[:4])
     return basic_tracking_metrics(
         run.time_s,
@@ -210,7 +218,7 @@ class TrackingResult(Result):
         return np.degrees(self.run["knee_reference_rad"] - self.run["knee_angle_rad"])
 
     def to_dataframe(self) -> Any:
-        """Signals of the run and ``error_deg`` as `pandas.DataFrame` over ``time_s``.
+        """Return signals and ``error_deg`` as a `pandas.DataFrame` with the index ``time_s``.
 
         Raises `PackageError` without pandas.
         """
@@ -241,9 +249,9 @@ class TrackingResult(Result):
         return ax
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot angle, error and motor speed command, one below the other.
+        """Plot angle, error and motor speed command below each other; return the axes.
 
-        ``ax``: three axes; made when left out. Returns them.
+        ``ax``: three axes; None: a new figure.
         """
         ax = axes_or_new(ax, 3, 1, sharex=True, figsize=(7, 7))
         self.plot_angle(ax[0])
@@ -270,11 +278,11 @@ async def track(
     progress: Callable[[float], Any] | None = None,
     diagram: Diagram | None = None,
 ) -> TrackingResult:
-    """Simulate a scenario and measure how it tracks.
+    """Simulate a scenario and compute its tracking metrics.
 
-    ``all_signals`` logs every signal, not only those of the metrics. ``diagram``: see
-    `kneexo.simulation.simulate`; the scenario tells period, limits and ratings too. Raises what
-    `kneexo.analysis.simulate` raises.
+    With ``all_signals`` the run logs all available signals, otherwise those that the metrics
+    require. `kneexo.simulation.simulate` describes ``progress`` and ``diagram``, and raises the
+    same errors. With a ``diagram`` the scenario still gives period, limits and ratings.
     """
     signals = None if all_signals else TRACKING_SIGNALS
     run = await awaitable(simulate, scenario, signals=signals, progress=progress, diagram=diagram)

@@ -1,9 +1,8 @@
-"""Walking: what the measured gait asks of the actuator, and how well a closed loop walks.
+"""Walking with a measured gait: requirements on the actuator and tracking of the closed loop.
 
-`walking_demand` goes from the knee backwards to the motor (inverse dynamics, no controller);
-`walking_metrics` simulates the closed loop. The load is that of the scenario: weight of the shank
-and, where it is given, a constant torque of the wearer. The torques of a leg that stands on the
-ground are not known here.
+`walking_demand` computes from the knee motion back to the motor, by inverse dynamics without a
+controller. `walking_metrics` simulates the closed loop. The load is that of the scenario: weight
+of the shank and a constant torque of the wearer. Ground reaction forces are not modelled.
 """
 
 from __future__ import annotations
@@ -39,19 +38,19 @@ WALKING_METRICS = (
     "delivered_energy_j",
     "net_energy_j",
 )
-"""Names of the numbers of `walking_metrics`; energies are per stride."""
+"""Names of the numbers that `walking_metrics` returns; energies are per stride."""
 
-_SAMPLES = 1000  # of a stride
-_HARMONICS = 40  # of a stride, in `linear_error_deg`: beyond lies the rounding of the data
-_ANGLE_STEP = 1e-5  # rad, of a central difference: 1e-10 of the moment arm
+_SAMPLES = 1000  # samples of a stride
+_HARMONICS = 40  # harmonics of a stride; higher ones are rounding errors of the gait data
+_ANGLE_STEP = 1e-5  # rad, step of a central difference; relative error 1e-10 of the moment arm
 
 
 @dataclass(frozen=True, repr=False)
 class WalkingDemand(Result):
-    """What one stride asks of the actuator; arrays (n,) from heel contact to heel contact.
+    """Signals that the actuator must provide for one stride, each (n,), between heel contacts.
 
-    Pump and motor without limits, lag or controller. ``segment_inertia``: whether the moving mass
-    is the shank as a point mass, m l²/r² at the rod, or the constant mass of Eq. 16.
+    Pump and motor have neither limits nor lag. With ``segment_inertia`` the moving mass is that of
+    the shank as a point mass, m l²/r² at the rod; without, it is the constant mass of Eq. 16.
     """
 
     frequency_hz: float
@@ -69,7 +68,7 @@ class WalkingDemand(Result):
     shaft_power_w: Array
 
     def to_dataframe(self) -> Any:
-        """The signals as `pandas.DataFrame` over ``cycle_percent``.
+        """Return the signals as a `pandas.DataFrame` with the index ``cycle_percent``.
 
         Raises `PackageError` without pandas.
         """
@@ -77,7 +76,10 @@ class WalkingDemand(Result):
         return data_frame(columns, "cycle_percent")
 
     def peaks(self) -> dict[str, float]:
-        """Largest absolute value of each signal, mean motor acceleration, energy per cycle."""
+        """Return the largest absolute value of each signal, mean motor acceleration and energies.
+
+        The mean is that of the absolute value. The energies are work of the motor per stride.
+        """
         time = self.cycle_percent / (100.0 * self.frequency_hz)
         peaks = {
             f"peak_{field.name}": float(np.max(np.abs(getattr(self, field.name))))
@@ -93,7 +95,7 @@ class WalkingDemand(Result):
 
 
 def _energies(time_s: Array, power_w: Array, cycles: int) -> dict[str, float]:
-    """Work of the motor on the pump per cycle: what it delivers, and less what flows back."""
+    """Return the work of the motor on the pump per cycle, without and with negative power."""
     return {
         "delivered_energy_j": float(np.trapezoid(np.maximum(power_w, 0.0), time_s)) / cycles,
         "net_energy_j": float(np.trapezoid(power_w, time_s)) / cycles,
@@ -103,12 +105,14 @@ def _energies(time_s: Array, power_w: Array, cycles: int) -> dict[str, float]:
 def walking_demand(
     scenario: Scenario, frequency_hz: float = 1.0, *, segment_inertia: bool = False
 ) -> WalkingDemand:
-    """Inverse dynamics of the measured gait: Eq. 16, 15 and 13 solved backwards.
+    """Compute motor speed, pressure and power for the measured gait by inverse dynamics.
+
+    Eq. 16, 15 and 13 are solved in this order:
 
     P_L = (m a + B v + K x + F_L)/Ā, Q_L = Ā v + C_L P_L + V_t/(4β_e) dP_L/dt,
-    ω_m = gear (Q_L + (C_im + C_em/2) P_L)/D_m. The full order is not inverted: the reduced one is
-    taken. With ``segment_inertia`` m a is −m_s l² d²θ_p/dt²/r, for the load's segment mass m_s at
-    the distance l, which a point mass has at least.
+    ω_m = gear (Q_L + (C_im + C_em/2) P_L)/D_m. A scenario of full order is treated as reduced
+    order. With ``segment_inertia`` the inertial force m a is −m_s l² d²θ_p/dt²/r, for a point mass
+    m_s at the distance l from the knee (mass and centre of mass of the load) and moment arm r.
 
     Raises `ParameterError` when the frequency is out of range, the gait leaves the range of
     motion, or ``segment_inertia`` finds no segment in the scenario's load.
@@ -121,7 +125,7 @@ def walking_demand(
         reference.times_s, np.radians(reference.angles_deg), bc_type="periodic"
     )
     period = 1.0 / frequency_hz
-    # From heel contact on; the reference starts later.
+    # The stride starts at heel contact, the reference later, at the smallest flexion.
     time = np.linspace(0.0, period, _SAMPLES + 1)
     phase = time - 0.01 * gait_start_percent() * period
     angle, rate, acceleration = (knee(phase, order) for order in range(3))
@@ -166,10 +170,11 @@ def walking_demand(
 
 
 def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
-    """Knee error in deg, (n,), that the linear sampled loop leaves on a stride without limits.
+    """Return the knee error in deg, (n,), of the linear sampled loop on a stride without limits.
 
-    Its response at mid-range (`linearize_loop`; in the rod's coordinates every posture has the
-    same but for the load), harmonic by harmonic. Raises `LinearizationError` where there is none.
+    The loop is linearized in the middle of the stride's range; its response is applied to each
+    harmonic of the rod's motion. In coordinates of the rod, only the load makes the response depend
+    on the posture. Raises `LinearizationError` when there is no linear loop.
     """
     angle = np.radians(demand.knee_angle_deg)
     middle = 0.5 * float(demand.knee_angle_deg.min() + demand.knee_angle_deg.max())
@@ -184,19 +189,19 @@ def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
 
 
 def moment_arm_m(scenario: Scenario, knee_angle_rad: Array) -> Array:
-    """Moment arm −dx/dθ_p in m at knee angles in rad, by the plant's own map."""
+    """Return the moment arm −dx/dθ_p in m at knee angles in rad, by the rod map of the plant."""
     before, after = (rod_of(scenario, knee_angle_rad + h) for h in (-_ANGLE_STEP, _ANGLE_STEP))
     return (before - after) / (2.0 * _ANGLE_STEP)
 
 
 def _rate(time: Array, periodic: Array) -> Array:
-    """Derivative of a periodic signal over one period."""
+    """Return the time derivative of a signal sampled over exactly one period."""
     closed = np.append(periodic[:-1], periodic[0])
     return np.asarray(scipy.interpolate.CubicSpline(time, closed, bc_type="periodic")(time, 1))
 
 
 def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Array:
-    """F_L in N along the motion, from the plant's own load system."""
+    """Return F_L in N along the motion, computed by the leaf system `KneeLoad`."""
     if not isinstance(scenario.plant.load, KneeLoadParameters):
         return np.zeros_like(time)
     load = systems.KneeLoad(scenario.plant.load)
@@ -224,8 +229,8 @@ async def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -
     walking = scenario.model_copy(update={"reference": gait_reference(frequency_hz, cycles)})
     walking = changed(walking, {"simulation.duration_s": cycles / frequency_hz})
     run = await awaitable(simulate, walking, signals=(*TRACKING_SIGNALS, "motor_speed"))
-    kept = run.time_s >= 1.0 / frequency_hz - 1e-9
-    return {"time_s": run.time_s[kept]} | {n: values[kept] for n, values in run.data.items()}
+    late = run.time_s >= 1.0 / frequency_hz - 1e-9
+    return {"time_s": run.time_s[late]} | {n: values[late] for n, values in run.data.items()}
 
 
 @needs_runs
