@@ -1,6 +1,7 @@
-"""Measures of one scenario; every function returns a frozen result with data and ``plot``.
+"""Analyses of one scenario: runs, frequency responses, linear models, margins, sensitivities.
 
-`kneexo.studies` compares many scenarios. Runs themselves are in `kneexo.simulation`.
+Most functions return a frozen result with data and ``plot``. `kneexo.studies` compares many
+scenarios. `kneexo.simulation` runs them.
 """
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz as large_signal_bandwidth_hz

@@ -1,7 +1,7 @@
-"""Where a sampled loop rests at a constant reference: the point to linearize it at.
+"""Equilibria of sampled loops at a constant reference, where a loop can be linearized.
 
-Loops of one structure differ in Context parameters and start alone, so one diagram serves them
-all: a sweep builds none of its own (Python 3.11 never frees a Python LeafSystem).
+Loops of one structure differ only in Context parameters and start, so they share one diagram. A
+sweep therefore builds no diagram for each scenario. (Python 3.11 never frees a Python LeafSystem.)
 """
 
 from __future__ import annotations
@@ -28,10 +28,12 @@ from kneexo.simulation.compiled import structure_key
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Where a loop rests at a constant reference, and the diagram to differentiate there.
+    """Equilibrium of a sampled loop at a constant reference, and a diagram to differentiate.
 
-    ``diagram`` (of AutoDiffXd) serves many loops; ``context`` holds the parameters of this one.
-    ``point``: ``continuous_states`` states of the plant, then those of the controller.
+    ``diagram`` has the scalar type AutoDiffXd; loops of one structure share it. ``context`` holds
+    the parameters of this loop. ``point`` contains the ``continuous_states`` states x of the plant,
+    then the discrete states z of the controller, in the units of the Context. ``reference`` (4,)
+    is θ_d in rad and its three derivatives.
     """
 
     diagram: Any
@@ -43,20 +45,24 @@ class Equilibrium:
     knee_angle_rad: float = math.nan
 
     def autodiff_context(self, state: Any, reference: Any) -> Any:
-        """Context of ``diagram`` at a state and reference that may be seeded."""
+        """Return a Context of ``diagram`` at a state (x, z) and reference, float or AutoDiffXd."""
         context = self.diagram.CreateDefaultContext()
         context.SetTimeStateAndParametersFrom(self.context)
         _set_point(self.diagram, context, state, reference, self.continuous_states)
         return context
 
     def rates(self, context: Any) -> Any:
-        """dx/dt and z⁺ at a Context of ``diagram``, as AutoDiffXd."""
+        """Return dx/dt and the updated discrete state z⁺ at a Context of ``diagram``."""
         updated = self.diagram.EvalUniquePeriodicDiscreteUpdate(context)
         groups = [updated.get_vector(i).CopyToVector() for i in range(updated.num_groups())]
         return np.concatenate([self.diagram.EvalTimeDerivatives(context).CopyToVector(), *groups])
 
     def gradients(self, point: Array, reference: Array, output: str) -> tuple[Array, ...]:
-        """Values and gradients in (x, z, r) of `rates`, and the row of ``output`` in x."""
+        """Return values of `rates`, their gradients in (x, z, r), and the gradient of a port in x.
+
+        The shapes are (n + m,), (n + m, n + m + 4) and (1, n) for n states x and m states z. The
+        port ``output`` has one element.
+        """
         seeded = InitializeAutoDiff(np.append(point, reference).reshape(-1, 1)).reshape(-1)
         context = self.autodiff_context(seeded[: point.size], seeded[point.size :])
         port = self.diagram.GetOutputPort(output).Eval(context)
@@ -69,9 +75,9 @@ _built: dict[str, tuple[Any, Any]] = {}
 
 
 def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
-    """Diagrams in float and AutoDiffXd for all loops of the scenario's structure."""
+    """Return the diagrams in float and AutoDiffXd that loops of the scenario's structure share."""
     key = structure_key(scenario)
-    if scenario.controller.kind == "custom":  # its parameters cannot be set by their names
+    if scenario.controller.kind == "custom":  # whose Context parameters cannot be set by name
         key += known_to_controller(scenario).model_dump_json()
     if key not in _built:
         diagram = make_closed_loop(scenario, signals=(), external_reference=True)
@@ -80,10 +86,10 @@ def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
 
 
 def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
-    """Set the Context parameters of a closed loop to those of a scenario of its structure.
+    """Set the Context parameters of a closed loop to those of a scenario of the same structure.
 
-    Those of systems that ``diagram`` does not have (reference, quantizers) are passed over, and so
-    are those of a custom controller.
+    Parameters of systems that are not in ``diagram``, such as reference and quantizers, are
+    ignored. The parameters of a custom controller are not changed.
     """
     for path, values in loop_values(scenario):
         system = _system(diagram, path)
@@ -99,6 +105,7 @@ def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
 
 
 def _system(diagram: Any, path: str) -> Any:
+    """Return the system at a path if it is in ``diagram`` and has named parameters, else None."""
     for name in path.split("/"):
         if not diagram.HasSubsystemNamed(name):
             return None
@@ -116,7 +123,7 @@ def start_state(scenario: Scenario, size: int) -> list[Any]:
 
 
 def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -> None:
-    """Set n continuous states, all discrete ones and the reference."""
+    """Set the reference and the state: n continuous states, then all groups of discrete ones."""
     context.SetContinuousState(state[:n])
     for index in range(context.num_discrete_state_groups()):
         size = context.get_discrete_state(index).size()
@@ -128,12 +135,13 @@ def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -
 def find_equilibrium(
     scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG, diagram: Any = None
 ) -> Equilibrium:
-    """Find where the sampled loop of a scenario rests, by Newton's method.
+    """Find the equilibrium of the sampled loop of a scenario by Newton's method.
 
-    Its reference and initial offset are replaced, its quantizers are bypassed. ``diagram``: see
-    `kneexo.analysis.linearize_loop`. Raises
-    `LinearizationError` when it does not rest there, at the speed limit, outside the boundary
-    layer, and when there is no sampled loop that could be linearized.
+    The reference is the constant ``knee_angle_deg``, the initial offset is zero, and the
+    quantizers are bypassed. `kneexo.analysis.linearize_loop` describes ``diagram``.
+
+    Raises `LinearizationError` when there is no equilibrium, when it lies at the speed limit or
+    outside the boundary layer, and when the controller is continuous or switches by signum.
     """
     controller = scenario.controller
     if controller.kind == "smc" and (controller.continuous or controller.switching == "signum"):
@@ -161,7 +169,7 @@ def find_equilibrium(
     period_s = _sample_time_s(diagram)
     x = context.get_continuous_state_vector().CopyToVector()
     diagram.GetInputPort("knee_reference").FixValue(context, reference)
-    Simulator(diagram, context).Initialize()  # starts the controller's states as a run does
+    Simulator(diagram, context).Initialize()  # initializes the controller as in a run
     groups = range(context.num_discrete_state_groups())
     z = np.concatenate([context.get_discrete_state(i).CopyToVector() for i in groups])
     n, m = x.size, z.size
@@ -188,7 +196,7 @@ def find_equilibrium(
 
 
 def _sample_time_s(diagram: Any) -> float:
-    """Period of the discrete updates; `LinearizationError` when there is no single one."""
+    """Return the sample time in s; `LinearizationError` unless there is exactly one."""
     timing = diagram.GetUniquePeriodicDiscreteUpdateAttribute()
     if timing is None:
         raise LinearizationError(
@@ -198,7 +206,7 @@ def _sample_time_s(diagram: Any) -> float:
 
 
 def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
-    """Refuse a rest at the speed limit or outside the boundary layer."""
+    """Raise `LinearizationError` at the speed limit and outside the boundary layer."""
     command = abs(float(diagram.GetOutputPort("motor_speed_command").Eval(context)[0]))
     limit = scenario.command_limit_rad_s
     if command >= limit * (1.0 - 1e-9):
@@ -216,17 +224,18 @@ def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
 
 
 def command_and_live(gradient: Array, n: int) -> tuple[int, Array, Any]:
-    """How the command follows from the controller's states, and which of these ever change.
+    """Return how the command depends on the states of the controller, and which states change.
 
-    ``gradient`` of dx/dt (the first n rows) and z⁺ in x, z (m) and perhaps more. The plant sees z
-    through the command k z alone, a state that is held or a sum of such. Returns the index of the
-    state with the most influence, k (m,) relative to it, and the mask of live states.
+    ``gradient`` holds the gradients of dx/dt (the first n rows) and z⁺ (m rows) in x (n columns), z
+    (m columns) and possibly other variables. The controller acts on the plant by its command k z
+    alone. Returned are the index of the element of z with the largest influence on dx/dt, k (m,)
+    with the value 1 at this index, and a mask (m,) of the states that an update can change.
     """
     m = gradient.shape[0] - n
     influence = gradient[:n, n : n + m]
-    held = int(np.argmax(np.max(np.abs(influence), axis=0)))
-    row = int(np.argmax(np.abs(influence[:, held])))
+    command = int(np.argmax(np.max(np.abs(influence), axis=0)))
+    row = int(np.argmax(np.abs(influence[:, command])))
     identity = np.eye(m, gradient.shape[1], k=n)
-    # Not merely identical: rounding leaves 1e-16 in the integral of a PID that has no K_i.
+    # The tolerance covers rounding of 1e-16 in the integral of a PID without K_i.
     live = np.any(np.abs(gradient[n:] - identity) > 1e-12, axis=1)
-    return held, influence[row] / influence[row, held], live
+    return command, influence[row] / influence[row, command], live

@@ -1,4 +1,4 @@
-"""Stability margins of a sampled loop."""
+"""Stability margins of a sampled loop: gain, phase, delay and disk margins."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Margins(Result):
 
     Each margin is the smallest change of the loop that puts a closed-loop eigenvalue on the unit
     circle. A stable loop stays stable with any smaller change. If ``stable`` is False, the loop is
-    unstable; the numbers are then distances to that circle and no margins.
+    unstable, and the numbers are changes that put an eigenvalue on the circle but no margins.
 
     Gain and phase have a margin in both directions, each above zero. A conditionally stable loop
     may lose stability by less gain (``lower_gain_margin``) or by a phase lead

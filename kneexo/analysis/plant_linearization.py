@@ -1,4 +1,4 @@
-"""Operating points of the plant, and its linearization there by AutoDiff (continuous time)."""
+"""Operating points of the plant and its linearization by AutoDiff, in continuous time."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Complex = NDArray[np.complex128]
 """An array of complex numbers."""
 
 MID_RANGE_DEG = 40.0
-"""Middle of the paper's 10…70°."""
+"""Default knee angle in deg, the middle of the paper's range 10…70°."""
 
 
 @dataclass(frozen=True, repr=False)
 class OperatingPoint(Result):
-    """A posture that the plant holds: all derivatives zero.
+    """Equilibrium of the plant under a load.
 
-    ``state`` (n,) in the units of the plant's Context; ``motor_speed_rad_s`` makes up for the
+    ``state`` (n,) is in the units of the plant's Context. ``motor_speed_rad_s`` compensates the
     leakage under the load.
     """
 
@@ -41,7 +41,7 @@ class OperatingPoint(Result):
     state: Array
 
     def __str__(self) -> str:
-        """One line in the paper's units."""
+        """Return one line in the paper's units."""
         return (
             f"knee at {math.degrees(self.knee_angle_rad):.4g} deg: motor "
             f"{_rounded(to_rpm(self.motor_speed_rad_s)):.4g} rpm, load pressure "
@@ -51,11 +51,12 @@ class OperatingPoint(Result):
 
 
 def _rounded(value: float) -> float:
-    """``value``; zero where it is what rounding leaves of zero."""
+    """Return ``value``, or zero for a value below 1e-9, which is a rounding error."""
     return value if abs(value) > 1e-9 else 0.0
 
 
 def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float) -> None:
+    """Fix the input ports of torque in N·m and force in N that ``diagram`` has."""
     for name, value in (("knee_torque", knee_torque), ("disturbance_force", disturbance)):
         if diagram.HasInputPort(name):
             diagram.GetInputPort(name).FixValue(context, [value])
@@ -64,7 +65,11 @@ def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float
 def _plant_gradients(
     plant: Any, point: Array, outputs: tuple[str, ...], knee_torque: float, disturbance: float
 ) -> tuple[Array, Array]:
-    """Values and gradients of derivatives and outputs at ``point`` (states, then command)."""
+    """Return values and gradients of derivatives and ``outputs`` at a point.
+
+    ``point`` (n + 1,) contains the states and the motor speed command in rad/s. The gradients have
+    n rows for the derivatives, then one for each element of the outputs, and n + 1 columns.
+    """
     context = plant.CreateDefaultContext()
     seeded = InitializeAutoDiff(point.reshape(-1, 1)).reshape(-1)
     context.SetContinuousState(seeded[:-1])
@@ -88,9 +93,9 @@ def find_operating_point(
 ) -> OperatingPoint:
     """Find the state and motor speed that hold a knee angle under load, by Newton's method.
 
-    ``plant``: parameters, or a diagram with the ports of `make_plant`. Raises
-    `LinearizationError` when there is no such equilibrium, or when it needs a motor beyond its
-    speed limit; `ParameterError` or `LinkageError` for a posture that the knee does not have.
+    ``plant`` is a set of parameters, or a diagram with the ports of `make_plant`. Raises
+    `LinearizationError` when there is no equilibrium, as when the motor would exceed its speed
+    limit. Raises `ParameterError` or `LinkageError` for an impossible posture.
     """
     diagram = _plant(plant, knee_angle_deg)
     if knee_torque_n_m and not diagram.HasInputPort("knee_torque"):
@@ -134,6 +139,7 @@ def find_operating_point(
 
 
 def _plant(plant: PlantParameters | Diagram, knee_angle_deg: float) -> Any:
+    """Return the diagram of a plant; one that is built starts at the knee angle."""
     if isinstance(plant, PlantParameters):
         return make_plant(plant, initial_knee_angle_rad=math.radians(knee_angle_deg))
     return plant
@@ -141,9 +147,10 @@ def _plant(plant: PlantParameters | Diagram, knee_angle_deg: float) -> Any:
 
 @dataclass(frozen=True, repr=False)
 class PlantLinearization(Result):
-    """The plant around an operating point: dx/dt = A x + B u, y = C x + D u.
+    """Linear plant around an operating point: dx/dt = A x + B u, y = C x + D u.
 
-    u: motor speed command in rad/s (one column); y: the ports ``outputs``, one row an element.
+    u is the motor speed command in rad/s (one column). y consists of the elements of the ports
+    ``outputs`` (one row each).
     """
 
     a: Array
@@ -153,7 +160,7 @@ class PlantLinearization(Result):
     outputs: tuple[str, ...]
     operating_point: OperatingPoint
     states: tuple[str, ...] = ()
-    """Names of the states: subsystem and index."""
+    """Names of the states, each with subsystem and index."""
 
     @property
     def poles(self) -> Complex:
@@ -185,24 +192,24 @@ class PlantLinearization(Result):
     def velocity_gain(self) -> float:
         """Steady rate of the first output per motor speed command: lim s·G(s) for s → 0.
 
-        The residue of the integrating pole. Under a load that leaks back that pole is not quite
-        zero; it counts as integrating while it is a hundred times slower than the next one, and
-        the gain is zero otherwise (a spring holds the rod).
+        This is the residue of the integrating pole. Leakage under a load shifts this pole away from
+        zero. It counts as integrating if it is at least a hundred times slower than the next pole;
+        otherwise, as with a spring, the gain is zero.
         """
         pole, following = self.poles[:2]
         if abs(pole) > 1e-2 * abs(following):
             return 0.0
-        # Eigenvectors as null vectors. `eig` would balance A and so scale up the rounding errors in
-        # the column of the rod's position, which is zero otherwise.
+        # The eigenvectors are computed as null vectors. `eig` would balance A, which amplifies the
+        # rounding errors in the column of the rod's position, zero in exact arithmetic.
         left, _, right = np.linalg.svd(self.a - pole.real * np.eye(len(self.a)))
         v, w = right[-1], left[:, -1]
         return float((self.c[0] @ v) * (w @ self.b[:, 0]) / (w @ v))
 
     def to_control(self) -> Any:
-        """As `control.StateSpace` in continuous time, with the names of inputs and outputs.
+        """Return a `control.StateSpace` in continuous time with named inputs, outputs and states.
 
-        The input is ``motor_speed_command_rad_s``; an output has the name of its column in a run,
-        or of its port where a run has none; states are those of `states`.
+        The input is ``motor_speed_command_rad_s``. An output has the name of its column in a run,
+        or that of its port if runs have no such column. The names of the states are `states`.
         """
         import control
 
@@ -216,7 +223,7 @@ class PlantLinearization(Result):
         )
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
-        """G(j2πf) of the first output, (n,)."""
+        """Return G(j2πf) from the command to the first output, (n,), at frequencies f in Hz."""
         s = 2j * np.pi * frequency_array(frequencies_hz)
         eye = np.eye(self.a.shape[0])
         return np.array(
@@ -224,7 +231,7 @@ class PlantLinearization(Result):
         )
 
     def __str__(self) -> str:
-        """Operating point, poles with damping, velocity gain."""
+        """Return operating point, poles with damping, and velocity gain as text."""
         frequency, ratio = self.damping
         rows = [str(self.operating_point)]
         rows += [
@@ -244,9 +251,10 @@ def linearize_plant(
     knee_torque_n_m: float = 0.0,
     disturbance_n: float = 0.0,
 ) -> PlantLinearization:
-    """Linearize the plant where it holds a posture, by AutoDiff.
+    """Linearize the plant at the operating point of a knee angle under load, by AutoDiff.
 
-    Raises what `find_operating_point` raises.
+    `find_operating_point` describes the arguments and raises the same errors; ``outputs`` are
+    output ports of the plant. Raises `LinearizationError` too for a derivative that is not finite.
     """
     diagram = _plant(plant, knee_angle_deg)
     point = find_operating_point(
@@ -285,9 +293,9 @@ def frequency_array(frequencies_hz: ArrayLike) -> Array:
 
 
 def require_finite(gradient: Array, states: int, knee_angle_deg: float) -> None:
-    """Raise `LinearizationError` where ``gradient`` is not finite.
+    """Raise `LinearizationError` for a gradient that is not finite.
 
-    The first ``states`` rows are the derivatives of the states' rates, the others of the outputs.
+    The first ``states`` rows are gradients of the rates of the states, the others of the outputs.
     """
     finite = np.isfinite(gradient).all(axis=1)
     if not finite.all():
@@ -300,7 +308,7 @@ def require_finite(gradient: Array, states: int, knee_angle_deg: float) -> None:
 
 
 def _state_names(system: Any, path: str = "") -> Iterator[str]:
-    """Subsystem and index of each continuous state, in the order of the Context."""
+    """Yield subsystem and index of each continuous state, in the order of the Context."""
     if isinstance(system, Diagram):
         for part in system.GetSystems():
             yield from _state_names(part, f"{path}{part.get_name()}.")

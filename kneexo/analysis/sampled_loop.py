@@ -1,10 +1,10 @@
-"""The sampled-data loop, linearized exactly: a continuous plant with a controller at 2 ms.
+"""Exact linearization of the sampled-data loop, a continuous plant with a sampled controller.
 
-Drake's `Linearize` refuses a diagram that mixes continuous and discrete state. Here the two are
-taken apart and put together again without approximation: the plant by AutoDiff and its exact
-zero-order hold, the controller by AutoDiff through its own discrete update. The quantizers of
-encoder and bus are bypassed (their derivative is zero) and the loop is the one inside the boundary
-layer and the speed limit; where there is none, the functions say so.
+Drake's `Linearize` does not accept a diagram with continuous and discrete states. Therefore plant
+and controller are linearized separately by AutoDiff, the plant at its derivatives and the
+controller at its discrete update. The exact zero-order hold of the plant joins them without
+approximation. The quantizers of encoder and bus, whose derivatives are zero, are bypassed. The
+linear loop is valid inside the boundary layer and the speed limit.
 """
 
 from __future__ import annotations
@@ -39,18 +39,20 @@ if TYPE_CHECKING:
 
 _STATE_STEP = 1e-12
 _JERK_STEP_RAD_S3 = 1e-3
-"""Steps of the states (their share) and of the reference's jerk that tell the sides of a kink at
-rest apart: above the rounding of the estimates, and nothing next to the boundary layer."""
+"""Relative step of the states, and step of the reference's jerk, to either side of a kink.
+
+The steps exceed the rounding errors of the estimates and are negligible beside the boundary layer.
+"""
 
 
 @dataclass(frozen=True, repr=False)
 class SampledLoop(Result):
-    """Plant and controller, linearized and joined exactly at the sampling instants.
+    """Linear plant and controller, joined exactly at the sampling instants.
 
-    Between samples dx/dt = A x + B u with u held. At a sample the controller maps its own state z,
-    the plant's x and the reference r = (θ_d and three derivatives) to
-    z⁺ = G_z z + G_x x + G_r r, and u = C_u z⁺ from then on. Units are those of the Contexts.
-    ``output`` is the port whose row is C; T is ``sample_time_s``.
+    Between samples dx/dt = A x + B u with constant u. At a sample the controller updates its state
+    z to z⁺ = G_z z + G_x x + G_r r, from the state x of the plant and the reference r (θ_d and
+    three derivatives). Until the next sample u = C_u z⁺. Units are those of the Contexts. C is the
+    gradient of the port ``output`` in x. T is ``sample_time_s``.
     """
 
     a: Array
@@ -66,7 +68,7 @@ class SampledLoop(Result):
     scenario: Scenario
 
     def plant_step(self) -> tuple[Array, Array]:
-        """Zero-order hold of the plant, x(t + T) = A_d x + B_d u, by one matrix exponential."""
+        """Return A_d and B_d of the plant with zero-order hold, x(t + T) = A_d x + B_d u."""
         n = self.a.shape[0]
         block = np.zeros((n + 1, n + 1))
         block[:n, :n], block[:n, n:] = self.a, self.b
@@ -75,22 +77,23 @@ class SampledLoop(Result):
 
     @property
     def monodromy(self) -> Array:
-        """Map of (x, z) over one sample time, for a constant reference."""
+        """Matrix that maps (x, z) over one sample time, for a constant reference."""
         a, b, c = self.loop_matrices
         return a - b @ c
 
     @property
     def eigenvalues(self) -> Complex:
-        """Eigenvalues of `monodromy`, the largest first: the loop is stable when all are below 1.
+        """Eigenvalues of `monodromy` by falling magnitude.
 
-        In a conjugate pair, the eigenvalue with positive imaginary part comes first.
-        States that never change (a PID's integral without integral action) are left out.
+        The loop is stable if all magnitudes are below 1. In a conjugate pair, the eigenvalue with
+        positive imaginary part comes first. States that never change, such as the integral of a PID
+        without integral action, have no eigenvalue here.
         """
         values = np.linalg.eigvals(self.monodromy).astype(complex)
         return values[np.argsort(-np.abs(values), kind="stable")]
 
     def poles(self) -> Complex:
-        """`eigenvalues` that the output sees, as ln(z)/T in 1/s; z = 0 is left out."""
+        """Return the poles ln(z)/T in 1/s of the `eigenvalues` z, except for z = 0."""
         values = self.eigenvalues
         values = values[np.abs(values) > 1e-9]
         return np.asarray(np.log(values) / self.sample_time_s, dtype=complex)
@@ -100,11 +103,11 @@ class SampledLoop(Result):
         """Whether every eigenvalue lies inside the unit circle."""
         return bool(np.abs(self.eigenvalues[0]) < 1.0)
 
-    # The loop is broken at the held command: v drives the plant, −u is what comes back.
+    # The loop is broken at the command: v drives the plant, and the controller returns −u.
 
     @cached_property
     def loop_matrices(self) -> tuple[Array, Array, Array]:
-        """A, b, c of the loop transfer L(z) = c (zI − A)⁻¹ b; the closed loop is A − b c."""
+        """A, b, c of the loop transfer L(z) = c (zI − A)⁻¹ b; A − b c is `monodromy`."""
         a_d, b_d = self.plant_step()
         n = a_d.shape[0]
         m = self.g_z.shape[0]
@@ -114,10 +117,10 @@ class SampledLoop(Result):
         return a, b, c
 
     def to_control(self) -> Any:
-        """Loop transfer L(z) as `control.StateSpace` with dt = T; the feedback is negative.
+        """Return the loop transfer L(z) as `control.StateSpace` with dt = T, for negative feedback.
 
-        Input ``motor_speed_command_rad_s``, output ``returned_command_rad_s``; states ``plant[i]``
-        and ``controller[i]``.
+        The input is ``motor_speed_command_rad_s``, the output ``returned_command_rad_s``. The
+        states are ``plant[i]`` and ``controller[i]``.
         """
         import control
 
@@ -134,34 +137,35 @@ class SampledLoop(Result):
         )
 
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
-        """L(e^{j2πfT}) at frequencies in Hz, (n,); L is periodic in the sampling frequency."""
+        """Return L(e^{j2πfT}) at frequencies f in Hz, (n,); L is periodic with period 1/T."""
         a, b, c = self.loop_matrices
         z = np.exp(2j * np.pi * frequency_array(frequencies_hz) * self.sample_time_s)
         shifted = z[:, None, None] * np.eye(a.shape[0]) - a
         return np.asarray(c @ np.linalg.solve(shifted, b[None, :, :]), dtype=complex)[:, 0, 0]
 
     def loop_slope(self, frequency_hz: float) -> complex:
-        """dL/df in 1/Hz."""
+        """Return dL/df in 1/Hz at a frequency f in Hz."""
         a, b, c = self.loop_matrices
         z = cmath.exp(2j * math.pi * frequency_hz * self.sample_time_s)
         inverse = np.linalg.inv(z * np.eye(a.shape[0]) - a)
         return complex((-2j * math.pi * self.sample_time_s * z * c @ inverse @ inverse @ b)[0, 0])
 
     def sensitivity(self, frequencies_hz: ArrayLike) -> Complex:
-        """S = 1/(1 + L), (n,)."""
+        """Return S = 1/(1 + L), (n,), at frequencies in Hz."""
         return np.asarray(1.0 / (1.0 + self.loop_response(frequencies_hz)), dtype=complex)
 
     def complementary_sensitivity(self, frequencies_hz: ArrayLike) -> Complex:
-        """T = L/(1 + L), (n,)."""
+        """Return L/(1 + L), (n,), at frequencies in Hz."""
         loop = self.loop_response(frequencies_hz)
         return np.asarray(loop / (1.0 + loop), dtype=complex)
 
     def output_response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Response of the output to a sine in θ_d: the component at its own frequency, (n,).
+        """Return the response of the output to a sine in θ_d, at frequencies in Hz, (n,).
 
-        Exact between the samples, and past the Nyquist frequency, where the reference is seen
-        folded. The held command U e^{jωkT} contains U (1 − e^{−jωT})/(jωT) at ω, which the plant
-        turns into G(jω) times that; the other components lie at ω + 2πk/T.
+        The continuous output contains components at ω + 2πk/T for all integers k; this is the
+        component at ω itself. It is exact also above the Nyquist frequency. The samples U e^{jωkT}
+        of the command, each held for T, have the component U (1 − e^{−jωT})/(jωT) at ω, to which
+        the plant responds with G(jω). Raises `LinearizationError` unless frequencies are positive.
         """
         f = frequency_array(frequencies_hz)
         if np.any(f <= 0.0):
@@ -174,10 +178,10 @@ class SampledLoop(Result):
         z = np.exp(s * dt)
         reference = np.concatenate([np.ones_like(s), s, s * s, s * s * s], axis=1)
         state = np.linalg.solve(z * np.eye(size) - self.monodromy, drive @ reference)
-        command = self.c_u @ (z * state[:, n:])  # what is held from t on is z⁺
-        held = command * (1.0 - np.exp(-s * dt)) / (s * dt)
+        command = self.c_u @ (z * state[:, n:])  # the command follows from z⁺
+        hold = command * (1.0 - np.exp(-s * dt)) / (s * dt)
         plant = self.c @ np.linalg.solve(s * np.eye(n) - self.a, self.b[None])
-        return np.asarray(plant * held, dtype=complex)[:, 0, 0]
+        return np.asarray(plant * hold, dtype=complex)[:, 0, 0]
 
     def bandwidth_hz(self) -> float:
         """Small-signal −3 dB bandwidth in Hz of `output_response`, the output over its reference.
@@ -191,15 +195,15 @@ class SampledLoop(Result):
         return self._first_fall_hz(self.output_response)
 
     def complementary_sensitivity_bandwidth_hz(self) -> float:
-        """−3 dB bandwidth in Hz of `complementary_sensitivity`, T = L/(1 + L).
+        """−3 dB bandwidth in Hz of `complementary_sensitivity`, L/(1 + L).
 
-        Feedback acts up to about this frequency, whatever the controller feeds forward. Threshold,
-        range and errors are those of `bandwidth_hz`.
+        The feedback alone, without feedforward, acts up to about this frequency. Threshold, range
+        and errors are those of `bandwidth_hz`.
         """
         return self._first_fall_hz(self.complementary_sensitivity)
 
     def _first_fall_hz(self, response: Callable[[ArrayLike], Complex]) -> float:
-        """Lowest frequency at which a gain is 1/√2 of that at 0.01 Hz; nan where there is none."""
+        """Return the lowest frequency in Hz at which a gain is 1/√2 of that at 0.01 Hz, or nan."""
         self._require_stable("bandwidth")
         grid = np.geomspace(1e-2, 0.5 / self.sample_time_s, 2000)
         gain = np.abs(response(grid))
@@ -222,9 +226,10 @@ class SampledLoop(Result):
             )
 
     def loop_on_grid(self, frequencies_hz: Array) -> Complex:
-        """L for many frequencies at once, exact to some 1e-9.
+        """Return L at many frequencies in Hz, (n,), with a relative error of about 1e-9.
 
-        1 + L = det(zI − closed)/det(zI − open), each the product of (z − eigenvalue).
+        1 + L = det(zI − A + b c)/det(zI − A), where each determinant is the product of
+        (z − eigenvalue).
         """
         a, _, _ = self.loop_matrices
         z = np.exp(2j * np.pi * frequencies_hz * self.sample_time_s)
@@ -238,7 +243,7 @@ class SampledLoop(Result):
         return stability_margins(self)
 
     def __str__(self) -> str:
-        """Stability, margins and bandwidth in words."""
+        """Return stability, margins and bandwidths as text."""
         margins = self.margins()
         largest = abs(self.eigenvalues[0])
         head = (
@@ -275,15 +280,15 @@ class SampledLoop(Result):
         return f"{bandwidth:.4g} Hz"
 
     def plot(self, ax: Any = None) -> Any:
-        """Bode plot of the loop up to its Nyquist frequency; ``ax``: two axes.
+        """Plot magnitude and phase of the loop up to its Nyquist frequency; return the two axes.
 
-        The phase is unwrapped and starts in −270…90°. A stable loop is shown with its margins.
+        The phase is unwrapped and starts in −270…90°. The plot of a stable loop shows its margins.
         """
         ax = axes_or_new(ax, 2, 1, sharex=True, figsize=(7, 6))
         nyquist = 0.5 / self.sample_time_s
         f = self._plot_grid(nyquist)
         loop, margins = self.loop_response(f), self.margins()
-        with np.errstate(divide="ignore"):  # a loop without gain is nowhere in the plot
+        with np.errstate(divide="ignore"):  # a loop without gain gives −inf dB
             decibel = 20.0 * np.log10(np.abs(loop))
         phase = np.degrees(np.unwrap(np.angle(loop)))
         phase -= 360.0 * math.floor((phase[0] + 270.0) / 360.0)
@@ -312,7 +317,7 @@ class SampledLoop(Result):
         return ax
 
     def _plot_grid(self, nyquist: float) -> Array:
-        """Frequencies in Hz, dense also where a lightly damped pole bends the response."""
+        """Return frequencies in Hz, with a dense grid around each lightly damped pole."""
         values = self.eigenvalues
         values = np.append(values, np.linalg.eigvals(self.loop_matrices[0]))
         modes = np.abs(np.angle(values[np.abs(values) > 0.5])) * nyquist / math.pi
@@ -321,10 +326,11 @@ class SampledLoop(Result):
         return np.unique(grid[(grid >= 0.02) & (grid <= nyquist)])
 
     def plot_nyquist(self, ax: Axes | None = None) -> Axes:
-        """Nyquist plot of the loop around −1, with the unit circle and the disk that it keeps out.
+        """Plot the Nyquist curve of the loop around −1, with the unit circle and the margin disk.
 
-        The disk is the balanced one of the disk margin: 1 + fL does not vanish for any complex
-        factor f from 1/γ to γ, which belong to −γ … −1/γ on the real axis.
+        The disk is that of the balanced disk margin. It covers −γ … −1/γ on the real axis, and the
+        curve touches it. 1 + fL does not vanish for any complex factor f inside the disk with the
+        diameter 1/γ … γ.
         """
         ax = axes_or_new(ax, figsize=(5.5, 5.5))
         loop = self.loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
@@ -334,7 +340,7 @@ class SampledLoop(Result):
         ax.plot(circle.real, circle.imag, color="0.3", lw=0.8, label="|L| = 1")
         ax.plot([-1.0], [0.0], "C3+", ms=9, mew=1.5, label="−1")
         reach = 0.5 * self.margins().disk_margin if self.stable else math.nan
-        if reach < 1.0:  # else no circle; nor for an unstable loop, which has no margin
+        if reach < 1.0:  # otherwise the disk is no circle; nan: an unstable loop
             gain = (1.0 + reach) / (1.0 - reach)
             disk = -0.5 * (gain + 1.0 / gain) + 0.5 * (gain - 1.0 / gain) * circle
             label = f"disk margin {2.0 * reach:.3g}"
@@ -347,10 +353,10 @@ class SampledLoop(Result):
         return ax
 
     def plot_poles(self, ax: Axes | None = None) -> Axes:
-        """Closed-loop eigenvalues in the z-plane, with the unit circle and lines of damping."""
+        """Plot the eigenvalues in the z-plane, with unit circle and lines of constant damping."""
         ax = axes_or_new(ax, figsize=(5.5, 5.5))
         for damping in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9):
-            turn = np.linspace(0.0, np.pi, 200)  # of the damped frequency, up to Nyquist
+            turn = np.linspace(0.0, np.pi, 200)  # damped frequency times T, up to Nyquist
             line = np.exp((1j - damping / math.sqrt(1.0 - damping**2)) * turn)
             for half in (line, line.conj()):
                 grey = "0.4" if damping == 0.0 else "0.75"
@@ -377,17 +383,28 @@ def linearize_loop(
     output: str = "knee_angle",
     diagram: Diagram | None = None,
 ) -> SampledLoop:
-    """Linearize the sampled-data loop of a scenario where it rests at a constant reference.
+    """Linearize the sampled-data loop of a scenario at its equilibrium for a constant reference.
 
-    Its reference and initial offset are replaced, its quantizers are bypassed. ``output``: the
-    port of the plant whose response is asked for. ``diagram``: a closed loop of the user's own in
-    place of the scenario's, without a quantizer, with the ports of `make_closed_loop` and an input
-    ``knee_reference`` (``external_reference=True``), which starts at the posture; the scenario then
-    tells the command's limit.
+    The quantizers of the scenario are bypassed.
 
-    Raises `LinearizationError` when the controller is continuous, when the loop has no rest there,
-    when the rest lies outside the boundary layer or at the speed limit (there is no linear loop),
-    or for a signum controller, which has none at all.
+    Parameters
+    ----------
+    scenario
+        The loop. Its reference and initial offset have no effect.
+    knee_angle_deg
+        The constant reference.
+    output
+        Output port, with one element, whose response to the reference is computed.
+    diagram
+        A closed loop of the user in place of that of the scenario. It has no quantizer, the ports
+        of `make_closed_loop` with ``external_reference=True``, and starts near the knee angle. The
+        scenario then gives the limit of the command.
+
+    Raises
+    ------
+    LinearizationError
+        The loop has no equilibrium, or one outside the boundary layer or at the speed limit; the
+        controller is continuous or switches by signum; or a derivative is not finite.
     """
     equilibrium = find_equilibrium(scenario, knee_angle_deg, diagram)
     n, m = equilibrium.continuous_states, equilibrium.point.size - equilibrium.continuous_states
@@ -405,11 +422,11 @@ def linearize_loop(
     gradient = 0.5 * (both[0] + both[1])
     rows = np.vstack([gradient, np.pad(c, ((0, 0), (0, gradient.shape[1] - n)))])
     require_finite(rows, n + m, knee_angle_deg)
-    held, command, live = command_and_live(gradient, n)
+    index, command, live = command_and_live(gradient, n)
     update = gradient[n:]
     return SampledLoop(
         a=gradient[:n, :n],
-        b=gradient[:n, [n + held]],
+        b=gradient[:n, [n + index]],
         c=c,
         g_x=update[live, :n],
         g_z=update[live, n : n + m][:, live],

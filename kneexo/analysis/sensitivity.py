@@ -1,8 +1,8 @@
-"""Local sensitivities of tracking error and stability margins by AutoDiff, at one scenario.
+"""Derivatives of tracking error and stability margins of one scenario by AutoDiff.
 
-The plant changes and the controller keeps believing in what it is designed for. The quantizers of
-encoder and bus, whose derivative is zero, are bypassed. The largest error has no derivative where
-it jumps from one peak to another; the root mean square has.
+The values of the plant vary; the controller keeps its nominal plant. The quantizers of encoder and
+bus, whose derivatives are zero, are bypassed. The root mean square of the error is differentiated,
+because the largest error has no derivative where it jumps from one peak to another.
 """
 
 from __future__ import annotations
@@ -41,38 +41,47 @@ _DIFFERENTIABLE = (
     "encoder.mounting_error_rad",
 )
 _STATE_STEP = 3e-7
-"""Step of the states (their share) by which two gradients tell how the Jacobian changes."""
+"""Relative step of the states for differences of gradients."""
 
 
 @dataclass(frozen=True, repr=False)
 class Sensitivities(Result):
-    """Metrics and their gradients in the values at ``paths``, each (paths,)."""
+    """Metrics by name and their gradients in the values at ``paths``, each (paths,)."""
 
     paths: tuple[str, ...]
     metrics: dict[str, float]
     gradients: dict[str, Array]
 
     def of(self, metric: str) -> dict[str, float]:
-        """Derivative of a metric by path, in the unit of the metric over that of the value."""
+        """Return the derivatives of a metric by path, in the unit of metric per value."""
         return dict(zip(self.paths, self.gradients[metric].tolist(), strict=True))
 
 
 def differentiable(scenario: Scenario, path: str) -> bool:
-    """Whether AutoDiff reaches the value at ``path``: a number of the plant or its measurement.
+    """Whether AutoDiff can differentiate in the value at ``path``.
 
-    Choices, samples of latency and the linkage, which enters through a fit, are out of reach.
+    This holds for real numbers of pump, cylinder and load and for the mounting error of the
+    encoder. It does not hold for choices, whole numbers, or the linkage, which enters by a fit.
     """
     return path.startswith(_DIFFERENTIABLE) and isinstance(value_at(scenario, path), float)
 
 
 def _fixed(scenario: Scenario) -> Scenario:
-    """The scenario without quantizers, whose controller keeps its beliefs."""
+    """Return the scenario without quantizers and with its nominal plant written out.
+
+    The nominal plant then stays the same when the plant varies.
+    """
     nominal = {"nominal": scenario.believed_plant}
     return scenario.without_quantizers().model_copy(update=nominal)
 
 
 def _seeded(scenario: Scenario, paths: Sequence[str], columns: int, first: int) -> Scenario:
-    """The scenario with AutoDiffXd at ``paths``: not validated, for its Context parameters only."""
+    """Return the scenario with AutoDiffXd at ``paths``, to compute its Context parameters.
+
+    The gradients have ``columns`` elements; the value at path i has the derivative 1 at the index
+    ``first`` + i. The scenario is not validated. Raises `ParameterError` for no path, and for one
+    without derivative.
+    """
     if not paths:
         raise ParameterError("paths: there are none; a sensitivity needs at least one value")
     for path in paths:
@@ -90,7 +99,7 @@ def _seeded(scenario: Scenario, paths: Sequence[str], columns: int, first: int) 
 
 
 def _with(holder: Any, names: Sequence[str], value: Any) -> Any:
-    """A copy of nested parameters with another value, not validated."""
+    """Return a copy of nested parameters with another value at ``names``, not validated."""
     if not names:
         return value
     inner = _with(getattr(holder, names[0]), names[1:], value)
@@ -99,7 +108,7 @@ def _with(holder: Any, names: Sequence[str], value: Any) -> Any:
 
 
 def _gradients(values: Iterable[Any], columns: int) -> Array:
-    """Gradients of AutoDiffXd or float, (n, columns)."""
+    """Return the gradients (n, columns) of n values, AutoDiffXd or float."""
     zero = AutoDiffXd(0.0, np.zeros(columns))
     return np.asarray(ExtractGradient(np.array([[zero + value] for value in values])))
 
@@ -111,16 +120,30 @@ def tracking_sensitivities(
     duration_s: float | None = None,
     step_s: float | None = None,
 ) -> Sensitivities:
-    """Gradient of ``rms_error_deg`` by simulating with AutoDiffXd.
+    """Return ``rms_error_deg`` and its gradient, by a simulation with AutoDiffXd.
 
-    The error is that after the first period of a sine, or of the whole run if it is shorter.
-    Exact for the discretized run: the third-order Runge-Kutta method with fixed steps of
-    ``step_s``, by default 0.5 ms, or 0.05 ms for the stiff valves of ``full_order`` (Newton's
-    method in the implicit integrators loses the derivative). ``duration_s``: by default that of
-    the scenario. One simulated second takes 1.5 s of computation, with ``full_order`` 25 s.
+    The first period of a sinusoidal reference does not count, unless the run is shorter. One
+    simulated second takes 1.5 s of computation, in full order 25 s.
 
-    Raises `ParameterError` for a path that has no derivative, `SimulationError` when the run
-    leaves the range of motion.
+    Parameters
+    ----------
+    scenario
+        Plant, controller and reference.
+    paths
+        Dotted names of values of the plant, for which `differentiable` holds.
+    duration_s
+        Duration of the run; None: that of the scenario.
+    step_s
+        Step of the third-order Runge-Kutta method, for which the gradient is exact. None: 0.5 ms,
+        or 0.05 ms for the stiff valves of the full order. (Newton's method in Drake's implicit
+        integrators loses the derivatives.)
+
+    Raises
+    ------
+    ParameterError
+        A path has no derivative.
+    SimulationError
+        The run leaves the range of motion.
     """
     fixed = _fixed(scenario)
     seeded = _seeded(fixed, paths, len(paths), 0)
@@ -165,18 +188,19 @@ def tracking_sensitivities(
 
 
 def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivities:
-    """Gradients of the sampled loop's largest eigenvalue and, if it is stable, of its margins.
+    """Return margins of the sampled loop and their gradients in the values at ``paths``.
 
-    Metrics: ``largest_eigenvalue`` (its magnitude), ``gain_margin``, ``phase_margin_deg``,
-    ``delay_margin_s``, ``disk_margin``; the gradient of a margin that does not exist is nan.
-    The posture is the middle of the reference's range.
+    Metrics are the magnitude ``largest_eigenvalue`` and, for a stable loop, `MARGIN_METRICS`. The
+    gradient of a margin that does not exist is nan. The knee is in the middle of the reference's
+    range.
 
-    The rest moves with the values, by the implicit function theorem. AutoDiff gives the gradient
-    of dx/dt and of the controller's update in the values on both sides of the rest; the difference
-    is how the loop's Jacobian changes. From there on the chain rule is exact: through the
-    zero-order hold by the derivative of the matrix exponential, to each margin at its frequency.
+    By the implicit function theorem, AutoDiff gives the shift of the equilibrium with the values.
+    Gradients of dx/dt and of the controller's update in the values are computed on both sides of
+    the equilibrium, along this shift. Their differences are the derivatives of the loop's
+    Jacobian. The chain rule then gives the derivatives of the zero-order hold (by the derivative of
+    the matrix exponential) and of each margin at its frequency.
 
-    Raises `ParameterError` for a path that has no derivative, and what `linearize_loop` raises.
+    Raises `ParameterError` for a path that has no derivative, and the errors of `linearize_loop`.
     """
     fixed = _fixed(scenario)
     knee_angle_deg = scenario.reference.middle_deg
@@ -185,7 +209,7 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
     reference = equilibrium.reference
 
     def rates(point: Array, columns: int, gradient: Array, seeded: Scenario) -> Array:
-        """Gradients of dx/dt and z⁺, at a point that has gradients itself."""
+        """Return the gradients of dx/dt and z⁺ at a point with the given gradient."""
         state = InitializeAutoDiff(point.reshape(-1, 1), gradient).reshape(-1)
         context = equilibrium.autodiff_context(state, reference)
         set_loop_parameters(equilibrium.diagram, context, seeded)
@@ -200,20 +224,21 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
     change = np.zeros((size, size, count))
     for index, step in enumerate(_STATE_STEP * (1.0 + np.abs(equilibrium.point))):
         aside = step * np.eye(size)[index]
-        # Extrapolated to no step: a kink at rest leaves a part linear in it, the rest a square.
+        # Extrapolation to a step of zero: a kink at the equilibrium causes an error linear in the
+        # step, the remaining error is quadratic.
         for steps, weight in ((1.0, 8.0 / 3.0), (2.0, -2.0), (4.0, 1.0 / 3.0)):
             ends = (equilibrium.point + sign * steps * aside for sign in (1.0, -1.0))
             above, below = (rates(end, count, moves, seeded) for end in ends)
             change[:, index] += weight * (above - below) / (2.0 * steps * step)
     loop = linearize_loop(fixed, knee_angle_deg)
-    held, command, live = command_and_live(joint[:, :size], n)
+    index, command, live = command_and_live(joint[:, :size], n)
     if np.count_nonzero(command) > 1:
         raise LinearizationError("controller: must hold its command in one discrete state")
     metrics = {"largest_eigenvalue": float(abs(loop.eigenvalues[0]))}
     if loop.stable:
         margins = loop.margins()
         metrics |= {name: getattr(margins, name) for name in MARGIN_METRICS}
-    columns = [_metric_changes(loop, change[..., i], held, live) for i in range(count)]
+    columns = [_metric_changes(loop, change[..., i], index, live) for i in range(count)]
     return Sensitivities(
         paths=tuple(paths),
         metrics=metrics,
@@ -221,12 +246,16 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
     )
 
 
-def _metric_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> dict[str, float]:
-    """Derivatives of the loop's metrics from that of its Jacobian (of dx/dt and z⁺ in x, z)."""
+def _metric_changes(loop: SampledLoop, change: Array, index: int, live: Any) -> dict[str, float]:
+    """Return the derivatives of the loop's metrics in one value.
+
+    ``change``: derivative in this value of the Jacobian of (dx/dt, z⁺) in (x, z). ``index``: place
+    of the command in z. ``live``: mask of the states z that an update can change.
+    """
     n = loop.a.shape[0]
     block, change_of_block = np.zeros((2, n + 1, n + 1))
     block[:n, :n], block[:n, n:] = loop.a, loop.b
-    change_of_block[:n, :n], change_of_block[:n, n] = change[:n, :n], change[:n, n + held]
+    change_of_block[:n, :n], change_of_block[:n, n] = change[:n, :n], change[:n, n + index]
     dt = loop.sample_time_s
     step = scipy.linalg.expm_frechet(block * dt, change_of_block * dt, compute_expm=False)
     update = change[n:][live]
@@ -245,7 +274,7 @@ def _metric_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> d
         return changes
 
     def response(frequency: float) -> tuple[complex, complex, complex]:
-        """L, and its derivatives in the value and in the frequency."""
+        """Return L and its derivatives in the value and in the frequency."""
         z = np.exp(2j * np.pi * frequency * dt)
         inverse = np.linalg.inv(z * np.eye(opened.shape[0]) - opened)
         forth, back = inverse @ drive, row @ inverse
@@ -256,7 +285,7 @@ def _metric_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> d
     changes |= dict.fromkeys(MARGIN_METRICS, math.nan)
     if math.isfinite(m.gain_margin):
         at, in_value, in_frequency = response(m.gain_margin_frequency_hz)
-        if m.gain_margin_frequency_hz < 0.5 / dt:  # else L stays real by itself
+        if m.gain_margin_frequency_hz < 0.5 / dt:  # at the Nyquist frequency L is always real
             in_value -= in_frequency * in_value.imag / in_frequency.imag
         changes["gain_margin"] = in_value.real / at.real**2
     for name, frequency in (
@@ -266,12 +295,14 @@ def _metric_changes(loop: SampledLoop, change: Array, held: int, live: Any) -> d
         if not math.isfinite(frequency):
             continue
         at, in_value, in_frequency = response(frequency)
-        # |L| stays 1: the crossing moves with the value.
+        # The crossing frequency shifts such that |L| = 1.
         shift = -(in_value / at).real / (in_frequency / at).real
         turn = ((in_value + in_frequency * shift) / at).imag
         if name == "delay_margin_s":
             turn = (turn / (2.0 * np.pi) - m.delay_margin_s * shift) / frequency
         changes[name] = turn if name == "delay_margin_s" else math.degrees(turn)
-    at, in_value, _ = response(m.disk_margin_frequency_hz)  # its frequency is that of a minimum
+    at, in_value, _ = response(
+        m.disk_margin_frequency_hz
+    )  # at a minimum a shift of the frequency has no effect
     changes["disk_margin"] = m.disk_margin * (2.0 * in_value / (1.0 - at * at)).real
     return {name: float(value) for name, value in changes.items()}

@@ -123,10 +123,10 @@ def cycle_responses(
     """Return the response and the mean of the output in each cycle of a run.
 
     The response is the ratio of the fundamentals of the columns ``output`` and ``reference``,
-    complex (cycles,). The means of ``output`` are (cycles,). At least three cycles are required; the
-    first one begins at ``start_s``. A cycle may have any number of samples, not only a whole one. The mean of
-    the output may drift while the motor is at its limits; a linear drift, estimated from the means
-    of neighbouring cycles, is removed.
+    complex (cycles,). The means of ``output`` are (cycles,). At least three cycles are required;
+    the first one begins at ``start_s``. A cycle may have any number of samples, not only a whole
+    one. The mean of the output may drift while the motor is at its limits; a linear drift,
+    estimated from the means of neighbouring cycles, is removed.
     """
     means, amplitudes = np.empty((cycles, 3)), np.empty((cycles, 3), complex)
     for cycle in range(cycles):

@@ -1,4 +1,4 @@
-"""Functions that build the diagrams of the polycentric knee exoskeleton."""
+"""Drake diagrams of the polycentric knee exoskeleton: plant, controller and closed loop."""
 
 from kneexo.diagrams.closed_loop import (
     available_signals as available_signals,

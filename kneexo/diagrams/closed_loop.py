@@ -45,38 +45,47 @@ def make_closed_loop(
     signals: Sequence[str] | None = None,
     external_reference: bool = False,
 ) -> Diagram:
-    """Build the closed loop of a scenario; without arguments the paper's sliding-mode setup.
+    """Build the closed loop of a scenario; the default is the paper's sliding-mode controller.
 
-    Subsystems: ``plant``, ``encoder`` (Drake's `RotaryEncoders`, behind ``encoder_phase`` and
-    ``phase_sum``, or a `PassThrough` when it is not quantized), ``reference``,
-    ``controller`` (see `make_controller`), ``drive`` (`Cia402Drive`, only on such a bus),
-    ``can_bus`` (`DiscreteTimeDelay`, only with latency), ``signals`` and ``log``
-    (a `VectorLogSink` at the control period with the columns ``columns(signals)``; all available
-    signals by default, none with ``signals=()``). Inputs: ``disturbance_force`` and, with a load,
-    ``knee_torque``; both may stay unconnected. Outputs: each of `available_signals`.
+    Subsystems:
+
+    - ``plant``: see `make_plant`.
+    - ``encoder``: Drake's `RotaryEncoders` behind ``phase_sum``, which adds the constant
+      ``encoder_phase``; a `PassThrough` for an encoder that is not quantized.
+    - ``reference``: the knee reference.
+    - ``controller``: see `make_controller`.
+    - ``drive``: `Cia402Drive`, only with a bus of this kind.
+    - ``can_bus``: `DiscreteTimeDelay`, only for a bus with latency.
+    - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink` at the control period with the
+      columns ``columns(signals)``; none for ``signals=()``.
+
+    Inputs: ``disturbance_force`` and, with a load, ``knee_torque``; both may stay unconnected.
+    Outputs: each of `available_signals`. Drake's updates and publishes at t both use the state
+    before the update, so that the logged command at t is the one held until t. The paper's ideal
+    case (Fig. 9) is `kneexo.studies.paper.IDEAL_SMC`.
 
     Parameters
     ----------
     scenario
-        The loop. Where ``controller`` is given, its controller only tells sample time of the log
-        and command limit.
+        The closed loop. If ``controller`` is given, only sample time of the log and command limit
+        of the scenario's controller are used.
     controller
-        A system in place of the scenario's controller, with ports as `make_controller` says: of
-        the inputs those that it needs, of the outputs at least ``motor_speed_command``. It has its
-        own sample time.
+        A system in place of the scenario's controller, with its own sample time. Its input ports
+        are some of those of `make_controller`; ``motor_speed_command`` is one of its output ports.
     reference
-        A system in place of the scenario's reference: one output (4,), θ_d and its derivatives to
-        the third. The scenario's reference then only says where the plant starts.
+        A system in place of the scenario's reference. Its only output port (4,) contains θ_d and
+        three derivatives. The scenario's reference then only decides where the plant starts.
     signals
-        What is logged: names of `SIGNALS`.
+        Signals to log, names of `SIGNALS`; None: all available ones.
     external_reference
-        An input ``knee_reference`` in place of the subsystem ``reference``.
+        True: an input port ``knee_reference`` replaces the subsystem ``reference``.
 
-    A logged command at t is the one held up to t: Drake's updates and publishes at t both see the
-    state before the update. The paper's ideal case (Fig. 9) is `kneexo.studies.paper.IDEAL_SMC`.
-
-    Raises `ParameterError` when the reference leaves the range of motion, a signal is unknown or a
-    port is missing, `LinkageError` when the linkage cannot be assembled.
+    Raises
+    ------
+    ParameterError
+        The reference leaves the range of motion, a signal is unknown, or a port is missing.
+    LinkageError
+        The linkage cannot be assembled.
     """
     require_reference_in_range(scenario.reference, scenario.plant.knee)
     outputs = None
@@ -107,7 +116,9 @@ def make_closed_loop(
         signal = ports.get(port.get_name()) or plant.GetOutputPort(port.get_name())
         builder.Connect(signal, port)
     available = available_signals(scenario, outputs)
-    ports["estimated_state"] = plant.GetOutputPort("rod_state")  # unless the controller has one
+    ports["estimated_state"] = plant.GetOutputPort(
+        "rod_state"
+    )  # replaced below if the controller has this port
     ports |= {
         name: controller.GetOutputPort(name)
         for name in CONTROLLER_SIGNALS
@@ -120,7 +131,7 @@ def make_closed_loop(
         ports["target_velocity"] = coding.GetOutputPort("target_velocity")
         command = coding.GetOutputPort("motor_speed_command")
     if scenario.bus.latency_samples:
-        # The controller's output is held already, so n − 1 steps here make n samples of latency.
+        # The controller holds its output for a sample, so n − 1 delays make n samples of latency.
         bus = builder.AddNamedSystem(
             "can_bus",
             DiscreteTimeDelay(
@@ -155,9 +166,9 @@ def make_closed_loop(
 def available_signals(
     scenario: Scenario, outputs: Mapping[str, int] | None = None
 ) -> tuple[str, ...]:
-    """The names of `SIGNALS` that the scenario's closed loop has.
+    """Return the names of the `SIGNALS` that the closed loop of a scenario has.
 
-    ``outputs``: size of each output port of the controller, where it is not the scenario's.
+    ``outputs``: sizes by name of the output ports of a controller that replaces the scenario's.
     """
     missing = set()
     if outputs is None and scenario.controller.kind == "custom":
@@ -178,7 +189,10 @@ def chosen_signals(
     signals: Sequence[str] | None,
     outputs: Mapping[str, int] | None = None,
 ) -> tuple[str, ...]:
-    """``signals``, all available ones when None; `ParameterError` for an unknown one."""
+    """Return ``signals``, or all available ones for None.
+
+    Raises `ParameterError` for a signal that is not available; see `available_signals`.
+    """
     available = available_signals(scenario, outputs)
     names = available if signals is None else tuple(signals)
     for name in names:
@@ -195,7 +209,7 @@ def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
     for part in _plant_parts(scenario):
         yield f"plant/{part.name}", part.values()
     if scenario.encoder.quantized:
-        # The second is Drake's calibration offset, which can only be set in a Context.
+        # Drake's calibration offset of the encoder stays zero; the phase is added before it.
         yield "encoder_phase", {"0[0]": -scenario.encoder.phase_rad}
         yield "encoder", {"0[0]": 0.0}
     if not isinstance(scenario.reference, SampledReference):
@@ -250,8 +264,11 @@ def _start_arguments(scenario: Scenario) -> dict[str, Any]:
 
 
 def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
-    """Add the encoder that reads the port ``angle`` (θ_4), less its phase; returns the system."""
-    from pydrake.systems.sensors import RotaryEncoders  # with cameras and geometry: 0.05 s
+    """Add the encoder to a DiagramBuilder and return the system that outputs its reading.
+
+    It reads the port ``angle`` (θ_4) minus the phase of the encoder.
+    """
+    from pydrake.systems.sensors import RotaryEncoders  # this import takes 0.05 s
 
     if not scenario.encoder.quantized:
         encoder = builder.AddNamedSystem("encoder", PassThrough(1))
@@ -260,7 +277,7 @@ def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
     encoder = builder.AddNamedSystem(
         "encoder", RotaryEncoders([scenario.encoder.counts_per_revolution])
     )
-    # The encoder's own calibration offset can only be set in a Context, not in the diagram.
+    # Drake sets its calibration offset in a Context, not in the diagram; so a sum adds the phase.
     phase = builder.AddNamedSystem(
         "encoder_phase", ConstantVectorSource([-scenario.encoder.phase_rad])
     )

@@ -1,4 +1,4 @@
-"""The controller: everything that runs on the embedded target, as one diagram."""
+"""The controller as one diagram: all that runs on the embedded target."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from kneexo.user_code import user_code
 
 
 def make_controller(scenario: Scenario = Scenario(), law: System | None = None) -> System:
-    """Build the controller of a scenario: what would run on the embedded target.
+    """Build the controller of a scenario, the part of the loop that runs on the embedded target.
 
     ===================  ====  ====================  ==============================================
     input port           size  unit
     ===================  ====  ====================  ==============================================
-    encoder_reading      1     rad                   θ_4 as the encoder tells it
+    encoder_reading      1     rad                   θ_4 as read by the encoder
     knee_reference       4     rad, rad/s, …         θ_d and its derivatives to the third
     rod_state            3     m, m/s, m/s²          only with the estimator ``exact``
     **output port**
@@ -42,22 +42,26 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     ===================  ====  ====================  ==============================================
 
     Subsystems: ``coordinates`` (`KneeCoordinates`), ``rod_reference`` (`RodReference`), ``law``
-    and, where the law wants an estimated state that is not exact, ``estimator``. More outputs, of
-    what is inside: ``measured_knee_angle``, ``measured_rod_extension``, ``rod_reference``,
-    ``estimated_state`` (of the estimator) and ``sliding_variable`` (of the SMC).
+    and, if the law has the input ``estimated_state`` and the estimator is not exact, ``estimator``.
+    More outputs: ``measured_knee_angle``, ``measured_rod_extension``, ``rod_reference``, with an
+    estimator ``estimated_state``, and with the sliding-mode law ``sliding_variable``.
 
     Parameters
     ----------
     scenario
-        With ``controller.kind: custom`` the whole controller is what ``controller.make`` returns: a
-        system with at least the port ``motor_speed_command``. It is given a scenario that has what
-        a controller may know: believed plant, polynomial, encoder, estimator and controller.
+        Nominal plant, polynomial, encoder, estimator and controller. With
+        ``controller.kind: custom`` the function ``controller.make`` returns the whole controller,
+        a system with at least the output port ``motor_speed_command``. The argument of this
+        function is `known_to_controller`.
     law
-        A system in place of the scenario's law. It has the output ``motor_speed_command`` and any
-        of the inputs ``rod_extension`` (m), ``rod_reference`` (4), ``estimated_state`` (3),
+        A system in place of the scenario's control law. It has the output ``motor_speed_command``
+        and any of the inputs ``rod_extension`` (m), ``rod_reference`` (4), ``estimated_state`` (3),
         ``knee_angle`` (rad) and ``knee_reference`` (4).
 
-    Raises `ParameterError` when a custom controller cannot be made or a port is wrong.
+    Raises
+    ------
+    ParameterError
+        A custom controller cannot be made, or a port is wrong.
     """
     if law is None and isinstance(scenario.controller, CustomControllerParameters):
         return _custom_controller(scenario, scenario.controller)
@@ -101,11 +105,12 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
 
 
 def controller_parts(scenario: Scenario) -> list[Part]:
-    """The leaf systems of `make_controller`; none of a custom controller."""
+    """Return the leaf systems of `make_controller`; an empty list for a custom controller."""
     return _parts(scenario) if scenario.controller.kind != "custom" else []
 
 
-def _parts(scenario: Scenario, own_law: System | None = None) -> list[Part]:
+def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
+    """Return the leaf systems of a controller; ``custom_law`` replaces the scenario's law."""
     believed, polynomial = scenario.believed_plant, scenario.polynomial
     law, offset = scenario.controller, encoder_offset_rad(scenario)
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
@@ -122,10 +127,10 @@ def _parts(scenario: Scenario, own_law: System | None = None) -> list[Part]:
             lambda: knee_coordinates.rod_polynomial_values(polynomial),
         ),
     ]
-    if own_law is not None:
-        _require_ports(own_law, _LAW_INPUTS, "law")
-        parts.append(Part("law", lambda: own_law, dict))
-        if own_law.HasInputPort("estimated_state"):
+    if custom_law is not None:
+        _require_ports(custom_law, _LAW_INPUTS, "law")
+        parts.append(Part("law", lambda: custom_law, dict))
+        if custom_law.HasInputPort("estimated_state"):
             parts += _estimator_parts(scenario)
     elif isinstance(law, SlidingModeParameters):
         parts.append(
@@ -148,6 +153,7 @@ def _parts(scenario: Scenario, own_law: System | None = None) -> list[Part]:
 
 
 def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
+    """Yield the estimator of a scenario; nothing for an exact one."""
     estimator, sample_time = scenario.estimator, scenario.controller.sample_time_s
     if isinstance(estimator, ObserverParameters):
         yield Part(
@@ -160,7 +166,10 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
 
 
 def encoder_offset_rad(scenario: Scenario) -> float:
-    """What the controller adds to a reading: phase and half a count, less the mounting error."""
+    """Return the offset in rad that the controller adds to an encoder reading.
+
+    It is the phase plus half a count, minus the mounting error.
+    """
     encoder = scenario.encoder
     phase = encoder.phase_rad if encoder.quantized else 0.0
     return phase + 0.5 * encoder.resolution_rad - encoder.mounting_error_rad
@@ -170,7 +179,10 @@ def encoder_offset_rad(scenario: Scenario) -> float:
 
 
 def known_to_controller(scenario: Scenario) -> Scenario:
-    """What a controller may know of a scenario; everything else has its default."""
+    """Return a scenario with all that a controller may know of ``scenario``; the rest is default.
+
+    A controller knows the nominal plant (as plant), polynomial, encoder, estimator and controller.
+    """
     return Scenario(
         plant=scenario.believed_plant,
         polynomial=scenario.polynomial,
@@ -236,7 +248,7 @@ def _function(name: str, subject: str) -> Any:
 
 
 def controller_outputs(scenario: Scenario) -> dict[str, int]:
-    """Size of each output port of a custom controller."""
+    """Return the sizes of the output ports of a custom controller by name."""
     key = known_to_controller(scenario).model_dump_json()
     if key not in _outputs:
         _outputs[key] = port_sizes(make_controller(scenario))
@@ -255,7 +267,7 @@ def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
 _outputs: dict[str, dict[str, int]] = {}
 
 _running: ContextVar[frozenset[str]] = ContextVar("running", default=frozenset())
-"""Names of the functions of users that are making a controller now."""
+"""Names of the users' functions that are running; used to detect recursion."""
 
 _INPUTS = {"encoder_reading": 1, "knee_reference": 4, "rod_state": 3}
 _LAW_INPUTS = {
@@ -268,7 +280,10 @@ _LAW_INPUTS = {
 
 
 def require_controller(controller: Any, subject: str = "controller") -> None:
-    """Raise `ParameterError` for what is no system with the ports of `make_controller`."""
+    """Raise `ParameterError` unless ``controller`` is a system with the ports of `make_controller`.
+
+    ``subject`` begins the message.
+    """
     _require_ports(controller, _INPUTS, subject)
 
 

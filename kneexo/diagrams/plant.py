@@ -41,20 +41,34 @@ def make_plant(
     initial_offset_m: float = 0.0,
     table_1: RodPolynomialParameters = RodPolynomialParameters(),
 ) -> Diagram:
-    """Build the plant: motor → cylinder → knee, with load; continuous only, so that it linearizes.
+    """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 
     Subsystems: ``motor`` (`BldcPump`), ``cylinder`` (`ReducedCylinder`, or `FullCylinder` with
     ``full_order``), ``knee`` (`FourBarKnee`) and, unless the load is none, ``load`` (`KneeLoad`).
     Inputs: ``motor_speed_command`` (rad/s), ``disturbance_force`` (N, on the rod, positive opposes
-    extension) and, with a load, ``knee_torque`` (N·m, positive flexes); the last two count as zero
-    when left unconnected.
-    Outputs: `PLANT_OUTPUTS`, with the full order `FULL_ORDER_OUTPUTS` too. It starts at rest at the
-    given posture, plus ``initial_offset_m`` of rod, the pressure holding load and spring there; in
-    the full order the lower line is at the reservoir's pressure.
+    extension) and, with a load, ``knee_torque`` (N·m, positive flexes). An unconnected force or
+    torque is zero. Outputs: `PLANT_OUTPUTS`, in full order also `FULL_ORDER_OUTPUTS`.
 
-    Raises `ParameterError` for a start outside the range of motion or the stroke, `LinkageError`
-    when the linkage cannot be assembled. Without load the derivatives do
-    not depend on the knee, so its kinematics cost nothing between outputs.
+    The plant starts at rest with zero motor speed, and the pressures hold load and spring. In full
+    order the lower of both pressures is that of the reservoir.
+
+    Parameters
+    ----------
+    parameters
+        Motor, cylinder, knee, linkage and load.
+    initial_knee_angle_rad
+        Knee angle that defines the rod extension at the start.
+    initial_offset_m
+        Offset of the rod extension at the start.
+    table_1
+        Polynomials between knee angle and rod extension for ``rod_map = "polynomial"``.
+
+    Raises
+    ------
+    ParameterError
+        The start lies outside the range of motion or the stroke.
+    LinkageError
+        The linkage cannot be assembled.
     """
     builder = DiagramBuilder()
     part = add_parts(
@@ -153,7 +167,7 @@ def plant_parts(
 
 @lru_cache(maxsize=64)
 def _polynomial_values(fit: RodInverse) -> dict[str, float]:
-    """The vectors of Context parameters that follow the first one of `FourBarKnee`."""
+    """Return the Context parameters of `FourBarKnee` beyond its first vector."""
     vectors = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
     return {
         f"{group}[{i}]": value
