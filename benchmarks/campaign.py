@@ -227,8 +227,8 @@ def _attacked(
     if ended.code == 0:
         part.counts["ended before"] += 1
     else:
-        kept = now.startswith(pieces) or results(out) == expected
-        part.require(kept, label, "finished pieces are lost")
+        complete = now.startswith(pieces) or results(out) == expected
+        part.require(complete, label, "finished pieces are lost")
         part.counts["pieces kept"] += now.count(b"\n")
     part.require(results(out) in ({}, expected), label, "not all files or none")
     if kind == "SIGKILL" or ended.code == 0:
@@ -238,8 +238,8 @@ def _attacked(
     outside = code > 128 and ended.code == 128 - code and quiet
     part.counts["before or after Python code"] += outside
     # What an earlier SIGKILL left goes when a run gets as far as its output.
-    left = set(out.glob(".kneexo-*")) - before
-    part.require(not left, label, "a temporary directory is left")
+    temporary = set(out.glob(".kneexo-*")) - before
+    part.require(not temporary, label, "a temporary directory is left")
     if outside:
         return
     part.require(ended.code == code, label, f"exit code {ended.code}: {last_line(ended)}")
@@ -445,8 +445,8 @@ def damage(part: Part) -> None:
             if kind == "checkpoint" and ended.code == 2:
                 part.counts["refused"] += 1
                 part.require("is not a checkpoint" in last_line(ended), label, last_line(ended))
-                left = (out / "bandwidth.checkpoint.jsonl").read_bytes()
-                part.require(left == data, label, "a refused file was changed")
+                refused = (out / "bandwidth.checkpoint.jsonl").read_bytes()
+                part.require(refused == data, label, "a refused file was changed")
             else:
                 part.counts["skipped or made anew, as said"] += "kneexo: " in ended.error
                 part.require(ended.code == 0, label, f"{ended.code}: {last_line(ended)}")

@@ -240,16 +240,16 @@ def randoms(
         template = templates[n * len(templates) // count]
         # Most other linkages cannot be assembled, which the corners have tried.
         links = rng.random() < 0.1
-        found = [row for row in numbers(template) if links or ".linkage." not in row[0]]
+        candidates = [row for row in numbers(template) if links or ".linkage." not in row[0]]
         values = {
             path: drawn(rng, value, low, high)
-            for path, value, low, high in rng.sample(found, rng.choice((1, 2, 3, 5, 10, 20)))
+            for path, value, low, high in rng.sample(candidates, rng.choice((1, 2, 3, 5, 10, 20)))
         }
         yield vary(template, values, rng)
 
 
 def drawn(rng: random.Random, value: float, low: float, high: float) -> float:
-    """A number near the default, anywhere, or at an end."""
+    """Draw a number near its default, anywhere in its range, or at an end of the range."""
     way = rng.randrange(6)
     if way == 0:
         return low
@@ -266,12 +266,12 @@ def drawn(rng: random.Random, value: float, low: float, high: float) -> float:
 def vary(
     template: Scenario, values: dict[str, float], rng: random.Random
 ) -> tuple[str, Scenario | None]:
-    """What was changed, and the scenario."""
-    told = ", ".join(f"{path} = {value!r}" for path, value in values.items())
+    """Return a text with the changes, and the changed scenario or None if it is refused."""
+    subject = ", ".join(f"{path} = {value!r}" for path, value in values.items())
     try:
-        return told, with_duration(changed(template, values), rng)
+        return subject, with_duration(changed(template, values), rng)
     except ParameterError:
-        return told, None
+        return subject, None
 
 
 def run_outcomes(scenarios: Sequence[Scenario]) -> list[tuple[str, str]]:

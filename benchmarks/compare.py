@@ -318,28 +318,31 @@ QUICK = Effort(share=0.02, budget_s=0.02, most_runs=3, batches=1)
 
 
 def shortest_times(runners: dict[str, Runner], effort: Effort) -> dict[str, float]:
-    """Shortest processor time of each, taken in turns until each has used its budget."""
-    found = dict.fromkeys(runners, np.inf)
+    """Return the shortest processor time of each runner in s.
+
+    The runners take turns until each has used its budget of time.
+    """
+    shortest = dict.fromkeys(runners, np.inf)
     spent, active = dict.fromkeys(runners, 0.0), dict(runners)
     for _ in range(effort.most_runs):
         for name, run in list(active.items()):
             start = time.process_time()
             run()
             taken = time.process_time() - start
-            found[name] = min(found[name], taken)
+            shortest[name] = min(shortest[name], taken)
             spent[name] += taken
             if spent[name] > effort.budget_s:
                 del active[name]
-    return found
+    return shortest
 
 
 def largest(difference: Array, scale: Any) -> float:
-    """The largest absolute value, relative."""
+    """Return the largest absolute difference divided by ``scale``."""
     return float(np.max(np.abs(difference)) / scale)
 
 
 def measure(case: Case, ways: tuple[Way, ...], effort: Effort) -> tuple[list[Row], str]:
-    """Rows of a table, and what is to be said of its reference."""
+    """Return the rows of the table of a case, and a line about its reference."""
     free = changed(case.scenario, {"encoder.quantized": False})
     duration_s = effort.duration_s(Way("", compiled("rk4")))
     reference = compiled("rk4", case.fine_s)(free, duration_s)()
@@ -348,7 +351,7 @@ def measure(case: Case, ways: tuple[Way, ...], effort: Effort) -> tuple[list[Row
     if case.scenario.plant.full_order is None:  # whose valves are beyond RK4 at 0.2 ms
         same = compiled("rk4")(free, duration_s)()
     stroke, peak = case.scenario.plant.cylinder.stroke_m, np.abs(reference[:, 1]).max()
-    told = (
+    reference_line = (
         f"reference: RK4 at {1e6 * case.fine_s:g} µs, own error "
         f"{largest((reference - coarser)[:, 0], stroke):.0e} of the stroke and "
         f"{largest((reference - coarser)[:, 1], peak):.0e} of the peak pressure, "
@@ -394,7 +397,7 @@ def measure(case: Case, ways: tuple[Way, ...], effort: Effort) -> tuple[list[Row
             if C.name in times:
                 ratio = seconds / (times[C.name] * DURATION_S / effort.duration_s(C))
             rows[way.name] = replace(rows[way.name], time_s=seconds, ratio=ratio)
-    return list(rows.values()), told
+    return list(rows.values()), reference_line
 
 
 # ---------------------------------------------------------------------------------- batch
@@ -507,7 +510,7 @@ def restrict(cores: set[int]) -> set[int]:
 
 @dataclass(frozen=True)
 class Target:
-    """What is required and what was found; ``found`` is nan when it was not measured."""
+    """A required and a measured figure; ``found`` is nan if it was not measured."""
 
     what: str
     required: str
@@ -661,9 +664,9 @@ def main(arguments: list[str] | None = None) -> None:
         chosen = {w for w in case.ways if re.search(options.only, f"{case.name}: {w.name}")}
         if chosen:
             ways = tuple(way for way in case.ways if way in chosen or way is C)
-            found, told = measure(case, ways, effort)
-            print_table(case, found, told)
-            rows += found
+            new_rows, reference_line = measure(case, ways, effort)
+            print_table(case, new_rows, reference_line)
+            rows += new_rows
     batches = []
     for case in cases:
         if case.batch and re.search(options.only, f"{case.name}: batch"):

@@ -121,10 +121,10 @@ class Replay:
     def __init__(self, source: CSource) -> None:
         self.source = source
         self._library = library(REPLAY_C, source)
-        told = (ctypes.c_char * params_of(source).nbytes).in_dll(
+        exported_params = (ctypes.c_char * params_of(source).nbytes).in_dll(
             self._library, f"{source.name}_params"
         )
-        assert bytes(told) == params_of(source).tobytes()  # the order of the members
+        assert bytes(exported_params) == params_of(source).tobytes()  # the order of the members
 
     def __call__(self, rows: Array, source: CSource | None = None) -> Array:
         """Outputs (steps, elements) for rows of inputs; parameters of another source if given.

@@ -104,19 +104,19 @@ def polynomial(fit: Fit) -> tuple[list[float], float]:
 
 def parts(value: mpf, count: int) -> list[float]:
     """Doubles that add up to the value, the largest first."""
-    found: list[float] = []
+    summands: list[float] = []
     for _ in range(count):
-        found.append(float(value - mp.fsum(found)))
-    return found
+        summands.append(float(value - mp.fsum(summands)))
+    return summands
 
 
 def constants() -> dict[str, tuple[list[float], float]]:
     """All constants, and the relative errors."""
-    found = {name: polynomial(fit) for name, fit in FITS.items()}
+    constants_by_name = {name: polynomial(fit) for name, fit in FITS.items()}
     for name, value, count in (("HALF_PI", mp.pi / 2, 3), ("LN_2", mp.log(2), 2)):
         cut = parts(value, count)
-        found[name] = cut, float(abs(mp.fsum(cut) / value - 1))
-    return found
+        constants_by_name[name] = cut, float(abs(mp.fsum(cut) / value - 1))
+    return constants_by_name
 
 
 if __name__ == "__main__":

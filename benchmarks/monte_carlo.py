@@ -42,14 +42,14 @@ SEED = 2020
 
 
 def measure(which: str, runs: int, workers: int) -> dict[str, float]:
-    """Run a sample and say what it took."""
+    """Assess random plants; return time, memory and a summary of the errors."""
     start = time.perf_counter()
     scenario, uncertainty = SETS[which]
     judge = partial(assess_plant, scenario, uncertainty, partial(assess, margins=False))
-    found = parallel_map(judge, draw(uncertainty, runs, SEED), workers=workers)
+    assessments = parallel_map(judge, draw(uncertainty, runs, SEED), workers=workers)
     wall = time.perf_counter() - start
     usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    errors = np.array([figures["max_error_deg"] for figures in found])
+    errors = np.array([metrics["max_error_deg"] for metrics in assessments])
     return {
         "wall_s": wall,
         "cpu_s": sum(one.ru_utime + one.ru_stime for one in usage),
@@ -62,20 +62,20 @@ def measure(which: str, runs: int, workers: int) -> dict[str, float]:
 
 
 def measured(which: str, runs: int, workers: int) -> dict[str, float]:
-    """`measure` in a process of its own."""
+    """Return the result of `measure` from a process of its own."""
     command = [sys.executable, __file__, "--one", which, str(runs), str(workers)]
     return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
 
 
 def row(which: str, runs: int, workers: int) -> float:
-    """Measure, print a line; returns the wall time."""
-    found = measured(which, runs, workers)
-    wall = found["wall_s"]
+    """Measure and print a line; return the wall time in s."""
+    cost = measured(which, runs, workers)
+    wall = cost["wall_s"]
     print(
         f"{which:8s} {runs:6d} {workers:8d} {wall:8.1f} {1e3 * wall * workers / runs:12.2f} "
-        f"{1e3 * found['cpu_s'] / runs:11.2f} {found['parent_mb']:10.0f} "
-        + (f"{found['worker_mb']:10.0f}" if workers > 1 else f"{'':10s}")
-        + f" {found['failed']:7d} {found['median_deg']:8.3f} {found['worst_deg']:8.3f}",
+        f"{1e3 * cost['cpu_s'] / runs:11.2f} {cost['parent_mb']:10.0f} "
+        + (f"{cost['worker_mb']:10.0f}" if workers > 1 else f"{'':10s}")
+        + f" {cost['failed']:7d} {cost['median_deg']:8.3f} {cost['worst_deg']:8.3f}",
         flush=True,
     )
     return wall

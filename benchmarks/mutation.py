@@ -269,9 +269,9 @@ def mutants(source: str, count: int, seed: str) -> list[Mutant]:
     """At most ``count`` mutants of a module, picked by the seed, in the order of their lines."""
     tree, chance = ast.parse(source), random.Random(seed)
     changes = list(_changes(tree, chance))
-    found = []
+    picked = []
     for node, holder, name, value in chance.sample(changes, len(changes)):
-        if len(found) == count:
+        if len(picked) == count:
             break
         before, old = ast.unparse(node), getattr(holder, name)
         setattr(holder, name, value)
@@ -281,10 +281,10 @@ def mutants(source: str, count: int, seed: str) -> list[Mutant]:
         except (SyntaxError, ValueError):  # an f-string that cannot hold it
             continue
         else:
-            found.append(Mutant(getattr(node, "lineno", 0), before, ast.unparse(node), changed))
+            picked.append(Mutant(getattr(node, "lineno", 0), before, ast.unparse(node), changed))
         finally:
             setattr(holder, name, old)
-    return sorted(found, key=lambda mutant: mutant.line)
+    return sorted(picked, key=lambda mutant: mutant.line)
 
 
 def drawn(count: int, seed: int, root: Path = ROOT) -> dict[str, int]:

@@ -56,7 +56,7 @@ COMMANDS: dict[str, list[str]] = {
 
 
 def result(tree: Path, command: list[str], folder: Path) -> Any:
-    """What a command of a tree prints with ``--json``."""
+    """Run a command of a tree; return the JSON that it prints."""
     scenario = folder / "scenario.yaml"
     scenario.write_text(SCENARIO, encoding="utf-8")
     words = [word.replace("{scenario}", str(scenario)) for word in command]
@@ -74,7 +74,7 @@ def result(tree: Path, command: list[str], folder: Path) -> Any:
 
 
 def differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
-    """Paths at which two JSON values differ."""
+    """Yield path and both values for each difference of two JSON values."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*old, *(key for key in new if key not in old)]:
             if key in old and key in new:
@@ -89,7 +89,7 @@ def differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
 
 
 def numbers(value: Any) -> int:
-    """How many numbers a JSON value holds."""
+    """Count the numbers in a JSON value."""
     if isinstance(value, dict):
         return sum(map(numbers, value.values()))
     if isinstance(value, list):
@@ -98,7 +98,7 @@ def numbers(value: Any) -> int:
 
 
 def main() -> int:
-    """Run both trees; 1 where something differs."""
+    """Run the commands in both trees; return 1 if any results differ."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)
@@ -113,11 +113,11 @@ def main() -> int:
                 place.mkdir()
                 tree = getattr(options, label).resolve()
                 values.append(result(tree, COMMANDS[name], place))
-        found = list(differences(*values))
-        print(f"{name}: {numbers(values[0])} numbers, {len(found)} differences", flush=True)
-        for line in found[:50]:
+        changes = list(differences(*values))
+        print(f"{name}: {numbers(values[0])} numbers, {len(changes)} differences", flush=True)
+        for line in changes[:50]:
             print(f"    {line}")
-        count += len(found)
+        count += len(changes)
     return int(count > 0)
 
 

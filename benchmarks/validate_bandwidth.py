@@ -129,12 +129,12 @@ def main() -> None:
         ("with quantizer", 1.0, True),
     ):
         frequencies = [f for f in SMALL_SINES_HZ if f <= 2.3 or not quantized]
-        found = max(linear_deviation(f, amplitude, quantized=quantized) for f in frequencies)
+        deviation = max(linear_deviation(f, amplitude, quantized=quantized) for f in frequencies)
         row(
             f"sine of {amplitude:g}°, {frequencies[0]:g}…{frequencies[-1]:g} Hz, {what}, against "
             f"the linear loop",
             "0.1 %" if not quantized else "–",
-            f"{100 * found:.3f} %",
+            f"{100 * deviation:.3f} %",
         )
     phases = ", ".join(f"{deg:.0f}°" for deg in phases_deg((10.0, 20.0, 40.0, 80.0)))
     row("phase of 30° at 1 Hz with λ = 10, 20, 40, 80 1/s", "–", phases)

@@ -114,20 +114,20 @@ def area_ratio(item: tuple[float, float, float]) -> str:
 
 
 def lag_ratio(item: tuple[float, float]) -> str:
-    """Simulated over predicted error with the right area, and without the half sample."""
-    found = compare_error(loop(*item, **LAG), settled_s=60.0)
+    """Return simulated over predicted error; in parentheses, predicted without the half sample."""
+    comparison = compare_error(loop(*item, **LAG), settled_s=60.0)
     lag = Scenario().plant.pump.lag_s
-    return f"{found.ratio:.4f} ({found.ratio * found.model.delay_s / lag:.3f})"
+    return f"{comparison.ratio:.4f} ({comparison.ratio * comparison.model.delay_s / lag:.3f})"
 
 
 def chamber_ratio(item: tuple[str, float]) -> str:
-    """The same in full order with one chamber loaded, at the default gains."""
+    """Return simulated over predicted error in full order, with one chamber loaded."""
     chamber, force = item
     load = dict(KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force))
     full = {"plant.load": load, "plant.full_order": {}}
     scenario = loop(20.0, 1e5, **SLOW, **full)
-    found = compare_error(scenario, loaded_chamber=chamber, settled_s=300.0)
-    return f"{found.ratio:.4f}"
+    comparison = compare_error(scenario, loaded_chamber=chamber, settled_s=300.0)
+    return f"{comparison.ratio:.4f}"
 
 
 def main() -> None:

@@ -111,9 +111,9 @@ def pole_error() -> float:
             stiffness * h * c_t,
         ]
         expected = [*np.roots(polynomial), -1.0 / lag]
-        found = linearize_plant(plant, MID_DEG).poles
+        poles = linearize_plant(plant, MID_DEG).poles
         # The slow pole, −K C_t/Ā², drowns in the rounding of the fast ones: of these alone.
-        worst = max(worst, *(abs(nearest(found, p) / p - 1.0) for p in expected if abs(p) > 0.1))
+        worst = max(worst, *(abs(nearest(poles, p) / p - 1.0) for p in expected if abs(p) > 0.1))
     return worst
 
 
@@ -176,10 +176,10 @@ def monodromy(scenario: Scenario) -> NDArray:
     columns = [
         (sample(rest + step) - sample(rest - step)) / (2.0 * step.sum()) for step in np.diag(steps)
     ]
-    found = np.array(columns).T
+    jacobian = np.array(columns).T
     if scenario.controller.kind == "pid" and not scenario.controller.integral_per_s2:
-        found = np.delete(np.delete(found, n + 1, axis=0), n + 1, axis=1)
-    return found
+        jacobian = np.delete(np.delete(jacobian, n + 1, axis=0), n + 1, axis=1)
+    return jacobian
 
 
 def response_ratio(item: tuple[str, float]) -> complex:
@@ -213,8 +213,8 @@ def response_ratio(item: tuple[str, float]) -> complex:
     weight = np.hanning(count + 1)[:-1]
     rows = np.concatenate(basis) * weight
     fit = np.linalg.lstsq(rows.T, weight * angle, rcond=None)[0]
-    found = -(fit[0] - 1j * fit[len(rates)]) / math.radians(amplitude)
-    return complex(found / loop.output_response(frequency)[0])
+    response = -(fit[0] - 1j * fit[len(rates)]) / math.radians(amplitude)
+    return complex(response / loop.output_response(frequency)[0])
 
 
 def times(item: tuple[str, float]) -> tuple[float, float]:
@@ -301,15 +301,15 @@ def main() -> None:
     for name, scenario in SCENARIOS.items():
         if scenario.plant.load.kind == "knee":
             continue  # its start is not its rest
-        loop, found = linearize_loop(scenario, MID_DEG), monodromy(scenario)
-        scale = np.abs(found).max(axis=1, keepdims=True)
+        loop, simulated_map = linearize_loop(scenario, MID_DEG), monodromy(scenario)
+        scale = np.abs(simulated_map).max(axis=1, keepdims=True)
         row(
             f"{name}: map of one sample against Drake's Simulator, each row by its largest",
             "<= 1e-6",
-            f"{(np.abs(found - loop.monodromy) / scale).max():.1e}",
+            f"{(np.abs(simulated_map - loop.monodromy) / scale).max():.1e}",
         )
         values = loop.eigenvalues[np.abs(loop.eigenvalues) > 0.05]
-        simulated = np.linalg.eigvals(found)
+        simulated = np.linalg.eigvals(simulated_map)
         row(
             f"{name}: eigenvalues against those of the simulated map",
             "<= 1e-6",

@@ -85,8 +85,8 @@ def margins(scenario: Scenario) -> Any:
     """Largest eigenvalue and margins, in the order of `loop_sensitivities`."""
     loop = linearize_loop(scenario, 0.5 * sum(scenario.reference.range_deg))
     m = loop.margins()
-    found = (m.phase_margin_deg, m.delay_margin_s, m.gain_margin, m.disk_margin)
-    return np.array([abs(loop.eigenvalues[0]), *found])
+    values = (m.phase_margin_deg, m.delay_margin_s, m.gain_margin, m.disk_margin)
+    return np.array([abs(loop.eigenvalues[0]), *values])
 
 
 def tracking(scenario: Scenario) -> Any:
