@@ -13,6 +13,17 @@ from kneexo.compiler.c import build as c_build
 ROOT = Path(__file__).parents[2]
 
 
+def module_of(name, path):
+    """A module of a file that no package holds."""
+    spec = importlib.util.spec_from_file_location(name, path)
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+fmu_instance = module_of("fmu_in_fmpy", ROOT / "tests/compiler/fmu/conftest.py").fmu_instance
+
+
 @pytest.fixture
 def exported(monkeypatch):
     """``benchmarks/exported.py``; skips where there is no C compiler."""
@@ -28,11 +39,7 @@ def exported(monkeypatch):
 @pytest.fixture(scope="session")
 def backstepping():
     """The scenario of ``examples/backstepping.py``, with its own controller."""
-    name = "backstepping"
-    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
-    sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name].BACKSTEPPING
+    return module_of("backstepping", ROOT / "examples" / "backstepping.py").BACKSTEPPING
 
 
 @pytest.fixture
