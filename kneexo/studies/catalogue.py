@@ -1,8 +1,8 @@
 """The studies of the command line, one row for each.
 
 A study NAME is a package ``kneexo.studies.NAME`` with ``NAMESettings`` and
-``NAME_study(scenario, …)``. Its module ``report`` writes a result as Markdown and its module
-``figures`` draws it. The command line and the tests read this catalogue.
+``NAME_study(scenario, …)``. Its template ``report.md``, filled by its module ``report``, describes
+a result in Markdown. Its module ``figures`` draws the result. The command line and the tests read this catalogue.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -74,7 +75,14 @@ class Study:
         return default
 
     def report(self, result: Any) -> str:
-        """Return the report on a result in Markdown."""
+        """Return the report on a result in Markdown.
+
+        A study without a module ``report`` has a template ``report.md`` that needs the result only.
+        """
+        if find_spec(f"kneexo.studies.{self.name}.report") is None:
+            from kneexo.studies.template import filled
+
+            return filled(f"{self.name}/report.md", result=result)
         text: str = self._part(".report", "report")(result)
         return text
 

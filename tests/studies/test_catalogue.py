@@ -1,18 +1,31 @@
-import inspect
+"""The catalogue: a study needs a template at least."""
+
+import importlib
+import sys
 
 import pytest
 
-from kneexo.parameters import Scenario
-from kneexo.studies.catalogue import STUDIES
-from kneexo.sweeps import SweepOptions
+import kneexo.studies
+from kneexo.studies import template
+from kneexo.studies.catalogue import STUDIES, Study
 
 
-@pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
-def test_the_catalogue_is_true(study):
-    parameters = inspect.signature(study.compute).parameters
-    assert ("uncertainty" in parameters) == study.uncertain
-    options = SweepOptions.__annotations__ if "options" in parameters else parameters
-    assert ("checkpoint" in options) == study.resumable
-    assert isinstance(study.scenario, Scenario)
-    assert isinstance(parameters["settings"].default, study.settings)
-    assert study.command.split()[-1] == study.name
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_face_of_a_study_has_its_settings_and_its_function(name):
+    face = importlib.import_module(f"kneexo.studies.{name}")
+    assert STUDIES[name].settings is getattr(face, f"{name.capitalize()}Settings")
+    assert STUDIES[name].compute is getattr(face, f"{name}_study")
+
+
+def test_a_study_without_a_module_for_its_report_fills_its_template(tmp_path, monkeypatch):
+    folder = tmp_path / "smallest"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "report.md").write_text("# {{ result.title }}\n")
+    monkeypatch.setattr(kneexo.studies, "__path__", [*kneexo.studies.__path__, str(tmp_path)])
+    loader = template._ENVIRONMENT.loader
+    monkeypatch.setattr(loader, "searchpath", [*loader.searchpath, str(tmp_path)])
+    try:
+        assert Study("smallest", "smallest", "").report({"title": "Small"}) == "# Small\n"
+    finally:
+        sys.modules.pop("kneexo.studies.smallest", None)
