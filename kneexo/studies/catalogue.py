@@ -2,7 +2,8 @@
 
 A study NAME is a package ``kneexo.studies.NAME`` with ``NAMESettings`` and
 ``NAME_study(scenario, …)``. Its template ``report.md``, filled by its module ``report``, describes
-a result in Markdown. Its module ``figures`` draws the result. The command line and the tests read this catalogue.
+a result in Markdown. Its module ``figures`` draws the result. The command line and the tests read
+this catalogue.
 """
 
 from __future__ import annotations

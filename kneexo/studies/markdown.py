@@ -7,36 +7,36 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 Cell = str | tuple[str, str] | Callable[[Any], str]
-"""What a column shows of a row: the text at a key, the number at a key in a form, or a function's
-text. A key of a row that is no mapping is an attribute."""
+"""Content of a cell, from one row: the text at a key, the number at a key with its format, or the
+text that a function returns. The key of a row that is no mapping is the name of an attribute."""
 
 
 def number(value: float, form: str = ".3g") -> str:
-    """The number in a form of ``format``; a dash where there is none."""
+    """Format a number; return a dash for nan, and ∞ or −∞ for an infinite number."""
     if math.isnan(value):
         return "–"
     return f"{value:{form}}" if math.isfinite(value) else "∞" if value > 0.0 else "−∞"
 
 
 def percent(share: float) -> str:
-    """A share in whole percent; a dash where there is none."""
+    """Format a share in whole percent; return a dash for nan."""
     return "–" if math.isnan(share) else f"{100 * share:.0f} %"
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of a table."""
+    """Return the lines of a Markdown table."""
     return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
 
 
 def row_table(rows: Iterable[Any], columns: Mapping[str, Cell]) -> list[str]:
-    """Lines of a table with a line for each of ``rows``; ``columns`` by their headings."""
+    """Return the lines of a table: one for each of ``rows``. ``columns``: cells by heading."""
     return markdown_table(
         list(columns), [[_text(row, cell) for cell in columns.values()] for row in rows]
     )
 
 
 def column_table(heads: Sequence[str], items: Iterable[Any], rows: Mapping[str, Cell]) -> list[str]:
-    """Lines of a table with a column for each of ``items``; ``rows`` by their labels."""
+    """Return the lines of a table: a column for each of ``items``. ``rows``: cells by label."""
     columns = list(items)
     return markdown_table(
         ["", *heads],
@@ -53,6 +53,6 @@ def _text(row: Any, cell: Cell) -> str:
 
 
 def document(*blocks: str | Iterable[str]) -> str:
-    """Paragraphs and lists of lines with an empty line between them; empty ones are left out."""
+    """Join paragraphs and lists of lines by empty lines; skip empty paragraphs and lists."""
     texts = [block if isinstance(block, str) else "\n".join(block) for block in blocks]
     return "\n\n".join(filter(None, texts)) + "\n"

@@ -1,4 +1,4 @@
-"""Frequency response over amplitude and frequency, and what limits it where."""
+"""Frequency response over amplitude and frequency, and the limits that cause it."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ CELL = {
     "speed_limited_share": math.nan,
     "acceleration_limited_share": math.nan,
 }
-"""What a cell of the map holds besides the response (see `SineEstimate`), where its run failed."""
+"""Values of a cell of the map whose run failed, without the response (see `SineEstimate`)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -104,7 +104,7 @@ class BandwidthResult(Result):
     bandwidths: dict[str, Array]
     linear: Complex
     linear_failure: str
-    """Why there is no linear loop; its response and bandwidth are nan then."""
+    """The reason why there is no linear loop, else empty; its response is nan then."""
     follower: Complex
     unquantized: Complex
     unlimited: Any
@@ -128,17 +128,17 @@ class BandwidthResult(Result):
         return self.cells["uncertainty"] / np.maximum(np.abs(self.response), _LEAST_GAIN)
 
     def linear_deviation(self, *, quantized: bool) -> float:
-        """Largest |G − G_linear|/|G_linear| at the smallest amplitude, with or without counts.
+        """Return the largest |G − G_linear|/|G_linear| at the smallest amplitude.
 
-        Of the frequencies at which the motor stays off its limits; nan where there are none, or no
-        linear loop.
+        ``quantized`` chooses the response with or without quantizers. Only frequencies at which the
+        motor stays off its limits count. Without any, or without a linear loop, the result is nan.
         """
         measured = self.response[0] if quantized else self.unquantized
         deviation = np.abs(measured / self.linear - 1.0)[self.unlimited]
         return float(np.max(deviation)) if deviation.size else math.nan
 
     def decided_by(self, index: int) -> tuple[str, float]:
-        """What predicts the lowest bandwidth of an amplitude, and that bandwidth in Hz."""
+        """Return the limit that predicts the lowest bandwidth of an amplitude, and this in Hz."""
         predicted = {_LIMITS[name]: float(self.bandwidths[name][index]) for name in _LIMITS}
         name = min(predicted, key=lambda n: np.nan_to_num(predicted[n], nan=math.inf))
         return name, predicted[name]
@@ -187,7 +187,7 @@ class BandwidthResult(Result):
 
 
 def unwrapped_deg(response: Any) -> Array:
-    """Phase in deg of ``response`` (n,), unwrapped over its finite values."""
+    """Return the phase in deg of ``response`` (n,), unwrapped over its finite values."""
     phase = np.angle(response)
     finite = np.isfinite(phase)
     phase[finite] = np.unwrap(phase[finite])
@@ -195,7 +195,7 @@ def unwrapped_deg(response: Any) -> Array:
 
 
 def decibel(response: Any) -> Any:
-    """Gain of a response in dB."""
+    """Return the gain of a response in dB."""
     return 20.0 * np.log10(np.abs(response))
 
 
@@ -209,7 +209,7 @@ _Item = tuple[float, float | None, bool]
 async def _measure(
     scenario: Scenario, settings: SineEstimateSettings, item: _Item
 ) -> dict[str, Any]:
-    """One piece of the map as plain data."""
+    """Measure one sine, or search one bandwidth; return plain data."""
     amplitude, frequency, quantized = item
     values = {"reference.amplitude_deg": amplitude}
     if frequency is not None:

@@ -1,10 +1,9 @@
 """SMC against PID, fairly: one optimizer, one budget, one set of measurements, many plants.
 
-Lee et al. 2020 compare their sliding-mode controller with one PID on one plant. Here each
-contestant is tuned by the same search with at most as many evaluations, on the same encoder, at
-the same sample time and speed limit, within the same chattering, and with a margin that it must
-keep on every plant it is tuned on: a search for the smallest error alone buys error with margin.
-Then all of them meet plants that nobody was tuned on.
+Lee et al. 2020 compare their sliding-mode controller with one PID on one plant. Here the same
+search tunes each contestant, with the same budget of evaluations, encoder, sample time, speed limit
+and chattering. Each must keep a margin on every training plant, because a search for the smallest
+error alone gives up margin. Test plants that no contestant was tuned on then decide.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def _gain(low: float, high: float, source: str = _WIDE) -> Uncertainty:
 
 
 class Contestant(Parameters):
-    """A controller, and which of a scenario's values the optimizer may set, by dotted path."""
+    """A controller, and the range of each gain that the optimizer may set, by dotted path."""
 
     controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")]
     gains: dict[str, Uncertainty] = Field(min_length=1)
@@ -77,7 +76,7 @@ CONTESTANTS = {
         controller=PidParameters(velocity_feedforward=1.0), gains=_PID_GAINS
     ),
 }
-"""Who is tuned in `kneexo.studies.contest.study`: four gains each."""
+"""The controllers that are tuned by default; each has four gains."""
 
 UNTUNED = {
     "SMC, default": SlidingModeParameters(),
@@ -85,12 +84,12 @@ UNTUNED = {
     "PID, error only": PID_TUNED,
     "PID with reference velocity, error only": PID_FEEDFORWARD,
 }
-"""Who runs beside them: the default, the paper's, and those tuned for the error of Fig. 12 alone
-(``benchmarks/tune_pid.py``)."""
+"""Controllers that are tested without tuning: the default SMC, the paper's PID, and two PIDs tuned
+for the error of Fig. 12 alone (``benchmarks/tune_pid.py``)."""
 
 
 class ContestSettings(Parameters):
-    """Tuning under one budget, and the test of what it finds."""
+    """Settings of the tuning, which has one budget for all, and of the test."""
 
     contestants: dict[str, Contestant] = Field(default=CONTESTANTS, min_length=1)
     training_samples: int = quantity(
@@ -132,22 +131,23 @@ class ContestSettings(Parameters):
         20.0, "s", "assumption: two periods of 0.1 Hz, of which the second counts", ge=1e-3, le=1e5
     )
     other_reference: SineReference = SineReference(amplitude_deg=2.5, frequency_hz=1.0)
-    """A task that nobody is tuned for, below the speed limit."""
+    """A reference that no contestant is tuned for; it stays below the speed limit."""
     other_duration_s: float = quantity(5.0, "s", "assumption: five of its periods", ge=0.01, le=1e5)
 
 
 INFEASIBLE_DEG = 90.0
-"""Objective from which on a candidate breaks a constraint: no run inside the range of motion errs
-by so much."""
+"""Candidates that break a constraint have an objective of at least this.
+
+No run inside the range of motion has so large an error."""
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """One search: what it found, and whether it converged.
+    """The best gains of one search, and whether the search converged.
 
-    ``objective_deg``: mean over the training plants of the largest error, or beyond
-    `INFEASIBLE_DEG`. ``history_deg``: the best of each generation. ``spread``: standard deviation
-    of the last population's objectives over their mean.
+    ``objective_deg``: mean over the training plants of the largest error in deg; above
+    `INFEASIBLE_DEG` where the gains break a constraint. ``history_deg``: the best objective of each
+    generation. ``spread``: standard deviation of the last population's objectives over their mean.
     """
 
     contestant: str
@@ -169,10 +169,10 @@ class Tuning:
 class ContestResult(Result):
     """Tuned and untuned controllers on the test plants.
 
-    ``entrants``: by name, what each sets in the scenario. ``tested`` and ``other_reference``: by
-    entrant, `assess` of each test plant at the scenario's reference and, without margins, at one
-    that nobody was tuned for. ``budget_rpm``: mean change of command per sample of the default
-    SMC over the training plants.
+    ``entrants``: values by path that each entrant sets in the scenario. ``tested``: by entrant, the
+    metrics of each test plant from `assess` at the scenario's reference. ``other_reference``: the
+    same, without margins, at the reference that no contestant was tuned for. ``budget_rpm``: mean
+    change of command in rpm per sample of the default SMC over the training plants.
     """
 
     scenario: Scenario
@@ -187,17 +187,17 @@ class ContestResult(Result):
     other_reference: Mapping[str, Sequence[Values]]
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Figures of each entrant over the test plants."""
+        """Return the metrics of each entrant over all test plants."""
         return {
             name: _summary(self.tested[name], self.other_reference[name]) for name in self.entrants
         }
 
     def better_share(self, name: str, other: str) -> float:
-        """Share of the test plants on which entrant ``name`` has the smaller largest error."""
+        """Return the share of the test plants on which ``name`` errs less than ``other``."""
         return float(np.mean(errors_of(self.tested[name]) < errors_of(self.tested[other])))
 
     def winners(self) -> dict[str, list[str]]:
-        """The tuned contestants with the best value of each figure of `summary`."""
+        """Return for each metric of `summary` the tuned contestants with the best value."""
         summary, tuned = self.summary(), self.settings.contestants
         best = {
             figure: (max if "margin" in figure else min)(summary[name][figure] for name in tuned)
@@ -368,10 +368,10 @@ def search(
 async def objective_deg(
     budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]
 ) -> float:
-    """Objective of one candidate on its training plants, in deg.
+    """Return the objective of one candidate in deg: the mean of its largest errors.
 
-    The mean of the largest errors. A run that fails or too much chattering makes it more than
-    2·`INFEASIBLE_DEG`, too little margin on any plant more than `INFEASIBLE_DEG`; both grow with
+    Failed runs make it more than 3·`INFEASIBLE_DEG`, too much chattering more than
+    2·`INFEASIBLE_DEG`, and too little margin on any plant more than `INFEASIBLE_DEG`. It grows with
     the violation. An unstable loop has no margin.
     """
     tracked = [await awaitable(assess, plant, margins=False) for plant in plants]
@@ -390,7 +390,7 @@ async def objective_deg(
 
 
 def _gains(contestant: Contestant, unit: Array) -> dict[str, float]:
-    """Gains at a point of the unit cube."""
+    """Return the gains at a point of the unit cube."""
     return {
         path: float(span.at(float(x)))
         for (path, span), x in zip(contestant.gains.items(), unit, strict=True)
@@ -405,12 +405,12 @@ def _entrant(contestant: Contestant, gains: Values) -> dict[str, Any]:
 
 
 def errors_of(metrics: Sequence[Values], name: str = "max_error_deg") -> Array:
-    """One figure of every plant (n,); inf where the run failed."""
+    """Return one metric of every plant (n,); inf where the run failed."""
     return np.array([math.inf if math.isnan(v[name]) else v[name] for v in metrics])
 
 
 def _level(values: Array, share: float) -> float:
-    """The value that ``share`` of ``values`` (n,) do not exceed, itself one of them."""
+    """Return the smallest of ``values`` (n,) that at least ``share`` of them do not exceed."""
     return float(np.quantile(values, share, method="inverted_cdf"))
 
 
@@ -448,4 +448,4 @@ COLUMNS = {
     "median_error_other_reference_deg": "median error, other reference (deg)",
     "error_of_95_percent_other_reference_deg": "95 % error, other reference (deg)",
 }
-"""Key of a contestant's result and its title in the table."""
+"""Metrics of `ContestResult.summary` and their labels in the report."""

@@ -39,7 +39,7 @@ within ± ``settling_band_deg``. They are inf for a step that does not settle in
 
 
 MAP_METRICS = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin")
-"""What the maps over two gains keep of a run."""
+"""Metrics of the map over T_f and k/Φ."""
 
 
 _SATURATED = 0.01  # share of the samples from which on a run counts as saturated
@@ -47,10 +47,10 @@ _SATURATED = 0.01  # share of the samples from which on a run counts as saturate
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement of the paper, and the ``share`` of ``cases`` on the grid in which it holds.
+    """A statement of the paper, and the share of cases on the grid in which it holds.
 
-    ``case`` says what is counted and when it holds; ``sound_cases`` are those between loops with a
-    sound disk margin.
+    ``case`` defines a case and when it holds. ``sound_cases`` and ``sound_share`` count only the
+    cases in which each loop has a sound disk margin. ``finding`` is the result in words.
     """
 
     quote: str
@@ -63,7 +63,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """True when it holds in every case, false when it holds in less than half of them."""
+        """``true`` if all cases hold, ``true in part`` if at least half do, else ``false``."""
         if self.cases == 0:
             return "not decided"
         if self.share == 1.0:
@@ -73,10 +73,10 @@ class Claim:
 
 @dataclass(frozen=True)
 class LimitCycleCase:
-    """A loop that is linearly stable and errs by degrees; ``time_s`` and ``error_deg`` (n,).
+    """A linearly stable loop with a limit cycle of degrees; ``time_s`` and ``error_deg`` (n,).
 
-    ``oscillation_at_rest_deg``: peak to peak, at the upper end of the reference. Of a run that
-    failed only the reason is left.
+    ``oscillation_at_rest_deg``: peak to peak, at the upper end of the reference. If a run failed,
+    ``failure`` has the reason, numbers are nan and arrays empty.
     """
 
     lambda_per_s: float
@@ -93,7 +93,7 @@ class LimitCycleCase:
 
 @dataclass(frozen=True, repr=False)
 class ControllerResult(Result):
-    """The grid, the limit cycle, and what both say about the paper's discussion.
+    """Metrics over the grid and the map, and the limit cycle.
 
     ``values``: an array (λ, Φ, η) for each of `METRICS`. ``map_values``: an array (T_f, k/Φ) for
     each of ``MAP_METRICS``, at the scenario's λ and η. ``failures``: why runs failed, by λ, Φ, η.
@@ -115,7 +115,7 @@ class ControllerResult(Result):
 
     @property
     def centre(self) -> tuple[int, int, int]:
-        """Indices of the grid's λ, Φ and η that lie closest to the scenario's."""
+        """The indices of the grid's λ, Φ and η that are closest to the scenario's."""
         grid, law = self.settings, observed_smc(self.scenario)[0]
         return (
             _nearest(grid.lambdas_per_s, law.lambda_per_s),
@@ -124,7 +124,7 @@ class ControllerResult(Result):
         )
 
     def claims(self) -> tuple[Claim, Claim, Claim]:
-        """What the paper says about λ, Φ and η, each counted over the grid."""
+        """Return the paper's statements about λ, Φ and η, each counted over the grid."""
         return _faster(self), _chattering(self), _adherence(self)
 
     def results(self) -> dict[str, Any]:
@@ -154,7 +154,10 @@ class ControllerResult(Result):
 
 
 def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
-    """Time in s in which (d/dt + λ)² e = 0 brings e, at rest, to ``share``: a step from s = 0."""
+    """Return the time in s in which e falls from rest to ``share`` of its start, with s = 0.
+
+    It solves (d/dt + λ)² e = 0 with ė = 0 at the start.
+    """
     return (
         float(scipy.optimize.brentq(lambda y: (1.0 + y) * math.exp(-y) - share, 0.0, 100.0))
         / lambda_per_s
@@ -162,7 +165,7 @@ def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
 
 
 def observed_smc(scenario: Scenario) -> tuple[SlidingModeParameters, ObserverParameters]:
-    """Controller and observer of a scenario that can be studied, else `ParameterError`."""
+    """Return controller and observer; raise `ParameterError` for kinds without λ, Φ, η, T_f."""
     law, estimator = scenario.controller, scenario.estimator
     if law.kind != "smc" or law.continuous or law.switching == "signum":
         raise ParameterError(
@@ -271,7 +274,7 @@ def _adherence(study: ControllerResult) -> Claim:
 
 
 def _at_slope(slopes: Array, error: Array, slope: float) -> float:
-    """Error at one k/Φ, by interpolation of both logarithms; nan out of their range."""
+    """Return the error at one k/Φ, interpolated in both logarithms; nan outside of ``slopes``."""
     order = np.argsort(slopes)
     x, y = np.log(slopes[order]), np.log(error[order])
     rounding = 0.02  # of the grid's values

@@ -13,7 +13,7 @@ from kneexo.parameters.quantity import (
 
 
 class ControllerSettings(Parameters):
-    """Grid over λ, Φ and η, and the experiments made at each of its points: ``kneexo study``."""
+    """Grid over λ, Φ and η, and the experiments at each point: ``kneexo study controller``."""
 
     lambdas_per_s: tuple[float, ...] = positive_values(
         (5.0, 7.1, 10.0, 14.1, 20.0, 28.3, 40.0, 56.6, 80.0),

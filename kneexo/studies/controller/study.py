@@ -1,4 +1,4 @@
-"""What λ, Φ and η of the sliding-mode controller do: the discussion of Lee et al. 2020, counted.
+"""Effects of λ, Φ and η of the sliding-mode controller, counted over a grid.
 
 Every point of a grid over λ, Φ and η gets the scenario's own reference, a faster sine, a small and
 a large step, and the margins of its sampled loop. Inside the boundary layer the law depends on
@@ -37,7 +37,7 @@ from kneexo.studies.controller.settings import ControllerSettings
 from kneexo.sweeps import SweepOptions, open_sweep
 
 LIMIT_CYCLE_VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
-"""The variants of the loop that tell what makes the limit cycle."""
+"""Variants of the loop. Their differences show the cause of the limit cycle."""
 
 
 # ------------------------------------------------------------------------------------- runs
@@ -99,7 +99,7 @@ def controller_study(
 
 
 def experiments(scenario: Scenario, settings: ControllerSettings) -> dict[str, Scenario]:
-    """The faster sine, both steps and the hold, about the middle of the scenario's reference."""
+    """Return the scenario with the faster sine, both steps and the hold at rest, by name."""
     high, middle = scenario.reference.range_deg[1], scenario.reference.middle_deg
 
     def step(start: float, end: float, duration: float) -> Scenario:
@@ -125,9 +125,10 @@ def experiments(scenario: Scenario, settings: ControllerSettings) -> dict[str, S
 
 
 def settling_time_s(time_s: Array, error: Array, band: float) -> float:
-    """Last time at which |error| (n,) exceeds ``band``; inf when that is the end.
+    """Return the last of ``time_s`` (n,) at which |error| (n,) exceeds ``band``.
 
-    The first sample does not count: it is the start of the step.
+    It is inf if the last sample exceeds the band, and 0 if none does. The first sample, the start
+    of the step, does not count.
     """
     outside = np.flatnonzero(np.abs(error[1:]) > band)
     if outside.size == 0:
@@ -138,7 +139,7 @@ def settling_time_s(time_s: Array, error: Array, band: float) -> float:
 
 @needs_runs
 async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
-    """`METRICS` of one point of the grid, and the first reason of a failure."""
+    """Return the `METRICS` of one point of the grid, and its first failure."""
     cases = experiments(scenario, settings)
     at_reference = await awaitable(assess, scenario)
     fast = await awaitable(assess, cases["fast"], margins=False)
@@ -163,7 +164,7 @@ async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str
 
 @needs_runs
 async def _limit_cycle(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
-    """Fields of a `LimitCycleCase` but for λ and the variant."""
+    """Return the fields of a `LimitCycleCase` without λ and the variant."""
     linear = assess(scenario, tracking=False)
     margins = {name: linear[name] for name in ("stable", "disk_margin")}
     try:
@@ -206,7 +207,7 @@ def _with_law(scenario: Scenario, lambda_: float, phi: float, eta: float) -> Sce
 def _arrays(
     figures: list[dict[str, Any]], names: tuple[str, ...], axes: tuple[tuple[float, ...], ...]
 ) -> dict[str, Array]:
-    """Arrays by name over ``axes``; a missing value (None) is nan."""
+    """Return an array over ``axes`` for each name; a missing value (None) is nan."""
     shape = [len(axis) for axis in axes]
     return {
         name: np.array([values[name] for values in figures], dtype=float).reshape(shape)

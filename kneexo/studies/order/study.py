@@ -1,9 +1,9 @@
-"""What the reduction of the cylinder to Eq. 15 costs: full against reduced order.
+"""Error of the reduction of the cylinder to Eq. 15: full against reduced order.
 
-In time: the same scenario in both orders, the rod's speed at the limit, and retraction near the
-switching force P_r (A_1 − A_2), where the loaded chamber changes back and forth. In frequency: the
-oil's mode, the margins of the sampled loop and its small-signal bandwidth by posture and load, and
-the large-signal bandwidth by load.
+In time, the study compares tracking, the rod's speed at the limit, and the motion near the
+switching force P_r (A_1 − A_2), where the loaded chamber changes back and forth. In frequency, it
+compares the oil's mode, the margins and the small-signal bandwidth of the sampled loop by posture
+and load, and the large-signal bandwidth by load.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class OrderSettings(Parameters):
-    """What the full order is compared with the reduced one in."""
+    """Loads, postures and motions at which both orders are compared."""
 
     disturbances_n: tuple[float, ...] = quantities(
         (0.0, 60.0, -60.0),
@@ -89,11 +89,11 @@ _LOOP_BANDWIDTHS = ("bandwidth_hz", "complementary_sensitivity_bandwidth_hz")
 
 _TRACE_POINTS = 800
 _START_S = 0.5
-"""Of a ramp, before anything is measured."""
+"""Initial part of a ramp in s that is not measured."""
 
 
 def in_order(scenario: Scenario, order: str, disturbance_n: float = 0.0) -> Scenario:
-    """The scenario with one of the ``ORDERS``, its load with another disturbance."""
+    """Return the scenario in one of the `ORDERS`, with a disturbance added to its load."""
     plant = scenario.plant
     load = plant.load if plant.load.kind == "knee" else KneeLoadParameters(segment_mass_kg=0.0)
     full = plant.full_order or FullCylinderParameters()
@@ -105,7 +105,7 @@ def in_order(scenario: Scenario, order: str, disturbance_n: float = 0.0) -> Scen
 
 
 def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
-    """The scenario under a constant force on the rod alone."""
+    """Return the scenario in one of the `ORDERS`; its only load is a constant force."""
     load = KneeLoadParameters(segment_mass_kg=0.0)
     return in_order(changed(scenario, {"plant.load": dict(load)}), order, force_n)
 
@@ -115,7 +115,7 @@ def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
 
 @needs_runs
 async def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
-    """Tracking run of one order under one load."""
+    """Return the metrics and the trace of a tracking run of one order under one load."""
     order, force = case
     tracked = await awaitable(track, in_order(scenario, order, force), all_signals=True)
     run, metrics = tracked.run, tracked.metrics
@@ -154,7 +154,7 @@ async def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str,
 def _ramp(
     scenario: Scenario, order: str, force: float, flexing: bool, rate_deg_s: float
 ) -> Scenario:
-    """A ramp over the scenario's range that ends before the reference does."""
+    """Return the scenario with a ramp over the range of its reference and a constant force."""
     low, high = scenario.reference.range_deg
     start, end = (low, high) if flexing else (high, low)
     ramp = RampReference(start_deg=start, end_deg=end, time_s=0.0, rate_deg_s=rate_deg_s)
@@ -165,7 +165,7 @@ def _ramp(
 async def speed_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[str, float, bool]
 ) -> dict[str, Any]:
-    """Speed of the rod while the command is at its limit."""
+    """Return the mean speed of the rod while the command is at its limit."""
     order, force, flexing = case
     fast = _ramp(scenario, order, force, flexing, settings.speed_rate_deg_s)
     fast = changed(fast, {"simulation.duration_s": 1.0})
@@ -185,7 +185,7 @@ async def speed_row(
 async def switching_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[float, bool]
 ) -> dict[str, Any]:
-    """What the rod does around its reference near the switching force, in full order."""
+    """Return the rod's oscillation about its reference under one force, in full order."""
     force, flexing = case
     low, high = scenario.reference.range_deg
     slow = _ramp(scenario, "full", force, flexing, settings.switching_rate_deg_s)
@@ -219,7 +219,7 @@ async def switching_row(
 
 
 def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[str, Any]:
-    """Poles of the plant and margins of the loop of one order at one posture and load."""
+    """Return the oil's mode and the loop's margins of one order at one posture and load."""
     order, force, posture = case
     at = in_order(scenario, order, force)
     row: dict[str, Any] = {"order": order, "disturbance_n": force, "posture_deg": posture}
@@ -254,7 +254,7 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
 
 @needs_runs
 async def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
-    """Large-signal bandwidth of one order under one load."""
+    """Return the large-signal bandwidth of one order under one load."""
     order, force = case
     row = {"order": order, "disturbance_n": force, "bandwidth_hz": math.nan, "failure": ""}
     at = in_order(scenario, order, force)
@@ -296,7 +296,7 @@ class OrderResult(Result):
         }
 
     def oscillating_n(self, direction: str) -> list[float]:
-        """Forces in N at which the rod oscillates when it moves ``in`` or ``out``."""
+        """Return the forces in N at which the rod oscillates when it moves ``in`` or ``out``."""
         return [
             row["force_n"]
             for row in self.switching
@@ -305,7 +305,7 @@ class OrderResult(Result):
 
 
 def switching_force_n(scenario: Scenario) -> float:
-    """P_r (A_1 − A_2), the force at which the loaded chamber changes."""
+    """Return P_r (A_1 − A_2) in N: at this force the loaded chamber changes."""
     full, oil = scenario.plant.full_order or FullCylinderParameters(), scenario.plant.cylinder
     return full.reservoir_pressure_pa * (oil.cap_area_m2 - oil.rod_side_area_m2)
 

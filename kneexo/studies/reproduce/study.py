@@ -1,4 +1,4 @@
-"""The paper's figures and numbers, each beside what kneexo finds (``kneexo reproduce``)."""
+"""The paper's figures and numbers, computed by kneexo (``kneexo reproduce``)."""
 
 from __future__ import annotations
 
@@ -214,13 +214,14 @@ def reproduce_study(
 
 
 def rod_error_mm(run: Run) -> Array:
-    """E = x − x_d in mm, (n,)."""
+    """Return the error e = x − x_d of the rod in mm, (n,)."""
     return np.asarray(1e3 * (run["rod_extension_m"] - run["rod_reference_m"]))
 
 
 def speed_demand() -> tuple[float, float]:
-    """Peak motor speed in rpm that the paper's reference asks for, by Eq. 10, and the frequency in
-    Hz at which that peak is the speed limit.
+    """Return the peak motor speed in rpm of the paper's reference, and a frequency in Hz.
+
+    Both follow from Eq. 10. At this frequency the peak reaches the motor's speed limit.
     """
     scenario = changed(Scenario(), {"plant.rod_map": "polynomial"})
     reached_hz = speed_limit_reached_hz(scenario)
@@ -229,7 +230,7 @@ def speed_demand() -> tuple[float, float]:
 
 
 def growth_rate(run: Run) -> float:
-    """Exponential growth rate in 1/s of the load pressure's oscillation over the second half."""
+    """Return the exponential growth rate in 1/s of the load pressure over the run's second half."""
     half = run.time_s >= 0.5 * run.time_s[-1]
     time, pressure = run.time_s[half], run["load_pressure_pa"][half]
     blocks = np.array_split(np.arange(time.size), 10)

@@ -1,8 +1,8 @@
-"""What uncertainty does to a closed loop: samples, corners, one value at a time, sensitivities.
+"""Effects of uncertainty on a closed loop: samples, corners, one value at a time, sensitivities.
 
-The plant and its measurement vary; the controller keeps believing in the nominal plant but for
-what is ``known`` in `Uncertainty`. Nothing that fails is left out: a run that stops and
-a loop that is unstable count as worse than any number.
+The plant and its measurement vary. The controller keeps its nominal plant, except for the values
+that are ``known`` in `Uncertainty`. Failures count: a run that stops and an unstable loop are worse
+than any number.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 
 class RobustnessSettings(Parameters):
-    """How uncertainty is explored: ``kneexo robustness``."""
+    """Settings of ``kneexo robustness``: which plants are assessed, and how."""
 
     samples: int = quantity(
         500,
@@ -61,16 +61,16 @@ class RobustnessSettings(Parameters):
 Values = Mapping[str, Any]
 """Values of uncertain quantities by path."""
 Corner = tuple[int, ...]
-"""The end of each range that a corner takes."""
+"""A corner: for each uncertain value the index of its level (end of the interval, or option)."""
 
 CONFIDENCE = 0.95
 """Confidence of the bounds on a share of plants."""
 UNSTABLE = "the sampled loop, linearized in the middle of the reference, is unstable"
-"""What is told of a plant whose linearized loop is unstable."""
+"""The reason that is reported for a plant whose linearized loop is unstable."""
 
 
 class Merit(NamedTuple):
-    """A figure of merit: its name with the unit, and 1 where larger is worse, else −1."""
+    """A figure of merit. ``sign_of_worse`` is 1 where a larger value is worse, else −1."""
 
     label: str
     sign_of_worse: float
@@ -85,19 +85,19 @@ MERITS = {
     "delay_margin_s": Merit("delay margin (s)", -1.0),
     "disk_margin": Merit("disk margin", -1.0),
 }
-"""Figures of merit, of those that `assess` finds."""
+"""The figures of merit: those metrics of `assess` for which worst cases are sought."""
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """One plant: the values that are not nominal, and what `assess` found."""
+    """One plant: its values that are not nominal, by path, and its metrics from `assess`."""
 
     values: Values
     metrics: dict[str, Any]
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Why a figure is missing; empty when all is well."""
+        """The reasons why metrics are missing, and `UNSTABLE` for an unstable loop."""
         texts = [text for name, text in self.metrics.items() if name.endswith("_failure") and text]
         return (*texts, UNSTABLE) if self.metrics["stable"] is False else tuple(texts)
 
@@ -109,9 +109,10 @@ async def assess_plant(
     judge: Callable[[Scenario], dict[str, Any]],
     values: Values,
 ) -> dict[str, Any]:
-    """What ``judge`` says of the plant with those values: `realize`, where the run is.
+    """Realize the plant with these values in the process that runs it, and return its metrics.
 
-    Of values that do not go together it says why, as ``tracking_failure``.
+    ``judge`` returns the metrics of a scenario. Where the values contradict each other, the result
+    has the reason as ``tracking_failure``.
     """
     try:
         plant = realize(scenario, uncertainty, values)
@@ -128,19 +129,19 @@ def merit_value(assessment: Assessment, merit: str) -> float:
 
 
 def merit_values(assessments: Iterable[Assessment], merit: str) -> Array:
-    """`merit_value` of each assessment, (n,)."""
+    """Return `merit_value` of each of n assessments, (n,)."""
     return np.array([merit_value(assessment, merit) for assessment in assessments], dtype=float)
 
 
 def worst(assessments: Sequence[Assessment], merit: str) -> Assessment:
-    """The assessment with the worst figure of merit, the first of several."""
+    """Return the assessment with the worst figure of merit; the first of equal ones."""
     return assessments[
         int(np.argmax(MERITS[merit].sign_of_worse * merit_values(assessments, merit)))
     ]
 
 
 def worst_value(assessments: Sequence[Assessment], merit: str) -> float:
-    """The figure of merit of the `worst` assessment."""
+    """Return the figure of merit of the `worst` assessment."""
     return merit_value(worst(assessments, merit), merit)
 
 
@@ -150,7 +151,10 @@ def quantile(assessments: Sequence[Assessment], merit: str, share: float) -> flo
 
 
 def failures(assessments: Sequence[Assessment]) -> list[dict[str, Any]]:
-    """Reasons of failures, alike but for their numbers: how many, and the first one's words."""
+    """Group the failures whose texts differ only in numbers; return the largest group first.
+
+    Each group has its ``count``, the text of its first failure and that plant's ``values``.
+    """
     kinds: dict[str, dict[str, Any]] = {}
     for assessment in assessments:
         for text in assessment.failures:
@@ -165,11 +169,11 @@ def failures(assessments: Sequence[Assessment]) -> list[dict[str, Any]]:
 def rank_correlation(
     uncertainty: UncertaintySet, assessments: Sequence[Assessment], merit: str
 ) -> Array:
-    """How each uncertain value ranks with a figure of merit over ``assessments``, (values,).
+    """Return how strongly each uncertain value acts on a figure of merit, (values,).
 
-    Intervals: Spearman's rank correlation. Options: the correlation ratio η of the figure's ranks,
-    the root of the share of their variance that lies between the options (no sign). What failed
-    has the worst rank. nan for a figure that is the same everywhere.
+    For an interval this is Spearman's rank correlation over ``assessments``. For options it is the
+    correlation ratio η of the ranks: the root of the share of their variance between the options,
+    without a sign. Failures have the worst rank. If the figure of merit is constant, all are nan.
     """
     ranks = scipy.stats.rankdata(merit_values(assessments, merit)) - 0.5 * (len(assessments) + 1)
     size = math.sqrt(ranks @ ranks)
@@ -196,12 +200,13 @@ def chance(span: Uncertainty, count: int) -> float:
 
 @dataclass(frozen=True, repr=False)
 class RobustnessResult(Result):
-    """Nominal plant, one value at a time, samples and corners, with local sensitivities.
+    """Assessments of the nominal plant, of one value at a time, of samples and of corners.
 
-    ``uncertainty`` is what applies to the scenario, ``left_out`` are the paths of the rest.
-    ``local`` holds derivatives of figures by figure and path, ``local_failures`` why some miss.
-    ``corners_possible`` says how many corners there are; ``corners_settled`` whether no single
-    change of the worst corner of any figure of merit makes that figure worse (None: all visited).
+    ``uncertainty`` has the uncertain values of the scenario, ``left_out`` the paths that it lacks.
+    ``local`` has derivatives by metric and path, ``local_failures`` the reasons for missing ones.
+    ``corners_possible`` is the number of all corners. ``corners_settled`` is None when all of them
+    were visited. Otherwise it says whether the search ended with corners that no change of a single
+    value makes worse.
     """
 
     scenario: Scenario
@@ -219,11 +224,11 @@ class RobustnessResult(Result):
 
     @property
     def merits(self) -> tuple[str, ...]:
-        """The figures of merit that were asked for."""
+        """The names of the figures of merit that this study has."""
         return tuple(name for name in MERITS if name in self.nominal.metrics)
 
     def effects(self, merit: str) -> dict[str, list[float]]:
-        """The figure of merit at each level of one value, all others nominal, by path."""
+        """Return by path the figure of merit at each level of that value, all others nominal."""
         values = iter(merit_values(self.one_at_a_time, merit).tolist())
         return {
             path: list(islice(values, len(span.levels)))
@@ -231,12 +236,12 @@ class RobustnessResult(Result):
         }
 
     def spread(self, merit: str, path: str) -> float:
-        """How far one value moves the figure of merit, all others nominal; inf if it fails."""
+        """Return the figure of merit's range over the levels of one value; inf at a failure."""
         values = [*self.effects(merit)[path], merit_value(self.nominal, merit)]
         return float(np.max(values) - np.min(values)) if np.isfinite(values).all() else math.inf
 
     def linear_effect(self, merit: str, path: str) -> float:
-        """What the local sensitivity makes of the whole interval, low to high; nan without one."""
+        """Return local sensitivity times length of the interval; nan if either is missing."""
         slope = self.local.get(merit, {}).get(path, math.nan)
         span = self.uncertainty.values[path]
         if span.low is None or span.high is None:
@@ -246,7 +251,7 @@ class RobustnessResult(Result):
         return slope * (span.high - span.low)
 
     def correlations(self) -> dict[str, dict[str, float]]:
-        """`rank_correlation` over the samples, by figure and path."""
+        """Return `rank_correlation` over the samples, by figure of merit and path."""
         return {
             merit: dict(
                 zip(
@@ -260,11 +265,11 @@ class RobustnessResult(Result):
 
     @property
     def covered(self) -> float:
-        """Share of all plants within the worst sample, with 95 % confidence."""
+        """Share of all plants that are no worse than the worst sample, with 95 % confidence."""
         return float((1.0 - CONFIDENCE) ** (1.0 / len(self.samples)))
 
     def results(self) -> dict[str, Any]:
-        """All numbers as plain data; a figure that is missing because of a failure is null."""
+        """Return all numbers as plain data; a metric that a failure prevents is nan."""
 
         def listed(assessments: Sequence[Assessment]) -> list[dict[str, Any]]:
             return [{"values": dict(v.values), **v.metrics} for v in assessments]
@@ -322,10 +327,10 @@ def robustness_study(
     settings: RobustnessSettings = RobustnessSettings(),
     **options: Unpack[SweepOptions],
 ) -> RobustnessResult:
-    """Explore what ``uncertainty`` does to the loop of ``scenario``.
+    """Assess the loop of ``scenario`` on the plants of ``uncertainty``.
 
-    Uncertain values that the scenario does not have (a load, where there is none) are left out and
-    reported. A reference that is no moving sine has no bandwidth. ``options``: see
+    The study leaves out, and reports, uncertain values that the scenario lacks (of a load, where
+    there is none). It has no bandwidth unless the reference is a moving sine. ``options``: see
     `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` for uncertain values that no scenario has, that are out of range, and
@@ -349,7 +354,7 @@ def _explore(
         metrics = sweep.map(judge, points, what)
         return tuple(map(Assessment, points, (missing | values for values in metrics)))
 
-    missing: dict[str, Any] = {}  # figures of a plant that cannot be
+    missing: dict[str, Any] = {}  # metrics of a plant with contradictory values
     at_nominal = assessment([{}], "nominal")[0]
     nominal = at_nominal.metrics
     missing |= {name: math.nan for name, value in nominal.items() if isinstance(value, float)}
@@ -388,7 +393,7 @@ def _explore(
 def _local(
     scenario: Scenario, paths: Sequence[str], duration_s: float, task: str
 ) -> dict[str, Any]:
-    """Local sensitivities by figure and path; ``failure`` says why there are none."""
+    """Return local sensitivities by metric and path, or ``failure`` with the reason."""
     try:
         if task == "margins":
             sensitivities = loop_sensitivities(scenario, paths)
@@ -408,9 +413,10 @@ def _corners(
 ) -> tuple[tuple[Assessment, ...], bool | None]:
     """Assessment all corners, or ``corners_max`` of them; return them and ``corners_settled``.
 
-    For each figure of merit and each combination of options first the corner at whose ends the
-    figure was worse one at a time; then, from the worst corner of each figure on, all that differ
-    in one value, until none is worse; then random ones.
+    If there are more corners than that, the order is: (1) for each figure of merit and each
+    combination of options, the corner of those ends that were worse one at a time; (2) all
+    neighbours, which differ in one value, of the worst corner of each figure of merit, repeated
+    until no neighbour is worse; (3) random corners.
     """
     entries = uncertainty.values
     sizes = [len(span.levels) for span in entries.values()]
@@ -444,7 +450,7 @@ def _corners(
 def _pointed_at(
     uncertainty: UncertaintySet, merits: Sequence[str], singly: Sequence[Assessment]
 ) -> Iterator[Corner]:
-    """Corners at the ends that are worse one at a time, for all options and figures of merit."""
+    """Yield the corners of ends that are worse one at a time, for all options."""
     one_by_one = iter(singly)
     groups = [list(islice(one_by_one, len(span.levels))) for span in uncertainty.values.values()]
     for merit in merits:
@@ -461,7 +467,7 @@ def _worst_corner(visited: Mapping[Corner, Assessment], merit: str) -> Corner:
 
 
 def _neighbours(corner: Corner, sizes: Sequence[int]) -> Iterator[Corner]:
-    """All corners that differ in one value."""
+    """Yield all corners that differ from ``corner`` in one value."""
     for place, size in enumerate(sizes):
         for index in range(size):
             if index != corner[place]:
@@ -472,7 +478,7 @@ def _neighbours(corner: Corner, sizes: Sequence[int]) -> Iterator[Corner]:
 
 
 def short_names(paths: Iterable[str]) -> dict[str, str]:
-    """The last name of each path where that is enough to tell them apart, else the whole path."""
+    """Return the last part of each path, or the whole path where last parts coincide."""
     last = {path: path.rpartition(".")[2] for path in paths}
     names = list(last.values())
     return {path: name if names.count(name) == 1 else path for path, name in last.items()}

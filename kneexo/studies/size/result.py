@@ -34,7 +34,7 @@ from kneexo.studies.size.settings import SizeSettings
 
 @dataclass(frozen=True)
 class Search:
-    """Smallest value whose error is within the bound, or the best one where none is."""
+    """The smallest value that keeps the error's bound; if none does, the value of least error."""
 
     value: float
     max_error_deg: float
@@ -64,7 +64,7 @@ class WalkingDesign:
 
 @dataclass(frozen=True, repr=False)
 class SizeResult(Result):
-    """What `size_study` finds."""
+    """Hardware, demands, gains and designs of `size_study`."""
 
     scenario: Scenario
     settings: SizeSettings
@@ -101,7 +101,7 @@ class SizeResult(Result):
 
 
 CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
-"""What a walking run with half the step is compared by."""
+"""Metrics that compare a walking run with the run at half its step."""
 
 
 def _results(result: SizeResult) -> dict[str, Any]:
@@ -167,12 +167,12 @@ def _limits(scenario: Scenario) -> dict[str, float]:
 
 
 def _shown(scenario: Scenario, path: str, factor: float) -> float:
-    """A value of the swept hardware in the unit of `HARDWARE`."""
+    """Return a swept value of the hardware in the unit of `HARDWARE`."""
     return float(value_at(scaled(scenario, {path: factor}), path)) * HARDWARE[path][2]
 
 
 def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
-    """Peaks of a demand, and what of the scenario's hardware they would take."""
+    """Return the peaks of a demand, and the flow and acceleration they require of the hardware."""
     peaks = demand.peaks()
     limit = scenario.plant.pump.speed_limit_rad_s
     needed = peaks["peak_motor_speed_rad_s"] / limit
@@ -194,7 +194,7 @@ def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
 
 
 def _controller(result: SizeResult) -> dict[str, float]:
-    """What the motor's lag asks of the controller at the first stride frequency."""
+    """Return the controller's authority and linear errors at the first stride frequency."""
     demand = result.demands[0]
     ample = scaled(result.scenario, {DISPLACEMENT: result.settings.largest_flow_factor})
     law, model = sliding_mode(result.scenario), error_model(result.scenario)

@@ -1,7 +1,7 @@
-"""Sizing: what hardware gives which bandwidth and error, and what walking needs.
+"""Sizing: bandwidth and error by hardware, and the smallest hardware that walks.
 
-`kneexo.analysis.hardware` has the closed forms; here they meet simulation: sweeps around a
-scenario's hardware, and the smallest hardware with which a closed loop walks.
+The closed forms are in `kneexo.analysis.hardware`. This study simulates: sweeps around a scenario's
+hardware, and a search for the smallest hardware with which the closed loop walks.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _IMPLICIT_STEP_S = 1e-3
 
 @needs_runs
 async def _at_reference(scenario: Scenario) -> dict[str, Any]:
-    """Bandwidth and tracking at the scenario's own sine; nan and ``failure`` where one fails."""
+    """Return bandwidths and errors at the scenario's sine; nan and ``failure`` where one fails."""
     failures = []
 
     async def measured(*names: str, part: Awaitable[Sequence[float]]) -> dict[str, float]:
@@ -277,7 +277,7 @@ def _one_at_a_time(factors: Sequence[float]) -> list[dict[str, float]]:
 
 
 def _by_path(results: Sequence[Any], factors: Sequence[float]) -> dict[str, Sequence[Any]]:
-    """The results of `_one_at_a_time`."""
+    """Group the results of the items of `_one_at_a_time` by path."""
     count = len(factors)
     return {path: results[n * count : (n + 1) * count] for n, path in enumerate(HARDWARE)}
 
@@ -287,7 +287,7 @@ def _pairs(factors: Sequence[float]) -> list[dict[str, float]]:
 
 
 def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: float) -> bool:
-    """Whether gains have the disk margin, and walk without chattering."""
+    """Return whether gains have the required disk margin and walk without chattering."""
     allowed = settings.command_change_ratio_max * asked_change_rpm
     return bool(
         result["disk_margin"] >= settings.disk_margin_min
@@ -296,7 +296,7 @@ def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: 
 
 
 def _best(gains: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
-    """Gains with the least error among those that meet the demands, else among all that walk."""
+    """Return the gains with the least error that meet the demands; if none does, that walk."""
     walk_at_all = [row for row in gains if not math.isnan(row["max_error_deg"])]
     if not walk_at_all:
         raise ParameterError(
@@ -338,7 +338,7 @@ def _design(
 def _variations(
     design: Scenario, flow_factor: float, settings: SizeSettings
 ) -> dict[str, Scenario]:
-    """A design on plants that the controller does not know of."""
+    """Return a design on plants that differ from the controller's nominal plant, by name."""
     valves = FullCylinderParameters()
     full_order = {
         name: getattr(valves, name) * flow_factor

@@ -39,14 +39,14 @@ from kneexo.studies.sliding.settings import SLIDING_LAW, SlidingSettings
 from kneexo.systems.sliding_mode_controller import sliding_variable
 
 _ROUNDING = 1e-6
-"""Share of η by which the condition may seem violated where it holds with equality."""
+"""Relative tolerance on η for a condition that holds with equality."""
 
 
 _TRACE_POINTS = 600
 
 
 _SHORTEST = 20
-"""Samples of the shortest run that says anything."""
+"""Number of samples of the shortest run that is evaluated."""
 
 
 def plant_state_columns(plant: PlantParameters) -> tuple[tuple[str, float], ...]:
@@ -56,7 +56,7 @@ def plant_state_columns(plant: PlantParameters) -> tuple[tuple[str, float], ...]
 
 
 def sliding_signals(scenario: Scenario) -> tuple[str, ...]:
-    """The signals that `sliding_rates` needs."""
+    """Return the names of the signals that `sliding_rates` needs."""
     states = {column for column, _ in plant_state_columns(scenario.plant)}
     return (
         *("rod_reference", "sliding_variable", "motor_speed_command"),
@@ -225,7 +225,7 @@ async def check_sliding(
 
 
 async def _longest_run(scenario: Scenario) -> tuple[Run, str]:
-    """The run of a scenario, over half the time as long as it fails; and why it failed first."""
+    """Halve a run's duration until it does not fail; return the run and the first failure."""
     failure, duration = "", scenario.simulation.duration_s
     while True:
         shortened = changed(scenario, {"simulation.duration_s": duration})
@@ -240,13 +240,13 @@ async def _longest_run(scenario: Scenario) -> tuple[Run, str]:
 
 
 def _reaching_rate(scenario: Scenario, run: Run, rows: Array, command: Array) -> Array:
-    """sgn(s)·ds/dt at rows outside the layer: at most −η, the law promises."""
+    """Return sgn(s)·ds/dt at rows outside the layer; the sliding condition bounds it by −η."""
     s, s_rate = sliding_rates(scenario, run, rows, command)
     return np.asarray(np.sign(s) * s_rate)
 
 
 def _thinned(rows: Any, largest: int) -> Any:
-    """At most ``largest`` rows: the first half of them in a row, the rest evenly spread."""
+    """Return at most ``largest`` rows: half of them the first rows, the rest evenly spread."""
     if rows.size <= largest:
         return rows
     half = largest // 2

@@ -15,7 +15,7 @@ from kneexo.parameters.quantity import Parameters, quantities, quantity
 
 
 class SlidingSettings(Parameters):
-    """Which η, loads and gains the check of the sliding condition runs through."""
+    """η, loads and start of the runs that check the sliding condition."""
 
     etas_m_s3: tuple[float, ...] = quantities(
         (1e3, 1e4, 3e4, 3.6e4, 7e4, 9e4, 2.8e5),
@@ -89,7 +89,7 @@ SLIDING_LAW = Scenario(
     ),
     simulation=SimulationParameters(duration_s=10.0),
 )
-"""The setting of the sliding condition: continuous time, exact states, an ideal motor.
+"""The scenario of the sliding condition: continuous time, exact states, an ideal motor.
 
-The sample time is that of the log. Eq. 27 drops the leakage, 4 β_e C_t/V_t = 33 N/s per newton of
-load; here its bound on dF_L/dt holds it, for 75 N."""
+The sample time is that of the log. Eq. 27 neglects the leakage, which changes the load by
+4 β_e C_t/V_t = 33 N/s per newton. Here the bound on dF_L/dt covers the leakage of 75 N."""

@@ -37,9 +37,10 @@ LAWS = {"paper": "Eq. 27", "area": "Eq. 27 + area", "area_gain": "Eq. 27 + area,
 
 
 def effective_masses_kg(scenario: Scenario) -> tuple[float, float]:
-    """Mass bounds in kg that stand for the gain b of either chamber over the reference's range.
+    """Return mass bounds in kg that cover the gain b of both chambers over the reference's range.
 
-    The law's own bounds times (Ā/A_i)(4V_i/V_t), the stiffness that the reduced order has too much.
+    They are the law's own bounds times (Ā/A_i)(4V_i/V_t), the factor by which the reduced order is
+    too stiff.
     """
     law, oil, full = sliding_mode(scenario), scenario.plant.cylinder, scenario.plant.full_order
     if full is None:
@@ -57,7 +58,7 @@ def effective_masses_kg(scenario: Scenario) -> tuple[float, float]:
 
 
 def _with_law(scenario: Scenario, law: str) -> Scenario:
-    """The scenario with one of the `LAWS`."""
+    """Return the scenario with one of the `LAWS`."""
     oil, values = scenario.plant.cylinder, {}
     if law != "paper":
         values["controller.area_uncertainty"] = oil.cap_area_m2 / oil.mean_area_m2 - 1.0
@@ -71,7 +72,7 @@ def _with_law(scenario: Scenario, law: str) -> Scenario:
 
 @dataclass(frozen=True)
 class SlidingCase:
-    """One run of the study and what `check_sliding` measured in it."""
+    """One run of the study with its numbers from `check_sliding`."""
 
     part: str
     """motion: along the reference; start: from outside the layer; sampled: at 2 ms."""
@@ -83,12 +84,12 @@ class SlidingCase:
 
     @property
     def stays(self) -> bool:
-        """Whether s never left the layer again, and the run reached its end."""
+        """Whether s stayed in the layer once it was there, and the run reached its end."""
         return not self.measured["failure"] and self.measured["left_share"] == 0.0
 
 
 def full_order(scenario: Scenario) -> Scenario:
-    """The scenario with the cylinder in full order."""
+    """Return the scenario with the cylinder in full order."""
     full = scenario.plant.full_order or FullCylinderParameters()
     return changed(scenario, {"plant.full_order": dict(full)})
 
@@ -96,7 +97,7 @@ def full_order(scenario: Scenario) -> Scenario:
 def _cases(
     scenario: Scenario, settings: SlidingSettings
 ) -> list[tuple[tuple[str, str, str, float, float], Scenario]]:
-    """Labels (part, plant, law, load, η) and scenarios of the study."""
+    """Return the labels (part, plant, law, load, η) and the scenario of each run of the study."""
     law = sliding_mode(scenario)
     full = full_order(scenario)
     reduced = changed(scenario, {"plant.full_order": None})
@@ -173,7 +174,7 @@ class NeededEta:
 
 
 def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
-    """What the closed forms ask of η, for a sinusoidal reference."""
+    """Return the η that the closed forms require, for a sinusoidal reference."""
     law, oil = sliding_mode(scenario), scenario.plant.cylinder
     reference = require_sine(scenario)
     phase = np.linspace(0.0, 2.0 * np.pi, 2001)
@@ -192,7 +193,7 @@ def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
 
 @dataclass(frozen=True, repr=False)
 class SlidingResult(Result):
-    """What `sliding_study` measures; ``needed`` is what the closed forms ask for."""
+    """Runs of `sliding_study`; ``needed`` is the η that the closed forms require."""
 
     cases: tuple[SlidingCase, ...]
     needed: NeededEta
@@ -205,7 +206,7 @@ class SlidingResult(Result):
         return sliding_mode(self.scenario)
 
     def of(self, part: str, **labels: Any) -> list[SlidingCase]:
-        """The cases of a part with these labels, in order."""
+        """Return the cases of a part with these labels, in order."""
         return [
             case
             for case in self.cases
@@ -213,7 +214,9 @@ class SlidingResult(Result):
         ]
 
     def smallest_eta(self, law: str, load_n: float) -> float:
-        """Smallest η in m/s³ from which on s stays in the layer in full order; inf if none."""
+        """Return the smallest η in m/s³ from which on s stays in the layer; inf if none.
+
+        Only runs in full order along the reference count."""
         cases = self.of("motion", plant="full", law=law, load_n=load_n)
         smallest = math.inf
         for case in sorted(cases, key=lambda c: -c.eta_m_s3):
