@@ -51,6 +51,10 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compiler/errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "interruption": ("test_interruption", "command_line/test_main"),
     "version": ("test_citation",),
+    "analysis/sampled_loop": (
+        "analysis/test_sampled_loop",
+        "analysis/test_sampled_loop_in_time",
+    ),
     "analysis/signals": ("analysis/test_tracking", "analysis/test_walking"),
     "compiler/diagram_equations": ("compiler/test_api", "compiler/native/test_cache"),
     "compiler/model_base": ("compiler/test_model", "compiler/test_compiled_system"),
@@ -103,7 +107,16 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compiler/c/template": ("compiler/c/test_source", "compiler/c/test_export"),
     "diagrams/part": ("diagrams/test_part", "diagrams/test_plant", "diagrams/test_controller"),
     "diagrams/signals": ("diagrams/test_closed_loop",),
-    "diagrams/plant": ("diagrams/test_plant", "diagrams/test_full_order_plant"),
+    "diagrams/closed_loop": (
+        "diagrams/test_closed_loop",
+        "diagrams/test_closed_loop_second_program",
+        "diagrams/test_closed_loop_scalars",
+    ),
+    "diagrams/plant": (
+        "diagrams/test_plant",
+        "diagrams/test_plant_exact_solution",
+        "diagrams/test_full_order_plant",
+    ),
     "parameters/bus": ("systems/test_drive", "parameters/test_quantity"),
     "parameters/control": (
         "parameters/test_control",
