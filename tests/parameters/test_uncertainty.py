@@ -3,14 +3,24 @@
 import math
 import re
 
+import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from kneexo.errors import ParameterError, ScenarioError
-from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters import (
+    LINKAGES,
+    UNCERTAIN_KNEE,
+    UNCERTAINTY,
+    FullCylinderParameters,
+    PlantParameters,
+    Scenario,
+    Uncertainty,
+    UncertaintySet,
+)
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_uncertainty
-from kneexo.parameters.uncertainty import applicable
+from kneexo.parameters.uncertainty import applicable, draw, realize
 from kneexo.studies.paper import PID_TUNED
 
 
@@ -148,3 +158,59 @@ def test_every_uncertain_value_has_a_source_and_fits_the_scenario(path: str) -> 
     assert uncertain.source != "given by the user"
     for share in (0.0, 0.5, 1.0):
         changed(UNCERTAIN_KNEE, {path: uncertain.at(share)})
+
+
+# ------------------------------------------------------------------- draws and realizations
+
+
+def test_the_controller_keeps_its_beliefs_but_for_what_it_knows():
+    values = {
+        "plant.cylinder.mass_kg": 1.8,
+        "plant.linkage": "G3",
+        "plant.full_order": {"coulomb_friction_n": 40.0},
+        "bus.latency_samples": 2,
+    }
+    realized = realize(UNCERTAIN_KNEE, UNCERTAINTY, values)
+    assert realized.plant.cylinder.mass_kg == 1.8
+    assert realized.plant.linkage == LINKAGES["G3"]
+    assert realized.plant.full_order == FullCylinderParameters(coulomb_friction_n=40.0)
+    assert realized.bus.latency_samples == 2
+    believed = UNCERTAIN_KNEE.plant.model_copy(update={"linkage": LINKAGES["G3"]})
+    assert realized.believed_plant == believed
+
+
+def test_nothing_changed_is_the_scenario_itself():
+    realized = realize(UNCERTAIN_KNEE, UNCERTAINTY, {})
+    assert realized == UNCERTAIN_KNEE.model_copy(update={"nominal": UNCERTAIN_KNEE.plant})
+
+
+def test_a_controller_that_believes_something_else_goes_on_doing_so():
+    wrong = UNCERTAIN_KNEE.model_copy(update={"nominal": PlantParameters(ideal_motor=True)})
+    values = {"plant.cylinder.mass_kg": 1.7, "plant.linkage": "G2"}
+    plant = realize(wrong, UNCERTAINTY, values)
+    assert plant.nominal == PlantParameters(ideal_motor=True, linkage=LINKAGES["G2"])
+
+
+@given(st.integers(0, 30), st.integers(0, 30), st.integers(0, 2**32))
+def test_a_sample_does_not_depend_on_how_many_are_drawn(few, more, seed):
+    few, more = sorted((few, more))
+    assert draw(UNCERTAINTY, more, seed)[:few] == draw(UNCERTAINTY, few, seed)
+
+
+def test_samples_fill_their_ranges_evenly():
+    drawn = draw(UNCERTAINTY, 4000, 1)
+    assert drawn != draw(UNCERTAINTY, 4000, 2)
+    for path, one in UNCERTAINTY.values.items():
+        own = [values[path] for values in drawn]
+        if one.options:
+            counts = [own.count(option) / 4000 for option in one.options]
+            # Six standard deviations of a binomial share.
+            assert counts == pytest.approx([1 / 3] * 3, abs=6.0 * math.sqrt(2 / 9 / 4000))
+            continue
+        x, low, high = np.array(own), one.low, one.high
+        if one.scale == "log":
+            x, low, high = np.log(x), math.log(low), math.log(high)
+        share = (x - low) / (high - low)
+        assert share.min() >= 0.0
+        assert share.max() <= 1.0
+        assert share.mean() == pytest.approx(0.5, abs=6.0 / math.sqrt(12 * 4000))

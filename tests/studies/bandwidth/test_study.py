@@ -207,8 +207,8 @@ def by_hand():
 
 
 def test_results_of_a_map_are_those_of_its_cells(by_hand, flat, check_rules):
-    found = by_hand.results()
-    check_rules(found)
+    numbers = by_hand.results()
+    check_rules(numbers)
     deviation = max(  # of the two sines off the limits
         abs(g * np.exp(1j * math.radians(a - b)) / h - 1.0)
         for g, a, h, b in ((0.99, -5.0, 1.0, -4.0), (0.8, -20.0, 0.91, -19.0))
@@ -235,7 +235,7 @@ def test_results_of_a_map_are_those_of_its_cells(by_hand, flat, check_rules):
         ],
         "failures": ["30 deg, 9 Hz: left the range"],
     }
-    assert flat(found) == pytest.approx(flat(expected))
+    assert flat(numbers) == pytest.approx(flat(expected))
 
 
 def test_the_frame_has_a_row_for_each_cell(by_hand, monkeypatch):

@@ -49,17 +49,17 @@ def bowl(candidates):
 
 
 def test_the_search_finds_the_bottom_of_a_bowl_and_says_so():
-    found, history = search(bowl, 2, ContestSettings(population=20, tolerance=1e-3), seed=1)
-    assert found.success
+    optimum, history = search(bowl, 2, ContestSettings(population=20, tolerance=1e-3), seed=1)
+    assert optimum.success
     # Objectives that spread by 1e-3 are within about √1e-3 of the bottom; it is closer.
-    assert found.x == pytest.approx([0.3, 0.6], abs=0.03)
+    assert optimum.x == pytest.approx([0.3, 0.6], abs=0.03)
     assert all(a >= b for a, b in pairwise(history))
-    assert history[-1] == found.fun
+    assert history[-1] == optimum.fun
 
 
 def test_a_search_that_ends_too_early_has_not_converged():
-    found, history = search(bowl, 2, ContestSettings(population=20, generations=1), seed=1)
-    assert not found.success
+    optimum, history = search(bowl, 2, ContestSettings(population=20, generations=1), seed=1)
+    assert not optimum.success
     assert len(history) == 1
 
 
@@ -223,24 +223,24 @@ SUMMARY = {
 
 
 def test_levels_count_failed_runs_as_infinite_errors(flat, check_rules):
-    found = made_up().results()
-    check_rules(found)
+    numbers = made_up().results()
+    check_rules(numbers)
     expected = {name: dict(zip(COLUMNS, row, strict=True)) for name, row in SUMMARY.items()}
-    assert flat(found["summary"]) == pytest.approx(flat(expected))
+    assert flat(numbers["summary"]) == pytest.approx(flat(expected))
 
 
 def test_results_hold_what_was_tuned_and_tested(flat):
     done = made_up()
-    found = done.results()
-    for own, tuning in zip(found["tunings"], done.tunings, strict=True):
+    numbers = done.results()
+    for own, tuning in zip(numbers["tunings"], done.tunings, strict=True):
         assert own == vars(tuning) | {"feasible": tuning.objective_deg < 90.0}
-    assert found["better_share"] == {
+    assert numbers["better_share"] == {
         "SMC": {"SMC": 0.0, "PID": 0.75},
         "PID": {"SMC": 0.25, "PID": 0.0},
     }
-    assert found["budget_rpm"] == 12.0
+    assert numbers["budget_rpm"] == 12.0
     for name in ("tested", "other_reference", "entrants"):
-        assert flat(dict(found[name])) == pytest.approx(
+        assert flat(dict(numbers[name])) == pytest.approx(
             flat(dict(getattr(done, name))), nan_ok=True
         )
 

@@ -67,8 +67,8 @@ def made_up(failures=None, **values):
 @pytest.mark.parametrize("rate", [1.0, 5.0])
 def test_settling_time_of_a_decay_is_its_logarithm(rate):
     time = np.arange(0.0, 8.0, 0.002)
-    found = settling_time_s(time, np.exp(-rate * time), 0.05)
-    assert found == pytest.approx(math.log(20.0) / rate, abs=0.002)  # one sample
+    settling_s = settling_time_s(time, np.exp(-rate * time), 0.05)
+    assert settling_s == pytest.approx(math.log(20.0) / rate, abs=0.002)  # one sample
 
 
 def test_settling_counts_the_last_time_outside_the_band():
@@ -368,8 +368,8 @@ def by_hand():
 
 
 def test_results_are_the_grid_the_trap_and_the_map(by_hand, flat, check_rules):
-    found = by_hand.results()
-    check_rules({name: found[name] for name in ("grid", "map", "limit_cycle", "claims")})
+    numbers = by_hand.results()
+    check_rules({name: numbers[name] for name in ("grid", "map", "limit_cycle", "claims")})
     beta = math.sqrt(1.8 / 1.4)
     expected = {
         "lambdas_per_s": GRID.lambdas_per_s,
@@ -390,9 +390,9 @@ def test_results_are_the_grid_the_trap_and_the_map(by_hand, flat, check_rules):
             **by_hand.map_values,
         },
     }
-    own = {name: value for name, value in found.items() if name != "claims"}
+    own = {name: value for name, value in numbers.items() if name != "claims"}
     assert flat(own) == pytest.approx(flat(expected), nan_ok=True)
-    for claim, written in zip(by_hand.claims(), found["claims"], strict=True):
+    for claim, written in zip(by_hand.claims(), numbers["claims"], strict=True):
         assert written == vars(claim) | {"verdict": claim.verdict}
 
 

@@ -67,10 +67,10 @@ def test_in_order_changes_order_and_load_alone():
     ],
 )
 def test_speed_at_the_limit_follows_the_loaded_chamber(order, force, area, printed, flexing):
-    found = speed_row(changed(UNCERTAIN_KNEE, TIGHT), SETTINGS, (order, force, flexing))
-    assert found["saturated_share"] == 1.0
-    assert found["rod_speed_mm_s"] == pytest.approx(1e3 * FLOW / area, rel=1e-3)
-    assert found["rod_speed_mm_s"] == pytest.approx(printed, abs=0.1)
+    row = speed_row(changed(UNCERTAIN_KNEE, TIGHT), SETTINGS, (order, force, flexing))
+    assert row["saturated_share"] == 1.0
+    assert row["rod_speed_mm_s"] == pytest.approx(1e3 * FLOW / area, rel=1e-3)
+    assert row["rod_speed_mm_s"] == pytest.approx(printed, abs=0.1)
 
 
 @pytest.mark.parametrize("posture", [10.0, 70.0])
@@ -111,10 +111,10 @@ def test_margins_fall_with_the_rod_side_loaded_and_grow_with_the_cap_side():
 
 def test_no_linear_loop_is_said_in_words():
     signum = changed(UNCERTAIN_KNEE, {"controller.switching": "signum"})
-    found = frequency_row(signum, ("full", 60.0, 40.0))
-    assert "there is no linear" in found["failure"]
-    assert math.isnan(found["phase_margin_deg"])
-    assert found["mode_hz"] == pytest.approx(280.0, abs=1.0)  # the plant has its mode all the same
+    row = frequency_row(signum, ("full", 60.0, 40.0))
+    assert "there is no linear" in row["failure"]
+    assert math.isnan(row["phase_margin_deg"])
+    assert row["mode_hz"] == pytest.approx(280.0, abs=1.0)  # the plant has its mode all the same
 
 
 # ------------------------------------------------------------------------ one small comparison
@@ -298,8 +298,8 @@ def test_an_executor_is_used():
 def comparison(tmp_path_factory):
     settings = OrderSettings(postures_deg=(40.0,), switching_forces_n=(6.0, 16.0, 30.0))
     path = tmp_path_factory.mktemp("orders") / "checkpoint"
-    found = order_study(UNCERTAIN_KNEE, settings, checkpoint=Checkpoint(path))
-    return found, path
+    result = order_study(UNCERTAIN_KNEE, settings, checkpoint=Checkpoint(path))
+    return result, path
 
 
 def rows(part, **labels):
@@ -314,21 +314,21 @@ def assert_line(line, x, y):
 
 @pytest.mark.slow
 def test_tracking_error_of_the_full_order_is_that_of_its_area(comparison):
-    found, _ = comparison
+    result, _ = comparison
     full = changed(Scenario(), {"plant.full_order": {}})
     # θ̇ of 30 deg at 0.1 Hz, times the lag of 28.6 ms, rms: 0.381 deg; leakage and encoder add.
     lag = abs(error_model(full, loaded_chamber="cap").error_m(1.0, 0.0))
     expected = 30.0 * 2.0 * math.pi * 0.1 * lag / math.sqrt(2.0)
-    for row in rows(found.tracking, order="full"):
+    for row in rows(result.tracking, order="full"):
         assert row["rms_error_deg"] == pytest.approx(expected, rel=0.03)
-    for row in rows(found.tracking, order="reduced"):
+    for row in rows(result.tracking, order="reduced"):
         assert row["rms_error_deg"] < 0.05
 
 
 @pytest.mark.slow
 def test_bandwidth_follows_the_loaded_chamber(comparison):
-    found, _ = comparison
-    by_case = {(r["order"], r["disturbance_n"]): r["bandwidth_hz"] for r in found.bandwidth}
+    result, _ = comparison
+    by_case = {(r["order"], r["disturbance_n"]): r["bandwidth_hz"] for r in result.bandwidth}
     # Kinematic follower at Q/A_1, Q/Ā and Q/A_2: 0.196, 0.2247 and 0.262 Hz.
     assert by_case["full", 60.0] == pytest.approx(0.196, abs=0.003)
     assert by_case["full", -60.0] == pytest.approx(0.262, abs=0.003)
@@ -339,11 +339,11 @@ def test_bandwidth_follows_the_loaded_chamber(comparison):
 
 @pytest.mark.slow
 def test_rod_oscillates_near_the_switching_force_in_retraction_alone(comparison):
-    found, _ = comparison
-    assert found.oscillating_n("in") == [16.0]
-    assert found.oscillating_n("out") == []
-    inside = rows(found.switching, direction="in", force_n=16.0)[0]
-    outside = rows(found.switching, direction="in", force_n=6.0)[0]
+    result, _ = comparison
+    assert result.oscillating_n("in") == [16.0]
+    assert result.oscillating_n("out") == []
+    inside = rows(result.switching, direction="in", force_n=16.0)[0]
+    outside = rows(result.switching, direction="in", force_n=6.0)[0]
     # Halving rk4's step changes the swing by less than 2 %.
     assert inside["velocity_swing_mm_s"] > 20.0 * outside["velocity_swing_mm_s"]
     assert inside["velocity_swing_mm_s"] == pytest.approx(99.0, rel=0.05)
@@ -352,11 +352,11 @@ def test_rod_oscillates_near_the_switching_force_in_retraction_alone(comparison)
 
 @pytest.mark.slow
 def test_comparison_resumes_and_draws(comparison):
-    found, path = comparison
-    assert len(found.results()["speeds"]) == 8
-    again = order_study(found.scenario, found.settings, checkpoint=Checkpoint(path, resume=True))
-    assert report(again) == report(found)
-    for figure in figures(found).values():
+    result, path = comparison
+    assert len(result.results()["speeds"]) == 8
+    again = order_study(result.scenario, result.settings, checkpoint=Checkpoint(path, resume=True))
+    assert report(again) == report(result)
+    for figure in figures(result).values():
         figure.canvas.draw()
 
 

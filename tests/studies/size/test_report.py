@@ -182,36 +182,36 @@ def demanded(frequency, factor):
 
 
 def test_the_demand_is_in_the_units_of_its_names(sized, flat, check_rules):
-    found = sized.results()
-    check_rules(found)
+    numbers = sized.results()
+    check_rules(numbers)
     expected = {
         "demand": [demanded(1.0, 1.0), demanded(0.8, 0.7)],
         "demand_with_segment_inertia": [demanded(1.0, 1.1), demanded(0.8, 0.9)],
         "demand_by_wearer_torque_n_m": {"0": demanded(1.0, 1.3), "10": demanded(1.0, 1.7)},
     }
-    shown = {key: found[key] for key in expected}
+    shown = {key: numbers[key] for key in expected}
     # The trapezoids of the sampled stride are good for 1e-3.
     assert flat(shown) == pytest.approx(flat(expected), rel=1e-3)
 
 
 def test_limits_are_those_of_pump_gear_and_piston(sized):
-    found = sized.results()["limits"]
+    numbers = sized.results()["limits"]
     # Eq. 10 with Table 1: half of 139.05 − 38.92 mm, on G1 to 0.2 mm.
     amplitude = 0.5 * (139.05 - 38.92)
-    assert found["rod_amplitude_mm"] == pytest.approx(amplitude, abs=0.2)
-    assert found["rod_speed_limit_mm_s"] == pytest.approx(SPEED_MM_S, rel=1e-9)
+    assert numbers["rod_amplitude_mm"] == pytest.approx(amplitude, abs=0.2)
+    assert numbers["rod_speed_limit_mm_s"] == pytest.approx(SPEED_MM_S, rel=1e-9)
     motor = 5000.0 * math.pi / 30.0
     limit = UNCERTAIN_KNEE.plant.pump.acceleration_limit_rad_s2
-    assert found["rod_acceleration_limit_m_s2"] == pytest.approx(
+    assert numbers["rod_acceleration_limit_m_s2"] == pytest.approx(
         1e-3 * SPEED_MM_S * limit / motor, rel=1e-9
     )
-    ratio = motor * SPEED_MM_S / found["rod_amplitude_mm"]
-    assert found["acceleration_limit_one_percent_rad_s2"] == pytest.approx(7.27 * ratio, rel=1e-9)
-    assert found["acceleration_limit_alone_rad_s2"] == pytest.approx(0.73 * ratio, rel=1e-9)
+    ratio = motor * SPEED_MM_S / numbers["rod_amplitude_mm"]
+    assert numbers["acceleration_limit_one_percent_rad_s2"] == pytest.approx(7.27 * ratio, rel=1e-9)
+    assert numbers["acceleration_limit_alone_rad_s2"] == pytest.approx(0.73 * ratio, rel=1e-9)
 
 
 def test_a_design_tells_every_way_to_its_flow(sized):
-    for found, one, share in zip(
+    for design, one, share in zip(
         sized.results()["designs"], sized.designs, (1.0, 2.0), strict=True
     ):
         factor = FLOW * share
@@ -235,13 +235,13 @@ def test_a_design_tells_every_way_to_its_flow(sized):
             "or_piston_area_without_gear_mm2": AREA_MM2 * 6.0 / factor,
             "rated_force_of_that_piston_n": AREA_MM2 * 6.0 / factor * 3.5,
         }
-        assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-9)
-        assert found["flow_search"] == vars(one.flow)
-        assert found["acceleration_search"] == vars(one.acceleration)
-        assert found["walking"] == one.walking
-        assert found["checked"] == one.checked
-        assert found["halved_step"] == one.halved
-        assert found["step_agreement"] == pytest.approx(
+        assert {name: design[name] for name in expected} == pytest.approx(expected, rel=1e-9)
+        assert design["flow_search"] == vars(one.flow)
+        assert design["acceleration_search"] == vars(one.acceleration)
+        assert design["walking"] == one.walking
+        assert design["checked"] == one.checked
+        assert design["halved_step"] == one.halved
+        assert design["step_agreement"] == pytest.approx(
             {
                 "max_error_deg": 0.02,
                 "peak_pressure_mpa": 0.02,
@@ -252,12 +252,12 @@ def test_a_design_tells_every_way_to_its_flow(sized):
 
 
 def test_the_controller_is_asked_for_what_the_lag_takes(sized):
-    found = sized.results()["controller"]
+    numbers = sized.results()["controller"]
     beta = math.sqrt(1.8 / 1.4)
     stiffness = 4.0 * 1.72e9 * (1e-6 * AREA_MM2) ** 2 / (math.sqrt(1.4 * 1.8) * 41_233e-9)
-    assert found["authority_m_s3"] == pytest.approx(beta * 2.8e5, rel=1e-9)
-    assert found["slope_per_s"] == pytest.approx(beta * 2.8e5 / 3.2, rel=1e-9)
-    assert found["authority_asked_m_s3"] == pytest.approx(stiffness * 0.011 * 6.3, rel=1e-4)
+    assert numbers["authority_m_s3"] == pytest.approx(beta * 2.8e5, rel=1e-9)
+    assert numbers["slope_per_s"] == pytest.approx(beta * 2.8e5 / 3.2, rel=1e-9)
+    assert numbers["authority_asked_m_s3"] == pytest.approx(stiffness * 0.011 * 6.3, rel=1e-4)
     # The stride is one small sine about 40°.
     ample = scaled(UNCERTAIN_KNEE, {DISPLACEMENT: SETTINGS.largest_flow_factor})
     for name, scenario in (
@@ -265,11 +265,11 @@ def test_the_controller_is_asked_for_what_the_lag_takes(sized):
         ("linear_error_tuned_deg", tuned(ample, sized.best_gains)),
     ):
         error = 0.01 * abs(linearize_loop(scenario, 40.0).output_response(1.0)[0] - 1.0)
-        assert found[name] == pytest.approx(error, rel=2e-3)
+        assert numbers[name] == pytest.approx(error, rel=2e-3)
 
 
 def test_what_was_measured_is_in_the_results_as_it_is(sized, flat):
-    found = json.loads(to_json(sized.results()))
+    numbers = json.loads(to_json(sized.results()))
     plain = json.loads(
         to_json(
             {
@@ -297,10 +297,10 @@ def test_what_was_measured_is_in_the_results_as_it_is(sized, flat):
             }
         )
     )
-    assert flat({key: found[key] for key in plain}) == flat(plain)
+    assert flat({key: numbers[key] for key in plain}) == flat(plain)
     # Tables 2 and 3: rpm, cm³/rev, 1, rad/s², ms, counts/rev.
     for (path, sweep), value in zip(
-        found["sweeps"].items(), (5000.0, 0.8, 6.0, 1e4, 10.0, 4096.0), strict=True
+        numbers["sweeps"].items(), (5000.0, 0.8, 6.0, 1e4, 10.0, 4096.0), strict=True
     ):
         measured = json.loads(to_json(sized.sweeps[path]))
         for factor, row, own in zip((0.5, 1.0, 2.0), sweep, measured, strict=True):
@@ -310,12 +310,12 @@ def test_what_was_measured_is_in_the_results_as_it_is(sized, flat):
 
 
 def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
-    found = sized.results()
+    numbers = sized.results()
     hardware, demands, torques, steps, designs, variations, kept = tables(report(sized))
 
     columns = (*AT_SINE[:1], "small_signal_bandwidth_hz", "bandwidth_hz", "max_error_deg")
-    rows = [["hardware as it is", *(found["nominal"][name] for name in columns)]]
-    for path, sweep in found["sweeps"].items():
+    rows = [["hardware as it is", *(numbers["nominal"][name] for name in columns)]]
+    for path, sweep in numbers["sweeps"].items():
         name, unit, _ = HARDWARE[path]
         for one in (sweep[0], sweep[2]):
             label = f"{name} {one['value']:.4g} {unit}".rstrip()
@@ -328,7 +328,7 @@ def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
         "error (deg)",
     ]
 
-    both = [*found["demand"], *found["demand_with_segment_inertia"]]
+    both = [*numbers["demand"], *numbers["demand_with_segment_inertia"]]
     assert demands[0][1:] == ["1 Hz, Eq. 16", "0.8 Hz, Eq. 16", "1 Hz, shank", "0.8 Hz, shank"]
     check_cells(
         demands,
@@ -337,7 +337,7 @@ def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
             for row, name in zip(demands[1:], [*both[0]][1:], strict=True)
         ],
     )
-    by_torque = found["demand_by_wearer_torque_n_m"]
+    by_torque = numbers["demand_by_wearer_torque_n_m"]
     names = ("peak_rod_force_n", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
     check_cells(torques, [[t, *(one[n] for n in names)] for t, one in by_torque.items()])
 
@@ -352,10 +352,10 @@ def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
         ],
     )
 
-    one, other = found["designs"]
-    searched = [d["acceleration_search"] for d in found["designs"]]
+    one, other = numbers["designs"]
+    searched = [d["acceleration_search"] for d in numbers["designs"]]
     values = {
-        "smallest flow": [d["flow_search"]["value"] for d in found["designs"]],
+        "smallest flow": [d["flow_search"]["value"] for d in numbers["designs"]],
         "smallest acceleration": [
             searched[0]["value"],
             "not reached in 1000 … 100000: best 2.6° (bound 2°) at 3.6e+04",
@@ -371,7 +371,7 @@ def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
         if name not in ("saturated_share", "net_energy_j"):
             halved = name in one["step_agreement"]
             kind = "halved_step" if halved else "walking"
-            values[name] = [d[kind][name] for d in found["designs"]]
+            values[name] = [d[kind][name] for d in numbers["designs"]]
     values["change"] = [5.0, 5.0]
     check_cells(
         designs,
@@ -414,8 +414,8 @@ def check_units(rows, values):
 
 
 def test_the_words_have_the_numbers_of_the_results(sized):
-    found, text = sized.results(), report(sized)
-    limits, own = found["limits"], found["controller"]
+    numbers, text = sized.results(), report(sized)
+    limits, own = numbers["limits"], numbers["controller"]
     for said in (
         f"= {limits['rod_speed_limit_mm_s']:.1f} mm/s",
         f"= {limits['rod_acceleration_limit_m_s2']:.3f} m/s²",
@@ -442,7 +442,7 @@ def test_the_words_have_the_numbers_of_the_results(sized):
         f"k/Φ {own['slope_per_s']:.3g} 1/s → 5e+04 1/s",
         "T_f 20 ms:",
         "disk margin 0.01, phase margin 44°",
-        " and ".join(f"{one['flow_factor']:.3g}" for one in found["demand"]) + " times the flow",
+        " and ".join(f"{one['flow_factor']:.3g}" for one in numbers["demand"]) + " times the flow",
         "ratings are 3.5 MPa and 200 W",
     ):
         assert said in text

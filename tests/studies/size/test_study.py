@@ -57,27 +57,27 @@ def test_the_smallest_value_is_found_to_the_tolerance(threshold, bound, toleranc
     def error(value):  # nan well below, as runs that fail
         return math.nan if value < 0.5 * threshold else bound * threshold / value
 
-    found = smallest(error, 0.9, 100.0, bound_deg=bound, tolerance=tolerance)
-    assert found.reached
-    assert threshold * (1.0 - 1e-12) <= found.value <= threshold * (1.0 + tolerance)
-    assert found.max_error_deg == error(found.value) <= bound
+    search = smallest(error, 0.9, 100.0, bound_deg=bound, tolerance=tolerance)
+    assert search.reached
+    assert threshold * (1.0 - 1e-12) <= search.value <= threshold * (1.0 + tolerance)
+    assert search.max_error_deg == error(search.value) <= bound
 
 
 def test_a_search_that_is_met_at_once_says_the_low_end():
-    found = smallest(lambda value: 1.0, 3.0, 7.0, bound_deg=2.0, tolerance=0.01)
-    assert (found.value, found.reached) == (3.0, True)
+    search = smallest(lambda value: 1.0, 3.0, 7.0, bound_deg=2.0, tolerance=0.01)
+    assert (search.value, search.reached) == (3.0, True)
 
 
 def test_a_search_that_ends_beyond_its_range_tells_the_best_value():
-    found = smallest(
+    search = smallest(
         lambda value: math.nan if value > 20.0 else 3.0 + abs(value - 10.0),
         *(1.0, 100.0),
         bound_deg=2.0,
         tolerance=0.01,
     )
-    assert not found.reached
-    assert found.value == pytest.approx(10.0)  # one of nine, by equal ratios
-    assert found.max_error_deg == pytest.approx(3.0)
+    assert not search.reached
+    assert search.value == pytest.approx(10.0)  # one of nine, by equal ratios
+    assert search.max_error_deg == pytest.approx(3.0)
     every = smallest(lambda value: math.nan, 1.0, 9.0, bound_deg=2.0, tolerance=0.01)
     assert not every.reached
     assert math.isnan(every.max_error_deg)
@@ -155,10 +155,10 @@ def test_every_row_of_the_sweeps_is_that_of_its_own_hardware(in_numbers):
         },
     )
     few = {"factors": (2.0,), "walking_factors": (1.0,), "lambda_per_s": (80.0,)}
-    found = size_study(own, changed(SMALL, few))
-    rows = {path: row for path, (row,) in found.sweeps.items()}
+    result = size_study(own, changed(SMALL, few))
+    rows = {path: row for path, (row,) in result.sweeps.items()}
     assert list(rows) == list(HARDWARE)
-    for path, row in (("", found.nominal), *rows.items()):
+    for path, row in (("", result.nominal), *rows.items()):
         hardware = scaled(own, {path: 2.0}) if path else own
         expected = in_numbers(hardware, 0.25) | {
             "expected_bandwidth_hz": expected_bandwidth_hz(hardware),
@@ -179,28 +179,28 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
     for name in ("large_signal_bandwidth_hz", "linearize_loop", "track"):
         monkeypatch.setattr(size, name, fail)
     settings = changed(SMALL, {"stride_frequencies_hz": (0.5, 1.0), "search_tolerance": 1e-3})
-    found = size_study(settings=settings)
+    result = size_study(settings=settings)
 
     lost = ["bandwidth_hz", "small_signal_bandwidth_hz", "max_error_deg", "rms_error_deg"]
-    for row in (found.nominal, found.design_at_reference, *found.sweeps[DISPLACEMENT]):
+    for row in (result.nominal, result.design_at_reference, *result.sweeps[DISPLACEMENT]):
         assert all(math.isnan(row[name]) for name in (*lost, "mean_command_change_rpm"))
         assert row["failure"] == "; ".join(["not asked for here"] * 3)
     # Ample: 25 times the flow and 1e5 rad/s²; the hardest stride is that of 1 Hz.
-    assert found.best_gains["lambda_per_s"] == 80.0
-    assert found.best_gains["max_error_deg"] == pytest.approx(2.0 * 10.0 / 25.0)
-    assert [one["meets"] for one in found.gains] == [True, True]
-    for frequency, design in zip((0.5, 1.0), found.designs, strict=True):
+    assert result.best_gains["lambda_per_s"] == 80.0
+    assert result.best_gains["max_error_deg"] == pytest.approx(2.0 * 10.0 / 25.0)
+    assert [one["meets"] for one in result.gains] == [True, True]
+    for frequency, design in zip((0.5, 1.0), result.designs, strict=True):
         assert design.flow.value == pytest.approx(10.0 * frequency, rel=1e-3)
         assert design.acceleration.value == pytest.approx(2e4 * frequency, rel=1e-3)
         assert design.walking["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
     # What follows is about 0.5 Hz.
-    for one in found.variations.values():
+    for one in result.variations.values():
         assert one["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
     factors = np.array(settings.walking_factors)
     worst = 2.0 / 1.1 / np.minimum(*np.meshgrid(factors, factors))
-    assert found.walking_map_deg == pytest.approx(worst, rel=1e-3)
-    assert found.traces["nominal"]["error"] == pytest.approx(0.5 * 2.0 * 10.0 * 4.0)
-    assert found.traces["sized"]["error"] == pytest.approx(2.0 / 1.1, rel=1e-3)
+    assert result.walking_map_deg == pytest.approx(worst, rel=1e-3)
+    assert result.traces["nominal"]["error"] == pytest.approx(0.5 * 2.0 * 10.0 * 4.0)
+    assert result.traces["sized"]["error"] == pytest.approx(2.0 / 1.1, rel=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -211,20 +211,20 @@ def study(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_sized_hardware_is_the_smallest(study):
-    found, _ = study
-    (design,) = found.designs
+    result, _ = study
+    (design,) = result.designs
     assert design.flow.reached
     assert design.acceleration.reached
     assert design.walking["max_error_deg"] <= SMALL.error_bound_deg
     # Kinematics: 15.9 times the flow, and 7094 rad/s² at just that; 2° let the peak be cut.
-    needed = found.results()["demand"][0]
+    needed = result.results()["demand"][0]
     assert 0.85 < design.flow.value / needed["flow_factor"] < 1.05
     at_sized = needed["peak_motor_acceleration_rad_s2"] * needed["flow_factor"]
     assert 0.8 < design.acceleration.value / (at_sized / (1.1 * design.flow.value)) < 1.1
 
     def error(flow, limit):
         factors = {DISPLACEMENT: flow, ACCELERATION_LIMIT: limit / 1e4}
-        walks = tuned(scaled(UNCERTAIN_KNEE, factors), found.best_gains)
+        walks = tuned(scaled(UNCERTAIN_KNEE, factors), result.best_gains)
         return walking_metrics(walks)["max_error_deg"]
 
     # A little less of either is not enough: an error beyond the bound, or no walking at all.
@@ -236,51 +236,51 @@ def test_the_sized_hardware_is_the_smallest(study):
 
 @pytest.mark.slow
 def test_what_the_controller_needs(study):
-    found, _ = study
-    steps = [ones[0] for ones in found.steps.values()]
+    result, _ = study
+    steps = [ones[0] for ones in result.steps.values()]
     assert steps[0]["max_error_deg"] > 40.0
     assert "left the range of motion" in steps[1]["failure"]
     assert "left the range of motion" in steps[2]["failure"]
     assert steps[3]["max_error_deg"] < 2.0
-    assert found.best_gains["lambda_per_s"] == 80.0
-    assert found.best_gains["meets"]
-    own = found.results()["controller"]
+    assert result.best_gains["lambda_per_s"] == 80.0
+    assert result.best_gains["meets"]
+    own = result.results()["controller"]
     assert own["authority_asked_m_s3"] > own["authority_m_s3"]
-    law = sliding_mode(found.designs[0].scenario)
+    law = sliding_mode(result.designs[0].scenario)
     asked_for = own["authority_asked_m_s3"]
     assert law.gain_ratio * law.eta_m_s3 > asked_for
 
 
 @pytest.mark.slow
 def test_bandwidth_goes_with_flow_and_never_beyond_its_bound(study):
-    found, _ = study
+    result, _ = study
     for path in (SPEED_LIMIT, DISPLACEMENT):
-        half, base, double = (one["bandwidth_hz"] for one in found.sweeps[path])
+        half, base, double = (one["bandwidth_hz"] for one in result.sweeps[path])
         # f ∝ R; the observer and the acceleration limit take 2 % at twice the flow.
         assert half / base == pytest.approx(0.5, rel=0.01)
         assert double / base == pytest.approx(2.0, rel=0.03)
     for path in HARDWARE:
-        for factor, one in zip(SMALL.factors, found.sweeps[path], strict=True):
+        for factor, one in zip(SMALL.factors, result.sweeps[path], strict=True):
             bound = expected_bandwidth_hz(scaled(UNCERTAIN_KNEE, {path: factor}))
             assert one["expected_bandwidth_hz"] == bound
             # The bound is that of a sine in x; the knee's is 3 % lower.
             assert 0.93 * bound < one["bandwidth_hz"] <= bound
-    errors = [one["max_error_deg"] for one in found.sweeps["encoder.counts_per_revolution"]]
+    errors = [one["max_error_deg"] for one in result.sweeps["encoder.counts_per_revolution"]]
     assert errors[0] > errors[1] > errors[2]
-    lag = [one["max_error_deg"] for one in found.sweeps["plant.pump.lag_s"]]
+    lag = [one["max_error_deg"] for one in result.sweeps["plant.pump.lag_s"]]
     assert lag[0] < lag[1] < lag[2]
 
 
 @pytest.mark.slow
 def test_pressure_and_power_agree_at_half_the_step(study):
-    found, _ = study
-    agreement = found.results()["designs"][0]["step_agreement"]
+    result, _ = study
+    agreement = result.results()["designs"][0]["step_agreement"]
     assert set(agreement) == {
         *("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
     }
     assert max(agreement.values()) < 0.01
-    checked = found.designs[0].halved
-    peaks = found.demands[0].peaks()
+    checked = result.designs[0].halved
+    peaks = result.demands[0].peaks()
     # A loop near its limits: what it must catch up with comes on top of the motion's own.
     assert checked["peak_pressure_mpa"] == pytest.approx(
         1e-6 * peaks["peak_load_pressure_pa"], rel=0.3
@@ -292,20 +292,20 @@ def test_pressure_and_power_agree_at_half_the_step(study):
 
 @pytest.mark.slow
 def test_a_study_that_goes_on_from_a_checkpoint_is_the_same(study):
-    found, path = study
+    result, path = study
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[: len(lines) // 2]))
     again = size_study(settings=SMALL, checkpoint=Checkpoint(path, resume=True))
-    assert to_json(again.results()) == to_json(found.results())
-    for name, trace in found.traces.items():
+    assert to_json(again.results()) == to_json(result.results())
+    for name, trace in result.traces.items():
         assert all(np.array_equal(again.traces[name][key], trace[key]) for key in trace)
 
 
 @pytest.mark.slow
 def test_every_figure_can_be_drawn(study):
-    found, _ = study
-    assert "nan" not in report(found)
-    for figure in figures(found).values():
+    result, _ = study
+    assert "nan" not in report(result)
+    for figure in figures(result).values():
         figure.canvas.draw()
 
 
@@ -320,13 +320,13 @@ def test_a_bound_out_of_reach_is_said_plainly():
             "seal_friction_n": 0.0,
         }
     )
-    found = size_study(settings=settings)
-    assert not found.designs[0].flow.reached
-    assert found.designs[0].flow.max_error_deg > 0.2
-    text = report(found)
+    result = size_study(settings=settings)
+    assert not result.designs[0].flow.reached
+    assert result.designs[0].flow.max_error_deg > 0.2
+    text = report(result)
     assert "not reached in 1 … 25: best 1." in text
     assert "none of the 2 gains tried has a disk margin of 1.9" in text
-    for figure in figures(found).values():
+    for figure in figures(result).values():
         plt.close(figure)
 
 

@@ -173,12 +173,16 @@ GAIN = AREA_TERM | {
 @pytest.mark.parametrize("mass", [1.4, 1.8])
 def test_reduced_order_keeps_the_promise_with_every_mass(mass):
     values = START | {"plant.cylinder.mass_kg": mass, "plant.load.disturbance_n": 60.0}
-    found = check_sliding(SETTINGS, short(0.002, 2e-5, **values))
-    assert (found["failure"], found["holding_share"], found["left_share"]) == ("", 1.0, 0.0)
-    assert 0.0 < found["reaching_s"] <= found["promised_s"] + 2e-5
-    assert found["promised_s"] == pytest.approx(0.8 / 1e3, rel=0.02)  # s starts at about −4 m/s²
-    assert found["worst_rate_m_s3"] < -1e3
-    assert found["bounded_share"] == 1.0
+    measured = check_sliding(SETTINGS, short(0.002, 2e-5, **values))
+    assert (measured["failure"], measured["holding_share"], measured["left_share"]) == (
+        "",
+        1.0,
+        0.0,
+    )
+    assert 0.0 < measured["reaching_s"] <= measured["promised_s"] + 2e-5
+    assert measured["promised_s"] == pytest.approx(0.8 / 1e3, rel=0.02)  # s starts at about −4 m/s²
+    assert measured["worst_rate_m_s3"] < -1e3
+    assert measured["bounded_share"] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -187,12 +191,12 @@ def test_reduced_order_keeps_the_promise_with_every_mass(mass):
     ids=list(LAWS),
 )
 def test_full_order_needs_the_area_to_attract_and_the_gain_to_hold(law, attracts, holds):
-    found = check_sliding(SETTINGS, short(0.006, 2e-5, **START, **FULL, **law))
-    assert (found["attracting_share"] == 1.0) is attracts
-    assert (found["holding_share"] == 1.0) is holds
-    assert (found["left_share"] == 0.0) is attracts
-    assert found["holding_share"] < 0.1 or holds
-    assert found["bounded_share"] == 1.0
+    measured = check_sliding(SETTINGS, short(0.006, 2e-5, **START, **FULL, **law))
+    assert (measured["attracting_share"] == 1.0) is attracts
+    assert (measured["holding_share"] == 1.0) is holds
+    assert (measured["left_share"] == 0.0) is attracts
+    assert measured["holding_share"] < 0.1 or holds
+    assert measured["bounded_share"] == 1.0
 
 
 def test_worst_rate_is_the_closed_form():
@@ -422,10 +426,10 @@ def by_hand():
 
     def case(part, plant, law, load, eta, **changes):
         n = len(cases) + 1
-        found = {name: 0.01 * n + 0.001 * k for k, name in enumerate(SHARES)}
-        found |= {name: 1.1 * n + 0.1 * k for k, name in enumerate(NUMBERS)}
-        found["failure"] = ""
-        found["trace"] = {
+        values = {name: 0.01 * n + 0.001 * k for k, name in enumerate(SHARES)}
+        values |= {name: 1.1 * n + 0.1 * k for k, name in enumerate(NUMBERS)}
+        values["failure"] = ""
+        values["trace"] = {
             "time_s": [0.0, 0.5, 1.0],
             "s_m_s2": [0.1 * n] * 3,
             "error_m": [1e-3 * n, -2e-3 * n, 3e-3 * n],
@@ -433,7 +437,7 @@ def by_hand():
             "outside_time_s": [0.1 * n, 0.2 * n],
             "reaching_rate_m_s3": [-1e3 * n, -2e3 * n],
         }
-        cases.append(SlidingCase(part, plant, law, load, eta, found | changes))
+        cases.append(SlidingCase(part, plant, law, load, eta, values | changes))
 
     for law in LAWS:
         for load in (60.0, -60.0):
@@ -456,10 +460,10 @@ def by_hand():
 
 
 def test_results_are_the_cases_without_their_traces(by_hand, flat, check_rules):
-    found = by_hand.results()
-    check_rules(found)
+    numbers = by_hand.results()
+    check_rules(numbers)
     low, high = GAIN["controller.mass_min_kg"], GAIN["controller.mass_max_kg"]
-    assert found.pop("effective_mass_kg") == pytest.approx((low, high), rel=1e-4)
+    assert numbers.pop("effective_mass_kg") == pytest.approx((low, high), rel=1e-4)
     from_1e4 = {"60 N": 1e4, "-60 N": 1e4}
     expected = {
         "needed_eta_m_s3": {"speed": 3.3e4, "stability": 8.1e4},
@@ -475,7 +479,7 @@ def test_results_are_the_cases_without_their_traces(by_hand, flat, check_rules):
             for c in by_hand.cases
         ],
     }
-    assert flat(found) == pytest.approx(flat(expected))
+    assert flat(numbers) == pytest.approx(flat(expected))
 
 
 @pytest.fixture(params=["by hand", "run"])
