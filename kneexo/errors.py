@@ -1,11 +1,11 @@
 """The errors that kneexo raises for wrong input or a failed run; each message is one line.
 
-The compiler has errors of its own in `kneexo.compiler.errors`; this module imports them.
+The compiler has errors of its own; this module imports them.
 """
 
 from __future__ import annotations
 
-from kneexo.compiler.errors import (
+from kneexo.compiler import (
     CompilationError as CompilationError,
     Error,
     OutputError as OutputError,

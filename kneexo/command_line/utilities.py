@@ -126,15 +126,15 @@ def cache(clear: bool) -> Outcome:
     """Return size, limit and last use of the compiled models on disk; or delete the models."""
     import time
 
-    from kneexo.compiler.native import cache as models
+    from kneexo.compiler import cache_directory, cache_entries, cache_size_limit, clear_cache
 
-    directory = models.cache_directory()
+    directory = cache_directory()
     origin = {"kneexo": __version__, "directory": str(directory)}
     if clear:
-        count = models.clear()
+        count = clear_cache()
         text = f"{directory}: {count} {'entry' if count == 1 else 'entries'} deleted\n"
         return Outcome(text, json.dumps({**origin, "deleted": count}) + "\n")
-    entries, limit_bytes = models.entries(), models.size_limit()
+    entries, limit_bytes = cache_entries(), cache_size_limit()
     size_bytes = sum(entry.size_bytes for entry in entries)
     document = {
         **origin,

@@ -17,7 +17,7 @@ A leaf system may state three public attributes for the compiler: ``margin``, ``
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # mypy and editors see these names; it would accept any name of `__getattr__`
+if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
     from .c.export import (
         REPLAY_TOLERANCES as REPLAY_TOLERANCES,
         Measurement as Measurement,
@@ -55,7 +55,12 @@ if TYPE_CHECKING:  # mypy and editors see these names; it would accept any name 
         compile_by_key as compile_by_key,
         compile_diagram as compile_diagram,
     )
-    from .native.cache import cache_directory as cache_directory
+    from .native.cache import (
+        cache_directory as cache_directory,
+        cache_entries as cache_entries,
+        cache_size_limit as cache_size_limit,
+        clear_cache as clear_cache,
+    )
     from .native.cores import available_cores as available_cores
     from .native.runner import (
         ROUGH_STEP_S as ROUGH_STEP_S,
@@ -85,7 +90,7 @@ else:
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),
         ),
-        "native.cache": ("cache_directory",),
+        "native.cache": (*("cache_directory", "cache_entries", "cache_size_limit", "clear_cache"),),
         "native.cores": ("available_cores",),
         "native.runner": ("ROUGH_STEP_S", "STEP_S", "TOLERANCE"),
         "run_data": ("Array", "InputTable", "State"),

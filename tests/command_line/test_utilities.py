@@ -75,9 +75,9 @@ def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
     assert not (tmp_path / "cache").exists()
     for age_s in range(6):
         cache.store(str(age_s), bytes(2**20))
-        used_last = cache.entries()[0].path
+        used_last = cache.cache_entries()[0].path
         os.utime(used_last, (1e9 - age_s, 1e9 - age_s))
-    newest, *_, oldest = cache.entries()
+    newest, *_, oldest = cache.cache_entries()
     assert main(["cache", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["directory"] == str(tmp_path / "cache")

@@ -1,5 +1,7 @@
 """What a newcomer meets: signatures, one-line errors, short texts, news of a long compilation."""
 
+import ast
+import sys
 import time
 from pathlib import Path
 
@@ -10,6 +12,22 @@ from pydrake.systems.primitives import Integrator, LinearSystem
 from kneexo.compiler import compile_diagram
 from kneexo.compiler.errors import CompilationError
 from kneexo.compiler.native import machine_code
+
+
+def imported_names(path):
+    """Public names of the imports in a file, by the module that they come from."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    imports = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level)
+    return {alias.asname: node.module for node in imports for alias in node.names}
+
+
+def test_the_names_for_the_type_checker_are_those_of_the_package():
+    compiler = sys.modules[compile_diagram.__module__.rpartition(".")[0]]
+    assert imported_names(Path(compiler.__file__)) == compiler._MODULE_OF
+    for name in compiler.__all__:
+        assert getattr(compiler, name) is not None
+    with pytest.raises(AttributeError, match=r"has no attribute 'absent'$"):
+        _ = compiler.absent
 
 
 def lag():

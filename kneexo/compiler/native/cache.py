@@ -98,13 +98,13 @@ def store(key: str, content: bytes) -> None:
         _shrink(path)
 
 
-def entries() -> list[FileStatus]:
+def cache_entries() -> list[FileStatus]:
     """All entries, the one used last first."""
     files = [entry for directory in _directories() for entry in files_in(directory, _ENTRY)]
     return sorted(files, key=lambda entry: entry.last_use_s, reverse=True)
 
 
-def clear() -> int:
+def clear_cache() -> int:
     """Delete all entries, and temporary files of killed processes; returns the number of entries.
 
     Raises `OutputError` when an entry cannot be deleted.
@@ -124,7 +124,7 @@ def clear() -> int:
     return count
 
 
-def size_limit() -> int:
+def cache_size_limit() -> int:
     """Return the largest total size of the entries in bytes."""
     setting = variable("CACHE_SIZE_MB")
     text = os.environ.get(setting) or str(_DEFAULT_LIMIT_MB)
@@ -171,7 +171,7 @@ def _is_trusted(status: os.stat_result) -> bool:
 
 def _shrink(stored: Path) -> None:
     """Keep the entry just stored and, of the others, those used last that fit the limit."""
-    limit, total = size_limit(), 0
+    limit, total = cache_size_limit(), 0
     files = files_in(stored.parent, _ENTRY)
     for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
         total += entry.size_bytes

@@ -50,9 +50,9 @@ def silent(recwarn):
 
 def entry_path(key):
     """Path of a new entry of that key, with the content b"code"."""
-    before = {entry.path for entry in cache.entries()}
+    before = {entry.path for entry in cache.cache_entries()}
     cache.store(key, b"code")
-    (path,) = {entry.path for entry in cache.entries()} - before
+    (path,) = {entry.path for entry in cache.cache_entries()} - before
     return path
 
 
@@ -67,7 +67,7 @@ def set_last_use(path, age_s):
 @pytest.mark.usefixtures("silent")
 def test_content_comes_back_under_its_key_alone(directory):
     assert cache.load("key") is None
-    assert cache.entries() == []
+    assert cache.cache_entries() == []
     assert not directory.exists()
     for key, content in {"key": b"first", "other": b"", "": bytes(range(256)) * 999}.items():
         cache.store(key, content)
@@ -114,7 +114,7 @@ def test_no_damage_yields_wrong_content():
     paths = {}
     for key, content in contents.items():
         cache.store(key, content)
-        (paths[key],) = {entry.path for entry in cache.entries()} - set(paths.values())
+        (paths[key],) = {entry.path for entry in cache.cache_entries()} - set(paths.values())
     sound = {key: path.read_bytes() for key, path in paths.items()}
 
     def flip(data):
@@ -178,7 +178,7 @@ def test_clear_deletes_a_link_to_a_directory_and_not_the_directory(tmp_path):
     path = entry_path("key")
     path.unlink()
     path.symlink_to(tmp_path)
-    assert cache.clear() == 1
+    assert cache.clear_cache() == 1
     assert not path.is_symlink()
     assert tmp_path.is_dir()
 
@@ -286,7 +286,7 @@ def test_the_next_store_removes_stale_temporary_files_of_the_cache_alone(directo
     assert not stale.exists()
     assert live.exists()
     set_last_use(live, HOUR_S + 60.0)
-    assert cache.clear() == 2
+    assert cache.clear_cache() == 2
     assert sorted(directory.iterdir()) == sorted(foreign)
 
 
@@ -307,7 +307,7 @@ for _ in range(150):
         assert content in (None, key.encode() * 200_000)
         hits += content is not None
     if source.random() < 0.02:
-        cache.clear()
+        cache.clear_cache()
 print(hits)
 """
 
@@ -329,7 +329,7 @@ def test_processes_store_load_shrink_and_clear_at_the_same_time(directory, monke
         assert int(hits) > 0
     assert all(path.suffix == ".kneexo" for path in directory.iterdir())
     cache.store("last", b"")
-    assert sum(entry.size_bytes for entry in cache.entries()) <= 2**20
+    assert sum(entry.size_bytes for entry in cache.cache_entries()) <= 2**20
 
 
 # ----------------------------------------------------------------------------- size
@@ -343,8 +343,8 @@ def test_the_entries_used_longest_ago_go_first(monkeypatch):
         cache.store(key, bytes(300_000))
         set_last_use(paths[key], 1000.0 + age_s)
     cache.load("d")
-    assert cache.entries()[0].path == paths["d"]
-    assert cache.entries()[-1].path == paths["c"]
+    assert cache.cache_entries()[0].path == paths["d"]
+    assert cache.cache_entries()[-1].path == paths["c"]
     monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "1")
     cache.store("e", bytes(300_000))
     kept = [key for key in "abcde" if cache.load(key) is not None]
@@ -363,7 +363,7 @@ def test_the_entry_just_stored_stays(monkeypatch):
     monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "0")
     cache.store("other", b"code")
     assert cache.load("other") == b"code"
-    assert len(cache.entries()) == 1
+    assert len(cache.cache_entries()) == 1
 
 
 @pytest.mark.usefixtures("silent")
@@ -379,20 +379,20 @@ def test_an_entry_that_another_process_deletes_meanwhile_is_skipped(monkeypatch)
         yield [first, *others]
 
     monkeypatch.setattr(os, "scandir", deleting)
-    assert {entry.path for entry in cache.entries()} == paths
+    assert {entry.path for entry in cache.cache_entries()} == paths
 
 
 @pytest.mark.parametrize("text", ["-1", "many", "1.5", "nan", " ", "9" * 400, "x" * 10_000])
 def test_a_bad_size_limit_is_ignored_with_a_warning(monkeypatch, text):
-    assert cache.size_limit() == 512 * 2**20
+    assert cache.cache_size_limit() == 512 * 2**20
     monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", text)
     with pytest.warns(UserWarning, match="^KNEEXO_CACHE_SIZE_MB = .* is 512 MiB$") as told:
-        assert cache.size_limit() == 512 * 2**20
+        assert cache.cache_size_limit() == 512 * 2**20
     assert len(str(told[0].message)) <= 400
     with warnings.catch_warnings(action="error"):
-        assert cache.size_limit() == 512 * 2**20
+        assert cache.cache_size_limit() == 512 * 2**20
     monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "3")
-    assert cache.size_limit() == 3 * 2**20
+    assert cache.cache_size_limit() == 3 * 2**20
 
 
 # ----------------------------------------------------------------------------- directories
@@ -440,7 +440,7 @@ def store_with_one_warning(match):
     assert message.endswith(f"; this process keeps compiled models in {private}")
     assert "\n" not in message
     assert private.stat().st_mode & 0o777 == 0o700
-    assert {entry.path.parent for entry in cache.entries()} >= {private}
+    assert {entry.path.parent for entry in cache.cache_entries()} >= {private}
     return private
 
 
@@ -474,7 +474,7 @@ def test_a_directory_that_others_may_write_is_refused(directory, mode):
     directory.chmod(mode)
     store_with_one_warning(rf"^{directory}: others may write to it \(mode {mode:o}; use chmod go-w")
     assert path.read_bytes().endswith(b"code")
-    assert path not in [entry.path for entry in cache.entries()]
+    assert path not in [entry.path for entry in cache.cache_entries()]
     directory.chmod(0o755)
     assert cache.load("key") == b"code"
 
@@ -512,7 +512,7 @@ def test_a_directory_that_cannot_be_written_serves_what_it_has(directory, monkey
     store_with_one_warning(rf"^{directory}: cannot be written \({os.strerror(reason)}\)")
     assert cache.load("kept") == b"kept"
     assert len(list(directory.iterdir())) == 2
-    assert len(cache.entries()) == 4
+    assert len(cache.cache_entries()) == 4
 
 
 def test_a_read_only_directory_is_told(directory):
@@ -536,8 +536,8 @@ def test_where_nothing_can_be_written_nothing_is_kept(directory, monkeypatch):
     with warnings.catch_warnings(action="error"):
         cache.store("key", b"code")
     assert cache.load("key") is None
-    assert cache.entries() == []
-    assert cache.clear() == 0
+    assert cache.cache_entries() == []
+    assert cache.clear_cache() == 0
 
 
 def test_the_private_directory_ends_with_its_process_and_not_with_a_fork(directory):
@@ -567,8 +567,8 @@ def test_clear_says_what_it_cannot_delete(monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", fail)
         with pytest.raises(OutputError, match=rf"^{path}: cannot be deleted \(Permission denied\)"):
-            cache.clear()
-    assert cache.clear() == 1
+            cache.clear_cache()
+    assert cache.clear_cache() == 1
 
 
 def test_code_for_one_run_and_for_lanes_are_two_entries_and_loaded_once():
@@ -579,9 +579,9 @@ def test_code_for_one_run_and_for_lanes_are_two_entries_and_loaded_once():
         model = compile_diagram(system)
         parameters, states = [model.parameters()] * count, State([1.0], [])
         model.simulate_batch(parameters, states, 0.1, record_period_s=0.1)
-        return len(cache.entries())
+        return len(cache.cache_entries())
 
     alone = simulate(1)
     assert simulate(8) == alone + 1
-    cache.clear()
+    cache.clear_cache()
     assert simulate(1) == simulate(8) == 0  # this process has them
