@@ -22,8 +22,8 @@ def csv_file(directory: Path, text: str) -> CsvReference:
 
 def test_csv_reference_reads_two_columns(tmp_path: Path) -> None:
     text = "# measured\n\nt, hip ,knee\n0,1,10\n0.5,2,20\n\n1,3,12.5\n"
-    given = csv_file(tmp_path, text).model_copy(update={"interpolation": "pchip"})
-    assert given.samples(tmp_path) == SampledReference(
+    reference = csv_file(tmp_path, text).model_copy(update={"interpolation": "pchip"})
+    assert reference.samples(tmp_path) == SampledReference(
         times_s=(0.0, 0.5, 1.0), angles_deg=(10.0, 20.0, 12.5), interpolation="pchip"
     )
 
