@@ -56,7 +56,7 @@ def interrupt_later() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+        for replaced, handler in handlers.items():
+            signal.signal(replaced, handler)
         if arrived:
             signal.raise_signal(arrived[0])
