@@ -31,6 +31,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"form": _form, "number": number, "percent": percent}
+    environment.filters["numbers"] = lambda values: ", ".join(map(number, values))
     tables: Iterable[Callable[..., list[str]]] = (column_table, markdown_table, row_table)
     environment.globals |= {table.__name__: _lines(table) for table in tables}
     return environment
@@ -43,9 +44,9 @@ def filled(template: str, **data: Any) -> str:
     """Fill a template of a study with ``data`` and return its text.
 
     ``template`` is a path such as ``order/report.md``. A paragraph may be wrapped there; its lines
-    become one. Several empty lines become one. A template has the filters ``number`` and
-    ``percent`` of `kneexo.studies.markdown`, ``form`` for a format specification, and the tables of
-    that module. Raises `jinja2.UndefinedError` for a name that ``data`` lacks.
+    become one. Several empty lines become one. A template has the filters ``number``, ``percent``
+    and, for a sequence, ``numbers``, the filter ``form`` for a format specification, and the tables
+    of `kneexo.studies.markdown`. Raises `jinja2.UndefinedError` for a name that ``data`` lacks.
     """
     text = _ENVIRONMENT.get_template(template).render(data)
     return _WRAPPED.sub(" ", re.sub(r"\n{3,}", "\n\n", text)).strip() + "\n"

@@ -18,7 +18,6 @@ from kneexo.parameters import (
 )
 from kneexo.result import Array, Result
 from kneexo.studies.controller.settings import ControllerSettings
-from kneexo.studies.markdown import number, percent
 
 METRICS = (
     "max_error_deg",
@@ -208,11 +207,13 @@ def _faster(study: ControllerResult) -> Claim:
         case="two neighbouring λ at equal Φ and η; holds when the larger one brings a step of "
         f"{grid.step_deg:g}° to within ±{band:g}° of its end sooner",
         **_counted(large < small, decided, sound[1:] & sound[:-1]),
-        finding=f"λ = {_numbers(grid.lambdas_per_s)} 1/s at the default Φ and η: the step of "
-        f"{grid.step_deg:g}° settles to ±{band:g}° in {_numbers(settling[:, phi, eta])} s; s = 0 "
-        f"alone would take {_numbers(ideal)} s. The step of {grid.large_step_deg:g}° settles to "
-        f"the same ±{band:g}° in {_numbers(study.values['large_settling_s'][:, phi, eta])} s: the "
-        f"speed limit bounds it.",
+        finding=_finding(
+            "lambda",
+            grid=grid,
+            settling_s=settling[:, phi, eta],
+            large_settling_s=study.values["large_settling_s"][:, phi, eta],
+            ideal_s=ideal,
+        ),
     )
 
 
@@ -235,13 +236,15 @@ def _chattering(study: ControllerResult) -> Claim:
         f"equal λ and η; holds when its command changes more than {grid.chattering_factor:g} "
         f"times as much per sample",
         **_counted(chatters, wrong, sound),
-        finding=f"Too small a Φ chatters in {percent(_share(chatters[small]))} of "
-        f"{np.count_nonzero(small)} cases (the counts of the encoder, amplified up to the speed "
-        f"limit), too large a Φ in {percent(_share(chatters[large]))} of "
-        f"{np.count_nonzero(large)} (an oscillation of a loop without damping, see the limit cycle "
-        f"below). The calmest Φ at the default η is {_numbers(np.array(grid.phis_m_s2)[chosen])} "
-        f"m/s² at λ = {_numbers(grid.lambdas_per_s)} 1/s; λk/Φ there is "
-        f"{rule.min():.2g}…{rule.max():.2g} 1/s².",
+        finding=_finding(
+            "phi",
+            grid=grid,
+            small={"cases": np.count_nonzero(small), "share": _share(chatters[small])},
+            large={"cases": np.count_nonzero(large), "share": _share(chatters[large])},
+            calmest_m_s2=np.array(grid.phis_m_s2)[chosen],
+            lowest_per_s2=rule.min(),
+            highest_per_s2=rule.max(),
+        ),
     )
 
 
@@ -265,11 +268,14 @@ def _adherence(study: ControllerResult) -> Claim:
         f"than {100 * _SATURATED:g} % of its samples saturated; holds when its largest error is "
         f"smaller",
         **_counted(falls, finite & free[..., 1:], sound[..., 1:] & sound[..., :-1]),
-        finding=f"Where the larger η saturates or is unstable the error falls in "
-        f"{percent(_share(falls[beyond]))} of {np.count_nonzero(beyond)} cases. η = "
-        f"{_numbers(grid.etas_m_s3)} m/s³ at the default λ and Φ: error "
-        f"{_numbers(error[lambda_, phi])}°. It is k/Φ that counts, which rises with η: with Φ "
-        f"raised too, so that k/Φ stays {slope:.2g} 1/s, the same η give {_numbers(same)}°.",
+        finding=_finding(
+            "eta",
+            grid=grid,
+            beyond={"cases": np.count_nonzero(beyond), "share": _share(falls[beyond])},
+            errors_deg=error[lambda_, phi],
+            slope_per_s=slope,
+            errors_at_slope_deg=same,
+        ),
     )
 
 
@@ -283,5 +289,8 @@ def _at_slope(slopes: Array, error: Array, slope: float) -> float:
     return float(np.exp(np.interp(math.log(slope), x, y)))
 
 
-def _numbers(values: Any) -> str:
-    return ", ".join(map(number, values))
+def _finding(symbol: str, **data: Any) -> str:
+    """Fill the template of the finding on λ, Φ or η."""
+    from kneexo.studies.template import filled  # not needed by the list of parameters
+
+    return filled(f"controller/finding_{symbol}.md", **data).rstrip("\n")
