@@ -1,4 +1,4 @@
-"""What compilers say of an exported model: differences on this machine, size on a target."""
+"""Exported C under the compilers of this machine: differences in a replay, size on a target."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..errors import CompilationError
 from ..files import temporary_folder
 
 COMPILERS = ("cc", "gcc", "clang")
-"""Compilers for this machine, in the order in which they are looked for."""
+"""Names of compilers for this machine; the first one on the PATH is used."""
 
 TARGETS = {
     "Cortex-M4F": "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16",
@@ -22,7 +22,7 @@ TARGETS = {
 """Options of arm-none-eabi-gcc for each target."""
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
-"""Flags of the C compiler; no contraction to fused operations, which round otherwise."""
+"""Flags of the C compiler. Without contraction, a product and a sum are rounded separately."""
 
 
 BUILD = "build"
@@ -30,7 +30,7 @@ BUILD = "build"
 
 
 class BuildError(CompilationError):
-    """A compiler is missing or fails: nothing is known of the code."""
+    """A compiler is missing or fails, so that nothing can be measured."""
 
 
 @dataclass(frozen=True)
@@ -49,35 +49,38 @@ class CodeSize:
     flash: int
     """Code and constants, parameters among them."""
     stack: int
-    """Of a step: its own frame and those of all functions that it may call."""
+    """Stack of a step: the sum of the frames of all functions that a step may call."""
 
 
 def replay(name: str, files: Mapping[str, str]) -> Replay:
-    """Build the harness for this machine and run it.
+    """Build the harness for this machine, run it, and return the differences that it prints.
 
-    Raises `BuildError` without a compiler and when it does not build, `CompilationError` when the
-    harness does not reach its end.
+    Raises `BuildError` if there is no C compiler or the build fails, and `CompilationError` if the
+    harness prints no differences.
     """
     compiler = _compiler()
     if compiler is None:
         raise BuildError(f"this machine has no C compiler ({', '.join(COMPILERS)})")
     with temporary_folder(files) as folder:
         _run(folder, compiler, *FLAGS, *_sources(files), "-o", "harness", "-lm")
-        done = _ended(folder, str(folder / "harness"))
-    rows = re.findall(r"^(\w+): difference (\S+), largest value (\S+)$", done.stdout, re.MULTILINE)
+        process = _ended(folder, str(folder / "harness"))
+    rows = re.findall(
+        r"^(\w+): difference (\S+), largest value (\S+)$", process.stdout, re.MULTILINE
+    )
     if not rows:
         raise CompilationError(f"{name}: the harness printed no difference")
     return Replay(
         {field: float(difference) for field, difference, _ in rows},
         {field: float(largest) for field, _, largest in rows},
-        done.returncode == 0,
+        process.returncode == 0,
     )
 
 
 def shared_library(files: Mapping[str, str]) -> bytes | None:
-    """A shared library for this machine that shows only what is marked; None without a compiler.
+    """Return a shared library for this machine; None without a C compiler.
 
-    Raises `CompilationError` when it does not build.
+    The library exports the functions that are marked as visible, and hides the others. Raises
+    `CompilationError` if the build fails.
     """
     compiler = _compiler()
     if compiler is None:
@@ -97,7 +100,10 @@ def _sources(files: Mapping[str, str]) -> list[str]:
 
 
 def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
-    """Flash and stack on each of `TARGETS`; `BuildError` where arm-none-eabi-gcc gives none."""
+    """Return flash and stack on each of `TARGETS`.
+
+    Raises `BuildError` if arm-none-eabi-gcc is missing or fails.
+    """
     compiler, size = map(shutil.which, ("arm-none-eabi-gcc", "arm-none-eabi-size"))
     if compiler is None or size is None:
         raise BuildError("this machine has no arm-none-eabi-gcc")
@@ -115,21 +121,21 @@ def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
             line.split(":")[3].split("\t")[0]: int(line.split("\t")[1])
             for line in usage.splitlines()
         }
-        outside = (f"{name}_init", f"{name}_update_parameters", f"{name}_outputs")
+        other = (f"{name}_init", f"{name}_update_parameters", f"{name}_outputs")
         sizes[target] = CodeSize(
             sum(int(line.split()[0]) for line in table),
-            sum(bytes_ for function, bytes_ in stack.items() if function not in outside),
+            sum(bytes_ for function, bytes_ in stack.items() if function not in other),
         )
     return sizes
 
 
 def _run(folder: Path, *command: str) -> str:
-    done = _ended(folder, *command)
-    if done.returncode:
-        lines = done.stderr.splitlines() or ["no message"]
+    process = _ended(folder, *command)
+    if process.returncode:
+        lines = process.stderr.splitlines() or ["no message"]
         line = next((line for line in lines if "error" in line.lower()), lines[0])
         raise BuildError(f"{Path(command[0]).name}: {line.strip()}")
-    return done.stdout
+    return process.stdout
 
 
 def _ended(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:

@@ -24,7 +24,7 @@ WIDTH = 96
 _LONGEST_EXPRESSION = 160
 
 Load = Callable[[str, int], str]
-"""C text of an element of a source (`graph.SOURCES`), or of a ``constant`` of `CPrinter.fixed`."""
+"""Returns the C text that reads an element of a source (`graph.SOURCES`), constant or table."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Precision:
 
     name: str
     suffix: str
-    """Of literals and of functions of the C library."""
+    """End of literals, and of the names of functions of the C library."""
     largest: float
     smallest: float
     """Smallest normal number."""
@@ -48,13 +48,17 @@ PRECISIONS = {precision.name: precision for precision in (DOUBLE, FLOAT)}
 """Each precision by its name in C."""
 
 
-def literal(value: float, precision: Precision, what: str = "a constant") -> str:
-    """A number as C text; `CompilationError` where the type cannot hold it."""
+def literal(value: float, precision: Precision, name: str = "a constant") -> str:
+    """Return a number as C text.
+
+    Raises `CompilationError` for a number that is not finite, or that no normal number of the type
+    represents. ``name`` names the number in the message.
+    """
     if not math.isfinite(value):
-        raise CompilationError(f"{what} = {value}: must be finite")
+        raise CompilationError(f"{name} = {value}: must be finite")
     if value != 0.0 and not precision.smallest <= abs(value) <= precision.largest:
         raise CompilationError(
-            f"{what} = {value:g}: lies outside {precision.smallest:g} … {precision.largest:g}, "
+            f"{name} = {value:g}: lies outside {precision.smallest:g} … {precision.largest:g}, "
             f"what a normal {precision.name} holds"
         )
     text = np.format_float_scientific(precision.round(value), trim="0")
@@ -64,23 +68,26 @@ def literal(value: float, precision: Precision, what: str = "a constant") -> str
 
 @dataclass
 class CPrinter:
-    """Prints what a function computes; what depends on parameters alone is computed before."""
+    """Prints the statements that compute nodes.
+
+    Nodes in ``fixed`` and ``tables`` are not computed: the statements read their values.
+    """
 
     graph: Graph
     precision: Precision
     sections: Sequence[Section]
-    """In whose order statements come, each under a comment."""
+    """Groups of nodes; statements come in this order, each group under a comment."""
     fixed: dict[int, int] = field(default_factory=dict)
-    """Nodes that depend on parameters alone, with their number among the constants."""
+    """Nodes that depend on parameters alone, with the indices of their values."""
     tables: dict[int, int] = field(default_factory=dict)
-    """Nodes that are looked up, with the number of their table."""
+    """Nodes whose values stand in tables, with the numbers of the tables."""
     functions: set[str] = field(default_factory=set)
-    """Functions of the C library that some block calls."""
+    """Names of the functions of the C library that all blocks so far call."""
     operations: Counter[str] = field(default_factory=Counter)
-    """What all blocks so far do: operators, and functions by their names."""
+    """How often each operator and each function stands in the blocks so far."""
 
     def collect_fixed(self, roots: Iterable[int]) -> None:
-        """Find what of ``roots`` is worth computing once: it is fixed, but more than a load."""
+        """Fill `fixed` with the nodes behind ``roots`` that are fixed and more than a load."""
         nodes = fixed_nodes(self.graph, roots, self.tables)
         worthwhile = [node for node in nodes if self.graph.nodes[node][0] not in SOURCES]
         self.fixed = {node: number for number, node in enumerate(worthwhile)}
@@ -93,7 +100,10 @@ class CPrinter:
         fixed: Mapping[int, int] | None = None,
         indent: str = "    ",
     ) -> list[str]:
-        """Statements that compute nodes and assign each to its target."""
+        """Return statements that compute nodes and assign the values to targets.
+
+        ``targets``: pairs of C text and node. ``fixed`` replaces `fixed` if it is given.
+        """
         constants = self.fixed if fixed is None else fixed
         loads = {node: ("constant", number) for node, number in constants.items()}
         loads |= {node: ("table", number) for node, number in self.tables.items()}
@@ -104,7 +114,7 @@ class _Block:
     def __init__(
         self, printer: CPrinter, load: Load, loads: Mapping[int, tuple[str, int]], indent: str
     ) -> None:
-        """``loads``: nodes that are not computed here, and what to load for them."""
+        """``loads``: source and index to read for each node that is not computed here."""
         self.printer, self.graph, self.load, self.loads = printer, printer.graph, load, loads
         self.real = printer.precision
         self.indent = indent
@@ -130,7 +140,7 @@ class _Block:
         return lines + self._statements(sorted(waiting), uses) + self._assignments(unset)
 
     def _statements(self, nodes: Sequence[int], uses: Counter[int]) -> list[str]:
-        """Computation of nodes that are used several times, or are long."""
+        """Return statements for nodes that are used several times or are long; note the others."""
         lines = []
         for node in nodes:
             text = self._expression(node)
@@ -168,7 +178,7 @@ class _Block:
 
     @staticmethod
     def _bare(text: str) -> str:
-        """An expression without the parentheses around the whole."""
+        """Return an expression without the parentheses around the whole."""
         if not (text.startswith("(") and text.endswith(")")):
             return text
         depth = 0
@@ -227,7 +237,7 @@ class _Block:
         return f"({text})"
 
     def _negated(self, node: int) -> str | None:
-        """Text of -x, for a product with the factor -1 that has no name yet."""
+        """Return x as text for a product -x that has no name yet, else None."""
         kind, *_ = self.graph.nodes[node]
         text = self.text[node]
         return text[2:-1] if kind == "multiply" and text.startswith("(-") else None
@@ -247,7 +257,7 @@ class _Block:
 
 
 def comment_lines(text: str, indent: str = "") -> list[str]:
-    """Text as a comment of C, in ASCII: Greek letters become their names."""
+    """Return text as the lines of a C comment, in ASCII: Greek letters become their names."""
     text = re.sub(r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)", " ", plain_line(text))
     return textwrap.wrap(
         f"/* {text} */", WIDTH, initial_indent=indent, subsequent_indent=f"{indent} * "
@@ -255,7 +265,7 @@ def comment_lines(text: str, indent: str = "") -> list[str]:
 
 
 def plain_line(text: str) -> str:
-    """Text in a single line of ASCII that no file takes for anything but text."""
+    """Return text as one line of ASCII without backslashes and control characters."""
 
     def plain(character: str) -> str:
         if character.isascii():

@@ -1,4 +1,4 @@
-"""Steps of the Runge-Kutta method in exported code, by the fastest mode of a diagram."""
+"""Largest step of the Runge-Kutta method in exported code, from the fastest mode of a diagram."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ STEP_ANGLE = 0.2
 """Largest product of the step of RK4 and the magnitude of an eigenvalue."""
 
 SHORTEST_STEP_S = 1e-7
-"""Shortest step that is chosen; a faster mode needs ``step_s``, and is better left out."""
+"""Shortest default step. For a faster mode ``step_s`` is required; better leave the mode out."""
 
 
 def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
-    """Largest step of RK4 for a diagram, in s.
+    """Return the default of the largest step of RK4 for a diagram, in s.
 
-    The rule is h = min(`STEP_S`, `STEP_ANGLE` / |λ|), and at least `SHORTEST_STEP_S`, where λ is
-    the fastest eigenvalue of the continuous states between two sample times: of their derivatives,
-    linearized at the start with inputs of zero. A step of RK4 turns an undamped mode by z⁵/120 rad
-    too little, with z = h·|λ|. The oil of a hydraulic drive is nearly undamped, so that these
-    errors add up: at z = 0.56 they make 10 % of the load pressure, at z = 0.2 less than 0.1 %. RK4
-    is unstable beyond z = 2.8; z = 0.2 leaves a factor of 14 for a system that becomes faster away
-    from its start.
+    The rule is h = min(`STEP_S`, `STEP_ANGLE` / |λ|), and at least `SHORTEST_STEP_S`. λ is the
+    eigenvalue of largest magnitude of the continuous states; their derivatives are linearized at
+    the start, with zero inputs and constant discrete states.
 
-    ``parameters``, ``state``: values of the Context parameters, and the state before the
-    initialization events. Raises `CompilationError` where the linearization is not finite.
+    A step of RK4 turns an undamped mode by z⁵/120 rad too little, with z = h·|λ|. The oil of a
+    hydraulic drive is nearly undamped, so that the errors of many steps add up: to 10 % of the load
+    pressure at z = 0.56, to less than 0.1 % at z = 0.2. RK4 is unstable beyond z = 2.8. So z = 0.2
+    leaves a factor of 14 for a system that becomes faster after its start.
+
+    ``parameters`` are the values of the Context parameters, ``state`` is the state before the
+    initialization events. Raises `CompilationError` if an element of the linearization is not
+    finite.
     """
     graph, size = equations.graph, len(equations.states)
     if not size:

@@ -1,7 +1,7 @@
-"""Tables of what depends on one whole-number input alone, such as the count of an encoder.
+"""Tables of values that depend on a single integer input, such as the count of an encoder.
 
-A table is computed in double precision when the model is exported and rounded once. In single
-precision that is more exact than to compute the same for each step, and it takes no time.
+The export computes a table in double precision and rounds each value once. In single precision
+the table is more accurate than a computation in each step, and the look-up is faster.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from ..run_data import Array
 
 @dataclass(frozen=True)
 class Table:
-    """Values of a node for each whole number from ``first`` on of an element of the inputs."""
+    """Values of a node, one for each value of an integer input; ``first`` is the lowest.
+
+    ``element`` is the index of the input among the elements of all inputs.
+    """
 
     node: int
     element: int
@@ -33,9 +36,9 @@ def tables_of(
     ranges: Mapping[int, tuple[int, int]],
     parameters: Array,
 ) -> list[Table]:
-    """Tables that save more than sums and products.
+    """Return tables of the nodes whose computation takes more than sums and products.
 
-    ``ranges``: of an element of the inputs that is a whole number, its lowest and highest value.
+    ``ranges``: lowest and highest value of each integer input, by its element of the inputs.
     """
     elements = {graph.source("input", element): element for element in ranges}
     by_count = nodes_by_count(

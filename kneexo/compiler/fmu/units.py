@@ -1,4 +1,4 @@
-"""Units by the ends of names: ``motor_speed_rad_s`` is in rad/s."""
+"""Units at the ends of names: the unit of ``motor_speed_rad_s`` is rad/s."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 
 BASE_UNITS = ("kg", "m", "s", "rad")
-"""What all units here are made of."""
+"""Base units of all units in this module, in the order of `Unit.exponents`."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit in the notation of Modelica, its exponents of `BASE_UNITS`, and its factor to SI."""
+    """A unit in the notation of Modelica, with exponents of `BASE_UNITS` and factor to SI."""
 
     name: str
     exponents: tuple[int, int, int, int]
@@ -49,7 +49,7 @@ _BY_ENDING = {
 
 
 def unit_of_name(name: str) -> Unit | None:
-    """The unit at the end of a name, the longest that fits; None where there is none."""
+    """Return the longest known unit at the end of a name; None if the name ends in no unit."""
     words = name.rpartition(".")[2].split("_")
     endings = ("_".join(words[first:]) for first in range(1, len(words)))
     return next((_BY_ENDING[ending] for ending in endings if ending in _BY_ENDING), None)

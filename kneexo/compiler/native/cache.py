@@ -1,4 +1,4 @@
-"""Machine code on disk: compiled once, loaded by every later process.
+"""Machine code on disk: one process compiles it, every later process loads it.
 
 Each entry is one file that holds a format version, a SHA-256 seal over key and content, and the
 content. The files stand in ``KNEEXO_CACHE_DIR``, else in ``kneexo`` below ``XDG_CACHE_HOME``, else
@@ -50,9 +50,9 @@ _warnings_given: set[str] = set()
 
 
 def load(key: str) -> bytes | None:
-    """Content of the entry of that key, or None when there is none.
+    """Return the content of the entry with the key, or None if there is none.
 
-    A damaged entry gives a warning and None. The call records the time of use.
+    A damaged entry gives a warning and None. The call records the time of the last use.
     """
     for directory in reversed(_directories()):
         path = directory / _name(key)
@@ -72,10 +72,10 @@ def load(key: str) -> bytes | None:
 
 
 def store(key: str, content: bytes) -> None:
-    """Write the entry of that key, all or nothing, and delete old entries beyond the limit.
+    """Write the entry with the key as a whole, and delete old entries beyond the size limit.
 
-    Never raises `OSError`: where the directory cannot be written, one warning says so and a
-    private directory of this process takes its place. Content above 256 MiB is not kept.
+    Never raises `OSError`. If the directory cannot be written, one warning says so, and a private
+    directory of this process replaces it. Content above 256 MiB is not stored.
     """
     if _HEADER_BYTES + len(content) > _LARGEST_ENTRY_BYTES:
         _warn_once(f"compiled model of {len(content) / 2**20:.0f} MiB: too large for the cache")
@@ -99,15 +99,15 @@ def store(key: str, content: bytes) -> None:
 
 
 def cache_entries() -> list[FileStatus]:
-    """All entries, the one used last first."""
+    """Return all entries, the most recently used first."""
     files = [entry for directory in _directories() for entry in files_in(directory, _ENTRY)]
     return sorted(files, key=lambda entry: entry.last_use_s, reverse=True)
 
 
 def clear_cache() -> int:
-    """Delete all entries, and temporary files of killed processes; returns the number of entries.
+    """Delete all entries and the temporary files of killed processes; return the entry count.
 
-    Raises `OutputError` when an entry cannot be deleted.
+    Raises `OutputError` if an entry cannot be deleted.
     """
     count = 0
     for directory in _directories():
@@ -160,7 +160,7 @@ def _open_for_reading(path: str, flags: int) -> int:
 
 
 def _is_trusted(status: os.stat_result) -> bool:
-    """Whether an open file is regular, of this user alone, and of reasonable size."""
+    """Return whether a file is regular, of a valid size, and writable by this user alone."""
     return (
         stat.S_ISREG(status.st_mode)
         and status.st_uid == os.geteuid()
@@ -170,7 +170,7 @@ def _is_trusted(status: os.stat_result) -> bool:
 
 
 def _shrink(stored: Path) -> None:
-    """Keep the entry just stored and, of the others, those used last that fit the limit."""
+    """Delete the least recently used entries beyond the limit, but never the one just stored."""
     limit, total = cache_size_limit(), 0
     files = files_in(stored.parent, _ENTRY)
     for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
@@ -184,17 +184,17 @@ def _shrink(stored: Path) -> None:
 
 
 def cache_directory() -> Path:
-    """Directory that new entries are written to; it may not exist yet.
+    """Return the directory for new entries; it may not exist yet.
 
-    The chosen directory is replaced by a private one of this process, with a warning, when its
-    path cannot be determined, when it is unsafe (of another user, or writable by group or others),
-    and after it could not be written.
+    A private directory of this process replaces the chosen one, with a warning, if the path of the
+    chosen one cannot be determined, if it belongs to another user, if group or others may write to
+    it, and after a failed attempt to write there.
     """
     return _directories()[-1]
 
 
 def _directories() -> list[Path]:
-    """Directories that may hold entries; new ones are written to the last."""
+    """Return the directories that may hold entries; the last one is for new entries."""
     try:
         chosen = _chosen_directory()
     except (RuntimeError, OSError) as error:  # no home directory, or no working directory
@@ -216,7 +216,7 @@ def _chosen_directory() -> Path:
 
 
 def _refusal(directory: Path) -> str:
-    """Why machine code must not be loaded from a directory; empty when it may be."""
+    """Return the reason not to load machine code from a directory; empty if there is none."""
     try:
         status = directory.stat()
     except OSError:  # absent; `store` says why when it cannot be made
@@ -232,7 +232,7 @@ def _refusal(directory: Path) -> str:
 
 @cache
 def _private_directory() -> Path:
-    """A directory of this process alone, deleted at its end."""
+    """Return a directory for this process alone, which is deleted at the end of the process."""
     try:
         return process_directory()
     except OSError:  # no temporary directory either: a path that no file can have

@@ -18,7 +18,6 @@ from kneexo.compiler.c.vectors import Vectors, recorded_vectors
 from kneexo.compiler.equations.equations import Equations
 from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.errors import CompilationError, OutputError, SimulationError
-from kneexo.compiler.files import write_folder
 from kneexo.compiler.run_data import State
 
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
@@ -54,35 +53,6 @@ def folder(low_pass_export, tmp_path):
 def no_targets(monkeypatch):
     """Flash and stack are not measured."""
     monkeypatch.setattr(c_build, "TARGETS", {})
-
-
-def test_vectors_are_the_outputs_after_each_step():
-    for feedthrough in (0.0, 3.0):
-        read = read_diagram(low_pass(feedthrough), inputs=["u0"])
-        vectors = recorded_vectors(low_pass(feedthrough), source_of(read, "m"), SAMPLES)
-        x, expected = 0.0, []
-        for (u,) in SAMPLES:
-            x = 0.5 * x + u
-            expected.append([x + feedthrough * u])
-        np.testing.assert_allclose(vectors.outputs, expected, rtol=1e-15)
-        np.testing.assert_array_equal(vectors.inputs, SAMPLES)
-
-
-def test_inputs_that_vary_need_a_diagram_without_sample_times_or_without_states(multirate):
-    from pydrake.systems.framework import DiagramBuilder
-
-    builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("plant", LinearSystem(A=[[-1.0]], B=[[1.0]], C=[[1.0]], D=[[0]]))
-    law = builder.AddNamedSystem("law", low_pass())
-    builder.Connect(plant.get_output_port(), law.get_input_port())
-    builder.ExportInput(plant.get_input_port(), "u")
-    builder.ExportOutput(law.get_output_port(), "y")
-    diagram = builder.Build()
-    source = source_of(read_diagram(diagram, inputs=["u"]), "m")
-    constant = np.full((50, 1), 2.0)
-    assert np.ptp(recorded_vectors(diagram, source, constant).outputs) > 0.0
-    with pytest.raises(CompilationError, match="test vectors need inputs that are constant"):
-        recorded_vectors(diagram, source, SAMPLES)
 
 
 @needs_compiler
@@ -330,14 +300,6 @@ def test_what_a_killed_export_left_is_deleted(folder, no_targets):
     (left / "filter.c").write_text("")
     export_c(low_pass(), folder, name="filter", inputs=["u0"], samples=SAMPLES)
     assert {path.name for path in folder.iterdir()} == FILES
-
-
-def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path):
-    path = tmp_path / "out"
-    path.write_text("")
-    with pytest.raises(OutputError, match="cannot write there") as error:
-        write_folder(path, {"a.c": ""}, keep="build")
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("samples", [[[1.0, 2.0]], [1.0], []])

@@ -3,8 +3,6 @@
 import ctypes
 import math
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -13,14 +11,12 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     ConstantVectorSource,
     Gain,
-    Integrator,
     LinearSystem,
     Sine,
-    ZeroOrderHold,
 )
 
 from kneexo.compiler import read_diagram
-from kneexo.compiler.c.interface import Interface, c_name
+from kneexo.compiler.c.interface import Interface
 from kneexo.compiler.c.source import CSource, source_of
 from kneexo.compiler.c.vectors import recorded_vectors
 from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
@@ -99,23 +95,6 @@ def test_several_sample_times_with_offset_and_a_clock(built, multirate):
     sampled = outputs[:, fields.index("sampled")]
     assert np.flatnonzero(np.diff(held))[:3].tolist() == [3, 7, 11]  # at 4, 8, 12 ms
     assert np.flatnonzero(np.diff(sampled))[:2].tolist() == [4, 14]  # at 5 and 15 ms
-
-
-def test_sample_times_without_a_clock_wrap_after_a_cycle(built):
-    builder = DiagramBuilder()
-    for name, period, offset in (("a", 0.004, 0.0), ("b", 0.006, 0.010)):
-        hold = builder.AddNamedSystem(name, ZeroOrderHold(period, 1, offset_sec=offset))
-        builder.ExportInput(hold.get_input_port(), f"u_{name}")
-        builder.ExportOutput(hold.get_output_port(), name)
-    diagram = builder.Build()
-    source = exported(diagram, inputs=["u_a", "u_b"])
-    assert not source.plan.needs_time
-    inputs = np.arange(1.0, 41.0)[:, None] * [1.0, 10.0]
-    outputs = built(source).replay(inputs)
-    k = np.arange(40)  # ticks of 2 ms
-    np.testing.assert_array_equal(outputs[:, 0], inputs[k // 2 * 2, 0])
-    last = np.where(k < 5, -1, (k - 5) // 3 * 3 + 5)
-    np.testing.assert_array_equal(outputs[:, 1], np.where(last < 0, 0.0, inputs[last, 1]))
 
 
 def test_time_is_that_of_the_end_of_a_step(built):
@@ -264,23 +243,6 @@ def test_every_number_of_the_parameters_must_be_finite(built, precision):
     assert model.get() == [2100.0]
 
 
-def test_inputs_keep_to_their_range(built):
-    interface = Interface({"u0": ["angle_rad"]}, ranges={"angle_rad": (-1.5, 2.5)})
-    model = built(exported(accumulator(), inputs=["u0"], interface=interface))
-    assert model.init([0.0]) == 0
-    statuses = [model.step([value]) for value in (-1.5, 2.5, -1.6, 2.6)]
-    assert statuses == [0, 0, 1, 1]
-
-
-def test_whole_numbers_are_int32(built):
-    interface = Interface(integers=frozenset(["u0"]), ranges={"u0": (-2.5, 7.5)})
-    source = exported(accumulator(), inputs=["u0"], interface=interface, precision="float")
-    model = built(source)
-    assert [model.init([0])] + [model.step([v]) for v in (-2, 7, -3, 8)] == [0, 0, 0, 1, 1]
-    assert model.get() == [10.0]
-    assert "int32_t u0; /* -2 ... 7 */" in source.files()["model.h"]
-
-
 # ----------------------------------------------------------------------------------- text
 
 
@@ -326,48 +288,6 @@ def test_state_bytes_are_those_of_the_compiler(c_text, multirate, precision):
         files = source.files()
         text = files["model.h"] + "unsigned long size(void) { return sizeof(model_state_t); }\n"
         assert c_text(text).size() == source.state_bytes
-
-
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        *(
-            ("law", "law"),
-            ("inner/plant", "inner_plant"),
-            ("3d", "n3d"),
-            ("for", "for_"),
-            ("θ", "_"),
-        ),
-        *(
-            (word, f"{word}_")
-            for word in ("NULL", "NAN", "M_PI", "INT32_MAX", "UINT8_C", "DBL_MAX")
-        ),
-        *(("_Bool", "_Bool_"), ("M_pi_2", "M_pi_2"), ("KM_PI", "KM_PI"), ("INTEGRAL", "INTEGRAL")),
-    ],
-)
-def test_names_in_c(text, name):
-    assert c_name(text) == name
-
-
-WORDS = (
-    *("NULL", "NAN", "INFINITY", "M_PI", "HUGE_VAL", "FP_NAN", "FLT_MAX", "INT32_MAX", "errno"),
-    *("_Bool", "try", "throw", "catch", "public", "protected", "friend", "typename", "using"),
-    *("and", "or", "not", "xor", "bitand", "explicit", "mutable", "export", "virtual", "wchar_t"),
-)
-
-
-@pytest.mark.skipif(shutil.which("g++") is None, reason="needs the C++ compiler g++")
-def test_words_of_c_and_cplusplus_are_no_names(built, tmp_path):
-    interface = Interface({"u0": WORDS, "y0": WORDS})
-    source = exported(Gain(2.0, len(WORDS)), inputs=["u0"], tick_s=0.1, interface=interface)
-    outputs = built(source).replay(np.arange(float(len(WORDS)))[None])
-    np.testing.assert_array_equal(outputs[0], 2.0 * np.arange(len(WORDS)))
-    header = source.files()["model.h"]
-    (tmp_path / "model.h").write_text(header)
-    user = '#include <cmath>\n#include <cerrno>\n#include <cstdint>\n#include "model.h"\n'
-    (tmp_path / "user.cpp").write_text(user)
-    command = ["g++", "-fsyntax-only", "-Wall", "-Werror", "user.cpp"]
-    subprocess.run(command, cwd=tmp_path, check=True)
 
 
 @pytest.mark.parametrize("name", ["initial_x", "initial_d", "d", "x", "a*/b", "a\\", "a＼", "??/"])
@@ -433,18 +353,6 @@ def test_bad_options_are_one_line(options, match):
     assert "\n" not in str(error.value)
 
 
-def test_steps_fit_their_counter():
-    options = {"inputs": ["u0"], "tick_s": 1.0}
-    assert exported(oscillator(), step_s=1.0 / 65_535, **options).plan.schedule.steps == 65_535
-    with pytest.raises(CompilationError, match=r"step_s = 1e-07 s: makes 10000000 steps .* 65535"):
-        exported(oscillator(), step_s=1e-7, **options)
-
-
-def test_a_diagram_without_sample_time_needs_a_tick():
-    with pytest.raises(CompilationError, match="model: tick_s is needed"):
-        exported(oscillator(), inputs=["u0"])
-
-
 def test_numbers_beyond_single_precision_are_refused():
     builder = DiagramBuilder()
     source = builder.AddNamedSystem("source", ConstantVectorSource([1e60]))
@@ -455,13 +363,3 @@ def test_numbers_beyond_single_precision_are_refused():
     exported(diagram, tick_s=0.1).files()
     with pytest.raises(CompilationError, match=r"= 1e[+-]60: lies outside 1.17549e-38"):
         exported(diagram, tick_s=0.1, precision="float").files()
-
-
-def test_two_fields_of_one_name_are_refused():
-    builder = DiagramBuilder()
-    integrator = builder.AddNamedSystem("x", Integrator(1))
-    builder.ExportInput(integrator.get_input_port(), "u")
-    builder.ExportOutput(integrator.get_output_port(), "a b")
-    builder.ExportOutput(integrator.get_output_port(), "a-b")
-    with pytest.raises(CompilationError, match="a_b: 2 values have this name in C"):
-        exported(builder.Build(), inputs=["u"], tick_s=0.1)

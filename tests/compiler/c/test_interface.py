@@ -1,0 +1,91 @@
+"""Names, types and ranges in C of inputs, outputs and parameters."""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Gain, Integrator, LinearSystem
+
+from kneexo.compiler import Interface, read_diagram, source_of
+from kneexo.compiler.c.interface import c_name
+from kneexo.compiler.errors import CompilationError
+
+
+def exported(diagram, **options):
+    return source_of(read_diagram(diagram, inputs=["u0"]), "model", **options)
+
+
+def accumulator():
+    """A sampled integrator: x⁺ = x + u every 10 ms, and its output 2 x."""
+    return LinearSystem(A=[[1.0]], B=[[1.0]], C=[[2.0]], D=[[0.0]], time_period=0.01)
+
+
+def test_inputs_keep_to_their_range(built):
+    interface = Interface({"u0": ["angle_rad"]}, ranges={"angle_rad": (-1.5, 2.5)})
+    model = built(exported(accumulator(), interface=interface))
+    assert model.init([0.0]) == 0
+    statuses = [model.step([value]) for value in (-1.5, 2.5, -1.6, 2.6)]
+    assert statuses == [0, 0, 1, 1]
+
+
+def test_whole_numbers_are_int32(built):
+    interface = Interface(integers=frozenset(["u0"]), ranges={"u0": (-2.5, 7.5)})
+    source = exported(accumulator(), interface=interface, precision="float")
+    model = built(source)
+    assert [model.init([0])] + [model.step([v]) for v in (-2, 7, -3, 8)] == [0, 0, 0, 1, 1]
+    assert model.get() == [10.0]
+    assert "int32_t u0; /* -2 ... 7 */" in source.files()["model.h"]
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        *(
+            ("law", "law"),
+            ("inner/plant", "inner_plant"),
+            ("3d", "n3d"),
+            ("for", "for_"),
+            ("θ", "_"),
+        ),
+        *(
+            (word, f"{word}_")
+            for word in ("NULL", "NAN", "M_PI", "INT32_MAX", "UINT8_C", "DBL_MAX")
+        ),
+        *(("_Bool", "_Bool_"), ("M_pi_2", "M_pi_2"), ("KM_PI", "KM_PI"), ("INTEGRAL", "INTEGRAL")),
+    ],
+)
+def test_names_in_c(text, name):
+    assert c_name(text) == name
+
+
+WORDS = (
+    *("NULL", "NAN", "INFINITY", "M_PI", "HUGE_VAL", "FP_NAN", "FLT_MAX", "INT32_MAX", "errno"),
+    *("_Bool", "try", "throw", "catch", "public", "protected", "friend", "typename", "using"),
+    *("and", "or", "not", "xor", "bitand", "explicit", "mutable", "export", "virtual", "wchar_t"),
+)
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs the C++ compiler g++")
+def test_words_of_c_and_cplusplus_are_no_names(built, tmp_path):
+    interface = Interface({"u0": WORDS, "y0": WORDS})
+    source = exported(Gain(2.0, len(WORDS)), tick_s=0.1, interface=interface)
+    outputs = built(source).replay(np.arange(float(len(WORDS)))[None])
+    np.testing.assert_array_equal(outputs[0], 2.0 * np.arange(len(WORDS)))
+    header = source.files()["model.h"]
+    (tmp_path / "model.h").write_text(header)
+    user = '#include <cmath>\n#include <cerrno>\n#include <cstdint>\n#include "model.h"\n'
+    (tmp_path / "user.cpp").write_text(user)
+    command = ["g++", "-fsyntax-only", "-Wall", "-Werror", "user.cpp"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+
+
+def test_two_fields_of_one_name_are_refused():
+    builder = DiagramBuilder()
+    integrator = builder.AddNamedSystem("x", Integrator(1))
+    builder.ExportInput(integrator.get_input_port(), "u")
+    builder.ExportOutput(integrator.get_output_port(), "a b")
+    builder.ExportOutput(integrator.get_output_port(), "a-b")
+    with pytest.raises(CompilationError, match="a_b: 2 values have this name in C"):
+        source_of(read_diagram(builder.Build(), inputs=["u"]), "model", tick_s=0.1)

@@ -1,0 +1,90 @@
+"""Files that appear whole or not at all, and folders of them."""
+
+import os
+import re
+
+import pytest
+
+from kneexo.compiler.errors import OutputError
+from kneexo.compiler.files import (
+    delete_stale,
+    files_in,
+    require_marked,
+    temporary_folder,
+    write_folder,
+    write_whole,
+)
+
+
+def test_a_file_that_cannot_be_replaced_stays_and_leaves_nothing_beside_it(tmp_path, monkeypatch):
+    file = tmp_path / "a"
+    write_whole(file, b"old")
+
+    def fail(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", fail)
+        with pytest.raises(KeyboardInterrupt):
+            write_whole(file, b"new")
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert file.read_bytes() == b"old"
+    write_whole(file, b"new", mode=0o600)
+    assert file.read_bytes() == b"new"
+    assert file.stat().st_mode & 0o777 == 0o600
+
+
+def test_only_old_temporary_files_of_a_name_are_deleted(tmp_path):
+    names = [".a.0123456789abcdef", ".b.0123456789abcdef", ".a.0123", "a"]
+    for name in names:
+        (tmp_path / name).touch()
+    delete_stale(tmp_path, "a")
+    assert len(list(tmp_path.iterdir())) == 4
+    for name in names:
+        os.utime(tmp_path / name, (0.0, 0.0))
+    delete_stale(tmp_path, "a")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[1:])
+
+
+def test_files_are_listed_by_their_whole_name(tmp_path):
+    (tmp_path / "ab").write_bytes(b"123")
+    (tmp_path / "abc").touch()
+    (tmp_path / "a").mkdir()
+    (entry,) = files_in(tmp_path, re.compile("ab?"))
+    assert (entry.path, entry.size_bytes) == (tmp_path / "ab", 3)
+    assert files_in(tmp_path / "none", re.compile(".*")) == []
+
+
+def test_a_folder_gets_the_files_and_loses_the_others_but_its_build(tmp_path):
+    folder = tmp_path / "new" / "out"
+    write_folder(folder, {"a": "1", "b": "2"}, keep="build")
+    (folder / "build").mkdir()
+    (folder / "build-x").mkdir()  # of a killed process
+    write_folder(folder, {"b": "3"}, keep="build")
+    assert sorted(path.name for path in folder.iterdir()) == ["b", "build"]
+    assert (folder / "b").read_text() == "3"
+
+
+def test_a_folder_with_a_file_without_the_mark_is_refused(tmp_path):
+    require_marked(tmp_path / "none", "mark", "us", "build")
+    (tmp_path / "a").write_text("// mark\n")
+    (tmp_path / "build").mkdir()
+    require_marked(tmp_path, "mark", "us", "build")
+    (tmp_path / "b").write_text("first\nmark\n")
+    line = rf"^directory {tmp_path}: b is not of us; choose another directory$"
+    with pytest.raises(OutputError, match=line):
+        require_marked(tmp_path, "mark", "us", "build")
+
+
+def test_a_temporary_folder_holds_the_files_and_ends_with_the_body():
+    with temporary_folder({"a": "α"}) as folder:
+        assert (folder / "a").read_text(encoding="utf-8") == "α"
+    assert not folder.exists()
+
+
+def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path):
+    path = tmp_path / "out"
+    path.write_text("")
+    with pytest.raises(OutputError, match="cannot write there") as error:
+        write_folder(path, {"a.c": ""}, keep="build")
+    assert "\n" not in str(error.value)
