@@ -1,1 +1,1 @@
-"""Equations of a Drake diagram, as one graph."""
+"""Reads the equations of a Drake diagram into one graph, and rewrites the graph for speed."""

@@ -1,1 +1,1 @@
-"""Equations as machine code."""
+"""Compiles equations to machine code, keeps the code on disk, and runs it."""

@@ -347,8 +347,8 @@ def test_the_entries_used_longest_ago_go_first(monkeypatch):
     assert cache.cache_entries()[-1].path == paths["c"]
     monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "1")
     cache.store("e", bytes(300_000))
-    kept = [key for key in "abcde" if cache.load(key) is not None]
-    assert kept == ["a", "d", "e"]
+    remaining = [key for key in "abcde" if cache.load(key) is not None]
+    assert remaining == ["a", "d", "e"]
 
 
 @pytest.mark.usefixtures("silent")

@@ -385,12 +385,12 @@ def test_memory_of_the_caller(native):
 @pytest.mark.parametrize("lanes", LANES)
 def test_variables(evaluate, lanes):
     def trace(f, a):
-        kept = f.variable(a)
+        variable = f.variable(a)
         for _ in f.each(f.constant(3, INT)):
-            kept.set(kept.get() * 2.0)
+            variable.set(variable.get() * 2.0)
         with f.when(f.any_lane(a > 1e9)):
-            kept.set(0.0)
-        return kept.get()
+            variable.set(0.0)
+        return variable.get()
 
     np.testing.assert_array_equal(
         evaluate(trace, np.arange(16.0), lanes=lanes), 8.0 * np.arange(16.0)

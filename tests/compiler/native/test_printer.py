@@ -381,7 +381,7 @@ def test_a_memo_changes_nothing(printed, lanes):
 def test_lines_of_a_memo(printed):
     graph, memos, roots = memo_graph()
     code = printed.groups(hoisting(graph, memos), always(roots), lanes=(2,), memory=True)
-    tags, kept = code.memory[2]
+    tags, rows = code.memory[2]
     assert code.text.count("call <2 x double> @llvm.floor") == 1
 
     def run(*counts):
@@ -391,12 +391,12 @@ def test_lines_of_a_memo(printed):
     assert np.argwhere(~np.isnan(tags)).tolist() == [[5, 0], [MEMO_LINES - 3, 1]]
     assert tags[5, 0] == 5.0
     assert tags[-3, 1] == -3.0
-    kept[5, 0, 1] = 0.25  # what is in a line is taken from it
-    kept[-3, 1, 1] = 0.5
+    rows[5, 0, 1] = 0.25  # a look-up reads the row
+    rows[-3, 1, 1] = 0.5
     assert run(5.0, -3.0).tolist() == [0.25, 0.5]
     # A lane that misses fills the lines of all: they are computed anew.
     np.testing.assert_allclose(run(5.0, -4.0), np.sin([5.0, -4.0]), rtol=4e-16)
-    kept[5, 0, 1] = 0.25
+    rows[5, 0, 1] = 0.25
     np.testing.assert_allclose(run(5.0 + MEMO_LINES, -4.0), np.sin([4101.0, -4.0]), rtol=4e-16)
     assert tags[5, 0] == 5.0 + MEMO_LINES
     np.testing.assert_allclose(run(5.0, -4.0), np.sin([5.0, -4.0]), rtol=4e-16)
@@ -406,7 +406,7 @@ def test_lines_of_a_memo(printed):
     assert tags[0].tolist() == [2.0**31 + 5.0, -(2.0**31)]
     assert tags[-5, 1] == 2.0**31 - 5.0
     assert np.isnan(run(math.nan, math.nan)).all()
-    assert np.isnan(kept[0]).all()
+    assert np.isnan(rows[0]).all()
     run(2.0**31 - 1.0, 0.0)
     assert tags[-1, 0] == 2.0**31 - 1.0
 
