@@ -48,7 +48,7 @@ def controller_study(
     settings: ControllerSettings = ControllerSettings(),
     **options: Unpack[SweepOptions],
 ) -> ControllerResult:
-    """Run the grid and the limit cycle; ``options``: see `kneexo.sweeps.SweepOptions`.
+    """Run the grid, the limit cycle and the map; ``options``: see `kneexo.sweeps.SweepOptions`.
 
     A run of the grid that fails leaves nan and its reason. Raises `ParameterError` when
     ``scenario`` has no sampled sliding-mode controller behind an observer, or when a step or the

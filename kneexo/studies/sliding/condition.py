@@ -1,19 +1,19 @@
-"""The sliding condition s·ds/dt ≤ −η|s| in one run, and what follows from it.
+"""The sliding condition s·ds/dt ≤ −η|s| in one run, and the bounds on the error.
 
-With the true s = ë + 2λė + λ²e, ds/dt = x⃛ − x⃛_d + 2λë + λ²ė, and x⃛ comes from the plant's own
-equations: the acceleration of the rod differentiated along dx/dt by AutoDiff, exactly, at each
-logged state. So whether the condition holds at a state does not depend on the solver.
+The true s is ë + 2λė + λ²e, so ds/dt = x⃛ − x⃛_d + 2λë + λ²ė. AutoDiff differentiates the rod's
+acceleration along the flow of the plant's equations; this gives x⃛ exactly at each logged state.
+Whether the condition holds at a state thus does not depend on the solver.
 
 On a plant with another loaded area A_i, gain b and a motor without lag, outside the layer,
 
     ds/dt = (b/b̂)[ω̂²(1 − A_i/Ā) ẋ − k sgn s] + (b/b̂ − 1)(x⃛_d − 2λë − λ²ė),
 
-so that the condition takes k ≥ ω̂²|1 − A_i/Ā||ẋ| + |1 − b̂/b||x⃛_d − 2λë − λ²ė| + (b̂/b) η. Eq. 27
-lacks the first term, and bounds b̂/b by the masses alone. In full order one chamber is stiff and
-its volume V_i follows the rod, b̂/b = (m/m̂)(Ā/A_i)(4V_i/V_t): as if the mass changed.
+so the condition requires k ≥ ω̂²|1 − A_i/Ā||ẋ| + |1 − b̂/b||x⃛_d − 2λë − λ²ė| + (b̂/b) η. Eq. 27
+lacks the first term, and bounds b̂/b by the masses alone. In full order one chamber is stiff and its
+volume V_i follows the rod. Then b̂/b = (m/m̂)(Ā/A_i)(4V_i/V_t), as if the mass changed.
 
-Inside the layer |s| ≤ Φ implies |e| ≤ Φ/λ² once the start has died down (Slotine), and here
-`error_bounds` says what it implies before.
+Inside the layer, |s| ≤ Φ implies |e| ≤ Φ/λ² after the initial transient (Slotine). `error_bounds`
+includes the initial transient.
 """
 
 from __future__ import annotations
@@ -67,9 +67,10 @@ def sliding_signals(scenario: Scenario) -> tuple[str, ...]:
 def sliding_rates(
     scenario: Scenario, run: Run, rows: Any, commands_rad_s: Array
 ) -> tuple[Array, Array]:
-    """True s and ds/dt, each (n,), at ``rows`` of a run with the motor speed commands in force.
+    """Return the true s in m/s² and ds/dt in m/s³, each (n,), at n ``rows`` of a run.
 
-    The run needs the signals of `sliding_signals`. Raises `ParameterError` for another controller.
+    ``commands_rad_s`` (n,) are the motor speed commands in force there. The run needs the
+    signals of `sliding_signals`. Raises `ParameterError` for another controller.
     """
     lambda_ = sliding_mode(scenario).lambda_per_s
     plant: Any = make_plant(scenario.plant, table_1=scenario.polynomial)
@@ -106,11 +107,12 @@ def sliding_rates(
 def error_bounds(
     time_s: Array, error_m: float, rate_m_s: float, *, lambda_per_s: float, phi_m_s2: float
 ) -> tuple[Array, Array]:
-    """Bounds on |e| in m and |ė| in m/s, each (n,), while |s| ≤ Φ.
+    """Return bounds on |e| in m and on |ė| in m/s at ``time_s``, each (n,), while |s| ≤ Φ.
 
-    ``error_m`` and ``rate_m_s``: e and ė at the first of ``time_s``. From (d/dt + λ)² e = s:
-    the free motion, plus Φ times the integral over the absolute impulse response. The second part
-    ends at Φ/λ² and at 2Φ/(eλ), below Slotine's 2Φ/λ.
+    ``error_m`` and ``rate_m_s`` are e and ė at the first time. The bounds follow from
+    (d/dt + λ)² e = s: the free motion, plus Φ times the integral over the absolute impulse
+    response. The second part tends to Φ/λ² for e and to 2Φ/(exp(1)·λ) for ė; Slotine's bound on ė
+    is 2Φ/λ.
     """
     z = lambda_per_s * (time_s - time_s[0])
     decay, slope = np.exp(-z), rate_m_s / lambda_per_s + error_m
@@ -128,21 +130,24 @@ def error_bounds(
 async def check_sliding(
     settings: SlidingSettings, scenario: Scenario = SLIDING_LAW
 ) -> dict[str, Any]:
-    """Run a scenario and measure, in plain numbers by name, what Eq. 27 promises.
+    """Run a scenario and return, as plain numbers by name, how far it keeps the sliding condition.
 
-    ``outside_share``: share of the run with |s| > Φ; of these samples, ``holding_share`` has
-    s·ds/dt ≤ −η|s| and ``attracting_share`` s·ds/dt < 0, and ``worst_rate_m_s3`` is the largest
-    sgn(s)·ds/dt. ``reaching_s`` is when the layer is reached, at the latest expected after
-    ``promised_s``; ``left_share`` is the share of the time after it that is outside again, and
-    ``largest_s`` the largest |s|/Φ then. ``error_share``, ``rate_share`` and
-    ``acceleration_share`` are the largest |e|, |ė| and |ë| after the start has died down, over
-    Slotine's bounds Φ/λ², 2Φ/λ and 4Φ; ``bounded_share`` counts the samples with |e| within
-    `error_bounds`, until the layer is left.
+    - ``outside_share``: share of the samples with |s| > Φ. Of these samples, ``holding_share``
+      fulfil s·ds/dt ≤ −η|s| and ``attracting_share`` fulfil s·ds/dt < 0. ``worst_rate_m_s3``:
+      largest sgn(s)·ds/dt among them.
+    - ``reaching_s``: time at which |s| ≤ Φ for the first time. The condition promises it after
+      ``promised_s`` at the latest.
+    - ``left_share``: share of the later samples that are outside again; ``largest_s``: largest
+      |s|/Φ among the later samples.
+    - ``error_share``, ``rate_share``, ``acceleration_share``: largest |e|, |ė| and |ë| after the
+      initial transient, relative to Slotine's bounds Φ/λ², 2Φ/λ and 4Φ.
+    - ``bounded_share``: share of the samples with |e| within `error_bounds`, from the first time in
+      the layer until s leaves it.
 
-    With a sampled law the rates are those just after an update; ``held_share`` and ``mean_share``
-    count the condition just before the next one, and for the mean ds/dt in between. A run that
-    fails, as ``failure`` says, is repeated over half the time until it does not (``duration_s``).
-    What does not exist is nan. ``trace`` holds signals for figures.
+    With a sampled law the shares count ds/dt just after an update. ``held_share`` counts it just
+    before the next update, ``mean_share`` the mean between both. A run that fails is repeated over
+    half the time until it does not fail: ``failure`` has the first reason, ``duration_s`` the last
+    duration. Missing numbers are nan. ``trace`` has signals for figures.
     """
     law = sliding_mode(scenario)
     measured: dict[str, Any] = dict.fromkeys(
