@@ -73,15 +73,15 @@ def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
     These are all fields but floats and tuples: choices, whole numbers (counts, delays) and nested
     structures. A sample time belongs to them too, because leaf systems turn it into a constant.
     """
-    kept: list[tuple[str, Any]] = []
+    fields: list[tuple[str, Any]] = []
     values = vars(parameters)
     for name, nested in _structural_fields(type(parameters)):
         value = values[name]
         if nested and value is not None:
-            kept.append((name, structure(value)))
+            fields.append((name, structure(value)))
         elif name in _BAKED_IN or not isinstance(value, float):
-            kept.append((name, value))
-    return tuple(kept)
+            fields.append((name, value))
+    return tuple(fields)
 
 
 @cache
@@ -105,21 +105,21 @@ def structure_key(scenario: Scenario) -> str:
 
     It contains the structure, and a digest of the sources that make the equations.
     """
-    kept = dict(structure(scenario))
+    fields = dict(structure(scenario))
     if scenario.nominal is None:
-        kept["nominal"] = kept["plant"]
-    kept.pop("simulation", None)  # decides how a loop is run, not its equations
+        fields["nominal"] = fields["plant"]
+    fields.pop("simulation", None)  # decides how a loop is run, not its equations
     if isinstance(scenario.reference, SampledReference):
-        kept["reference"] = scenario.reference.kind  # the samples enter by an open input
+        fields["reference"] = scenario.reference.kind  # the samples enter by an open input
     if isinstance(scenario.controller, CustomControllerParameters):
         # Its numbers may be constants of its equations, so the key contains the equations.
-        kept["controller"] = scenario.controller.sample_time_s, _custom(scenario).key
-    return _key(tuple(kept.items()))
+        fields["controller"] = scenario.controller.sample_time_s, _custom(scenario).key
+    return _key(tuple(fields.items()))
 
 
 @lru_cache
-def _key(kept: tuple[Any, ...]) -> str:
-    return json.dumps([kept, _fingerprint()])
+def _key(fields: tuple[Any, ...]) -> str:
+    return json.dumps([fields, _fingerprint()])
 
 
 @cache

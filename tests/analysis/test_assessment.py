@@ -25,10 +25,10 @@ SHORT = changed(
 
 
 def test_metrics_are_those_of_their_analyses():
-    found = assess(SHORT)
+    assessment = assess(SHORT)
     metrics = track(SHORT).metrics
     margins = linearize_loop(SHORT, 50.0).margins()
-    assert found == {
+    assert assessment == {
         **{name: getattr(metrics, name) for name in TRACKING_METRICS},
         **{name: getattr(margins, name) for name in MARGIN_METRICS},
         "stable": True,
@@ -46,16 +46,16 @@ def test_only_what_is_asked_for():
 def test_the_bandwidth_is_that_of_the_references_own_sine(monkeypatch):
     asked = []
     monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", lambda s: asked.append(s) or 3.5)
-    found = assess(SHORT, tracking=False, margins=False, bandwidth=True)
-    assert found == {"bandwidth_hz": 3.5, "bandwidth_failure": ""}
+    numbers = assess(SHORT, tracking=False, margins=False, bandwidth=True)
+    assert numbers == {"bandwidth_hz": 3.5, "bandwidth_failure": ""}
     assert asked == [SHORT]
 
 
 @pytest.mark.slow
 def test_the_bandwidth_is_the_measured_one():
     scenario = Scenario()
-    found = assess(scenario, tracking=False, margins=False, bandwidth=True)
-    assert found == {
+    assessment = assess(scenario, tracking=False, margins=False, bandwidth=True)
+    assert assessment == {
         "bandwidth_hz": large_signal_bandwidth_hz(scenario),
         "bandwidth_failure": "",
     }
@@ -63,8 +63,8 @@ def test_the_bandwidth_is_the_measured_one():
 
 def test_a_gain_that_does_not_fall_is_told(monkeypatch):
     monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", lambda s: math.nan)
-    found = assess(SHORT, tracking=False, margins=False, bandwidth=True)
-    assert found["bandwidth_failure"] == "no bandwidth: the gain does not cross 1/√2"
+    numbers = assess(SHORT, tracking=False, margins=False, bandwidth=True)
+    assert numbers["bandwidth_failure"] == "no bandwidth: the gain does not cross 1/√2"
 
 
 PUSHED = changed(
@@ -78,13 +78,15 @@ PUSHED = changed(
 
 
 def test_failures_are_told_in_one_line():
-    found = assess(PUSHED, bandwidth=True)
-    assert all(math.isnan(found[n]) for n in (*TRACKING_METRICS, *MARGIN_METRICS, "bandwidth_hz"))
-    assert found["stable"] is None
-    assert "left the range of motion" in found["tracking_failure"]
-    assert "does not rest" in found["margins_failure"]
-    assert "a sine" in found["bandwidth_failure"]
-    assert not any("\n" in text for text in found.values() if isinstance(text, str))
+    assessment = assess(PUSHED, bandwidth=True)
+    assert all(
+        math.isnan(assessment[n]) for n in (*TRACKING_METRICS, *MARGIN_METRICS, "bandwidth_hz")
+    )
+    assert assessment["stable"] is None
+    assert "left the range of motion" in assessment["tracking_failure"]
+    assert "does not rest" in assessment["margins_failure"]
+    assert "a sine" in assessment["bandwidth_failure"]
+    assert not any("\n" in text for text in assessment.values() if isinstance(text, str))
 
 
 def test_runs_that_fail_build_one_diagram_for_all(monkeypatch):
@@ -105,7 +107,7 @@ def test_runs_that_fail_build_one_diagram_for_all(monkeypatch):
 
 def test_an_unstable_loop_has_no_margins():
     exact = changed(SHORT, {"estimator": {"kind": "exact"}, "controller.phi_m_s2": 24.0})
-    found = assess(exact, tracking=False)
-    assert found["stable"] is False
-    assert found["margins_failure"] == ""
-    assert all(math.isnan(found[name]) for name in MARGIN_METRICS)
+    assessment = assess(exact, tracking=False)
+    assert assessment["stable"] is False
+    assert assessment["margins_failure"] == ""
+    assert all(math.isnan(assessment[name]) for name in MARGIN_METRICS)

@@ -207,8 +207,8 @@ def test_harmonics_of_the_knee_stay_out_of_a_sinestream(monkeypatch):
 
     monkeypatch.setattr(frequency_response, "simulate", simulate)
     # Orthogonal to the fundamental over whole periods, of 1000, 500 and 250 samples, alone.
-    found = sinestream(settings=SinestreamSettings(frequencies_hz=(0.5, 1.0, 2.0), trials=1))
-    assert found.response == pytest.approx(np.ones((1, 3)), abs=1e-9)
+    response = sinestream(settings=SinestreamSettings(frequencies_hz=(0.5, 1.0, 2.0), trials=1))
+    assert response.response == pytest.approx(np.ones((1, 3)), abs=1e-9)
 
 
 def test_the_bandwidth_is_that_of_a_rate_limited_follower_and_scales_with_flow_over_amplitude():

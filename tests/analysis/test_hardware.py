@@ -58,11 +58,9 @@ def test_no_motion_within_both_limits_has_a_larger_fundamental(ramp):
     )
     fundamental = -best.fun * 2.0 / count / omega  # of the position
     amplitude = 2.0 * fundamental  # so that the gain is below 1
-    found = limited_gain(
-        frequency, speed_limit=speed, acceleration_limit=limit, amplitude=amplitude
-    )
+    gain = limited_gain(frequency, speed_limit=speed, acceleration_limit=limit, amplitude=amplitude)
     # 240 samples a period: corners of the trapezoid within one sample, errors of (π/240)².
-    assert found == pytest.approx(0.5, rel=1e-3)
+    assert gain == pytest.approx(0.5, rel=1e-3)
 
 
 def test_with_one_limit_the_bandwidth_is_its_own_closed_form():

@@ -81,12 +81,12 @@ def test_one_diagram_serves_all_loops_of_a_structure(loops, monkeypatch):
     monkeypatch.setattr(loop_equilibrium, "_built", {})
     for name in ("smc", "other_plant", "weight", "exact", "pid", "pid_tuned", "can_2"):
         for scenario in (Scenario(plant=plant_parameters(LEAKY, load=WEIGHT)), SCENARIOS[name]):
-            found = linearize_loop(scenario, 52.0)
+            linear_loop = linearize_loop(scenario, 52.0)
         monkeypatch.setattr(loop_equilibrium, "_built", {})
         fresh = linearize_loop(SCENARIOS[name], 52.0)
         monkeypatch.setattr(loop_equilibrium, "_built", {})
         for matrix in ("a", "b", "c", "g_x", "g_z", "g_r", "c_u"):
-            assert np.array_equal(getattr(found, matrix), getattr(fresh, matrix)), matrix
+            assert np.array_equal(getattr(linear_loop, matrix), getattr(fresh, matrix)), matrix
 
 
 def test_loops_that_differ_in_numbers_share_a_diagram(monkeypatch):

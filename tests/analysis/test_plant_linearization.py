@@ -166,18 +166,18 @@ def test_a_linkage_that_does_not_close_is_refused():
 def test_poles_are_those_of_the_closed_form(name, angle):
     n = SETS[name]
     expected = np.append(roots(cubic(n)), -1.0 / n["lag"])
-    found = linearize_plant(plant_parameters(n), angle).poles
-    assert np.all(np.diff(np.abs(found)) > -1e-6 * np.abs(found[1:]))
+    poles = linearize_plant(plant_parameters(n), angle).poles
+    assert np.all(np.diff(np.abs(poles)) > -1e-6 * np.abs(poles[1:]))
     for pole in expected:
         # 1e-9 of each pole, and rounding of the largest for one that is zero or slow.
         floor = 1e-15 * np.abs(expected).max()
-        assert abs(nearest(found, pole) - pole) <= 1e-9 * abs(pole) + floor
-    assert distance(found, expected) <= 1e-9 * np.abs(expected).max()
+        assert abs(nearest(poles, pole) - pole) <= 1e-9 * abs(pole) + floor
+    assert distance(poles, expected) <= 1e-9 * np.abs(expected).max()
 
 
 def test_an_ideal_motor_has_no_pole():
-    found = linearize_plant(plant_parameters(SOFT, ideal_motor=True)).poles
-    assert distance(found, roots(cubic(SOFT))) <= 1e-9 * np.abs(found).max()
+    poles = linearize_plant(plant_parameters(SOFT, ideal_motor=True)).poles
+    assert distance(poles, roots(cubic(SOFT))) <= 1e-9 * np.abs(poles).max()
 
 
 @pytest.mark.parametrize("name", SETS)

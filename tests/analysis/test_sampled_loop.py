@@ -67,12 +67,12 @@ def test_the_held_plant_is_that_of_the_modal_sum(loops, name):
     a_d = right @ np.diag(np.exp(values * T)) @ left
     integral = [T if abs(v) < 1e-12 else (np.exp(v * T) - 1.0) / v for v in values]
     b_d = right @ np.diag(integral) @ left @ loop.b
-    found = loop.plant_step()
-    assert np.abs(found[0] - a_d).max() < 1e-11 * np.abs(a_d).max()
-    assert np.abs(found[1] - b_d).max() < 1e-11 * np.abs(b_d).max()
+    held_plant = loop.plant_step()
+    assert np.abs(held_plant[0] - a_d).max() < 1e-11 * np.abs(a_d).max()
+    assert np.abs(held_plant[1] - b_d).max() < 1e-11 * np.abs(b_d).max()
     sampled = control.sample_system(control.ss(loop.a, loop.b, loop.c, [[0.0]]), T, method="zoh")
-    assert np.abs(found[0] - sampled.A).max() < 1e-12 * np.abs(a_d).max()
-    assert np.abs(found[1] - sampled.B).max() < 1e-12 * np.abs(b_d).max()
+    assert np.abs(held_plant[0] - sampled.A).max() < 1e-12 * np.abs(a_d).max()
+    assert np.abs(held_plant[1] - sampled.B).max() < 1e-12 * np.abs(b_d).max()
 
 
 def test_the_plant_of_a_loop_is_the_linearized_plant(loops):

@@ -104,23 +104,23 @@ def monodromy_by_differences(scenario, angle_deg=40.0, step=4e-5):
     ).T
 
 
-def compare_with_differences(loop, found):
+def compare_with_differences(loop, monodromy):
     """Largest difference of the matrices, each row by its largest element."""
-    scale = np.abs(found).max(axis=1, keepdims=True)
-    return (np.abs(found - loop.monodromy) / scale).max()
+    scale = np.abs(monodromy).max(axis=1, keepdims=True)
+    return (np.abs(monodromy - loop.monodromy) / scale).max()
 
 
 @pytest.mark.parametrize(
     "name", ["smc", "pid", "pid_tuned", "can_1", "can_2", "difference", "other_plant"]
 )
 def test_monodromy_is_that_of_the_simulator(loops, name):
-    found = monodromy_by_differences(SCENARIOS[name])
+    monodromy = monodromy_by_differences(SCENARIOS[name])
     if name == "pid":  # the unused integral, of which nothing depends
-        assert np.abs(found[5] - np.eye(7)[5]).max() < 1e-7
-        found = np.delete(np.delete(found, 5, axis=0), 5, axis=1)
-    assert compare_with_differences(loops[name], found) < 1e-6
+        assert np.abs(monodromy[5] - np.eye(7)[5]).max() < 1e-7
+        monodromy = np.delete(np.delete(monodromy, 5, axis=0), 5, axis=1)
+    assert compare_with_differences(loops[name], monodromy) < 1e-6
     # Multiple eigenvalues near zero (delays) amplify the rounding of the differences.
-    values = np.linalg.eigvals(found)
+    values = np.linalg.eigvals(monodromy)
     expected = loops[name].eigenvalues
     large = np.abs(expected) > 0.05
     assert distance(values[np.abs(values) > 0.05], expected[large]) < 1e-6
@@ -128,16 +128,16 @@ def test_monodromy_is_that_of_the_simulator(loops, name):
 
 def test_monodromy_with_exact_states_is_that_of_the_simulator(loops):
     # The differences are taken beside the rest, which Table 1 puts a little off the start.
-    found = monodromy_by_differences(SCENARIOS["exact"])
-    assert compare_with_differences(loops["exact"], found) < 1e-6
-    assert distance(np.linalg.eigvals(found), loops["exact"].eigenvalues) < 1e-6
+    monodromy = monodromy_by_differences(SCENARIOS["exact"])
+    assert compare_with_differences(loops["exact"], monodromy) < 1e-6
+    assert distance(np.linalg.eigvals(monodromy), loops["exact"].eigenvalues) < 1e-6
 
 
 @pytest.mark.slow
 def test_monodromy_under_load_is_that_of_the_simulator(loops):
-    found = monodromy_by_differences(SCENARIOS["weight"], step=1e-4)
-    assert compare_with_differences(loops["weight"], found) < 2e-5  # 20 steps of 7e-7
-    assert distance(np.linalg.eigvals(found), loops["weight"].eigenvalues) < 1e-5
+    monodromy = monodromy_by_differences(SCENARIOS["weight"], step=1e-4)
+    assert compare_with_differences(loops["weight"], monodromy) < 2e-5  # 20 steps of 7e-7
+    assert distance(np.linalg.eigvals(monodromy), loops["weight"].eigenvalues) < 1e-5
 
 
 @pytest.mark.slow

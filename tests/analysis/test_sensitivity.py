@@ -75,8 +75,8 @@ def value_of(scenario, path):
 
 
 def test_the_oracle_is_one():
-    found, error = ridders(lambda h: np.array([math.sin(1.0 + h), math.exp(3.0 * h)]), 0.3)
-    assert found == pytest.approx([math.cos(1.0), 3.0], rel=1e-9)
+    slopes, error = ridders(lambda h: np.array([math.sin(1.0 + h), math.exp(3.0 * h)]), 0.3)
+    assert slopes == pytest.approx([math.cos(1.0), 3.0], rel=1e-9)
     assert (error < 1e-6).all()
 
 
@@ -108,18 +108,20 @@ def loop_metrics(scenario, names):
 )
 def test_margins_and_largest_eigenvalue_against_differences(name):
     scenario = LOOPS[name]
-    found = loop_sensitivities(scenario, list(STEPS))
-    names = list(found.metrics)
+    sensitivities = loop_sensitivities(scenario, list(STEPS))
+    names = list(sensitivities.metrics)
     assert names[0] == "largest_eigenvalue"
     assert {"gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin"} == set(names[1:])
-    assert [*found.metrics.values()] == pytest.approx(loop_metrics(scenario, names), rel=1e-12)
+    assert [*sensitivities.metrics.values()] == pytest.approx(
+        loop_metrics(scenario, names), rel=1e-12
+    )
     checked = 0
     for path, step in STEPS.items():
         start = value_of(scenario, path)
         expected, error = ridders(
             lambda h, p=path, x=start: loop_metrics(at(scenario, p, x + h), names), step
         )
-        ours = np.array([found.of(figure)[path] for figure in names])
+        ours = np.array([sensitivities.of(figure)[path] for figure in names])
         known = error < 1e-6 * np.abs(expected)
         checked += np.count_nonzero(known)
         assert ours[known] == pytest.approx(expected[known], rel=1e-5), path
@@ -130,23 +132,23 @@ def test_margins_and_largest_eigenvalue_against_differences(name):
 
 def test_the_acceleration_limit_has_no_influence_on_a_loop_at_rest():
     path = "plant.pump.acceleration_limit_rad_s2"
-    found = loop_sensitivities(UNCERTAIN_KNEE, [path])
-    assert all(found.of(metric) == {path: 0.0} for metric in found.metrics)
+    sensitivities = loop_sensitivities(UNCERTAIN_KNEE, [path])
+    assert all(sensitivities.of(metric) == {path: 0.0} for metric in sensitivities.metrics)
 
 
 def test_an_unstable_loop_has_the_gradient_of_its_eigenvalue_alone():
     # Without quantizer and estimator k/Φ = 1.3e4 1/s is beyond the boundary of stability.
     unstable = Scenario(estimator={"kind": "exact"}, controller={"phi_m_s2": 24.4})
     path = "plant.pump.lag_s"
-    found = loop_sensitivities(unstable, [path])
-    assert list(found.metrics) == ["largest_eigenvalue"]
-    assert found.metrics["largest_eigenvalue"] > 1.0
+    sensitivities = loop_sensitivities(unstable, [path])
+    assert list(sensitivities.metrics) == ["largest_eigenvalue"]
+    assert sensitivities.metrics["largest_eigenvalue"] > 1.0
     slope = approx_fprime(
         [0.01],
         lambda x: abs(linearize_loop(at(unstable, path, float(x[0]))).eigenvalues[0]),
         1e-7,
     )
-    assert found.of("largest_eigenvalue")[path] == pytest.approx(slope[0], rel=1e-4)
+    assert sensitivities.of("largest_eigenvalue")[path] == pytest.approx(slope[0], rel=1e-4)
 
 
 def test_the_posture_is_the_middle_of_the_reference():
@@ -190,15 +192,17 @@ def rms_error_deg(scenario):
 
 
 def assert_tracking(scenario, steps, rows, **options):
-    found = tracking_sensitivities(scenario, list(steps), **options)
-    assert found.metrics["rms_error_deg"] == pytest.approx(rms_error_deg(scenario), rel=1e-9)
+    sensitivities = tracking_sensitivities(scenario, list(steps), **options)
+    assert sensitivities.metrics["rms_error_deg"] == pytest.approx(
+        rms_error_deg(scenario), rel=1e-9
+    )
     for path, step in steps.items():
         start = value_of(scenario, path)
         expected, error = ridders(
             lambda h, p=path, x=start: np.array([rms_error_deg(at(scenario, p, x + h))]), step, rows
         )
         assert error[0] < 5e-6 * abs(expected[0]), path
-        assert found.of("rms_error_deg")[path] == pytest.approx(expected[0], rel=1e-5), path
+        assert sensitivities.of("rms_error_deg")[path] == pytest.approx(expected[0], rel=1e-5), path
 
 
 def test_tracking_error_against_differences():

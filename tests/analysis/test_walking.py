@@ -147,12 +147,12 @@ def test_walking_needs_a_stride_to_settle():
 
 
 def test_the_nominal_hardware_does_not_walk():
-    found = walking_metrics(UNCERTAIN_KNEE, 1.25, 2)
+    walked = walking_metrics(UNCERTAIN_KNEE, 1.25, 2)
     # It has 40 mm/s of the 643 that the gait asks for: the swing's 57° stay undone.
-    assert 40.0 < found["max_error_deg"] < 60.0
-    assert found["saturated_share"] > 0.5
-    assert found["peak_motor_speed_rpm"] == pytest.approx(5000.0, rel=1e-6)
-    assert found["peak_motor_acceleration_rad_s2"] == pytest.approx(1e4, rel=1e-6)
+    assert 40.0 < walked["max_error_deg"] < 60.0
+    assert walked["saturated_share"] > 0.5
+    assert walked["peak_motor_speed_rpm"] == pytest.approx(5000.0, rel=1e-6)
+    assert walked["peak_motor_acceleration_rad_s2"] == pytest.approx(1e4, rel=1e-6)
 
 
 def test_the_metrics_of_walking_are_those_of_the_strides_after_the_first():
@@ -222,9 +222,9 @@ def test_a_run_that_fails_says_why():
     scenario = scaled(UNCERTAIN_KNEE, {DISPLACEMENT: 25.0, ACCELERATION_LIMIT: 10.0})
     with pytest.raises(SimulationError):
         walk(scenario)
-    found = walking_metrics(scenario)
-    assert all(math.isnan(found[name]) for name in WALKING_METRICS)
-    assert "left the range of motion" in found["failure"]
+    walked = walking_metrics(scenario)
+    assert all(math.isnan(walked[name]) for name in WALKING_METRICS)
+    assert "left the range of motion" in walked["failure"]
 
 
 def test_the_linear_error_is_that_of_forty_harmonics():
@@ -243,11 +243,11 @@ def test_the_linear_error_is_that_of_forty_harmonics():
 
 
 def test_a_loop_that_walks_does_what_inverse_dynamics_and_the_linear_loop_say():
-    found = walking_metrics(WALKS)
+    walked = walking_metrics(WALKS)
     demand = walking_demand(WALKS)
     peaks = demand.peaks()
-    assert found["failure"] == ""
-    assert found["saturated_share"] == 0.0
+    assert walked["failure"] == ""
+    assert walked["saturated_share"] == 0.0
     # It lags by 1.5°, so that peaks differ by some percent.
     for name, needed in (
         ("peak_motor_speed_rpm", peaks["peak_motor_speed_rad_s"] * 30.0 / math.pi),
@@ -255,8 +255,8 @@ def test_a_loop_that_walks_does_what_inverse_dynamics_and_the_linear_loop_say():
         ("peak_shaft_power_w", peaks["peak_shaft_power_w"]),
         ("delivered_energy_j", peaks["delivered_energy_j"]),
     ):
-        assert found[name] == pytest.approx(needed, rel=0.08), name
+        assert walked[name] == pytest.approx(needed, rel=0.08), name
     # The linear loop knows neither counts, nor Table 1's misfit, nor the posture's load.
     linear = np.abs(linear_error_deg(WALKS, demand)).max()
-    assert found["max_error_deg"] == pytest.approx(linear, rel=0.12)
-    assert 1.2 < found["max_error_deg"] < 1.8
+    assert walked["max_error_deg"] == pytest.approx(linear, rel=0.12)
+    assert 1.2 < walked["max_error_deg"] < 1.8

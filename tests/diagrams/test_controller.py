@@ -168,9 +168,11 @@ def test_a_diagram_is_linearized_in_place_of_the_scenarios_loop():
     smooth = changed(Scenario(), {"encoder.quantized": False, "reference": at_rest})
     loop = make_closed_loop(smooth, external_reference=True)
     ours = linearize_loop(smooth)
-    found = linearize_loop(smooth, diagram=loop)
+    linear_loop = linearize_loop(smooth, diagram=loop)
     for name in dataclasses.asdict(ours.margins()):
-        assert getattr(found.margins(), name) == pytest.approx(getattr(ours.margins(), name), 1e-6)
+        assert getattr(linear_loop.margins(), name) == pytest.approx(
+            getattr(ours.margins(), name), 1e-6
+        )
     with pytest.raises(LinearizationError, match="has no input port knee_reference"):
         linearize_loop(smooth, diagram=make_closed_loop(smooth))
 
@@ -204,7 +206,7 @@ def no_system(scenario):
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         ("nowhere:make", "no module named 'nowhere'; must be module:function on the Python path"),
         ("math:nothing", "has no attribute 'nothing'; must be module:function on the Python path"),
@@ -217,11 +219,11 @@ def no_system(scenario):
         (without_command, "has an input port u of size 1; must be of encoder_reading (1)"),
     ],
 )
-def test_what_is_no_controller_is_one_line(make, told):
+def test_a_wrong_controller_raises_one_line(make, message):
     with pytest.raises(ParameterError) as caught:
         track(custom(make))
     assert "controller.make = " in str(caught.value)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

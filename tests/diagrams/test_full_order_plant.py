@@ -71,8 +71,8 @@ def logged(fixed_step, plant, rpm, duration, step, *names):
     logs = [LogVectorOutput(plant.GetOutputPort(n), builder, publish_period=step) for n in names]
     simulator = fixed_step(builder.Build(), "radau3", step)
     simulator.AdvanceTo(duration)
-    found = [log.FindLog(simulator.get_context()) for log in logs]
-    return found[0].sample_times().copy(), *(log.data().copy() for log in found)
+    records = [log.FindLog(simulator.get_context()) for log in logs]
+    return records[0].sample_times().copy(), *(log.data().copy() for log in records)
 
 
 # ------------------------------------------------------------------------------ structure

@@ -325,13 +325,13 @@ def test_leaving_the_range_raises_with_time_and_signal(parameters, command, sign
     with pytest.raises(SimulationError) as error:
         simulator.AdvanceTo(5.0)
     message = str(error.value)
-    found = re.match(rf"t = (\S+) s: {signal} = (\S+) (deg|m) left the ", message)
-    assert found, message
+    match = re.match(rf"t = (\S+) s: {signal} = (\S+) (deg|m) left the ", message)
+    assert match, message
     assert "\n" not in message
     # The message rounds to six digits.
-    assert float(found[1]) == pytest.approx(context.get_time(), rel=1e-5)
+    assert float(match[1]) == pytest.approx(context.get_time(), rel=1e-5)
     # Told at the step that leaves, not later: a step is shorter than 25 ms.
-    assert low <= float(found[2]) < high
+    assert low <= float(match[2]) < high
 
 
 def test_command_that_is_not_a_number_raises_instead_of_hanging():

@@ -77,11 +77,11 @@ def total_leakage(n):
     return n["c_l"] + n["c_im"] + 0.5 * n["c_em"]
 
 
-def distance(found, expected):
+def distance(values, expected):
     """Largest distance of two sets of complex numbers, paired as well as can be."""
-    found, expected = np.asarray(found), np.asarray(expected)
-    assert found.size == expected.size
-    cost = np.abs(found[:, None] - expected[None, :])
+    values, expected = np.asarray(values), np.asarray(expected)
+    assert values.size == expected.size
+    cost = np.abs(values[:, None] - expected[None, :])
     return cost[linear_sum_assignment(cost)].max()
 
 

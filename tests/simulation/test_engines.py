@@ -106,20 +106,20 @@ def varied(count):
 
 def together(scenarios, **options):
     requests = {10 * n: RunRequest(scenario, **options) for n, scenario in enumerate(scenarios)}
-    found = dict(serve_runs(requests))
-    assert set(found) == set(requests)
-    return [found[10 * n] for n in range(len(scenarios))]
+    runs = dict(serve_runs(requests))
+    assert set(runs) == set(requests)
+    return [runs[10 * n] for n in range(len(scenarios))]
 
 
-def assert_same(found, expected):
+def assert_same(actual, expected):
     if isinstance(expected, Exception):
-        assert (type(found), str(found)) == (type(expected), str(expected))
+        assert (type(actual), str(actual)) == (type(expected), str(expected))
         return
-    assert found.settings == expected.settings
-    assert list(found.data) == list(expected.data)
-    np.testing.assert_array_equal(found.time_s, expected.time_s)
+    assert actual.settings == expected.settings
+    assert list(actual.data) == list(expected.data)
+    np.testing.assert_array_equal(actual.time_s, expected.time_s)
     for name, values in expected.data.items():
-        np.testing.assert_array_equal(found[name], values)
+        np.testing.assert_array_equal(actual[name], values)
 
 
 def alone(scenario, **options):
@@ -140,8 +140,8 @@ def test_runs_do_not_depend_on_their_company(monkeypatch, largest):
     integrators = [run.settings.integrator for run in (expected[1], expected[2], expected[5])]
     assert integrators == ["exact_hold", "rk4", "radau3"]
     for order in (1, -1):
-        found = together(scenarios[::order], signals=("knee_angle", "load_pressure"))
-        for run, run_alone in zip(found[::order], expected, strict=True):
+        runs = together(scenarios[::order], signals=("knee_angle", "load_pressure"))
+        for run, run_alone in zip(runs[::order], expected, strict=True):
             assert_same(run, run_alone)
 
 
@@ -170,20 +170,20 @@ def test_small_steps_stand_in_for_single_runs_of_a_batch(monkeypatch):
     expected = [simulate(s, signals=("knee_angle",)) for s in scenarios]
 
     def refusing(scenarios, signals, integrator, *options):
-        found = original(scenarios, signals, integrator, *options)
+        runs = original(scenarios, signals, integrator, *options)
         heavy = [scenario.plant.cylinder.mass_kg > 1.52 for scenario in scenarios]
         stiff = integrator == "exact_hold"
         return [
             StiffnessError("jumps") if stiff and refused else run
-            for run, refused in zip(found, heavy, strict=True)
+            for run, refused in zip(runs, heavy, strict=True)
         ]
 
     monkeypatch.setattr(compiled, "simulate_together", refusing)
-    found = together(scenarios, signals=("knee_angle",))
-    assert [run.settings.integrator for run in found] == ["exact_hold"] * 3 + ["rk4"]
-    for run, run_alone in zip(found[:3], expected[:3], strict=True):
+    runs = together(scenarios, signals=("knee_angle",))
+    assert [run.settings.integrator for run in runs] == ["exact_hold"] * 3 + ["rk4"]
+    for run, run_alone in zip(runs[:3], expected[:3], strict=True):
         assert_same(run, run_alone)
-    assert_same(found[3], simulate(scenarios[3].with_steps(2e-5), signals=("knee_angle",)))
+    assert_same(runs[3], simulate(scenarios[3].with_steps(2e-5), signals=("knee_angle",)))
 
 
 def test_a_bad_scenario_does_not_spoil_those_of_its_structure(monkeypatch):
@@ -191,9 +191,9 @@ def test_a_bad_scenario_does_not_spoil_those_of_its_structure(monkeypatch):
         monkeypatch.setattr(compiled, name, {})
     broken = SHORT.plant.linkage.model_copy(update={"a_2_m": 1.0})
     unknown = changed(SHORT, {"plant.linkage": broken})
-    found = together([unknown, SHORT], signals=("knee_angle",))
-    assert isinstance(found[0], LinkageError)
-    assert_same(found[1], simulate(SHORT, signals=("knee_angle",)))
+    runs = together([unknown, SHORT], signals=("knee_angle",))
+    assert isinstance(runs[0], LinkageError)
+    assert_same(runs[1], simulate(SHORT, signals=("knee_angle",)))
     with pytest.raises(ParameterError, match="signal 'no' is unknown"):
         simulate(SHORT, signals=("no",))
 

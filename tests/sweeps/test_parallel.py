@@ -126,7 +126,7 @@ def note(item):
     durations=st.lists(st.sampled_from([0.0, 0.0, 0.0, 1.0]), max_size=200),
     workers=st.integers(1, 5),
 )
-def test_whatever_fits_into_a_unit_each_piece_is_done_once(durations, workers):
+def test_each_piece_is_computed_once_whatever_fits_into_a_unit(durations, workers):
     clock = [0.0]
     executor = AtOnce()
     executor._max_workers = workers
@@ -141,8 +141,8 @@ def test_whatever_fits_into_a_unit_each_piece_is_done_once(durations, workers):
         patch.setattr(parallel.time, "perf_counter", lambda: clock[0])
         patch.setattr(pickle, "dumps", lambda value: value)  # a local function
         patch.setattr(pickle, "loads", lambda value: value)
-        found = parallel_map(take, list(range(len(durations))), executor=executor)
-    assert found == [-n for n in range(len(durations))]
+        results = parallel_map(take, list(range(len(durations))), executor=executor)
+    assert results == [-n for n in range(len(durations))]
     assert sorted(done) == list(range(len(durations)))
 
 
@@ -239,7 +239,7 @@ def test_few_calls_are_shared_by_all_workers(batches):
     assert executor.units == [1] * 27
 
 
-def test_what_ended_before_an_error_is_kept(tmp_path, batches):
+def test_results_before_an_error_are_stored(tmp_path, batches):
     path = tmp_path / "checkpoint.jsonl"
     items = list(range(40))
     with pytest.raises(ValueError, match="33 is too much"):
@@ -251,13 +251,13 @@ def test_what_ended_before_an_error_is_kept(tmp_path, batches):
         parallel_map(partial(square_below, 33), items, executor=AtOnce(), checkpoint=kept)
 
 
-def test_what_is_kept_is_not_asked_for_again(tmp_path, batches):
+def test_stored_results_are_not_computed_again(tmp_path, batches):
     path = tmp_path / "checkpoint.jsonl"
     items = list(range(40))
     parallel_map(square, items[10:20], checkpoint=Checkpoint(path))
     batches.clear()
-    found = parallel_map(square, items, checkpoint=Checkpoint(path))
-    assert found == [n * n for n in items]
+    results = parallel_map(square, items, checkpoint=Checkpoint(path))
+    assert results == [n * n for n in items]
     assert sum(batches) == 3 * 45  # 0 + 1 + … + 9 for each ten but one
 
 
@@ -290,7 +290,7 @@ def square_or_die(item):
     return item * item
 
 
-def test_what_was_finished_before_a_worker_died_is_kept(tmp_path, monkeypatch):
+def test_results_before_the_death_of_a_worker_are_stored(tmp_path, monkeypatch):
     path = tmp_path / "checkpoint.jsonl"
     items = list(range(40))
     monkeypatch.setenv("KNEEXO_TEST_CHECKPOINT", str(path))
@@ -300,8 +300,8 @@ def test_what_was_finished_before_a_worker_died_is_kept(tmp_path, monkeypatch):
     kept = Checkpoint(path)
     assert 1 <= len(kept) < len(items)
     monkeypatch.delenv("KNEEXO_TEST_CHECKPOINT")
-    found = parallel_map(square_or_die, items, checkpoint=kept)
-    assert found == [n * n for n in items]
+    results = parallel_map(square_or_die, items, checkpoint=kept)
+    assert results == [n * n for n in items]
 
 
 @pytest.mark.parametrize("most", [0, 1, 7])
