@@ -229,8 +229,8 @@ class CSource:
         rows = [
             ("x", len(states), f"continuous: {', '.join(states)}"),
             ("d", len(discrete), f"discrete: {', '.join(discrete)}"),
-            ("lost", len(self.plan.sums), "what the sums among d have lost by rounding"),
-            ("c", self.functions.constant_count, "what depends on parameters alone"),
+            ("lost", len(self.plan.sums), "rounding errors of the sums among d"),
+            ("c", self.functions.constant_count, "values that depend on parameters alone"),
         ]
         return [row for row in rows if row[1]]
 

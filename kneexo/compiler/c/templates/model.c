@@ -6,12 +6,12 @@
 
 typedef {{ name }}_real_t real;
 
-/* What the equations of an instant read. */
+/* Data that the equations read at one instant. */
 typedef struct {
     const {{ name }}_params_t *p;
     const {{ name }}_inputs_t *in;
 {% if constants %}
-    const real *c; /* what depends on parameters alone */
+    const real *c; /* values that depend on parameters alone */
 {% endif %}
 {% if states %}
     const real *x; /* continuous states */
@@ -56,7 +56,7 @@ static real maximum(real a, real b)
 
 {% endif %}
 {% if sums %}
-/* Sum whose rounding error is kept for the next one (Kahan). */
+/* Kahan's compensated sum: keeps the rounding error for the next call. */
 static real sum(real total, real term, real *lost)
 {
     const real added = term - *lost;

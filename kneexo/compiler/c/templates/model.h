@@ -79,8 +79,8 @@ typedef struct {
 extern const {{ name }}_params_t {{ name }}_params;
 
 {% if tables %}
-/* What follows from a whole-number input alone, computed when this was exported. Parameters that
- * were used only for that act no more. */
+/* Values for each value of an integer input, computed by the export. Changing a parameter that is
+ * used only for them has no effect. */
 {% for table in tables %}
 extern const {{ name }}_real_t {{ name }}_table_{{ loop.index0 }}[{{ table.values | length }}];
 {% endfor %}
@@ -91,9 +91,9 @@ extern const {{ name }}_real_t {{ name }}_table_{{ loop.index0 }}[{{ table.value
 uint16_t {{ name }}_init({{ name }}_state_t *state, const {{ name }}_params_t *params,
     const {{ name }}_inputs_t *inputs);
 
-/* To be called when parameters have changed; the state is kept. Change a second struct, call this,
- * and use that struct for the steps only after status 0: after a failure the state still has what
- * followed from the parameters before. */
+/* Call this function after a change of parameters; the state stays. Change a copy of the struct, and
+ * use the copy for the steps only if the status is 0. After another status the state still belongs
+ * to the old parameters. */
 uint16_t {{ name }}_update_parameters({{ name }}_state_t *state, const {{ name }}_params_t *params);
 
 /* Go over one sample time. */

@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* What tells this FMU from all others. */
+/* Text that only this FMU has. */
 #define {{ NAME }}_TOKEN "{{ token }}"
 
 typedef enum {
@@ -18,7 +18,7 @@ typedef enum {
     {{ NAME }}_TERMINATED
 } {{ name }}_mode_t;
 
-/* All that an instance remembers. */
+/* Memory of an instance. */
 typedef struct {
     double values[{{ variables|length }}]; /* by value reference */
     double start; /* of the experiment, in s */
@@ -37,9 +37,10 @@ typedef struct {
     void *owner;
 } {{ name }}_fmu_t;
 
-/* Of all functions: false is an error, which was reported; the memory is then as before. */
+/* Every function returns false after an error. Then it has reported the error, and the memory is
+ * unchanged. */
 
-/* Forget all; every variable has its start value. */
+/* Reset the memory; every variable gets its start value. */
 void {{ name }}_fmu_reset({{ name }}_fmu_t *fmu);
 
 /* Report an error; returns false. */
@@ -54,7 +55,7 @@ bool {{ name }}_fmu_enter_initialization({{ name }}_fmu_t *fmu);
 bool {{ name }}_fmu_exit_initialization({{ name }}_fmu_t *fmu);
 bool {{ name }}_fmu_terminate({{ name }}_fmu_t *fmu);
 
-/* From the communication point on, a whole number of sample times. */
+/* Go from the communication point over a whole number of sample times. */
 bool {{ name }}_fmu_step({{ name }}_fmu_t *fmu, double point, double size);
 
 bool {{ name }}_fmu_save({{ name }}_fmu_t *fmu, void **saved);
