@@ -117,6 +117,8 @@ EXTERNAL = {
     *("Linearize", "ValueError", "TypeError", "SystemExit", "pydrake.math"),
     *("Expression", "FramePoseVector", "MeshcatVisualizer"),
     *("kneexo.compiler.equations.symbolic.T", "kneexo.simulation.coroutines.Result"),
+    *("kneexo.simulation.coroutines.Answer", "functools.partial", "numpy.linalg.lstsq"),
+    *("jinja2.UndefinedError", "Multiplexer"),
     *("control.StateSpace", "pandas.DataFrame", "concurrent.futures.Executor"),
 }
 

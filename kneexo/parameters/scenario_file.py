@@ -4,7 +4,7 @@ A file contains only the values that differ from the defaults. Each error of a f
 `ScenarioError`, whose message is one line with file, line, path, value, unit and range.
 
 The files follow YAML 1.2 with fewer forms of scalars: no dates, no octal or hexadecimal numbers, no
-tags, no merge keys. They have limits of depth and of values. PyYAML parses them; `_Loader` adds
+tags, no merge keys. They have limits of depth and of values. PyYAML parses them; ``_Loader`` adds
 these rules and the line of each path.
 """
 

@@ -43,7 +43,7 @@ CONNECT_S = 10.0
 """Largest time in s to wait for a Dask scheduler, and then for its first worker."""
 
 LARGEST_LOT = 512
-"""Largest number of calls that share batches of runs (`kneexo.simulation.needs_runs`)."""
+"""Largest number of calls that share batches of runs (`kneexo.simulation.engines.needs_runs`)."""
 
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # NumPy reads it when it is imported
 _UNITS_PER_WORKER = 4  # units submitted per worker, so that no worker runs out of work
@@ -192,7 +192,8 @@ def parallel_map(
 ) -> list[Result]:
     """Return ``[function(item) for item in items]``, computed in parallel.
 
-    Calls of a function with the decorator `kneexo.simulation.needs_runs` share batches of runs;
+    Calls of a function with the decorator `kneexo.simulation.engines.needs_runs` share batches of
+    runs;
     each result is the same as without a batch. The first exception of a call ends the map and is
     raised, and so is KeyboardInterrupt.
 

@@ -6,7 +6,6 @@ system of floats, and `BldcPump_` is the template by scalar type, as in Drake. T
 Drake's own `RotaryEncoders`.
 """
 
-from kneexo.systems._leaf import StateVariable as StateVariable
 from kneexo.systems.bldc_pump import BldcPump as BldcPump, BldcPump_ as BldcPump_
 from kneexo.systems.drive import Cia402Drive as Cia402Drive, Cia402Drive_ as Cia402Drive_
 from kneexo.systems.four_bar_knee import FourBarKnee as FourBarKnee, FourBarKnee_ as FourBarKnee_
@@ -48,3 +47,4 @@ from kneexo.systems.state_estimator import (
     TrackingObserver as TrackingObserver,
     TrackingObserver_ as TrackingObserver_,
 )
+from kneexo.systems.state_variable import StateVariable as StateVariable

@@ -8,7 +8,7 @@ from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from numbers import Real
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from pydrake.math import max as _max, min as _min
 from pydrake.symbolic import Expression, if_then_else
@@ -36,15 +36,6 @@ def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
         )
         return if_then_else(condition > 0.0, *branches)
     return positive if condition > 0.0 else otherwise
-
-
-class StateVariable(NamedTuple):
-    """A continuous state of a leaf system and the column that shows it in a run."""
-
-    column: str
-    """Name of the quantity with its unit, such as ``motor_speed_rad_s``."""
-    factor: float = 1.0
-    """Value in the unit of the column, divided by the value in the Context."""
 
 
 def values_of(source: Any, *names: str) -> dict[str, float]:

@@ -9,12 +9,12 @@ from pydrake.systems.framework import BasicVector_
 from kneexo.parameters import BldcPumpParameters
 from kneexo.systems._leaf import (
     NamedLeaf,
-    StateVariable,
     clip,
     leaf_template,
     require_finite,
     values_of,
 )
+from kneexo.systems.state_variable import StateVariable
 
 RAD_S_PER_KRAD_S = 1e3
 """Rad/s per krad/s: the speed is a state in krad/s, ports are in rad/s."""

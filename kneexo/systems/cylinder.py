@@ -12,12 +12,12 @@ from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import CylinderParameters
 from kneexo.systems._leaf import (
     NamedLeaf,
-    StateVariable,
     fill,
     require_finite,
     value_or_zero,
     values_of,
 )
+from kneexo.systems.state_variable import StateVariable
 
 PA_PER_MPA = 1e6
 """Pascal per megapascal: pressures are states in MPa, ports are in Pa."""

@@ -99,7 +99,7 @@ class Interface:
     def members(self, sizes: Mapping[str, int]) -> tuple[Field, ...]:
         """Return the elements of ports, of which ``sizes`` gives name and size, in their order.
 
-        Raises `CompilationError` if `fields` has a wrong number of names for a port, and if two
+        Raises `CompilationError` if ``fields`` has a wrong number of names for a port, and if two
         elements have the same name.
         """
         members = []

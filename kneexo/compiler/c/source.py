@@ -63,9 +63,11 @@ class CSource:
     subject
         What is exported; part of the first line of each file.
 
-    Raises `CompilationError` for a name that is no identifier, an unknown precision or output,
-    names in ``interface`` that do not fit, times as in `schedule_of`, and ``look_up`` without a
-    value to look up.
+    Raises
+    ------
+    CompilationError
+        For a name that is no identifier, an unknown precision or output, names in ``interface``
+        that do not fit, times as in `schedule_of`, and ``look_up`` without a value to look up.
     """
 
     equations: Equations

@@ -1,0 +1,14 @@
+"""Continuous states of the leaf systems by name."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class StateVariable(NamedTuple):
+    """A continuous state of a leaf system and the column that shows it in a run."""
+
+    column: str
+    """Name of the quantity with its unit, such as ``motor_speed_rad_s``."""
+    factor: float = 1.0
+    """Value in the unit of the column, divided by the value in the Context."""
