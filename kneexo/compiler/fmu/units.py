@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 BASE_UNITS = ("kg", "m", "s", "rad")
-"""Base units of all units in this module, in the order of `Unit.exponents`."""
+"""Base units of all units in this module, in the order of the field ``exponents`` of `Unit`."""
 
 
 @dataclass(frozen=True)
