@@ -154,6 +154,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "studies/size/result": ("studies/size/test_report",),
     "sweeps/sweep": ("sweeps/test_parallel",),
     "systems/_leaf": ("systems/test_leaf",),
+    "systems/state_variable": ("systems/test_bldc_pump", "diagrams/test_plant"),
     "systems/cylinder": ("systems/test_reduced_cylinder", "systems/test_full_cylinder"),
 }
 """Tests of the modules that have no file of their own name."""
