@@ -20,16 +20,16 @@ MARGIN_METRICS = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_mar
 async def assess(
     scenario: Scenario, *, tracking: bool = True, margins: bool = True, bandwidth: bool = False
 ) -> dict[str, Any]:
-    """Return plain numbers that rate a scenario, by name.
+    """Return metrics of a scenario by name; each argument that is True adds a group of metrics.
 
-    - ``tracking``: `TRACKING_METRICS` and ``tracking_failure``.
-    - ``margins``: ``stable``, `MARGIN_METRICS` and ``margins_failure``, with the knee in the middle
-      of the reference's range. The margins of an unstable loop are nan.
+    - ``tracking``: `TRACKING_METRICS` of a simulated run, and ``tracking_failure``.
+    - ``margins``: ``stable``, `MARGIN_METRICS` and ``margins_failure`` of the linear loop, with the
+      knee in the middle of the reference's range. The margins of an unstable loop are nan.
     - ``bandwidth``: ``bandwidth_hz`` (`large_signal_bandwidth_hz`) and ``bandwidth_failure``.
 
-    No `KneexoError` is raised, so that a sweep continues after a scenario that fails. The numbers
-    of a part that fails are nan, ``stable`` is None, and the text of the failure says why. The text
-    is empty for a part that succeeds.
+    No `KneexoError` is raised, so that a sweep continues after a scenario that fails. If the
+    analysis of a group fails, the numbers of the group are nan, ``stable`` is None, and the
+    group's ``…_failure`` is the error message. Otherwise ``…_failure`` is an empty text.
     """
     metrics: dict[str, Any] = {}
     if tracking:

@@ -1,9 +1,9 @@
 """Large-signal bandwidth of the closed loop, and the bounds that the motor sets on it.
 
 The bandwidth is the frequency at which the gain of the fundamental first falls below 1/√2. For a
-small sine it is that of the linear loop. For a large sine the limits of the motor matter. If R is
-the largest speed and A the largest acceleration of the rod, then a reference of rod amplitude a at
-ω has with any controller
+small sine the bandwidth of the linear loop applies. For a large sine the limits of the motor
+matter. Let R be the largest speed and A the largest acceleration of the rod, a the amplitude of the
+rod's reference and ω its angular frequency. Then every controller obeys
 
     gain <= (4/π) R/(aω) and gain <= (4/π) A/(aω²).
 
@@ -60,28 +60,29 @@ def rod_limits(scenario: Scenario) -> tuple[float, float]:
 
 
 def acceleration_bound_hz(acceleration_limit: float, amplitude: float) -> float:
-    """Return the frequency in Hz above which no controller has a gain of 1/√2: √(4√2 A/(π a))/2π.
+    """Return √(4√2 A/(π a))/2π, the frequency in Hz above which any controller has a gain < 1/√2.
 
-    ``acceleration_limit`` A and ``amplitude`` a have the same unit of length, such as m/s² and m.
+    A is ``acceleration_limit`` of the rod and a the ``amplitude`` of its sinusoidal reference, in
+    the same unit of length, such as m/s² and m.
     """
     return math.sqrt(4.0 * math.sqrt(2.0) / math.pi * acceleration_limit / amplitude) / math.tau
 
 
 def rod_of(scenario: Scenario, knee_angle_rad: Array) -> Array:
-    """Return the rod extension in m at knee angles in rad, by the rod map of the plant."""
+    """Return the rod extension in m at knee angles in rad, by the plant's linkage or polynomial."""
     if scenario.plant.rod_map == "polynomial":
         return np.asarray(linkage.polynomial(scenario.polynomial.p_si, knee_angle_rad))
     return linkage.rod_extension(scenario.plant.linkage, knee_angle_rad)
 
 
 def rod_amplitude_m(scenario: Scenario) -> float:
-    """Return half the travel of the rod in m between the ends of the scenario's reference."""
+    """Return half the rod travel in m between smallest and largest angle of the reference."""
     ends = rod_of(scenario, np.radians(scenario.reference.range_deg))
     return 0.5 * float(abs(ends[1] - ends[0]))
 
 
 def speed_limit_reached_hz(scenario: Scenario) -> float:
-    """Return the frequency in Hz above which the scenario's sine exceeds the rod's speed limit."""
+    """Return the frequency in Hz above which the scenario's sine exceeds the speed limit of the rod."""
     reference = require_sine(scenario)
     phase = np.linspace(0.0, math.pi, 10_001)
     knee = np.radians(reference.mean_deg - reference.amplitude_deg * np.cos(phase))
@@ -90,11 +91,11 @@ def speed_limit_reached_hz(scenario: Scenario) -> float:
 
 
 def follower_response(scenario: Scenario, frequency_hz: float) -> complex:
-    """Return the response of the knee to the scenario's sine for an ideal rod with a speed limit.
+    """Return the knee's response to the scenario's sine if the rod's only limit is its speed.
 
-    The rod follows the rod extension of the reference without any error but that of its speed limit
-    (`rate_limited_follower`). The rod map of the plant converts between knee and rod. The result is
-    the complex ratio of the fundamentals of knee and reference at one frequency in Hz.
+    The rod equals the rod extension of the reference, except where its speed limit prevents it
+    (`rate_limited_follower`). The result is the complex ratio of the fundamentals of knee angle and
+    reference at ``frequency_hz``.
     """
     reference = require_sine(scenario)
     time = np.arange(3 * _FOLLOWER_STEPS + 1) / (_FOLLOWER_STEPS * frequency_hz)
@@ -113,7 +114,7 @@ def follower_response(scenario: Scenario, frequency_hz: float) -> complex:
 
 
 def follower_bandwidth_hz(scenario: Scenario) -> float:
-    """Return the −3 dB frequency in Hz of `follower_response`."""
+    """Return the frequency in Hz at which the gain of `follower_response` is 1/√2 (−3 dB)."""
     guess = math.log(rate_limit_bandwidth_hz(rod_limits(scenario)[0], rod_amplitude_m(scenario)))
 
     def excess(log_frequency: float) -> float:
@@ -160,10 +161,11 @@ async def large_signal_bandwidth_hz(
 def _first_fall_hz(
     excess: Callable[[float], float], bottom: float, start: float, top: float
 ) -> float:
-    """Return the frequency in Hz at which ``excess`` of log f first falls below zero, or nan.
+    """Return the frequency f in Hz at which ``excess(ln f)`` first falls below zero, else nan.
 
-    The search begins at ``start`` and goes down to ``bottom`` where ``excess`` is negative, then up
-    to ``top``; all three are logarithms of a frequency in Hz.
+    ``bottom``, ``start`` and ``top`` are logarithms of frequencies in Hz. From ``start`` the search
+    moves down while ``excess`` is negative, at most to ``bottom``. Then the search moves up, at
+    most to ``top``. The result is nan without a change of sign between both ends.
     """
     low, step = start, math.log(_SEARCH_STEP)
     while excess(low) < 0.0:
@@ -179,7 +181,7 @@ def _first_fall_hz(
 
 
 def _expected_hz(scenario: Scenario) -> float:
-    """Return the smallest −3 dB frequency in Hz of both limits of the rod and the linear loop."""
+    """Return the smallest of the bandwidths in Hz by speed limit, acceleration limit, linear loop."""
     speed, acceleration = rod_limits(scenario)
     amplitude = rod_amplitude_m(scenario)
     limits = [
@@ -191,7 +193,7 @@ def _expected_hz(scenario: Scenario) -> float:
 
 
 def _linear_bandwidth_hz(scenario: Scenario) -> float:
-    """Return the bandwidth in Hz of the linear loop at the reference's mean; nan without a loop."""
+    """Return the linear loop's bandwidth in Hz at the reference's mean; nan if there is none."""
     try:
         return linearize_loop(scenario, require_sine(scenario).mean_deg).bandwidth_hz()
     except LinearizationError:

@@ -4,7 +4,10 @@ The error has three causes: a wrong piston area, a motor with lag, and leakage.
 
 Below the hydraulic resonance the oil is stiff, and the rod moves as the pump does. Notation:
 
-- α: motor speed that a rod speed requires, divided by the value that the controller believes. It
+- e: error x − x_d of the rod extension x with the reference x_d; P_L: load pressure; C_t: leakage.
+- λ, Φ, k: slope and boundary layer of the sliding variable s, and switching gain (Eq. 20–27).
+- Ā, A_i: mean piston area, by which the controller computes, and area of the loaded chamber.
+- α: motor speed that a rod speed requires, divided by the value that the controller computes. It
   is A_i/Ā when only the area is wrong.
 - τ: delay from a command to the motor speed, τ = τ_m + T/2 + n T. The terms are the lag of the
   motor, half the sample time T for which a command is held, and n samples of latency of the bus.
@@ -12,7 +15,7 @@ Below the hydraulic resonance the oil is stiff, and the rod moves as the pump do
 
 Inside the boundary layer Eq. 27 gives
 
-    α (ẋ + τ ẍ) + C_t P_L/Ā = ẋ − κ s,  s = (d/dt + λ)² e,  e = x − x_d.
+    α (ẋ + τ ẍ) + C_t P_L/Ā = ẋ − κ s,  s = (d/dt + λ)² e.
 
 The omitted term ṡ/ω̂² is small beside κ s at frequencies below k/Φ. With p = d/dt,
 
@@ -47,47 +50,51 @@ Chamber = Literal["cap", "rod_side"]
 
 @dataclass(frozen=True, repr=False)
 class ErrorModel(Result):
-    """Closed form of the error e of the rod inside the boundary layer and the speed limit."""
+    """Closed form of the rod's error e = x − x_d inside boundary layer and speed limit.
+
+    The docstring of `kneexo.analysis.error_model` defines the symbols.
+    """
 
     lambda_per_s: float
     slope_per_s: float
-    """k/Φ, slope of the boundary layer."""
+    """k/Φ: switching gain divided by the width of the boundary layer."""
     stiffness_per_s2: float
-    """ω̂², square of the hydraulic frequency by the parameters that the controller believes."""
+    """ω̂²: square of the hydraulic natural frequency, computed from the nominal plant."""
     speed_ratio: float
-    """α: motor speed that a rod speed requires, over the value that the controller believes."""
+    """α: motor speed that a rod speed requires, divided by the controller's value of it."""
     delay_s: float
     """τ: delay from a command to the motor speed."""
     leakage_m_per_s_pa: float
-    """C_t/Ā: loss of rod speed per load pressure."""
+    """C_t/Ā: rod speed in m/s that leakage costs per Pa of load pressure."""
 
     @property
     def gain_s(self) -> float:
-        """ω̂²/(λ² k/Φ): error in m per m/s of rod speed that is missing from the command."""
+        """ω̂²/(λ² k/Φ): error e in m for each m/s of rod speed that the motor command lacks."""
         return self.stiffness_per_s2 / (self.lambda_per_s**2 * self.slope_per_s)
 
     @property
     def damping_s(self) -> float:
-        """2λκ − (1 − α): damping of the loop; without a positive value the error diverges."""
+        """2λκ − (1 − α) with κ = k/(Φ ω̂²): damping of the loop; if not positive, e diverges."""
         kappa = self.slope_per_s / self.stiffness_per_s2
         return 2.0 * self.lambda_per_s * kappa - (1.0 - self.speed_ratio)
 
     @property
     def stable(self) -> bool:
-        """Whether the closed form is stable; sampling, observer and oil are not part of it."""
+        """Whether `damping_s` is positive, without the effects of sampling, observer and oil."""
         return self.damping_s > 0.0
 
     def error_m(self, velocity: Any, acceleration: Any, load_pressure_pa: Any = 0.0) -> Any:
-        """Return the error e in m for a slow reference.
+        """Return the error e in m for a slow reference x_d.
 
-        ``velocity`` in m/s and ``acceleration`` in m/s² are those of the reference x_d.
+        ``velocity`` in m/s and ``acceleration`` in m/s² are derivatives of x_d;
+        ``load_pressure_pa`` is P_L.
         """
         missing = (1.0 - self.speed_ratio) * velocity
         missing -= self.speed_ratio * self.delay_s * acceleration
         return self.gain_s * (missing - self.leakage_m_per_s_pa * load_pressure_pa)
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return e/x_d at frequencies in Hz, (n,), for references of any speed."""
+        """Return the complex response e/x_d to a sine in x_d, (n,), at frequencies in Hz."""
         p = 2j * np.pi * frequency_array(frequencies_hz)
         kappa = self.slope_per_s / self.stiffness_per_s2
         driving = (1.0 - self.speed_ratio) * p - self.speed_ratio * self.delay_s * p**2
@@ -105,15 +112,15 @@ def error_model(
     Parameters
     ----------
     scenario
-        Plant, beliefs of the controller, controller and bus.
+        Plant, nominal plant of the controller, controller and bus.
     loaded_chamber
-        Chamber that carries the load; required in full order, None in reduced order.
+        Chamber that carries the load, for a plant of full order; None for one of reduced order.
     rod_speed_m_s
         Rod speed at which k is evaluated. It matters if the controller's uncertainties of area,
         stiffness or damping make k grow with the speed.
 
-    The part |1 − β||x⃛_d − 2λë − λ²ė| of k is neglected. Raises `ParameterError` for another
-    controller and for a wrong ``loaded_chamber``.
+    The part |1 − β||x⃛_d − 2λë − λ²ė| of k is neglected. Raises `ParameterError` if the controller
+    is no sliding-mode controller or ``loaded_chamber`` does not match the order of the plant.
     """
     law, believed, plant = sliding_mode(scenario), scenario.believed_plant, scenario.plant
     oil = believed.cylinder
@@ -140,7 +147,10 @@ def error_model(
 
 
 def _area_m2(cylinder: CylinderParameters, loaded: Chamber | None, full_order: bool) -> float:
-    """Return the piston area whose motion displaces the oil."""
+    """Return the area in m² of the loaded chamber; in reduced order, the mean piston area.
+
+    Raises `ParameterError` if ``loaded`` does not match the order.
+    """
     if full_order != (loaded is not None):
         raise ParameterError(
             f"loaded_chamber = {loaded}: must be 'cap' or 'rod_side' in full order, and None in "

@@ -1,4 +1,4 @@
-"""Sinestream frequency response of the closed loop.
+"""Frequency response of the closed loop by a sinestream, a test with one sine after another.
 
 `sinestream` repeats the experiment of Lee et al. 2020, Fig. 13, in trials with a fixed number of
 cycles. `kneexo.analysis.sine_estimate` measures the response to one sine more accurately.
@@ -84,12 +84,12 @@ _TRIAL_PATHS = {
     "mass_kg": "plant.cylinder.mass_kg",
     "encoder_phase_rad": "encoder.phase_rad",
 }
-"""Paths in a scenario of the fields of `Trial`."""
+"""Dotted path in a scenario of each field of `Trial`."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Values of the plant in one repetition of the experiment, in SI units."""
+    """Values of plant and encoder in one repetition of the experiment, in SI units."""
 
     internal_leakage_m3_per_s_pa: float
     acceleration_limit_rad_s2: float
@@ -98,7 +98,7 @@ class Trial:
     encoder_phase_rad: float
 
     def applied(self, scenario: Scenario) -> Scenario:
-        """Return the scenario with the plant of this trial; the nominal plant stays the same."""
+        """Return the scenario with these values; the controller's nominal plant does not change."""
         values = {path: getattr(self, name) for name, path in _TRIAL_PATHS.items()}
         return changed(scenario, {"nominal": scenario.believed_plant} | values)
 
@@ -132,13 +132,13 @@ def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> tuple[Trial
 
 
 def nominal_trial(scenario: Scenario) -> Trial:
-    """Return the trial with the values of the scenario itself."""
+    """Return the trial whose values are those of the scenario, without a random draw."""
     return Trial(**{name: value_at(scenario, path) for name, path in _TRIAL_PATHS.items()})
 
 
 @dataclass(frozen=True, repr=False)
 class FrequencyResponse(Result):
-    """Response θ_p/θ_d of the fundamental, measured with one sine after another.
+    """Response of knee angle θ_p to reference θ_d at its frequency, measured sine by sine.
 
     ``frequencies_hz`` (n,), ``response`` (trials, n) complex. A shape-preserving cubic (PCHIP)
     through the mean gains over the trials has the value 1/√2 at ``bandwidth_hz``;
@@ -167,8 +167,8 @@ class FrequencyResponse(Result):
     def to_dataframe(self) -> Any:
         """Return means and trials as a `pandas.DataFrame` with the index ``frequency_hz``.
 
-        ``gain`` and ``phase_deg`` are the means, ``gain_1``, ``phase_1_deg`` and so on the values
-        of each trial. Raises `PackageError` without pandas.
+        ``gain`` and ``phase_deg`` are means over the trials. ``gain_1``, ``phase_1_deg`` and so on
+        are values of one trial. Raises `PackageError` without pandas.
         """
         trials = enumerate(zip(self.response, _phase_deg(self.response), strict=True), 1)
         columns = {"frequency_hz": self.frequencies_hz, "gain": self.gain}
@@ -179,7 +179,7 @@ class FrequencyResponse(Result):
         return data_frame(columns, "frequency_hz")
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot magnitude and phase as in Fig. 13: trials, means and PCHIP; return the two axes."""
+        """Plot trials, means and PCHIP of magnitude and phase as in Fig. 13; return two Axes."""
         ax = axes_or_new(ax, 1, 2, figsize=(10, 4))
         f = self.frequencies_hz
         fine = np.linspace(f[0], f[-1], 400)
@@ -231,7 +231,7 @@ def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
 
 
 def _phase_deg(response: Any) -> Array:
-    """Return the phase in deg, unwrapped along the last axis, the frequencies in rising order."""
+    """Return the phase in deg, unwrapped along the last axis, which is that of the frequency."""
     return np.degrees(np.unwrap(np.angle(response), axis=-1))
 
 
@@ -240,10 +240,10 @@ def _pchip(x: Array, y: Array) -> PiecewisePolynomial:
 
 
 def crossing(frequencies_hz: Array, gain: Array) -> float:
-    """Return the first frequency in Hz at which the PCHIP through ``gain`` (n,) falls to 1/√2.
+    """Return the first frequency in Hz at which a curve through ``gain`` (n,) falls to 1/√2.
 
-    The result is nan when the curve does not fall to 1/√2 within ``frequencies_hz`` (n,), which
-    must be increasing.
+    The curve is a shape-preserving cubic (PCHIP). The result is nan when the curve does not
+    fall to 1/√2 within ``frequencies_hz`` (n,), which must be increasing.
     """
     below = np.flatnonzero((gain[:-1] >= MINUS_3_DB) & (gain[1:] < MINUS_3_DB))
     if below.size == 0:
@@ -261,7 +261,10 @@ def crossing(frequencies_hz: Array, gain: Array) -> float:
 
 @needs_runs
 async def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -> complex:
-    """Return the response of a scenario; ``work``: frequency in Hz and scenario."""
+    """Simulate one sine and return its complex response θ_p/θ_d.
+
+    ``work`` is the frequency in Hz and the scenario.
+    """
     frequency, scenario = work
     cycles = settings.transient_cycles + settings.measured_cycles
     at = {"reference.frequency_hz": frequency, "simulation.duration_s": cycles / frequency}
@@ -276,7 +279,7 @@ async def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -
 
 
 def require_sine(scenario: Scenario) -> SineReference:
-    """Return the sinusoidal reference of a scenario; `ParameterError` if it is none or constant."""
+    """Return a scenario's reference; `ParameterError` if it is no sine or does not move."""
     reference = scenario.reference
     if reference.kind != "sine" or reference.amplitude_deg == 0.0:
         shown = reference.kind if reference.kind != "sine" else "sine with amplitude_deg = 0 deg"
@@ -285,12 +288,12 @@ def require_sine(scenario: Scenario) -> SineReference:
 
 
 def highest_frequency_hz(scenario: Scenario) -> float:
-    """Return the frequency in Hz whose period has ten samples of the controller."""
+    """Return the frequency in Hz whose period is ten sample times of the controller."""
     return 0.1 / scenario.controller.sample_time_s
 
 
 def require_sampled(frequency_hz: float, scenario: Scenario) -> None:
-    """Raise `ParameterError` for a frequency with fewer than ten samples a period."""
+    """Raise `ParameterError` if a period has fewer than ten samples of the controller."""
     highest = highest_frequency_hz(scenario)
     if frequency_hz > highest:
         nyquist = 5.0 * highest
@@ -322,7 +325,7 @@ def sinestream(
     settings
         Frequencies, numbers of cycles, and the ranges from which trials are drawn.
     trials
-        The trials; None: drawn by `draw_trials`.
+        The trials; None: `draw_trials` draws them from the ranges of ``settings``.
     workers, executor, progress
         Processes and progress bar, as in `parallel_map`.
 

@@ -1,8 +1,10 @@
 """Bounds that the actuator's hardware sets on the bandwidth, and scenarios with other hardware.
 
-The largest speed of the rod is R = ω_max D_m/(gear Ā). The largest acceleration of the rod is
-A = α_max D_m/(gear Ā) = R α_max/ω_max. Of all motions within both limits, a trapezoidal speed
-profile has the largest fundamental at ω. For a reference of amplitude a its gain is
+The motor has the largest speed ω_max and acceleration α_max, the pump the displacement D_m, the
+cylinder the mean piston area Ā. So the largest speed of the rod is R = ω_max D_m/(gear Ā), and its
+largest acceleration is A = α_max D_m/(gear Ā) = R α_max/ω_max. Of all motions within both limits, a
+trapezoidal speed profile has the largest fundamental. For a reference of amplitude a and angular
+frequency ω its gain is
 
     gain = 4A/(π ω² a) · sin(min(ωR/A, π/2)).
 
@@ -49,10 +51,10 @@ HARDWARE = {
 """Hardware by dotted path in a scenario: name, displayed unit, factor from SI to this unit."""
 
 ONE_PERCENT_RATIO, ACCELERATION_ALONE_RATIO = 7.27, 0.73
-"""Values of A a/R².
+"""Two values of A a/R², with speed limit R and acceleration limit A of the rod and amplitude a.
 
-At the first the acceleration limit reduces the bandwidth by 1 %. Below the second the bandwidth
-does not depend on the speed limit.
+At `ONE_PERCENT_RATIO` the acceleration limit reduces the bandwidth by 1 %. Below
+`ACCELERATION_ALONE_RATIO` the bandwidth does not depend on the speed limit.
 """
 
 
@@ -62,10 +64,10 @@ does not depend on the speed limit.
 def limited_gain(
     frequency_hz: float, *, speed_limit: float, acceleration_limit: float, amplitude: float
 ) -> float:
-    """Return the largest gain of the fundamental within both limits of the rod, at most 1.
+    """Return the largest gain, at most 1, that limits of rod speed and acceleration allow.
 
-    ``speed_limit`` R, ``acceleration_limit`` A and ``amplitude`` a of the sine have the same unit
-    of length, such as m/s, m/s² and m. All arguments must be positive.
+    The reference of the rod is a sine with ``amplitude``. This amplitude and both limits have the
+    same unit of length, such as m, m/s and m/s². All arguments must be positive.
     """
     omega = 2.0 * math.pi * frequency_hz
     ramp = min(omega * speed_limit / acceleration_limit, 0.5 * math.pi)
@@ -112,7 +114,7 @@ def expected_bandwidth_hz(scenario: Scenario) -> float:
 
 
 def sliding_mode(scenario: Scenario) -> SlidingModeParameters:
-    """Return the sliding-mode controller of a scenario; `ParameterError` for another controller."""
+    """Return a scenario's sliding-mode controller; `ParameterError` if it has another one."""
     if scenario.controller.kind != "smc":
         raise ParameterError(f"controller.kind = {scenario.controller.kind}: must be smc")
     return scenario.controller
@@ -122,11 +124,12 @@ def sliding_mode(scenario: Scenario) -> SlidingModeParameters:
 
 
 def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
-    """Return a scenario whose hardware values, by paths of `HARDWARE`, are multiplied by factors.
+    """Return a scenario with other hardware; ``factors``: factor by path of `HARDWARE`.
 
-    The controller is adapted. The nominal plant and the command limit get the same factors. η and
-    Φ of a sliding-mode controller get the factor of the largest rod speed, which keeps k/Φ and
-    the ratio of βη to the largest rod speed. Numbers of encoder counts are rounded.
+    The controller is adapted. An explicit nominal plant gets the same factors, and the command
+    limit gets that of the motor speed limit. η and Φ of a sliding-mode controller are multiplied by
+    the change of the largest rod speed, so that k/Φ and the ratio of βη to the largest rod speed do
+    not change. The number of encoder counts is rounded.
     """
     values: dict[str, Any] = {}
     for path, factor in factors.items():
@@ -155,7 +158,7 @@ def tuned(scenario: Scenario, gains: Mapping[str, float]) -> Scenario:
     """Return a scenario with other gains of the sliding-mode controller.
 
     ``gains``: ``lambda_per_s`` (λ), ``slope_per_s`` (k/Φ, set by Φ) and ``observer_s`` (time
-    constant T_f of the observer). Raises `ParameterError` for another controller.
+    constant T_f of the observer). Raises `ParameterError` if the controller is of another kind.
     """
     control = sliding_mode(scenario)
     phi = control.gain_ratio * control.eta_m_s3 / gains["slope_per_s"]

@@ -1,7 +1,7 @@
 """Equilibria of sampled loops at a constant reference, where a loop can be linearized.
 
-Loops of one structure differ only in Context parameters and start, so they share one diagram. A
-sweep therefore builds no diagram for each scenario. (Python 3.11 never frees a Python LeafSystem.)
+Loops of one structure differ only in Context parameters and initial state. They share one diagram,
+because Python 3.11 never frees a LeafSystem: a sweep must not build a diagram for each scenario.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from kneexo.simulation.compiled import structure_key
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Equilibrium of a sampled loop at a constant reference, and a diagram to differentiate.
+    """Equilibrium of a sampled loop at a constant reference, with a diagram for derivatives.
 
     ``diagram`` has the scalar type AutoDiffXd; loops of one structure share it. ``context`` holds
-    the parameters of this loop. ``point`` contains the ``continuous_states`` states x of the plant,
+    the parameters of the loop. ``point`` contains the ``continuous_states`` states x of the plant,
     then the discrete states z of the controller, in the units of the Context. ``reference`` (4,)
     is θ_d in rad and its three derivatives.
     """
@@ -45,23 +45,23 @@ class Equilibrium:
     knee_angle_rad: float = math.nan
 
     def autodiff_context(self, state: Any, reference: Any) -> Any:
-        """Return a Context of ``diagram`` at a state (x, z) and reference, float or AutoDiffXd."""
+        """Return a new Context of ``diagram`` at a state (x, z) and reference r (4,)."""
         context = self.diagram.CreateDefaultContext()
         context.SetTimeStateAndParametersFrom(self.context)
         _set_point(self.diagram, context, state, reference, self.continuous_states)
         return context
 
     def rates(self, context: Any) -> Any:
-        """Return dx/dt and the updated discrete state z⁺ at a Context of ``diagram``."""
+        """Return dx/dt and then the updated discrete state z⁺, in one array, at ``context``."""
         updated = self.diagram.EvalUniquePeriodicDiscreteUpdate(context)
         groups = [updated.get_vector(i).CopyToVector() for i in range(updated.num_groups())]
         return np.concatenate([self.diagram.EvalTimeDerivatives(context).CopyToVector(), *groups])
 
     def gradients(self, point: Array, reference: Array, output: str) -> tuple[Array, ...]:
-        """Return values of `rates`, their gradients in (x, z, r), and the gradient of a port in x.
+        """Return `rates` at a point, their gradients in (x, z, r), and the gradient of a port in x.
 
-        The shapes are (n + m,), (n + m, n + m + 4) and (1, n) for n states x and m states z. The
-        port ``output`` has one element.
+        ``point`` is (x, z) with n states x and m states z, ``reference`` is r (4,), and the output
+        port ``output`` has one element. The shapes are (n + m,), (n + m, n + m + 4) and (1, n).
         """
         seeded = InitializeAutoDiff(np.append(point, reference).reshape(-1, 1)).reshape(-1)
         context = self.autodiff_context(seeded[: point.size], seeded[point.size :])
@@ -75,7 +75,7 @@ _built: dict[str, tuple[Any, Any]] = {}
 
 
 def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
-    """Return the diagrams in float and AutoDiffXd that loops of the scenario's structure share."""
+    """Return the closed loop in float and in AutoDiffXd; scenarios of one structure share both."""
     key = structure_key(scenario)
     if scenario.controller.kind == "custom":  # whose Context parameters cannot be set by name
         key += known_to_controller(scenario).model_dump_json()
@@ -114,16 +114,16 @@ def _system(diagram: Any, path: str) -> Any:
 
 
 def start_state(scenario: Scenario, size: int) -> list[Any]:
-    """Return the continuous states of the closed loop at its start, (size,), as in its Context.
+    """Return the initial continuous states of the closed loop, (size,), as in its Context.
 
-    Those of the plant come first; those of a custom controller are zero.
+    The states of the plant come first. The states of a custom controller are zero.
     """
     plant = list(plant_start(scenario).values())
     return plant + [0.0] * (size - len(plant))
 
 
 def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -> None:
-    """Set the reference and the state: n continuous states, then all groups of discrete ones."""
+    """Set reference and state of ``context``; ``state`` has n continuous, then discrete states."""
     context.SetContinuousState(state[:n])
     for index in range(context.num_discrete_state_groups()):
         size = context.get_discrete_state(index).size()
@@ -196,7 +196,7 @@ def find_equilibrium(
 
 
 def _sample_time_s(diagram: Any) -> float:
-    """Return the sample time in s; `LinearizationError` unless there is exactly one."""
+    """Return the only sample time in s; `LinearizationError` for none or several."""
     timing = diagram.GetUniquePeriodicDiscreteUpdateAttribute()
     if timing is None:
         raise LinearizationError(
@@ -206,7 +206,7 @@ def _sample_time_s(diagram: Any) -> float:
 
 
 def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
-    """Raise `LinearizationError` at the speed limit and outside the boundary layer."""
+    """Raise `LinearizationError` if the command is at its limit or s outside the boundary layer."""
     command = abs(float(diagram.GetOutputPort("motor_speed_command").Eval(context)[0]))
     limit = scenario.command_limit_rad_s
     if command >= limit * (1.0 - 1e-9):

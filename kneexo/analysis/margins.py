@@ -30,7 +30,8 @@ class Margins(Result):
     as a negative number.
 
     Frequencies are in Hz. ``gain_margin`` and ``disk_gain_margin`` are factors. ``disk_margin`` is
-    that of the balanced disk (S − T)/2. A margin without a crossing is inf, its frequency nan.
+    1/max|(S − T)/2| with S = 1/(1 + L) and T = L/(1 + L), the balanced disk margin. A margin that
+    no change reaches is inf, and its frequency is nan.
     """
 
     stable: bool
@@ -57,7 +58,7 @@ class LoopTransfer(Protocol):
 
     @property
     def sample_time_s(self) -> float:
-        """Sample time in s."""
+        """Sample time of the controller in s."""
 
     @property
     def stable(self) -> bool:
@@ -67,7 +68,7 @@ class LoopTransfer(Protocol):
         """Return L at frequencies in Hz, (n,)."""
 
     def loop_slope(self, frequency_hz: float) -> complex:
-        """Return dL/df in 1/Hz."""
+        """Return the derivative dL/df of L at a frequency f in Hz, in 1/Hz."""
 
     def loop_on_grid(self, frequencies_hz: Array) -> Complex:
         """Return L at many frequencies in Hz, (n,); a relative error of 1e-9 is allowed."""
@@ -76,7 +77,8 @@ class LoopTransfer(Protocol):
 def stability_margins(transfer: LoopTransfer) -> Margins:
     """Return gain, phase, delay and disk margins of a loop up to its Nyquist frequency.
 
-    Each crossing is first bracketed on a grid of 20 000 frequencies from 1 mHz on.
+    Crossings of L with the real axis and the unit circle are bracketed on a grid of 20 000
+    frequencies, of which the lowest is 1 mHz. Then a root search refines each crossing.
     """
     nyquist = 0.5 / transfer.sample_time_s
     grid = np.geomspace(1e-3, nyquist, 20_000)
@@ -125,7 +127,7 @@ def stability_margins(transfer: LoopTransfer) -> Margins:
 
 
 def _disk_frequency(transfer: LoopTransfer, grid: Array, loop: Complex) -> float:
-    """Return the frequency in Hz of the smallest disk margin; ``loop``: L on ``grid``."""
+    """Return the frequency in Hz of the smallest disk margin; ``loop`` is L on ``grid`` (Hz)."""
 
     def slope(frequency: float) -> float:
         at = transfer.loop_response(frequency)[0]
@@ -139,7 +141,7 @@ def _disk_frequency(transfer: LoopTransfer, grid: Array, loop: Complex) -> float
 
 
 def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:
-    """Return the zeros of ``function``; its approximate ``values`` on ``grid`` bracket them."""
+    """Return the zeros of ``function`` between grid points where ``values`` of it change sign."""
     changes = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
     brackets = ((grid[i], grid[i + 1]) for i in changes)
     return [
@@ -150,5 +152,5 @@ def _crossings(function: Callable[[float], float], grid: Array, values: Array) -
 
 
 def _disk_distance(loop: Any) -> Any:
-    """Return the balanced disk margin 1/|(S − T)/2| at values of L."""
+    """Return 1/|(S − T)/2| with S = 1/(1 + L) and T = L/(1 + L) at values of L."""
     return 2.0 * np.abs((1.0 + loop) / (1.0 - loop))

@@ -49,7 +49,10 @@ def newton(
 
 
 def failure(residual: float, quantity: str) -> str:
-    """Return why `newton` found no zero: ``quantity`` names what the residual measures."""
+    """Return the part of an error message that says why `newton` found no zero.
+
+    ``quantity`` names the numbers of which ``residual`` is the largest absolute value.
+    """
     if math.isnan(residual):
         return "Newton's method goes where the equations are not finite"
     return f"the largest {quantity} left is {residual:.3g}"

@@ -41,7 +41,7 @@ class OperatingPoint(Result):
     state: Array
 
     def __str__(self) -> str:
-        """Return one line in the paper's units."""
+        """Return knee angle, motor speed, load pressure and rod force as one line of text."""
         return (
             f"knee at {math.degrees(self.knee_angle_rad):.4g} deg: motor "
             f"{_rounded(to_rpm(self.motor_speed_rad_s)):.4g} rpm, load pressure "
@@ -56,7 +56,7 @@ def _rounded(value: float) -> float:
 
 
 def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float) -> None:
-    """Fix the input ports of torque in N·m and force in N that ``diagram`` has."""
+    """Set the input ports of torque in N·m and force in N in ``context``; skip missing ports."""
     for name, value in (("knee_torque", knee_torque), ("disturbance_force", disturbance)):
         if diagram.HasInputPort(name):
             diagram.GetInputPort(name).FixValue(context, [value])
@@ -65,7 +65,7 @@ def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float
 def _plant_gradients(
     plant: Any, point: Array, outputs: tuple[str, ...], knee_torque: float, disturbance: float
 ) -> tuple[Array, Array]:
-    """Return values and gradients of derivatives and ``outputs`` at a point.
+    """Return state derivatives and values of the ports ``outputs`` at a point, and gradients.
 
     ``point`` (n + 1,) contains the states and the motor speed command in rad/s. The gradients have
     n rows for the derivatives, then one for each element of the outputs, and n + 1 columns.
@@ -107,7 +107,7 @@ def find_operating_point(
     start = diagram.CreateDefaultContext().get_continuous_state_vector().CopyToVector()
 
     def derivatives(point: Array) -> tuple[Array, Array]:
-        """Rates of the states, then the error of the knee angle."""
+        """Return the rates of the states, then the error of the knee angle, and their gradients."""
         values, gradient = _plant_gradients(
             automatic, point, ("knee_angle",), knee_torque_n_m, disturbance_n
         )
@@ -139,7 +139,7 @@ def find_operating_point(
 
 
 def _plant(plant: PlantParameters | Diagram, knee_angle_deg: float) -> Any:
-    """Return the diagram of a plant; one that is built starts at the knee angle."""
+    """Return ``plant`` if it is a diagram; otherwise build a plant that starts at the angle."""
     if isinstance(plant, PlantParameters):
         return make_plant(plant, initial_knee_angle_rad=math.radians(knee_angle_deg))
     return plant
@@ -160,7 +160,7 @@ class PlantLinearization(Result):
     outputs: tuple[str, ...]
     operating_point: OperatingPoint
     states: tuple[str, ...] = ()
-    """Names of the states, each with subsystem and index."""
+    """Names of the states x, each with subsystem and index, such as ``motor.x[0]``."""
 
     @property
     def poles(self) -> Complex:
@@ -223,7 +223,7 @@ class PlantLinearization(Result):
         )
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return G(j2πf) from the command to the first output, (n,), at frequencies f in Hz."""
+        """Return the response G(j2πf) of the first output to the command, (n,), at f in Hz."""
         s = 2j * np.pi * frequency_array(frequencies_hz)
         eye = np.eye(self.a.shape[0])
         return np.array(
@@ -296,6 +296,7 @@ def require_finite(gradient: Array, states: int, knee_angle_deg: float) -> None:
     """Raise `LinearizationError` for a gradient that is not finite.
 
     The first ``states`` rows are gradients of the rates of the states, the others of the outputs.
+    The message names the row and the knee angle.
     """
     finite = np.isfinite(gradient).all(axis=1)
     if not finite.all():
@@ -308,7 +309,7 @@ def require_finite(gradient: Array, states: int, knee_angle_deg: float) -> None:
 
 
 def _state_names(system: Any, path: str = "") -> Iterator[str]:
-    """Yield subsystem and index of each continuous state, in the order of the Context."""
+    """Yield names of the continuous states, such as ``motor.x[0]``, in the order of the Context."""
     if isinstance(system, Diagram):
         for part in system.GetSystems():
             yield from _state_names(part, f"{path}{part.get_name()}.")

@@ -23,10 +23,11 @@ SAMPLES = 901
 class PolynomialFit(Result):
     """Quintic fits of x(θ_p) and θ_p(x) to a linkage, compared with Table 1, in mm and deg.
 
-    ``angle_deg`` and ``extension_mm`` (n,) are the points of the linkage. ``p_mm_deg`` and
-    ``q_deg_mm`` (6,) are the fitted coefficients of x(θ_p) and θ_p(x), highest power first.
-    ``p_error_mm`` and ``q_error_deg`` (n,) are linkage minus fitted polynomial,
-    ``table_p_error_mm`` and ``table_q_error_deg`` (n,) linkage minus polynomial of Table 1.
+    ``angle_deg`` (knee angle θ_p) and ``extension_mm`` (rod extension x) are points of the linkage,
+    each (n,). ``p_mm_deg`` and ``q_deg_mm`` (6,) are the fitted coefficients
+    of x(θ_p) and θ_p(x), highest power first. ``p_error_mm`` and ``q_error_deg`` (n,) are linkage
+    minus fitted polynomial. ``table_p_error_mm`` and ``table_q_error_deg`` (n,) are linkage minus
+    polynomial of Table 1.
     """
 
     table: RodPolynomialParameters
@@ -64,7 +65,7 @@ class PolynomialFit(Result):
         return data_frame({name: getattr(self, name) for name in names}, "angle_deg")
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot both maps as in Fig. 5: linkage, fit and Table 1; return the two axes ``ax``."""
+        """Plot linkage, fit and Table 1 for both maps, as in Fig. 5; return the two Axes."""
         ax = axes_or_new(ax, 1, 2, figsize=(9, 3.8))
         table = self.table
         angle, rod = self.angle_deg, self.extension_mm
@@ -112,5 +113,5 @@ def fit_polynomials(
 
 
 def _quintic(argument: Array, value: Array) -> Array:
-    """Return the coefficients (6,) of the least-squares quintic, highest power first."""
+    """Return the (6,) coefficients of a least-squares quintic value(argument), highest power first."""
     return np.asarray(Polynomial.fit(argument, value, 5).convert().coef[::-1], dtype=float)

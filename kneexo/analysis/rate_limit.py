@@ -27,7 +27,7 @@ from kneexo.errors import ParameterError
 from kneexo.result import Array
 
 TRIANGLE_RATIO = 2.0 / math.sqrt(math.pi**2 + 4.0)
-"""ρ = 0.5370; below it the follower is a triangle wave."""
+"""Largest ratio ρ = R/(aω), 0.5370, at which the follower is a triangle wave."""
 
 
 def _gain(ratio: float) -> complex:
@@ -62,9 +62,10 @@ def _gain(ratio: float) -> complex:
 
 
 def rate_limited_gain(ratio: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-    """Return the complex gain of the fundamental of a follower with speed limit.
+    """Return the complex gain of the fundamental of a follower with a speed limit.
 
-    ``ratio`` is ρ = R/(aω) for the target a sin ωt, of any shape. The result has the same shape.
+    ``ratio``, of any shape, is ρ = R/(aω) for the speed limit R and the target a sin ωt. The result
+    has the same shape.
     Raises `ParameterError` unless all ratios are positive.
     """
     ratios = np.asarray(ratio, dtype=float)
@@ -72,10 +73,10 @@ def rate_limited_gain(ratio: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[
 
 
 def rate_limit_bandwidth_hz(speed_limit: float, amplitude: float) -> float:
-    """Return the frequency in Hz at which the gain of a follower is 1/√2: 0.28656 R/a.
+    """Return 0.28656 R/a, the frequency in Hz at which the gain of the follower is 1/√2.
 
-    ``speed_limit`` R and ``amplitude`` a have the same unit of length, such as m/s and m. Raises
-    `ParameterError` unless both are finite and positive.
+    ``speed_limit`` R and ``amplitude`` a of the sine have the same unit of length, such as m/s and
+    m. Raises `ParameterError` unless both are finite and positive.
     """
     for name, value in (("speed_limit", speed_limit), ("amplitude", amplitude)):
         if not 0.0 < value < math.inf:
@@ -87,10 +88,10 @@ def rate_limit_bandwidth_hz(speed_limit: float, amplitude: float) -> float:
 
 
 def rate_limited_follower(time_s: Array, target: Array, speed_limit: float) -> Array:
-    """Return the position of a follower that tracks a target (n,) with at most ``speed_limit``.
+    """Return the positions (n,) of a follower whose speed is at most ``speed_limit``.
 
-    The follower starts on the target. It moves towards each sample of the target with constant
-    speed.
+    ``target`` (n,) are the positions to track at ``time_s`` (n,). The follower starts on the
+    target. It moves towards each sample of the target with constant speed.
     """
     follower = np.empty_like(target)
     position = follower[0] = target[0]

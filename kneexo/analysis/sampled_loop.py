@@ -39,9 +39,10 @@ if TYPE_CHECKING:
 
 _STATE_STEP = 1e-12
 _JERK_STEP_RAD_S3 = 1e-3
-"""Relative step of the states, and step of the reference's jerk, to either side of a kink.
+"""Relative step of the states, and step of the reference's jerk, to both sides of the equilibrium.
 
-The steps exceed the rounding errors of the estimates and are negligible beside the boundary layer.
+There the control law has a kink. The steps exceed the rounding errors of the estimates and are
+negligible beside the boundary layer.
 """
 
 
@@ -49,10 +50,10 @@ The steps exceed the rounding errors of the estimates and are negligible beside 
 class SampledLoop(Result):
     """Linear plant and controller, joined exactly at the sampling instants.
 
-    Between samples dx/dt = A x + B u with constant u. At a sample the controller updates its state
-    z to z⁺ = G_z z + G_x x + G_r r, from the state x of the plant and the reference r (θ_d and
-    three derivatives). Until the next sample u = C_u z⁺. Units are those of the Contexts. C is the
-    gradient of the port ``output`` in x. T is ``sample_time_s``.
+    Between samples dx/dt = A x + B u with a constant motor speed command u. At a sample the
+    controller updates its state z to z⁺ = G_z z + G_x x + G_r r, from the state x of the plant and
+    the reference r (θ_d and three derivatives). Until the next sample u = C_u z⁺. Units are those
+    of the Contexts. C is the gradient of the port ``output`` in x. T is ``sample_time_s``.
     """
 
     a: Array
@@ -68,7 +69,7 @@ class SampledLoop(Result):
     scenario: Scenario
 
     def plant_step(self) -> tuple[Array, Array]:
-        """Return A_d and B_d of the plant with zero-order hold, x(t + T) = A_d x + B_d u."""
+        """Return A_d and B_d, which move the plant by one sample time: x(t + T) = A_d x + B_d u."""
         n = self.a.shape[0]
         block = np.zeros((n + 1, n + 1))
         block[:n, :n], block[:n, n:] = self.a, self.b
@@ -77,7 +78,7 @@ class SampledLoop(Result):
 
     @property
     def monodromy(self) -> Array:
-        """Matrix that maps (x, z) over one sample time, for a constant reference."""
+        """Matrix that maps (x, z) from one sample to the next, for a constant reference."""
         a, b, c = self.loop_matrices
         return a - b @ c
 
@@ -107,7 +108,7 @@ class SampledLoop(Result):
 
     @cached_property
     def loop_matrices(self) -> tuple[Array, Array, Array]:
-        """A, b, c of the loop transfer L(z) = c (zI − A)⁻¹ b; A − b c is `monodromy`."""
+        """Matrices A, b, c of the loop transfer L(z) = c (zI − A)⁻¹ b; A − b c is `monodromy`."""
         a_d, b_d = self.plant_step()
         n = a_d.shape[0]
         m = self.g_z.shape[0]
@@ -137,33 +138,33 @@ class SampledLoop(Result):
         )
 
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return L(e^{j2πfT}) at frequencies f in Hz, (n,); L is periodic with period 1/T."""
+        """Return the loop transfer L(e^{j2πfT}), (n,), at frequencies f in Hz; its period is 1/T."""
         a, b, c = self.loop_matrices
         z = np.exp(2j * np.pi * frequency_array(frequencies_hz) * self.sample_time_s)
         shifted = z[:, None, None] * np.eye(a.shape[0]) - a
         return np.asarray(c @ np.linalg.solve(shifted, b[None, :, :]), dtype=complex)[:, 0, 0]
 
     def loop_slope(self, frequency_hz: float) -> complex:
-        """Return dL/df in 1/Hz at a frequency f in Hz."""
+        """Return the derivative dL/df of the loop transfer in 1/Hz, at a frequency f in Hz."""
         a, b, c = self.loop_matrices
         z = cmath.exp(2j * math.pi * frequency_hz * self.sample_time_s)
         inverse = np.linalg.inv(z * np.eye(a.shape[0]) - a)
         return complex((-2j * math.pi * self.sample_time_s * z * c @ inverse @ inverse @ b)[0, 0])
 
     def sensitivity(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return S = 1/(1 + L), (n,), at frequencies in Hz."""
+        """Return the sensitivity 1/(1 + L) of the loop transfer L, (n,), at frequencies in Hz."""
         return np.asarray(1.0 / (1.0 + self.loop_response(frequencies_hz)), dtype=complex)
 
     def complementary_sensitivity(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return L/(1 + L), (n,), at frequencies in Hz."""
+        """Return L/(1 + L) of the loop transfer L, (n,), at frequencies in Hz."""
         loop = self.loop_response(frequencies_hz)
         return np.asarray(loop / (1.0 + loop), dtype=complex)
 
     def output_response(self, frequencies_hz: ArrayLike) -> Complex:
         """Return the response of the output to a sine in θ_d, at frequencies in Hz, (n,).
 
-        The continuous output contains components at ω + 2πk/T for all integers k; this is the
-        component at ω itself. It is exact also above the Nyquist frequency. The samples U e^{jωkT}
+        The continuous output has components at ω + 2πk/T for all integers k. The result is the
+        component at ω, and it is exact also above the Nyquist frequency. The samples U e^{jωkT}
         of the command, each held for T, have the component U (1 − e^{−jωT})/(jωT) at ω, to which
         the plant responds with G(jω). Raises `LinearizationError` unless frequencies are positive.
         """
@@ -187,9 +188,9 @@ class SampledLoop(Result):
         """Small-signal −3 dB bandwidth in Hz of `output_response`, the output over its reference.
 
         Returns the lowest frequency up to the Nyquist frequency at which the gain falls below 1/√2
-        of that at 0.01 Hz, or nan where there is none. The response contains the feedforward of the
-        reference and its derivatives, which this linear loop knows exactly. So the gain may rise
-        again beyond, or never fall. `complementary_sensitivity_bandwidth_hz` is the bandwidth of
+        times the gain at 0.01 Hz, or nan if the gain stays above. The response contains the exact
+        feedforward of the reference and its derivatives. So the gain can rise again at higher
+        frequencies, or never fall. `complementary_sensitivity_bandwidth_hz` is the bandwidth of
         the feedback alone. Raises `LinearizationError` for an unstable loop.
         """
         return self._first_fall_hz(self.output_response)
@@ -203,7 +204,7 @@ class SampledLoop(Result):
         return self._first_fall_hz(self.complementary_sensitivity)
 
     def _first_fall_hz(self, response: Callable[[ArrayLike], Complex]) -> float:
-        """Return the lowest frequency in Hz at which a gain is 1/√2 of that at 0.01 Hz, or nan."""
+        """Return the frequency of `bandwidth_hz` for any ``response`` as a function of f in Hz."""
         self._require_stable("bandwidth")
         grid = np.geomspace(1e-2, 0.5 / self.sample_time_s, 2000)
         gain = np.abs(response(grid))
@@ -274,13 +275,13 @@ class SampledLoop(Result):
         )
 
     def _in_hz(self, bandwidth: float) -> str:
-        """Return a bandwidth with its unit; ``none below`` the Nyquist frequency for nan."""
+        """Return a bandwidth as text in Hz; for nan, the text says that none is below Nyquist."""
         if math.isnan(bandwidth):
             return f"none below {0.5 / self.sample_time_s:g} Hz"
         return f"{bandwidth:.4g} Hz"
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot magnitude and phase of the loop up to its Nyquist frequency; return the two axes.
+        """Plot magnitude and phase of the loop up to its Nyquist frequency; return the two Axes.
 
         The phase is unwrapped and starts in −270…90°. The plot of a stable loop shows its margins.
         """
@@ -328,9 +329,9 @@ class SampledLoop(Result):
     def plot_nyquist(self, ax: Axes | None = None) -> Axes:
         """Plot the Nyquist curve of the loop around −1, with the unit circle and the margin disk.
 
-        The disk is that of the balanced disk margin. It covers −γ … −1/γ on the real axis, and the
-        curve touches it. 1 + fL does not vanish for any complex factor f inside the disk with the
-        diameter 1/γ … γ.
+        The curve touches the disk of the balanced disk margin, which covers −γ … −1/γ on the real
+        axis with γ = ``disk_gain_margin``. The loop f L stays stable for any complex factor f
+        inside the disk with the diameter 1/γ … γ. An unstable loop has no disk.
         """
         ax = axes_or_new(ax, figsize=(5.5, 5.5))
         loop = self.loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
@@ -396,9 +397,9 @@ def linearize_loop(
     output
         Output port, with one element, whose response to the reference is computed.
     diagram
-        A closed loop of the user in place of that of the scenario. It has no quantizer, the ports
-        of `make_closed_loop` with ``external_reference=True``, and starts near the knee angle. The
-        scenario then gives the limit of the command.
+        A closed loop of the user in place of that of the scenario. It must have no quantizer, have
+        the ports of `make_closed_loop` with ``external_reference=True``, and start near the knee
+        angle. The scenario then gives limit of the command and width of the boundary layer.
 
     Raises
     ------

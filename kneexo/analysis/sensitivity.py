@@ -41,46 +41,47 @@ _DIFFERENTIABLE = (
     "encoder.mounting_error_rad",
 )
 _STATE_STEP = 3e-7
-"""Relative step of the states for differences of gradients."""
+"""Relative step of the states in the finite differences of `loop_sensitivities`."""
 
 
 @dataclass(frozen=True, repr=False)
 class Sensitivities(Result):
-    """Metrics by name and their gradients in the values at ``paths``, each (paths,)."""
+    """Metrics of a scenario by name and their gradients in its values at ``paths``."""
 
     paths: tuple[str, ...]
     metrics: dict[str, float]
     gradients: dict[str, Array]
 
     def of(self, metric: str) -> dict[str, float]:
-        """Return the derivatives of a metric by path, in the unit of metric per value."""
+        """Return a metric's derivatives by path, in the metric's unit per unit of the value."""
         return dict(zip(self.paths, self.gradients[metric].tolist(), strict=True))
 
 
 def differentiable(scenario: Scenario, path: str) -> bool:
-    """Whether AutoDiff can differentiate in the value at ``path``.
+    """Whether AutoDiff can differentiate with respect to the scenario's value at ``path``.
 
-    This holds for real numbers of pump, cylinder and load and for the mounting error of the
-    encoder. It does not hold for choices, whole numbers, or the linkage, which enters by a fit.
+    It can for real numbers of pump, cylinder (also of full order) and load and for the mounting
+    error of the encoder. It cannot for choices, whole numbers, or the linkage, which enters by a
+    fit.
     """
     return path.startswith(_DIFFERENTIABLE) and isinstance(value_at(scenario, path), float)
 
 
 def _fixed(scenario: Scenario) -> Scenario:
-    """Return the scenario without quantizers and with its nominal plant written out.
+    """Return the scenario without quantizers and with an explicit nominal plant.
 
-    The nominal plant then stays the same when the plant varies.
+    So the nominal plant of the controller does not change when the plant varies.
     """
     nominal = {"nominal": scenario.believed_plant}
     return scenario.without_quantizers().model_copy(update=nominal)
 
 
 def _seeded(scenario: Scenario, paths: Sequence[str], columns: int, first: int) -> Scenario:
-    """Return the scenario with AutoDiffXd at ``paths``, to compute its Context parameters.
+    """Return the scenario with AutoDiffXd values at ``paths``, from which gradients follow.
 
-    The gradients have ``columns`` elements; the value at path i has the derivative 1 at the index
-    ``first`` + i. The scenario is not validated. Raises `ParameterError` for no path, and for one
-    without derivative.
+    A gradient has ``columns`` elements. The gradient of the value at path i is 1 at the index
+    ``first`` + i and 0 elsewhere. The result is not validated. Raises `ParameterError` when
+    ``paths`` is empty or a value is not `differentiable`.
     """
     if not paths:
         raise ParameterError("paths: there are none; a sensitivity needs at least one value")
@@ -99,7 +100,7 @@ def _seeded(scenario: Scenario, paths: Sequence[str], columns: int, first: int) 
 
 
 def _with(holder: Any, names: Sequence[str], value: Any) -> Any:
-    """Return a copy of nested parameters with another value at ``names``, not validated."""
+    """Return a copy of nested parameters with ``value`` at the path ``names``, not validated."""
     if not names:
         return value
     inner = _with(getattr(holder, names[0]), names[1:], value)
@@ -108,7 +109,7 @@ def _with(holder: Any, names: Sequence[str], value: Any) -> Any:
 
 
 def _gradients(values: Iterable[Any], columns: int) -> Array:
-    """Return the gradients (n, columns) of n values, AutoDiffXd or float."""
+    """Return the gradients (n, columns) of n values; a float has the gradient zero."""
     zero = AutoDiffXd(0.0, np.zeros(columns))
     return np.asarray(ExtractGradient(np.array([[zero + value] for value in values])))
 
@@ -120,7 +121,7 @@ def tracking_sensitivities(
     duration_s: float | None = None,
     step_s: float | None = None,
 ) -> Sensitivities:
-    """Return ``rms_error_deg`` and its gradient, by a simulation with AutoDiffXd.
+    """Return the RMS tracking error ``rms_error_deg`` and its gradient, by a run with AutoDiffXd.
 
     The first period of a sinusoidal reference does not count, unless the run is shorter. One
     simulated second takes 1.5 s of computation, in full order 25 s.
@@ -209,7 +210,7 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
     reference = equilibrium.reference
 
     def rates(point: Array, columns: int, gradient: Array, seeded: Scenario) -> Array:
-        """Return the gradients of dx/dt and z⁺ at a point with the given gradient."""
+        """Return the gradients of dx/dt and z⁺ at ``point``, which itself has ``gradient``."""
         state = InitializeAutoDiff(point.reshape(-1, 1), gradient).reshape(-1)
         context = equilibrium.autodiff_context(state, reference)
         set_loop_parameters(equilibrium.diagram, context, seeded)
@@ -247,10 +248,10 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
 
 
 def _metric_changes(loop: SampledLoop, change: Array, index: int, live: Any) -> dict[str, float]:
-    """Return the derivatives of the loop's metrics in one value.
+    """Return the derivatives of the loop's metrics with respect to one value of the scenario.
 
-    ``change``: derivative in this value of the Jacobian of (dx/dt, z⁺) in (x, z). ``index``: place
-    of the command in z. ``live``: mask of the states z that an update can change.
+    ``change``: derivative with respect to this value of the Jacobian of (dx/dt, z⁺) in (x, z).
+    ``index``: place of the command in z. ``live``: mask of the states z that an update can change.
     """
     n = loop.a.shape[0]
     block, change_of_block = np.zeros((2, n + 1, n + 1))
@@ -274,7 +275,7 @@ def _metric_changes(loop: SampledLoop, change: Array, index: int, live: Any) -> 
         return changes
 
     def response(frequency: float) -> tuple[complex, complex, complex]:
-        """Return L and its derivatives in the value and in the frequency."""
+        """Return L at a frequency in Hz, and dL/d(value) and dL/d(frequency)."""
         z = np.exp(2j * np.pi * frequency * dt)
         inverse = np.linalg.inv(z * np.eye(opened.shape[0]) - opened)
         forth, back = inverse @ drive, row @ inverse

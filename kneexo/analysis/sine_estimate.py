@@ -65,14 +65,14 @@ class SineEstimateSettings(Parameters):
 
 @dataclass(frozen=True, repr=False)
 class SineEstimate(Result):
-    """Response θ_p/θ_d of the fundamental to one sine, averaged over the last cycles.
+    """Response of knee angle θ_p to one sine in θ_d at its frequency, averaged over last cycles.
 
     ``uncertainty`` is the absolute error of the complex response (`response_uncertainty`). It does
-    not include errors that are equal in all cycles. ``settled`` is True if each averaged cycle
-    agrees with the cycle before it within the tolerance. If the response has not settled, the
+    not include errors that are equal in all cycles. ``settled`` is True if neighbours among
+    the averaged cycles agree within the tolerance. If the response has not settled, the
     averaged cycles are the second half of the run. ``speed_limited_share`` and
     ``acceleration_limited_share`` are the shares of the averaged samples in which the motor is
-    within 1 % of the limit.
+    within 1 % of its limit of speed or acceleration.
     """
 
     frequency_hz: float
@@ -149,9 +149,9 @@ def cycle_responses(
 
 
 def settled_cycles(responses: Any, tolerance: float) -> int:
-    """Return the number of last ``responses`` (n,) that agree with the response before them.
+    """Return the length of the longest end of ``responses`` (n,) in which all neighbours agree.
 
-    Two responses agree if their difference is at most ``tolerance``, relative to the later one.
+    Two neighbours agree if their difference is at most ``tolerance``, relative to the later one.
     """
     change = np.abs(np.diff(responses)) > tolerance * np.abs(responses[1:])
     return len(responses) - (int(np.flatnonzero(change)[-1]) + 1 if change.any() else 0)
@@ -160,7 +160,7 @@ def settled_cycles(responses: Any, tolerance: float) -> int:
 def response_uncertainty(responses: Any) -> float:
     """Return the uncertainty of the mean of ``responses``, complex (n >= 2,).
 
-    It is the standard error of the mean plus the distance between the means of both halves.
+    It is the standard error of the mean plus the distance between the means of first and last half.
     """
     n = len(responses)
     scatter = math.sqrt(float(np.sum(np.abs(responses - np.mean(responses)) ** 2)) / (n - 1))

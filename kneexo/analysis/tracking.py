@@ -88,7 +88,7 @@ def mean_change(values: Array) -> float:
 
 
 def saturated_share(command: Array, limit: float) -> float:
-    """Return the share of ``command`` (n,) whose magnitude reaches ``limit`` to within 1e-6."""
+    """Return the share of ``command`` (n,) whose magnitude is at least (1 − 1e-6) ``limit``."""
     return int(np.count_nonzero(np.abs(command) >= limit * (1.0 - 1e-6))) / command.size
 
 
@@ -192,7 +192,7 @@ def run_metrics(
 
 @needs_runs
 async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
-    """Simulate a scenario and return its `TRACKING_METRICS`; the run logs no other signals."""
+    """Simulate a scenario and return its `TRACKING_METRICS`; the run logs only their signals."""
     run = await awaitable(simulate, scenario, signals=TRACKING_SIGNALS[:4])
     return basic_tracking_metrics(
         run.time_s,
@@ -214,7 +214,7 @@ class TrackingResult(Result):
 
     @property
     def error_deg(self) -> Array:
-        """θ_d − θ_p in deg, (n,)."""
+        """Tracking error of the knee, θ_d − θ_p in deg, (n,)."""
         return np.degrees(self.run["knee_reference_rad"] - self.run["knee_angle_rad"])
 
     def to_dataframe(self) -> Any:
@@ -249,9 +249,9 @@ class TrackingResult(Result):
         return ax
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot angle, error and motor speed command below each other; return the axes.
+        """Plot angle, error and motor speed command below each other; return the Axes.
 
-        ``ax``: three axes; None: a new figure.
+        ``ax``: three Matplotlib Axes; None: those of a new figure.
         """
         ax = axes_or_new(ax, 3, 1, sharex=True, figsize=(7, 7))
         self.plot_angle(ax[0])

@@ -1,8 +1,8 @@
 """Walking with a measured gait: requirements on the actuator and tracking of the closed loop.
 
-`walking_demand` computes from the knee motion back to the motor, by inverse dynamics without a
-controller. `walking_metrics` simulates the closed loop. The load is that of the scenario: weight
-of the shank and a constant torque of the wearer. Ground reaction forces are not modelled.
+`walking_demand` computes what the motor must do from the motion of the knee, by inverse dynamics
+without a controller. `walking_metrics` simulates the closed loop. The load is that of the
+scenario, the shank's weight and a constant torque of the wearer, without ground reaction forces.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ _ANGLE_STEP = 1e-5  # rad, step of a central difference; relative error 1e-10 of
 
 @dataclass(frozen=True, repr=False)
 class WalkingDemand(Result):
-    """Signals that the actuator must provide for one stride, each (n,), between heel contacts.
+    """Signals that the actuator must provide from one heel contact to the next, each (n,).
 
-    Pump and motor have neither limits nor lag. With ``segment_inertia`` the moving mass is that of
-    the shank as a point mass, m l²/r² at the rod; without, it is the constant mass of Eq. 16.
+    Pump and motor have neither limits nor lag. With ``segment_inertia`` the inertia is that of the
+    shank as a point mass; without, it is the constant mass of Eq. 16 (see `walking_demand`).
     """
 
     frequency_hz: float
@@ -76,9 +76,10 @@ class WalkingDemand(Result):
         return data_frame(columns, "cycle_percent")
 
     def peaks(self) -> dict[str, float]:
-        """Return the largest absolute value of each signal, mean motor acceleration and energies.
+        """Return the largest |value| of each signal, the mean |motor acceleration| and energies.
 
-        The mean is that of the absolute value. The energies are work of the motor per stride.
+        ``delivered_energy_j`` and ``net_energy_j`` are the work of the motor on the pump in one
+        stride, without and with negative power.
         """
         time = self.cycle_percent / (100.0 * self.frequency_hz)
         peaks = {
@@ -107,7 +108,7 @@ def walking_demand(
 ) -> WalkingDemand:
     """Compute motor speed, pressure and power for the measured gait by inverse dynamics.
 
-    Eq. 16, 15 and 13 are solved in this order:
+    Eq. 16, 15 and 13 of Lee et al. 2020, whose symbols are used, are solved in this order:
 
     P_L = (m a + B v + K x + F_L)/Ā, Q_L = Ā v + C_L P_L + V_t/(4β_e) dP_L/dt,
     ω_m = gear (Q_L + (C_im + C_em/2) P_L)/D_m. A scenario of full order is treated as reduced
@@ -115,7 +116,7 @@ def walking_demand(
     m_s at the distance l from the knee (mass and centre of mass of the load) and moment arm r.
 
     Raises `ParameterError` when the frequency is out of range, the gait leaves the range of
-    motion, or ``segment_inertia`` finds no segment in the scenario's load.
+    motion, or ``segment_inertia`` is True and the scenario's load has no segment.
     """
     plant = scenario.plant
     cylinder, pump, load = plant.cylinder, plant.pump, plant.load
@@ -170,11 +171,11 @@ def walking_demand(
 
 
 def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
-    """Return the knee error in deg, (n,), of the linear sampled loop on a stride without limits.
+    """Return the knee error in deg, (n,), over a stride by the linear loop, without motor limits.
 
-    The loop is linearized in the middle of the stride's range; its response is applied to each
-    harmonic of the rod's motion. In coordinates of the rod, only the load makes the response depend
-    on the posture. Raises `LinearizationError` when there is no linear loop.
+    The loop is linearized in the middle of the stride's range. Its response is applied to each
+    harmonic of the rod's motion, because the response of the rod depends on the posture only by the
+    load. Raises `LinearizationError` when there is no linear loop.
     """
     angle = np.radians(demand.knee_angle_deg)
     middle = 0.5 * float(demand.knee_angle_deg.min() + demand.knee_angle_deg.max())
@@ -189,19 +190,19 @@ def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
 
 
 def moment_arm_m(scenario: Scenario, knee_angle_rad: Array) -> Array:
-    """Return the moment arm −dx/dθ_p in m at knee angles in rad, by the rod map of the plant."""
+    """Return the moment arm −dx/dθ_p in m at knee angles in rad, from `rod_of`."""
     before, after = (rod_of(scenario, knee_angle_rad + h) for h in (-_ANGLE_STEP, _ANGLE_STEP))
     return (before - after) / (2.0 * _ANGLE_STEP)
 
 
 def _rate(time: Array, periodic: Array) -> Array:
-    """Return the time derivative of a signal sampled over exactly one period."""
+    """Return the time derivative (n,) of a signal (n,) sampled over exactly one period."""
     closed = np.append(periodic[:-1], periodic[0])
     return np.asarray(scipy.interpolate.CubicSpline(time, closed, bc_type="periodic")(time, 1))
 
 
 def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Array:
-    """Return F_L in N along the motion, computed by the leaf system `KneeLoad`."""
+    """Return the load force F_L in N, (n,), computed by `KneeLoad`; zero without a load."""
     if not isinstance(scenario.plant.load, KneeLoadParameters):
         return np.zeros_like(time)
     load = systems.KneeLoad(scenario.plant.load)
@@ -220,9 +221,10 @@ def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Ar
 
 @needs_runs
 async def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> dict[str, Array]:
-    """Closed loop that follows the measured gait: ``time_s`` and signals after the first stride.
+    """Simulate ``cycles`` strides; return ``time_s`` and signal columns after the first stride.
 
-    Raises `ParameterError` for fewer than two ``cycles``, and what the simulation raises.
+    The closed loop follows the measured gait with ``frequency_hz`` strides a second. Raises
+    `ParameterError` for fewer than two ``cycles``, and the errors of `kneexo.simulation.simulate`.
     """
     if cycles < 2:
         raise ParameterError(f"cycles = {cycles}: must be >= 2, the first of which is discarded")
@@ -237,9 +239,10 @@ async def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -
 async def walking_metrics(
     scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3
 ) -> dict[str, Any]:
-    """How a closed loop walks, after the first stride, as plain numbers by name.
+    """Simulate walking by `walk` and return `WALKING_METRICS` and ``failure`` by name.
 
-    `WALKING_METRICS`, and ``failure``: a run that fails has nan for each, and one line says why.
+    ``failure`` is an empty text. If the run fails, it is the error message and the metrics
+    are nan.
     """
     try:
         signals = await awaitable(walk, scenario, frequency_hz, cycles)
