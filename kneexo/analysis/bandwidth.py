@@ -82,7 +82,7 @@ def rod_amplitude_m(scenario: Scenario) -> float:
 
 
 def speed_limit_reached_hz(scenario: Scenario) -> float:
-    """Return the frequency in Hz above which the scenario's sine exceeds the speed limit of the rod."""
+    """Return the frequency in Hz above which the scenario's sine exceeds the rod's speed limit."""
     reference = require_sine(scenario)
     phase = np.linspace(0.0, math.pi, 10_001)
     knee = np.radians(reference.mean_deg - reference.amplitude_deg * np.cos(phase))
@@ -181,7 +181,7 @@ def _first_fall_hz(
 
 
 def _expected_hz(scenario: Scenario) -> float:
-    """Return the smallest of the bandwidths in Hz by speed limit, acceleration limit, linear loop."""
+    """Return the lowest bandwidth in Hz by speed limit, acceleration limit or linear loop."""
     speed, acceleration = rod_limits(scenario)
     amplitude = rod_amplitude_m(scenario)
     limits = [

@@ -30,8 +30,8 @@ class Margins(Result):
     as a negative number.
 
     Frequencies are in Hz. ``gain_margin`` and ``disk_gain_margin`` are factors. ``disk_margin`` is
-    1/max|(S − T)/2| with S = 1/(1 + L) and T = L/(1 + L), the balanced disk margin. A margin that
-    no change reaches is inf, and its frequency is nan.
+    1/max|(S − T)/2| with S = 1/(1 + L) and T = L/(1 + L), the balanced disk margin. If no such
+    change exists, the margin is inf and its frequency nan.
     """
 
     stable: bool

@@ -113,5 +113,5 @@ def fit_polynomials(
 
 
 def _quintic(argument: Array, value: Array) -> Array:
-    """Return the (6,) coefficients of a least-squares quintic value(argument), highest power first."""
+    """Fit a quintic value(argument) and return its 6 coefficients, highest power first."""
     return np.asarray(Polynomial.fit(argument, value, 5).convert().coef[::-1], dtype=float)

@@ -138,7 +138,7 @@ class SampledLoop(Result):
         )
 
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return the loop transfer L(e^{j2πfT}), (n,), at frequencies f in Hz; its period is 1/T."""
+        """Return the loop transfer L(e^{j2πfT}) at frequencies f in Hz, (n,); its period is 1/T."""
         a, b, c = self.loop_matrices
         z = np.exp(2j * np.pi * frequency_array(frequencies_hz) * self.sample_time_s)
         shifted = z[:, None, None] * np.eye(a.shape[0]) - a
@@ -204,7 +204,7 @@ class SampledLoop(Result):
         return self._first_fall_hz(self.complementary_sensitivity)
 
     def _first_fall_hz(self, response: Callable[[ArrayLike], Complex]) -> float:
-        """Return the frequency of `bandwidth_hz` for any ``response`` as a function of f in Hz."""
+        """Return the −3 dB frequency in Hz of ``response``, or nan, as by `bandwidth_hz`."""
         self._require_stable("bandwidth")
         grid = np.geomspace(1e-2, 0.5 / self.sample_time_s, 2000)
         gain = np.abs(response(grid))
@@ -331,7 +331,8 @@ class SampledLoop(Result):
 
         The curve touches the disk of the balanced disk margin, which covers −γ … −1/γ on the real
         axis with γ = ``disk_gain_margin``. The loop f L stays stable for any complex factor f
-        inside the disk with the diameter 1/γ … γ. An unstable loop has no disk.
+        inside the disk with the diameter 1/γ … γ. There is no disk if the loop is unstable or the
+        disk margin is 2 or more.
         """
         ax = axes_or_new(ax, figsize=(5.5, 5.5))
         loop = self.loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))

@@ -45,7 +45,7 @@ def make_closed_loop(
     signals: Sequence[str] | None = None,
     external_reference: bool = False,
 ) -> Diagram:
-    """Build the closed loop of a scenario; the default is the paper's sliding-mode controller.
+    """Build the closed loop of a scenario, by default with the paper's sliding-mode controller.
 
     Subsystems:
 
@@ -57,9 +57,9 @@ def make_closed_loop(
     - ``drive``: `Cia402Drive`, only with a bus of this kind.
     - ``can_bus``: `DiscreteTimeDelay`, only for a bus with latency.
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink` at the control period with the
-      columns ``columns(signals)``; none for ``signals=()``.
+      columns ``columns(signals)``; absent for ``signals=()``.
 
-    Inputs: ``disturbance_force`` and, with a load, ``knee_torque``; both may stay unconnected.
+    Inputs: ``disturbance_force`` and, with a load, ``knee_torque``; unconnected they are zero.
     Outputs: each of `available_signals`. Drake's updates and publishes at t both use the state
     before the update, so that the logged command at t is the one held until t. The paper's ideal
     case (Fig. 9) is `kneexo.studies.paper.IDEAL_SMC`.
@@ -191,7 +191,7 @@ def chosen_signals(
 ) -> tuple[str, ...]:
     """Return ``signals``, or all available ones for None.
 
-    Raises `ParameterError` for a signal that is not available; see `available_signals`.
+    Raises `ParameterError` for a signal that `available_signals` does not contain.
     """
     available = available_signals(scenario, outputs)
     names = available if signals is None else tuple(signals)
@@ -204,7 +204,7 @@ def chosen_signals(
 def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield path and Context parameters of each leaf system of `make_closed_loop`.
 
-    The leaf systems of a custom controller are left out.
+    Drake's systems without parameters and the systems of a custom controller are left out.
     """
     for part in _plant_parts(scenario):
         yield f"plant/{part.name}", part.values()
@@ -234,7 +234,7 @@ def plant_states(scenario: Scenario) -> dict[str, StateVariable]:
 
 
 def plant_start(scenario: Scenario) -> dict[str, float]:
-    """Return `plant_states` at the start of the scenario, in the units of the Context.
+    """Return the initial values of `plant_states` by name, in the units of the Context.
 
     Raises `ParameterError` and `LinkageError` as `make_plant`.
     """
@@ -250,12 +250,12 @@ def _plant_parts(scenario: Scenario) -> list[Part]:
 
 
 def plant_of(scenario: Scenario) -> Diagram:
-    """Build the plant of a scenario with the scenario's start."""
+    """Build the plant of a scenario, with the initial state that the scenario defines."""
     return make_plant(scenario.plant, **_start_arguments(scenario))
 
 
 def _start_arguments(scenario: Scenario) -> dict[str, Any]:
-    """Return the arguments of `make_plant` that decide where the scenario starts."""
+    """Return the arguments of `make_plant` that define the initial state of a scenario."""
     return {
         "initial_knee_angle_rad": knee_reference.start_angle_rad(scenario.reference),
         "initial_offset_m": scenario.initial_offset_m,
@@ -266,7 +266,7 @@ def _start_arguments(scenario: Scenario) -> dict[str, Any]:
 def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
     """Add the encoder to a DiagramBuilder and return the system that outputs its reading.
 
-    It reads the port ``angle`` (θ_4) minus the phase of the encoder.
+    The encoder measures the value of the port ``angle`` (θ_4) minus the encoder's phase.
     """
     from pydrake.systems.sensors import RotaryEncoders  # this import takes 0.05 s
 

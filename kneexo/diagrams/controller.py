@@ -153,7 +153,7 @@ def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
 
 
 def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
-    """Yield the estimator of a scenario; nothing for an exact one."""
+    """Yield the estimator of a scenario; yield nothing if the estimator is ``exact``."""
     estimator, sample_time = scenario.estimator, scenario.controller.sample_time_s
     if isinstance(estimator, ObserverParameters):
         yield Part(
@@ -168,7 +168,7 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
 def encoder_offset_rad(scenario: Scenario) -> float:
     """Return the offset in rad that the controller adds to an encoder reading.
 
-    It is the phase plus half a count, minus the mounting error.
+    The offset is the encoder's phase plus half a count, minus the mounting error.
     """
     encoder = scenario.encoder
     phase = encoder.phase_rad if encoder.quantized else 0.0
@@ -179,7 +179,7 @@ def encoder_offset_rad(scenario: Scenario) -> float:
 
 
 def known_to_controller(scenario: Scenario) -> Scenario:
-    """Return a scenario with all that a controller may know of ``scenario``; the rest is default.
+    """Return a scenario with all that its controller knows of ``scenario``; the rest is default.
 
     A controller knows the nominal plant (as plant), polynomial, encoder, estimator and controller.
     """
@@ -256,7 +256,7 @@ def controller_outputs(scenario: Scenario) -> dict[str, int]:
 
 
 def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
-    """Size of each output port, or of each input port."""
+    """Return the sizes of all output ports, or with ``inputs`` of all input ports, by name."""
     if inputs:
         ports = map(system.get_input_port, range(system.num_input_ports()))
     else:

@@ -1,6 +1,6 @@
-"""The leaf systems of a diagram as a list of parts.
+"""The leaf systems of a diagram as a list of parts, with Context parameters and states.
 
-The builder of the diagram, compiled runs, the linear analysis and FMUs read the list.
+The builder of the diagram, compiled runs, the linear analysis and the export as FMU read the list.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from kneexo.systems import StateVariable
 
 
 class Part(NamedTuple):
-    """A leaf system of a diagram."""
+    """A leaf system of a diagram: how to make it, its Context parameters and its states."""
 
     name: str
     """Name of the system in the diagram."""
     make: Callable[[], Any]
     """Returns a new system; compiled runs do not call it."""
     values: Callable[[], dict[str, float]]
-    """Returns the Context parameters by name, or by ``group[index]`` beyond the first vector."""
+    """Returns the Context parameters by name; after the first vector by ``vector[index]``."""
     states: tuple[StateVariable, ...] = ()
     """The continuous states in the order of the Context."""
     start: Callable[[], Sequence[float]] | None = None
-    """Returns ``states`` at the start in the units of their columns; None: all are zero."""
+    """Returns the initial values of ``states`` in the units of their columns; None: all zero."""
 
     def start_state(self) -> list[float]:
-        """Return ``states`` at the start in the units of the Context."""
+        """Return the initial values of ``states`` in the units of the Context."""
         start = [0.0] * len(self.states) if self.start is None else self.start()
         return [value / state.factor for value, state in zip(start, self.states, strict=True)]
 

@@ -167,7 +167,7 @@ def plant_parts(
 
 @lru_cache(maxsize=64)
 def _polynomial_values(fit: RodInverse) -> dict[str, float]:
-    """Return the Context parameters of `FourBarKnee` beyond its first vector."""
+    """Return the Context parameters of `FourBarKnee` after its first vector, by name."""
     vectors = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
     return {
         f"{group}[{i}]": value

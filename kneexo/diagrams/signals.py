@@ -54,10 +54,10 @@ PLANT_OUTPUTS = {
     "cylinder": ("rod_extension", "rod_velocity", "rod_state", "load_pressure", "rod_force"),
     "motor": ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power"),
 }
-"""Output ports of the plant by subsystem; the leaf systems have the same names of ports."""
+"""Output ports of the plant, by the subsystem that provides them under the same names."""
 
 FULL_ORDER_OUTPUTS = ("chamber_pressures", "makeup_flow", "relief_flow")
-"""More output ports of the plant, which the ``cylinder`` of full order has."""
+"""Further output ports of a plant of full order, provided by its ``cylinder``."""
 
 LAW_OUTPUTS = ("sliding_variable",)
 """Output ports that the controller exports if its control law has them."""

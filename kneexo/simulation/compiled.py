@@ -68,7 +68,7 @@ _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into consta
 
 
 def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
-    """Return names and values of the fields that decide the form of the equations.
+    """Return names and values of the fields that decide the form of a scenario's equations.
 
     These are all fields but floats and tuples: choices, whole numbers (counts, delays) and nested
     structures. A sample time belongs to them too, because leaf systems turn it into a constant.
@@ -86,7 +86,7 @@ def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
 
 @cache
 def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
-    """Return the fields of ``kind`` that `structure` reads; True: the value holds parameters."""
+    """Return each field of ``kind`` that `structure` reads, and whether it can hold parameters."""
 
     def structural(annotation: Any) -> bool:
         if isinstance(annotation, type) and issubclass(annotation, Parameters):
@@ -103,7 +103,7 @@ def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
 def structure_key(scenario: Scenario) -> str:
     """Return a text that is equal for scenarios that can share a compiled model.
 
-    It contains the structure, and a digest of the sources that make the equations.
+    The text contains the structure, and a digest of the source files that make the equations.
     """
     fields = dict(structure(scenario))
     if scenario.nominal is None:
@@ -133,7 +133,7 @@ def _fingerprint() -> str:
 
 
 def scenario_diagram(scenario: Scenario) -> Any:
-    """Build the closed loop to compile; a sampled reference, not symbolic, stays an open input."""
+    """Build the closed loop to compile; an input port replaces a sampled reference."""
     external = isinstance(scenario.reference, SampledReference)
     return make_closed_loop(scenario, signals=(), external_reference=external)
 
@@ -142,7 +142,7 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
     """Compile the closed loop of a scenario.
 
     All scenarios of the same structure get the same model. `scenario_run` returns parameters,
-    state and inputs of a scenario for it.
+    state and inputs of a scenario for this model.
     """
     return _model(structure_key(scenario), scenario)
 
@@ -166,7 +166,7 @@ _diagrams: dict[str, Any] = {}
 
 
 def _diagram(key: str, scenario: Scenario) -> Any:
-    """Return the `scenario_diagram` of a structure; cached, as Python 3.11 never frees one."""
+    """Return the `scenario_diagram` of a structure from a cache, as Python 3.11 never frees any."""
     with _lock:
         if key not in _diagrams:
             _diagrams[key] = scenario_diagram(scenario)
@@ -174,7 +174,7 @@ def _diagram(key: str, scenario: Scenario) -> Any:
 
 
 class _Custom(NamedTuple):
-    """Equations, parameters and states of a custom controller, for its closed loop."""
+    """Key of the equations, parameters and initial states of a custom controller."""
 
     key: str
     """Digest of the equations."""
@@ -225,7 +225,7 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
 
 
 def _parameters(scenario: Scenario, model: CompiledModel) -> Array:
-    """Return `scenario_values` in the order of the model's parameters."""
+    """Return the numbers of `scenario_values` in the order of the model's parameters."""
     groups = [values.values() for _, values in loop_values(scenario)]
     if isinstance(scenario.controller, CustomControllerParameters):
         groups.append(_custom(scenario).values.values())
@@ -240,7 +240,7 @@ _orders: WeakKeyDictionary[CompiledModel, NDArray[np.intp]] = WeakKeyDictionary(
 
 
 def scenario_start(scenario: Scenario) -> dict[str, float]:
-    """Return the start of the plant and of a custom controller, by names of states.
+    """Return the initial states of the plant and of a custom controller by name.
 
     All other states start at zero. Raises `ParameterError` and `LinkageError` as `make_plant`.
     """
@@ -255,7 +255,7 @@ _NO_INPUTS = InputTable()
 
 @lru_cache(maxsize=64)
 def reference_table(reference: SampledReference) -> InputTable:
-    """Return a sampled reference and its three derivatives as the table of an open input.
+    """Return a sampled reference and its three derivatives as the table of a model's input.
 
     Before the first sample and after the last one the reference is constant.
     """
@@ -324,7 +324,7 @@ def simulate_together(
     step_s: float = STEP_S,
     tolerance: float = TOLERANCE,
 ) -> list[Run | KneexoError]:
-    """Run scenarios of one structure in one batch; return the run or the error of each.
+    """Run scenarios of one structure in one batch; return a run or an error for each scenario.
 
     `simulate_compiled` describes the arguments.
     """

@@ -19,14 +19,14 @@ Result = TypeVar("Result")
 
 
 class Request(Generic[Answer]):
-    """An awaitable request; ``await request`` returns the answer or raises its error."""
+    """A request, such as for a run; ``await request`` returns the answer or raises an error."""
 
     def __await__(self) -> Generator[Any, Any, Answer]:
         return (yield self)
 
 
 Server = Callable[[Mapping[int, Any]], Iterator[tuple[int, Any]]]
-"""A function from requests by index to pairs of index and answer, in any order.
+"""Type of a function that takes requests by index and yields index and answer, in any order.
 
 An answer that is an `Exception` is raised in the coroutine that awaits it.
 """
@@ -38,9 +38,9 @@ def run_concurrently(
     """Yield index and result of each coroutine as soon as it ends.
 
     The coroutines advance in rounds. Each round passes the pending requests of all of them to
-    ``server``. When a coroutine raises an `Exception`, those before it run to their end, those
-    behind it stop, and its exception is raised. Of several exceptions, that of the first
-    coroutine is raised.
+    ``server``. When a coroutine raises an `Exception`, the coroutines before it in the
+    sequence run to their end and the coroutines behind it stop. Then its exception is raised. If
+    several coroutines raise exceptions, the exception of the first of these coroutines is raised.
     """
     requests: dict[int, Any] = {}
     error, failed = None, len(coroutines)
@@ -110,20 +110,23 @@ async def awaitable(
 
 
 def is_synchronous(function: Callable[..., Any]) -> bool:
-    """Whether ``function`` is `synchronous`, or a `functools.partial` of such a function."""
+    """Whether ``function`` was made by `synchronous`, or is a `functools.partial` of such a one."""
     return hasattr(partial(function).func, "async_function")
 
 
 def map_concurrently(
     function: Callable[[Item], Result], items: Iterable[Item]
 ) -> Iterator[tuple[int, Result]]:
-    """Yield index and ``function(item)`` of each item; a `synchronous` function shares batches."""
+    """Yield index and ``function(item)`` of each item, as soon as its call ends.
+
+    Calls of a `synchronous` function share batches of requests.
+    """
     server = getattr(partial(function).func, "server", None) or (lambda requests: iter(()))
     return run_concurrently([awaitable(function, item) for item in items], server)
 
 
 class _UnknownValueError(Exception):
-    """Raised for an argument without a value; carries the argument."""
+    """Raised in `search_async` for an argument without a known value; carries the argument."""
 
 
 async def search_async(

@@ -1,4 +1,4 @@
-"""Runs by Drake's Simulator."""
+"""Runs of diagrams by Drake's Simulator."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def simulate_diagram(
     settings
         Duration and integrator. Drake's ``radau3`` replaces an integrator of the compiled engine.
     progress
-        Called with the simulated time in s after every 0.25 s of it.
+        Function that is called with the simulated time in s after every 0.25 s of simulated time.
 
     Raises
     ------

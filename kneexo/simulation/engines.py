@@ -1,4 +1,4 @@
-"""Runs of closed loops by either engine, alone or in batches."""
+"""Runs of closed loops by the compiled engine or Drake's Simulator, alone or in batches."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MOST_STEPS = 1_000_000_000
 def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
     """Yield the index of each request with its run or its error, as soon as the run ends.
 
-    The compiled engine simulates the runs of one structure in batches. A run in which the exact
+    The compiled engine simulates scenarios of one structure in batches. A run in which the exact
     hold fails is repeated by RK4 with steps of 20 µs. The result of a run does not depend on the
     other runs in its batch.
     """
@@ -73,7 +73,7 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
 
 
 def _too_large(request: RunRequest) -> ParameterError | None:
-    """Return the error of a run that would take too much memory or time; None for other runs."""
+    """Return the error of a run that would take too much memory or time; otherwise None."""
     settings = request.scenario.simulation
     duration = f"simulation.duration_s = {settings.duration_s:g} s"
     samples, width = _records(request), _width(request)
@@ -100,7 +100,7 @@ def _records(request: RunRequest) -> float:
 
 
 def _width(request: RunRequest) -> int:
-    """Return the number of columns that a run logs; an unknown signal counts as none."""
+    """Return the number of columns that a run logs; an unknown signal has no column."""
     names = request.signals
     if names is None:
         names = available_signals(request.scenario)
@@ -123,7 +123,8 @@ def _drake_run(request: RunRequest) -> Run | KneexoError:
 def _diagram_run(request: RunRequest, diagram: Diagram) -> Run | KneexoError:
     """Compile and run a user's closed loop; return the run or its error.
 
-    Without names of signals the run logs all `SIGNALS` that are output ports of the diagram.
+    If the request names no signals, the run logs all `SIGNALS` that the diagram has as output
+    ports.
     """
     settings, names = request.scenario.simulation, request.signals
     if names is None:
@@ -191,10 +192,10 @@ def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterat
 
 
 needs_runs = synchronous(serve_runs)
-"""Turn an async function that awaits runs into a plain function (a decorator).
+"""Decorator that turns an async function that awaits runs into a plain function.
 
-Inside, ``await awaitable(simulate, scenario)`` returns a `Run`. Calls that go on at the same time,
-as those of `kneexo.sweeps.parallel_map`, share batches of runs.
+In the async function ``await awaitable(simulate, scenario)`` returns a `Run`. Concurrent calls, as
+by `kneexo.sweeps.parallel_map`, share batches of runs.
 """
 
 
@@ -219,10 +220,12 @@ async def simulate(
     signals
         Signals to log, names of `kneexo.diagrams.SIGNALS`; None: all available ones.
     progress
-        Called with the simulated time in s; by the compiled engine once, at the end.
+        Function that is called with the simulated time in s. The compiled engine calls it once, at
+        the end of the run, and with a ``diagram`` not at all.
     diagram
         A closed loop of the user with output ports of `kneexo.diagrams.SIGNALS`. It replaces the
-        closed loop of ``scenario``, of which then only solver and sample time of the log count.
+        closed loop of ``scenario``, which then only gives duration, solver and sample time of the
+        log.
 
     Raises
     ------

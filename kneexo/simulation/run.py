@@ -1,4 +1,4 @@
-"""The result of one run, by either engine."""
+"""The result of one run, by the compiled engine or by Drake's Simulator."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from kneexo.result import Array, Result, data_frame
 class Run(Result):
     """Logged signals of one run: ``time_s`` (n,) and ``data`` by column name, each (n,).
 
-    A controller's output at time t is the value that was held until t, before the update at t.
-    ``settings`` are those of the solver that ran. All values are finite.
+    The logged output of a controller at time t is the value that was held until the update at t.
+    ``settings`` name the solver that ran, also if the run was repeated. All values are finite.
     """
 
     time_s: Array
@@ -22,7 +22,7 @@ class Run(Result):
     settings: SimulationParameters
 
     def __getitem__(self, column: str) -> Array:
-        """Return the values of a column, (n,)."""
+        """Return the values of the column of ``data`` with this name, (n,)."""
         return self.data[column]
 
     @property

@@ -91,7 +91,7 @@ class Checkpoint:
             )
 
     def __len__(self) -> int:
-        """Return the number of finished pieces."""
+        """Return the number of finished pieces of work, read from the file or new."""
         return len(self._results)
 
     def __contains__(self, key: str) -> bool:
@@ -103,7 +103,7 @@ class Checkpoint:
         return result
 
     def keep(self, key: str, result: Any) -> Any:
-        """Store the result of a piece and return it as read back from JSON."""
+        """Store the result of the piece ``key`` and return this result as read back from JSON."""
         payload = json.dumps([key, result])
         if self.path is not None and self._file is not None:
             try:
@@ -138,7 +138,7 @@ class Checkpoint:
 
 
 def _sealed(payload: bytes) -> bytes:
-    """Return the line of a piece, with its checksum."""
+    """Return a line of the file: ``payload``, the JSON of a key and its result, with a checksum."""
     seal = hashlib.sha256(payload).hexdigest().encode()
     return b'{"sha256": "' + seal + b'", "piece": ' + payload + b"}"
 
@@ -165,7 +165,7 @@ def _text(value: Any) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """Return plain data in place of a value that JSON cannot write."""
+    """Return data that JSON can write in place of a value that JSON cannot write."""
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]
     if isinstance(value, partial):
@@ -183,7 +183,7 @@ _ENCODER = json.JSONEncoder(sort_keys=True, default=_plain)
 
 
 def _output_error(path: Path, error: OSError) -> OutputError:
-    """Return the error of a file that cannot be opened, read or written."""
+    """Return the `OutputError` for an `OSError` on opening, reading or writing a checkpoint."""
     if isinstance(error, OutputError):
         return error
     if isinstance(error, BlockingIOError):

@@ -34,9 +34,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 UNIT_S = 0.5
-"""Duration in s for which a worker computes before it returns results.
+"""Time in s after which a worker returns results, the target duration of a unit of work.
 
-A worker gets short pieces of work in units that take about this time.
+A unit contains as many calls of the mapped function as take about this time.
 """
 
 CONNECT_S = 10.0
@@ -57,9 +57,10 @@ def process_pool(
 ) -> Iterator[Executor | None]:
     """Context manager: yield an executor of spawned processes, or None for a single worker.
 
-    ``workers`` is the number of processes; None: one for each core that this process may use. For
-    one worker, `parallel_map` computes in this process. If ``executor`` is given, it is yielded
-    instead. The processes are killed when the body raises an exception, KeyboardInterrupt too.
+    ``workers`` is the number of processes; None: one for each core that this process can use. With
+    one worker, `parallel_map` computes in this process. An ``executor`` is yielded unchanged, and
+    ``workers`` then has no effect. The spawned processes are killed when the body raises an
+    exception, also KeyboardInterrupt.
     """
     if executor is not None:
         yield executor
@@ -193,14 +194,13 @@ def parallel_map(
     """Return ``[function(item) for item in items]``, computed in parallel.
 
     Calls of a function with the decorator `kneexo.simulation.engines.needs_runs` share batches of
-    runs;
-    each result is the same as without a batch. The first exception of a call ends the map and is
-    raised, and so is KeyboardInterrupt.
+    runs, which does not change the results. The first exception of a call, and KeyboardInterrupt,
+    ends the map and is raised.
 
     Parameters
     ----------
     function, items
-        With more than one worker both must be picklable.
+        Function and items; with more than one worker both must be picklable.
     workers
         Number of processes, as in `process_pool`. Processes are spawned, so that a script needs
         ``if __name__ == "__main__":`` for more than one.
@@ -212,8 +212,8 @@ def parallel_map(
         Cost of an item in any unit. The items with the largest weights are computed first, and the
         progress bar advances by the weights.
     checkpoint
-        Stores each result as soon as it is computed. Results that it has already are not computed
-        again. The function must then return plain JSON data.
+        Stores each result as soon as it is computed. Results that are in the checkpoint are not
+        computed again. The function must then return plain JSON data.
 
     Raises
     ------
@@ -259,7 +259,7 @@ def parallel_map(
 
 
 class _Units:
-    """A queue of indices that is taken in units, whose size adapts to the time limit `UNIT_S`."""
+    """A queue of item indices, taken in units whose size adapts to the time limit `UNIT_S`."""
 
     def __init__(self, order: Iterable[int], size: int) -> None:
         self._waiting = deque(order)
@@ -269,7 +269,10 @@ class _Units:
         return bool(self._waiting)
 
     def take(self, most: int = sys.maxsize) -> list[int]:
-        """Remove the next unit from the queue and return it, at most ``most`` indices."""
+        """Remove the next unit, at most ``most`` indices, from the front of the queue; return it.
+
+        The other indices stay in the queue. An empty queue gives an empty list.
+        """
         size = min(self._size, most, len(self._waiting))
         return [self._waiting.popleft() for _ in range(size)]
 
@@ -284,9 +287,10 @@ class _Units:
 
 
 def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
-    """Return the size of the first units.
+    """Return the number of items in each of the first units, for ``count`` items in all.
 
-    It is more than 1 if calls share batches and each worker still gets several units.
+    The number is more than 1 only if calls of ``function`` share batches and there are at least
+    8 items for each worker.
     """
     if not is_synchronous(function):
         return 1
@@ -294,10 +298,10 @@ def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
 
 
 def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], bool]:
-    """Call ``function`` for ``items`` in a worker until `UNIT_S` has elapsed.
+    """Call ``function`` for ``items``, in a worker process, until `UNIT_S` has elapsed.
 
-    Return the results of the items that were begun by then, and whether the last of them ended
-    before `UNIT_S` had elapsed.
+    Return the results of all items begun before the end of `UNIT_S`, in order, and whether the
+    last of these items also ended before it.
     """
     end = time.perf_counter() + UNIT_S
     lot = LARGEST_LOT if is_synchronous(function) else 1
@@ -317,9 +321,10 @@ def _by_executor(
     executor: Executor,
     keep: Callable[[int, Result], None],
 ) -> None:
-    """Compute the items with the indices ``order`` by an executor.
+    """Compute ``function`` of the items with the indices ``order`` by an executor.
 
-    The function calls ``keep`` with index and result of each item.
+    This process calls ``keep`` with index and result of each item as the units of work end. Raises
+    `WorkerError` when a worker process dies.
     """
     workers = getattr(executor, "_max_workers", _WORKERS)
     most = _UNITS_PER_WORKER * workers

@@ -21,14 +21,14 @@ class SweepOptions(TypedDict, total=False):
     executor: Executor | None
     """A `concurrent.futures.Executor` in place of ``workers``, such as that of `dask_cluster`."""
     checkpoint: Checkpoint | None
-    """Stores each result as soon as it is computed, and supplies stored results again."""
+    """Stores each result as soon as it is computed; stored results are not computed again."""
     progress: bool
     """Whether progress bars are shown; False by default."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Workers, checkpoint and progress bars that several maps share; see `open_sweep`."""
+    """Workers, checkpoint and progress bars that several calls of `parallel_map` share."""
 
     executor: Executor | None
     checkpoint: Checkpoint | None
@@ -65,7 +65,7 @@ def open_sweep(
 ) -> Iterator[Sweep]:
     """Context manager: yield a `Sweep` with the given `SweepOptions`.
 
-    The worker processes end with its body.
+    The worker processes end when the body of the ``with`` statement ends.
     """
     with process_pool(workers, executor) as pool:
         yield Sweep(pool, checkpoint, progress)

@@ -1,8 +1,8 @@
 """Leaf systems of the polycentric knee exoskeleton, one component of the paper in each file.
 
 Every system has the paper's configuration as its default, named ports in SI units and numeric
-Context parameters. It converts to AutoDiffXd and to symbolic Expression. ``BldcPump(…)`` is a
-system of floats, and `BldcPump_` is the template by scalar type, as in Drake. The encoder is
+Context parameters, and converts to AutoDiffXd and to symbolic Expression. ``BldcPump(…)`` is a
+system of floats, and ``BldcPump_[T](…)`` a system of the scalar type T, as in Drake. The encoder is
 Drake's own `RotaryEncoders`.
 """
 

@@ -1,4 +1,4 @@
-"""Base class of the leaf systems: all scalars of Drake, and Context parameters with names."""
+"""Base class of the leaf systems: all scalar types of Drake, and named Context parameters."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ else:  # `leaf_template` adds Drake's class of the scalar
 
 
 def clip(value: Any, lower: Any, upper: Any) -> Any:
-    """Limit a float, AutoDiffXd or Expression to lower…upper; it keeps its derivative inside."""
+    """Limit a float, AutoDiffXd or Expression to lower…upper, with its derivative in between."""
     return _min(_max(value, lower), upper)
 
 
 def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
-    """Return ``positive`` if ``condition`` > 0, else ``otherwise``; for all scalars of Drake."""
+    """Return ``positive`` if ``condition`` > 0, else ``otherwise``; for any scalar of Drake."""
     if isinstance(condition, Expression):
         branches = (
             v if isinstance(v, Expression) else Expression(v) for v in (positive, otherwise)
@@ -39,12 +39,12 @@ def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
 
 
 def values_of(source: Any, *names: str) -> dict[str, float]:
-    """Return the attributes of a parameter object with these names."""
+    """Return the attributes ``names`` of the parameter object ``source``, by name."""
     return {name: getattr(source, name) for name in names}
 
 
 def fill(vector: Any, values: Sequence[Any]) -> None:
-    """Set all elements of one of Drake's vectors."""
+    """Set the elements of a Drake vector to ``values``."""
     for index, value in enumerate(values):
         vector.SetAtIndex(index, value)
 
@@ -72,7 +72,7 @@ class NamedLeaf(LeafSystem):
         return names
 
     def __new__(cls, *_: Any, **__: Any) -> Self:
-        """Create an instance of the class for this scalar; of floats if no scalar is chosen."""
+        """Create a system of the scalar type of ``cls``; a system of floats if ``cls`` has none."""
         system: Any = cls
         if cls._scalar is None:
             system = leaf_template(system)[None]
@@ -110,7 +110,7 @@ class NamedLeaf(LeafSystem):
         )
 
     def _declare_initialization(self, initialize: Callable[[Any], Sequence[Any]]) -> None:
-        """Declare that ``Simulator.Initialize()`` sets the discrete state to this value."""
+        """Let ``Simulator.Initialize()`` set the discrete state to ``initialize(context)``."""
         self.DeclareInitializationDiscreteUpdateEvent(
             lambda context, state: fill(state.get_mutable_vector(0), initialize(context))
         )
@@ -146,10 +146,10 @@ class NamedLeaf(LeafSystem):
 
 @cache
 def leaf_template(component: type[NamedLeaf]) -> Any:
-    """Return Drake's template of a component, which has its leaf system for each scalar.
+    """Return Drake's template of a component: its leaf systems by scalar type.
 
-    The template is made at the first call, because Drake takes some milliseconds for each, and
-    compiled runs need none. An explicit scope avoids 40 ms of stack inspection.
+    The template is made at the first call, because Drake needs some milliseconds for a template,
+    and compiled runs need none. An explicit scope avoids 40 ms of stack inspection.
     """
 
     @TemplateSystem.define(f"{component.__name__}_", scope=sys.modules[component.__module__])
@@ -174,7 +174,7 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
 
 
 def require_finite(system: Any, context: Any, **values: Any) -> None:
-    """Raise `SimulationError` when one of the floats ``values`` is not finite.
+    """Raise `SimulationError` for the first of the floats ``values`` that is not finite.
 
     A NaN derivative would hang Drake's error-controlled integrators, and its other integrators
     would ignore it. Values of AutoDiffXd and Expression are not checked.
@@ -188,7 +188,7 @@ def require_finite(system: Any, context: Any, **values: Any) -> None:
 
 
 def discrete_state(context: Any) -> list[Any]:
-    """Return the first group of discrete states as scalars."""
+    """Return the first group of discrete states of ``context`` as a list of scalars."""
     values: list[Any] = context.get_discrete_state(0).CopyToVector().tolist()
     return values
 

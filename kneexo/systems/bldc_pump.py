@@ -17,7 +17,7 @@ from kneexo.systems._leaf import (
 from kneexo.systems.state_variable import StateVariable
 
 RAD_S_PER_KRAD_S = 1e3
-"""Rad/s per krad/s: the speed is a state in krad/s, ports are in rad/s."""
+"""Rad/s per krad/s: the motor speed is a state in krad/s and an output in rad/s."""
 
 
 def motor_acceleration(
@@ -140,4 +140,4 @@ class BldcPump(NamedLeaf):
 
 
 BldcPump_ = leaf_template(BldcPump)
-"""`BldcPump` by scalar type."""
+"""Template of `BldcPump` classes by scalar type of Drake."""

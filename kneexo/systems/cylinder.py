@@ -41,7 +41,8 @@ def start_extension(parameters: CylinderParameters, initial_extension_m: float |
 def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, float]:
     """Return the Context parameters of a `Cylinder` by name.
 
-    ``others`` are the names of parameters that only one order has. They come first.
+    ``others`` are the names of parameters that only the cylinder of reduced or of full order has.
+    They come first.
     """
     return values_of(
         parameters,
@@ -56,7 +57,7 @@ def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, f
 
 
 def cylinder_states(*pressures: str) -> tuple[StateVariable, ...]:
-    """Return the continuous states of a `Cylinder` in their order; ``pressures``: columns in Pa."""
+    """Return the continuous states of a `Cylinder` in order; ``pressures``: columns in Pa."""
     rod = (StateVariable("rod_extension_m"), StateVariable("rod_velocity_m_s"))
     return (*rod, *(StateVariable(column, PA_PER_MPA) for column in pressures))
 
@@ -70,7 +71,7 @@ class Cylinder(NamedLeaf):
     """
 
     def _declare_rod(self, extension: float, pressures_pa: Sequence[float]) -> None:
-        """Declare the common ports, and the initial state: at rest with this extension in m."""
+        """Declare the common ports and the initial state, at rest with an extension in m."""
         self._flow = self.DeclareVectorInputPort("load_flow", 1)
         self._force = self.DeclareVectorInputPort("load_force", 1)
         pressures = [pressure / PA_PER_MPA for pressure in pressures_pa]
@@ -84,7 +85,7 @@ class Cylinder(NamedLeaf):
         self._declare_check(self._require_in_stroke)
 
     def _load_pressure(self, state: list[Any]) -> Any:
-        """Return P_L in Pa."""
+        """Return the load pressure P_L in Pa; ``state`` is that of ``_state``."""
         raise NotImplementedError
 
     def _rod_force(self, p: Any, state: list[Any]) -> Any:
@@ -101,7 +102,7 @@ class Cylinder(NamedLeaf):
         return [x, v, *[PA_PER_MPA * pressure for pressure in pressures]]
 
     def _numbers(self, context: Any) -> tuple[Any, list[Any]]:
-        """Return the Context parameters and `_state`, which each evaluation reads only once."""
+        """Return the Context parameters and the state in SI units, to read both only once."""
         return self.parameters(context), self._state(context)
 
     def _motion(self, context: Any, p: Any, state: list[Any]) -> list[Any]:
@@ -124,7 +125,7 @@ class Cylinder(NamedLeaf):
     def margin(self, context: Any) -> Any:
         """Return the distance to the nearer end of the stroke in m.
 
-        A compiled run stops when it falls below zero.
+        A compiled run stops when this distance falls below zero.
         """
         x, *_ = self._state(context)
         return drake_math.min(x, self.parameters(context).stroke_m - x)

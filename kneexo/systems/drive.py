@@ -65,4 +65,4 @@ class Cia402Drive(NamedLeaf):
 
 
 Cia402Drive_ = leaf_template(Cia402Drive)
-"""`Cia402Drive` by scalar type."""
+"""Template of `Cia402Drive` classes by scalar type of Drake."""

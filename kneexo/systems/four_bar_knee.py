@@ -18,9 +18,10 @@ from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 
 
 def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[Any]:
-    """Return θ_p, θ_4 and r at a rod extension in m, by the ``polynomials`` of a `RodInverse`.
+    """Return knee angle θ_p, encoder angle θ_4 and moment arm r at a rod extension, in rad and m.
 
-    ``p`` has the dead centre and the scaling of the `RodInverse` as attributes.
+    ``polynomials`` are those of a `RodInverse` for these three. ``p`` has the dead centre and the
+    scaling of the `RodInverse` as attributes.
     """
     # No knee angle has an extension beyond the dead centre; the check of the system reports it.
     root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 0.0))
@@ -31,7 +32,7 @@ def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[
 def context_values(
     parameters: LinkageParameters, knee: KneeParameters, fit: RodInverse
 ) -> dict[str, float]:
-    """Return the named Context parameters of `FourBarKnee`."""
+    """Return the first vector of Context parameters of `FourBarKnee` by name."""
     return {
         **values_of(
             parameters,
@@ -111,9 +112,9 @@ class FourBarKnee(NamedLeaf):
         return icr(p, theta_p - p.phi_rad, theta_4, xp=drake_math)
 
     def margin(self, context: Any) -> Any:
-        """Return the angle to the nearer limit, range of motion plus overshoot, in rad.
+        """Return the knee angle's distance in rad to its nearer limit, overshoot included.
 
-        A compiled run stops when it falls below zero.
+        A compiled run stops when this distance falls below zero.
         """
         p = self.parameters(context)
         angle = self._pose(context)[0]
@@ -133,4 +134,4 @@ class FourBarKnee(NamedLeaf):
 
 
 FourBarKnee_ = leaf_template(FourBarKnee)
-"""`FourBarKnee` by scalar type."""
+"""Template of `FourBarKnee` classes by scalar type of Drake."""

@@ -26,7 +26,7 @@ _LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus is constant below this pressure
 
 
 def opening(excess: Any, band: Any) -> Any:
-    """Return max(excess, 0) with a corner that is a parabola over 0…``band``.
+    """Return max(excess, 0) whose corner is rounded by a parabola over 0…``band``.
 
     The opening is exactly zero where ``excess`` ≤ 0.
     """
@@ -35,7 +35,7 @@ def opening(excess: Any, band: Any) -> Any:
 
 
 def share_open(difference: Any, band: Any) -> Any:
-    """Return a smooth step from exactly 0 at −``band`` to exactly 1 at +``band``."""
+    """Return a smooth step from exactly 0 at −``band`` to exactly 1 at ``band``."""
     z = clip(0.5 + 0.5 * difference / band, 0.0, 1.0)
     return z * z * (3.0 - 2.0 * z)
 
@@ -45,9 +45,9 @@ def makeup_flow(
 ) -> Any:
     """Return the flow from the reservoir into a line through its check valve, in m³/s.
 
-    ``pilot`` is the pressure of the other line. While it is the higher one, it holds the valve open
-    for both directions of flow. Otherwise the valve opens only if the pressure of the line is below
-    that of the reservoir.
+    ``pilot`` is the pressure of the other line. While ``pilot`` exceeds ``pressure``, the valve is
+    open for both directions of flow. Otherwise the valve opens only if ``pressure`` is below the
+    pressure of the reservoir.
     """
     deficit = reservoir - pressure
     piloted = share_open(pilot - pressure, pilot_band)
@@ -55,7 +55,7 @@ def makeup_flow(
 
 
 def relief_flow(pressure: Any, *, limit: Any, conductance: Any, band: Any) -> Any:
-    """Return the flow from a line to the reservoir through its relief valve, in m³/s."""
+    """Return the flow in m³/s from a line through its relief valve, which opens above ``limit``."""
     return conductance * opening(pressure - limit, band)
 
 
@@ -76,7 +76,8 @@ def seal_friction(
 ) -> Any:
     """Return the friction of the seals in N, (F_c + F_s exp(−(v/v_s)²)) tanh(v/v_0).
 
-    It opposes motion. F_c is ``coulomb``, F_s ``stribeck``, v_s ``stribeck_speed``, v_0 ``band``.
+    The friction opposes the velocity v. F_c is ``coulomb``, F_s ``stribeck``, v_s
+    ``stribeck_speed`` and v_0 ``band``.
     """
     ratio = velocity / stribeck_speed
     return (coulomb + stribeck * drake_math.exp(-ratio * ratio)) * drake_math.tanh(velocity / band)
@@ -254,4 +255,4 @@ class FullCylinder(Cylinder):
 
 
 FullCylinder_ = leaf_template(FullCylinder)
-"""`FullCylinder` by scalar type."""
+"""Template of `FullCylinder` classes by scalar type of Drake."""

@@ -13,7 +13,7 @@ from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 
 
 def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
-    """Return x and its three time derivatives in m and s, by Eq. 10 and the chain rule.
+    """Return rod extension x and its three time derivatives in m and s, by Eq. 10.
 
     ``coefficients`` are those of Eq. 10 in SI units, highest power first. ``knee`` has θ_p and its
     three time derivatives in rad and s.
@@ -100,7 +100,7 @@ class KneeCoordinates(NamedLeaf):
 
 
 KneeCoordinates_ = leaf_template(KneeCoordinates)
-"""`KneeCoordinates` by scalar type."""
+"""Template of `KneeCoordinates` classes by scalar type of Drake."""
 
 
 class RodReference(NamedLeaf):
@@ -127,4 +127,4 @@ class RodReference(NamedLeaf):
 
 
 RodReference_ = leaf_template(RodReference)
-"""`RodReference` by scalar type."""
+"""Template of `RodReference` classes by scalar type of Drake."""

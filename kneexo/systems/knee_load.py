@@ -97,4 +97,4 @@ class KneeLoad(NamedLeaf):
 
 
 KneeLoad_ = leaf_template(KneeLoad)
-"""`KneeLoad` by scalar type."""
+"""Template of `KneeLoad` classes by scalar type of Drake."""

@@ -2,9 +2,9 @@
 
 Each system has one output port, ``knee_reference``: θ_d, dθ_d/dt, d²θ_d/dt², d³θ_d/dt³ in rad and
 s. `make_knee_reference` makes the system for a parameter class. Samples become Drake's
-`TrajectorySource`, with the same output at its port ``y0``. It has no Context parameters and no
-value at a symbolic time. Where these are needed, ``make_closed_loop(external_reference=True)`` has
-an input port for the reference.
+`TrajectorySource`, with the same output at its port ``y0``. A `TrajectorySource` has no Context
+parameters and no value at a symbolic time. For a loop that requires either,
+``make_closed_loop(external_reference=True)`` has an input port in place of the reference.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _ramp(time: Any, ramp_s: Any) -> list[Any]:
 
 
 def _product_derivatives(u: list[Any], v: list[Any]) -> list[Any]:
-    """Return the product u·v and its derivatives, from those of u and v (Leibniz's rule)."""
+    """Return u·v and its derivatives; ``u`` and ``v`` hold a factor and its derivatives."""
     return [sum(math.comb(n, k) * u[k] * v[n - k] for k in range(n + 1)) for n in range(len(u))]
 
 
@@ -136,7 +136,7 @@ class SineKneeReference(_KneeReference):
 
 
 SineKneeReference_ = leaf_template(SineKneeReference)
-"""`SineKneeReference` by scalar type."""
+"""Template of `SineKneeReference` classes by scalar type of Drake."""
 
 
 class StepKneeReference(_KneeReference):
@@ -150,7 +150,7 @@ class StepKneeReference(_KneeReference):
 
 
 StepKneeReference_ = leaf_template(StepKneeReference)
-"""`StepKneeReference` by scalar type."""
+"""Template of `StepKneeReference` classes by scalar type of Drake."""
 
 
 class RampKneeReference(_KneeReference):
@@ -164,7 +164,7 @@ class RampKneeReference(_KneeReference):
 
 
 RampKneeReference_ = leaf_template(RampKneeReference)
-"""`RampKneeReference` by scalar type."""
+"""Template of `RampKneeReference` classes by scalar type of Drake."""
 
 
 def make_knee_reference(parameters: Reference) -> Any:
@@ -184,7 +184,7 @@ def make_knee_reference(parameters: Reference) -> Any:
 
 @lru_cache(maxsize=64)
 def sampled_spline(parameters: SampledReference) -> Any:
-    """Return Drake's piecewise polynomial through the samples, in rad."""
+    """Return Drake's piecewise polynomial θ_d(t) through the samples, in rad over s."""
     interpolate = {
         "cubic": PiecewisePolynomial.CubicWithContinuousSecondDerivatives,
         "pchip": PiecewisePolynomial.CubicShapePreserving,

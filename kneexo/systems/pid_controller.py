@@ -1,4 +1,4 @@
-"""PID controller of the knee angle, with which Lee et al. 2020, Section 5, compare their law."""
+"""PID controller of the knee angle; Lee et al. 2020, Section 5, compare their law with a PID."""
 
 from __future__ import annotations
 
@@ -97,4 +97,4 @@ class PidController(NamedLeaf):
 
 
 PidController_ = leaf_template(PidController)
-"""`PidController` by scalar type."""
+"""Template of `PidController` classes by scalar type of Drake."""

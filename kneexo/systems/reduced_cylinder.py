@@ -30,7 +30,7 @@ def rod_force(
 ) -> Any:
     """Return the force of the rod on its load, P_L Ā − B v − K x, in N (Eq. 16).
 
-    It is positive when the rod pushes.
+    The force is positive when the rod pushes.
     """
     return pressure * area - damping * velocity - stiffness * extension
 
@@ -113,4 +113,4 @@ class ReducedCylinder(Cylinder):
 
 
 ReducedCylinder_ = leaf_template(ReducedCylinder)
-"""`ReducedCylinder` by scalar type."""
+"""Template of `ReducedCylinder` classes by scalar type of Drake."""

@@ -20,8 +20,8 @@ from kneexo.systems._leaf import (
 def sliding_variable(state: Any, reference: Any, lambda_: Any) -> Any:
     """Return s = ë + 2λė + λ²e in m/s², with e = x − x_d (Eq. 20).
 
-    ``state`` has x, v and a. ``reference`` has x_d and its time derivatives up to the second or
-    higher.
+    ``state`` has x, v and a of the rod. ``reference`` has x_d and at least its first two time
+    derivatives.
     """
     e, e_1, e_2 = (x - x_d for x, x_d in zip(state, reference[:3], strict=True))
     return e_2 + 2.0 * lambda_ * e_1 + lambda_ * lambda_ * e
@@ -152,4 +152,4 @@ class SlidingModeController(NamedLeaf):
 
 
 SlidingModeController_ = leaf_template(SlidingModeController)
-"""`SlidingModeController` by scalar type."""
+"""Template of `SlidingModeController` classes by scalar type of Drake."""

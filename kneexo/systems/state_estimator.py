@@ -86,7 +86,7 @@ class TrackingObserver(NamedLeaf):
 
 
 TrackingObserver_ = leaf_template(TrackingObserver)
-"""`TrackingObserver` by scalar type."""
+"""Template of `TrackingObserver` classes by scalar type of Drake."""
 
 
 class BackwardDifference(NamedLeaf):
@@ -116,4 +116,4 @@ class BackwardDifference(NamedLeaf):
 
 
 BackwardDifference_ = leaf_template(BackwardDifference)
-"""`BackwardDifference` by scalar type."""
+"""Template of `BackwardDifference` classes by scalar type of Drake."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class StateVariable(NamedTuple):
-    """A continuous state of a leaf system and the column that shows it in a run."""
+    """A continuous state of a leaf system: its column in a run and its unit in the Context."""
 
     column: str
     """Name of the quantity with its unit, such as ``motor_speed_rad_s``."""
