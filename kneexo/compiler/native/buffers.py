@@ -1,4 +1,4 @@
-"""Memory for the records of runs."""
+"""Memory for the records of runs, which later runs use again."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ..run_data import Array
 
 
 class BufferPool:
-    """Memory that is used again once no array refers to it.
+    """Blocks of memory that are used again once no array refers to them.
 
-    To get fresh memory for a record from the system takes as long as the run that fills it.
+    Fresh memory for a record from the operating system takes as long as the run that fills it.
     """
 
     def __init__(self, most: int) -> None:
-        """``most``: largest number of elements that the pool holds while nobody uses them."""
+        """``most``: largest number of doubles in unused blocks; the pool frees blocks beyond it."""
         self._most = most
         self._unused: deque[Array] = deque()
 
     def array(self, shape: tuple[int, ...]) -> Array:
-        """Return an array that is not initialized."""
+        """Return an array of doubles, not initialized, in an unused block or in fresh memory."""
         size = math.prod(shape)
         memory = self._memory(size)
         # Every view of the record has `root` as its base, so `root` lives as long as any view.
@@ -49,4 +49,4 @@ class BufferPool:
 
 
 RECORDS = BufferPool(8_000_000)
-"""Memory of the records of all models: at most 64 MB are unused."""
+"""Memory for the records of all models; the unused part is at most 64 MB."""

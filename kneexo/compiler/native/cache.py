@@ -50,9 +50,9 @@ _warnings_given: set[str] = set()
 
 
 def load(key: str) -> bytes | None:
-    """Return the content of the entry with the key, or None if there is none.
+    """Return the content of the cache entry with this key; None if no such entry exists.
 
-    A damaged entry gives a warning and None. The call records the time of the last use.
+    A damaged entry gives a warning and None. The call records the time of the entry's last use.
     """
     for directory in reversed(_directories()):
         path = directory / _name(key)
@@ -72,7 +72,7 @@ def load(key: str) -> bytes | None:
 
 
 def store(key: str, content: bytes) -> None:
-    """Write the entry with the key as a whole, and delete old entries beyond the size limit.
+    """Write a cache entry as a whole, and delete old entries beyond the size limit.
 
     Never raises `OSError`. If the directory cannot be written, one warning says so, and a private
     directory of this process replaces it. Content above 256 MiB is not stored.
@@ -99,13 +99,15 @@ def store(key: str, content: bytes) -> None:
 
 
 def cache_entries() -> list[FileStatus]:
-    """Return all entries, the most recently used first."""
+    """Return the files of all cache entries, the most recently used first."""
     files = [entry for directory in _directories() for entry in files_in(directory, _ENTRY)]
     return sorted(files, key=lambda entry: entry.last_use_s, reverse=True)
 
 
 def clear_cache() -> int:
-    """Delete all entries and the temporary files of killed processes; return the entry count.
+    """Delete all cache entries and the temporary files of killed processes.
+
+    Returns the number of deleted entries.
 
     Raises `OutputError` if an entry cannot be deleted.
     """
@@ -125,7 +127,10 @@ def clear_cache() -> int:
 
 
 def cache_size_limit() -> int:
-    """Return the largest total size of the entries in bytes."""
+    """Return the largest total size of the cache entries in bytes: see the text of this module.
+
+    A wrong value of the environment variable gives a warning and the default size.
+    """
     setting = variable("CACHE_SIZE_MB")
     text = os.environ.get(setting) or str(_DEFAULT_LIMIT_MB)
     try:
@@ -160,7 +165,7 @@ def _open_for_reading(path: str, flags: int) -> int:
 
 
 def _is_trusted(status: os.stat_result) -> bool:
-    """Return whether a file is regular, of a valid size, and writable by this user alone."""
+    """Return whether a file is regular, not too large, this user's, and writable by nobody else."""
     return (
         stat.S_ISREG(status.st_mode)
         and status.st_uid == os.geteuid()
@@ -170,7 +175,7 @@ def _is_trusted(status: os.stat_result) -> bool:
 
 
 def _shrink(stored: Path) -> None:
-    """Delete the least recently used entries beyond the limit, but never the one just stored."""
+    """Delete the least recently used entries beyond the size limit, never the file ``stored``."""
     limit, total = cache_size_limit(), 0
     files = files_in(stored.parent, _ENTRY)
     for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
@@ -184,17 +189,17 @@ def _shrink(stored: Path) -> None:
 
 
 def cache_directory() -> Path:
-    """Return the directory for new entries; it may not exist yet.
+    """Return the directory for new cache entries, which `store` creates if it is missing.
 
-    A private directory of this process replaces the chosen one, with a warning, if the path of the
-    chosen one cannot be determined, if it belongs to another user, if group or others may write to
-    it, and after a failed attempt to write there.
+    The environment chooses the directory. A private directory of this process replaces the chosen
+    directory, with a warning, if the path cannot be determined or is no directory, if another user
+    owns the directory, if group or others may write to it, and after a failed attempt to write.
     """
     return _directories()[-1]
 
 
 def _directories() -> list[Path]:
-    """Return the directories that may hold entries; the last one is for new entries."""
+    """Return all directories in which entries are looked for; the last one is for new entries."""
     try:
         chosen = _chosen_directory()
     except (RuntimeError, OSError) as error:  # no home directory, or no working directory
@@ -216,7 +221,7 @@ def _chosen_directory() -> Path:
 
 
 def _refusal(directory: Path) -> str:
-    """Return the reason not to load machine code from a directory; empty if there is none."""
+    """Return the reason not to load machine code from a directory; empty if no reason exists."""
     try:
         status = directory.stat()
     except OSError:  # absent; `store` says why when it cannot be made

@@ -8,8 +8,8 @@ import os
 def available_cores() -> int:
     """Return the number of cores that the scheduler gives this process.
 
-    macOS and Windows have no ``os.sched_getaffinity``; there it is the number of the machine's
-    cores.
+    macOS and Windows have no ``os.sched_getaffinity``; there the function returns the number of the
+    machine's cores.
     """
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

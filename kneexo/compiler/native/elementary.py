@@ -1,9 +1,9 @@
-"""Emits elementary functions as instructions, with the same bits for scalars and lanes.
+"""Emits elementary functions as instructions; scalars and lanes of vectors get the same bits.
 
-A function gives the value of C's function of its name for signed zeros, infinities, nan and numbers
-below the smallest normal one. Its error is below 2 units in the last place. Cases that differ
-between lanes are selected; only large arguments of sine and cosine are a branch.
-``benchmarks/fit_elementary.py`` prints the constants.
+For signed zeros, infinities, nan and subnormal numbers a function gives the same value as the C
+function of the same name. Its error is below 2 units in the last place. Select instructions serve
+lanes with different cases. Only large arguments of sine and cosine cause a branch.
+``benchmarks/fit_elementary.py`` computes and prints the coefficients.
 
 The methods are those of W. J. Cody and W. Waite, Software Manual for the Elementary Functions
 (Prentice-Hall, 1980): reduce the argument with a constant in several parts, evaluate a polynomial,
@@ -27,7 +27,7 @@ SIN = (  # relative error 1.3e-17
     -2.5051131845003737e-08,
     1.5918129294866835e-10,
 )
-"""Coefficients of the sine's polynomial."""
+"""Coefficients cᵢ of sin r = r + r³ (c₀ + c₁ r² + …), for an angle |r| ≤ π/4."""
 COS = (  # relative error 6.0e-19
     0.041666666666666664,
     -0.0013888888888887378,
@@ -36,7 +36,7 @@ COS = (  # relative error 6.0e-19
     2.087614626840273e-09,
     -1.1382632425522016e-11,
 )
-"""Coefficients of the cosine's polynomial."""
+"""Coefficients cᵢ of cos r = 1 - r²/2 + r⁴ (c₀ + c₁ r² + …), for an angle |r| ≤ π/4."""
 ATAN = (  # relative error 3.4e-17
     -0.33333333333333326,
     0.1999999999999753,
@@ -59,7 +59,7 @@ ATAN = (  # relative error 3.4e-17
     -0.00019996189377901387,
     1.8061954618612127e-05,
 )
-"""Coefficients of the arc tangent's polynomial."""
+"""Coefficients cᵢ of arctan t = t + t³ (c₀ + c₁ t² + …), for |t| ≤ 1."""
 ASIN = (  # relative error 3.4e-18
     0.16666666666666669,
     0.0749999999999843,
@@ -75,7 +75,7 @@ ASIN = (  # relative error 3.4e-18
     -0.014851887071247198,
     0.02875785136742157,
 )
-"""Coefficients of the arc sine's polynomial."""
+"""Coefficients cᵢ of arcsin s = s + s³ (c₀ + c₁ s² + …), for |s| ≤ ½."""
 EXP = (  # relative error 1.5e-17
     0.5000000000000001,
     0.1666666666666667,
@@ -88,7 +88,7 @@ EXP = (  # relative error 1.5e-17
     2.762007587998331e-07,
     2.5100375832561274e-08,
 )
-"""Coefficients of the exponential's polynomial."""
+"""Coefficients cᵢ of eʳ = 1 + r + r² (c₀ + c₁ r + …), for |r| ≤ ½ ln 2."""
 LOG = (  # relative error 4.3e-18
     0.666666666666667,
     0.39999999999899527,
@@ -98,26 +98,26 @@ LOG = (  # relative error 4.3e-18
     0.15331721600556042,
     0.14616449685043353,
 )
-"""Coefficients of the logarithm's polynomial."""
+"""Coefficients cᵢ of 2 artanh s = 2 s + s³ (c₀ + c₁ s² + …), for the s of `log`."""
 HALF_PI = (  # relative error 3.5e-50
     1.5707963267948966,
     6.123233995736766e-17,
     -1.4973849048591698e-33,
 )
-"""π/2 as a sum of doubles, the largest one first."""
+"""π/2 as a sum of three doubles, the largest double first."""
 LN_2 = (  # relative error 8.2e-34
     0.6931471805599453,
     2.3190468138462996e-17,
 )
-"""The natural logarithm of 2 as a sum of doubles, the largest one first."""
+"""The natural logarithm of 2 as a sum of two doubles, the larger double first."""
 
 LARGE = 1e9
-"""Largest argument of sin and cos that is reduced here; the C library computes those beyond."""
+"""Largest |x| for which this module computes sin x and cos x; the C library serves larger ones."""
 
 ROUNDING = 1.5 * 2.0**52
 """A number whose unit in the last place is 1.
 
-The sum with a smaller number has that number, rounded to a whole one, in its lowest bits.
+Adding x to this number rounds x to a whole number, which is then in the lowest bits of the sum.
 """
 
 
@@ -127,17 +127,20 @@ def _bits(value: float) -> int:
 
 
 SIGN = _bits(-0.0)
-"""The sign bit of a double."""
+"""Bit pattern in which only the sign bit of a double is set."""
 ROOT_HALF = _bits(math.sqrt(0.5))
-"""The bits of √½ as a double."""
-EXPONENT = 52  # lowest bit of a double's exponent
-"""The lowest bit of a double's exponent."""
+"""Bit pattern of the double √½."""
+EXPONENT = 52
+"""Number of the lowest bit of the exponent in the bit pattern of a double."""
 BIAS = 1023
-"""Content of a double's exponent field for 2⁰."""
+"""Content of the exponent's bits in the double 2⁰."""
 
 
 def estrin(f: Function, coefficients: Sequence[float], x: Value) -> Value:
-    """Emit c₀ + c₁ x + c₂ x² + … by Estrin's scheme, whose products do not wait for each other."""
+    """Emit the polynomial c₀ + c₁ x + c₂ x² + … with ``coefficients`` c by Estrin's scheme.
+
+    The products of this scheme do not wait for each other.
+    """
     terms = [f.coerce(c, x.type) for c in coefficients]
     power = x
     while len(terms) > 1:
@@ -149,7 +152,7 @@ def estrin(f: Function, coefficients: Sequence[float], x: Value) -> Value:
 
 
 def sincos(f: Function, x: Value) -> tuple[Value, Value]:
-    """Emit sine and cosine; return both.
+    """Emit sine and cosine of x in rad; return both.
 
     The remainder of x by π/2 keeps its relative precision next to a multiple of π/2. The first step
     of the reduction is exact, and the second is rounded once. The error of π/2 as a sum of three
@@ -181,7 +184,10 @@ def _sincos(f: Function, x: Value) -> tuple[Value, Value]:
 
 
 def _of_large(f: Function, names: Sequence[str], x: Value, values: Sequence[Value]) -> list[Value]:
-    """Emit a choice between ``values`` and the C library's, by lane: the latter beyond `LARGE`."""
+    """Emit, for each lane, ``values`` or, if |x| is above `LARGE`, the C library's values at x.
+
+    ``names``: names of the C library's functions, one for each of ``values``.
+    """
     results = [f.variable(value) for value in values]
     with f.when(f.any_lane(f.absolute(x) > LARGE)):
         for name, value, result in zip(names, values, results, strict=True):
@@ -190,9 +196,10 @@ def _of_large(f: Function, names: Sequence[str], x: Value, values: Sequence[Valu
 
 
 def _library_if_large(module: Module, name: str, type_: Type) -> Function:
-    """Return a function that calls the C library in lanes with an argument beyond `LARGE`.
+    """Return the emitted function of ``x`` and ``value`` that calls the C library if |x| > `LARGE`.
 
-    In a function of its own the rare calls cost nothing where they are not made.
+    In all other lanes its result is ``value``. A separate function keeps these rare calls from
+    slowing down other code.
     """
 
     def make() -> Function:
@@ -208,9 +215,9 @@ def _library_if_large(module: Module, name: str, type_: Type) -> Function:
 
 
 def atan2(f: Function, y: Operand, x: Operand) -> Value:
-    """Emit the angle of the point (x, y).
+    """Emit the angle in rad of the point (x, y), as C's atan2.
 
-    It is ± base ± the angle between the point and the nearer axis.
+    The angle is ± base ± the angle between the point and the nearer axis; base is 0, π/2 or π.
     """
     y, x = f.alike(y, x)
     across, up = f.absolute(x), f.absolute(y)
@@ -224,12 +231,12 @@ def atan2(f: Function, y: Operand, x: Operand) -> Value:
 
 
 def atan(f: Function, x: Value) -> Value:
-    """Emit the arc tangent."""
+    """Emit the arc tangent of x in rad."""
     return atan2(f, x, 1.0)
 
 
 def asin(f: Function, x: Value) -> Value:
-    """Emit the arc sine; nan beyond ±1."""
+    """Emit the arc sine of x in rad; nan if |x| > 1."""
     s, rest, far = _arc(f, f.absolute(x))
     factor = f.select(far, -2.0, 1.0)
     high, low = (f.select(far, part, 0.0) for part in HALF_PI[:2])
@@ -239,7 +246,7 @@ def asin(f: Function, x: Value) -> Value:
 
 
 def acos(f: Function, x: Value) -> Value:
-    """Emit the arc cosine; nan beyond ±1."""
+    """Emit the arc cosine of x in rad; nan if |x| > 1."""
     s, rest, far = _arc(f, f.absolute(x))
     behind = x < 0.0
     factor = f.select(far, 2.0, -1.0)
@@ -249,10 +256,10 @@ def acos(f: Function, x: Value) -> Value:
 
 
 def _arc(f: Function, magnitude: Value) -> tuple[Value, Value, Value]:
-    """Emit an angle by its sine s: return s, the angle minus s, and whether x > ½.
+    """Emit an auxiliary angle for the arc sine and the arc cosine of x = ``magnitude``.
 
-    For x ≤ ½ the sine is s = x, and the angle is arcsin x. For x > ½ it is s = √((1 - x) / 2), and
-    the angle is half of arccos x.
+    Returns s, the sine of the angle; the angle minus s; and whether x > ½. For x ≤ ½ the angle is
+    arcsin x, so s = x. For x > ½ the angle is half of arccos x, so s = √((1 - x) / 2).
     """
     far = magnitude > 0.5
     z = f.select(far, f.fma(magnitude, -0.5, 0.5), magnitude * magnitude)
@@ -261,9 +268,9 @@ def _arc(f: Function, magnitude: Value) -> tuple[Value, Value, Value]:
 
 
 def exp(f: Function, x: Value) -> Value:
-    """Emit the exponential: that of the remainder by ln 2, times a power of 2.
+    """Emit the exponential eˣ = eʳ 2ᵏ, with x = k ln 2 + r and |r| ≤ ½ ln 2.
 
-    The power is multiplied in two steps, neither of which overflows.
+    2ᵏ is a product of two factors, neither of which overflows.
     """
     x = f.maximum(f.minimum(x, 720.0), -760.0)  # ∞ and 0 from there on
     shifted = f.fma(x, 1.0 / math.log(2.0), ROUNDING)
@@ -284,10 +291,8 @@ def exp(f: Function, x: Value) -> Value:
 def log(f: Function, x: Value) -> Value:
     """Emit the natural logarithm of x = 2ᵏ (1 + u), with √½ ≤ 1 + u < √2.
 
-    log(1 + u) = 2 artanh(u/(2 + u)) is a series.
-
-    The series is computed without its part u - u²/2, which is added at the end, as in Sun's fdlibm:
-    the rest is small, and so is its error.
+    A polynomial gives log(1 + u) = 2 artanh s, with s = u/(2 + u). As in Sun's fdlibm its part
+    u - u²/2 is added at the end. The rest is small, so its rounding error is small too.
     """
     tiny = x < 2.0**-1022
     bits = f.bits(f.select(tiny, x * 2.0**54, x)) - ROOT_HALF

@@ -1,7 +1,7 @@
 """The exact hold: an exponential integrator with error control, for one lane or several.
 
-It splits dx/dt = A x + g(t, x), with A a Jacobian met before. A step h solves the linear part
-exactly, by the functions of z = A h
+It splits dx/dt = A x + g(t, x), where A is the Jacobian at some earlier state. A step h solves the
+linear part exactly, by the functions of z = A h
 
     phi_1 = (e^z - 1)/z,  phi_2 = (phi_1 - 1)/z,  phi_3 = (phi_2 - 1/2)/z,
 
@@ -22,14 +22,16 @@ of Hochbruck and Ostermann (2005, SIAM J. Numer. Anal. 43). If A is the Jacobian
 does not depend on time, g' is zero and the order is four.
 
 A straight line for g in place of the parabola gives a method of order two. The last term above is
-the difference between the two ends, and is the error estimate. A step that fails tries the Jacobian
-at its start, whatever its length, and then halves. Halving passes corners (a clip, a valve). If a
-tick takes eight steps or more, each step keeps a tenth of the tolerance, because the errors add up.
-Every sixteenth of these steps tries the Jacobian at its start even if it meets the tolerance. An
-old Jacobian may be good enough for small steps only, and the steps would then stay small.
+the difference between the two ends, and is the error estimate. A step that misses the tolerance is
+repeated with the Jacobian at its start. If this does not help, the step is halved, which gets it
+past corners of the derivatives (a clip, a valve). If a tick requires eight steps or more, each step
+keeps a tenth of the tolerance, because the errors add up. Every sixteenth of these steps tries the
+Jacobian at its start even if the step meets the tolerance. An old Jacobian can be good enough for
+small steps only, and the steps would then stay small.
 
-Each lane has its own step, Jacobians and tables, so a run has the same bits in a lane and alone. A
-lane that has reached the end of the tick waits for the others.
+A lane is one of the runs that the code makes side by side. Each lane has its own step, Jacobians
+and tables, so a run has the same bits in a lane and alone. A lane that has reached the end of the
+tick waits for the others.
 """
 
 from __future__ import annotations
@@ -44,13 +46,14 @@ from .phi_functions import FINEST, define_fill_tables
 from .types import BOOL, DOUBLE, INT, POINTER
 
 ChooseSlot = Callable[[Tick, Value, Array, Value], None]
-"""``choose(tick, lane, memory, time)`` emits the choice of a slot for the Jacobian of one lane.
+"""``choose(tick, lane, memory, time)`` emits the choice of the Jacobian for one lane.
 
-The Jacobian is that at the state of the lane: see `define_choose_slot`.
+The code computes the Jacobian at the lane's state and then calls ``choose_slot``: see
+`define_choose_slot`.
 """
 
 SLOTS = 4
-"""Number of Jacobians that a run stores, each with its tables."""
+"""Number of slots of a run: each stores one Jacobian and its tables of phi functions."""
 
 _MANY = 3  # least number of halvings with which a tick has "many" steps
 _SHARE = 0.1  # share of the tolerance that each of many steps may use
@@ -62,13 +65,16 @@ _WHOLE = 1 << FINEST  # number of finest steps in a tick
 
 
 class Memory:
-    """Places in the memory of one lane, in elements of eight bytes, for ``size`` states."""
+    """Where things are in the exact hold's memory of one lane, for ``size`` states.
+
+    The attributes without a text of their own are indices of first elements, of eight bytes each.
+    """
 
     def __init__(self, size: int) -> None:
         square = size * size
         self.square = square
         self.table = 3 * square
-        """Number of elements of the functions for one step of one Jacobian."""
+        """Number of elements of the three phi functions of one Jacobian for one step size."""
         sizes = {
             "filled": 1,  # number of slots that hold a Jacobian
             "made": 1,  # number of Jacobians stored so far
@@ -85,16 +91,20 @@ class Memory:
         self.jacobians, self.candidate, self.change = (places[k] for k in list(sizes)[4:7])
         self.rest, self.tables = (places[k] for k in list(sizes)[7:])
         self.head = self.jacobians
-        """Number of elements, from the first one on, that must be zero at the start of a run."""
+        """Number of elements at the beginning of the memory that must be zero when a run starts."""
         self.size = -(-sum(sizes.values()) // 8) * 8
 
     def shared(self, lanes: int) -> int:
-        """Return the size of the memory for level, Jacobian and tables in use of all lanes."""
+        """Return the number of elements of the memory that all lanes share.
+
+        It holds, for each lane, the number of halvings of the step, and the Jacobian and the tables
+        in use.
+        """
         return (1 + self.square + self.table + 2 * self.square) * lanes
 
 
 def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
-    """Emit ``out`` = matrix · vector; the matrix is stored column by column."""
+    """Emit the product ``out`` = matrix · vector; the matrix is stored column by column."""
     if size <= UNROLLED:
         for row in range(size):
             total = matrix[row] * vector[0]
@@ -111,11 +121,12 @@ def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array)
 
 
 def define_choose_slot(module: Module, size: int) -> Function:
-    """Define ``choose_slot(x, memory, tick)``: make the candidate the current Jacobian, or not.
+    """Define the emitted function ``choose_slot(x, memory, tick)``, which chooses the Jacobian.
 
-    The current Jacobian stays if the candidate explains less than a tenth of ``rest`` for the
-    state change ``change`` (`Memory`). A candidate that is in a slot already is used from there.
-    Else the candidate takes the next slot, and its tables are computed. ``x``: state of the lane.
+    `Memory` describes ``memory``; ``x`` is the state of the lane. The current Jacobian stays if
+    (candidate - current) · ``change`` is less than a tenth of ``rest``. Otherwise the candidate
+    becomes the current Jacobian. If no slot holds the candidate yet, the code stores the candidate
+    in place of the oldest Jacobian, and computes its tables.
     """
     fill_tables = define_fill_tables(module, size)
     at, square = Memory(size), size * size
@@ -169,25 +180,25 @@ def define_choose_slot(module: Module, size: int) -> Function:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step before its acceptance."""
+    """Values in the emitted code of a step that is not accepted yet."""
 
     end: Array
     """State at the end of the step."""
     worst: Value
-    """Error estimate divided by the tolerance; a good step has at most 1."""
+    """Sum of the states' error estimates, each divided by its tolerance; at most 1 is good."""
     middle: Array
     """State at the middle of the step."""
     rest: Array
-    """Remainder of dx/dt at the middle that the linear part does not explain."""
+    """Change of dx/dt from start to middle, minus the change that the Jacobian predicts."""
 
 
 def _step(
     tick: Tick, time: Value, h: Value, slope: Array, weight: Array, tables: Array, jacobian: Array
 ) -> _Step:
-    """Emit a step ``h`` from ``tick.x`` at ``time``; see the equations of this module.
+    """Emit a step of ``h`` in s from the states ``tick.x`` at ``time``: see the module's equations.
 
     ``slope``: dx/dt at the start; ``weight``: inverse of the tolerance of each state; ``tables``:
-    functions of the Jacobian for this step and for half of it.
+    phi functions of the Jacobian for this step and for half of it.
     """
     f, size, square = tick.function, tick.size, tick.size**2
     middle, predicted, end = (tick.vector() for _ in range(3))
@@ -233,25 +244,31 @@ def _step(
 
 
 class ExactHold:
-    """Emits the exact hold; `prepare` belongs before the first tick, `advance` to each tick."""
+    """Emits the exact hold: `prepare` its code before the first tick, `advance` that of a tick."""
 
     def __init__(
         self, tick_s: Value, tolerance: Value, memory: Array, shared: Array, choose: ChooseSlot
     ) -> None:
-        """``memory``: memories of the lanes, one after the other; ``shared``: `Memory.shared`."""
+        """Take the values of the emitted code that `prepare` and `advance` both use.
+
+        ``tick_s``: duration of a tick in s; ``memory``: the memory of each lane (`Memory`), one
+        after the other; ``shared``: the memory that all lanes share (`Memory.shared`).
+        """
         self.tick_s, self.tolerance = tick_s, tolerance
         self.memory, self.shared = memory, shared
         self.choose = choose
 
     def _lanes(self, tick: Tick) -> Iterator[tuple[Value, Array]]:
-        """Yield number and memory of a lane in the body of an emitted loop over all lanes."""
+        """Emit a loop over all lanes; yield number and memory of the lane to the loop's body."""
         at = Memory(tick.size)
         for lane in tick.function.loop(tick.type.lanes):
             number = tick.function.coerce(lane, INT)
             yield number, self.memory.shifted(number * at.size)
 
     def _refresh(self, tick: Tick, lane: Value, memory: Array, level: Value) -> None:
-        """Emit the copy of the lane's current Jacobian and tables to the shared memory."""
+        """Emit the copy of a lane's current Jacobian, and of its tables for the step with ``level``
+        halvings, to the shared memory.
+        """
         f, at, lanes = tick.function, Memory(tick.size), tick.type.lanes
         slot = memory.cast(INT)[at.slot]
         jacobian = memory.shifted(slot * at.square + at.jacobians)
@@ -262,7 +279,10 @@ class ExactHold:
             self.shared[(f.coerce(i, INT) + (1 + at.square)) * lanes + lane] = tables[i]
 
     def prepare(self, tick: Tick) -> None:
-        """Emit the choice of a first Jacobian, and the copy of all tables to the shared memory."""
+        """Emit the choice of a first Jacobian in each lane that has none.
+
+        Also emit the copy of every lane's current Jacobian and tables to the shared memory.
+        """
         levels = self.shared.cast(INT)
         for lane, memory in self._lanes(tick):
             with tick.function.when(memory.cast(INT)[Memory(tick.size).filled].equals(0)):
@@ -270,7 +290,7 @@ class ExactHold:
             self._refresh(tick, lane, memory, levels[lane])
 
     def advance(self, tick: Tick) -> Value:
-        """Emit the steps of a tick; return the lanes that cannot hold the tolerance."""
+        """Emit the steps of a tick; return a condition, true in lanes that miss the tolerance."""
         f, size, type_ = tick.function, tick.size, tick.type
         lanes, at = type_.lanes, Memory(size)
         ints, mask = INT.of(lanes), BOOL.of(lanes)
@@ -333,7 +353,11 @@ class ExactHold:
         good: Variable,
         rough: Variable,
     ) -> None:
-        """Emit code that tries another Jacobian in each doubted lane, or halves a failed step."""
+        """Emit code that tries another Jacobian in each lane of ``doubted``, or halves its step.
+
+        A step that cannot be halved again is accepted until the errors of such steps add up to too
+        much; then the lane is marked in ``rough``.
+        """
         f, size, lanes, at = tick.function, tick.size, tick.type.lanes, Memory(tick.size)
         times, worsts = _spilled(f, time), _spilled(f, step.worst)
         levels, tries = _spilled(f, level.get()), _spilled(f, tried.get())
@@ -382,7 +406,10 @@ class ExactHold:
     def _coarsen(
         self, tick: Tick, worst: Value, easy: Value, position: Value, level: Variable
     ) -> None:
-        """Emit code that doubles the next step of each ``easy`` lane, whose error is small."""
+        """Emit code that doubles the next step, also repeatedly, in each lane of ``easy``.
+
+        In these lanes the error is small. A step begins at a multiple of its length in the tick.
+        """
         f = tick.function
         flags, positions = _spilled(f, f.flags(easy)), _spilled(f, position)
         levels, worsts = _spilled(f, level.get()), _spilled(f, worst)
@@ -402,7 +429,7 @@ class ExactHold:
 
 
 def _spilled(f: Function, value: Value) -> Array:
-    """Return new memory, and emit the copy of the lanes of ``value`` to it."""
+    """Return new local memory, and emit the copy of the lanes of ``value`` to this memory."""
     memory = f.array(value.type.lanes, value.type.of(1))
     _spill(memory, 0, value)
     return memory

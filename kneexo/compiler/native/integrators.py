@@ -1,4 +1,4 @@
-"""Emits the fixed-step integrators over one tick, for one lane or several."""
+"""Emits the code of the Runge-Kutta integrators for one tick, for one lane or several."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from .ir import Array, Function, Operand, Value
 from .types import INT, Type
 
 Rate = Callable[[Operand, Array, Array], None]
-"""``rate(t, x, out)`` emits ``out`` = dx/dt at the time t in s, with the open inputs at t."""
+"""``rate(t, x, out)`` emits ``out`` = dx/dt at time t in s and state x, with the inputs at t."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """One tick of an integrator, which advances ``x`` in the lanes ``running``."""
+    """The values from which an integrator emits one tick; the code advances the states ``x``."""
 
     function: Function
     size: int
     """Number of continuous states."""
     type: Type
-    """Doubles, one in each lane."""
+    """Type of one state: a double in each lane."""
     start: Value
     end: Value
-    """Times in s, the same in all lanes."""
+    """Start and end of the tick in s, the same in all lanes."""
     x: Array
     running: Value
-    """The lanes that advance; ignored with a single lane, which always advances."""
+    """Condition: true in the lanes that advance. A single lane advances whatever the condition."""
     rate: Rate
     step: Value
-    """Largest step in s."""
+    """Largest step of the Runge-Kutta integrators in s."""
 
     def vector(self) -> Array:
-        """Return local memory for one value of each state."""
+        """Return new local memory of the emitted code, with one element for each state."""
         return self.function.array(self.size, self.type)
 
     def along(self, out: Array, *terms: tuple[Operand, Array]) -> None:
-        """Emit ``out`` = x + the sum of factor · vector."""
+        """Emit ``out`` = x + the sum of factor · vector over the pairs ``terms``."""
         f = self.function
         for i in f.each(self.size):
             total = self.x[i]
@@ -45,7 +45,7 @@ class Tick:
             out[i] = total
 
     def accept(self, new: Array) -> None:
-        """Emit the change of ``x`` to ``new`` in the lanes that advance."""
+        """Emit the copy of ``new`` to the states ``x``, in the lanes that advance."""
         for i in self.function.each(self.size):
             if self.type.lanes == 1:
                 self.x[i] = new[i]
@@ -54,7 +54,7 @@ class Tick:
 
 
 def advance_rk4(tick: Tick) -> None:
-    """Emit equal steps of the classical fourth-order Runge-Kutta method."""
+    """Emit one tick of the classical fourth-order Runge-Kutta method, in equal steps."""
     f = tick.function
     span = tick.end - tick.start
     steps = f.maximum(f.ceil(span / tick.step - 1e-9), 1.0)
@@ -77,7 +77,7 @@ def advance_rk4(tick: Tick) -> None:
 
 
 def advance_runge_kutta3(tick: Tick) -> None:
-    """Emit the steps of Drake's RungeKutta3Integrator.
+    """Emit one tick in the steps of Drake's RungeKutta3Integrator, which has the order three.
 
     The last step ends exactly at the end of the tick: it is shorter than ``tick.step``, or at most
     1 % longer.

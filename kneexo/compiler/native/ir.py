@@ -1,9 +1,9 @@
 """Emits LLVM IR as text while Python code runs.
 
 A `Function` collects instructions. The operators of a `Value` and the items of an `Array` append
-instructions to their function. The same Python code emits scalar code, and code for several lanes
-of a vector. No floating-point flag is used, and only `Function.fma` is fused. So scalar and vector
-code give the same bits on every processor.
+instructions to their function. The same Python code emits scalar code, and code for vectors, whose
+elements are called lanes. No floating-point flag is used, and only `Function.fma` is fused. So
+scalar and vector code give the same bits on every processor.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _BinaryOperator: TypeAlias = "Callable[[Value, Operand], Value]"
 
 
 def _operators(name: str) -> tuple[_BinaryOperator, _BinaryOperator]:
-    """Return Python's operators ``a ∘ b`` and ``b ∘ a`` that emit the operation ``name``."""
+    """Return methods for Python's ``a ∘ b`` and reflected ``b ∘ a`` that emit the operation."""
 
     def operate(self: Value, other: Operand) -> Value:
         return self.function.binary(name, self, other)
@@ -35,10 +35,7 @@ def _operators(name: str) -> tuple[_BinaryOperator, _BinaryOperator]:
 
 
 class Value:
-    """A value of the code: a register or a literal, and its type.
-
-    The operators of Python emit instructions.
-    """
+    """A register or literal of the emitted code, with its type; Python's operators emit code."""
 
     __slots__ = ("function", "name", "type")
 
@@ -75,29 +72,29 @@ class Value:
         return self.function.compare("ge", self, other)
 
     def equals(self, other: Operand) -> Value:
-        """Emit a test for equality; nan is not equal to anything."""
+        """Emit the comparison "equal"; return the condition. nan is not equal to anything."""
         return self.function.compare("eq", self, other)
 
     def differs(self, other: Operand) -> Value:
-        """Emit a test for a difference; nan differs from everything."""
+        """Emit the comparison "not equal"; return the condition. nan differs from everything."""
         return self.function.compare("ne", self, other)
 
 
 Operand: TypeAlias = Value | float
-"""A value, or a Python number, which becomes a literal."""
+"""An operand of an instruction: a `Value`, or a Python number, which becomes a literal."""
 
 
 class Array:
-    """Elements of one type in memory.
+    """Elements of one type in the memory of the emitted code.
 
-    Reading and setting an item emits a load or a store.
+    Reading an item emits a load, and setting an item emits a store.
     """
 
     def __init__(self, pointer: Value, type_: Type) -> None:
         self.function, self.pointer, self.type = pointer.function, pointer, type_
 
     def address(self, index: Operand) -> Value:
-        """Emit the computation of an element's address; return the pointer."""
+        """Emit the computation of the address of element ``index``; return the pointer."""
         if index == 0 and not isinstance(index, Value):
             return self.pointer
         i = self.function.coerce(index, INT)
@@ -119,11 +116,11 @@ class Array:
         return 1 if self.type.element == "i8" else 8  # callers align their buffers to 8 bytes
 
     def shifted(self, index: Operand) -> Array:
-        """Return the array that begins at ``index``; emits the computation of its address."""
+        """Emit the address of element ``index``; return the array that begins at this element."""
         return Array(self.address(index), self.type)
 
     def cast(self, type_: Type) -> Array:
-        """Return the same memory as an array of another type."""
+        """Return the same memory as an array with another type of elements."""
         return Array(self.pointer, type_)
 
 
@@ -134,29 +131,29 @@ class Variable:
         self._memory = memory
 
     def get(self) -> Value:
-        """Emit a load; return the value."""
+        """Emit a load of the variable; return the loaded value."""
         return self._memory[0]
 
     def set(self, value: Operand) -> None:
-        """Emit a store."""
+        """Emit a store of ``value`` to the variable."""
         self._memory[0] = value
 
 
 class Loop:
-    """The loop of `Function.forever`."""
+    """A loop that `Function.forever` emits; `stop_if` emits its end."""
 
     def __init__(self, function: Function, after: str) -> None:
         self._function, self._after = function, after
 
     def stop_if(self, condition: Value) -> None:
-        """Emit a jump out of the loop if a scalar condition holds."""
+        """Emit a jump out of the loop under a scalar condition."""
         (onward,) = self._function.new_labels("onward")
         self._function.line(f"br i1 {condition.name}, label %{self._after}, label %{onward}")
         self._function.label(onward)
 
 
 class Module:
-    """The functions of one text of IR."""
+    """A text of LLVM IR: its functions, and declarations of the external functions they call."""
 
     def __init__(self) -> None:
         self._functions: list[Function] = []
@@ -177,25 +174,25 @@ class Module:
         return new
 
     def shared(self, name: str, make: Callable[[], Function]) -> Function:
-        """Return the function of that name; the first call makes it by ``make``."""
+        """Return the function ``name`` of this module; call ``make`` to add it if it is missing."""
         for function in self._functions:
             if function.name == name:
                 return function
         return make()
 
     def declare(self, name: str, returns: Type, arguments: list[Type]) -> None:
-        """Declare a function of the C library or of LLVM."""
+        """Declare a function of the C library or an intrinsic of LLVM, so that code can call it."""
         types = ", ".join(str(type_) for type_ in arguments)
         self._declarations[name] = f"declare {returns} @{name}({types})"
 
     def text(self) -> str:
-        """Return the text of all functions."""
+        """Return the IR text of all declarations and functions."""
         parts = [*self._declarations.values(), *(f.text() for f in self._functions)]
         return "\n".join([*parts, '!0 = !{!"branch_weights", i32 1, i32 1048575}', ""])
 
 
 class Function:
-    """One function. Its methods append instructions, and most return the result as a value."""
+    """An emitted function. Its methods append instructions, and most return the result."""
 
     def __init__(
         self,
@@ -219,7 +216,7 @@ class Function:
         self._count = 0
 
     def text(self) -> str:
-        """Return the definition; a function without a result returns after its last instruction."""
+        """Return the IR text of the function; one without a result gets a return at its end."""
         end = ["  ret void"] if self.returns is None else ["  unreachable"]
         if self._lines and self._lines[-1].startswith("  ret "):
             end = []
@@ -228,17 +225,17 @@ class Function:
     # --------------------------------------------------------------------------- values
 
     def line(self, text: str) -> None:
-        """Append an instruction without a result."""
+        """Append the text of an instruction that has no result."""
         self._lines.append(f"  {text}")
 
     def instruction(self, text: str, type_: Type) -> Value:
-        """Append an instruction; return its result."""
+        """Append the text of an instruction; return its result, which has the type ``type_``."""
         self._count += 1
         self._lines.append(f"  %v{self._count} = {text}")
         return Value(self, f"%v{self._count}", type_)
 
     def constant(self, value: float, type_: Type = DOUBLE) -> Value:
-        """Return a literal with the same value in all lanes."""
+        """Return a literal that has this value in each lane of the type."""
         if type_.element == "double":
             (bits,) = struct.unpack("<Q", struct.pack("<d", value))
             text = f"0x{bits:016X}"
@@ -251,12 +248,12 @@ class Function:
         return Value(self, text, type_)
 
     def lane_numbers(self, lanes: int) -> Value:
-        """Return the integers 0, 1, 2 …, one in each lane."""
+        """Return the literal that holds the integers 0, 1, 2 …, one in each lane."""
         text = "<" + ", ".join(f"i64 {lane}" for lane in range(lanes)) + ">"
         return Value(self, text if lanes > 1 else "0", INT.of(lanes))
 
     def coerce(self, value: Operand, type_: Type) -> Value:
-        """Return a value in that type; numbers become literals, a scalar fills all lanes."""
+        """Return an operand as a value of a type: a number as a literal, a scalar in all lanes."""
         if not isinstance(value, Value):
             return self.constant(value, type_)
         if value.type == type_:
@@ -268,19 +265,19 @@ class Function:
         return self.instruction(text, type_)
 
     def alike(self, *operands: Operand) -> list[Value]:
-        """Return operands in the type with the most lanes; numbers alone become doubles."""
+        """Return operands in the type with the most lanes; without a `Value`, as doubles."""
         types = [operand.type for operand in operands if isinstance(operand, Value)]
         widest = max(types, key=lambda type_: type_.lanes, default=DOUBLE)
         return [self.coerce(operand, widest) for operand in operands]
 
     def binary(self, name: str, left: Operand, right: Operand) -> Value:
-        """An arithmetic or bitwise operation."""
+        """Emit the arithmetic or bitwise operation ``name``, as LLVM calls it for integers."""
         a, b = self.alike(left, right)
         prefix = "f" if a.type.element == "double" else ""
         return self.instruction(f"{prefix}{name} {a.type} {a.name}, {b.name}", a.type)
 
     def compare(self, name: str, left: Operand, right: Operand) -> Value:
-        """A condition: lt, le, gt, ge, eq or ne. With nan ne is true and all others are false."""
+        """Emit the comparison lt, le, gt, ge, eq or ne; nan makes ne true and all others false."""
         a, b = self.alike(left, right)
         if a.type.element == "double":
             code = "fcmp " + ("une" if name == "ne" else f"o{name}")
@@ -289,7 +286,7 @@ class Function:
         return self.instruction(f"{code} {a.type} {a.name}, {b.name}", BOOL.of(a.type.lanes))
 
     def select(self, condition: Value, positive: Operand, otherwise: Operand) -> Value:
-        """One of two values, lane by lane."""
+        """Emit for each lane ``positive`` where the condition holds, else ``otherwise``."""
         a, b = self.alike(positive, otherwise)
         lanes = max(condition.type.lanes, a.type.lanes)
         if condition.type.lanes > 1:
@@ -306,36 +303,36 @@ class Function:
         return self.instruction(f"call {type_} @{full}({arguments})", type_)
 
     def fma(self, factor: Operand, other: Operand, term: Operand) -> Value:
-        """The sum factor · other + term, rounded once."""
+        """Emit factor · other + term, rounded only once (fused multiply-add)."""
         return self._intrinsic("fma", factor, other, term)
 
     def sqrt(self, value: Operand) -> Value:
-        """Square root."""
+        """Emit the square root."""
         return self._intrinsic("sqrt", value)
 
     def absolute(self, value: Operand) -> Value:
-        """Absolute value."""
+        """Emit the absolute value."""
         return self._intrinsic("fabs", value)
 
     def floor(self, value: Operand) -> Value:
-        """Largest whole number that is not larger."""
+        """Emit the largest whole number that is not larger than ``value``."""
         return self._intrinsic("floor", value)
 
     def ceil(self, value: Operand) -> Value:
-        """Smallest whole number that is not smaller."""
+        """Emit the smallest whole number that is not smaller than ``value``."""
         return self._intrinsic("ceil", value)
 
     def copysign(self, magnitude: Operand, sign: Operand) -> Value:
-        """The absolute value of ``magnitude`` with the sign of ``sign``."""
+        """Emit the absolute value of ``magnitude`` with the sign of ``sign``."""
         return self._intrinsic("copysign", magnitude, sign)
 
     def minimum(self, first: Operand, second: Operand) -> Value:
-        """The smaller value, as std::min; the first one if one is nan."""
+        """Emit the smaller operand, as std::min; ``first`` if an operand is nan."""
         a, b = self.alike(first, second)
         return self.select(b < a, b, a)
 
     def maximum(self, first: Operand, second: Operand) -> Value:
-        """The larger value, as std::max; the first one if one is nan."""
+        """Emit the larger operand, as std::max; ``first`` if an operand is nan."""
         a, b = self.alike(first, second)
         return self.select(a < b, b, a)
 
@@ -344,27 +341,27 @@ class Function:
         return self.instruction(f"{conversion} {value.type} {value.name} to {type_}", type_)
 
     def to_double(self, value: Value) -> Value:
-        """Integers as doubles."""
+        """Emit the conversion of integers to doubles."""
         return self._converted("sitofp", value, DOUBLE)
 
     def to_int(self, value: Value) -> Value:
-        """Doubles without their fraction as integers; the range of integers must hold them."""
+        """Emit the conversion of doubles to integers, towards zero; undefined beyond 64 bits."""
         return self._converted("fptosi", value, INT)
 
     def bits(self, value: Value) -> Value:
-        """The 64 bits of doubles as integers."""
+        """Emit the bit patterns of doubles as 64-bit integers."""
         return self._converted("bitcast", value, INT)
 
     def from_bits(self, value: Value) -> Value:
-        """Doubles from the integers of `bits`."""
+        """Emit the doubles that have these 64-bit patterns; the inverse of `bits`."""
         return self._converted("bitcast", value, DOUBLE)
 
     def flags(self, condition: Value) -> Value:
-        """A condition as integers 0 and 1."""
+        """Emit a condition as 64-bit integers: 1 where the condition holds, 0 elsewhere."""
         return self._converted("zext", condition, INT)
 
     def library(self, name: str, *operands: Operand) -> Value:
-        """A function of the C library, one lane after the other."""
+        """Emit a call of the C library's function ``name`` for each lane; return the results."""
         values = self.alike(*operands)
         self.module.declare(name, DOUBLE, [DOUBLE] * len(values))
 
@@ -375,7 +372,7 @@ class Function:
         return self.gathered(values[0].type.lanes, of_lane)
 
     def call(self, function: Function, *values: Value) -> Value:
-        """Call a function of this module; the value of one without result must not be used."""
+        """Emit a call of a function of this module; return its result, unusable if it has none."""
         arguments = ", ".join(f"{value.type} {value.name}" for value in values)
         if function.returns is None:
             self.line(f"call void @{function.name}({arguments})")
@@ -386,7 +383,7 @@ class Function:
     # ---------------------------------------------------------------------------- lanes
 
     def any_lane(self, condition: Value) -> Value:
-        """Whether a condition holds in any lane."""
+        """Emit whether a condition holds in at least one lane; return this scalar condition."""
         lanes = condition.type.lanes
         if lanes == 1:
             return condition
@@ -395,14 +392,14 @@ class Function:
         return self.instruction(f"icmp ne i{lanes} {bits.name}, 0", BOOL)
 
     def lane(self, value: Value, lane: int) -> Value:
-        """One lane of a value."""
+        """Emit the scalar in one lane of a value; a value with a single lane is returned as is."""
         if value.type.lanes == 1:
             return value
         text = f"extractelement {value.type} {value.name}, i64 {lane}"
         return self.instruction(text, value.type.of(1))
 
     def gathered(self, lanes: int, of_lane: Callable[[int], Value]) -> Value:
-        """A vector of the scalars that ``of_lane(lane)`` returns."""
+        """Emit a vector whose lanes are the scalars that ``of_lane(lane)`` returns."""
         first = of_lane(0)
         if lanes == 1:
             return first
@@ -416,7 +413,7 @@ class Function:
     # --------------------------------------------------------------------------- memory
 
     def array(self, size: int, type_: Type = DOUBLE) -> Array:
-        """Return local memory for ``size`` elements, at least one; it is not initialized."""
+        """Return local memory of this function for ``size`` elements; it is not initialized."""
         self._count += 1
         name = f"%a{self._count}"
         count = f"[{max(size, 1)} x {type_}]"
@@ -424,32 +421,32 @@ class Function:
         return Array(Value(self, name, POINTER), type_)
 
     def variable(self, value: Value) -> Variable:
-        """Return a new local variable; emits the store of its first value."""
+        """Return a new local variable of this function; emit the store of its first value."""
         new = Variable(self.array(1, value.type))
         new.set(value)
         return new
 
     def pointer(self, address: Value) -> Value:
-        """The pointer that an integer stands for."""
+        """Emit the conversion of an address, which is an integer, to a pointer."""
         return self.instruction(f"inttoptr i64 {address.name} to ptr", POINTER)
 
     # -------------------------------------------------------------------------- control
 
     def new_labels(self, *names: str) -> list[str]:
-        """Return names of new blocks, which no other block has."""
+        """Return a label for each of the names; the name and a number make the label unique."""
         self._count += 1
         return [f"{name}{self._count}" for name in names]
 
     def label(self, name: str) -> None:
-        """Begin the block of that name."""
+        """Begin the basic block with this label: jumps to the label lead here."""
         self._lines.append(f"{name}:")
 
     @contextmanager
     def when(self, condition: Value, *, rare: bool = False) -> Iterator[None]:
-        """Context manager: emit its body under a scalar condition.
+        """Context manager: the code that its body emits runs only if a scalar condition holds.
 
-        ``rare``: LLVM keeps the branch. Else it may emit a select, and the code behind would wait
-        for the condition.
+        ``rare``: tell LLVM that the condition seldom holds, so that LLVM keeps the branch. Else
+        LLVM may make a select of the branch, and later code would wait for the condition.
         """
         body, after = self.new_labels("then", "after")
         weights = ", !prof !0" if rare else ""
@@ -461,7 +458,7 @@ class Function:
 
     @contextmanager
     def forever(self) -> Iterator[Loop]:
-        """Context manager: emit its body as a loop that `Loop.stop_if` ends."""
+        """Context manager: the code that its body emits runs again until `Loop.stop_if` ends it."""
         head, after = self.new_labels("loop", "after")
         self.line(f"br label %{head}")
         self.label(head)
@@ -470,7 +467,11 @@ class Function:
         self.label(after)
 
     def each(self, count: int | Value) -> Iterator[Operand]:
-        """Yield 0 … ``count`` - 1, at most `UNROLLED` as Python numbers; else emit a loop."""
+        """Yield the indices 0 … ``count`` - 1 to a Python loop whose body emits code.
+
+        A Python ``count`` up to `UNROLLED` gives Python numbers, so the code is unrolled. Else the
+        Python loop has one pass, which emits the body of a loop over the yielded index.
+        """
         if isinstance(count, int) and count <= UNROLLED:
             yield from range(count)
             return
@@ -482,15 +483,15 @@ class Function:
             number.set(k + 1)
 
     def loop(self, count: int | Value) -> Iterator[Operand]:
-        """Yield the number of the pass in an emitted loop, as short code that runs rarely."""
+        """As `each`, but always emit a loop: short code, for loops that run rarely."""
         return self.each(self.coerce(count, INT))
 
     def return_(self, value: Value | None = None) -> None:
-        """Emit a return."""
+        """Emit a return from the function, with ``value`` as result."""
         self.line("ret void" if value is None else f"ret {value.type} {value.name}")
 
     def return_if(self, condition: Value, value: Value | None = None) -> None:
-        """Emit a return if a scalar condition holds."""
+        """Emit a return from the function, with ``value`` as result, under a scalar condition."""
         leave, onward = self.new_labels("leave", "onward")
         self.line(f"br i1 {condition.name}, label %{leave}, label %{onward}")
         self.label(leave)

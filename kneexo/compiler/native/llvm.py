@@ -1,4 +1,4 @@
-"""Compiles IR text to machine code and loads machine code; no other module uses LLVM."""
+"""Compiles LLVM IR text to object code, and loads object code; no other module calls LLVM."""
 
 from __future__ import annotations
 
@@ -16,19 +16,22 @@ import llvmlite.binding as llvm
 from ..root import variable
 
 LANES = 8
-"""Number of lanes of batches: one vector of AVX-512, or two of AVX2, whose operations overlap."""
+"""Number of runs that one call of a batch makes, each in one lane of a vector.
+
+Eight doubles are one vector of AVX-512, or two of AVX2, whose operations overlap.
+"""
 
 
 @dataclass(frozen=True)
 class Processor:
-    """A processor for which machine code is made."""
+    """A processor that machine code is made for: its name and its features, as LLVM writes them."""
 
     name: str
     features: str
 
     @cached_property
     def key(self) -> str:
-        """Text that differs for processors and versions that may get different machine code."""
+        """Text of the processor and LLVM's version; equal texts mean the same machine code."""
         versions = f"llvmlite {llvmlite.__version__}, LLVM {llvm.llvm_version_info}"
         return f"{versions}, {llvm.get_process_triple()}, {self.name}, {self.features}"
 
@@ -41,7 +44,7 @@ def _start() -> None:
 
 @cache
 def processor() -> Processor:
-    """Return the processor of this machine, or the one that ``KNEEXO_CPU`` names (x86-64-v3 …)."""
+    """Return the processor that ``KNEEXO_CPU`` names (x86-64-v3 …), else that of this machine."""
     _start()
     chosen = os.environ.get(variable("CPU"))
     if chosen:
@@ -52,8 +55,8 @@ def processor() -> Processor:
 def compile_text(text: str, target: Processor | None = None) -> bytes:
     """Return the object code of an IR text for ``target``, by default for the `processor`.
 
-    Warns if the processor has no instruction for fused multiply-add. The function of the C library
-    in its place gives the same bits, but is many times slower.
+    Warns if the processor has no instruction for fused multiply-add. The code then calls the C
+    library's ``fma``, which gives the same bits, but is many times slower.
     """
     machine = _machine(target or processor())
     module = llvm.parse_assembly(text)
@@ -81,7 +84,7 @@ def _machine(target: Processor) -> Any:
 
 
 class Library:
-    """Object code in this process; it stays loaded while one of its functions is referred to."""
+    """Object code loaded into this process; the code stays loaded while a function of it exists."""
 
     def __init__(self, code: bytes) -> None:
         _start()
@@ -92,7 +95,10 @@ class Library:
         self._functions: dict[str, Callable[..., None]] = {}
 
     def function(self, name: str, arguments: int) -> Callable[..., None]:
-        """Return a function of addresses, without result, that releases the GIL."""
+        """Return the function ``name`` for calls from Python.
+
+        It expects ``arguments`` addresses, returns None, and runs without the GIL.
+        """
         if name not in self._functions:
             address = self._engine.get_function_address(name)
             assert address, name

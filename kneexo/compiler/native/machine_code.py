@@ -1,4 +1,4 @@
-"""The machine code of a model, one function at a time: from the cache, or compiled."""
+"""Gets each machine-code function of a model from the cache on disk, or compiles the function."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .llvm import Library, compile_text, processor
 from .time_loop import between_text, run_text, start_text
 
 Source = Equations | Callable[[], Equations]
-"""Equations, or a function that reads them; it is called when the cache lacks machine code."""
+"""Equations, or a function that returns them; it is called only if the cache lacks code."""
 
 ANNOUNCED_AFTER_S = 1.0
 """Time in s after which a line on stderr says that equations are being compiled."""
@@ -30,10 +30,10 @@ _layouts: dict[str, Layout] = {}
 
 
 class MachineCode:
-    """The functions of one model.
+    """The machine-code functions of one model, each loaded or compiled when it is first requested.
 
-    ``key`` is text that is equal for equal equations alone. A pickled object holds key and source,
-    so another process loads the code from the cache or compiles it.
+    Models with different equations must have different texts ``key``. A pickled object holds key
+    and source alone, so another process loads the code from the cache or compiles it.
     """
 
     def __init__(self, key: str, source: Source) -> None:
@@ -45,7 +45,7 @@ class MachineCode:
 
     @property
     def layout(self) -> Layout:
-        """Names and sizes; from the cache, or of the program."""
+        """Names and sizes of the model, loaded from the cache or else taken from `program`."""
         with _lock:
             key = self._entry("layout")
             if key not in _layouts:
@@ -60,7 +60,7 @@ class MachineCode:
 
     @property
     def program(self) -> Program:
-        """The program that is printed; made when it is first needed."""
+        """The equations, rewritten for the emission of code; made at the first use."""
         with _lock:
             if self._program is None:
                 source = self._source
@@ -68,18 +68,21 @@ class MachineCode:
             return self._program
 
     def start(self, name: str) -> Callable[..., None]:
-        """Return the function ``constants`` or ``initialize`` of `printer`."""
+        """Return the machine code's function ``name``: ``constants`` or ``initialize``.
+
+        See `define_constants` and `define_initialize`.
+        """
         arguments = {"constants": 2, "initialize": 5}[name]
         return self._library("start", lambda: start_text(self.program)).function(name, arguments)
 
     def run(self, integrator: str, lanes: int) -> Callable[..., None]:
-        """Return the function ``run`` of `time_loop`."""
+        """Return the machine code's function ``run`` for this integrator; arguments: see `RUN`."""
         part = f"run, {integrator}, {lanes} lanes"
         library = self._library(part, lambda: run_text(self.program, integrator, lanes))
         return library.function("run", 1)
 
     def between(self) -> Callable[..., None]:
-        """Return the function ``between`` of `time_loop`."""
+        """Return the machine code's function ``between``; arguments: see `BETWEEN`."""
         library = self._library("between", lambda: between_text(self.program))
         return library.function("between", 1)
 
@@ -96,7 +99,7 @@ class MachineCode:
             return _libraries[key]
 
     def _entry(self, part: str) -> str:
-        """Return the key of a part in the cache: all that its bytes depend on."""
+        """Return the cache key of a part of the code, a text of all that the code depends on."""
         return "\n".join((self.key, _sources(), processor().key, part))
 
 
@@ -122,7 +125,7 @@ def _announced() -> Iterator[None]:
 
 @cache
 def _sources() -> str:
-    """Return a fingerprint of the compiler's own source files."""
+    """Return a fingerprint of the compiler's own source files, which changes when they change."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())

@@ -1,4 +1,4 @@
-"""Functions phi_1, phi_2, phi_3 of a matrix, for every step of the exact hold."""
+"""Emits code for the matrix functions phi_1, phi_2 and phi_3, which `exact_hold` defines."""
 
 from __future__ import annotations
 
@@ -8,40 +8,40 @@ from .ir import Array, Function, Module, Operand, Value
 from .types import DOUBLE, INT, POINTER
 
 FINEST = 12
-"""Largest number of times that the exact hold halves its step."""
+"""Largest number of halvings of a step: the exact hold's shortest step is tick/2^FINEST."""
 
 
 class Columns:
-    """Emits operations on square matrices whose columns are stored as vectors.
+    """Emits operations on square matrices with ``size`` rows, whose columns are stored as vectors.
 
-    One instruction works on a whole vector. Rows beyond the size are zero.
+    One instruction works on a whole vector. Zeros fill up the last vector of each column.
     """
 
     def __init__(self, f: Function, size: int) -> None:
         self.f, self.size = f, size
         self.width = 4 if size <= 4 else 8
         self.blocks = -(-size // self.width)
-        """Number of vectors in a column."""
+        """Number of vectors that hold a column."""
         self.rows = self.blocks * self.width
         self.type = DOUBLE.of(self.width)
 
     def zero(self) -> Array:
-        """Return memory of a new matrix, and emit zeros for it."""
+        """Return memory for a new matrix; emit code that sets all elements to zero."""
         matrix = self.f.array(self.size * self.blocks, self.type)
         for i in self.each():
             matrix[i] = 0.0
         return matrix
 
     def each(self) -> Iterator[Operand]:
-        """Yield the numbers of the vectors of a matrix, as `Function.each`."""
+        """Yield the index of each vector of a matrix to a loop that emits code: `Function.each`."""
         return self.f.each(self.size * self.blocks)
 
     def element(self, row: Operand, column: Operand) -> Value:
-        """Return the index of an element among the doubles of a matrix."""
+        """Emit the index of an element among all doubles of a matrix, with the zeros counted."""
         return self.f.coerce(column, INT) * self.rows + row
 
     def multiply(self, left: Array, right: Array, out: Array) -> None:
-        """Emit ``out`` = left · right."""
+        """Emit the matrix product ``out`` = left · right."""
         f, blocks = self.f, range(self.blocks)
         for j in f.each(self.size):
             totals = [f.variable(f.constant(0.0, self.type)) for _ in blocks]
@@ -54,9 +54,9 @@ class Columns:
                 out[f.coerce(j, INT) * self.blocks + block] = total.get()
 
     def store(self, matrix: Callable[[Operand], Value], out: Array) -> None:
-        """Emit the copy of a matrix to ``out``, column by column, without the rows of zeros.
+        """Emit the copy of a matrix to ``out``, column by column, without the zeros at their ends.
 
-        ``matrix``: returns the vector of a number.
+        ``matrix(index)`` returns the vector with this index.
         """
         f, last = self.f, (self.size - 1) * self.blocks
         for j in f.each(self.size - 1):  # the next column overwrites the rows of zeros
@@ -73,11 +73,12 @@ class Columns:
 
 
 def define_fill_tables(module: Module, size: int) -> Function:
-    """Define ``fill_tables(a, tick, tables)``: the functions of the matrix ``a`` for each step.
+    """Define the emitted function ``fill_tables(a, tick, tables)`` of the matrix ``a``.
 
-    The code writes h phi_1, h phi_2 and h (phi_2 - 4 phi_3) of a h for the steps h = tick/2^level
-    of the levels 0 … `FINEST` + 1. It computes those of the smallest step by a Taylor series, and
-    those of each next level by doubling (Skaflestad and Wright 2009, Appl. Numer. Math. 59).
+    The code writes h phi_1, h phi_2 and h (phi_2 - 4 phi_3) at the argument a h to ``tables``, for
+    the steps h = tick/2^level of the levels 0 … `FINEST` + 1. It begins at a small step with a
+    Taylor series. Doublings lead from there to each longer step (Skaflestad and Wright 2009, Appl.
+    Numer. Math. 59).
     """
     square = size * size
     arguments = {"a": POINTER, "tick": DOUBLE, "tables": POINTER}

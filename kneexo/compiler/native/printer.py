@@ -1,4 +1,4 @@
-"""Emits nodes of a graph as instructions of a function, for one lane or several."""
+"""Emits the nodes of a program's graph as instructions of a function, for one lane or several."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from .ir import Array, Function, Module, Operand, Value
 from .types import DOUBLE, INT, POINTER, Type
 
 Load = Callable[[str, int], Operand]
-"""``load(kind, index)`` emits the load of an element of a source (`graph.SOURCES`).
+"""``load(kind, index)`` emits the load of one element of a source, such as a state.
 
-The kind ``constant`` stands for the values that are computed once a run.
+The kinds are those of `graph.SOURCES`. Only ``constant`` has another meaning: the values that
+depend on parameters alone, which are computed once a run.
 """
 
 _EMITTERS: dict[str, Callable[[Function, str, Sequence[Operand]], Operand]] = {
@@ -29,7 +30,10 @@ _EMITTERS: dict[str, Callable[[Function, str, Sequence[Operand]], Operand]] = {
     "elementary": lambda f, name, a: getattr(elementary, name)(f, *a),
     "library": lambda f, name, a: f.library(name, *a),
 }
-"""Ways to emit an operation whose arguments are computed, by the name in `Operation.native`."""
+"""Functions that emit an operation, by the text before the dot in `Operation.native`.
+
+Each gets the function of the emitted code, the text after the dot, and the emitted arguments.
+"""
 
 
 class Printer:
@@ -50,11 +54,14 @@ class Printer:
         Parameters
         ----------
         function, program, load
-            Function that gets the instructions, program of the nodes, loads of sources.
+            The function that gets the instructions, the program that has the nodes, and the
+            function that emits loads of sources.
         hoisted
-            Nodes that are loaded as constants, with their numbers; by default those of the program.
+            Nodes whose values are loaded as constants, with their indices among the constants; by
+            default those of the program.
         memory
-            Tags and values of each memo of the program. Without them nothing is looked up.
+            Look-up tables: two arrays (tags, values) for each `Memo` of the program. With None the
+            code looks up nothing.
         known
             Values of nodes that are emitted already.
         """
@@ -85,10 +92,10 @@ class Printer:
         condition: Callable[[tuple[str, int]], Value],
         store: Callable[[Place, Operand], None],
     ) -> None:
-        """Emit the computation of groups; nodes that several groups need come first.
+        """Emit the computation of groups of nodes, each under its condition.
 
-        ``condition``: returns whether a group is computed; ``store(place, value)``: emits the store
-        of a target.
+        Nodes that several groups need come first, without a condition. ``condition``: emits the
+        condition of a group; ``store(place, value)``: emits the store of the value of a target.
         """
         users: dict[int, list[str]] = {}
         needed: dict[int, set[int]] = {}
@@ -124,19 +131,25 @@ class Printer:
     def always(
         self, targets: Iterable[tuple[Place, int]], store: Callable[[Place, Operand], None]
     ) -> None:
-        """Emit the computation of targets without a condition."""
+        """Emit the computation and the stores of targets, without a condition."""
         no_condition = Value(self.function, "", INT)
         self.groups([Group(ALWAYS, tuple(targets))], lambda _: no_condition, store)
 
     @contextmanager
     def _block(self) -> Iterator[None]:
-        """Context manager: forget at its end which values its body has emitted."""
+        """Context manager: at its end forget the values that its body emitted.
+
+        Code after a conditional block must not use them.
+        """
         before = dict(self._emitted)
         yield
         self._emitted = before
 
     def _operation(self, node: int) -> str:
-        """Return the operation that is emitted for a node; empty for a loaded or known one."""
+        """Return the name of the operation that is emitted for a node.
+
+        The name is empty if the value of the node is loaded, known or looked up.
+        """
         is_loaded = node in self.hoisted or node in self.known or node in self.memo_of
         return "" if is_loaded else str(self.graph.nodes[node][0])
 
@@ -179,7 +192,7 @@ class Printer:
         return _EMITTERS[emitter](f, name, a)
 
     def _sum(self, terms: Sequence[int], values: Mapping[int, Operand], fused: set[int]) -> Operand:
-        """Emit a sum; the products in ``fused`` are parts of its instructions."""
+        """Emit a sum; each product in ``fused`` is added by a fused multiply-add."""
         total: Operand | None = None
         for term in terms:
             if term not in fused:
@@ -201,7 +214,7 @@ class Printer:
         return total
 
     def _factors(self, node: int, values: Mapping[int, Operand]) -> tuple[int, list[Operand]]:
-        """Return sign and factors of a product; factors of -1 only change the sign."""
+        """Return sign and emitted factors of a product; factors of -1 only change the sign."""
         sign, factors = 1, []
         for argument in self.graph.arguments(node):
             if self.graph.value(argument) == -1.0:
@@ -220,9 +233,10 @@ class Printer:
     # ------------------------------------------------------------------- whole-number functions
 
     def _looked_up(self, count: Operand, number: int, memo: Memo) -> dict[int, Operand]:
-        """Emit code that looks up the values of the memo's nodes in its table at ``count``.
+        """Emit code that looks up the values of a memo's nodes in table ``number`` at ``count``.
 
-        The code computes and stores a missing row. Returns the emitted values by node.
+        If the table lacks the row of this count, the code computes and stores the row. Returns the
+        emitted values by node.
         """
         if ("row", number) in self._emitted:
             row: dict[int, Operand] = self._emitted["row", number]
@@ -266,7 +280,10 @@ def _condition(function: Function, value: Operand) -> Value:
 
 
 def define_constants(module: Module, program: Program) -> None:
-    """Define ``constants(p, c)``: the values ``c`` that depend on the parameters ``p`` alone."""
+    """Define the emitted function ``constants(p, c)``.
+
+    It writes to ``c`` all values that depend on the parameters ``p`` alone.
+    """
     f = module.function("constants", dict.fromkeys(("p", "c"), POINTER), internal=False)
     parameters, c = (Array(f.arguments[name], DOUBLE) for name in ("p", "c"))
 
@@ -278,12 +295,16 @@ def define_constants(module: Module, program: Program) -> None:
 
 
 def sources(time: Operand, **arrays: Array) -> Load:
-    """Return a `Load` from arrays by the name of their source."""
+    """Return a `Load` that reads ``arrays``, named by the kind of their source, and ``time``."""
     return lambda kind, index: time if kind == "time" else arrays[kind][index]
 
 
 def define_initialize(module: Module, program: Program) -> None:
-    """Define ``initialize(x, d, u, c, after)``: discrete states after the initialization events."""
+    """Define the emitted function ``initialize(x, d, u, c, after)``, for the time 0.
+
+    It writes the discrete states after the initialization events to ``after``. ``x`` and ``d`` are
+    the continuous and discrete states before, ``u`` the open inputs, ``c`` the constants.
+    """
     names = ("x", "d", "u", "c", "after")
     f = module.function("initialize", dict.fromkeys(names, POINTER), internal=False)
     x, d, u, c, after = (Array(f.arguments[name], DOUBLE) for name in names)
@@ -297,7 +318,7 @@ def define_initialize(module: Module, program: Program) -> None:
 
 
 def define_derivatives(module: Module, program: Program, lanes: int, attributes: str) -> Function:
-    """Define ``derivatives(t, x, d, u, c, out)``: ``out`` = dx/dt."""
+    """Define the emitted function ``derivatives(t, x, d, u, c, out)``: ``out`` = dx/dt."""
     f, load, out = _of_state(module, program, "derivatives", lanes, attributes)
 
     def store(place: Place, value: Operand) -> None:
@@ -309,7 +330,10 @@ def define_derivatives(module: Module, program: Program, lanes: int, attributes:
 
 
 def define_jacobian(module: Module, program: Program) -> Function:
-    """Define ``jacobian(t, x, d, u, c, out)``: ``out`` = df/dx of one lane, column by column."""
+    """Define the emitted function ``jacobian(t, x, d, u, c, out)`` of one lane.
+
+    It writes the Jacobian, the derivatives of dx/dt by ``x``, to ``out``, column by column.
+    """
     f, load, out = _of_state(module, program, "jacobian", 1, "noinline")
     for i in f.loop(program.size**2):
         out[i] = 0.0

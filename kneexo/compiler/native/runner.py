@@ -1,4 +1,4 @@
-"""Calls the machine code of a model from tick to tick, in one lane or several."""
+"""Calls the machine code of a model to make runs, one run in each lane."""
 
 from __future__ import annotations
 
@@ -20,47 +20,51 @@ from .machine_code import MachineCode
 from .timing import timing
 
 STEP_S = 2e-4
-"""Default step of the Runge-Kutta integrators in s."""
+"""Default step of the integrators ``rk4`` and ``runge_kutta3`` in s."""
 
 ROUGH_STEP_S = 2e-5
-"""Step of RK4 in s for records between two ticks; also for runs that are too rough for the hold."""
+"""Step of RK4 in s for records between two ticks, and for runs that the exact hold gives up."""
 
 LONGEST_TICK_S = 2e-3
 """Longest tick of the exact hold in s.
 
-The exact hold evaluates three points of a tick. A forcing that repeats within half of the tick
-looks constant at these points.
+The exact hold evaluates the derivatives at three points of a tick. An input with a period of half a
+tick looks constant at these points.
 """
 
 TOLERANCE = 1e-8
-"""Default tolerance of the exact hold: local error of a state x, divided by 1 + |x|."""
+"""Default tolerance of the exact hold: error of a state x in one step, divided by 1 + |x|."""
 
 PIECE_S = 0.2
-"""Aim for the time of one call of the machine code in s; Ctrl-C acts between two calls."""
+"""Intended duration of one call of the machine code in s; Ctrl-C acts between two calls."""
 
 _FIRST_PIECE = 160_000  # steps; a run of 30 s with the default step is a single piece
 
 
 def address(array: NDArray[Any]) -> int:
-    """Return the address of the first element of an array without gaps."""
+    """Return the memory address of the first element of a contiguous array."""
     return int(array.__array_interface__["data"][0])
 
 
 def element_name(port: str, element: int, size: int) -> str:
-    """Return ``port``, or ``port[element]`` for a port with more than one element."""
+    """Return the name of an element of a port: ``port[element]``, or ``port`` if its size is 1."""
     return f"{port}[{element}]" if size > 1 else port
 
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Ticks (n,), and memory for the states after their events: x (n, states), d (n, discrete)."""
+    """Ticks (n,) at which a run stores its states, and memory for the stored states.
+
+    ``x`` (n, continuous states) and ``d`` (n, discrete states) are the states after the events at
+    the tick. The tick -1 stands for the states before the events at tick 0.
+    """
 
     ticks: Integers
     x: Array
     d: Array
 
     def after(self, first: int) -> Snapshots:
-        """Return the snapshots from the tick ``first`` on; for 0 also the one of the tick -1."""
+        """Return the snapshots from the tick ``first`` on; all of them if ``first`` is 0."""
         start = int(np.searchsorted(self.ticks, first)) if first else 0
         return Snapshots(self.ticks[start:], self.x[start:], self.d[start:])
 
@@ -85,7 +89,10 @@ class Runner:
         step_s: float = STEP_S,
         tolerance: float = TOLERANCE,
     ) -> None:
-        """Raises `ValueError` for a wrong argument: see `CompiledModel.simulate`."""
+        """Take arguments as `CompiledModel.simulate`, and get the machine code.
+
+        Raises `ValueError` for an unknown output or integrator, and for a wrong number.
+        """
         if integrator not in INTEGRATORS:
             raise ValueError(
                 f"integrator = {integrator!r}: must be one of {', '.join(INTEGRATORS)}"
@@ -95,12 +102,12 @@ class Runner:
                 raise ValueError(f"{name} = {value}: must be finite and > 0")
         layout = code.layout
         self.sizes = sizes = dict(layout.outputs)
-        """Size of each output port."""
+        """Number of elements of each output port of the model, by the port's name."""
         for name in outputs or ():
             if name not in sizes:
                 raise ValueError(f"output {name!r} is unknown; known: {', '.join(sizes)}")
         self.names = tuple(sizes) if outputs is None else tuple(outputs)
-        """Output ports that are recorded."""
+        """Names of the output ports that are recorded."""
         self.code, self.lanes = code, lanes
         longest = LONGEST_TICK_S if integrator == "exact_hold" else math.inf
         self.timing = timing(layout.periods, record_period_s, longest)
@@ -109,12 +116,12 @@ class Runner:
             columns[name] = range(first, first + size)
             first += size
         self.columns = np.array([c for n in self.names for c in columns[n]], dtype=np.int64)
-        """Numbers of the recorded elements among the elements of all outputs."""
+        """Indices of the recorded elements among the elements of all outputs."""
         requested = [name in self.names for name, _ in layout.outputs]
         self._requested = np.array(requested, dtype=np.uint8)
         steps = 10.0 if integrator == "exact_hold" else max(1.0, self.timing.tick / step_s)
         self.piece = max(1, int(_FIRST_PIECE / steps))
-        """Ticks of the first call for a long run."""
+        """Number of ticks that the first machine-code call of a long run makes."""
         self._run = code.run(integrator, lanes)
         self._constants = code.start("constants")
         self._lane_c = np.empty((lanes, layout.constants))
@@ -152,7 +159,10 @@ class Runner:
         self._address = ctypes.addressof(self._arguments)
 
     def restart(self, parameters: Array) -> Runner:
-        """Set the parameters (lanes, parameters) and clear the memory; return this runner."""
+        """Set the parameters (lanes, parameters) and forget Jacobians and look-up tables.
+
+        Returns this runner.
+        """
         for lane, row in enumerate(np.ascontiguousarray(parameters, dtype=float)):
             self._constants(address(row), address(self._lane_c[lane]))
         self._c[:] = self._lane_c.T
@@ -192,7 +202,8 @@ class Runner:
         snapshots
             Ticks and memory; with a single lane only.
         cancelled
-            Asked between two calls; True raises `KeyboardInterrupt`.
+            Called between two calls of the machine code; if it returns True, the run ends with
+            `KeyboardInterrupt`.
 
         Returns the status of each lane (lanes, 3): outcome, tick, index of the limit.
         """
@@ -227,7 +238,7 @@ class Runner:
         record: Array | None,
         snapshots: Snapshots | None = None,
     ) -> None:
-        """Set the arrays that the next calls of `go` work on: see `run`."""
+        """Set the arrays that the next calls of `go` read and write: see `run`."""
         shots = snapshots or Snapshots(_NO_TICKS, x, d)
         _set(self._arguments, x=x, d=d, last=last)
         _set(self._arguments, snapshots=shots.ticks, snapshot_x=shots.x, snapshot_d=shots.d)
@@ -239,10 +250,11 @@ class Runner:
     def go(
         self, first: int, longest: int, rows: int, inputs: Sequence[InputTable], row: int = 0
     ) -> Integers:
-        """Call the machine code with the arrays of `bind`.
+        """Call the machine code once, with the arrays of `bind`.
 
-        ``rows``: number of rows of the record; ``row``: the first one to write. Returns the status
-        as `run` does; the next call overwrites it.
+        ``first``: first tick; ``longest``: largest last tick of all lanes; ``rows``: number of rows
+        of the record; ``row``: first row to write. Returns the status as `run` does, in an array
+        that the next call overwrites.
         """
         if self._has_inputs:
             self._inputs[:] = [_input_argument(table) for table in inputs]
@@ -255,7 +267,10 @@ class Runner:
         return self._status
 
     def output_not_finite(self, values: Array) -> str:
-        """Return the name of the first element of a record's row (columns,) that is not finite."""
+        """Return the name of the first output element that is not finite in a record's row.
+
+        ``values`` (columns,): the row.
+        """
         column = int(np.argmin(np.isfinite(values)))
         for name in self.names:
             size = self.sizes[name]
@@ -269,7 +284,7 @@ class Runner:
     ) -> Array:
         """Return the records (1, columns, rows) at ``times`` (rows,) of a run in one lane.
 
-        Each comes by RK4 from the snapshot at its place, ``places`` (rows,).
+        For each record RK4 integrates from the snapshot whose index is in ``places`` (rows,).
         """
         record = np.empty((1, self.columns.size, times.size))
         table = np.array([_input_argument(inputs)], dtype=np.int64)
@@ -297,14 +312,14 @@ class Runner:
 
 
 def _input_argument(table: InputTable) -> tuple[int, ...]:
-    """Return numbers and addresses of an input table in the order of `INPUT`."""
+    """Return the numbers and addresses that describe an input table, in the order of `INPUT`."""
     breaks, coefficients = table.breaks, table.coefficients
     return breaks.size, address(breaks), coefficients.shape[2], address(coefficients)
 
 
 @cache
 def _structure(names: tuple[str, ...]) -> type[ctypes.Structure]:
-    """Return the C structure of the arguments ``names``, eight bytes each."""
+    """Return the ctypes class of a structure with the fields ``names``, eight bytes each."""
     fields = [(n, ctypes.c_double if n in DOUBLES else ctypes.c_int64) for n in names]
     return type("Arguments", (ctypes.Structure,), {"_fields_": fields})
 
@@ -316,7 +331,10 @@ def _arguments(names: tuple[str, ...], **values: Any) -> Any:
 
 
 def _set(arguments: Any, **values: Any) -> None:
-    """Set numbers, or the addresses of arrays; the caller keeps the arrays alive."""
+    """Set fields of a ctypes structure to numbers, or to addresses of arrays.
+
+    The caller keeps the arrays alive.
+    """
     for name, value in values.items():
         if isinstance(value, np.ndarray):
             assert value.flags.c_contiguous, name

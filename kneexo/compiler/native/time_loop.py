@@ -1,4 +1,4 @@
-"""Emits the functions of a model as IR text: the start, the time loop, records between ticks.
+"""Emits the functions of a model as IR text: start, time loop, and records between ticks.
 
 Each function that a runner may need has a text of its own, so that only the used ones are compiled.
 
@@ -43,7 +43,7 @@ _INLINED_STATES, _INLINED_NODES = 8, 1500  # beyond that derivatives are called
 
 
 def start_text(program: Program) -> str:
-    """Return the text of ``constants`` and ``initialize``: see the functions that define them."""
+    """Return the IR text of the functions of `define_constants` and `define_initialize`."""
     module = Module()
     define_constants(module, program)
     define_initialize(module, program)
@@ -51,16 +51,20 @@ def start_text(program: Program) -> str:
 
 
 def run_text(program: Program, integrator: str, lanes: int) -> str:
-    """Return the text of ``run(arguments)`` with one of `INTEGRATORS`; arguments: see `RUN`."""
+    """Return the IR text of ``run(arguments)``, which advances the states from tick to tick.
+
+    ``integrator``: one of `INTEGRATORS`; the arguments of ``run`` are those of `RUN`.
+    """
     module = Module()
     _Run(module, program, integrator, lanes).trace()
     return module.text()
 
 
 def between_text(program: Program) -> str:
-    """Return the text of ``between(arguments)``; arguments: see `BETWEEN`.
+    """Return the IR text of ``between(arguments)``; the arguments are those of `BETWEEN`.
 
-    The function makes records at any times, each by RK4 from the snapshot before it.
+    The function records the outputs at any times. For each record it integrates by RK4 from the
+    snapshot (states that ``run`` stored at a tick) before the record's time.
     """
     module = Module()
     _trace_between(module, program)
@@ -71,7 +75,7 @@ def between_text(program: Program) -> str:
 
 
 class _Clock:
-    """Emits the time of one tick after the other.
+    """Emits code that computes the time of the current tick, and code for the next tick.
 
     As in `Timing.times`, the time of a tick is that of the last whole unit before it, plus that of
     the ticks since then. So rounding errors do not add up.
@@ -84,12 +88,12 @@ class _Clock:
         self.whole, self.part = f.variable(whole), f.variable(tick - whole * split)
 
     def time(self) -> Value:
-        """Emit the time of the tick; return it in s."""
+        """Emit the time of the current tick; return this time in s."""
         part = self.f.to_double(self.part.get()) * self.a["tick"]
         return self.f.fma(self.f.to_double(self.whole.get()), self.a["unit"], part)
 
     def advance(self) -> None:
-        """Emit the change to the next tick."""
+        """Emit code that makes the next tick the current one."""
         f, part = self.f, self.part.get() + 1
         is_whole = part.equals(self.a["split"])
         self.whole.set(self.whole.get() + f.flags(is_whole))
@@ -97,7 +101,7 @@ class _Clock:
 
 
 class _Arguments:
-    """The arguments of a function whose only parameter is a pointer to them."""
+    """Loads the arguments of an emitted function from the memory behind its only parameter."""
 
     def __init__(self, f: Function, names: Sequence[str]) -> None:
         self.f = f
@@ -111,15 +115,15 @@ class _Arguments:
         return self.values[name]
 
     def array(self, name: str, type_: Type = INT) -> Array:
-        """Return the array whose address is the argument ``name``."""
+        """Return the array of ``type_`` whose address is the argument ``name``."""
         return Array(self.f.pointer(self.values[name]), type_)
 
 
 def _define_inputs(module: Module, program: Program) -> Function:
-    """Define ``evaluate_inputs(t, table, u)``: the open inputs of one lane, as `InputTable.value`.
+    """Define the emitted function ``evaluate_inputs(t, table, u)``, as `InputTable.value`.
 
-    Segments are closed on the left. The last of several breaks also belongs to the segment before
-    it.
+    It writes the values of one lane's open inputs at the time ``t`` in s to ``u``. Segments are
+    closed on the left. The last of several breaks also belongs to the segment before this break.
     """
     arguments = {"t": DOUBLE, "table": POINTER, "u": POINTER}
     f = module.function("evaluate_inputs", arguments)
@@ -156,10 +160,7 @@ def _define_inputs(module: Module, program: Program) -> Function:
 
 
 class _Model:
-    """The equations in some number of lanes, with local memory for their arrays.
-
-    ``run`` and ``between`` both use it.
-    """
+    """Emits a model's equations for ``run`` and ``between``, and local memory for their arrays."""
 
     def __init__(self, f: Function, program: Program, lanes: int, arguments: _Arguments) -> None:
         self.f, self.program, self.lanes = f, program, lanes
@@ -186,16 +187,16 @@ class _Model:
             ("snapshot_x", self.x, program.size),
             ("snapshot_d", self.d, self.discrete_count),
         )
-        """Name of the argument for snapshots, array and size of both kinds of state."""
+        """For both kinds of state: argument for snapshots, array, and number of states."""
 
     def inputs_of(self, lane: Operand, time: Value, u: Array) -> None:
-        """Emit the computation of the inputs of one lane; they are written to ``u``."""
+        """Emit code that writes the open inputs of one lane at ``time`` to ``u``."""
         if self.evaluate is not None:
             table = self.inputs.address(self.f.coerce(lane, INT) * len(INPUT))
             self.f.call(self.evaluate, time, table, u.pointer)
 
     def set_inputs(self, time: Operand) -> None:
-        """Emit the computation of the inputs of all lanes at their times."""
+        """Emit code that sets the open inputs of all lanes to their values at ``time``."""
         if self.evaluate is None:
             return
         f, u = self.f, self._lane_u
@@ -206,13 +207,13 @@ class _Model:
                 self.u.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane] = u[i]
 
     def rate(self, time: Operand, x: Array, out: Array) -> None:
-        """Emit ``out`` = dx/dt, with the inputs at that time."""
+        """Emit ``out`` = dx/dt at ``time`` and state ``x``, with the open inputs at that time."""
         self.set_inputs(time)
         pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
         self.f.call(self.derivatives, self.f.coerce(time, self.type), *pointers)
 
     def tick(self, start: Value, end: Value, step: Value, running: Value) -> Tick:
-        """Return a tick for an integrator."""
+        """Return the values from which an integrator emits a tick of this model: see `Tick`."""
         return Tick(
             self.f, self.program.size, self.type, start, end, self.x, running, self.rate, step
         )
@@ -225,14 +226,18 @@ class _Model:
         store: Callable[[Place, Operand], None],
         memory: Sequence[Array] | None = None,
     ) -> None:
-        """Emit the computation of groups at a time: see `Printer.groups`."""
+        """Emit the computation of groups of nodes at ``time``: see `Printer.groups`."""
         self.set_inputs(time)
         load = sources(time, state=self.x, discrete=self.d, input=self.u, constant=self.c)
         printer = Printer(self.f, self.program, load, memory=memory)
         printer.groups(groups, condition, store)
 
     def record(self, columns: Array, count: Value, record: Array, rows: Value, row: Value) -> None:
-        """Emit the copy of columns of the outputs to a row of each lane's record."""
+        """Emit the copy of output elements to one row of each lane's record.
+
+        ``columns``: indices of the ``count`` recorded elements; ``rows``: number of rows of a
+        record; ``row``: index of the row.
+        """
         f = self.f
         for column in f.loop(count):
             value = self.y[columns[column]]
@@ -246,23 +251,23 @@ class _Model:
 
 @dataclass(frozen=True)
 class _Now:
-    """One pass of the time loop, at one tick."""
+    """Values in the emitted code of one pass of the time loop, at one tick."""
 
     number: Value
     """Number of the tick."""
     time: Value
     """Time of the tick in s."""
     present: Value
-    """The lanes that have not passed their last tick; always true with one lane."""
+    """Condition by lane: not failed, and not past its last tick; always true with one lane."""
     running: Value
-    """The lanes that have not reached their last tick."""
+    """Condition by lane: not failed, and not yet at its last tick."""
 
 
 class _Run:
-    """Emits ``run``: from tick ``first`` to tick ``last`` of each lane.
+    """Emits the function ``run``, which advances each lane from tick ``first`` to its last tick.
 
-    As in Drake, events at t see the states before them. The updates at ``last`` belong to the next
-    run.
+    As in Drake, all events at a time see the states before these events. The discrete updates at
+    the last tick belong to the next call.
     """
 
     def __init__(self, module: Module, program: Program, integrator: str, lanes: int) -> None:
@@ -306,7 +311,7 @@ class _Run:
         )
 
     def trace(self) -> None:
-        """Emit the whole function."""
+        """Emit all instructions of the function."""
         f, a, model = self.f, self.a, self.model
         outer_x, outer_d = a.array("x", model.type), a.array("d", model.type)
         for i in f.each(self.program.size):
@@ -341,9 +346,9 @@ class _Run:
             outer_d[i] = model.d[i]
 
     def _store_snapshot(self, snapshot: Variable, tick: Value) -> None:
-        """Emit the copy of the state to memory, if the next snapshot is due at this tick.
+        """Emit code that stores the states as a snapshot, if the next snapshot is due at ``tick``.
 
-        ``snapshot``: number of the next snapshot.
+        ``snapshot``: variable with the index of the next snapshot.
         """
         f, a, model = self.f, self.a, self.model
         ticks, number = a.array("snapshots"), snapshot.get()
@@ -355,7 +360,10 @@ class _Run:
             snapshot.set(number + 1)
 
     def _events(self, now: _Now, row: Variable) -> None:
-        """Emit records, checks and updates at a tick, under the condition that any is due."""
+        """Emit the records, checks and discrete updates of a tick.
+
+        The code runs if a record or an update is due. ``row``: variable with the next record's row.
+        """
         f, a, model, program = self.f, self.a, self.model, self.program
         recording = (now.number % a["record_every"]).equals(0) & (row.get() < a["rows"])
         going = f.any_lane(now.running)
@@ -413,7 +421,7 @@ class _Run:
                         model.d[i] = f.select(running, self.after[i], before)
 
     def _memory(self) -> list[Array]:
-        """Return tags and values of each memo, one after the other."""
+        """Return the arrays of the look-up tables: tags, then values, of each memo in turn."""
         tags, values = (self.a.array(name, DOUBLE) for name in ("tags", "values"))
         memory = []
         first = 0
@@ -424,7 +432,7 @@ class _Run:
         return memory
 
     def _fail(self, lanes: Value, code: int, tick: Value, which: int = 0) -> None:
-        """Emit the end of the runs in ``lanes``, with the outcome ``code``."""
+        """Emit the end of the runs in ``lanes``; their status becomes (code, tick, which)."""
         f = self.f
         with f.when(f.any_lane(lanes), rare=True):
             for lane in range(self.lanes):

@@ -1,4 +1,4 @@
-"""Ticks: the times at which a run has events, and the ticks between them."""
+"""The time grid of a run: all events and records are at whole numbers of ticks."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from ..run_data import Integers
 
 @dataclass(frozen=True)
 class Timing:
-    """The tick of a run, and the whole numbers of ticks between events and between records."""
+    """The time grid of a run: the tick, and the numbers of ticks between events and records."""
 
     tick: float
-    """Time of a tick in s."""
+    """Duration of a tick in s."""
     periods: Integers
-    """Sample periods in ticks."""
+    """Sample period of each discrete update in ticks."""
     offsets: Integers
-    """Offsets of the sample periods in ticks."""
+    """Tick of the first execution of each discrete update."""
     record_every: int
-    """Ticks between two records."""
+    """Number of ticks from one record to the next."""
     unit: float
-    """Longest time in s that divides all periods, offsets and the record period."""
+    """Longest time in s that divides all sample periods, their offsets and the record period."""
     split: int
-    """Ticks in a unit."""
+    """Number of ticks in a unit; above 1 if a unit is longer than the longest tick allowed."""
 
     def times(self, ticks: Any) -> Any:
-        """Return the times in s of ticks, given by their numbers.
+        """Return the times in s of the tick numbers ``ticks``, an integer or an array.
 
-        A whole number of units is multiplied only once, so that its time is rounded only once.
+        A whole number of units is one product, so that its time is rounded only once.
         """
         if self.split == 1:
             return ticks * self.unit
@@ -48,16 +48,17 @@ def timing(
     record_period_s: float | None,
     longest_s: float = math.inf,
 ) -> Timing:
-    """Return the longest tick up to ``longest_s`` that divides all periods and offsets.
+    """Return the time grid with the longest tick that divides all sample periods and offsets.
 
     Parameters
     ----------
     periods
-        Sample periods and their offsets in s.
+        Sample period and offset in s of each discrete update.
     record_period_s
-        Divided by the tick too. None stands for the shortest sample period.
+        Time between two records in s; the tick divides this time too. None stands for the shortest
+        sample period.
     longest_s
-        Longest tick.
+        Upper limit of the tick in s.
 
     Raises
     ------

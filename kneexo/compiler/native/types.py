@@ -1,4 +1,4 @@
-"""The types of LLVM IR."""
+"""Types of values in LLVM IR: an element type, and the number of vector lanes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Type:
-    """An LLVM type: an element, or a vector of ``lanes`` of them."""
+    """An LLVM type: ``element`` alone, or a vector of ``lanes`` such elements."""
 
     element: str
     lanes: int = 1
@@ -16,15 +16,15 @@ class Type:
         return self.element if self.lanes == 1 else f"<{self.lanes} x {self.element}>"
 
     def of(self, lanes: int) -> Type:
-        """Return the type with the same element in another number of lanes."""
+        """Return the type with the same element type and ``lanes`` lanes."""
         return Type(self.element, lanes)
 
     @property
     def suffix(self) -> str:
-        """Part of the name of an intrinsic that says this type, such as ``v8f64``."""
+        """Suffix for this type in names of LLVM's intrinsics, such as ``v8f64`` for 8 doubles."""
         name = {"double": "f64"}.get(self.element, self.element)
         return name if self.lanes == 1 else f"v{self.lanes}{name}"
 
 
 DOUBLE, INT, BOOL, BYTE, POINTER = (Type(name) for name in ("double", "i64", "i1", "i8", "ptr"))
-"""The types that the compiler uses, with one lane."""
+"""Scalar types (one lane) of the emitted code."""
