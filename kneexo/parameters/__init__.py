@@ -1,15 +1,17 @@
 """Every physical number of kneexo: value, unit, range and provenance.
 
-The name of a field ends with its unit. Units are SI units, but Table 1 and the knee references have
-those of the paper. "Table n", "Eq. n" and "Section n" refer to Lee, Lee, Song and Baek, "Design and
-Control of a Polycentric Knee Exoskeleton Using an Electro-Hydraulic Actuator", Sensors 2020, 20(1),
-211. "Assumption" marks a number that the paper does not print, and gives the reason for it.
+The name of a field ends with its unit. Units are SI units, but Table 1, the range of motion and the
+knee references keep the paper's units (mm, deg). "Table n", "Eq. n" and "Section n" refer to Lee,
+Lee, Song and Baek, "Design and Control of a Polycentric Knee Exoskeleton Using an Electro-Hydraulic
+Actuator", Sensors 2020, 20(1), 211. "Assumption" marks a number that the paper does not print, and
+gives the reason for this number.
 
-A range covers all values that such hardware and such a task could have, and about a decade beyond.
-The lower limit of a divisor lies above zero. So no value within its range causes an overflow.
+The range of a field covers all values that such hardware and such a task could have, and about a
+decade beyond. A field that an equation divides by has a lower limit above zero. So no value within
+its range causes an overflow.
 
 All classes are frozen and validated on construction. A bad value raises `ParameterError` with a
-message of one line. To vary a number, write ``CylinderParameters(mass_kg=1.8)``.
+message of one line. To change a number, pass it by name: ``CylinderParameters(mass_kg=1.8)``.
 """
 
 from kneexo.parameters.bus import Cia402Parameters as Cia402Parameters, NoBus as NoBus

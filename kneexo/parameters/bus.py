@@ -9,7 +9,7 @@ from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, quantity
 
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
-"""Range of the target velocity of a drive, a 32-bit integer."""
+"""Smallest and largest target velocity that a drive accepts, in units of its 32-bit integer."""
 
 
 def _latency(default: int, source: str) -> Any:
@@ -17,14 +17,14 @@ def _latency(default: int, source: str) -> Any:
 
 
 class NoBus(Parameters):
-    """A bus without coding: the motor receives the command as a real number."""
+    """A bus that does not round: the motor receives the speed command as a real number."""
 
     kind: Literal["none"] = "none"
     latency_samples: int = _latency(0, "assumption: latency from controller to motor; not printed")
 
     @property
     def velocity_unit_rad_s(self) -> float:
-        """Zero, because no command is rounded."""
+        """Zero in place of a velocity unit, because this bus does not round the command."""
         return 0.0
 
 
@@ -57,7 +57,7 @@ class Cia402Parameters(Parameters):
 
     @property
     def si_unit_velocity(self) -> int:
-        """Value of object 0x60A9.
+        """Value of object 0x60A9, the code of the velocity unit.
 
         Its bytes are the power of ten (int8), revolution (0xB4), minute (0x47) and a reserved byte.
         Source: CiA 303-2; EPOS4 Firmware Specification, "SI unit velocity".

@@ -34,7 +34,7 @@ class EncoderParameters(Parameters):
 
     @property
     def resolution_rad(self) -> float:
-        """Angle of one count in rad; zero without the quantizer."""
+        """Angle of one count in rad, or zero if the quantizer is bypassed."""
         return 2.0 * math.pi / self.counts_per_revolution if self.quantized else 0.0
 
 
@@ -52,13 +52,16 @@ class ObserverParameters(Parameters):
 
 
 class DifferenceParameters(Parameters):
-    """Backward differences of the measured position, the simplest estimator."""
+    """Estimator of rod velocity and acceleration by backward differences of the position."""
 
     kind: Literal["difference"] = "difference"
 
 
 class ExactParameters(Parameters):
-    """Exact rod position, velocity and acceleration, as in the paper's simulation."""
+    """No estimator: the controller receives the plant's exact rod position, velocity, acceleration.
+
+    The paper's simulation does the same.
+    """
 
     kind: Literal["exact"] = "exact"
 
@@ -129,7 +132,7 @@ class SlidingModeParameters(Parameters):
 
     @property
     def gain_ratio(self) -> float:
-        """Ratio β = √(b_max/b_min) = √(m_max/m_min); Eq. 23 prints its inverse."""
+        """Ratio β = √(b_max/b_min) = √(m_max/m_min) of the bounds of gain b. Eq. 23 prints 1/β."""
         return math.sqrt(self.mass_max_kg / self.mass_min_kg)
 
 
@@ -186,9 +189,9 @@ class CustomControllerParameters(Parameters):
     """A controller of the user: a Drake system in place of kneexo's controller.
 
     ``make`` is the name of a function as ``module:function``, or the function itself. The function
-    receives the scenario as far as a controller may know it, and returns a system with the ports of
-    `kneexo.diagrams.make_controller`. ``values`` are numbers for the function. Their paths for
-    ``--set``, uncertainty sets and the contest are ``controller.values.NAME``.
+    receives a scenario that has only what a controller may know (its nominal plant, for example).
+    It returns a system with the ports of `kneexo.diagrams.make_controller`. ``values`` are numbers
+    for the function, with paths ``controller.values.NAME`` for ``--set`` and uncertainty sets.
     """
 
     kind: Literal["custom"] = "custom"
@@ -206,14 +209,14 @@ class CustomControllerParameters(Parameters):
     )
 
     def __hash__(self) -> int:
-        """Return a hash of all fields; the mapping ``values`` itself has no hash."""
+        """Return a hash of all fields, with the mapping ``values`` as a sorted tuple."""
         values = tuple(sorted(self.values.items()))
         return hash((self.make, values, self.sample_time_s, self.command_limit_rad_s))
 
     @field_validator("make", mode="before")
     @classmethod
     def _named(cls, make: Any) -> Any:
-        """Replace a function by its name, ``module:function``."""
+        """Replace a function by its name ``module:function``; return other values unchanged."""
         return f"{make.__module__}:{make.__qualname__}" if callable(make) else make
 
     @field_validator("make")

@@ -1,4 +1,4 @@
-"""Parameters of four-bar linkages of the knee; the paper prints no lengths."""
+"""Lengths of the knee's four-bar linkage, identified from Table 1 (the paper prints none)."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class LinkageParameters(Parameters):
     rod_pin_radius_m: float = _length(265.8651e-3)
     """|P'B| of Eq. 8, the distance of the coupler's joint B and the pin of the rod."""
     rod_pin_angle_rad: float = _angle(-62.9916)
-    """φ' of Eq. 8."""
+    """φ' of Eq. 8, the angle of the line from B to the rod's pin minus the coupler's angle θ_3."""
     rod_anchor_radius_m: float = _length(118.1887e-3)
     """|P_rod O| of Eq. 9, the distance of the origin and the pin of the cylinder."""
     rod_anchor_angle_rad: float = _angle(-97.3807)
-    """θ_rod of Eq. 9."""
+    """θ_rod of Eq. 9, the direction of the cylinder's pin from the origin."""
     rod_length_m: float = _length(231.3769e-3)
     """L_0, the distance of the pins of rod and cylinder at x = 0; the paper does not print it."""
     branch: Literal[-1, 1] = choice(
@@ -58,13 +58,13 @@ class LinkageParameters(Parameters):
     )
 
     def __repr__(self) -> str:
-        """Return the name of one of `LINKAGES`; for others, the values that differ from G1."""
+        """Return the name of a linkage in `LINKAGES`, else code with the values unlike G1's."""
         names = (name for name, linkage in LINKAGES.items() if linkage == self)
         return next(names, None) or super().__repr__()
 
 
 G1 = LinkageParameters()
-"""The default: the shank is the ground, and the coupler is the shortest link (double rocker)."""
+"""Default linkage. The shank is the ground, the coupler is the shortest link (double rocker)."""
 
 G2 = LinkageParameters(
     o_a_x_m=-24.3737e-3,
@@ -102,7 +102,7 @@ G3 = LinkageParameters(
     rod_length_m=230.0e-3,
     branch=1,
 )
-"""The thigh is the ground, the shortest link (drag link); mechanically the best conditioned."""
+"""The thigh is the ground and the shortest link (drag link). Mechanically the best conditioned."""
 
 G4 = LinkageParameters(
     o_a_x_m=-1.52785e-3,
@@ -120,10 +120,11 @@ G4 = LinkageParameters(
     rod_length_m=924.81905e-3,
     branch=1,
 )
-"""The thigh is the ground, the shortest link (drag link).
+"""The thigh is the ground and the shortest link (drag link).
 
-It is identified from both polynomials of Table 1 over 5…90°, and has their printed errors.
+The linkage is identified from both polynomials of Table 1 over 5…90°. Their refits to the linkage
+have the errors that the paper prints.
 """
 
 LINKAGES = {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
-"""Geometries that reproduce Table 1, by the names that a scenario may have for ``linkage``."""
+"""Linkages that reproduce Table 1, by the names that a scenario file accepts for ``linkage``."""

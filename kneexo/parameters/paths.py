@@ -24,9 +24,9 @@ def value_at(parameters: Parameters, path: str) -> Any:
 
 
 def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
-    """Return a copy of a scenario, or of other parameters, with other values at dotted paths.
+    """Return a copy of a scenario, or of other parameters, with new ``values`` by dotted path.
 
-    A value may be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
+    A value can be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
     parameters do not have, and for a value out of range.
     """
     data = dict(vars(scenario))
@@ -52,7 +52,7 @@ def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
 
 
 def has_path(scenario: Scenario, path: str) -> bool:
-    """Return whether this scenario has a value at a dotted path."""
+    """Return whether the parts that ``scenario`` has include a value at a dotted path."""
     holder: Any = scenario
     for name in path.split("."):
         if not isinstance(holder, Parameters) or name not in type(holder).model_fields:
@@ -62,7 +62,7 @@ def has_path(scenario: Scenario, path: str) -> bool:
 
 
 def known_path(path: str) -> bool:
-    """Return whether any scenario can have a value at a dotted path."""
+    """Return whether some scenario, with any choice of its parts, has a value at a dotted path."""
     holders: tuple[type[BaseModel], ...] = (Scenario,)
     for name in path.split("."):
         fields = [holder.model_fields[name] for holder in holders if name in holder.model_fields]

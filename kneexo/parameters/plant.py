@@ -1,4 +1,4 @@
-"""Parameters of the plant: motor and pump, cylinder, knee, load."""
+"""Parameters of the plant: motor and pump, cylinder, knee and load."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RPM = 2.0 * math.pi / 60.0
 
 
 ATMOSPHERE_PA = 101_325.0
-"""Standard atmosphere in Pa. All other pressures are relative to it."""
+"""Standard atmosphere in Pa. All other pressures in kneexo are relative to this pressure."""
 
 AIR_EXPONENT = 1.4
 """Polytropic exponent of entrained air.
@@ -129,7 +129,7 @@ class CylinderParameters(Parameters):
 
 
 class FullCylinderParameters(Parameters):
-    """Chambers, valves and seals of the full order, in addition to `CylinderParameters` (Eq. 14).
+    """Chambers, valves and seals of the full-order cylinder (Eq. 14), beside `CylinderParameters`.
 
     C_im' of Eq. 14 is ``leakage_m3_per_s_pa`` of `CylinderParameters`. A reduced-order cylinder
     that leaks as much has C_L = C_im' + C_em'/2. Pressures are relative to the atmosphere.
@@ -228,7 +228,7 @@ class KneeParameters(Parameters):
     _ordered = ordered_limits(strict=True)
 
     def require_in_range(self, low_deg: float, high_deg: float) -> None:
-        """Raise `ParameterError` if a reference with this range leaves the range of motion."""
+        """Raise `ParameterError` if a reference with this range leaves the knee's own range."""
         if low_deg < self.flexion_min_deg or high_deg > self.flexion_max_deg:
             raise ParameterError(
                 f"reference = {low_deg:.4g} … {high_deg:.4g} deg leaves the range of motion "
@@ -244,9 +244,9 @@ def _coefficients(default: _Six, unit: str, source: str) -> Any:
 
 
 class RodPolynomialParameters(Parameters):
-    """Polynomials of Eq. 10 and 11 with Table 1: the controller's relation of knee and rod.
+    """Coefficients (Table 1) of the polynomials by which the controller converts knee and rod.
 
-    Knee angles are in deg, rod extensions in mm.
+    Eq. 10 (p) gives the rod extension in mm from the knee angle in deg, Eq. 11 (q) the inverse.
     """
 
     p_mm_deg: _Six = _coefficients(
@@ -304,7 +304,7 @@ class KneeLoadParameters(Parameters):
 
 
 class PlantParameters(Parameters):
-    """The plant: motor and pump, cylinder, knee and load, and the choice of idealizations."""
+    """The plant: motor and pump, cylinder, knee and load, and switches for idealizations."""
 
     pump: BldcPumpParameters = BldcPumpParameters()
     cylinder: CylinderParameters = CylinderParameters()

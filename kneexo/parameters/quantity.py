@@ -65,7 +65,7 @@ def quantities(
 
 @dataclass(frozen=True)
 class _ElementRange:
-    """Bounds of each number of a tuple. pydantic would compare its own bounds with the tuple."""
+    """Bounds of each number in a tuple field; pydantic's own bounds apply to the whole tuple."""
 
     ge: float | None
     le: float | None
@@ -78,17 +78,17 @@ class _ElementRange:
 
 
 def choice(default: Any, source: str) -> Any:
-    """Make a pydantic field for a choice, which has no unit, with its provenance."""
+    """Make a pydantic field with provenance for a value without unit, such as a switch or name."""
     return Field(default=default, json_schema_extra={"unit": "", "source": source})
 
 
 def positive_values(default: tuple[float, ...], unit: str, source: str) -> Any:
-    """Make a pydantic field for the positive numbers that a study tries, with their provenance."""
+    """Make a pydantic field for a tuple of positive numbers, with unit and provenance."""
     return quantities(default, unit, source, ge=1e-6, le=1e9)
 
 
 def require_increasing(values: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the values of a field. Raises `ValueError` unless each exceeds the one before it."""
+    """Return ``values`` unchanged. Raises `ValueError` unless each value exceeds the previous."""
     if any(b <= a for a, b in pairwise(values)):
         raise ValueError("must increase")
     return values
@@ -97,8 +97,8 @@ def require_increasing(values: tuple[float, ...]) -> tuple[float, ...]:
 def ordered_limits(*, strict: bool = False) -> Any:
     """Make a validator of a parameter class for its pairs of fields ``…_min_…`` and ``…_max_…``.
 
-    The validator raises `ValueError` where a minimum exceeds its maximum, or, if ``strict``, equals
-    it.
+    The validator raises `ValueError` if a minimum exceeds its maximum. If ``strict``, it also
+    raises when minimum and maximum are equal.
     """
 
     def check(parameters: Parameters) -> Parameters:
@@ -129,7 +129,8 @@ def allowed_range(field: FieldInfo) -> str:
 def limits_of(field: FieldInfo) -> tuple[float, float]:
     """Return the lowest and the highest value of a field made by `quantity`.
 
-    A missing bound is infinite. An excluded bound counts as the next double inside the range.
+    A missing bound is infinite. For a lower bound ``gt``, which is excluded, the lowest value is
+    the next larger double.
     """
     low, high = -math.inf, math.inf
     for bound in field.metadata:
@@ -140,19 +141,23 @@ def limits_of(field: FieldInfo) -> tuple[float, float]:
 
 
 def unit_of(field: FieldInfo) -> str:
-    """Return the unit of a field made by `quantity`, or an empty string."""
+    """Return the unit of a parameter field, or an empty string for a field without unit."""
     extra = field.json_schema_extra
     return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
 
 
 def source_of(field: FieldInfo) -> str:
-    """Return the provenance of a field made by `quantity` or `choice`, or an empty string."""
+    """Return the provenance of a parameter field, or an empty string for a field without source."""
     extra = field.json_schema_extra
     return str(extra.get("source", "")) if isinstance(extra, dict) else ""
 
 
 def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:
-    """Return the location of the first fault of a validation error, and a message of one line."""
+    """Return the location (a path of keys) of the fault to report, and a message of one line.
+
+    Of several faults in a validation ``error`` of ``model``, the first unknown name is reported,
+    or else the first fault. The message ends with the number of the other faults.
+    """
     faults = error.errors()
     # A misspelt name also makes a required value missing: report the name.
     fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
@@ -209,9 +214,10 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str 
 def _without_tags(
     model: type[BaseModel], location: tuple[str | int, ...]
 ) -> tuple[tuple[str | int, ...], tuple[type[BaseModel], ...]]:
-    """Return the location without pydantic's discriminator tags.
+    """Return ``location`` without the values of ``kind`` that pydantic inserts for unions.
 
-    Also returns the parameter classes that may have the last key of the location.
+    Also returns the parameter classes, one or the members of a union, to whose fields the last key
+    refers.
     """
     keys: list[str | int] = []
     holders: tuple[type[BaseModel], ...] = ()
@@ -232,7 +238,7 @@ def _kind(model: type[BaseModel]) -> object:
 
 
 def models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
-    """Return the parameter classes that a field may hold."""
+    """Return all parameter classes in a field's annotation; none for ``field=None``."""
     models: list[type[BaseModel]] = []
     pending: list[Any] = [] if field is None else [field.annotation]
     while pending:
@@ -258,7 +264,7 @@ def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldI
 
 @cache
 def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
-    """Return the fields whose kind may be left out, each with the kind of its default."""
+    """Return the name of each union field with a default, and the ``kind`` of this default."""
     return tuple(
         (name, field.default.kind)
         for name, field in model.model_fields.items()
@@ -268,7 +274,7 @@ def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
 
 @cache
 def _tuple_fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
-    """Return the fields that hold tuples, each with whether a tuple may have any length."""
+    """Return the name of each field for a tuple, and True if the tuple can have any length."""
     return tuple(
         (name, get_args(field.annotation)[-1] is ...)
         for name, field in model.model_fields.items()
@@ -292,7 +298,7 @@ def _as_tuple(value: Any, *, any_length: bool) -> Any:
 
 
 class _Short:
-    """A long tuple for `repr`, which leaves out the middle of the tuple."""
+    """Wrapper of a long tuple whose `repr` shows the first two values, the last and the length."""
 
     def __init__(self, values: tuple[Any, ...]) -> None:
         self._values = values
@@ -303,10 +309,10 @@ class _Short:
 
 
 class Parameters(BaseModel):
-    """Base of all parameter classes: frozen, without unknown names or silent type changes.
+    """Base of all parameter classes. Objects are frozen; unknown names and wrong types are errors.
 
-    A field that holds a tuple of numbers also accepts a list, a NumPy array or a pandas column. If
-    its tuple may have any length, the field accepts a single number too.
+    A field for a tuple of numbers also accepts a list, a NumPy array or a pandas column. A field
+    for a tuple of any length also accepts a single number.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -314,7 +320,7 @@ class Parameters(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _completed(cls, data: Any) -> Any:
-        """Turn arrays into tuples, and give mappings without a kind the kind of the default."""
+        """Turn arrays into tuples; insert the default ``kind`` into mappings without ``kind``."""
         if not isinstance(data, dict):
             return data
         tuples = {
@@ -331,9 +337,9 @@ class Parameters(BaseModel):
         return data | kinds if kinds else data
 
     def __repr_args__(self) -> Iterator[tuple[str, Any]]:
-        """Yield name and value of the fields that differ from their defaults.
+        """Yield name and value of each field that differs from its default, for a short `repr`.
 
-        So `repr` is short. Without long tuples, it is also code that makes an equal object.
+        Unless a tuple has more than 8 values, `repr` is code that makes an equal object.
         """
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)

@@ -23,25 +23,26 @@ def _flexion(default: float, source: str) -> Any:
 _SHORTEST_RAMP_S = 1e-3  # its third power divides the jerk
 _SHORTEST_SAMPLE_S = 1e-6
 LONGEST_TIME_S = 1e5
-"""The largest time of a sample in s, before or after zero."""
+"""Largest magnitude of a sample's time in s; times can be negative."""
 
 
 class _KneeReference(Parameters):
     @property
     def range_deg(self) -> tuple[float, float]:
-        """Smallest and largest angle in deg."""
+        """Smallest and largest knee angle of the reference in deg."""
         raise NotImplementedError
 
     @property
     def middle_deg(self) -> float:
-        """Middle of the range in deg, the posture at which a loop is linearized."""
+        """Middle of the range in deg, the knee angle at which analyses linearize the loop."""
         return 0.5 * sum(self.range_deg)
 
 
 class SineReference(_KneeReference):
     """Knee angle mean − amplitude·cos(2πft), which starts at rest at its smallest value.
 
-    With a ramp it starts at its mean, and its amplitude grows smoothly during ``ramp_s``.
+    With ``ramp_s`` > 0 the angle starts at the mean, and the amplitude grows smoothly from zero
+    during ``ramp_s``.
     """
 
     kind: Literal["sine"] = "sine"
@@ -54,7 +55,7 @@ class SineReference(_KneeReference):
 
     @property
     def range_deg(self) -> tuple[float, float]:
-        """Smallest and largest angle in deg."""
+        """Smallest and largest knee angle of the reference in deg."""
         return self.mean_deg - self.amplitude_deg, self.mean_deg + self.amplitude_deg
 
     @model_validator(mode="after")
@@ -68,7 +69,7 @@ class SineReference(_KneeReference):
 
 
 class StepReference(_KneeReference):
-    """Knee angle that jumps once."""
+    """Knee angle that jumps from ``start_deg`` to ``end_deg`` at ``time_s``."""
 
     kind: Literal["step"] = "step"
     start_deg: float = _flexion(30.0, "assumption: an example")
@@ -77,12 +78,12 @@ class StepReference(_KneeReference):
 
     @property
     def range_deg(self) -> tuple[float, float]:
-        """Smallest and largest angle in deg."""
+        """Smallest and largest knee angle of the reference in deg."""
         return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
 
 
 class RampReference(_KneeReference):
-    """Knee angle that moves from one value to another at a constant rate."""
+    """Knee angle that goes from ``start_deg`` to ``end_deg`` at a constant rate from ``time_s``."""
 
     kind: Literal["ramp"] = "ramp"
     start_deg: float = _flexion(20.0, "assumption: an example")
@@ -94,12 +95,12 @@ class RampReference(_KneeReference):
 
     @property
     def range_deg(self) -> tuple[float, float]:
-        """Smallest and largest angle in deg."""
+        """Smallest and largest knee angle of the reference in deg."""
         return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
 
 
 Interpolation = Literal["cubic", "pchip", "linear"]
-"""Curve of a reference between its samples."""
+"""Name of the curve that connects the samples of a reference."""
 _INTERPOLATION = (
     "cubic: spline with continuous acceleration, which may pass the samples' range; pchip: "
     "shape-preserving cubic, which stays within neighbouring samples; linear: straight lines"
@@ -107,7 +108,7 @@ _INTERPOLATION = (
 
 
 class SampledReference(_KneeReference):
-    """Knee angle through samples, by default a cubic spline with continuous acceleration.
+    """Knee angle through samples, by default as a cubic spline with continuous acceleration.
 
     Times and angles may be tuples, lists, NumPy arrays or pandas columns.
     """
@@ -138,14 +139,14 @@ class SampledReference(_KneeReference):
 
     @property
     def range_deg(self) -> tuple[float, float]:
-        """Smallest and largest sample in deg; the spline between them may reach further."""
+        """Smallest and largest sample in deg. The spline between the samples can go beyond them."""
         return min(self.angles_deg), max(self.angles_deg)
 
 
 class CsvReference(Parameters):
     """A CSV file with a header line that holds the samples of a reference.
 
-    `samples` reads the file. A scenario that names one keeps the samples, not the file.
+    `samples` reads the file. A scenario made with a CSV file stores the samples, not the file name.
     """
 
     kind: Literal["csv"] = "csv"
@@ -162,11 +163,11 @@ class CsvReference(Parameters):
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
 
     def samples(self, directory: str | os.PathLike[str] = ".") -> SampledReference:
-        """Read the samples from the file; a relative path starts at ``directory``.
+        """Read the samples from the file, whose relative path starts at ``directory``.
 
-        Empty lines and lines that start with ``#`` are left out. Raises `ScenarioError`, a
-        `ParameterError`, when the file cannot be read, and when a column or a number is missing or
-        wrong.
+        Empty lines and lines that start with ``#`` are skipped. Raises `ScenarioError`, a subclass
+        of `ParameterError`, if the file cannot be read, lacks a column, or if a number is missing,
+        is no number, or is out of range.
         """
         path = Path(directory, self.file)
         table = read_table(path, (self.time, self.angle))
@@ -184,7 +185,7 @@ class CsvReference(Parameters):
 
 
 class GaitReference(Parameters):
-    """The built-in gait curve; `gait_reference` makes its samples."""
+    """The built-in knee flexion of walking, for ``cycles`` strides; see `gait_reference`."""
 
     kind: Literal["gait"] = "gait"
     frequency_hz: float = quantity(1.0, "Hz", "assumption: strides per second", gt=0, le=10)
@@ -194,16 +195,16 @@ class GaitReference(Parameters):
 def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReference:
     """Return the measured knee flexion of a stride, repeated ``cycles`` times, as a reference.
 
-    The reference starts, at t = 0, and ends at the least flexion, where the knee is at rest
-    (`gait_start_percent`). A straight line is subtracted from the measured stride, so that its ends
-    meet. This changes no sample by more than 0.03°, a twentieth of the standard deviation. The loop
-    settles during the first stride.
+    The reference starts at t = 0 and ends at the least flexion, where the knee is at rest
+    (`gait_start_percent`). A straight line is subtracted from the measured stride, so that its end
+    equals its start. This changes no sample by more than 0.03°, a twentieth of the measurement's
+    standard deviation. A closed loop settles during the first stride.
 
     Parameters
     ----------
     frequency_hz
-        Strides per second, > 0 and at most 10 Hz, where a sample lasts a millisecond. The measured
-        stride lasts `kneexo.gait.GAIT_STRIDE_S`.
+        Strides per second, > 0 and <= 10 Hz. At 10 Hz the samples are a millisecond apart. The
+        measured stride lasts `kneexo.gait.GAIT_STRIDE_S`.
     cycles
         Number of strides, 1 … 1000.
 
@@ -225,10 +226,11 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
 
 
 def read_reference(value: Any, directory: Any) -> Any:
-    """Replace the gait curve and CSV files by their samples; return other values unchanged.
+    """Return the samples of a gait or CSV reference. Return any other reference unchanged.
 
-    A relative path of a CSV file starts at ``directory``. Raises `ParameterError` for a faulty file
-    or value, `ValueError` for an unknown name.
+    ``value`` is a scenario's reference: an object, a mapping, or the text ``gait``. A relative path
+    of a CSV file starts at ``directory``. Raises `ParameterError` for a faulty file or value, and
+    `ValueError` for another text.
     """
     if isinstance(value, str):
         if value != "gait":
@@ -250,4 +252,4 @@ def read_reference(value: Any, directory: Any) -> Any:
 Reference = Annotated[
     SineReference | StepReference | RampReference | SampledReference, Field(discriminator="kind")
 ]
-"""Any reference; ``kind`` says which one."""
+"""Type of a scenario's reference. The field ``kind`` selects the class."""

@@ -58,7 +58,7 @@ class SimulationParameters(Parameters):
         return self.integrator in ("exact_hold", "rk4")
 
     def with_drake(self) -> SimulationParameters:
-        """Return the settings for Drake's Simulator; radau3 replaces an integrator of kneexo."""
+        """Return the settings for Drake's Simulator; radau3 replaces exact_hold and rk4."""
         return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
 
 
@@ -87,9 +87,9 @@ class Scenario(Parameters):
     simulation: SimulationParameters = SimulationParameters()
 
     def with_engine(self, engine: Literal["compiled", "drake"] | None) -> Scenario:
-        """Return the scenario with the compiled engine or with Drake's Simulator.
+        """Return the scenario with an integrator of the compiled engine or of Drake's Simulator.
 
-        For None it is unchanged.
+        For None, or if the scenario uses this engine already, the scenario is returned unchanged.
         """
         if engine is None or (engine == "compiled") == self.simulation.compiled:
             return self
@@ -98,7 +98,7 @@ class Scenario(Parameters):
         return self.model_copy(update={"simulation": simulation})
 
     def with_steps(self, step_s: float) -> Scenario:
-        """Return the scenario with explicit Runge–Kutta steps of ``step_s`` in s.
+        """Return the scenario with explicit Runge–Kutta steps of fixed length ``step_s`` in s.
 
         The integrator is rk4 with the compiled engine, and runge_kutta3 with Drake's Simulator.
         """
@@ -117,15 +117,16 @@ class Scenario(Parameters):
 
     @property
     def quantized(self) -> bool:
-        """Whether the encoder has counts or the bus rounds the command."""
+        """Whether the encoder rounds angles to counts or the bus rounds the command."""
         return self.encoder.quantized or self.bus.velocity_unit_rad_s > 0.0
 
     @property
     def command_limit_rad_s(self) -> float:
-        """Limit of the command in rad/s: the lower one of the controller's and the motor's limit.
+        """Limit of the speed command in rad/s: the lower of the controller's and the motor's limit.
 
-        The motor is that of the plant that the controller is designed for. A bus lowers the limit
-        to a whole number of its velocity units, at most 2³¹ − 1 of them.
+        The motor's limit is that of the plant that the controller is designed for (an ideal motor
+        has none). A bus that rounds lowers the limit to a whole number of its velocity units, at
+        most 2³¹ − 1 units.
         """
         limit, plant = self.controller.command_limit_rad_s, self.believed_plant
         if not plant.ideal_motor:

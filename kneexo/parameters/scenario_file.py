@@ -4,8 +4,8 @@ A file contains only the values that differ from the defaults. Each error of a f
 `ScenarioError`, whose message is one line with file, line, path, value, unit and range.
 
 The files follow YAML 1.2 with fewer forms of scalars: no dates, no octal or hexadecimal numbers, no
-tags, no merge keys. They have limits of depth and of values. PyYAML parses them; ``_Loader`` adds
-these rules and the line of each path.
+tags, no merge keys. Depth of nesting and number of values are limited. PyYAML parses the files;
+``_Loader`` adds these rules and the line of each path.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     Raises
     ------
     ScenarioError
-        The file cannot be read or is not YAML, or an entry is unknown, missing, wrong or there
-        twice.
+        The file cannot be read or is not YAML, or an entry is unknown, missing, wrong or
+        duplicate.
     """
     name = os.fspath(path)
     data, lines = _read(name, read_text(name, _MOST_BYTES))
@@ -70,12 +70,14 @@ def load_uncertainty(
         plant.pump.lag_s: {low: 0.005, high: 0.02, scale: log}
         plant.linkage: {options: [G1, G2, G3], known: true}
 
-    The result also has the paths that ``scenario`` lacks; see `applicable`.
+    The result also has paths that ``scenario`` lacks but another scenario can have. `applicable`
+    leaves these paths out.
 
     Raises
     ------
     ScenarioError
-        As `load_scenario`; the file is empty, or a value is out of range.
+        The file cannot be read, is not YAML or is empty, or an entry is unknown, wrong, duplicate
+        or out of range.
     """
     name = os.fspath(path)
     data, lines = _read(name, read_text(name, _MOST_BYTES))
@@ -99,7 +101,7 @@ def load_uncertainty(
 
 
 def dump_scenario(scenario: Scenario) -> str:
-    """Return YAML text of all values, with unit and range or choices as comments.
+    """Return all values of a scenario as YAML, with unit and range, or choices, as comments.
 
     Floats have all their digits, so `load_scenario` reads an equal scenario from the text.
     """
@@ -107,9 +109,10 @@ def dump_scenario(scenario: Scenario) -> str:
 
 
 def read_value(name: str, text: str) -> Any:
-    """Read one value in YAML: a scalar, list or mapping. Messages call it ``name``.
+    """Return the value that a YAML text holds: a scalar, a list (as tuple) or a mapping.
 
-    Raises `ScenarioError` if the text is not YAML, or has more than one value.
+    Raises `ScenarioError`, whose message calls the text ``name``, if the text is not YAML or has
+    more than one value.
     """
     data, _ = _read(name, f"value: {text}")
     if list(data) != ["value"]:
@@ -124,9 +127,9 @@ _TOO_MUCH = (
 
 
 class _Loader(yaml.SafeLoader):
-    """A loader that reads 1e5 as a number, and on, 1:30 and dates as text.
+    """PyYAML loader that reads ``1e5`` as a number, and ``on``, ``1:30`` and dates as text.
 
-    Messages call the text ``name``.
+    ``name`` is the file's name in error messages.
     """
 
     def __init__(self, name: str, text: str) -> None:
@@ -136,7 +139,7 @@ class _Loader(yaml.SafeLoader):
         self._composed, self._depth = 0, 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Compose a node as PyYAML does; raises `ScenarioError` if the text is too long or deep."""
+        """Compose a node of the YAML tree; raises `ScenarioError` for too many nodes or levels."""
         self._composed += 1
         self._depth += 1
         if self._depth > _DEEPEST + 1 or self._composed > 2 * _MOST_VALUES:
@@ -148,15 +151,15 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def error(self, node: yaml.Node, path: _Path, message: str) -> ScenarioError:
-        """Return the error of a node: file, line, path and message."""
+        """Return an error whose message names file, line and path of a YAML node."""
         where = f"{_dotted(path)}: " if path else ""
         return file_error(self.name, node.start_mark.line + 1, where + message)
 
     def plain(self, node: yaml.Node, path: _Path) -> Any:
         """Return a node as dictionaries, tuples and scalars.
 
-        Stores the line of each path in ``lines``. Raises `ScenarioError` for a tag, a name that is
-        not text or is there twice, and too many levels or values.
+        Stores the line of each path in ``lines``. Raises `ScenarioError` for a YAML tag, for a
+        mapping's key that is not text, for a duplicate key, and for too many levels or values.
         """
         self.lines.setdefault(path, node.start_mark.line + 1)
         if len(path) > _DEEPEST or len(self.lines) > _MOST_VALUES:
@@ -196,14 +199,17 @@ for _kind, _pattern in {
 
 
 def _line(lines: Mapping[_Path, int], location: _Path) -> int:
-    """Return the line of a location, or of the nearest mapping or list that contains it."""
+    """Return the line of a path; if the file lacks the path, the line of its nearest parent."""
     while location not in lines:
         location = location[:-1]
     return lines[location]
 
 
 def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
-    """Return the top-level mapping of a YAML text, and the line of each path in it."""
+    """Return the top-level mapping of a YAML text (empty without content), and each path's line.
+
+    Raises `ScenarioError`, which calls the text ``name``, if it is not YAML or is no mapping.
+    """
     try:
         loader = _Loader(name, text)
         root = loader.get_single_node()
@@ -232,7 +238,7 @@ def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
 
 
 def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
-    """Yield the lines of parameters in YAML."""
+    """Yield ``parameters`` as lines of YAML; nested parameters follow, indented by two more."""
     for name, field in type(parameters).model_fields.items():
         value = getattr(parameters, name)
         comment = f"  # {note}" if (note := _note(field)) else ""
@@ -244,7 +250,7 @@ def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
 
 
 def _text_of(value: Any) -> str:
-    """Return a value in YAML; floats have a point, which other readers require (YAML 1.1)."""
+    """Return a value as YAML text; floats such as 1.0e-8 get the point that YAML 1.1 requires."""
     if isinstance(value, dict):
         return f"{{{', '.join(f'{json.dumps(k)}: {_text_of(v)}' for k, v in value.items())}}}"
     if isinstance(value, str):
@@ -253,7 +259,7 @@ def _text_of(value: Any) -> str:
 
 
 def _note(field: FieldInfo) -> str:
-    """Return unit and range of a field, or its choices."""
+    """Return a comment on a field: its kinds, else its choices, else its unit and range."""
     options = get_args(field.annotation)
     if field.discriminator:
         return "kind: " + ", ".join(member.model_fields["kind"].default for member in options)

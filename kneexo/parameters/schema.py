@@ -1,7 +1,7 @@
 """The JSON schema of scenario files, for editors and other programs.
 
-pydantic creates the schema from the parameter classes. This module adds the names that a file may
-have in place of a mapping, such as ``linkage: G1``, and a description of each value.
+pydantic creates the schema from the parameter classes. This module adds a description of each
+value, and the names that a file accepts in place of a mapping, such as ``linkage: G1``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pydantic.json_schema import models_json_schema
 from kneexo.parameters import LINKAGES, CsvReference, GaitReference, Scenario
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
-"""The newest draft that editors support; the schema needs no later one."""
+"""URI of draft 7 of JSON schema, the newest draft that editors support."""
 
 
 def json_schema() -> dict[str, Any]:
@@ -46,7 +46,10 @@ def json_schema() -> dict[str, Any]:
 
 
 def _require_kinds(value: dict[str, Any], classes: dict[str, Any]) -> None:
-    """Require ``kind`` in all members of a union but the default member."""
+    """Change ``classes`` so that all members of a union but its default member require ``kind``.
+
+    ``value`` is the schema of a field; if its type is no union, nothing changes.
+    """
     if value.pop("discriminator", None) is None:
         return
     default = value["default"]["kind"]
@@ -57,20 +60,20 @@ def _require_kinds(value: dict[str, Any], classes: dict[str, Any]) -> None:
 
 
 def _parts(value: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield a schema and its alternatives."""
+    """Yield the schema of a field, then its alternatives under ``anyOf`` and ``oneOf``."""
     yield value
     yield from (part for key in ("anyOf", "oneOf") for part in value.get(key, []))
 
 
 def _without_prefix_items(value: dict[str, Any]) -> None:
-    """Change a tuple of equal items to an array of fixed length, as draft 7 writes it."""
+    """Change the schema of a tuple of equal items, if it is one, to an array as in draft 7."""
     items = value.pop("prefixItems", None)
     if items is not None:
         value["items"] = items[0]
 
 
 def _description(value: dict[str, Any]) -> str:
-    """Return unit, range and source of a value in one line; empty if it has no source."""
+    """Return unit, range and source of a value on one line, or "" for a value without source."""
     if "source" not in value:
         return ""
     bounds = [

@@ -1,4 +1,4 @@
-"""Uncertain values of a scenario: their ranges, and how scenarios are drawn from them."""
+"""Uncertain values of a scenario, and random scenarios drawn from their ranges."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from kneexo.parameters.scenario import Scenario
 class Uncertainty(Parameters):
     """The range of one value of a scenario: an interval ``low`` … ``high``, or ``options``.
 
-    An interval has the unit of its value. Draws from it are uniform; with ``scale: log`` their
-    logarithm is uniform (for a value known by its order of magnitude). Each option is equally
-    likely. With ``known`` the controller knows the value: its nominal plant changes too.
+    An interval has the unit of its value. Draws from an interval are uniform; with ``scale: log``
+    the logarithm of the draws is uniform (for a value known by its order of magnitude). Each option
+    is equally likely. With ``known`` the controller knows the value: its nominal plant changes too.
     ``source`` says where the range comes from.
     """
 
@@ -50,10 +50,10 @@ class Uncertainty(Parameters):
         return self.options or (self.low, self.high)
 
     def at(self, share: float) -> Any:
-        """Return the value at ``share`` (0 … 1) of the interval.
+        """Return the value at ``share`` (0 … 1) of the way from ``low`` to ``high``, or an option.
 
-        With ``scale: log`` it is the share of the interval's logarithm.
-        Of n options, the k-th covers the shares from (k − 1)/n to k/n.
+        With ``scale: log`` the way is that of the logarithm. The k-th of n options covers the
+        shares from (k − 1)/n to k/n.
         """
         if self.low is None or self.high is None:
             return self.options[min(int(share * len(self.options)), len(self.options) - 1)]
@@ -70,7 +70,7 @@ class UncertaintySet(Parameters):
     values: dict[str, Uncertainty] = Field(min_length=1)
 
     def __repr__(self) -> str:
-        """Return the number of uncertain values in short."""
+        """Return a short text with the number of uncertain values only."""
         return f"UncertaintySet({len(self.values)} values)"
 
 
@@ -116,7 +116,7 @@ UNCERTAINTY = UncertaintySet(
         ),
     }
 )
-"""Default uncertainty of ``kneexo robustness`` and ``kneexo study contest``."""
+"""Uncertain values that ``kneexo robustness`` and ``kneexo study contest`` use by default."""
 
 UNCERTAIN_KNEE = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
 """The paper's setup under the weight of the shank: the scenario that `UNCERTAINTY` varies."""
@@ -125,7 +125,7 @@ UNCERTAIN_KNEE = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
 def applicable(
     scenario: Scenario, uncertainty: UncertaintySet
 ) -> tuple[UncertaintySet, tuple[str, ...]]:
-    """Split a set into the values that the scenario has and the paths of the other values.
+    """Return the part of a set that the scenario has, and the paths of the other values.
 
     Raises `ParameterError` when the scenario has none of the values, and the errors of
     `require_applicable`.
@@ -146,11 +146,11 @@ def applicable(
 def require_applicable(
     scenario: Scenario, path: str, uncertainty: Uncertainty, paths: Iterable[str]
 ) -> bool:
-    """Check one uncertain value of a set, and return whether the scenario has it.
+    """Check one uncertain value of a set, and return whether the scenario has this value.
 
     ``paths`` are all paths of the set. Raises `ParameterError` for a path that no scenario has, for
-    a path within another one of the set, for a range that leaves the limits of its field, and for a
-    ``known`` value outside the plant.
+    a path that lies within another path of the set, for a range beyond the limits of its field, and
+    for a ``known`` value outside the plant.
     """
     if within := next((other for other in paths if path.startswith(f"{other}.")), None):
         raise ParameterError(f"{path}: lies within {within}, which is uncertain too")
@@ -167,7 +167,7 @@ def require_applicable(
 
 
 def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, Any]]:
-    """Draw ``count`` times from the set with a seed; return the values by path of each draw.
+    """Draw ``count`` times from the set, with a seed. Return the values by path for each draw.
 
     The draws are independent. A larger count with the same seed begins with the same draws.
     """
@@ -180,10 +180,10 @@ def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, A
 
 
 def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Mapping[str, Any]) -> Scenario:
-    """Return the scenario with drawn values at their paths.
+    """Return the scenario with drawn ``values`` at their paths.
 
-    The controller keeps its nominal plant, except for the values that are ``known``. Raises
-    `ParameterError` when the values contradict each other.
+    The controller keeps its nominal plant, except for the values that ``uncertainty`` marks as
+    ``known``. Raises `ParameterError` when the values contradict each other.
     """
     nominal = {
         f"nominal.{path.removeprefix('plant.')}": value

@@ -1,1 +1,1 @@
-"""Studies: each compares many scenarios and reports its findings."""
+"""Studies, one package each. A study compares many scenarios and reports its findings."""

@@ -23,34 +23,34 @@ if TYPE_CHECKING:
     from kneexo.result import Array
 
     Motion = tuple[LinkageParameters, Mapping[str, Array]]
-    """A linkage, and the columns (n,) of a run with it, by name; ``time_s`` starts at 0."""
+    """A linkage, and a run with this linkage: columns (n,) by name. ``time_s`` starts at 0."""
 
 PAPER = "the paper's setup (see `kneexo params`)"
-"""Description of the default scenario, for help and reports."""
+"""Description of the default `Scenario` in the help of the commands and in reports."""
 _UNDER_LOAD = "the paper's setup under the weight of the shank"
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study of the command line. Its modules are imported at the first access."""
+    """One study of the command line. The study's own modules are imported when first needed."""
 
     name: str
     command: str
-    """Words of the command after ``kneexo``."""
+    """Words of the study's command after ``kneexo``, such as ``study order``."""
     summary: str
     detail: str = ""
     setup: str = _UNDER_LOAD
-    """Description of the default scenario; empty where the command line takes no scenario."""
+    """Description of the default scenario. Empty if the study's command takes no scenario."""
     uncertain: bool = False
-    """Whether the study takes an uncertainty set."""
+    """Whether the study varies the values of an uncertainty set."""
     resumable: bool = True
-    """Whether a checkpoint can store its pieces of work."""
+    """Whether an interrupted study can continue from a checkpoint of its finished runs."""
     moving: bool = False
-    """Whether its module ``figures`` has ``motions``."""
+    """Whether the 3D view can show runs of the study (``motions`` in the module ``figures``)."""
     files: tuple[str, str] = ("", "")
-    """Names of the results and report files; empty: NAME.json and NAME.md."""
+    """File names of results and report. An empty name means NAME.json or NAME.md."""
     label: str = ""
-    """Heading of the settings in ``kneexo params``; empty: ``command``."""
+    """Heading of the study's settings in ``kneexo params``. An empty label means ``command``."""
 
     @property
     def settings(self) -> type[Parameters]:
@@ -62,8 +62,8 @@ class Study:
     def compute(self) -> Callable[..., Any]:
         """The function that runs the study and returns its result.
 
-        Arguments: the scenario, ``settings``, ``workers``, ``executor``, ``progress``; of a
-        `resumable` study also ``checkpoint``, of an `uncertain` one also ``uncertainty``. The
+        Arguments: the scenario, ``settings``, ``workers``, ``executor``, ``progress``; for a
+        `resumable` study also ``checkpoint``, for an `uncertain` study also ``uncertainty``. The
         result has a method ``results()``, which returns plain data.
         """
         function: Callable[..., Any] = self._part("", f"{self.name}_study")
@@ -71,14 +71,14 @@ class Study:
 
     @property
     def scenario(self) -> Scenario:
-        """The default scenario."""
+        """The default scenario of `compute`."""
         default: Scenario = inspect.signature(self.compute).parameters["scenario"].default
         return default
 
     def report(self, result: Any) -> str:
         """Return the report on a result in Markdown.
 
-        A study without a module ``report`` has a template ``report.md`` that needs the result only.
+        If the study has no module ``report``, its template ``report.md`` is filled with the result.
         """
         if find_spec(f"kneexo.studies.{self.name}.report") is None:
             from kneexo.studies.template import filled
@@ -88,12 +88,12 @@ class Study:
         return text
 
     def figures(self, result: Any) -> dict[str, Figure]:
-        """Draw the figures of a result; return them by name."""
+        """Draw the figures of a result, and return the figures by name."""
         pictures: dict[str, Figure] = self._part(".figures", "figures")(result)
         return pictures
 
     def motions(self, result: Any) -> dict[str, Motion]:
-        """Return the runs of a result that the 3D view shows, by name; empty without any."""
+        """Return the runs of a result that the 3D view shows, by title. Empty if not `moving`."""
         if not self.moving:
             return {}
         runs: dict[str, Motion] = self._part(".figures", "motions")(result)

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 Cell = str | tuple[str, str] | Callable[[Any], str]
-"""Content of a cell, from one row: the text at a key, the number at a key with its format, or the
-text that a function returns. The key of a row that is no mapping is the name of an attribute."""
+"""Rule that makes the text of a table cell from an item, which is a mapping or an object.
+
+A name prints the item's value at this key or attribute. A pair (name, format) prints this value as
+a number. A function receives the item and returns the text."""
 
 
 def number(value: float, form: str = ".3g") -> str:
@@ -19,24 +21,24 @@ def number(value: float, form: str = ".3g") -> str:
 
 
 def percent(share: float) -> str:
-    """Format a share in whole percent; return a dash for nan."""
+    """Format a share (0 … 1) in whole percent; return a dash for nan."""
     return "–" if math.isnan(share) else f"{100 * share:.0f} %"
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a Markdown table."""
+    """Return the lines of a Markdown table with headings ``head`` and the cells of ``rows``."""
     return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
 
 
 def row_table(rows: Iterable[Any], columns: Mapping[str, Cell]) -> list[str]:
-    """Return the lines of a table: one for each of ``rows``. ``columns``: cells by heading."""
+    """Return a table with one line for each item in ``rows``. ``columns``: a `Cell` by heading."""
     return markdown_table(
         list(columns), [[_text(row, cell) for cell in columns.values()] for row in rows]
     )
 
 
 def column_table(heads: Sequence[str], items: Iterable[Any], rows: Mapping[str, Cell]) -> list[str]:
-    """Return the lines of a table: a column for each of ``items``. ``rows``: cells by label."""
+    """Return a table with one column for each of ``items``. ``rows``: a `Cell` by line label."""
     columns = list(items)
     return markdown_table(
         ["", *heads],

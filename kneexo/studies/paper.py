@@ -1,4 +1,4 @@
-"""The setups of the paper's figures, as scenarios."""
+"""Scenarios with the setups of the paper's figures."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ IDEAL_SMC = Scenario(
         duration_s=10.0, tolerance=1e-13, error_controlled=True, accuracy=1e-6
     ),
 )
-"""Fig. 9: continuous sliding mode, exact states, no speed limit, no leakage, 89 mm off."""
+"""Fig. 9: continuous sliding mode, exact states, no speed limit or leakage, 89 mm initial error."""
 
 PID_PAPER = PidParameters()
-"""A PID tuned as poorly as Fig. 12 shows: proportional action alone, 5 1/s."""
+"""A PID with as large an error as in Fig. 12: proportional action alone, 5 1/s."""
 
 PID_TUNED = PidParameters(proportional_per_s=14.0, integral_per_s2=400.0, filter_s=0.015)
-"""The best PID found for Fig. 12 within the chattering of the SMC: ``benchmarks/tune_pid.py``.
+"""The PID with the least error in Fig. 12 among those that chatter no more than the SMC.
 
-The largest error depends on where single counts of the encoder fall, so neighbouring gains differ
-by some hundredths of a degree in no order.
+``benchmarks/tune_pid.py`` finds the gains. The largest error depends on single counts of the
+encoder, so the errors of neighbouring gains differ irregularly by some hundredths of a degree.
 """
 
 PID_FEEDFORWARD = PidParameters(
@@ -50,7 +50,7 @@ PID_FEEDFORWARD = PidParameters(
     filter_s=0.010,
     velocity_feedforward=1.0,
 )
-"""The same with the reference's velocity: ``benchmarks/tune_pid.py --feedforward``."""
+"""As `PID_TUNED`, with the reference's velocity fed forward (``tune_pid.py --feedforward``)."""
 
 FIG_12 = {
     "smc": Scenario(),
@@ -58,7 +58,7 @@ FIG_12 = {
     "pid_tuned": Scenario(controller=PID_TUNED),
     "pid_feedforward": Scenario(controller=PID_FEEDFORWARD),
 }
-"""Fig. 12: 10…70° at 0.1 Hz with the sliding-mode controller and with PIDs."""
+"""Fig. 12, by controller: 10…70° at 0.1 Hz with the sliding-mode controller and three PIDs."""
 
 _BASE_HZ = (0.20, 0.21, 0.22, 0.23, 0.24)
 
@@ -73,11 +73,14 @@ FIG_13_SCALING = {
         SinestreamSettings(frequencies_hz=tuple(2.0 * f for f in _BASE_HZ)),
     ),
 }
-"""What should double the bandwidth of Fig. 13: twice the flow, or half the way."""
+"""Scenarios and frequencies to check how the bandwidth of Fig. 13 scales, by name.
+
+Twice the flow (gear ratio 3) and half the amplitude should each double the nominal bandwidth.
+"""
 
 
 def _eq_27(slope_per_s: float) -> SlidingModeParameters:
-    """The default controller with another k/Φ, taking k = β·η (1/s)."""
+    """Return the default controller with Φ such that k/Φ is ``slope_per_s``, where k = β·η."""
     default = SlidingModeParameters()
     return SlidingModeParameters(phi_m_s2=default.gain_ratio * default.eta_m_s3 / slope_per_s)
 
@@ -93,9 +96,11 @@ EQ_27_EXACT_STATES = {
     )
     for slope in (1.0e4, 1.3e4)
 }
-"""Eq. 27 at 2 ms with exact states, by k/Φ in 1/s: below and above the stability boundary of the
-sampled hydraulic mode. At this step rk4 is exact to 2e-4 1/s; Drake's radau3 damps the mode by 0.06
-1/s and its RK3 by 0.17 1/s, at 0.2 ms more than the oil does."""
+"""Eq. 27 sampled at 2 ms with exact states, by k/Φ in 1/s.
+
+One k/Φ lies below the stability boundary of the sampled hydraulic mode, the other above. At this
+step rk4 damps the mode correctly to 2e-4 1/s. Drake's radau3 adds a damping of 0.06 1/s, Drake's
+RK3 0.17 1/s. At a step of 0.2 ms, RK3 adds more damping than the oil has."""
 
 EQ_27_DIFFERENCES = {
     f"{slope:g}": Scenario(
@@ -105,7 +110,7 @@ EQ_27_DIFFERENCES = {
     )
     for slope in (1.0e4, 4.0e4)
 }
-"""Eq. 27 at 2 ms with plain differences of the quantized encoder, by k/Φ in 1/s."""
+"""Eq. 27 sampled at 2 ms with backward differences of the quantized encoder, by k/Φ in 1/s."""
 
 PAPER_BANDWIDTH_HZ = 0.21
 """The paper's measured −3 dB bandwidth (Section 5, Fig. 13)."""

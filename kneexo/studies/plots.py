@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 from kneexo.result import Array
 
 CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
-"""Style of a text that is centred at its point."""
+"""Keyword arguments for a Matplotlib text that is centred at its point."""
 
 _CLOSEST = 0.065  # smallest distance of two tick labels, as a share of the axis
 
 
 def legend_below(figure: Figure, axes: Iterable[Axes], ncols: int, **style: Any) -> None:
-    """Draw one legend below the figure; it has each label of ``axes`` once."""
+    """Draw one legend below the figure, with each label of the Matplotlib ``axes`` once."""
     entries = {
         label: handle
         for ax in axes
@@ -32,7 +32,7 @@ def legend_below(figure: Figure, axes: Iterable[Axes], ncols: int, **style: Any)
 
 
 def cell_borders(values: ArrayLike) -> Array:
-    """Return the borders (n + 1,) of cells about ``values`` (n,) on a logarithmic axis."""
+    """Return the borders (n + 1,) of map cells around ``values`` (n,) on a logarithmic axis."""
     logs = np.log(np.asarray(values, dtype=float))
     half = 0.5 * np.diff(logs) if logs.size > 1 else np.array([0.5])
     return np.exp(np.concatenate([[logs[0] - half[0]], logs[:-1] + half, [logs[-1] + half[-1]]]))
@@ -55,7 +55,7 @@ def plain_ticks(axis: Any, values: Any) -> None:
 
 
 def decimal_ticks(axis: Any) -> None:
-    """Label a logarithmic axis with plain numbers: 1, 2, 5 or 1, 3 or 1 of each decade.
+    """Label a logarithmic axis in each decade at 1, 2 and 5, at 1 and 3, or at 1, as plain numbers.
 
     The more decades the axis shows at the time of the call, the fewer labels each decade gets.
     """
@@ -68,10 +68,10 @@ def decimal_ticks(axis: Any) -> None:
 
 
 def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, label: str) -> None:
-    """Draw ``values`` over x and y, (len(x), len(y)), with a colour bar; grey where not finite.
+    """Draw ``values`` (len(x), len(y)) as colours over x and y, with a colour bar.
 
-    Both axes are logarithmic. Their limits are fixed, so that later curves do not change them. The
-    label stands above the map, clear of the panel on the right.
+    Cells whose value is not finite are grey. Both axes are logarithmic, with fixed limits that
+    curves drawn later do not change. ``label`` stands above the map.
     """
     ax.set_facecolor("0.8")
     columns, rows = cell_borders(x), cell_borders(y)
@@ -96,19 +96,19 @@ def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, 
 def heat_map_panels(
     axes: Iterable[Axes], x: ArrayLike, y: ArrayLike, panels: Iterable[tuple[Array, Any, str]]
 ) -> None:
-    """Draw a `heat_map` over the same x and y on each of ``axes``.
+    """Draw one `heat_map` in each of the Matplotlib ``axes``, all over the same x and y.
 
-    ``panels`` has values, norm and label of each map.
+    ``panels`` has values, colour norm and label of each map.
     """
     for ax, (values, norm, label) in zip(axes, panels, strict=True):
         heat_map(ax, x, y, values, norm=norm, label=label)
 
 
 def ecdf(ax: Axes, values: ArrayLike, **style: Any) -> None:
-    """Draw the empirical distribution of ``values`` (n,): the share of them up to each value.
+    """Draw the empirical distribution of ``values`` (n,): the share of values up to each value.
 
-    Infinite values count but are not drawn: the curve ends below one for inf, and begins above
-    zero for −inf.
+    Infinite values count but are not drawn. So the curve ends below one with inf among the values,
+    and begins above zero with −inf.
     """
     ordered = np.sort(np.asarray(values, dtype=float))
     share = np.arange(1, ordered.size + 1) / ordered.size

@@ -1,4 +1,4 @@
-"""Reports of studies, filled from the templates in their folders."""
+"""Fills the Jinja templates of the studies' reports, which lie in the studies' folders."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from kneexo.studies.markdown import column_table, markdown_table, number, percent, row_table
 
 _WRAPPED = re.compile(r"(?<=[^\n])\n *(?=[^\s|>#-])")
-"""The end of a line whose paragraph goes on in the next line."""
+"""Pattern of a line break inside a paragraph."""
 
 
 def _lines(table: Callable[..., list[str]]) -> Callable[..., str]:
@@ -43,8 +43,8 @@ _ENVIRONMENT = _environment()
 def filled(template: str, **data: Any) -> str:
     """Fill a template of a study with ``data`` and return its text.
 
-    ``template`` is a path such as ``order/report.md``. A paragraph may be wrapped there; its lines
-    become one. Several empty lines become one. A template has the filters ``number``, ``percent``
+    ``template`` is a path such as ``order/report.md``. The lines of a paragraph are joined to one
+    line. Several empty lines become one. A template can use the filters ``number``, ``percent``
     and, for a sequence, ``numbers``, the filter ``form`` for a format specification, and the tables
     of `kneexo.studies.markdown`. Raises `jinja2.UndefinedError` for a name that ``data`` lacks.
     """

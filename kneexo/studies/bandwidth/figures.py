@@ -1,4 +1,4 @@
-"""Pictures of `kneexo.studies.bandwidth.study`."""
+"""Figures of a `kneexo.studies.bandwidth.study.BandwidthResult`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TICKS_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
 def figures(result: BandwidthResult) -> dict[str, Figure]:
-    """The map, the Bode plots over each other, and the closed form of the rate-limited sine."""
+    """Draw the amplitude map, the Bode plots and the rate-limited sine; return them by name."""
     return {
         "amplitude_map": plot_map(result),
         "bode_by_amplitude": plot_bode(result),
@@ -34,7 +34,7 @@ def figures(result: BandwidthResult) -> dict[str, Figure]:
 
 
 def plot_map(result: BandwidthResult) -> Figure:
-    """Gain, phase and the motor's limits over frequency and amplitude."""
+    """Draw gain, phase and shares of time at the motor's limits over frequency and amplitude."""
     figure, axes = plt.subplots(
         2, 2, figsize=(11, 7.5), sharex=True, sharey=True, layout="constrained"
     )
@@ -68,7 +68,7 @@ def plot_map(result: BandwidthResult) -> Figure:
 
 
 def _plot_bandwidths(result: BandwidthResult, axis: Axes) -> None:
-    """The −3 dB frequencies, measured and predicted, over amplitude."""
+    """Draw into a map of frequency and amplitude the −3 dB frequencies, measured and predicted."""
     if result.amplitudes_deg.size > 1:
         axis.contour(
             result.frequencies_hz,
@@ -92,7 +92,7 @@ def _plot_bandwidths(result: BandwidthResult, axis: Axes) -> None:
 
 
 def plot_bode(result: BandwidthResult) -> Figure:
-    """Bode plots by amplitude, over the linear loop and the rate-limited follower."""
+    """Draw a Bode plot for each amplitude, with the linear loop and the rate-limited follower."""
     figure, axes = plt.subplots(2, 1, sharex=True, figsize=(7.5, 7.5), layout="constrained")
     colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, result.amplitudes_deg.size))
     relative = result.relative_uncertainty
@@ -127,7 +127,10 @@ def plot_bode(result: BandwidthResult) -> Figure:
 
 
 def plot_rate_limit(result: BandwidthResult) -> Figure:
-    """Rate-limited sines in time; gains of all amplitudes over aω/R, with the closed form."""
+    """Draw rate-limited sines over time, and all gains over aω/R beside their closed form.
+
+    aω is the rod's speed amplitude that the reference requires, R the rod's speed limit.
+    """
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     time = np.linspace(0.0, 4.0, 4001)
     target, shown = np.sin(math.tau * time), slice(2500, None)

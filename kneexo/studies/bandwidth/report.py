@@ -1,4 +1,4 @@
-"""Markdown of `kneexo.studies.bandwidth.study`."""
+"""Markdown report on a `kneexo.studies.bandwidth.study.BandwidthResult`."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from kneexo.studies.bandwidth.study import BandwidthResult
 from kneexo.studies.template import filled
 
 _DRIFT_DEG = 1.0
-"""Smallest distance in deg between the means of knee and reference that is reported."""
+"""Difference in deg between the mean angles of knee and reference above which it is reported."""
 
 
 def report(result: BandwidthResult) -> str:
-    """Return the report on a frequency response in Markdown."""
+    """Return the report on the frequency response over amplitude in Markdown."""
     limits: dict[str, list[str]] = {}
     rows = []
     for i, amplitude in enumerate(result.amplitudes_deg):
@@ -49,7 +49,10 @@ def report(result: BandwidthResult) -> str:
 
 
 def _drift(result: BandwidthResult) -> dict[str, Any]:
-    """The largest distance between the means of knee and reference; empty below the limit."""
+    """Return the largest difference between the mean angles of knee and reference, with its place.
+
+    The result is empty if no difference exceeds ``_DRIFT_DEG``.
+    """
     distance = np.abs(result.cells["mean_deg"] - require_sine(result.scenario).mean_deg)
     count = int(np.sum(distance > _DRIFT_DEG))
     if not count:

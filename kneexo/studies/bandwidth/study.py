@@ -1,4 +1,4 @@
-"""Frequency response over amplitude and frequency, and the limits that cause it."""
+"""Frequency response of the knee over amplitude and frequency, and the limits that explain it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class BandwidthSettings(Parameters):
-    """Frequency response over amplitude and frequency: ``kneexo bandwidth``."""
+    """Settings of ``kneexo bandwidth``: the sines of the reference, and their measurement."""
 
     amplitudes_deg: tuple[float, ...] = quantities(
         (0.1, 0.3, 1.0, 3.0, 10.0, 30.0),
@@ -77,24 +77,25 @@ CELL = {
     "speed_limited_share": math.nan,
     "acceleration_limited_share": math.nan,
 }
-"""Values of a cell of the map whose run failed, without the response (see `SineEstimate`)."""
+"""Values of a map cell whose run failed, by their names in `SineEstimate`, without the response."""
 
 
 @dataclass(frozen=True, repr=False)
 class BandwidthResult(Result):
     """Response θ_p/θ_d of the fundamental over m amplitudes and n frequencies, by sinestream.
 
-    ``response`` complex (m, n); ``cells`` (m, n) by the names of `CELL`. What failed is nan, and
-    ``failures`` says why, a line each.
+    ``response`` is complex (m, n). ``cells`` has an array (m, n) for each name of `CELL`. Numbers
+    of a failed run are nan, and ``failures`` has a line with the reason.
 
-    ``bandwidths`` (m,) by name, in Hz: ``measured_hz`` (`large_signal_bandwidth_hz`), and what the
-    limits alone say: ``linear_loop_hz``, ``acceleration_bound_hz``, ``follower_hz`` (speed limit,
-    through x(θ)), ``rate_limit_hz`` (speed limit, closed form of a sine in x);
-    ``speed_limit_reached_hz`` is where the reference begins to ask for more speed.
+    ``bandwidths`` has −3 dB frequencies (m,) in Hz by name. ``measured_hz`` is measured
+    (`large_signal_bandwidth_hz`). The next are predicted from one limit alone: ``linear_loop_hz``,
+    ``acceleration_bound_hz``, ``follower_hz`` (speed limit, through x(θ)) and ``rate_limit_hz``
+    (speed limit, closed form for a sine of the rod). Above ``speed_limit_reached_hz``, which is no
+    −3 dB frequency, the reference requires more than the speed limit.
 
-    ``linear`` (n,) is the response of the linear loop, ``follower`` (m, n) that of the follower.
-    ``unquantized`` (n,) is measured at the smallest amplitude without any quantizer, and
-    ``unlimited`` (n,) says where the motor was off its limits then.
+    ``linear`` (n,) is the response of the linear loop, ``follower`` (m, n) that of an ideal rod
+    with speed limit. ``unquantized`` (n,) is measured at the smallest amplitude without quantizers.
+    ``unlimited`` (n,) is True for the frequencies at which the motor then stays off its limits.
     """
 
     amplitudes_deg: Array
@@ -104,7 +105,7 @@ class BandwidthResult(Result):
     bandwidths: dict[str, Array]
     linear: Complex
     linear_failure: str
-    """The reason why there is no linear loop, else empty; its response is nan then."""
+    """Reason why the loop could not be linearized (``linear`` is then nan), else empty."""
     follower: Complex
     unquantized: Complex
     unlimited: Any
@@ -114,37 +115,41 @@ class BandwidthResult(Result):
 
     @property
     def gain_db(self) -> Array:
-        """Gain in dB, (m, n)."""
+        """Gain |θ_p/θ_d| in dB, (m, n)."""
         return np.asarray(20.0 * np.log10(np.maximum(np.abs(self.response), _LEAST_GAIN)))
 
     @property
     def phase_deg(self) -> Array:
-        """Phase in deg, unwrapped over frequency, (m, n)."""
+        """Phase of θ_p/θ_d in deg, unwrapped over frequency, (m, n)."""
         return np.array([unwrapped_deg(row) for row in self.response])
 
     @property
     def relative_uncertainty(self) -> Array:
-        """Uncertainty as a share of the gain, (m, n)."""
+        """Uncertainty of the response as a share of its gain, (m, n)."""
         return self.cells["uncertainty"] / np.maximum(np.abs(self.response), _LEAST_GAIN)
 
     def linear_deviation(self, *, quantized: bool) -> float:
-        """Return the largest |G − G_linear|/|G_linear| at the smallest amplitude.
+        """Return the largest |G − G_linear|/|G_linear| over frequency, at the smallest amplitude.
 
-        ``quantized`` chooses the response with or without quantizers. Only frequencies at which the
-        motor stays off its limits count. Without any, or without a linear loop, the result is nan.
+        G is the measured response, with quantizers if ``quantized``, and G_linear that of the
+        linear loop. Only frequencies at which the motor stays off its limits count. If there is no
+        such frequency or no linear loop, the result is nan.
         """
         measured = self.response[0] if quantized else self.unquantized
         deviation = np.abs(measured / self.linear - 1.0)[self.unlimited]
         return float(np.max(deviation)) if deviation.size else math.nan
 
     def decided_by(self, index: int) -> tuple[str, float]:
-        """Return the limit that predicts the lowest bandwidth of an amplitude, and this in Hz."""
+        """Return the limit with the lowest predicted bandwidth, and this bandwidth in Hz.
+
+        ``index`` is that of the amplitude.
+        """
         predicted = {_LIMITS[name]: float(self.bandwidths[name][index]) for name in _LIMITS}
         name = min(predicted, key=lambda n: np.nan_to_num(predicted[n], nan=math.inf))
         return name, predicted[name]
 
     def to_dataframe(self) -> Any:
-        """A row for each cell of the map, as `pandas.DataFrame`.
+        """Return a `pandas.DataFrame` with a row for each cell of the map.
 
         Columns: ``amplitude_deg``, ``frequency_hz``, ``gain``, ``phase_deg`` and those of `CELL`.
         Raises `PackageError` without pandas.
@@ -160,7 +165,7 @@ class BandwidthResult(Result):
         return data_frame({name: np.ravel(values) for name, values in table.items()})
 
     def results(self) -> dict[str, Any]:
-        """Plain data: the linear loop, then the map by amplitude."""
+        """Return plain data: the linear loop, then the map by amplitude, and the failures."""
         gain, phase = np.abs(self.response), self.phase_deg
         return {
             "frequencies_hz": self.frequencies_hz.tolist(),
@@ -195,21 +200,24 @@ def unwrapped_deg(response: Any) -> Array:
 
 
 def decibel(response: Any) -> Any:
-    """Return the gain of a response in dB."""
+    """Return the gain in dB of a complex response of any shape."""
     return 20.0 * np.log10(np.abs(response))
 
 
 # ---------------------------------------------------------------------------------- measurement
 
 _Item = tuple[float, float | None, bool]
-"""Amplitude (deg), frequency (Hz; None: where is −3 dB?), with quantizers."""
+"""A measurement: amplitude in deg, frequency in Hz (None: search −3 dB), with quantizers or not."""
 
 
 @needs_runs
 async def _measure(
     scenario: Scenario, settings: SineEstimateSettings, item: _Item
 ) -> dict[str, Any]:
-    """Measure one sine, or search one bandwidth; return plain data."""
+    """Measure the response to one sine, or search one −3 dB frequency; return plain data.
+
+    Numbers of a failed run are nan; ``failure`` has the reason, or is empty.
+    """
     amplitude, frequency, quantized = item
     values = {"reference.amplitude_deg": amplitude}
     if frequency is not None:
@@ -242,8 +250,8 @@ def bandwidth_study(
 ) -> BandwidthResult:
     """Measure the closed loop's frequency response at several amplitudes of the knee's sine.
 
-    ``scenario`` needs a sinusoidal reference; its amplitude and frequency are replaced. A run that
-    fails leaves its cell nan and goes into ``failures``. ``options``: see
+    The reference of ``scenario`` must be a sine, whose amplitude and frequency are replaced. The
+    cell of a failed run is nan, and ``failures`` has the reason. ``options``: see
     `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` when the reference is no sine, leaves the range of motion, or has fewer

@@ -13,7 +13,7 @@ from kneexo.studies.plots import decimal_ticks, ecdf, legend_below
 
 
 def outcome(result: ContestResult) -> Figure:
-    """Draw the distributions of the errors at both references, and the margins over the errors."""
+    """Draw the distribution of the largest error at each reference, and disk margin over error."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
     for index, name in enumerate(result.entrants):
         tuned = name in result.settings.contestants
@@ -55,7 +55,10 @@ def outcome(result: ContestResult) -> Figure:
 
 
 def search(result: ContestResult) -> Figure:
-    """Draw the best objective of each search over its evaluations; the first seed solid."""
+    """Draw the best objective so far of each search over the number of evaluations.
+
+    Searches with the first seed are solid, the others dashed.
+    """
     figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
     names = list(result.settings.contestants)
     for tuning in result.tunings:
@@ -77,5 +80,5 @@ def search(result: ContestResult) -> Figure:
 
 
 def figures(result: ContestResult) -> dict[str, Figure]:
-    """Return the figures by name; the caller closes them."""
+    """Draw all figures of a contest. Return the figures by name; the caller closes the figures."""
     return {"contest": outcome(result), "contest_search": search(result)}

@@ -1,4 +1,4 @@
-"""Markdown of `kneexo.studies.contest.study`."""
+"""Markdown report on a `kneexo.studies.contest.study.ContestResult`."""
 
 from __future__ import annotations
 
@@ -47,6 +47,6 @@ def _objective(tuning: Tuning) -> str:
 
 
 def _at_bound(gain: Uncertainty, value: float) -> str:
-    """Return a remark when a gain is within 2 % of its range from an end, else nothing."""
+    """Return a remark if a gain lies within 2 % of an end of its range, else an empty text."""
     ends = (gain.at(0.02), gain.at(0.98))
     return "" if ends[0] < value < ends[1] else " (at its bound)"

@@ -48,7 +48,7 @@ def _gain(low: float, high: float, source: str = _WIDE) -> Uncertainty:
 
 
 class Contestant(Parameters):
-    """A controller, and the range of each gain that the optimizer may set, by dotted path."""
+    """A controller to tune, and the range of each gain that the optimizer sets, by dotted path."""
 
     controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")]
     gains: dict[str, Uncertainty] = Field(min_length=1)
@@ -89,7 +89,7 @@ for the error of Fig. 12 alone (``benchmarks/tune_pid.py``)."""
 
 
 class ContestSettings(Parameters):
-    """Settings of the tuning, which has one budget for all, and of the test."""
+    """Settings of the tuning, whose budget is equal for all contestants, and of the test."""
 
     contestants: dict[str, Contestant] = Field(default=CONTESTANTS, min_length=1)
     training_samples: int = quantity(
@@ -131,22 +131,22 @@ class ContestSettings(Parameters):
         20.0, "s", "assumption: two periods of 0.1 Hz, of which the second counts", ge=1e-3, le=1e5
     )
     other_reference: SineReference = SineReference(amplitude_deg=2.5, frequency_hz=1.0)
-    """A reference that no contestant is tuned for; it stays below the speed limit."""
+    """A reference that no contestant is tuned for, slow enough for the motor's speed limit."""
     other_duration_s: float = quantity(5.0, "s", "assumption: five of its periods", ge=0.01, le=1e5)
 
 
 INFEASIBLE_DEG = 90.0
-"""Candidates that break a constraint have an objective of at least this.
+"""Least objective in deg of candidate gains that break a constraint.
 
 No run inside the range of motion has so large an error."""
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """The best gains of one search, and whether the search converged.
+    """The best gains that one search found for a contestant, and whether the search converged.
 
     ``objective_deg``: mean over the training plants of the largest error in deg; above
-    `INFEASIBLE_DEG` where the gains break a constraint. ``history_deg``: the best objective of each
+    `INFEASIBLE_DEG` if the gains break a constraint. ``history_deg``: the best objective of each
     generation. ``spread``: standard deviation of the last population's objectives over their mean.
     """
 
@@ -161,7 +161,7 @@ class Tuning:
 
     @property
     def feasible(self) -> bool:
-        """Whether every constraint holds."""
+        """Whether the best gains fulfil all constraints (no failure, chattering, disk margin)."""
         return self.objective_deg < INFEASIBLE_DEG
 
 
@@ -169,10 +169,11 @@ class Tuning:
 class ContestResult(Result):
     """Tuned and untuned controllers on the test plants.
 
-    ``entrants``: values by path that each entrant sets in the scenario. ``tested``: by entrant, the
-    metrics of each test plant from `assess` at the scenario's reference. ``other_reference``: the
-    same, without margins, at the reference that no contestant was tuned for. ``budget_rpm``: mean
-    change of command in rpm per sample of the default SMC over the training plants.
+    ``entrants``: by name, the values by path that each tuned or untuned controller sets in the
+    scenario. ``tested``: by entrant, the metrics of each test plant from `assess` at the scenario's
+    reference. ``other_reference``: the same metrics, without margins, at the reference that no
+    contestant was tuned for. ``budget_rpm``: largest chattering allowed in the tuning, which is the
+    default SMC's mean change of command in rpm per sample over the training plants.
     """
 
     scenario: Scenario
@@ -187,17 +188,17 @@ class ContestResult(Result):
     other_reference: Mapping[str, Sequence[Values]]
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return the metrics of each entrant over all test plants."""
+        """Return the metrics of `COLUMNS` over all test plants, for each entrant by name."""
         return {
             name: _summary(self.tested[name], self.other_reference[name]) for name in self.entrants
         }
 
     def better_share(self, name: str, other: str) -> float:
-        """Return the share of the test plants on which ``name`` errs less than ``other``."""
+        """Return the share of the test plants on which ``name`` has less error than ``other``."""
         return float(np.mean(errors_of(self.tested[name]) < errors_of(self.tested[other])))
 
     def winners(self) -> dict[str, list[str]]:
-        """Return for each metric of `summary` the tuned contestants with the best value."""
+        """Return, for each metric of `summary`, the names of the tuned contestants that lead."""
         summary, tuned = self.summary(), self.settings.contestants
         best = {
             figure: (max if "margin" in figure else min)(summary[name][figure] for name in tuned)
@@ -209,7 +210,7 @@ class ContestResult(Result):
         }
 
     def results(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return the whole result as plain data, with units in the names."""
         tuned = list(self.settings.contestants)
         return {
             "uncertainty": self.uncertainty.model_dump(mode="json")["values"],
@@ -236,15 +237,16 @@ def contest_study(
     settings: ContestSettings = ContestSettings(),
     **options: Unpack[SweepOptions],
 ) -> ContestResult:
-    """Tune every contestant, then test all.
+    """Tune every contestant, then test the tuned and the untuned controllers on other plants.
 
-    The controller of ``scenario`` is replaced, and uncertain values that it does not have are left
-    out. ``options``: see `kneexo.sweeps.SweepOptions`; a search that goes on replays what the
-    checkpoint has. A search that did not converge is no error: `Tuning` says so.
+    The contest replaces the controller of ``scenario``, and leaves out uncertain values that the
+    scenario lacks. ``options``: see `kneexo.sweeps.SweepOptions`; a resumed search starts again and
+    reads finished runs from the checkpoint. A search that does not converge raises no error; see
+    ``Tuning.converged``.
 
-    Raises `ParameterError` for uncertain values that no scenario has, that are out of range, and
-    when none of them applies; `SimulationError` when the default SMC fails on a training plant,
-    because it then gives no budget.
+    Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, and
+    if the scenario has none of the values. Raises `SimulationError` when the default SMC fails on a
+    training plant, because its chattering is the budget of the tuning.
     """
     with open_sweep(**options) as sweep:
         return _contest(scenario, uncertainty, settings, sweep)
@@ -338,10 +340,11 @@ def _contest(
 def search(
     objective: Callable[[Array], Array], dimensions: int, settings: ContestSettings, seed: int
 ) -> tuple[scipy.optimize.OptimizeResult, list[float]]:
-    """Differential evolution over the unit cube; its result and the best of each generation.
+    """Minimize an objective over the unit cube by differential evolution.
 
-    ``objective`` maps candidates (n, dimensions) to (n,). It has converged (``success``) when the
-    population's objectives spread by less than ``settings.tolerance`` of their mean.
+    ``objective`` maps n candidates (n, dimensions) to their objectives (n,). Returns SciPy's result
+    and the best objective of each generation. The search has converged (``success``) when the
+    standard deviation of the population's objectives is below ``settings.tolerance`` of their mean.
     """
     history: list[float] = []
 
@@ -368,11 +371,11 @@ def search(
 async def objective_deg(
     budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]
 ) -> float:
-    """Return the objective of one candidate in deg: the mean of its largest errors.
+    """Return the objective in deg of one candidate: the mean over ``plants`` of the largest error.
 
-    Failed runs make it more than 3·`INFEASIBLE_DEG`, too much chattering more than
-    2·`INFEASIBLE_DEG`, and too little margin on any plant more than `INFEASIBLE_DEG`. It grows with
-    the violation. An unstable loop has no margin.
+    If a run fails, the objective exceeds 3·`INFEASIBLE_DEG`; with too much chattering,
+    2·`INFEASIBLE_DEG`; with too little margin on any plant, `INFEASIBLE_DEG`. The objective grows
+    with the violation. The margin of an unstable loop counts as zero.
     """
     tracked = [await awaitable(assess, plant, margins=False) for plant in plants]
     failed = np.mean([bool(values["tracking_failure"]) for values in tracked])
@@ -390,7 +393,7 @@ async def objective_deg(
 
 
 def _gains(contestant: Contestant, unit: Array) -> dict[str, float]:
-    """Return the gains at a point of the unit cube."""
+    """Return the gains by path at ``unit`` (gains,), a point of the unit cube of their ranges."""
     return {
         path: float(span.at(float(x)))
         for (path, span), x in zip(contestant.gains.items(), unit, strict=True)
@@ -405,7 +408,7 @@ def _entrant(contestant: Contestant, gains: Values) -> dict[str, Any]:
 
 
 def errors_of(metrics: Sequence[Values], name: str = "max_error_deg") -> Array:
-    """Return one metric of every plant (n,); inf where the run failed."""
+    """Return the metric ``name`` of each of n plants, (n,); inf if the plant's run failed."""
     return np.array([math.inf if math.isnan(v[name]) else v[name] for v in metrics])
 
 
@@ -448,4 +451,4 @@ COLUMNS = {
     "median_error_other_reference_deg": "median error, other reference (deg)",
     "error_of_95_percent_other_reference_deg": "95 % error, other reference (deg)",
 }
-"""Metrics of `ContestResult.summary` and their labels in the report."""
+"""Names of the metrics of `ContestResult.summary`, with their labels in the report."""

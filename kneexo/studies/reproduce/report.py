@@ -1,4 +1,4 @@
-"""The report of ``kneexo reproduce``: the paper's numbers beside ours."""
+"""The report of ``kneexo reproduce``: the paper's numbers beside those that kneexo computes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kneexo.studies.template import filled
 
 
 def report(result: ReproduceResult) -> str:
-    """Return the report in Markdown: each number of the paper beside ours."""
+    """Return the report in Markdown, with each number of the paper beside the computed number."""
     numbers, table = result.results(), RodPolynomialParameters()
     table1 = numbers["table1"]
     return filled(
@@ -30,12 +30,12 @@ def report(result: ReproduceResult) -> str:
 
 
 def _compared(printed: float | None, computed: float, form: str) -> str:
-    """Return three cells: the printed number (None: not printed), ours, and their difference."""
+    """Return the cells of a printed number (or None), a computed number, and their difference."""
     paper = "not printed" if printed is None else f"{printed:g}"
     difference = "" if printed is None else f"{computed - printed:+.3g}"
     return f"{paper} | {computed:{form}} | {difference}"
 
 
 def _named(cases: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the cases as rows of a table; the column ``name`` holds their keys."""
+    """Return the values of ``cases`` as rows of a table, with each key in the column ``name``."""
     return [{"name": name} | case for name, case in cases.items()]

@@ -40,15 +40,15 @@ from kneexo.studies.paper import (
 from kneexo.sweeps import open_sweep
 
 ReproduceSettings = SinestreamSettings
-"""Settings of Fig. 13."""
+"""Settings of the sinestream that measures Fig. 13, the only settings of this study."""
 
 FIG_5_POINTS = 204
-"""Points of the fits of Fig. 5: printed SSE over squared RMSE is 198, six coefficients beside."""
+"""Number of points fitted in Fig. 5: the printed SSE/RMSE² = 198, plus the six coefficients."""
 
 
 @dataclass(frozen=True, repr=False)
 class ReproduceResult(Result):
-    """Everything that ``kneexo reproduce`` computes."""
+    """Fits, runs and frequency responses behind the figures of the paper, by case."""
 
     fit: PolynomialFit
     fig9: Run
@@ -59,7 +59,7 @@ class ReproduceResult(Result):
     eq27_differences: Mapping[str, TrackingResult]
 
     def results(self) -> dict[str, Any]:
-        """Plain numbers, units in the names."""
+        """Return the numbers of all figures as plain data, with units in the names."""
         table = RodPolynomialParameters()
         fit, error = self.fit, rod_error_mm(self.fig9)
         peak_rpm, saturation_hz = speed_demand()
@@ -158,7 +158,7 @@ async def _call(task: partial[Any]) -> Any:
 
 
 def _cost(task: partial[Any]) -> float:
-    """Steps of the solver, roughly."""
+    """Return the approximate number of solver steps of a run, to balance the workers."""
     simulation = task.args[0].simulation
     return simulation.duration_s / simulation.step_s
 
@@ -173,9 +173,10 @@ def reproduce_study(
 ) -> ReproduceResult:
     """Run every case of the paper's figures.
 
-    ``scenario`` is that of Fig. 13; the other cases (`kneexo.studies.paper`) take its engine.
-    ``workers`` (see `kneexo.sweeps.SweepOptions`) share the work of Drake's Simulator; compiled
-    equations take a second without them. An ``executor`` gets everything.
+    ``scenario`` is that of Fig. 13. The other cases are those of `kneexo.studies.paper`, run by the
+    engine of ``scenario``. With Drake's Simulator, ``workers`` processes share the runs (see
+    `kneexo.sweeps.SweepOptions`); the compiled engine needs a second and ignores ``workers``. With
+    either engine an ``executor``, if present, gets all runs.
     """
     engine: Literal["compiled", "drake"] = "compiled" if scenario.simulation.compiled else "drake"
     tasks = {
@@ -219,9 +220,10 @@ def rod_error_mm(run: Run) -> Array:
 
 
 def speed_demand() -> tuple[float, float]:
-    """Return the peak motor speed in rpm of the paper's reference, and a frequency in Hz.
+    """Return the peak motor speed in rpm that the paper's reference requires, and a frequency.
 
-    Both follow from Eq. 10. At this frequency the peak reaches the motor's speed limit.
+    At this frequency in Hz of the reference, the peak reaches the motor's speed limit. Eq. 10
+    relates knee and rod.
     """
     scenario = changed(Scenario(), {"plant.rod_map": "polynomial"})
     reached_hz = speed_limit_reached_hz(scenario)
@@ -244,4 +246,4 @@ FIG_12_TITLES = {
     "pid": "PID as in the paper (P, 5 1/s)",
     "pid_tuned": "PID, tuned",
 }
-"""Title of each run of Fig. 12."""
+"""Titles of the runs of `FIG_12` that the figure shows."""
