@@ -1,10 +1,11 @@
 """Compare what two trees compute: every command's JSON, number by number.
 
-    python benchmarks/same_results.py OLD NEW [--only NAME ...]
+    python benchmarks/same_results.py OLD NEW [--only NAME ...] [--renamed OLD=NEW ...]
 
 ``OLD`` and ``NEW`` are checkouts of kneexo. Each command runs with small settings in both; its
 ``--json`` (or its JSON file) is compared with equal keys, texts and bits of numbers. Prints each
-difference; exit code 1 if there is any. ``kneexo`` (the version) is left out.
+difference; exit code 1 if there is any. ``kneexo`` (the version) is left out. ``--renamed``
+replaces words in the keys of the old tree's results first.
 """
 
 from __future__ import annotations
@@ -73,6 +74,16 @@ def result(tree: Path, command: list[str], folder: Path) -> Any:
     return json.loads(done.stdout)
 
 
+def with_renamed_keys(value: Any, names: dict[str, str]) -> Any:
+    """Return a JSON value whose dictionaries have other keys where ``names`` has their words."""
+    if isinstance(value, list):
+        return [with_renamed_keys(item, names) for item in value]
+    if not isinstance(value, dict):
+        return value
+    words = {key: "_".join(names.get(word, word) for word in key.split("_")) for key in value}
+    return {words[key]: with_renamed_keys(item, names) for key, item in value.items()}
+
+
 def differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
     """Yield path and both values for each difference of two JSON values."""
     if isinstance(old, dict) and isinstance(new, dict):
@@ -103,7 +114,9 @@ def main() -> int:
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)
     parser.add_argument("--only", nargs="*", choices=COMMANDS, default=list(COMMANDS))
+    parser.add_argument("--renamed", nargs="*", default=[], metavar="OLD=NEW")
     options = parser.parse_args()
+    names = dict(pair.split("=") for pair in options.renamed)
     count = 0
     for name in options.only:
         with tempfile.TemporaryDirectory() as folder:
@@ -113,6 +126,7 @@ def main() -> int:
                 place.mkdir()
                 tree = getattr(options, label).resolve()
                 values.append(result(tree, COMMANDS[name], place))
+        values[0] = with_renamed_keys(values[0], names)
         changes = list(differences(*values))
         print(f"{name}: {numbers(values[0])} numbers, {len(changes)} differences", flush=True)
         for line in changes[:50]:
