@@ -71,4 +71,4 @@ if __name__ == "__main__":
     study = robustness_study(BACKSTEPPING, settings=few, workers=None)
     for name in ("max_error_deg", "disk_margin"):
         least_good = worst(study.samples, name)
-        print(f"worst of 20 plants: {name} = {least_good.figures[name]:.3g} at {least_good.values}")
+        print(f"worst of 20 plants: {name} = {least_good.metrics[name]:.3g} at {least_good.values}")
