@@ -7,11 +7,9 @@ and `kneexo.studies` compares many of them.
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz as large_signal_bandwidth_hz
 from kneexo.analysis.frequency_response import (
     FrequencyResponse as FrequencyResponse,
-    Trial as Trial,
     crossing as crossing,
     draw_trials as draw_trials,
     fundamental as fundamental,
-    nominal_trial as nominal_trial,
     sinestream as sinestream,
 )
 from kneexo.analysis.margins import Margins as Margins

@@ -7,7 +7,7 @@ cycles. `kneexo.analysis.sine_estimate` measures the response to one sine more a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -19,13 +19,18 @@ from pydantic import model_validator
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo.errors import ParameterError
-from kneexo.parameters import Scenario, SineReference
-from kneexo.parameters.paths import changed, value_at
+from kneexo.parameters import UNCERTAINTY, Scenario, SineReference, Uncertainty, UncertaintySet
+from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, ordered_limits, quantities, quantity
+from kneexo.parameters.uncertainty import draw
 from kneexo.result import Array, Result, axes_or_new, data_frame
 from kneexo.simulation import awaitable, needs_runs, simulate
 from kneexo.sweeps.parallel import parallel_map
 
+_LEAKAGE = "plant.pump.internal_leakage_m3_per_s_pa"
+_ACCELERATION = "plant.pump.acceleration_limit_rad_s2"
+_BULK_MODULUS = "plant.cylinder.bulk_modulus_pa"
+_MASS = "plant.cylinder.mass_kg"
 _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the paper does not describe"
 
 
@@ -50,17 +55,33 @@ class SinestreamSettings(Parameters):
     trials: int = quantity(5, "1", "Section 5: five times for each frequency", ge=1, le=10_000)
     seed: int = quantity(2020, "1", "assumption: any number", ge=0)
     internal_leakage_min_m3_per_s_pa: float = quantity(
-        2e-14, "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
+        UNCERTAINTY.values[_LEAKAGE].levels[0], "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
     )
     internal_leakage_max_m3_per_s_pa: float = quantity(
-        2e-12, "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
+        UNCERTAINTY.values[_LEAKAGE].levels[1], "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
     )
-    acceleration_limit_min_rad_s2: float = quantity(2e3, "rad/s²", _TRIALS, ge=1, le=1e7)
-    acceleration_limit_max_rad_s2: float = quantity(1e4, "rad/s²", _TRIALS, ge=1, le=1e7)
-    bulk_modulus_min_pa: float = quantity(0.2e9, "Pa", _TRIALS + "; entrained air", ge=1e6, le=1e11)
-    bulk_modulus_max_pa: float = quantity(17_200e5, "Pa", _TRIALS, ge=1e6, le=1e11)
-    mass_min_kg: float = quantity(1.4, "kg", "Table 2", ge=0.01, le=1000)
-    mass_max_kg: float = quantity(1.8, "kg", "Table 2", ge=0.01, le=1000)
+    acceleration_limit_min_rad_s2: float = quantity(
+        UNCERTAINTY.values[_ACCELERATION].levels[0], "rad/s²", _TRIALS, ge=1, le=1e7
+    )
+    acceleration_limit_max_rad_s2: float = quantity(
+        UNCERTAINTY.values[_ACCELERATION].levels[1], "rad/s²", _TRIALS, ge=1, le=1e7
+    )
+    bulk_modulus_min_pa: float = quantity(
+        UNCERTAINTY.values[_BULK_MODULUS].levels[0],
+        "Pa",
+        _TRIALS + "; entrained air",
+        ge=1e6,
+        le=1e11,
+    )
+    bulk_modulus_max_pa: float = quantity(
+        UNCERTAINTY.values[_BULK_MODULUS].levels[1], "Pa", _TRIALS, ge=1e6, le=1e11
+    )
+    mass_min_kg: float = quantity(
+        UNCERTAINTY.values[_MASS].levels[0], "kg", "Table 2", ge=0.01, le=1000
+    )
+    mass_max_kg: float = quantity(
+        UNCERTAINTY.values[_MASS].levels[1], "kg", "Table 2", ge=0.01, le=1000
+    )
 
     _ordered = ordered_limits()
 
@@ -77,63 +98,38 @@ MINUS_3_DB = 1.0 / math.sqrt(2.0)
 _TICKS_HZ = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
-_TRIAL_PATHS = {
-    "internal_leakage_m3_per_s_pa": "plant.pump.internal_leakage_m3_per_s_pa",
-    "acceleration_limit_rad_s2": "plant.pump.acceleration_limit_rad_s2",
-    "bulk_modulus_pa": "plant.cylinder.bulk_modulus_pa",
-    "mass_kg": "plant.cylinder.mass_kg",
-    "encoder_phase_rad": "encoder.phase_rad",
-}
-"""Dotted path in a scenario of each field of `Trial`."""
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Values of plant and encoder in one repetition of the experiment, in SI units."""
-
-    internal_leakage_m3_per_s_pa: float
-    acceleration_limit_rad_s2: float
-    bulk_modulus_pa: float
-    mass_kg: float
-    encoder_phase_rad: float
-
-    def applied(self, scenario: Scenario) -> Scenario:
-        """Return the scenario with these values; the controller's nominal plant does not change."""
-        values = {path: getattr(self, name) for name, path in _TRIAL_PATHS.items()}
-        return changed(scenario, {"nominal": scenario.believed_plant} | values)
-
-
-def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> tuple[Trial, ...]:
-    """Draw the trials from the ranges of ``settings`` with its seed.
+def trial_uncertainty(scenario: Scenario, settings: SinestreamSettings) -> UncertaintySet:
+    """Return the values that differ between trials, with the ranges of ``settings``.
 
     Mass and encoder phase have uniform distributions. Leakage, acceleration limit and bulk modulus
-    have log-uniform ones, because only their orders of magnitude are known.
+    have log-uniform ones, because only their orders of magnitude are known. The encoder phase
+    ranges over one count.
     """
-    random = np.random.default_rng(settings.seed)
+    ranges: dict[str, tuple[float, float]] = {
+        _LEAKAGE: (
+            settings.internal_leakage_min_m3_per_s_pa,
+            settings.internal_leakage_max_m3_per_s_pa,
+        ),
+        _ACCELERATION: (
+            settings.acceleration_limit_min_rad_s2,
+            settings.acceleration_limit_max_rad_s2,
+        ),
+        _BULK_MODULUS: (settings.bulk_modulus_min_pa, settings.bulk_modulus_max_pa),
+        _MASS: (settings.mass_min_kg, settings.mass_max_kg),
+    }
+    values = {
+        path: Uncertainty(low=low, high=high, scale=UNCERTAINTY.values[path].scale)
+        if low < high
+        else Uncertainty(options=(low,))
+        for path, (low, high) in ranges.items()
+    }
+    phase = Uncertainty(low=0.0, high=scenario.encoder.resolution_rad)
+    return UncertaintySet(values=values | {"encoder.phase_rad": phase})
 
-    def log_uniform(low: float, high: float) -> float:
-        return math.exp(random.uniform(math.log(low), math.log(high)))
 
-    return tuple(
-        Trial(
-            internal_leakage_m3_per_s_pa=log_uniform(
-                settings.internal_leakage_min_m3_per_s_pa,
-                settings.internal_leakage_max_m3_per_s_pa,
-            ),
-            acceleration_limit_rad_s2=log_uniform(
-                settings.acceleration_limit_min_rad_s2, settings.acceleration_limit_max_rad_s2
-            ),
-            bulk_modulus_pa=log_uniform(settings.bulk_modulus_min_pa, settings.bulk_modulus_max_pa),
-            mass_kg=random.uniform(settings.mass_min_kg, settings.mass_max_kg),
-            encoder_phase_rad=random.uniform(0.0, scenario.encoder.resolution_rad),
-        )
-        for _ in range(settings.trials)
-    )
-
-
-def nominal_trial(scenario: Scenario) -> Trial:
-    """Return the trial whose values are those of the scenario, without a random draw."""
-    return Trial(**{name: value_at(scenario, path) for name, path in _TRIAL_PATHS.items()})
+def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> list[dict[str, Any]]:
+    """Draw the trials from `trial_uncertainty` with the seed of ``settings``, as values by path."""
+    return draw(trial_uncertainty(scenario, settings), settings.trials, settings.seed)
 
 
 @dataclass(frozen=True, repr=False)
@@ -150,7 +146,7 @@ class FrequencyResponse(Result):
     response: Any
     bandwidth_hz: float
     phase_at_bandwidth_deg: float
-    trials: tuple[Trial, ...]
+    trials: tuple[Mapping[str, Any], ...]
     scenario: Scenario
     settings: SinestreamSettings
 
@@ -308,7 +304,7 @@ def sinestream(
     scenario: Scenario = Scenario(),
     settings: SinestreamSettings = SinestreamSettings(),
     *,
-    trials: Sequence[Trial] | None = None,
+    trials: Sequence[Mapping[str, Any]] | None = None,
     workers: int | None = 1,
     executor: Executor | None = None,
     progress: bool = False,
@@ -325,7 +321,8 @@ def sinestream(
     settings
         Frequencies, numbers of cycles, and the ranges from which trials are drawn.
     trials
-        The trials; None: `draw_trials` draws them from the ranges of ``settings``.
+        Values of each trial by their paths in the scenario; ``{}`` is the scenario itself. None:
+        drawn by `draw_trials`.
     workers, executor, progress
         Processes and progress bar, as in `parallel_map`.
 
@@ -338,12 +335,13 @@ def sinestream(
         A run fails.
     """
     require_sine(scenario)
-    drawn = draw_trials(scenario, settings) if trials is None else tuple(trials)
+    drawn = tuple(draw_trials(scenario, settings) if trials is None else trials)
     if not drawn:
         raise ParameterError("trials: there are none; a sinestream needs at least one")
     frequencies = sorted(settings.frequencies_hz)
     require_sampled(frequencies[-1], scenario)
-    cases = [trial.applied(scenario) for trial in drawn]
+    nominal = {"nominal": scenario.believed_plant}  # the controller does not know the trial
+    cases = [changed(scenario, nominal | dict(values)) for values in drawn]
     values = parallel_map(
         partial(_measure, settings),
         [(frequency, case) for case in cases for frequency in frequencies],

@@ -10,7 +10,6 @@ from kneexo.analysis import (
     draw_trials,
     frequency_response,
     fundamental,
-    nominal_trial,
     sinestream,
 )
 from kneexo.analysis.frequency_response import (
@@ -76,47 +75,59 @@ def test_trials_are_seeded_and_within_their_ranges():
     trials = draw_trials(Scenario(), settings)
     assert trials == draw_trials(Scenario(), settings)
     assert trials != draw_trials(Scenario(), SinestreamSettings(trials=40, seed=7))
-    masses = [trial.mass_kg for trial in trials]
+    masses = [values["plant.cylinder.mass_kg"] for values in trials]
     assert 1.4 <= min(masses) < 1.5 < 1.7 < max(masses) <= 1.8
-    limits = [trial.acceleration_limit_rad_s2 for trial in trials]
+    limits = [values["plant.pump.acceleration_limit_rad_s2"] for values in trials]
     assert min(limits) >= settings.acceleration_limit_min_rad_s2
     assert max(limits) <= settings.acceleration_limit_max_rad_s2
     assert np.median(limits) < 6e3  # log-uniform: half of them below the geometric mean
     count = 2 * math.pi / 4096
-    assert all(0.0 <= trial.encoder_phase_rad <= count for trial in trials)
+    assert all(0.0 <= values["encoder.phase_rad"] <= count for values in trials)
 
 
 def test_trials_are_drawn_in_a_fixed_order():
     """Each range in turn, log-uniform where only the order of magnitude is known."""
     random = np.random.default_rng(2020)
-    for trial in draw_trials(Scenario(), SinestreamSettings(trials=3)):
+    for values in draw_trials(Scenario(), SinestreamSettings(trials=3)):
         leakage, limit, modulus, mass, phase = random.random(5)
-        assert vars(trial) == pytest.approx(
+        assert values == pytest.approx(
             {
-                "internal_leakage_m3_per_s_pa": 2e-14 * 100.0**leakage,
-                "acceleration_limit_rad_s2": 2e3 * 5.0**limit,
-                "bulk_modulus_pa": 0.2e9 * 8.6**modulus,
-                "mass_kg": 1.4 + 0.4 * mass,
-                "encoder_phase_rad": 2.0 * math.pi / 4096.0 * phase,
+                "plant.pump.internal_leakage_m3_per_s_pa": 2e-14 * 100.0**leakage,
+                "plant.pump.acceleration_limit_rad_s2": 2e3 * 5.0**limit,
+                "plant.cylinder.bulk_modulus_pa": 0.2e9 * 8.6**modulus,
+                "plant.cylinder.mass_kg": 1.4 + 0.4 * mass,
+                "encoder.phase_rad": 2.0 * math.pi / 4096.0 * phase,
             },
             rel=1e-9,
             abs=0.0,
         )
 
 
-def test_a_trial_changes_the_plant_and_not_what_the_controller_believes():
-    scenario = Scenario()
-    trial = draw_trials(scenario, SinestreamSettings())[0]
-    applied = trial.applied(scenario)
-    assert applied.plant.pump.internal_leakage_m3_per_s_pa == trial.internal_leakage_m3_per_s_pa
-    assert applied.plant.pump.acceleration_limit_rad_s2 == trial.acceleration_limit_rad_s2
-    assert applied.plant.cylinder.bulk_modulus_pa == trial.bulk_modulus_pa
-    assert applied.plant.cylinder.mass_kg == trial.mass_kg
-    assert applied.encoder.phase_rad == trial.encoder_phase_rad
-    assert applied.believed_plant == scenario.plant
-    wrong = changed(scenario, {"nominal": {"ideal_motor": True}})
-    assert trial.applied(wrong).believed_plant == wrong.nominal
-    assert nominal_trial(scenario).applied(scenario).plant == scenario.plant
+def test_a_range_of_one_value_gives_that_value():
+    settings = SinestreamSettings(trials=3, mass_min_kg=1.6, mass_max_kg=1.6)
+    masses = [v["plant.cylinder.mass_kg"] for v in draw_trials(Scenario(), settings)]
+    assert masses == [1.6, 1.6, 1.6]
+
+
+def test_a_trial_changes_the_plant_and_not_what_the_controller_believes(monkeypatch):
+    simulated = []
+
+    def measure(_settings, case):
+        simulated.append(case[1])
+        return 1.0 + 0.0j
+
+    monkeypatch.setattr("kneexo.analysis.frequency_response._measure", measure)
+    settings = SinestreamSettings(trials=1, frequencies_hz=(0.1, 0.2, 0.3))
+    for scenario in (Scenario(), changed(Scenario(), {"nominal": {"ideal_motor": True}})):
+        simulated.clear()
+        (values,) = sinestream(scenario, settings).trials
+        assert len(simulated) == 3
+        assert simulated[0].plant == changed(scenario, values).plant != scenario.plant
+        assert simulated[0].encoder.phase_rad == values["encoder.phase_rad"]
+        assert simulated[0].believed_plant == scenario.believed_plant
+        simulated.clear()
+        sinestream(scenario, settings, trials=[{}])
+        assert simulated[0].plant == scenario.plant
 
 
 def test_the_default_frequencies_hold_those_of_the_paper():

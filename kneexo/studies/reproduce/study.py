@@ -17,7 +17,6 @@ from kneexo.analysis import (
     Run,
     TrackingResult,
     fit_polynomials,
-    nominal_trial,
     simulate,
     sinestream,
     track,
@@ -105,7 +104,7 @@ class ReproduceResult(Result):
                 "phase_at_bandwidth_deg": response.phase_at_bandwidth_deg,
                 "gain_spread": np.ptp(np.abs(response.response), axis=0),
                 "trials": [
-                    asdict(trial) | {"gain": np.abs(values)}
+                    {"values": trial, "gain": np.abs(values)}
                     for trial, values in zip(response.trials, response.response, strict=True)
                 ],
             },
@@ -194,7 +193,7 @@ def reproduce_study(
         scaling = {}
         for name, (case, narrow) in FIG_13_SCALING.items():
             scaled = case.with_engine(engine)
-            scaling[name] = measure(scaled, narrow, trials=[nominal_trial(scaled)])
+            scaling[name] = measure(scaled, narrow, trials=[{}])
     by_task = dict(zip(tasks, values, strict=True))
 
     def group(key: str) -> dict[str, Any]:
