@@ -7,10 +7,10 @@ The equations are written once, in the leaf systems. They pass through these fol
 - ``native/`` makes machine code of the graph, keeps the code on disk and runs it;
 - ``c/`` and ``fmu/`` print the graph as C99 and pack it as an FMU.
 
-The names below are the whole interface. They are imported at their first use, because the command
-line uses some of them and must not load NumPy or Drake for these.
+The names below are the whole interface. Each is imported at its first use, because the command line
+uses some names and must not load NumPy or Drake for these.
 
-A leaf system may state three public attributes for the compiler: ``margin``, ``check`` and
+A leaf system can have three public attributes for the compiler: ``margin``, ``check`` and
 ``parameter_names``; see `kneexo.compiler.equations.reader`.
 """
 
@@ -100,7 +100,7 @@ else:
     __all__ = sorted(_MODULE_OF)
 
     def __getattr__(name: str) -> Any:
-        """Import a public name at its first use."""
+        """Import a name of the interface at its first use, and return its value."""
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

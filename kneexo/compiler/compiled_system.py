@@ -17,20 +17,20 @@ from .run_data import Array, InputTable, State
 
 
 class CompiledSystem(LeafSystem):
-    """A compiled model that advances by one tick in each discrete update.
+    """A leaf system that contains a compiled model and advances it by one tick in each update.
 
-    Ports: the open inputs of the model, held over a tick, and its outputs, with the names that they
-    have in the model. Numeric parameters: ``model.parameter_names``. Discrete state: first the
+    Ports: the open inputs of the model, held over a tick, and its outputs, with the same names as
+    in the model. Numeric parameters: ``model.parameter_names``. Discrete state: first the
     continuous states of the model, then its discrete ones. The tick is the longest one that divides
     all sample times of the model.
 
     As in every discrete system the state changes right after an update. So outputs and logs at a
     tick are those of the compiled diagram, and between two ticks they are those of the next tick.
-    An input that another discrete system drives arrives one tick later, because an update sees the
-    values before it. Compile that system too to avoid this.
+    An input from another discrete system arrives one tick later, because an update sees the values
+    before all updates. Compile that system too to avoid this delay.
 
     Step and Jacobians of the integrator are a cache entry of the Context, not part of its state. So
-    a run that starts from the state of another run agrees with it only within the tolerance.
+    a run that starts from the state of another run agrees with that run only within the tolerance.
     """
 
     def __init__(
@@ -51,12 +51,12 @@ class CompiledSystem(LeafSystem):
         model
             A `CompiledModel`.
         parameters, state
-            Defaults of the Context. ``state`` is the one before the initialization events; this
-            system has these events too.
+            Default values of the Context. ``state`` is the state before the initialization events,
+            which this system has too.
         integrator, step_s, tolerance
             As in `CompiledModel.simulate`; an update raises the errors of that method.
         tick_s
-            Time in s that the tick must divide. A model without sample time requires it.
+            Time in s that the tick must divide; required for a model without sample time.
 
         Raises `ValueError` for a wrong ``tick_s`` and for a missing one.
         """
@@ -109,7 +109,7 @@ class CompiledSystem(LeafSystem):
         value.set_value(_Running(self, parameters))
 
     def _state(self, context: Any) -> Array:
-        """Return a copy of the system's state: continuous, then discrete states of the model."""
+        """Return a copy of this system's state: continuous, then discrete states of the model."""
         values: Array = context.get_discrete_state(0).CopyToVector()
         return values
 
@@ -148,7 +148,7 @@ class CompiledSystem(LeafSystem):
 
 
 class _Running:
-    """A runner with the parameters of a Context, and memory for states and outputs."""
+    """A `Runner` with the parameters of a Context, and memory for states and outputs."""
 
     def __init__(self, system: CompiledSystem, parameters: Array) -> None:
         self._system, self._parameters = system, parameters
@@ -161,16 +161,19 @@ class _Running:
         self._runner.bind(self._x, self._d, self._last, self._outputs)
 
     def __deepcopy__(self, memo: Any) -> _Running:
-        """Return a new one with empty memory; Drake copies cache entries with their Context."""
+        """Return a new object with empty memory; Drake copies cache entries with their Context."""
         return _Running(self._system, self._parameters)
 
     def advanced(self, state: Array, tick: int, inputs: InputTable) -> Array:
-        """Return the state one tick after ``tick``; raises as `CompiledModel.simulate`."""
+        """Return the state one tick after ``tick``, from the state at ``tick``.
+
+        Raises the errors of `CompiledModel.simulate`.
+        """
         self._run(state, tick, tick + 1, 0, inputs)
         return np.concatenate((self._x[:, 0], self._d[:, 0]))
 
     def outputs(self, state: Array, tick: int, inputs: InputTable) -> Array:
-        """Return the elements of all outputs at ``tick``."""
+        """Return the elements of all outputs at ``tick``, (elements,), for this state."""
         self._run(state, tick, tick, 1, inputs)
         return self._outputs[0, :, 0].copy()
 

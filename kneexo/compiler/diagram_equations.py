@@ -1,4 +1,4 @@
-"""A diagram, its equations, and its Contexts as vectors; nothing is compiled here."""
+"""The equations of a diagram, and the values of its Contexts as vectors; nothing is compiled."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .run_data import Array, State
 
 
 class DiagramEquations:
-    """The equations of a diagram of floats, its names, and the values of its Contexts."""
+    """A diagram of floats, its equations, and the names of its parameters and states."""
 
     def __init__(self, diagram: Any, equations: Equations) -> None:
         self.diagram, self.equations = diagram, equations
@@ -31,25 +31,25 @@ class DiagramEquations:
 
     @cached_property
     def key(self) -> str:
-        """Text that is equal for equal equations alone."""
+        """Text that identifies the equations: see `equations_key`."""
         return equations_key(self.equations)
 
     def parameters(self, context: Any | None = None) -> Array:
-        """Return the parameter vector of a root Context, by default of the default Context."""
+        """Return the parameters in a Context of the diagram, by default in the default Context."""
         context = self.diagram.CreateDefaultContext() if context is None else context
         return parameters_of(self.root, context)
 
     def state(self, context: Any | None = None) -> State:
-        """Return the state of a root Context before its initialization events.
+        """Return the states in a Context of the diagram, by default in the default Context.
 
-        By default the Context is the default one.
+        Initialization events are not applied: see `ModelBase.initialized`.
         """
         context = self.diagram.CreateDefaultContext() if context is None else context
         return state_of(self.root, context)
 
 
 def read_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramEquations:
-    """Return the equations of a diagram of floats; arguments and errors as `compile_diagram`."""
+    """Return the equations of a diagram of floats; arguments and errors: see `compile_diagram`."""
     if not isinstance(diagram, System):
         raise CompilationError(
             f"{type(diagram).__name__} {diagram!r:.60}: cannot be compiled; must be a Diagram or "
@@ -75,7 +75,7 @@ def read_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramEquation
 
 
 def equations_key(equations: Equations) -> str:
-    """Return a text that is equal for equal equations alone."""
+    """Return a text (SHA-256) that is equal only for equal equations and the same Drake version."""
     named = [(field.name, getattr(equations, field.name)) for field in fields(equations)]
     content = [value.nodes if name == "graph" else value for name, value in named]
     return hashlib.sha256(repr((version("drake"), content)).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""The errors that the compiler raises for wrong input or a failed run; each message is one line."""
+"""The errors that the compiler raises for wrong input or a failed run; a message is one line."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ def escaped(text: str) -> str:
 
 
 def shortened(text: str, most: int = 120) -> str:
-    """Return the text; without its middle if it has more than ``most`` characters."""
+    """Return the text; if it has more than ``most`` characters, " … " replaces its middle."""
     if len(text) <= most:
         return text
     return f"{text[: most // 2]} … {text[-(most // 2) + 3 :]}"
 
 
 def shown(name: object) -> str:
-    """Return the name of a file or setting as one line of at most 300 characters for a message."""
+    """Return the name of a file or setting, for a message: one line of at most 300 characters."""
     return shortened(escaped(str(name)), 300)
 
 
 class Error(Exception):
-    """Base of every error that is raised on purpose; its message is escaped to one line."""
+    """Base of all errors that the compiler raises on purpose; a message is escaped to one line."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(escaped(message))
@@ -34,16 +34,16 @@ class ParameterError(Error, ValueError):
 
 
 class SimulationError(Error, RuntimeError):
-    """A simulation diverged or left its range: says the time and the signal."""
+    """A simulation diverged or left its range; the message tells the time and the signal."""
 
 
 class StiffnessError(SimulationError):
-    """The exact hold cannot follow: the derivatives jump too often."""
+    """The integrator exact_hold cannot hold its tolerance: the derivatives jump too often."""
 
 
 class OutputError(Error, OSError):
-    """A result cannot be written."""
+    """A result cannot be written, or a cache entry cannot be deleted."""
 
 
 class CompilationError(Error, TypeError):
-    """A diagram cannot be compiled: says which subsystem and port."""
+    """A diagram cannot be compiled; the message names the subsystem and the port."""

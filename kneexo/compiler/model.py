@@ -1,4 +1,4 @@
-"""Compiled models: a Drake diagram as machine code, run with plain arrays."""
+"""Compiled models: Drake diagrams as machine code, which runs with plain arrays."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ from .run_data import Array, InputTable, Integers, State
 
 @dataclass(frozen=True, repr=False)
 class Simulation:
-    """Recorded outputs of one run: ``time_s`` (n,), each output (n, size), and the last state."""
+    """The records of one run: times ``time_s`` (n,), each output (n, size), and the final state."""
 
     time_s: Array
     outputs: dict[str, Array]
     final: State
 
     def __getitem__(self, output: str) -> Array:
-        """Return the record of the output port of that name, (n, size)."""
+        """Return the records of the output port ``output``, (n, size)."""
         return self.outputs[output]
 
     def __repr__(self) -> str:
-        """Return the number of records, and the names of the outputs."""
+        """Return a text with the number of records and the names of the recorded outputs."""
         return f"Simulation({self.time_s.size} records of {', '.join(self.outputs) or 'nothing'})"
 
 
 @dataclass(frozen=True)
 class _Batch:
-    """Checked arguments of runs of one model, one element for each run."""
+    """Checked arguments of several runs of one model, with one element for each run."""
 
     parameters: Array
-    """Parameters (runs, parameters)."""
+    """Parameters of all runs, (runs, parameters)."""
     states: Sequence[State]
     ticks: Integers
     """Duration of each run in ticks."""
@@ -58,7 +58,7 @@ class _Batch:
 
 
 class CompiledModel(ModelBase):
-    """A diagram as machine code; made by `compile_diagram`.
+    """A diagram as machine code; `compile_diagram` makes it.
 
     Parameters, initial state and inputs are arguments of each run. So one compiled model serves
     every diagram with the same equations, whatever its numbers. Runs do not touch Drake and release
@@ -80,37 +80,37 @@ class CompiledModel(ModelBase):
         inputs: InputTable | None = None,
         **options: Any,
     ) -> Simulation:
-        """Run from t = 0 with all events exactly at their times.
+        """Run the model from t = 0; all events are exactly at their times. Return the records.
 
         Parameters
         ----------
         parameters
             One value for each of ``parameter_names``.
         state
-            At t = 0, after initialization: see `initialized`.
+            State at t = 0, after the initialization events: see `initialized`.
         duration_s
-            In s. The run ends with the last whole tick before, or after the last of
-            ``record_times_s`` if that is later.
+            Duration in s. The run ends with the last tick up to this time. If the last of
+            ``record_times_s`` is later than this tick, the run ends with the tick after it.
         outputs
             Output ports to record; all by default.
         record_period_s
             Time between two records in s, by default the shortest sample time. As in Drake's
             `VectorLogSink`, a record at t sees the state before the updates at t.
         record_times_s
-            Ascending times in s of the records, in place of ``record_period_s``. A record between
-            two ticks comes by RK4 with steps of 20 µs from the tick before; the run itself does
+            Ascending times of the records in s, in place of a record period. For a record between
+            two ticks RK4 integrates with steps of 20 µs from the tick before; the run itself does
             not change.
         integrator
-            ``exact_hold``: exponential, with error control by ``tolerance``. ``rk4`` and
-            ``runge_kutta3`` (as Drake's): steps of at most ``step_s``.
+            ``exact_hold``: exponential integrator, with error control by ``tolerance``. ``rk4`` and
+            ``runge_kutta3`` (as Drake's): Runge-Kutta integrators with steps of at most ``step_s``.
         inputs
-            Open inputs over time; zero by default.
+            Open inputs as functions of time; zero by default.
 
         Raises
         ------
         SimulationError
-            A state or a recorded output is not finite, or a system left its limits;
-            `StiffnessError` where the exact hold cannot follow.
+            A state or a recorded output is not finite, or a system left its limits. The error is a
+            `StiffnessError` if the exact hold cannot hold its tolerance.
         ParameterError
             A parameter is not finite.
         """
@@ -146,7 +146,9 @@ class CompiledModel(ModelBase):
         record_period_s: float | None = None,
         **options: Any,
     ) -> list[Any]:
-        """Run once for each row of ``parameters`` (n, parameters); return the runs in their order.
+        """Run once for each row of ``parameters`` (n, parameters); return a list of all results.
+
+        A result is a `Simulation`, or what ``reduce`` and ``failures`` put in its place.
 
         Several runs share a call of the machine code, one in each lane, and several threads share
         the runs. Each lane has its own steps, so a run has the same bits as alone.
@@ -154,13 +156,13 @@ class CompiledModel(ModelBase):
         Parameters
         ----------
         states, duration_s, inputs
-            As in `simulate`; one for each run, or one for all.
+            As in `simulate`: one value for each run, or a single value for all runs.
         reduce
-            Called with each `Simulation` right after its run. Its result takes the place of the
-            simulation, so that the memory of the records is free again.
+            Function that is called with each `Simulation` right after its run. Its result replaces
+            the simulation in the list, so that the memory of the records is free again.
         failures
-            ``raise``: raise the first error of a run when all have ended. ``return``: put the error
-            in the place of its run.
+            ``raise``: when all runs have ended, raise the error of the first failed run.
+            ``return``: put the error of a failed run in the list.
         threads
             Number of threads; by default the number of cores that this process may use.
         outputs, record_period_s, options
@@ -169,7 +171,7 @@ class CompiledModel(ModelBase):
         Raises
         ------
         ValueError
-            An argument is wrong, or has another length than ``parameters``.
+            An argument is wrong, or its length is not the number of runs.
         SimulationError, ParameterError
             As `simulate`.
         """
@@ -224,7 +226,10 @@ class CompiledModel(ModelBase):
         durations: Sequence[float] | Array,
         inputs: Sequence[InputTable | None],
     ) -> _Batch:
-        """Return checked arguments; raise `ValueError` or `ParameterError` for a wrong one."""
+        """Return the arguments of all runs, checked and with durations in ticks.
+
+        Raises `ValueError` or `ParameterError` for a wrong argument.
+        """
         rows = self.checked_parameters(parameters)
         tables = [table or self.no_inputs for table in inputs]
         checked: set[tuple[int, int]] = set()
@@ -246,9 +251,10 @@ class CompiledModel(ModelBase):
         indices: list[int],
         cancelled: Callable[[], bool] = lambda: False,
     ) -> list[Simulation | SimulationError]:
-        """Make the runs of a batch with the numbers ``indices``, one in each lane.
+        """Make the runs of a batch that have the numbers ``indices``, one run in each lane.
 
-        Lanes without a run repeat the last one. Returns a run or its error for each index.
+        If there are fewer runs than lanes, the other lanes repeat the last run. Returns for each
+        index the records of the run, or its error. ``cancelled``: see `Runner.run`.
         """
         lanes = [*indices, *indices[-1:] * (runner.lanes - len(indices))]
         x = _columns([batch.states[i].continuous for i in lanes])
@@ -276,7 +282,7 @@ class CompiledModel(ModelBase):
         return runs
 
     def _simulation(self, runner: Runner, times: Array, record: Array, final: State) -> Simulation:
-        """Return the run with ``record`` (columns, rows) at ``times`` (rows,)."""
+        """Return a run from its ``record`` (columns, rows) at ``times`` (rows,) in s."""
         outputs, first = {}, 0
         for name in runner.names:
             size = self.outputs[name]
@@ -287,7 +293,10 @@ class CompiledModel(ModelBase):
     def _run_with_records(
         self, runner: Runner, batch: _Batch, times: Array
     ) -> Simulation | SimulationError:
-        """Make the only run of a batch, recorded at ``times`` (n,) in s; return it or its error."""
+        """Make the only run of a batch, with records at ``times`` (n,) in s.
+
+        Returns the records, or the error of the run.
+        """
         x, d = (_columns([v]) for v in (batch.states[0].continuous, batch.states[0].discrete))
         tick = runner.timing.tick
         # A record comes from the last tick before its time: it sees the state before the updates.
@@ -319,7 +328,7 @@ class CompiledModel(ModelBase):
         return CompiledSystem(self, parameters, state, tick_s=tick_s, **options)
 
     def __repr__(self) -> str:
-        """Return sizes, and the names of inputs and outputs."""
+        """Return a text with the numbers of parameters and states, and the names of the ports."""
         return (
             f"{type(self).__name__}({len(self.parameter_names)} parameters, "
             f"{len(self.state_names)} continuous and {len(self.discrete_names)} discrete states, "
@@ -329,10 +338,10 @@ class CompiledModel(ModelBase):
 
 
 def _outcome(status: Integers, last: int, final: State) -> list[int]:
-    """Return status, tick and index of the limit.
+    """Return the outcome of a run: status, tick of its end, index of the limit that was passed.
 
-    Machine code checks discrete states only where an output or a derivative uses them. So a
-    discrete state that is not finite at the end of the run ends it as `NOT_FINITE`.
+    Machine code checks discrete states only where an output or a derivative uses them. So this
+    function turns the status `OK` into `NOT_FINITE` if a final discrete state is not finite.
     """
     outcome: list[int] = status.tolist()
     if outcome[0] == OK and not np.isfinite(final.discrete).all():
@@ -351,9 +360,9 @@ def _in_threads(
     threads: int | None,
     cancelled: Event,
 ) -> Iterator[Any]:
-    """Yield ``function(item)`` for each item, in their order, computed in threads.
+    """Call ``function(item)`` for each item in several threads; yield the results in order.
 
-    An exception during the wait, Ctrl-C too, sets ``cancelled`` and drops the items that wait.
+    An exception, also that of Ctrl-C, sets ``cancelled`` and drops the items that have not begun.
     """
     count = available_cores() if threads is None else threads
     if count == 1 or len(items) == 1:
@@ -372,26 +381,26 @@ class DiagramModel(CompiledModel):
     """A compiled model together with its diagram of floats."""
 
     def __init__(self, read: DiagramEquations) -> None:
-        """``read``: of `read_diagram`."""
+        """``read``: the result of `read_diagram`."""
         self.read = read
         self.diagram = read.diagram
         code = MachineCode(read.key, read.equations)
         super().__init__(code, partial(_context_at, lambda: read.diagram))
 
     def parameters(self, context: Any | None = None) -> Array:
-        """Return the parameter vector of a root Context, by default of the default Context."""
+        """Return the parameters in a Context of the diagram, by default in the default Context."""
         return self.read.parameters(context)
 
     def state(self, context: Any | None = None) -> State:
-        """Return the state of a root Context before its initialization events.
+        """Return the states in a Context of the diagram, by default in the default Context.
 
-        By default the Context is the default one.
+        Initialization events are not applied: see `initialized`.
         """
         return self.read.state(context)
 
 
 def _context_at(make_diagram: Callable[[], Any], parameters: Array) -> tuple[Node, Any]:
-    """Return the tree of a diagram, and its default Context with other parameters."""
+    """Return the tree of a diagram, and the diagram's default Context with these parameters."""
     root = Node(make_diagram())
     context = root.system.CreateDefaultContext()
     set_parameters(root, context, parameters)
@@ -399,9 +408,9 @@ def _context_at(make_diagram: Callable[[], Any], parameters: Array) -> tuple[Nod
 
 
 def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel:
-    """Compile a diagram of floats that converts to symbolic Expression.
+    """Compile a diagram of floats; each of its leaves must convert to Drake's Expression.
 
-    Machine code is made when it is first used, and kept on disk in `cache_directory`.
+    Machine code is made at its first use, and kept on disk in `cache_directory`.
 
     Parameters
     ----------
@@ -409,13 +418,14 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
         A Diagram or leaf system with continuous states, discrete states with periodic updates, or
         both. Its sample times must have a common divisor.
     inputs
-        Names of its input ports that stay open; the others count as unconnected.
+        Names of the diagram's input ports that stay open, which means that each run gives their
+        values. All other input ports of the diagram count as unconnected.
 
     Raises
     ------
     CompilationError
-        Names the subsystem and port that cannot be converted, or says that ``diagram`` is no system
-        of floats.
+        ``diagram`` is no system of floats, or a part of it cannot be converted. The message names
+        the subsystem and the port.
     """
     return DiagramModel(read_diagram(diagram, inputs=inputs))
 
@@ -423,20 +433,20 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
 def compile_by_key(
     key: str, make_diagram: Callable[[], Any], *, inputs: Sequence[str] = ()
 ) -> CompiledModel:
-    """Return the compiled model of a diagram that is built only when it is needed.
+    """Return the compiled model of a diagram without building the diagram yet.
 
-    The diagram is needed when the cache has no machine code for the key, and to explain a failed
+    The diagram is built only if the cache has no machine code for the key, and to explain a failed
     run.
 
     Parameters
     ----------
     key
-        Text that is equal for diagrams with equal equations alone. It must change when the code
-        that builds the diagram changes.
+        Text by which the cache finds the machine code. Diagrams with different equations must have
+        different texts, so the text must change when the code that builds the diagram changes.
     make_diagram
-        Returns the diagram of floats; must pickle if the model is to be pickled.
+        Function that returns the diagram of floats. It must pickle if the model is to be pickled.
     inputs
-        Names of the input ports that stay open.
+        Names of the input ports that stay open: see `compile_diagram`.
     """
     code = MachineCode(key, partial(_equations, make_diagram, tuple(inputs)))
     return CompiledModel(code, partial(_context_at, make_diagram))

@@ -1,4 +1,4 @@
-"""Names, checks, initialization and errors of a compiled model: all but its runs."""
+"""Names, argument checks, initialization and errors of a compiled model: all except its runs."""
 
 from __future__ import annotations
 
@@ -17,14 +17,17 @@ from .native.timing import Timing
 from .run_data import Array, InputTable, State
 
 ContextAt = Callable[[Array], tuple[Node, Any]]
-"""Returns the tree of a diagram of floats, and its Context with the given parameter vector."""
+"""Function of a parameter vector (parameters,) that makes a Context with these parameters.
+
+It returns the tree of the diagram of floats, and the Context of the tree's root.
+"""
 
 
 class ModelBase:
-    """A compiled model without its runs: `CompiledModel` and `CompiledSystem` need both it."""
+    """A compiled model without its runs; base of `CompiledModel`, and used by `CompiledSystem`."""
 
     def __init__(self, code: MachineCode, context_at: ContextAt | None = None) -> None:
-        """``context_at``: makes the Context in which a leaf explains a failed run."""
+        """``context_at``: makes the Context in which a leaf's ``check`` explains a failed run."""
         self.code = code
         self.layout = layout = code.layout
         self._context_at = context_at
@@ -32,13 +35,13 @@ class ModelBase:
         self.state_names: tuple[str, ...] = layout.states
         self.discrete_names: tuple[str, ...] = layout.discrete
         self.inputs: dict[str, int] = dict(layout.inputs)
-        """Size of each open input port."""
+        """Number of elements of each open input port, by the port's name."""
         self.no_inputs = InputTable(coefficients=np.zeros((1, max(layout.input_count, 1), 1)))
-        """Open inputs that are zero."""
+        """Input table with which all open inputs are zero."""
         self.feedthrough: frozenset[str] = frozenset(layout.feedthrough)
-        """Output ports whose value depends on an open input at the same time."""
+        """Names of the output ports whose value depends on an open input at the same time."""
         self.outputs: dict[str, int] = dict(layout.outputs)
-        """Size of each output port."""
+        """Number of elements of each output port, by the port's name."""
         self.sample_times_s: tuple[float, ...] = tuple(
             dict.fromkeys(period for period, _ in layout.periods)
         )
@@ -48,8 +51,9 @@ class ModelBase:
     ) -> State:
         """Return the state after the initialization events of ``Simulator.Initialize()``, at t = 0.
 
-        Raises `ValueError` for an array of another shape, `ParameterError` for a parameter that is
-        not finite.
+        ``state`` is the state before these events; ``inputs`` are zero by default. Raises
+        `ValueError` for an array of a wrong shape, `ParameterError` for a parameter that is not
+        finite.
         """
         c = self.constants(parameters)
         table = inputs or self.no_inputs
@@ -59,7 +63,7 @@ class ModelBase:
         return State(x, after)
 
     def constants(self, parameters: Array) -> Array:
-        """Return the values of the equations that depend on parameters alone.
+        """Return all values in the equations that depend on parameters alone, (constants,).
 
         Raises `ParameterError` for a parameter that is not finite.
         """
@@ -71,7 +75,7 @@ class ModelBase:
     def checked_parameters(self, parameters: Array) -> Array:
         """Return parameters (runs, parameters) as contiguous doubles for machine code.
 
-        Raises `ValueError` for another number of parameters, `ParameterError` for a parameter that
+        Raises `ValueError` for a wrong number of parameters, `ParameterError` for a parameter that
         is not finite.
         """
         rows = np.ascontiguousarray(parameters, dtype=float)
@@ -84,7 +88,10 @@ class ModelBase:
         return rows
 
     def _checked_state(self, state: State, inputs: InputTable) -> tuple[Array, Array]:
-        """Return copies of both arrays; raise `ValueError` for a state or table of other sizes."""
+        """Return copies of the continuous and discrete states.
+
+        Raises `ValueError` if the state or the input table has a wrong shape.
+        """
         x, d = (np.array(values, dtype=float) for values in (state.continuous, state.discrete))
         _require_shape("state.continuous", x, (len(self.state_names),))
         _require_shape("state.discrete", d, (len(self.discrete_names),))
@@ -101,9 +108,16 @@ class ModelBase:
         state: State,
         output: str = "",
     ) -> SimulationError:
-        """Return the error of a run that ended with ``outcome``: status, tick, index of the limit.
+        """Return the error that explains a failed run.
 
-        ``output``: name of the output that is not finite, if this ended the run.
+        Parameters
+        ----------
+        outcome
+            Status of the run, tick of its end, index of the limit that was passed.
+        timing, parameters, state
+            Time grid and parameters of the run, and the state at its end.
+        output
+            Name of the output that is not finite, if this ended the run.
         """
         status, tick, limit = outcome
         time = timing.times(tick)
@@ -132,13 +146,13 @@ class ModelBase:
 
 
 def not_finite(time_s: float, name: str) -> SimulationError:
-    """Return the error for a state or an output that is not finite."""
+    """Return the error for a state or an output of this name that is not finite at ``time_s``."""
     return SimulationError(
         f"t = {time_s:.6g} s: {name} is not finite; reduce the step or check the parameters"
     )
 
 
 def _require_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
-    """Raise `ValueError` for another shape, which machine code would not notice."""
+    """Raise `ValueError` if ``values`` has another shape, which machine code would not notice."""
     if values.shape != expected:
         raise ValueError(f"{name} has the shape {values.shape}: must be {expected}")

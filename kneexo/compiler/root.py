@@ -1,14 +1,15 @@
-"""The name of the installed package, which names files and environment variables of the compiler.
+"""The name of the installed package, from which the compiler's files and variables get names.
 
-A copy of this folder under another name has its own cache, its own variables and its own mark.
+So a copy of this folder in a package of another name has its own cache, its own environment
+variables and its own mark in written files.
 """
 
 from __future__ import annotations
 
 ROOT = __name__.partition(".")[0]
-"""First part of the name of this package."""
+"""Name of the top-level package that contains the compiler, such as ``kneexo``."""
 
 
 def variable(name: str) -> str:
-    """Return the name of an environment variable, such as ``KNEEXO_CPU`` for ``CPU``."""
+    """Return the full name of an environment variable, such as ``KNEEXO_CPU`` for ``CPU``."""
     return f"{ROOT.upper()}_{name}"

@@ -1,4 +1,4 @@
-"""Arrays that go into a run of a compiled model: states and open inputs."""
+"""The data that a run of a compiled model starts from: states and open inputs, as arrays."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class State:
 
 @dataclass(frozen=True)
 class InputTable:
-    """Open inputs as piecewise polynomials of time.
+    """Values of a model's open inputs: piecewise polynomials of time.
 
-    ``breaks`` (n,) are times in s and separate n + 1 segments: one before the first break, one
-    after the last. ``coefficients[segment, input, power]`` belong to powers of the time since the
-    last break before the segment, in the first segment since t = 0. Without arguments the table is
-    a single input that is zero.
+    ``breaks`` (n,) are times in s and separate n + 1 segments; the first segment is before the
+    first break, the last one after the last break. ``coefficients[segment, input, power]`` belong
+    to powers of the time since the break at which the segment begins, and in the first segment to
+    powers of t. Without arguments the table has a single input, which is zero.
     """
 
     breaks: Array = field(default_factory=lambda: np.empty(0))
@@ -46,10 +46,10 @@ class InputTable:
             raise ValueError("breaks: must ascend")
 
     def value(self, time_s: float) -> Array:
-        """Return the inputs at a time, (inputs,).
+        """Return the values of the inputs at a time, (inputs,).
 
-        Segments are closed on the left. The last of several breaks also belongs to the segment
-        before it.
+        Each break belongs to the segment that begins there. Only the last of several breaks belongs
+        to the segment before it.
         """
         segment = int(np.searchsorted(self.breaks, time_s, side="right"))
         if 1 < segment == self.breaks.size and time_s == self.breaks[-1]:

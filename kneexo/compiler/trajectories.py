@@ -1,4 +1,4 @@
-"""Input tables of Drake's trajectories."""
+"""Makes input tables from Drake's trajectories, and puts several tables together."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from .run_data import Array, InputTable
 def input_table(
     trajectory: Any, derivatives: int = 0, *, zero_derivatives_beyond_limits: bool = True
 ) -> InputTable:
-    """Return the output of ``TrajectorySource(trajectory, derivatives)`` as a table.
+    """Return the output of Drake's ``TrajectorySource(trajectory, derivatives)`` as input table.
 
     Parameters
     ----------
     trajectory
-        A PiecewisePolynomial with one column. Before its start the inputs have the value at the
-        start, after its end the value at the end.
+        A PiecewisePolynomial with one column. Before its start the inputs have the values at the
+        start, after its end those at the end.
     derivatives
-        Number of time derivatives that follow the value; the input has
-        ``rows · (1 + derivatives)`` elements.
+        Number of time derivatives that follow the value; the table has
+        ``rows · (1 + derivatives)`` inputs.
     zero_derivatives_beyond_limits
         Whether the derivatives are zero before the start and after the end. Else they have the
         values at start and end.
@@ -31,7 +31,7 @@ def input_table(
     Raises
     ------
     ValueError
-        Another kind of trajectory, several columns, or a negative number of derivatives.
+        The trajectory is of another kind or has several columns, or ``derivatives`` is negative.
     """
     if not isinstance(trajectory, PiecewisePolynomial):
         raise ValueError(
@@ -69,8 +69,8 @@ def input_table(
 def stack_tables(*tables: InputTable) -> InputTable:
     """Return one table with the inputs of several tables, in their order.
 
-    The result has the breaks of all tables. A polynomial is rewritten in powers of the time since
-    the last of all breaks before its segment.
+    The result has the breaks of all tables. Each polynomial is rewritten in powers of the time
+    since the break, of any table, at which its new segment begins.
     """
     breaks = np.unique(np.concatenate([_breaks(table) for table in tables]))
     inputs = sum(table.coefficients.shape[1] for table in tables)
@@ -90,9 +90,9 @@ def stack_tables(*tables: InputTable) -> InputTable:
 
 
 def _breaks(table: InputTable) -> Array:
-    """Return the breaks of a table.
+    """Return the breaks of a table in s, where a new segment begins at each break.
 
-    The last of several breaks is moved by one bit, because it belongs to the segment before it.
+    The last of several breaks belongs to the segment before it, so it is made later by one bit.
     """
     breaks = table.breaks.copy()
     if breaks.size > 1:

@@ -1,4 +1,4 @@
-"""Parameters and states of a diagram's Context as vectors, in the order of its `Equations`."""
+"""Reads and writes parameters and states of a Context as vectors, in the order of `Equations`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .tree import Node
 
 
 def parameters_of(root: Node, context: Any) -> Array:
-    """Return the parameter vector of the Context of a diagram of floats."""
+    """Return the parameters in the Context of a diagram of floats, (parameters,)."""
     values: list[float] = []
     for leaf in root.equation_leaves():
         leaf_context = leaf.context(context)
@@ -21,7 +21,7 @@ def parameters_of(root: Node, context: Any) -> Array:
 
 
 def set_parameters(root: Node, context: Any, parameters: Array) -> None:
-    """Write a parameter vector into the Context of a diagram of floats."""
+    """Write the parameters (parameters,) into the Context of a diagram of floats."""
     values = parameters.tolist()
     for leaf in root.equation_leaves():
         leaf_context = leaf.context(context)
@@ -32,7 +32,7 @@ def set_parameters(root: Node, context: Any, parameters: Array) -> None:
 
 
 def state_of(root: Node, context: Any) -> State:
-    """Return the state of the Context of a diagram of floats."""
+    """Return the continuous and discrete states in the Context of a diagram of floats."""
     continuous: list[float] = []
     discrete: list[float] = []
     for leaf in root.equation_leaves():
@@ -44,7 +44,7 @@ def state_of(root: Node, context: Any) -> State:
 
 
 def set_state(root: Node, context: Any, state: State) -> None:
-    """Write a state into the Context of a diagram of floats."""
+    """Write continuous and discrete states into the Context of a diagram of floats."""
     continuous, discrete = list(state.continuous), list(state.discrete)
     for leaf in root.equation_leaves():
         leaf_context = leaf.context(context)

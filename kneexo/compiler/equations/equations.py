@@ -1,4 +1,4 @@
-"""The equations of a diagram as data: nodes of one graph, and the names of what they belong to."""
+"""The equations of a diagram as data: nodes of one graph, with names of states, ports and so on."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ class Update:
     period_s: float
     offset_s: float
     values: tuple[tuple[int, int], ...]
-    """Pairs: index of a discrete state, and the node of its next value."""
+    """Pairs: index of a discrete state, and node of the value of this state after the update."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """The margin of a leaf; a run stops when the margin falls below zero."""
+    """A limit that a leaf states by its margin; a run stops when the margin falls below zero."""
 
     system: str
     """Path of the leaf."""
     margin: int
-    """Node of the margin."""
+    """Node of the margin, a scalar."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """The nodes that one leaf computes for one purpose; printers write them under a comment."""
+    """The nodes that one leaf computes for one purpose; C code has them under a comment."""
 
     where: str
-    """Path of the leaf and the purpose: an output port, derivatives, an update …"""
+    """Path of the leaf and the purpose of the nodes: an output port, derivatives, an update …"""
     equation: str
-    """Class of the leaf and the first line of its documentation."""
+    """Class of the leaf and the first line of its docstring, which states the equation."""
     nodes: tuple[int, ...]
 
 
@@ -44,20 +44,20 @@ class Equations:
 
     graph: Graph = field(default_factory=Graph)
     parameters: list[str] = field(default_factory=list)
-    """Names of the numeric parameters of all Contexts."""
+    """Names of the numeric parameters of all leaves."""
     states: list[str] = field(default_factory=list)
     """Names of the continuous states."""
     discrete: list[str] = field(default_factory=list)
     """Names of the discrete states."""
     inputs: dict[str, int] = field(default_factory=dict)
-    """Names of the input ports that stay open, with their sizes."""
+    """Sizes of the diagram's open input ports, which get their values in a run, by name."""
     derivatives: list[int] = field(default_factory=list)
     """Nodes of the time derivatives of the continuous states."""
     initial_discrete: list[int] = field(default_factory=list)
     """Nodes of the discrete states after ``Simulator.Initialize()``."""
     updates: list[Update] = field(default_factory=list)
     outputs: dict[str, list[int]] = field(default_factory=dict)
-    """Nodes of each output port by its name."""
+    """Nodes of the elements of each output port of the diagram, by the name of the port."""
     limits: list[Limit] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
-    """Sections in an order in which they can be computed."""
+    """All sections; each section comes after the sections whose nodes it depends on."""

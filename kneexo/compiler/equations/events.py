@@ -1,4 +1,4 @@
-"""The symbolic form of a leaf, and the refusal of leaves whose events do not compile."""
+"""Converts a leaf system to its symbolic form, and refuses leaves whose events do not compile."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from .tree import Node
 
 
 def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
-    """Return ``evaluate()``.
+    """Return ``evaluate()``, which calls a user's leaf system with symbolic values.
 
-    Raises `CompilationError`, which begins with ``where``, for any error of ``evaluate``: the code
-    of a user's leaf may raise anything.
+    The leaf's code can raise any error. The function raises `CompilationError` in place of this
+    error, with a message that begins with ``where``.
     """
     try:
         return evaluate()
@@ -29,10 +29,10 @@ def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
 
 
 def to_symbolic(leaf: Node) -> Any:
-    """Return the symbolic form of a leaf.
+    """Return a copy of a leaf system for Drake's symbolic scalar type Expression.
 
-    Raises `CompilationError` for a leaf that does not convert to Expression, and for a leaf with an
-    update that is not a periodic discrete one.
+    Raises `CompilationError` if the leaf does not convert to Expression, and if it has an update
+    other than periodic discrete updates.
     """
     with _recorded_declarations() as declarations:
         symbolic = symbolic_value(leaf.name, leaf.system.ToSymbolicMaybe)
@@ -51,7 +51,7 @@ def to_symbolic(leaf: Node) -> Any:
 
 
 def refuse_witness_functions(leaf: Node, context: Any) -> None:
-    """Raise `CompilationError` for a leaf that has witness functions in its default Context."""
+    """Raise `CompilationError` if a leaf has witness functions in its default ``context``."""
     witnesses = leaf.system.GetWitnessFunctions(context)
     if not witnesses:
         return
@@ -78,10 +78,10 @@ _declarations_lock = RLock()
 def _recorded_declarations() -> Iterator[list[tuple[Any, str, Sequence[Any]]]]:
     """Context manager: record the events that symbolic Python leaves declare in its body.
 
-    Gives a list of leaf, method and arguments, one entry for each declaration. Drake lists the
-    events of a leaf in C++ only. So the events of a leaf written in Python are recorded while its
-    symbolic form declares them. The events of a leaf written in C++ stay unknown, except witness
-    functions and periodic discrete updates.
+    The value is a list with an entry (leaf, method, arguments) for each declaration. Drake lists
+    the events of a leaf in C++ only. So the events of a leaf written in Python are recorded while
+    its symbolic form declares them. The events of a leaf written in C++ stay unknown, except
+    witness functions and periodic discrete updates.
     """
     declarations: list[tuple[Any, str, Sequence[Any]]] = []
     leaf_type = LeafSystem_[Expression]
@@ -105,7 +105,9 @@ def _recorded_declarations() -> Iterator[list[tuple[Any, str, Sequence[Any]]]]:
 
 
 def _unfit_update(method: str, arguments: Sequence[Any]) -> str | None:
-    """Return the kind of the declared update if it does not compile, else None.
+    """Return the kind of a declared update, such as "a per-step discrete update", or None.
+
+    None means that the declaration compiles.
 
     Publish events and periodic discrete updates give None. In Python a DiscreteUpdateEvent has no
     constructor, so only methods declare discrete updates.

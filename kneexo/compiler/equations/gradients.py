@@ -1,4 +1,4 @@
-"""Derivatives of nodes as nodes of the same graph."""
+"""Adds the derivatives of nodes to their graph, as further nodes."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from .operations import OPERATIONS
 
 
 def gradients(graph: Graph, roots: Iterable[int], kind: str = "state") -> list[dict[int, int]]:
-    """Return the gradient of each root: the node of each partial derivative that is not zero.
+    """Return the gradient of each root by the sources of ``kind``, such as the continuous states.
 
-    The derivatives are those by the sources of ``kind``; a gradient has them by the index of the
-    source. At a corner (`Role.CORNER`) the derivative is that of one side.
+    A gradient is a dictionary: index of the source, and node of the partial derivative by this
+    source; derivatives that are zero are left out. At a corner (`Role.CORNER`) the derivative is
+    that of one side.
     """
     roots = list(roots)
     of_node: dict[int, dict[int, int]] = {}
@@ -24,7 +25,10 @@ def gradients(graph: Graph, roots: Iterable[int], kind: str = "state") -> list[d
 def _gradient(
     graph: Graph, node: int, gradient_of: dict[int, dict[int, int]], kind: str
 ) -> dict[int, int]:
-    """Return the gradient of a node by the chain rule; ``gradient_of`` has its arguments."""
+    """Return the gradient of a node by the chain rule.
+
+    ``gradient_of``: the gradients of the arguments of the node.
+    """
     name = str(graph.nodes[node][0])
     if name == kind:
         return {int(graph.nodes[node][1]): graph.one}

@@ -1,8 +1,8 @@
 """A graph of shared scalar operations.
 
 Nodes are numbered in the order of their creation, so the arguments of a node have smaller numbers.
-Equal operations on equal arguments are one node. Drake's `Expression` shares as well, but every
-walk over it unfolds it into a tree.
+Equal operations on equal arguments are one node. Drake's `Expression` shares nodes as well, but
+every walk over an expression unfolds its shared nodes into a tree.
 """
 
 from __future__ import annotations
@@ -13,43 +13,47 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 Entry: TypeAlias = tuple[Any, ...]
-"""The content of a node: name of the operation, and its arguments.
+"""The content of a node: name of the operation or source, and its arguments.
 
-An argument is the number of a node. The argument of a source is an index, or the value of a
-constant.
+An argument of an operation is the number of a node. A constant has its value as argument, and any
+other source has the index of an element.
 """
 
 SOURCES = ("constant", "parameter", "time", "state", "discrete", "input")
-"""Kinds of nodes without arguments; a ``discrete`` state is constant between two events."""
+"""Kinds of nodes whose value no operation computes.
+
+``discrete``: a discrete state; ``input``: an element of an open input port of the diagram.
+"""
 
 _LARGEST_POWER = 16  # largest whole exponent that becomes a product
 
 
 @dataclass
 class Graph:
-    """Nodes of scalar operations.
+    """Nodes of scalar operations and their sources.
 
-    A method that makes a node returns its number, or the number of an equal node.
+    A node is known by its number. A method that "makes" a node returns the number of the new node,
+    or of an equal node that exists already.
     """
 
     nodes: list[Entry] = field(default_factory=list)
     depends: list[frozenset[str]] = field(default_factory=list)
-    """For each node, the kinds of `SOURCES` that its value depends on, without ``constant``."""
+    """For each node, the kinds of `SOURCES` that its value depends on, except ``constant``."""
     _numbers: dict[Entry, int] = field(default_factory=dict)
     _polynomials: dict[int, tuple[tuple[int, ...], int]] = field(default_factory=dict)
     """For the node of a polynomial, its coefficients, lowest power first, and its variable."""
 
     def copy(self) -> Graph:
-        """Return a graph with the same nodes; new nodes of one are not in the other."""
+        """Return a graph with the same nodes; nodes made later are in one of both graphs only."""
         lists = list(self.nodes), list(self.depends)
         return Graph(*lists, dict(self._numbers), dict(self._polynomials))
 
     def operation(self, name: str, *arguments: Any) -> int:
-        """Make an operation without simplification."""
+        """Make the node of an operation as it is, without simplification."""
         return self._node(name, *arguments)
 
     def simplified(self, name: str, *arguments: int) -> int:
-        """Make an operation by the method that simplifies it, if there is one."""
+        """Make the node of an operation, simplified if this class has a method for it."""
         match name:
             case "add":
                 return self.add(*arguments)
@@ -77,25 +81,25 @@ class Graph:
         return number
 
     def is_fixed(self, node: int) -> bool:
-        """Whether the value depends on parameters at most."""
+        """Return whether the value of a node depends on nothing but parameters and constants."""
         return self.depends[node] <= {"parameter"}
 
     def constant(self, value: float) -> int:
-        """Make a literal number."""
+        """Make the node of a literal number."""
         return self._node("constant", float(value))
 
     def source(self, kind: str, index: int = 0) -> int:
-        """Make a source: element ``index`` of the vector of that kind, or the time."""
+        """Make a source: element ``index`` of all parameters, states … by ``kind``, or the time."""
         return self._node(kind, index)
 
     @property
     def zero(self) -> int:
-        """Node of the number 0."""
+        """The node of the number 0."""
         return self.constant(0.0)
 
     @property
     def one(self) -> int:
-        """Node of the number 1."""
+        """The node of the number 1."""
         return self.constant(1.0)
 
     def value(self, node: int) -> float | None:
@@ -109,16 +113,20 @@ class Graph:
         return () if kind in SOURCES else tuple(arguments)
 
     def add(self, *terms: int) -> int:
-        """Make a sum from left to right; terms that are 0 are left out."""
+        """Make a sum, added from left to right; constant terms that are 0 are left out.
+
+        A sum c + t·p(t), where p is a polynomial, is rearranged for speed.
+        """
         rest = [term for term in terms if self.value(term) != 0.0]
         if len(rest) < 2:
             return rest[0] if rest else self.zero
         return self._as_polynomial(rest) or self._node("add", *rest)
 
     def _as_polynomial(self, terms: list[int]) -> int | None:
-        """Make c + t·p(t), a step of Horner's rule, by Estrin's scheme.
+        """Make a sum of two ``terms`` c + t·p(t), with a polynomial p, by Estrin's scheme.
 
-        The products of the scheme do not wait for each other. Returns None for other terms.
+        The coefficients are fixed values. The products of the scheme do not wait for each other, as
+        those of Horner's rule do. Returns None if the terms have another form.
         """
         for constant, product in (terms, terms[::-1]) if len(terms) == 2 else ():
             name, *factors = self.nodes[product]
@@ -138,7 +146,7 @@ class Graph:
         return None
 
     def _polynomial(self, coefficients: tuple[int, ...], t: int) -> int:
-        """Make a polynomial in ``t`` by Estrin's scheme; the first coefficient is that of t⁰."""
+        """Make the polynomial in ``t`` by Estrin's scheme; the first coefficient belongs to t⁰."""
         if len(coefficients) > 4:
             square = self.multiply(t, t)
             even, odd = (self._polynomial(coefficients[n::2], square) for n in (0, 1))
@@ -149,7 +157,7 @@ class Graph:
         return node
 
     def multiply(self, *factors: int) -> int:
-        """Make a product from left to right; factors that are 1 are left out."""
+        """Make a product, from left to right; factors 1 are left out, and a factor 0 gives 0."""
         values = [self.value(factor) for factor in factors]
         if 0.0 in values:
             return self.zero
@@ -159,33 +167,33 @@ class Graph:
         return self._node("multiply", *rest)
 
     def negate(self, node: int) -> int:
-        """Make the product with -1."""
+        """Make the product of a node and -1."""
         value = self.value(node)
         return self.multiply(self.constant(-1.0), node) if value is None else self.constant(-value)
 
     def subtract(self, left: int, right: int) -> int:
-        """Make a difference."""
+        """Make the difference ``left`` - ``right``."""
         return self.add(left, self.negate(right))
 
     def divide(self, numerator: int, denominator: int) -> int:
-        """Make a quotient; division by 1 and of 0 give the numerator."""
+        """Make a quotient; if the denominator is 1 or the numerator is 0, return the numerator."""
         if self.value(denominator) == 1.0 or self.value(numerator) == 0.0:
             return numerator
         return self._node("divide", numerator, denominator)
 
     def power(self, base: int, exponent: int) -> int:
-        """Make a power; small whole exponents give products."""
+        """Make a power; a constant whole exponent from 0 to 16 gives a product."""
         value = self.value(exponent)
         if value is not None and value.is_integer() and 0 <= value <= _LARGEST_POWER:
             return self.multiply(*[base] * int(value))
         return self._node("power", base, exponent)
 
     def unary(self, name: str, argument: int) -> int:
-        """Make a function of one argument, one of `operations.UNARY`."""
+        """Make the function ``name`` of one argument, one of `operations.UNARY`."""
         return self._node(name, argument)
 
     def binary(self, name: str, left: int, right: int) -> int:
-        """Make ``min``, ``max`` or ``atan2``; atan2(sin a, cos a) gives a minus whole turns."""
+        """Make ``min``, ``max`` or ``atan2``; for atan2(sin a, cos a) make a minus whole turns."""
         (first, *angles), (second, *others) = self.nodes[left], self.nodes[right]
         if (name, first, second) == ("atan2", "sin", "cos") and angles == others:
             angle = self.arguments(left)[0]
@@ -195,25 +203,25 @@ class Graph:
         return self._node(name, left, right)
 
     def compare(self, name: str, left: int, right: int) -> int:
-        """Make a condition, one of `operations.COMPARISONS`."""
+        """Make the comparison ``name`` of two numbers, one of `operations.COMPARISONS`."""
         return self._node(name, left, right)
 
     def where(self, condition: int, positive: int, otherwise: int) -> int:
-        """Make a choice between two values."""
+        """Make a choice: ``positive`` where the condition holds, else ``otherwise``."""
         if positive == otherwise:
             return positive
         return self._node("where", condition, positive, otherwise)
 
     def logic(self, name: str, *conditions: int) -> int:
-        """Make ``and``, ``or`` or ``not`` of conditions."""
+        """Make ``and``, ``or`` or ``not`` of conditions, as ``name`` says."""
         return self._node(name, *conditions)
 
     def reachable(
         self, roots: Iterable[int], arguments: Callable[[int], Iterable[int]] | None = None
     ) -> list[int]:
-        """Return ``roots`` and all nodes behind them, arguments first.
+        """Return ``roots`` and all nodes that they depend on; arguments come before their readers.
 
-        ``arguments``: returns the arguments of a node that are followed; by default all.
+        ``arguments``: returns the arguments of a node that the search follows; by default all.
         """
         followed = self.arguments if arguments is None else arguments
         reached: set[int] = set()
@@ -226,7 +234,7 @@ class Graph:
         return sorted(reached)
 
     def subtract_one(self, exponent: int) -> int:
-        """Make an exponent minus 1; a constant gives a constant."""
+        """Make the node ``exponent`` minus 1; a finite constant gives a constant."""
         value = self.value(exponent)
         if value is not None and math.isfinite(value):
             return self.constant(value - 1.0)

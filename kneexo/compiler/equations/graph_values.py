@@ -1,4 +1,4 @@
-"""Values of the nodes of a graph, without machine code."""
+"""Evaluates nodes of a graph in Python, without machine code."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from .operations import OPERATIONS
 
 
 def values_of(graph: Graph, roots: Iterable[int], sources: Mapping[str, Any]) -> list[Any]:
-    """Return the values of nodes; undefined ones are nan or inf.
+    """Return the value of each root; an undefined value is nan or inf.
 
-    ``sources``: for each kind of source that the nodes depend on, except constants, the values by
-    index. Values that are arrays give arrays.
+    ``sources``: for each kind of source except constants, its values by index, such as all states.
+    If these values are arrays, the results are arrays of the same shape.
     """
     roots = list(roots)
     values: dict[int, Any] = {}

@@ -10,11 +10,11 @@ from .tree import Node
 
 
 def parameter_groups(leaf: Node, context: Any) -> list[list[str]]:
-    """Return the names of the elements of each numeric parameter group of a leaf of floats.
+    """Return, for each numeric parameter group of a leaf of floats, the names of its elements.
 
-    The names of the first group come from the leaf's attribute ``parameter_names``, if its length
-    is the size of the group. Else they come from the accessors of Drake's vector, and are numbers
-    where the vector has none.
+    The names of the first group come from the leaf's attribute ``parameter_names``, if this has as
+    many names as the group has elements. Otherwise they come from the accessors of Drake's vector.
+    An element without accessor, and an element of another group, is named by its number.
     """
     names = tuple(getattr(leaf.system, "parameter_names", ()))
     groups = []
@@ -30,7 +30,7 @@ def parameter_groups(leaf: Node, context: Any) -> list[list[str]]:
 
 
 def state_names(leaf: Node, context: Any) -> list[str]:
-    """Return the names of the continuous states of a leaf of floats."""
+    """Return the names of a leaf's continuous states, from accessors of its vector or by number."""
     return _accessor_names(leaf.path, "x", context.get_continuous_state_vector())
 
 
@@ -40,10 +40,10 @@ def numbered_names(path: str, group: int | str, size: int) -> list[str]:
 
 
 def _accessor_names(path: str, group: str, vector: Any) -> list[str]:
-    """Return the names of the elements of a vector by the accessors of its class.
+    """Return the names of a vector's elements, taken from the accessors of its class.
 
-    ``PendulumParams`` has ``mass()`` and ``set_mass()``, so one of its elements is called ``mass``.
-    An element without accessor has its number.
+    ``PendulumParams`` has ``mass()`` and ``set_mass()``, so an element of this vector is called
+    ``mass``. An element without accessor is named by its number.
     """
     names = numbered_names(path, group, vector.size())
     values = vector.Clone()

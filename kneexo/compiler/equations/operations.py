@@ -1,6 +1,7 @@
-"""The one table of operations: meaning, derivative, cost, and how each backend writes them.
+"""The only table of operations: value, derivative, cost, and how machine code and C write each.
 
-An operation is added here. A backend needs code of its own only for a new way to write one.
+A new operation is a new row of this table. It requires no other code, unless a backend (machine
+code or C) has to write it in a new way.
 """
 
 from __future__ import annotations
@@ -16,19 +17,20 @@ import numpy as np
 from .graph import Graph
 
 Partials: TypeAlias = Callable[[Graph, tuple[int, ...], int], list[int | None]]
-"""``partials(graph, arguments, node)``: nodes of the derivatives of ``node`` by its arguments.
+"""``partials(graph, arguments, node)`` returns the node of each derivative of ``node``.
 
-None: the value does not follow the argument continuously.
+The derivatives are those by the arguments, in their order. None stands for a derivative that counts
+as zero, because the value does not follow this argument continuously.
 """
 
 
 class Role(Enum):
-    """The way in which the value of an operation follows its arguments."""
+    """How the value of an operation changes with its arguments."""
 
     SMOOTH = auto()
     """The derivative exists wherever the value is finite, except at the edge of the domain."""
     CORNER = auto()
-    """The derivative jumps where one branch takes over from another."""
+    """The derivative jumps where the operation changes its branch, as abs does at zero."""
     ROUNDING = auto()
     """The value is a whole number."""
     COMPARISON = auto()
@@ -39,30 +41,32 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class Operation:
-    """One row of `OPERATIONS`."""
+    """An operation of a graph: one row of `OPERATIONS`."""
 
     value: Callable[..., Any]
-    """The value of numbers or NumPy arrays."""
+    """Function that returns the value for arguments that are numbers or NumPy arrays."""
     partials: Partials
+    """Function that makes the nodes of the derivatives."""
     drake: str
     """Name of Drake's ExpressionKind or FormulaKind."""
     native: str
-    """LLVM IR: the emitter of `native.printer` and, after a dot, its argument."""
+    """How LLVM IR is written: name of an emitter in `native.printer`, a dot, argument of the
+    emitter. Some emitters have no argument and no dot."""
     c: str
-    """C: an operator, or the name of a function in double precision."""
+    """How C is written: an operator, or the name of a function in double precision."""
     role: Role = Role.SMOOTH
     exact: bool = False
-    """Whether IEEE 754 fixes every bit of the value."""
+    """Whether every processor and library computes the same bits, as IEEE 754 demands."""
     arguments: int | None = 2
     """Number of arguments; None stands for any number."""
     cost: int = 10
-    """Time that it takes, relative to a sum."""
+    """Duration of the operation, relative to a sum."""
     simple: bool = False
-    """Whether a small processor needs no function of a library and no division for it."""
+    """Whether a small processor computes the operation without a library and without division."""
 
     @property
     def is_condition(self) -> bool:
-        """Whether the value is a truth value."""
+        """Whether the value of the operation is a truth value."""
         return self.role in (Role.COMPARISON, Role.LOGIC)
 
     @property
@@ -72,12 +76,15 @@ class Operation:
 
 
 def _none(g: Graph, a: tuple[int, ...], f: int) -> list[int | None]:
-    """Return no derivative for any argument."""
+    """Return None for each argument: the partials of an operation without derivatives."""
     return [None] * len(a)
 
 
 def _of_one(derivative: Callable[[Graph, int, int], int]) -> Partials:
-    """Return the partials of a function of one argument; ``derivative(graph, argument, node)``."""
+    """Return the `Partials` of a function of one argument.
+
+    ``derivative(graph, argument, node)`` makes the node of the derivative.
+    """
     return lambda g, a, f: [derivative(g, a[0], f)]
 
 
@@ -251,7 +258,7 @@ OPERATIONS: dict[str, Operation] = {
     "or": _logic(lambda *conditions: reduce(np.logical_or, conditions), "Or", "binary.or", "||"),
     "not": _logic(np.logical_not, "Not", "not", "!", 1),
 }
-"""Each operation by the name that the nodes of a graph have."""
+"""Each operation, by the name that the nodes of a graph use."""
 
 COMPARISONS = tuple(n for n, row in OPERATIONS.items() if row.role is Role.COMPARISON)
 """Names of the comparisons of two numbers."""

@@ -1,7 +1,8 @@
-"""Which nodes are computed when: once for fixed parameters, once for each count, or at each tick.
+"""Decides when nodes are computed: once for fixed parameters, once for each count, or at each tick.
 
-Both printers use it. A *count* is a node whose value is a whole number, such as the reading of an
-encoder. Nodes that one count alone decides are looked up in a table.
+Machine code and C both follow these decisions. A *count* is a node whose value is a whole number,
+such as the reading of an encoder. Nodes that depend on one count alone are looked up in a table. A
+node is *fixed* if its value depends on parameters alone.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ from .operations import OPERATIONS, Operation, Role
 
 
 def is_condition(graph: Graph, node: int) -> bool:
-    """Whether the value of a node is a truth value."""
+    """Return whether the value of a node is a truth value."""
     kind = graph.nodes[node][0]
     return kind not in SOURCES and OPERATIONS[kind].is_condition
 
 
 def is_rounded(graph: Graph, node: int) -> bool:
-    """Whether a node is rounded to a whole number."""
+    """Return whether the operation of a node rounds to a whole number."""
     kind = graph.nodes[node][0]
     return kind not in SOURCES and OPERATIONS[kind].role is Role.ROUNDING
 
@@ -28,11 +29,11 @@ def is_rounded(graph: Graph, node: int) -> bool:
 def fixed_nodes(
     graph: Graph, roots: Iterable[int], looked_up: Collection[int] = frozenset()
 ) -> list[int]:
-    """Return the numbers that depend on parameters alone and that other code reads.
+    """Return the fixed nodes to compute once: roots, and nodes that other code reads.
 
-    A root or a node that is not fixed reads them. Parameters are among them, constants are not. A
-    fixed condition is computed where it is used, so the numbers behind it are returned. Nodes that
-    are ``looked_up`` read nothing. Arguments come first.
+    Parameters are among these nodes, and literal constants are not. A fixed truth value is computed
+    where it is used, so its arguments are returned in its place. A node in ``looked_up`` reads no
+    fixed node. Arguments come before the nodes that read them.
     """
     roots = list(roots)
     used = set(roots)
@@ -55,22 +56,24 @@ def nodes_by_count(
     cost: Callable[[Operation], int],
     cost_of_look_up: int,
 ) -> dict[int, list[int]]:
-    """Return the nodes that a table should hold, by the count that decides their values.
+    """Return, for each count, the nodes whose values a table at this count should hold.
 
-    A node is in the table if one count alone decides its value, it is no condition, code that does
-    not depend on this count alone reads it, and it costs more than a look-up.
+    A node is in the table if four conditions hold. Its value depends on one count alone. It is no
+    truth value. A root, or a node that depends on more than this count, reads it. To compute it
+    costs more than a look-up.
 
     Parameters
     ----------
     graph, roots
-        All code that is printed.
+        The graph, and the nodes whose values the code is to compute.
     is_count
-        Whether a node is a count, if its value does not follow from another count.
+        Returns whether a node is a count. It is called for nodes whose value does not depend on
+        counts alone.
     cost
-        Cost of an operation. The cost of a node is the sum for all operations behind it; what is
-        fixed is free, and so is the count.
+        Returns the cost of an operation. The cost of a node is the sum over this node and all nodes
+        that it depends on. Fixed nodes and the count cost nothing.
     cost_of_look_up
-        Cost above which a node is worth a table.
+        Cost above which a node is worth a table, in the same unit.
     """
     free = frozenset("*")  # in the place of counts where a value follows from something else too
     counts_of: dict[int, frozenset[Any]] = {}

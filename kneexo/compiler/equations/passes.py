@@ -1,9 +1,9 @@
-"""Rewrites the graph for speed and assigns its nodes to functions.
+"""Rewrites the graph for speed and assigns its nodes to functions of the machine code.
 
-Products with fixed factors are put together. Values that depend on parameters alone are computed
-once a run. Functions of one whole number, such as an encoder count, are looked up in a table. The
-rewriting changes last bits. Nodes that are compared or rounded keep their form, so decisions stay
-as Drake makes them.
+A value is fixed if it depends on parameters alone. Fixed factors of a product are put together, and
+fixed values are computed once a run. Functions of one whole number, such as an encoder count, are
+looked up in a table. The rewriting changes last bits. Values that are compared or rounded are
+computed as Drake computes them, so decisions stay as Drake makes them.
 """
 
 from __future__ import annotations
@@ -20,10 +20,14 @@ from .operations import OPERATIONS
 from .partition import fixed_nodes, is_rounded, nodes_by_count
 
 ALWAYS = ("always", 0)
-"""Condition of a group that is computed at every tick with events."""
+"""Condition of a group that is computed at every tick with a record or an update."""
 
 Place = tuple[str, int]
-"""The destination of a value: ``margin``, ``after`` (a discrete state) or ``output``; index."""
+"""The destination of a value: a kind, and the index among the destinations of this kind.
+
+``margin`` is the margin of a leaf, ``after`` a discrete state after the updates, ``output`` an
+element of all outputs.
+"""
 
 _TERMS = 6  # terms of the longest sum that a fixed factor is distributed over
 _COST_OF_LOOK_UP = 30
@@ -31,16 +35,21 @@ _COST_OF_LOOK_UP = 30
 
 @dataclass(frozen=True)
 class Group:
-    """Nodes that are computed under one condition, with the destinations of their values."""
+    """Nodes that are computed under the same condition, with the destinations of their values."""
 
     condition: tuple[str, int]
-    """`ALWAYS`, ``update`` with the index of a sample period, ``requested`` with an output's."""
+    """`ALWAYS`, or ("update", index of the update that is due), or ("requested", index of the
+    output port that is recorded)."""
     targets: tuple[tuple[Place, int], ...]
+    """Destination and node of each value."""
 
 
 @dataclass(frozen=True)
 class Memo:
-    """Nodes whose values follow from one whole number alone, the value of the node ``count``."""
+    """Nodes whose values depend on one whole number alone; a table holds the values.
+
+    ``count`` is the node of the whole number.
+    """
 
     count: int
     nodes: tuple[int, ...]
@@ -48,19 +57,19 @@ class Memo:
 
 @dataclass(frozen=True)
 class Layout:
-    """Names and sizes of a compiled model: all that a run requires besides the machine code."""
+    """Names and sizes of a compiled model, which a run requires besides the machine code."""
 
     parameters: tuple[str, ...]
     states: tuple[str, ...]
     discrete: tuple[str, ...]
     inputs: tuple[tuple[str, int], ...]
-    """Input ports that stay open, with their sizes."""
+    """Name and size of each open input port."""
     outputs: tuple[tuple[str, int], ...]
-    """Output ports with their sizes."""
+    """Name and size of each output port."""
     feedthrough: tuple[str, ...]
-    """Output ports whose value depends on an open input at the same time."""
+    """Names of the output ports whose value depends on an open input at the same time."""
     periods: tuple[tuple[float, float], ...]
-    """Sample periods and their offsets in s."""
+    """Sample period and offset in s of each discrete update."""
     limits: tuple[str, ...]
     """Paths of the systems that stop a run when their margin falls below zero."""
     constants: int
@@ -70,16 +79,16 @@ class Layout:
 
     @property
     def input_count(self) -> int:
-        """Number of elements of all open inputs."""
+        """Number of elements of all open input ports together."""
         return sum(size for _, size in self.inputs)
 
     def plain(self) -> dict[str, Any]:
-        """Return the layout as JSON data."""
+        """Return the layout as a dictionary that JSON can store."""
         return asdict(self)
 
     @classmethod
     def from_plain(cls, data: dict[str, Any]) -> Layout:
-        """Return the layout of the data of `plain`."""
+        """Return the layout from a dictionary of `plain`, after JSON too."""
 
         def tuples(value: Any) -> Any:
             return tuple(map(tuples, value)) if isinstance(value, list | tuple) else value
@@ -88,7 +97,7 @@ class Layout:
 
 
 class Program:
-    """The nodes of each function that is printed, rewritten for speed."""
+    """The equations as machine code computes them: rewritten nodes, assigned to functions."""
 
     def __init__(self, equations: Equations) -> None:
         self.equations = equations
@@ -102,20 +111,23 @@ class Program:
         ]
         nodes = regrouped(graph, [node for _, node in elements])
         self.jacobian = [(at, node) for (at, _), node in zip(elements, nodes, strict=True)]
-        """Index (column by column) and node of each element of df/dx that is not zero."""
+        """Index (column by column) and node of each element of the Jacobian that is not zero.
+
+        The Jacobian has the derivatives of dx/dt by the continuous states x.
+        """
         self.derivatives = regrouped(graph, equations.derivatives)
         self.initial_discrete = equations.initial_discrete
         self.groups = self._groups()
         self.instant = [node for group in self.groups for _, node in group.targets]
         self.hoisted = self._hoisted()
-        """Nodes that depend on parameters alone, with their indices among the constants."""
+        """Nodes that depend on parameters alone, with their indices in the array of constants."""
         self.memos = self._memos()
         self.deciding = _deciding(graph, graph.reachable(self._roots()))
-        """Nodes that are compared or rounded, and the exact operations behind them."""
+        """Nodes that must keep the bits that Drake computes: see ``_deciding``."""
 
     @property
     def layout(self) -> Layout:
-        """Names and sizes for a run."""
+        """Names and sizes that a run requires besides the machine code."""
         equations, graph = self.equations, self.graph
         return Layout(
             parameters=tuple(equations.parameters),
@@ -135,7 +147,7 @@ class Program:
         )
 
     def _groups(self) -> list[Group]:
-        """Return the groups of a tick: margins, updates, outputs."""
+        """Return the groups of the margins, of each discrete update and of each output port."""
         equations = self.equations
         groups = [
             Group(
@@ -181,14 +193,14 @@ class Program:
 # ------------------------------------------------------------------------------- regrouping
 
 _Sum = tuple[dict[int, int], int | None]
-"""A sum: the fixed factor of each term by its node, and a fixed term."""
+"""A sum: a dictionary of nodes with their fixed factors, and a fixed term or None."""
 
 
 def regrouped(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """Return nodes with the same values from fewer operations on values that are not fixed.
+    """Return a node with the same value, up to rounding, for each root, from fewer operations.
 
-    A quotient by a fixed value becomes a product. Fixed factors and fixed terms are put together,
-    and go into the sums that they multiply. A fourth power becomes the square of a square.
+    A quotient by a fixed value becomes a product. Fixed factors and fixed terms are put together. A
+    fixed factor of a sum goes into the sum's terms. A fourth power becomes a square's square.
     """
     return _Regrouping(graph, roots).roots
 
@@ -255,7 +267,10 @@ class _Regrouping:
         return self._noted(node, (total, fixed))
 
     def _noted(self, node: int, total: _Sum) -> int:
-        """Make a sum; note its terms if a single other node uses it, which may absorb them."""
+        """Make the node of a sum, in place of ``node``; return the new node.
+
+        If only one other node uses the sum, note its terms, so that the other node can absorb them.
+        """
         graph = self.graph
         terms, fixed = total
         parts = [] if fixed is None else [fixed]
@@ -277,7 +292,11 @@ class _Regrouping:
 
 
 def _deciding(graph: Graph, nodes: Iterable[int]) -> set[int]:
-    """Return the nodes that are compared or rounded, and the exact operations behind them."""
+    """Return the nodes whose last bit can change a comparison or a rounding.
+
+    These are the arguments of comparisons and roundings, and the nodes that feed them through
+    operations whose result is exact (IEEE 754 fixes every bit).
+    """
     deciding: set[int] = set()
     for node in sorted(nodes, reverse=True):
         kind = graph.nodes[node][0]

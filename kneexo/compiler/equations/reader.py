@@ -1,4 +1,4 @@
-"""Reads the equations of a Drake diagram one leaf system at a time.
+"""Reads the equations of a Drake diagram into a graph, one leaf system at a time.
 
 The diagram is cut at its ports. Each leaf is evaluated on fresh variables for time, states,
 parameters and inputs, and the small expressions are joined in one `Graph`. An expression of the
@@ -6,11 +6,12 @@ whole diagram would unfold to 10⁸ nodes.
 
 A leaf system may state three public attributes that the compiler uses:
 
-- ``margin(context)``: a scalar. A run stops with a `SimulationError` when it falls below zero.
+- ``margin(context)``: a method that returns a scalar, the distance from a limit. A run stops with a
+  `SimulationError` when this margin falls below zero.
 - ``check(context)``: a method of the leaf of floats. It raises the `SimulationError` that explains
-  why the margin is below zero. Without it the error only names the leaf.
+  why the margin is below zero. Without this method the error only names the leaf.
 - ``parameter_names``: names of the elements of the first numeric parameter group, in their order.
-  Without them the names come from Drake's accessors or are numbers.
+  Without this attribute the names come from Drake's accessors or are numbers.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ from .tree import Node
 
 
 class _Leaf:
-    """The symbolic form of a leaf, its Context on variables, and the meaning of each variable."""
+    """A leaf in symbolic form, a Context whose values are variables, and the variables' meaning."""
 
     def __init__(self, node: Node, equations: Equations, open_inputs: dict[int, int]) -> None:
-        """Adds the names of parameters and states to ``equations``.
+        """Convert a leaf, and add the names of its parameters and states to ``equations``.
 
-        ``open_inputs``: for each open input port of the root, its first element among all inputs.
+        ``open_inputs``: for each open input port of the root, by the port's index, the index of its
+        first element among the elements of all open inputs.
         """
         self.node = node
         context_of_floats = node.system.CreateDefaultContext()
@@ -46,9 +48,10 @@ class _Leaf:
         self.system = to_symbolic(node)
         self.context = context = self.system.CreateDefaultContext()
         self.meaning: dict[int, int | tuple[Node, int, int]] = {}
-        """By the id of a variable: its node, or a leaf, its output port and the element there."""
+        """Meaning of a variable by its id: the node of a source, or an element of another leaf's
+        output port, as (leaf, index of the port, index of the element)."""
         self.outputs: dict[int, list[int] | None] = {}
-        """Nodes by output port; None while they are being read."""
+        """Nodes of each output port, by its index; None while the port is being read."""
         graph = equations.graph
 
         if context.num_abstract_states() or context.num_abstract_parameters():
@@ -105,7 +108,8 @@ class _Leaf:
 class _Reader:
     """Reads the leaves of a tree into `Equations`.
 
-    An output is read when another leaf needs it, so sections come in the order of feedthrough.
+    An output port is read when its nodes are first needed. So each section comes after the sections
+    whose nodes it depends on.
     """
 
     def __init__(self, root: Node, inputs: Sequence[str]) -> None:
@@ -125,7 +129,7 @@ class _Reader:
                 self.leaves[leaf.path] = _Leaf(leaf, self.equations, open_inputs)
 
     def output(self, node: Node, index: int) -> list[int]:
-        """Return the nodes of an output port of a leaf."""
+        """Return the nodes of the elements of output port ``index`` of a leaf."""
         return completed(self._output(node, index))
 
     def _output(self, node: Node, index: int) -> Steps[list[int]]:
@@ -150,7 +154,7 @@ class _Reader:
         return nodes
 
     def read(self, leaf: _Leaf) -> None:
-        """Add derivatives, updates and margin of one leaf."""
+        """Add the derivatives, discrete updates and margin of one leaf to the equations."""
         equations, context, system = self.equations, leaf.context, leaf.system
         if context.num_continuous_states():
             equations.derivatives += self._evaluated(
@@ -176,7 +180,10 @@ class _Reader:
             equations.limits.append(Limit(leaf.node.path, node))
 
     def read_initial(self, leaf: _Leaf) -> None:
-        """Add the discrete state after initialization; this changes the Context of the leaf."""
+        """Add a leaf's discrete states after its initialization events to the equations.
+
+        The events change the Context of the leaf, so this comes after all other reading.
+        """
         if not leaf.context.num_discrete_state_groups() + leaf.context.num_continuous_states():
             return
         context = leaf.context
@@ -205,12 +212,15 @@ class _Reader:
     def _evaluated(
         self, purpose: str, leaf: _Leaf, evaluate: Callable[[], Sequence[Any]]
     ) -> list[int]:
-        """Return the nodes of the expressions that ``evaluate()`` returns."""
+        """Return the nodes of the expressions that ``evaluate()`` returns, as a section.
+
+        ``purpose``: what the expressions are, for the section and for error messages.
+        """
         where = f"{leaf.node.name}: {purpose}"
         return completed(self._section(where, leaf, symbolic_value(where, evaluate)))
 
     def _section(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> Steps[list[int]]:
-        """Return the nodes of expressions, and add them as a section."""
+        """Return the nodes of the expressions ``values``, and add them as a section."""
         variable = partial(self._node_of_variable, where, leaf)
         nodes = yield Conversion(self.equations.graph, where, variable).nodes(values)
         self.equations.sections.append(Section(where, leaf.node.summary, tuple(nodes)))
@@ -238,19 +248,20 @@ def _discrete_values(values: Any) -> list[Any]:
 def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
     """Return all equations of a diagram of floats.
 
-    Leaves that neither a state nor a margin nor an output of the diagram depends on are left out.
+    A leaf is left out if no state, no margin and no output port of the diagram depends on it.
 
     Parameters
     ----------
     diagram
         A Diagram, or a single leaf system.
     inputs
-        Names of its input ports that stay open; the others count as unconnected.
+        Names of the diagram's input ports that stay open, which means that a run gives their
+        values. All other input ports of the diagram count as unconnected.
 
     Raises
     ------
     CompilationError
-        Names the subsystem and the port that cannot be converted.
+        Part of the diagram cannot be converted; the message names the subsystem and the port.
     """
     if isinstance(inputs, str):
         raise CompilationError(f"inputs = {inputs!r}: must be a list of names of input ports")

@@ -1,4 +1,4 @@
-"""Drake's symbolic expressions as nodes of a graph."""
+"""Converts Drake's symbolic expressions to nodes of a graph."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from .operations import COMPARISONS, OPERATIONS
 T = TypeVar("T")
 
 LARGEST_TREE = 20_000
-"""Largest number of nodes of an expression; a leaf with a larger one is refused."""
+"""Largest number of nodes in the tree of an expression; a larger expression is an error."""
 
 Steps: TypeAlias = Generator[Any, Any, T]
-"""A computation that yields the computations whose results it needs; `completed` runs it."""
+"""A generator that computes a value and yields other such generators to get their values.
+
+`completed` runs the generator.
+"""
 
 _EXPRESSIONS = {
     getattr(ExpressionKind, row.drake): name
@@ -30,7 +33,7 @@ _FORMULAS = {
 
 
 def completed(steps: Steps[T]) -> T:
-    """Run a computation and return its result.
+    """Run a generator of the type `Steps` and all that it yields; return its value.
 
     The computations in progress are kept in a list. So a deep chain of blocks or expressions does
     not reach Python's limit of recursion.
@@ -49,18 +52,18 @@ def completed(steps: Steps[T]) -> T:
 
 
 class Conversion:
-    """Converts the expressions of one leaf and one purpose."""
+    """Converts the expressions of one leaf for one purpose, such as an output port, to nodes."""
 
     def __init__(
         self, graph: Graph, where: str, node_of_variable: Callable[[Any], Steps[int]]
     ) -> None:
-        """``where``: beginning of each error's message."""
+        """``where``: text with which each error message begins, such as the path of the leaf."""
         self._graph, self._where = graph, where
         self._node_of_variable = node_of_variable
         self._size = 0
 
     def nodes(self, expressions: Sequence[Any]) -> Steps[list[int]]:
-        """Return the nodes of expressions or floats.
+        """Return the node of each expression or float.
 
         Raises `CompilationError` for an expression that is too large, and for an operation that
         does not compile.

@@ -1,4 +1,4 @@
-"""The tree of systems in a diagram, with their paths and connections."""
+"""The tree of the systems in a Drake diagram, with their paths and connections."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ from pydrake.systems.framework import InputPortIndex, OutputPortIndex
 
 
 class Node:
-    """A system in a diagram.
+    """A system in the tree of a diagram: the root, a diagram in it, or a leaf system.
 
-    Its path joins the names of the systems around it and its own by ``/``. The root has the empty
-    path.
+    Its path joins the names of the systems around it and its own by ``/``. The name of the root is
+    left out, so the root has the empty path.
     """
 
     def __init__(self, system: Any, parent: Node | None = None, number: int = 0) -> None:
-        """``number``: index of the system in its diagram, which names a system without a name."""
+        """Make the node and all nodes below it.
+
+        ``number``: index of the system in its diagram; it names a system without a name.
+        """
         self.system = system
         self.parent = parent
         prefix = f"{parent.path}/" if parent is not None and parent.path else ""
@@ -38,7 +41,7 @@ class Node:
 
     @property
     def name(self) -> str:
-        """The path; the name of the system where the path is empty."""
+        """The path, or the name of the system if the path is empty."""
         return self.path or str(self.system.get_name())
 
     @property
@@ -48,7 +51,7 @@ class Node:
 
     @property
     def summary(self) -> str:
-        """Class name and the first documentation line of a class that is not Drake's."""
+        """Name of the system's class, and the first line of its docstring unless Drake wrote it."""
         binding = ("pydrake", "pybind11", "builtins")
         kinds = (k for k in type(self.system).__mro__ if not k.__module__.startswith(binding))
         texts = ((vars(kind).get("__doc__") or "").strip() for kind in kinds)
@@ -57,9 +60,10 @@ class Node:
 
     @property
     def has_equations(self) -> bool:
-        """Whether a state, a margin or an output of the root depends on this leaf.
+        """Whether a state, a margin or an output port of the whole diagram depends on this leaf.
 
-        Loggers and systems that only feed viewers have no equations.
+        A margin is the distance of a leaf from a limit that stops a run. Loggers and systems that
+        only feed viewers have no equations.
         """
         root = self
         while root.parent is not None:
@@ -68,7 +72,7 @@ class Node:
 
     @cached_property
     def _needed(self) -> set[Node]:
-        """Return the leaves with a state or a margin, and all that they or outputs depend on."""
+        """The leaves below this node that have equations: see `has_equations`."""
         pending = [leaf for leaf in self.leaves() if _has_state_or_margin(leaf.system)]
         pending += [self.output(index)[0] for index in range(self.system.num_output_ports())]
         needed: set[Node] = set()
@@ -81,7 +85,7 @@ class Node:
         return needed
 
     def leaves(self) -> Iterator[Node]:
-        """Yield the leaf systems in the order of the diagram."""
+        """Yield the leaf systems in this system, in the diagram's order; a leaf yields itself."""
         if not hasattr(self.system, "connection_map"):
             yield self
         for child in self.children.values():
@@ -99,10 +103,10 @@ class Node:
         return self.parent.system.GetMutableSubsystemContext(self.system, parent_context)
 
     def driver(self, index: int) -> tuple[Node, int] | int | None:
-        """Return the source of input port ``index``.
+        """Return what drives input port ``index`` of this system.
 
-        The source is a leaf and the index of its output port, or the index of an input port of the
-        root, or None for a port that is not connected.
+        The result is a leaf and the index of its output port, or the index of an input port of the
+        root. It is None for a port that is not connected.
         """
         if self.parent is None:
             return index
@@ -113,7 +117,7 @@ class Node:
         return None if exported is None else self.parent.driver(exported)
 
     def output(self, index: int) -> tuple[Node, int]:
-        """Return the leaf, and the index of its output port, behind output port ``index``."""
+        """Return the leaf that computes output port ``index``, and the index of the leaf's port."""
         if not hasattr(self.system, "connection_map"):
             return self, index
         system, port = self.system.get_output_port_locator(OutputPortIndex(index))
@@ -121,7 +125,7 @@ class Node:
 
 
 def _label(system: Any, number: int) -> str:
-    """Return the name of a system, with ``number`` in place of the address in a default name."""
+    """Return the name of a system; ``number`` replaces the memory address in a default name."""
     return re.sub("@[0-9a-f]{16}$", f"_{number}", str(system.get_name()))
 
 

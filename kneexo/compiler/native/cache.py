@@ -1,10 +1,10 @@
 """Machine code on disk: one process compiles it, every later process loads it.
 
-Each entry is one file that holds a format version, a SHA-256 seal over key and content, and the
-content. The files stand in ``KNEEXO_CACHE_DIR``, else in ``kneexo`` below ``XDG_CACHE_HOME``, else
-in ``~/.cache/kneexo``. That directory may be deleted at any time. Its size is limited to 512 MiB,
-or to ``KNEEXO_CACHE_SIZE_MB`` MiB; the entries with the oldest last use are deleted first. All
-these names follow from the name of the package (`root`).
+Each entry is one file with a format version, a SHA-256 seal over key and content, and the content.
+The files are in ``KNEEXO_CACHE_DIR``, else in ``kneexo`` below ``XDG_CACHE_HOME``, else in
+``~/.cache/kneexo``. A user can delete this directory at any time. Its size is limited to 512 MiB,
+or to ``KNEEXO_CACHE_SIZE_MB`` MiB; the entries with the oldest last use are deleted first. The
+variables and the directory are named after the package (`root`).
 
 The seal detects damage, but anybody can compute it. Trust rests on file ownership: a directory or
 file that another user could have written is never used.

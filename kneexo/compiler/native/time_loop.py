@@ -123,7 +123,7 @@ def _define_inputs(module: Module, program: Program) -> Function:
     """Define the emitted function ``evaluate_inputs(t, table, u)``, as `InputTable.value`.
 
     It writes the values of one lane's open inputs at the time ``t`` in s to ``u``. Segments are
-    closed on the left. The last of several breaks also belongs to the segment before this break.
+    closed on the left. Only the last of several breaks belongs to the segment before this break.
     """
     arguments = {"t": DOUBLE, "table": POINTER, "u": POINTER}
     f = module.function("evaluate_inputs", arguments)
