@@ -36,7 +36,7 @@ def _maps(
 
 
 def lambda_and_slope(result: ControllerResult) -> Figure:
-    """Heat maps over λ and k/Φ at the η of the grid's centre."""
+    """Draw error, chattering, settling time and disk margin over λ and k/Φ, at the centre's η."""
     lambda_, phi, eta = result.centre
     lambdas, slope = result.settings.lambdas_per_s, result.slope_per_s[::-1, eta]
     default = (lambdas[lambda_], result.slope_per_s[phi, eta])
@@ -68,7 +68,7 @@ def lambda_and_slope(result: ControllerResult) -> Figure:
 
 
 def phi_and_eta(result: ControllerResult) -> Figure:
-    """Heat maps over Φ and η at the λ of the grid's centre."""
+    """Draw error, chattering, saturation and disk margin over Φ and η, at the centre's λ."""
     lambda_, phi, eta = result.centre
     phis, etas = result.settings.phis_m_s2, result.settings.etas_m_s3
     beta = result.slope_per_s[phi, eta] * phis[phi] / etas[eta]
@@ -101,12 +101,12 @@ def phi_and_eta(result: ControllerResult) -> Figure:
 
 
 def _spread(count: int, centre: int) -> list[int]:
-    """Up to five indices over 0 … count − 1, among them ``centre``."""
+    """Return up to five indices spread over 0 … count − 1, among them ``centre``."""
     return sorted({0, centre // 2, centre, (centre + count) // 2, count - 1})
 
 
 def claims(result: ControllerResult) -> Figure:
-    """The paper's three statements, and the error over k/Φ."""
+    """Draw the metrics of the paper's three statements on λ, Φ and η, and the error over k/Φ."""
     lambda_, phi, eta = result.centre
     grid, values = result.settings, result.values
     lambdas, phis, etas = grid.lambdas_per_s, grid.phis_m_s2, grid.etas_m_s3
@@ -148,7 +148,7 @@ def claims(result: ControllerResult) -> Figure:
 
 
 def limit_cycle(result: ControllerResult) -> Figure:
-    """Error of the limit cycle over time, and where it lies on the map of T_f and k/Φ."""
+    """Draw the error of the limit cycle over time, and its place on the map of T_f and k/Φ."""
     grid = result.settings
     law, observer = observed_smc(result.scenario)
     figure, axes = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
@@ -188,7 +188,7 @@ def limit_cycle(result: ControllerResult) -> Figure:
 
 
 def figures(result: ControllerResult) -> dict[str, Figure]:
-    """Figures by name; the caller closes them."""
+    """Draw all figures of the study. Return them by name; the caller closes the figures."""
     return {
         "study_lambda_slope": lambda_and_slope(result),
         "study_phi_eta": phi_and_eta(result),

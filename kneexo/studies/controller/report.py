@@ -1,4 +1,4 @@
-"""Markdown of `kneexo.studies.controller.study`."""
+"""Markdown report on a `kneexo.studies.controller.result.ControllerResult`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ def report(result: ControllerResult) -> str:
 
 
 def _lines(result: ControllerResult) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the grid along each axis through its centre, with the other two values."""
+    """Yield a table for each of λ, Φ and η: metrics along this axis through the grid's centre.
+
+    ``fixed`` has the values of the other two axes.
+    """
     grid, centre = result.settings, result.centre
     axes = {
         "λ (1/s)": grid.lambdas_per_s,
@@ -61,7 +64,7 @@ def _lines(result: ControllerResult) -> Iterator[dict[str, Any]]:
 
 
 def _largest_error_of_a_stable_loop(result: ControllerResult) -> dict[str, float]:
-    """The largest error on the map of T_f and k/Φ among stable loops, and where it is."""
+    """Return the largest error of a stable loop on the map of T_f and k/Φ, and its place."""
     grid, error = result.settings, result.map_values["max_error_deg"]
     stable = np.where(result.map_values["stable"] == 1.0, error, -np.inf)
     time, slope = np.unravel_index(np.argmax(np.nan_to_num(stable, nan=-np.inf)), error.shape)

@@ -38,7 +38,7 @@ within ± ``settling_band_deg``. They are inf for a step that does not settle in
 
 
 MAP_METRICS = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin")
-"""Metrics of the map over T_f and k/Φ."""
+"""Metrics on the map over the observer's time constant T_f and the slope k/Φ."""
 
 
 _SATURATED = 0.01  # share of the samples from which on a run counts as saturated
@@ -46,10 +46,11 @@ _SATURATED = 0.01  # share of the samples from which on a run counts as saturate
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement of the paper, and the share of cases on the grid in which it holds.
+    """A statement of the paper, and the share of cases on the grid in which the statement holds.
 
-    ``case`` defines a case and when it holds. ``sound_cases`` and ``sound_share`` count only the
-    cases in which each loop has a sound disk margin. ``finding`` is the result in words.
+    ``case`` says in words which points form a case and when the statement holds. ``sound_cases``
+    and ``sound_share`` count only the cases in which each loop has a sound disk margin. ``finding``
+    is the result in words.
     """
 
     quote: str
@@ -62,7 +63,10 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """``true`` if all cases hold, ``true in part`` if at least half do, else ``false``."""
+        """``true`` (holds in all cases), ``true in part`` (in half or more) or ``false``.
+
+        Without any case, the verdict is ``not decided``.
+        """
         if self.cases == 0:
             return "not decided"
         if self.share == 1.0:
@@ -72,10 +76,10 @@ class Claim:
 
 @dataclass(frozen=True)
 class LimitCycleCase:
-    """A linearly stable loop with a limit cycle of degrees; ``time_s`` and ``error_deg`` (n,).
+    """Run of a variant of the loop whose limit cycle has degrees; ``time_s``, ``error_deg`` (n,).
 
-    ``oscillation_at_rest_deg``: peak to peak, at the upper end of the reference. If a run failed,
-    ``failure`` has the reason, numbers are nan and arrays empty.
+    ``oscillation_at_rest_deg``: error from peak to peak while the reference rests at its upper end.
+    If a run fails, ``failure`` has the reason, numbers are nan and arrays empty.
     """
 
     lambda_per_s: float
@@ -95,7 +99,8 @@ class ControllerResult(Result):
     """Metrics over the grid and the map, and the limit cycle.
 
     ``values``: an array (λ, Φ, η) for each of `METRICS`. ``map_values``: an array (T_f, k/Φ) for
-    each of ``MAP_METRICS``, at the scenario's λ and η. ``failures``: why runs failed, by λ, Φ, η.
+    each of `MAP_METRICS`, at the scenario's λ and η. ``failures``: reasons of failed runs, by
+    (λ, Φ, η).
     """
 
     scenario: Scenario
@@ -107,7 +112,7 @@ class ControllerResult(Result):
 
     @property
     def slope_per_s(self) -> Array:
-        """k/Φ = βη/Φ in 1/s, the gain inside the boundary layer at rest; (Φ, η)."""
+        """Slope k/Φ = βη/Φ in 1/s of the law inside the boundary layer, at rest; (Φ, η)."""
         law = observed_smc(self.scenario)[0]
         inverse = 1.0 / np.array(self.settings.phis_m_s2)
         return law.gain_ratio * np.outer(inverse, self.settings.etas_m_s3)
@@ -127,7 +132,7 @@ class ControllerResult(Result):
         return _faster(self), _chattering(self), _adherence(self)
 
     def results(self) -> dict[str, Any]:
-        """Plain data; the grid's arrays are in the order λ, Φ, η."""
+        """Return plain data; the axes of the grid's arrays are λ, Φ and η."""
         grid = self.settings
         return {
             "lambdas_per_s": grid.lambdas_per_s,
@@ -153,9 +158,9 @@ class ControllerResult(Result):
 
 
 def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
-    """Return the time in s in which e falls from rest to ``share`` of its start, with s = 0.
+    """Return the time in s in which the error e falls to ``share`` of its initial value if s = 0.
 
-    It solves (d/dt + λ)² e = 0 with ė = 0 at the start.
+    e solves (d/dt + λ)² e = 0 with ė = 0 at the start. The result has the shape of λ.
     """
     return (
         float(scipy.optimize.brentq(lambda y: (1.0 + y) * math.exp(-y) - share, 0.0, 100.0))
@@ -164,7 +169,10 @@ def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
 
 
 def observed_smc(scenario: Scenario) -> tuple[SlidingModeParameters, ObserverParameters]:
-    """Return controller and observer; raise `ParameterError` for kinds without λ, Φ, η, T_f."""
+    """Return the sliding-mode controller and the observer of a scenario.
+
+    Raises `ParameterError` for other kinds, which have no λ, Φ, η or T_f to vary.
+    """
     law, estimator = scenario.controller, scenario.estimator
     if law.kind != "smc" or law.continuous or law.switching == "signum":
         raise ParameterError(
@@ -280,7 +288,7 @@ def _adherence(study: ControllerResult) -> Claim:
 
 
 def _at_slope(slopes: Array, error: Array, slope: float) -> float:
-    """Return the error at one k/Φ, interpolated in both logarithms; nan outside of ``slopes``."""
+    """Return the error at a k/Φ, interpolated in log-log between ``slopes``; nan outside."""
     order = np.argsort(slopes)
     x, y = np.log(slopes[order]), np.log(error[order])
     rounding = 0.02  # of the grid's values
@@ -290,7 +298,7 @@ def _at_slope(slopes: Array, error: Array, slope: float) -> float:
 
 
 def _finding(symbol: str, **data: Any) -> str:
-    """Fill the template of the finding on λ, Φ or η."""
+    """Return the finding on λ, Φ or η in words, from its template filled with ``data``."""
     from kneexo.studies.template import filled  # not needed by the list of parameters
 
     return filled(f"controller/finding_{symbol}.md", **data).rstrip("\n")

@@ -1,4 +1,4 @@
-"""Settings of the controller study."""
+"""Settings of the study `controller`."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ from kneexo.studies.controller.settings import ControllerSettings
 from kneexo.sweeps import SweepOptions, open_sweep
 
 LIMIT_CYCLE_VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
-"""Variants of the loop. Their differences show the cause of the limit cycle."""
+"""Variants of a loop with a limit cycle. Comparing them shows the cause of the limit cycle."""
 
 
 # ------------------------------------------------------------------------------------- runs
@@ -48,11 +48,12 @@ def controller_study(
     settings: ControllerSettings = ControllerSettings(),
     **options: Unpack[SweepOptions],
 ) -> ControllerResult:
-    """Run the grid, the limit cycle and the map; ``options``: see `kneexo.sweeps.SweepOptions`.
+    """Measure the grid over λ, Φ, η, the limit cycle, and the map over T_f and k/Φ.
 
-    A run of the grid that fails leaves nan and its reason. Raises `ParameterError` when
-    ``scenario`` has no sampled sliding-mode controller behind an observer, or when a step or the
-    faster sine leaves the range of motion.
+    Metrics of a failed run of the grid are nan, and ``failures`` has the reason. ``options``: see
+    `kneexo.sweeps.SweepOptions`. Raises `ParameterError` when ``scenario`` has no sampled
+    sliding-mode controller behind an observer, or when a step or the faster sine leaves the range
+    of motion.
     """
     law = observed_smc(scenario)[0]
     experiments(scenario, settings)  # a reference out of range is found before the sweep
@@ -99,7 +100,7 @@ def controller_study(
 
 
 def experiments(scenario: Scenario, settings: ControllerSettings) -> dict[str, Scenario]:
-    """Return the scenario with the faster sine, both steps and the hold at rest, by name."""
+    """Return the scenario with other references by name: faster sine, both steps, hold at rest."""
     high, middle = scenario.reference.range_deg[1], scenario.reference.middle_deg
 
     def step(start: float, end: float, duration: float) -> Scenario:
@@ -125,10 +126,10 @@ def experiments(scenario: Scenario, settings: ControllerSettings) -> dict[str, S
 
 
 def settling_time_s(time_s: Array, error: Array, band: float) -> float:
-    """Return the last of ``time_s`` (n,) at which |error| (n,) exceeds ``band``.
+    """Return the last time of ``time_s`` (n,) at which |error| (n,) exceeds ``band``.
 
-    It is inf if the last sample exceeds the band, and 0 if none does. The first sample, the start
-    of the step, does not count.
+    The result is inf if the last sample exceeds the band, and 0 if no sample exceeds the band. The
+    first sample, the start of the step, does not count.
     """
     outside = np.flatnonzero(np.abs(error[1:]) > band)
     if outside.size == 0:
@@ -139,7 +140,7 @@ def settling_time_s(time_s: Array, error: Array, band: float) -> float:
 
 @needs_runs
 async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
-    """Return the `METRICS` of one point of the grid, and its first failure."""
+    """Return the `METRICS` of one point of the grid; ``failure`` has the first failure's reason."""
     cases = experiments(scenario, settings)
     at_reference = await awaitable(assess, scenario)
     fast = await awaitable(assess, cases["fast"], margins=False)
@@ -164,7 +165,7 @@ async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str
 
 @needs_runs
 async def _limit_cycle(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
-    """Return the fields of a `LimitCycleCase` without λ and the variant."""
+    """Return the fields of a `LimitCycleCase` except λ and variant, as plain data."""
     linear = assess(scenario, tracking=False)
     margins = {name: linear[name] for name in ("stable", "disk_margin")}
     try:
@@ -207,7 +208,7 @@ def _with_law(scenario: Scenario, lambda_: float, phi: float, eta: float) -> Sce
 def _arrays(
     figures: list[dict[str, Any]], names: tuple[str, ...], axes: tuple[tuple[float, ...], ...]
 ) -> dict[str, Array]:
-    """Return an array over ``axes`` for each name; a missing value (None) is nan."""
+    """Return, by name, the metrics of all points as an array over ``axes``; None becomes nan."""
     shape = [len(axis) for axis in axes]
     return {
         name: np.array([values[name] for values in figures], dtype=float).reshape(shape)

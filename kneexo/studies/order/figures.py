@@ -15,11 +15,11 @@ _PRESSURES = {
     "rod_side": ("P_2, full", "C2"),
 }
 _STYLES = (("-", 5.0, 0.3), ("--", 2.2, 0.6), (":", 1.6, 1.0), ("-.", 0.8, 1.0))
-"""Line, width and opacity for each load."""
+"""Line style, line width and opacity of the curves for each load."""
 
 
 def tracking(result: OrderResult) -> Figure:
-    """Errors (left) and pressures (right) over time, a row for each load."""
+    """Draw tracking errors (left) and pressures (right) over time, a row of panels by load."""
     loads = result.settings.disturbances_n
     figure, ax = plt.subplots(
         len(loads),
@@ -49,7 +49,7 @@ def tracking(result: OrderResult) -> Figure:
 
 
 def switching(result: OrderResult) -> Figure:
-    """Swing of the rod's velocity over the force on the rod."""
+    """Draw the rod velocity's oscillation, peak to peak, over the constant force on the rod."""
     figure, ax = plt.subplots(figsize=(6, 4), layout="constrained")
     for direction, color, words in (("in", "C3", "retracting"), ("out", "C0", "extending")):
         rows = [row for row in result.switching if row["direction"] == direction]
@@ -65,9 +65,10 @@ def switching(result: OrderResult) -> Figure:
 
 
 def frequency(result: OrderResult) -> Figure:
-    """Response of the plant from command to rod velocity, at the middle posture.
+    """Draw the plant's gain from motor speed command to rod velocity over frequency.
 
-    The lines become narrower from load to load, so that those which coincide are all seen.
+    The posture is the middle one of the settings. The lines become narrower from load to load, so
+    that lines that coincide are all visible.
     """
     figure, ax = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
     postures = result.settings.postures_deg
@@ -98,7 +99,7 @@ def frequency(result: OrderResult) -> Figure:
 
 
 def figures(result: OrderResult) -> dict[str, Figure]:
-    """``order_tracking``, ``order_switching`` and ``order_frequency``."""
+    """Draw all figures: ``order_tracking``, ``order_switching`` and ``order_frequency``."""
     return {
         "order_tracking": tracking(result),
         "order_switching": switching(result),

@@ -1,4 +1,4 @@
-"""Markdown of `kneexo.studies.order.study`."""
+"""Markdown report on a `kneexo.studies.order.study.OrderResult`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kneexo.studies.template import filled
 
 
 def report(result: OrderResult) -> str:
-    """Return the report on both orders in Markdown."""
+    """Return the report that compares the full and the reduced order of the cylinder."""
     oscillating = [row for row in result.switching if row["oscillates"]]
     calm = [r for r in result.switching if not r["oscillates"] and r["direction"] == "in"]
     return filled(
@@ -30,7 +30,7 @@ def report(result: OrderResult) -> str:
 
 
 def _ranges(rows: Rows, name: str, form: str) -> str:
-    """Return the least and largest value of ``name`` for each order, without missing values."""
+    """Return, as text for each order, the range of the column ``name`` without its nan."""
     texts = []
     for order in ORDERS:
         values = [row[name] for row in rows if row["order"] == order]
@@ -41,13 +41,13 @@ def _ranges(rows: Rows, name: str, form: str) -> str:
 
 
 def _largest(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Return the largest swings and error of rows near the switching force; empty without rows."""
+    """Return by name the largest swings and error over rows of ``switching``, {} without rows."""
     names = ("velocity_swing_mm_s", "load_pressure_swing_mpa", "max_error_deg")
     return {name: max(row[name] for row in rows) for name in names} if rows else {}
 
 
 def _small_signal(name: str) -> Callable[[Mapping[str, Any]], str]:
-    """Return a cell with the −3 dB frequency ``name`` of the linear loop, or why there is none."""
+    """Return a function that prints a row's −3 dB frequency ``name``, or why it is missing."""
 
     def text(row: Mapping[str, Any]) -> str:
         if row["failure"] or not row["stable"]:
@@ -59,7 +59,10 @@ def _small_signal(name: str) -> Callable[[Mapping[str, Any]], str]:
 
 
 def _pressures(name: str) -> Callable[[Mapping[str, Any]], str]:
-    """Return a cell with the least and largest pressure; empty where the order has no such one."""
+    """Return a function that prints the range of the pressure ``name`` (MPa) in a row's run.
+
+    The text is empty if the row's order of the cylinder has no such pressure.
+    """
 
     def text(row: Mapping[str, Any]) -> str:
         if f"{name}_min_mpa" not in row:

@@ -82,18 +82,21 @@ class OrderSettings(Parameters):
 
 
 ORDERS = ("reduced", "full")
-"""The plants that are compared."""
+"""The models of the cylinder that are compared, Eq. 15 (reduced) and Eq. 14 (full)."""
 
 _LOOP_BANDWIDTHS = ("bandwidth_hz", "complementary_sensitivity_bandwidth_hz")
-"""Columns of a frequency row, with the names of the methods of `SampledLoop` that compute them."""
+"""Columns of a frequency row, named as the methods of `SampledLoop` that compute them."""
 
 _TRACE_POINTS = 800
 _START_S = 0.5
-"""Initial part of a ramp in s that is not measured."""
+"""Time in s at the start of a ramp that the measurements leave out."""
 
 
 def in_order(scenario: Scenario, order: str, disturbance_n: float = 0.0) -> Scenario:
-    """Return the scenario in one of the `ORDERS`, with a disturbance added to its load."""
+    """Return the scenario with one of the `ORDERS` of its cylinder, and a force added to its load.
+
+    A scenario without load gets a load without weight.
+    """
     plant = scenario.plant
     load = plant.load if plant.load.kind == "knee" else KneeLoadParameters(segment_mass_kg=0.0)
     full = plant.full_order or FullCylinderParameters()
@@ -105,7 +108,7 @@ def in_order(scenario: Scenario, order: str, disturbance_n: float = 0.0) -> Scen
 
 
 def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
-    """Return the scenario in one of the `ORDERS`; its only load is a constant force."""
+    """Return the scenario with one of the `ORDERS`, and a constant force as its only load."""
     load = KneeLoadParameters(segment_mass_kg=0.0)
     return in_order(changed(scenario, {"plant.load": dict(load)}), order, force_n)
 
@@ -115,7 +118,10 @@ def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
 
 @needs_runs
 async def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
-    """Return the metrics and the trace of a tracking run of one order under one load."""
+    """Return metrics and trace of a tracking run; ``case`` is the order and the load's force in N.
+
+    The trace has time, error and pressures at up to about 800 samples.
+    """
     order, force = case
     tracked = await awaitable(track, in_order(scenario, order, force), all_signals=True)
     run, metrics = tracked.run, tracked.metrics
@@ -154,7 +160,10 @@ async def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str,
 def _ramp(
     scenario: Scenario, order: str, force: float, flexing: bool, rate_deg_s: float
 ) -> Scenario:
-    """Return the scenario with a ramp over the range of its reference and a constant force."""
+    """Return the scenario with a ramp reference and a constant force as its only load.
+
+    The ramp covers the range of the scenario's reference, upwards if ``flexing``.
+    """
     low, high = scenario.reference.range_deg
     start, end = (low, high) if flexing else (high, low)
     ramp = RampReference(start_deg=start, end_deg=end, time_s=0.0, rate_deg_s=rate_deg_s)
@@ -165,7 +174,10 @@ def _ramp(
 async def speed_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[str, float, bool]
 ) -> dict[str, Any]:
-    """Return the mean speed of the rod while the command is at its limit."""
+    """Return the rod's mean speed in a ramp that asks for more than the motor's speed limit.
+
+    ``case`` is the order, the constant force in N, and True for flexion.
+    """
     order, force, flexing = case
     fast = _ramp(scenario, order, force, flexing, settings.speed_rate_deg_s)
     fast = changed(fast, {"simulation.duration_s": 1.0})
@@ -185,7 +197,10 @@ async def speed_row(
 async def switching_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[float, bool]
 ) -> dict[str, Any]:
-    """Return the rod's oscillation about its reference under one force, in full order."""
+    """Return the oscillation of the rod about a slow ramp, with the full-order cylinder.
+
+    ``case`` is the constant force on the rod in N, and True for flexion.
+    """
     force, flexing = case
     low, high = scenario.reference.range_deg
     slow = _ramp(scenario, "full", force, flexing, settings.switching_rate_deg_s)
@@ -219,7 +234,11 @@ async def switching_row(
 
 
 def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[str, Any]:
-    """Return the oil's mode and the loop's margins of one order at one posture and load."""
+    """Return the oil's mode and the loop's margins of one linearization.
+
+    ``case`` is the order, the load's force in N, and the knee angle in deg. If linearization fails,
+    numbers are nan and ``failure`` has the reason.
+    """
     order, force, posture = case
     at = in_order(scenario, order, force)
     row: dict[str, Any] = {"order": order, "disturbance_n": force, "posture_deg": posture}
@@ -254,7 +273,10 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
 
 @needs_runs
 async def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
-    """Return the large-signal bandwidth of one order under one load."""
+    """Return the large-signal bandwidth; ``case`` is the order and the load's force in N.
+
+    If the search fails, the bandwidth is nan and ``failure`` has the reason.
+    """
     order, force = case
     row = {"order": order, "disturbance_n": force, "bandwidth_hz": math.nan, "failure": ""}
     at = in_order(scenario, order, force)
@@ -269,12 +291,16 @@ async def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> dict[str
 
 
 Rows = tuple[Mapping[str, Any], ...]
-"""Rows of a table, each with its keys."""
+"""Rows of a result table. Each row maps names of columns to values."""
 
 
 @dataclass(frozen=True, repr=False)
 class OrderResult(Result):
-    """Rows of plain numbers by name, one for each order, load and posture; see the pieces."""
+    """Tables of the comparison, with a row for each order, load and, where it matters, posture.
+
+    The functions ``tracking_row``, ``speed_row``, ``switching_row``, ``frequency_row`` and
+    ``bandwidth_row`` make the rows.
+    """
 
     tracking: Rows
     speeds: Rows
@@ -285,7 +311,7 @@ class OrderResult(Result):
     settings: OrderSettings
 
     def results(self) -> dict[str, Any]:
-        """Plain data, units in the names."""
+        """Return all tables without traces as plain data, with units in the names."""
         parts = ("tracking", "speeds", "switching", "frequency", "bandwidth")
         return {
             part: [
@@ -317,11 +343,11 @@ def order_study(
 ) -> OrderResult:
     """Compare both orders of the cylinder under the loads of ``settings``, in time and frequency.
 
-    ``scenario`` needs a sinusoidal reference; of its cylinder either order is taken, with its own
-    valves and seals where it has them. What fails in frequency is nan, and ``failure`` says why.
-    ``options``: see `kneexo.sweeps.SweepOptions`.
+    The reference of ``scenario`` must be a sine. The full order has the scenario's valves and
+    seals, or default ones. Numbers of a linearization or bandwidth that fails are nan, and
+    ``failure`` in their row has the reason. ``options``: see `kneexo.sweeps.SweepOptions`.
 
-    Raises `ParameterError` when the reference is no sine, and what the simulation raises.
+    Raises `ParameterError` when the reference is no sine, and the errors of failed simulations.
     """
     require_sine(scenario)
     loads, forces = settings.disturbances_n, settings.switching_forces_n

@@ -32,9 +32,10 @@ _SHOWN = ("max_error_deg", "bandwidth_hz", "disk_margin")
 
 
 def distribution(result: RobustnessResult) -> Figure:
-    """Empirical distribution of each figure of merit, with the nominal plant and the worst corner.
+    """Draw the distribution of each figure of merit, with the nominal plant and the worst corner.
 
-    What failed is missing: the curve then ends below one, or begins above zero.
+    Failed samples count but are not drawn: the curve ends below one if larger is worse, else it
+    begins above zero.
     """
     names = [merit for merit in result.merits if merit != "rms_error_deg"]
     columns = min(3, len(names))
@@ -78,7 +79,10 @@ def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
 
 
 def tornado(result: RobustnessResult) -> Figure:
-    """What each value alone does to error, bandwidth and disk margin, the largest on top."""
+    """Draw the effect of each uncertain value alone on error, bandwidth and disk margin.
+
+    The value with the largest effect is on top.
+    """
     merits = [merit for merit in _SHOWN if merit in result.merits]
     names = short_names(result.uncertainty.values)
     figure, axes = plt.subplots(
@@ -131,7 +135,11 @@ def _plot_tornado(ax: Axes, result: RobustnessResult, merit: str, names: dict[st
 
 
 def importance(result: RobustnessResult) -> Figure:
-    """Rank correlations over the samples, beside the linear effect of each whole interval."""
+    """Draw two tables of uncertain values by figure of merit.
+
+    The left table has rank correlations over the samples. The right table has the linear effect of
+    each value's whole interval.
+    """
     names = short_names(result.uncertainty.values)
     merits = list(result.merits)
     correlations = result.correlations()
@@ -165,17 +173,17 @@ def importance(result: RobustnessResult) -> Figure:
 
 
 def _cell(value: float) -> str:
-    """A number of a table, without the sign of a rounded zero."""
+    """Return a number as the text of a cell, without the sign of a value that rounds to zero."""
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{round(value, 2) + 0.0:.2f}"
 
 
 def _plot_table(
     ax: Axes, values: Any, merits: list[str], labels: list[str], unsigned: Any, limit: float = 1.0
 ) -> None:
-    """Numbers in coloured cells: red where more of the value is worse, blue where it is better.
+    """Draw numbers in coloured cells, red if a larger uncertain value is worse, blue if better.
 
-    Rows that are ``unsigned`` are grey. The columns are ``merits`` without their units, which the
-    numbers do not have.
+    Rows that are ``unsigned`` are grey. The columns are ``merits``, labelled without units because
+    the numbers are relative. Colours saturate at ``limit``.
     """
     signs = np.array([MERITS[merit].sign_of_worse for merit in merits])
     rows = np.broadcast_to(unsigned[:, None], values.shape)
@@ -206,7 +214,10 @@ def _plot_table(
 
 
 def nyquist(result: RobustnessResult) -> Figure:
-    """Loops of the first samples, with the disk that the worst disk margin keeps out."""
+    """Draw the Nyquist plots of the first samples, and of the plant with the smallest disk margin.
+
+    The second plot has the disk of its margin. Unstable loops are red, and the title counts them.
+    """
     figure, ax = plt.subplots(figsize=(6.0, 6.0), layout="constrained")
     assessments = [*result.samples, *result.corners, *result.one_at_a_time, result.nominal]
     stable = [assessment for assessment in assessments if assessment.metrics["stable"]]
@@ -236,7 +247,7 @@ def nyquist(result: RobustnessResult) -> Figure:
 
 
 def _loop(result: RobustnessResult, assessment: Assessment) -> SampledLoop | None:
-    """The linear loop of a assessment, as `assess` takes it; None when there is none."""
+    """Return the linear loop of an assessed plant, at the posture of `assess`; None if it fails."""
     try:
         plant = realize(result.scenario, result.uncertainty, assessment.values)
         return linearize_loop(plant, plant.reference.middle_deg)
@@ -245,7 +256,7 @@ def _loop(result: RobustnessResult, assessment: Assessment) -> SampledLoop | Non
 
 
 def figures(result: RobustnessResult) -> dict[str, Figure]:
-    """Distributions, tornado, what matters most, and Nyquist plots of the sampled loops."""
+    """Draw the figures of the study: distribution, tornado, importance, Nyquist; by name."""
     return {
         "robustness_distribution": distribution(result),
         "robustness_tornado": tornado(result),

@@ -1,4 +1,4 @@
-"""Markdown of `kneexo.studies.robustness.study`."""
+"""Markdown report on a `kneexo.studies.robustness.study.RobustnessResult`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from kneexo.studies.robustness.study import (
 from kneexo.studies.template import filled
 
 _COMPARED = ("max_error_deg", "bandwidth_hz", "disk_margin")
-"""Figures of merit of the table of worst corners."""
+"""Figures of merit for which the report shows the worst corner."""
 
 
 def report(result: RobustnessResult) -> str:
@@ -53,7 +53,7 @@ def report(result: RobustnessResult) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value or an option in short."""
+    """Return a metric, an uncertain value or an option as short text; ``fails`` if not finite."""
     if isinstance(value, float):
         return f"{value:.4g}" if math.isfinite(value) else "fails"
     if isinstance(value, Mapping):
@@ -62,7 +62,11 @@ def shown(value: Any) -> str:
 
 
 def _distribution(result: RobustnessResult) -> Iterator[list[str]]:
-    """Yield a row for each figure of merit: nominal, quantiles of the samples, worst values."""
+    """Yield for each figure of merit a table row: label, nominal, quantiles, worst values.
+
+    The quantiles are median, 5 % and 95 % of the samples. The worst values are those of the samples
+    and of the corners.
+    """
     for merit in result.merits:
         values = [merit_value(result.nominal, merit)]
         values += [quantile(result.samples, merit, share) for share in (0.5, 0.05, 0.95)]
@@ -73,7 +77,7 @@ def _distribution(result: RobustnessResult) -> Iterator[list[str]]:
 
 
 def _failures(name: str, assessments: Sequence[Assessment]) -> dict[str, Any]:
-    """Count the failures of a set of plants, and list the errors of its unstable loops."""
+    """Return, for a set of plants, counts of failures, and the largest errors of unstable loops."""
     unstable = [assessment for assessment in assessments if assessment.metrics["stable"] is False]
     errors = merit_values(unstable, "max_error_deg")
     return {
@@ -89,7 +93,10 @@ def _failures(name: str, assessments: Sequence[Assessment]) -> dict[str, Any]:
 def _corners(
     result: RobustnessResult, merits: Sequence[str], names: Mapping[str, str]
 ) -> Iterator[list[str]]:
-    """Yield the values of the worst corner of each figure of merit, and the figure there."""
+    """Yield table rows with a column for each figure of merit, at its worst corner.
+
+    Each row has one uncertain value at these corners, the last row the figures of merit.
+    """
     corners = [worst(result.corners, merit) for merit in merits]
     for path, name in names.items():
         yield [name, *(shown(corner.values[path]) for corner in corners)]
@@ -100,7 +107,7 @@ def _corners(
 
 
 def _sample_is_worst(result: RobustnessResult, merit: str) -> bool:
-    """Whether a sample is worse than all corners."""
+    """Return whether a figure of merit is worse at some sample than at all corners."""
     sample, corner = (
         worst_value(assessments, merit) for assessments in (result.samples, result.corners)
     )
@@ -110,7 +117,10 @@ def _sample_is_worst(result: RobustnessResult, merit: str) -> bool:
 def _importance(
     result: RobustnessResult, merits: Sequence[str], names: Mapping[str, str]
 ) -> Iterator[dict[str, Any]]:
-    """Yield a table for each figure of merit, most important value first."""
+    """Yield for each figure of merit a table of the uncertain values, by falling correlation.
+
+    ``idle`` names the values whose correlation can be due to `chance`.
+    """
     correlations = result.correlations()
     for merit in merits:
         correlation, effects = correlations[merit], result.effects(merit)

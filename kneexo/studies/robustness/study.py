@@ -31,7 +31,7 @@ from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 
 class RobustnessSettings(Parameters):
-    """Settings of ``kneexo robustness``: which plants are assessed, and how."""
+    """Settings of ``kneexo robustness``: numbers of assessed plants, and parts of the study."""
 
     samples: int = quantity(
         500,
@@ -59,18 +59,18 @@ class RobustnessSettings(Parameters):
 
 
 Values = Mapping[str, Any]
-"""Values of uncertain quantities by path."""
+"""Values of a scenario's uncertain quantities, by dotted path."""
 Corner = tuple[int, ...]
 """A corner: for each uncertain value the index of its level (end of the interval, or option)."""
 
 CONFIDENCE = 0.95
-"""Confidence of the bounds on a share of plants."""
+"""Confidence level of the statistical bounds in the report."""
 UNSTABLE = "the sampled loop, linearized in the middle of the reference, is unstable"
 """The reason that is reported for a plant whose linearized loop is unstable."""
 
 
 class Merit(NamedTuple):
-    """A figure of merit. ``sign_of_worse`` is 1 where a larger value is worse, else −1."""
+    """A figure of merit. ``sign_of_worse`` is 1 if a larger value is worse, else −1."""
 
     label: str
     sign_of_worse: float
@@ -90,7 +90,7 @@ MERITS = {
 
 @dataclass(frozen=True)
 class Assessment:
-    """One plant: its values that are not nominal, by path, and its metrics from `assess`."""
+    """One assessed plant: its values that are not nominal, and its metrics from `assess`."""
 
     values: Values
     metrics: dict[str, Any]
@@ -109,10 +109,10 @@ async def assess_plant(
     judge: Callable[[Scenario], dict[str, Any]],
     values: Values,
 ) -> dict[str, Any]:
-    """Realize the plant with these values in the process that runs it, and return its metrics.
+    """Make the plant with these uncertain ``values``, and return its metrics from ``judge``.
 
-    ``judge`` returns the metrics of a scenario. Where the values contradict each other, the result
-    has the reason as ``tracking_failure``.
+    The sweep calls this function in the worker process. If the values contradict each other, the
+    result has no metrics but the reason as ``tracking_failure``.
     """
     try:
         plant = realize(scenario, uncertainty, values)
@@ -122,7 +122,7 @@ async def assess_plant(
 
 
 def merit_value(assessment: Assessment, merit: str) -> float:
-    """A figure of merit of a assessment; what failed is infinitely bad."""
+    """Return a figure of merit of an assessed plant; infinitely bad (±inf) if missing or nan."""
     value = assessment.metrics[merit]
     failed = value is None or math.isnan(value)
     return MERITS[merit].sign_of_worse * math.inf if failed else float(value)
@@ -134,7 +134,7 @@ def merit_values(assessments: Iterable[Assessment], merit: str) -> Array:
 
 
 def worst(assessments: Sequence[Assessment], merit: str) -> Assessment:
-    """Return the assessment with the worst figure of merit; the first of equal ones."""
+    """Return the assessment with the worst figure of merit, the first if several are equal."""
     return assessments[
         int(np.argmax(MERITS[merit].sign_of_worse * merit_values(assessments, merit)))
     ]
@@ -146,7 +146,10 @@ def worst_value(assessments: Sequence[Assessment], merit: str) -> float:
 
 
 def quantile(assessments: Sequence[Assessment], merit: str, share: float) -> float:
-    """Order statistic at ``share``: infinite where that many assessments failed."""
+    """Return the value up to which a ``share`` (0 … 1) of the assessments' figures of merit lie.
+
+    The result is one of the figures, infinite if it is that of a failed assessment.
+    """
     return float(np.quantile(merit_values(assessments, merit), share, method="inverted_cdf"))
 
 
@@ -171,9 +174,10 @@ def rank_correlation(
 ) -> Array:
     """Return how strongly each uncertain value acts on a figure of merit, (values,).
 
-    For an interval this is Spearman's rank correlation over ``assessments``. For options it is the
-    correlation ratio η of the ranks: the root of the share of their variance between the options,
-    without a sign. Failures have the worst rank. If the figure of merit is constant, all are nan.
+    For an interval the strength is Spearman's rank correlation over ``assessments``. For options it
+    is the correlation ratio η of the ranks, the square root of the share of the ranks' variance
+    that lies between the options; η has no sign. Failures have the worst rank. If the figure of
+    merit is constant, all strengths are nan.
     """
     ranks = scipy.stats.rankdata(merit_values(assessments, merit)) - 0.5 * (len(assessments) + 1)
     size = math.sqrt(ranks @ ranks)
@@ -193,7 +197,10 @@ def rank_correlation(
 
 
 def chance(span: Uncertainty, count: int) -> float:
-    """Return the bound that `rank_correlation` over ``count`` plants keeps by chance, at 95 %."""
+    """Return the `rank_correlation` over ``count`` plants that chance exceeds in 5 % of cases.
+
+    ``span`` is the range of a value without any effect.
+    """
     freedom = max(len(span.options), 2) - 1
     return math.sqrt(scipy.stats.chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
 
@@ -202,11 +209,11 @@ def chance(span: Uncertainty, count: int) -> float:
 class RobustnessResult(Result):
     """Assessments of the nominal plant, of one value at a time, of samples and of corners.
 
-    ``uncertainty`` has the uncertain values of the scenario, ``left_out`` the paths that it lacks.
-    ``local`` has derivatives by metric and path, ``local_failures`` the reasons for missing ones.
-    ``corners_possible`` is the number of all corners. ``corners_settled`` is None when all of them
-    were visited. Otherwise it says whether the search ended with corners that no change of a single
-    value makes worse.
+    ``uncertainty`` has the uncertain values that the scenario has, ``left_out`` the other paths.
+    ``local`` has derivatives at the nominal plant by metric and path, ``local_failures`` the
+    reasons for missing derivatives. ``corners_possible`` is the number of all corners.
+    ``corners_settled`` is None when all corners were visited. Otherwise it is True if the search
+    ended with corners that no change of a single value makes worse.
     """
 
     scenario: Scenario
@@ -224,11 +231,11 @@ class RobustnessResult(Result):
 
     @property
     def merits(self) -> tuple[str, ...]:
-        """The names of the figures of merit that this study has."""
+        """Names of the figures of merit that the study computed (no bandwidth if switched off)."""
         return tuple(name for name in MERITS if name in self.nominal.metrics)
 
     def effects(self, merit: str) -> dict[str, list[float]]:
-        """Return by path the figure of merit at each level of that value, all others nominal."""
+        """Return by path the figure of merit at each level of one value, all others nominal."""
         values = iter(merit_values(self.one_at_a_time, merit).tolist())
         return {
             path: list(islice(values, len(span.levels)))
@@ -236,12 +243,15 @@ class RobustnessResult(Result):
         }
 
     def spread(self, merit: str, path: str) -> float:
-        """Return the figure of merit's range over the levels of one value; inf at a failure."""
+        """Return the range of a figure of merit over the levels of one value; inf if one fails."""
         values = [*self.effects(merit)[path], merit_value(self.nominal, merit)]
         return float(np.max(values) - np.min(values)) if np.isfinite(values).all() else math.inf
 
     def linear_effect(self, merit: str, path: str) -> float:
-        """Return local sensitivity times length of the interval; nan if either is missing."""
+        """Return local sensitivity times length of the interval, of logarithms for ``scale: log``.
+
+        The result is nan for a missing sensitivity and for options.
+        """
         slope = self.local.get(merit, {}).get(path, math.nan)
         span = self.uncertainty.values[path]
         if span.low is None or span.high is None:
@@ -265,11 +275,11 @@ class RobustnessResult(Result):
 
     @property
     def covered(self) -> float:
-        """Share of all plants that are no worse than the worst sample, with 95 % confidence."""
+        """Share of all plants that, with 95 % confidence, are no worse than the worst sample."""
         return float((1.0 - CONFIDENCE) ** (1.0 / len(self.samples)))
 
     def results(self) -> dict[str, Any]:
-        """Return all numbers as plain data; a metric that a failure prevents is nan."""
+        """Return all numbers of the study as plain data; metrics missing by a failure are nan."""
 
         def listed(assessments: Sequence[Assessment]) -> list[dict[str, Any]]:
             return [{"values": dict(v.values), **v.metrics} for v in assessments]
@@ -329,12 +339,12 @@ def robustness_study(
 ) -> RobustnessResult:
     """Assess the loop of ``scenario`` on the plants of ``uncertainty``.
 
-    The study leaves out, and reports, uncertain values that the scenario lacks (of a load, where
-    there is none). It has no bandwidth unless the reference is a moving sine. ``options``: see
-    `kneexo.sweeps.SweepOptions`.
+    The study leaves out, and reports, uncertain values that the scenario lacks, such as those of a
+    load in a scenario without load. The bandwidth is measured only if the reference is a sine that
+    moves. ``options``: see `kneexo.sweeps.SweepOptions`.
 
-    Raises `ParameterError` for uncertain values that no scenario has, that are out of range, and
-    when none of them applies.
+    Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, and
+    if the scenario has none of the values.
     """
     with open_sweep(**options) as sweep:
         return _explore(scenario, uncertainty, settings, sweep)
@@ -393,7 +403,10 @@ def _explore(
 def _local(
     scenario: Scenario, paths: Sequence[str], duration_s: float, task: str
 ) -> dict[str, Any]:
-    """Return local sensitivities by metric and path, or ``failure`` with the reason."""
+    """Return derivatives by metric and path for the ``task`` margins or tracking.
+
+    If the task fails, the result has only ``failure``, the reason.
+    """
     try:
         if task == "margins":
             sensitivities = loop_sensitivities(scenario, paths)
@@ -411,12 +424,12 @@ def _corners(
     settings: RobustnessSettings,
     assessment: Callable[[Sequence[Values]], tuple[Assessment, ...]],
 ) -> tuple[tuple[Assessment, ...], bool | None]:
-    """Assessment all corners, or ``corners_max`` of them; return them and ``corners_settled``.
+    """Assess all corners, or ``corners_max`` of them; return assessments and ``corners_settled``.
 
-    If there are more corners than that, the order is: (1) for each figure of merit and each
-    combination of options, the corner of those ends that were worse one at a time; (2) all
-    neighbours, which differ in one value, of the worst corner of each figure of merit, repeated
-    until no neighbour is worse; (3) random corners.
+    If there are more than ``corners_max`` corners, the search visits (1) for each figure of merit
+    and each combination of options, the corner with the ends of intervals that are worse one at a
+    time; (2) all neighbours, which differ in one value, of the worst corner of each figure of
+    merit, repeated until all are visited; (3) random corners.
     """
     entries = uncertainty.values
     sizes = [len(span.levels) for span in entries.values()]
@@ -450,7 +463,10 @@ def _corners(
 def _pointed_at(
     uncertainty: UncertaintySet, merits: Sequence[str], singly: Sequence[Assessment]
 ) -> Iterator[Corner]:
-    """Yield the corners of ends that are worse one at a time, for all options."""
+    """Yield for each merit and combination of options the corner of ends that are worse singly.
+
+    ``singly`` has the assessments with one uncertain value changed at a time.
+    """
     one_by_one = iter(singly)
     groups = [list(islice(one_by_one, len(span.levels))) for span in uncertainty.values.values()]
     for merit in merits:

@@ -1,4 +1,4 @@
-"""The figures of `kneexo.studies.size.study.SizeResult`."""
+"""Figures of a `kneexo.studies.size.result.SizeResult`."""
 
 from __future__ import annotations
 
@@ -32,13 +32,16 @@ if TYPE_CHECKING:
     from kneexo.studies.catalogue import Motion
 
 HARDWARE_LABELS = {"nominal": "hardware as it is", "sized": "sized hardware"}
-"""What walks in the traces."""
+"""Labels of the hardware whose walking runs are in the traces of `SizeResult`."""
 
 _STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
 
 
 def figures(result: SizeResult) -> dict[str, Figure]:
-    """Design curves, maps, gains, walking over the cycle, pressure and power over the cycle."""
+    """Draw the figures of a sizing, and return them by name.
+
+    They show sweeps and maps of the hardware, the gains, and tracking and demand over a gait cycle.
+    """
     return {
         "sizing_sweeps": _sweeps(result),
         "sizing_maps": _maps(result),
@@ -112,7 +115,10 @@ def _maps(result: SizeResult) -> Figure:
 
 
 def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) -> None:
-    """Cells with their numbers; rows of ``values`` are acceleration limits, columns speeds."""
+    """Draw a heat map with a number in each cell.
+
+    The rows of ``values`` are acceleration limits in rad/s², the columns rod speed limits in mm/s.
+    """
     norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
     heat_map(axis, speed, limit, values.T, norm=norm, label=label)
     for (row, column), value in np.ndenumerate(values):
@@ -123,7 +129,10 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
 
 
 def _regimes(axis: Axes, result: SizeResult) -> None:
-    """Where the acceleration limit begins to count, and below which it alone does."""
+    """Draw the acceleration limits at the ratios `ONE_PERCENT_RATIO`, `ACCELERATION_ALONE_RATIO`.
+
+    Below the first the limit reduces the bandwidth, below the second it alone sets the bandwidth.
+    """
     speed = np.array(axis.get_xlim())
     motor = result.scenario.plant.pump.speed_limit_rad_s
     amplitude = rod_amplitude_m(result.scenario)
@@ -138,7 +147,7 @@ def _regimes(axis: Axes, result: SizeResult) -> None:
 
 
 def _walking_limits(axis: Axes, result: SizeResult) -> None:
-    """What the motion itself asks for, and the sized hardware."""
+    """Draw the rod speed and motor acceleration that walking requires, and the sized hardware."""
     speed = np.array(axis.get_xlim())
     peaks, design = result.demands[0].peaks(), result.designs[0].scenario
     motor = design.plant.pump.speed_limit_rad_s
@@ -230,7 +239,7 @@ def _tracking(result: SizeResult) -> Figure:
 
 
 def motions(result: SizeResult) -> dict[str, Motion]:
-    """Walking with the hardware as it is beside the sized one; without a run that failed."""
+    """Return the walking runs with the scenario's and the sized hardware, without a failed run."""
     linkage = result.scenario.plant.linkage
     return {
         label: (linkage, {**trace, "time_s": trace["time_s"] - trace["time_s"][0]})
@@ -242,7 +251,7 @@ def motions(result: SizeResult) -> dict[str, Motion]:
 def last_stride(
     trace: Mapping[str, Array], frequency_hz: float
 ) -> tuple[Array, Mapping[str, Array]]:
-    """Gait cycle in %, increasing from heel contact, and the signals of the last stride."""
+    """Return the gait cycle in %, increasing from heel contact, and the last stride's signals."""
     last = trace["time_s"] > trace["time_s"][-1] - 1.0 / frequency_hz + 1e-9
     cycle = (100.0 * frequency_hz * trace["time_s"][last] + gait_start_percent()) % 100.0
     order = np.argsort(cycle)

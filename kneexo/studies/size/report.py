@@ -1,4 +1,4 @@
-"""Markdown of `kneexo.studies.size.study`."""
+"""Markdown report on a `kneexo.studies.size.result.SizeResult`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WALKING = {
     "peak_shaft_power_w": ("peak power (W)", ".1f"),
     "delivered_energy_j": ("energy delivered per stride (J)", ".2f"),
 }
-"""Heading and form of each metric of walking."""
+"""Heading and number format of each metric of walking."""
 
 _ERRORS = ("max_error_deg", "rms_error_deg")
 _VARIED = (
@@ -80,9 +80,9 @@ def report(result: SizeResult) -> str:
 
 
 def _measured(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield bandwidth and error of the hardware as it is and with one value changed.
+    """Yield rows with bandwidth and error: of the scenario's hardware, then with one value changed.
 
-    Of the factors of a sweep: both ends and the two next to 1. Results and figures have them all.
+    Of each sweep's factors, the rows show both ends and the two next to 1.
     """
     below = sorted(factor for factor in result.settings.factors if factor < 1.0)
     above = sorted(factor for factor in result.settings.factors if factor > 1.0)
@@ -96,14 +96,14 @@ def _measured(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[dict[s
 
 
 def _walked(numbers: Mapping[str, Any], names: Sequence[str]) -> list[str]:
-    """Return cells with metrics of walking; of a run that failed the reason and dashes."""
+    """Return cells with the metrics ``names`` of walking; for a failed run, reason and dashes."""
     if numbers["failure"]:
         return [f"fails: {numbers['failure'].split(';')[0]}", *["–"] * (len(names) - 1)]
     return [number(numbers[name], _WALKING[name][1]) for name in names]
 
 
 def _changes(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the gains of the scenario and, where they differ, those tuned for walking."""
+    """Yield a text for each gain: the scenario's value and, if different, that for walking."""
     best, law = numbers["best_gains"], sliding_mode(result.scenario)
     observer = value_at(result.scenario, "estimator.time_constant_s")
     for name, unit, old, new in (
@@ -116,7 +116,10 @@ def _changes(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _searched(search: Mapping[str, Any], bound_deg: float) -> str:
-    """Return the smallest value of a search, or the best one where none keeps the bound."""
+    """Return the value that a search found, as text.
+
+    If no value keeps the error's bound, the text says so and has the value of least error.
+    """
     if search["reached"]:
         return f"{search['value']:.4g}"
     return (
@@ -126,13 +129,16 @@ def _searched(search: Mapping[str, Any], bound_deg: float) -> str:
 
 
 def _design_cell(name: str, form: str) -> Cell:
-    """Return a cell with a metric of walking; where computed, that at half the step."""
+    """Return a function that prints a walking metric of a design.
+
+    Metrics in `CHECKED` are those at half the check step, the others those of the design's solver.
+    """
     run = "halved_step" if name in CHECKED else "walking"
     return lambda design: number(design[run][name], form)
 
 
 def _good_factors(numbers: Mapping[str, Any], bound_deg: float) -> Iterator[list[str]]:
-    """Yield for each value of the hardware the range of factors that keep the error's bound."""
+    """Yield for each hardware value a row with the range of factors that keep the error's bound."""
     for path, sweep in numbers["walking_sweeps"].items():
         good = [row["factor"] for row in sweep if row["max_error_deg"] <= bound_deg]
         yield [HARDWARE[path][0], f"{min(good):g} … {max(good):g}" if good else "none"]

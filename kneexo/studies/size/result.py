@@ -1,4 +1,4 @@
-"""The result of a sizing, as data and as plain numbers."""
+"""The result of a sizing, as objects and as plain numbers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ from kneexo.studies.size.settings import SizeSettings
 
 @dataclass(frozen=True)
 class Search:
-    """The smallest value that keeps the error's bound; if none does, the value of least error."""
+    """Result of a search in ``low`` … ``high`` for the smallest value that keeps the error's bound.
+
+    If no value keeps the bound, ``reached`` is False and ``value`` is the tried one of least error.
+    """
 
     value: float
     max_error_deg: float
@@ -47,10 +50,10 @@ class Search:
 class WalkingDesign:
     """Hardware sized for one stride frequency, and how it walks.
 
-    ``flow`` is a factor on the scenario's flow per motor revolution, ``acceleration`` a limit in
-    rad/s²; the design is ``margin`` times both. ``walking`` holds `walking_metrics` with the
-    scenario's own solver, ``checked`` and ``halved`` the same with RK4 at the check step and half
-    of it.
+    ``flow`` is the search for a factor on the scenario's flow per motor revolution,
+    ``acceleration`` that for a limit in rad/s². ``scenario`` has ``margin`` times both. ``walking``
+    has `walking_metrics` with the scenario's own solver, ``checked`` those with RK4 at the check
+    step, ``halved`` those with RK4 at half the check step.
     """
 
     frequency_hz: float
@@ -64,48 +67,48 @@ class WalkingDesign:
 
 @dataclass(frozen=True, repr=False)
 class SizeResult(Result):
-    """Hardware, demands, gains and designs of `size_study`."""
+    """Bandwidth and error by hardware, demands of walking, gains and designs of `size_study`."""
 
     scenario: Scenario
     settings: SizeSettings
     nominal: Mapping[str, Any]
     """Bandwidth and error of the scenario's hardware at its own sine."""
     sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
-    """The same with one value of `HARDWARE` times each of the factors."""
+    """As ``nominal``, with one value multiplied by each of ``settings.factors``; by path."""
     bandwidth_map_hz: Array
-    """Over the factors of the acceleration limit (rows) and of the flow (columns)."""
+    """Bandwidth over the factors of the acceleration limit (rows) and of the flow (columns)."""
     demands: Sequence[WalkingDemand]
-    """For each stride frequency, with the moving mass of Eq. 16."""
+    """What walking requires at each stride frequency, with the moving mass of Eq. 16."""
     segment_demands: Sequence[WalkingDemand]
-    """The same with the shank's inertia; empty without a load."""
+    """As ``demands``, with the shank's inertia instead of that mass; empty without a load."""
     torque_demands: Mapping[float, WalkingDemand]
-    """At the first stride frequency, by the wearer's torque in N·m; empty without a load."""
+    """As ``segment_demands``, at the first stride frequency, by the wearer's torque in N·m."""
     gains: Sequence[Mapping[str, Any]]
-    """Gains that were tried, with walking and margins at the highest stride frequency."""
+    """All tried gains, each with its metrics of walking at the highest stride frequency."""
     best_gains: Mapping[str, Any]
     steps: Mapping[str, Sequence[Mapping[str, Any]]]
-    """From the scenario to a loop that walks: `walking_metrics` for each stride frequency."""
+    """Stages from the scenario to a loop that walks: `walking_metrics` by stride frequency."""
     designs: Sequence[WalkingDesign]
-    """For each stride frequency; what follows is about the first."""
+    """The design for each stride frequency. The fields below are about the first design."""
     design_at_reference: Mapping[str, Any]
     variations: Mapping[str, Mapping[str, Any]]
     walking_sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
     walking_map_deg: Array
-    """Largest error over the factors of the acceleration limit (rows) and the flow (columns)."""
+    """Largest error over factors of the acceleration limit (rows) and of the flow (columns)."""
     traces: Mapping[str, Mapping[str, Array]]
-    """Signals of the scenario's and of the sized hardware; none of a run that fails."""
+    """Signals of walking with ``nominal`` and with ``sized`` hardware; empty for a failed run."""
 
     def results(self) -> dict[str, Any]:
-        """Plain data with units in the names."""
+        """Return the sizing as plain data, with units in the names."""
         return _results(self)
 
 
 CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
-"""Metrics that compare a walking run with the run at half its step."""
+"""Metrics of walking that are compared between the check step and half of it."""
 
 
 def _results(result: SizeResult) -> dict[str, Any]:
-    """Plain data with units in the names."""
+    """Return a sizing as plain data, with units in the names."""
     settings, scenario = result.settings, result.scenario
 
     def demands(values: Iterable[WalkingDemand]) -> list[dict[str, float]]:
@@ -167,7 +170,7 @@ def _limits(scenario: Scenario) -> dict[str, float]:
 
 
 def _shown(scenario: Scenario, path: str, factor: float) -> float:
-    """Return a swept value of the hardware in the unit of `HARDWARE`."""
+    """Return the hardware value at ``path`` times ``factor``, in the unit shown by `HARDWARE`."""
     return float(value_at(scaled(scenario, {path: factor}), path)) * HARDWARE[path][2]
 
 
@@ -194,7 +197,11 @@ def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
 
 
 def _controller(result: SizeResult) -> dict[str, float]:
-    """Return the controller's authority and linear errors at the first stride frequency."""
+    """Return the controller's authority βη, the βη that walking requires, k/Φ, and linear errors.
+
+    The errors in deg are those that the linear loop predicts with ample flow at the first stride
+    frequency, with the scenario's and with the tuned gains.
+    """
     demand = result.demands[0]
     ample = scaled(result.scenario, {DISPLACEMENT: result.settings.largest_flow_factor})
     law, model = sliding_mode(result.scenario), error_model(result.scenario)

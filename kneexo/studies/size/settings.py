@@ -1,4 +1,4 @@
-"""Settings of the sizing."""
+"""Settings of the study `size`."""
 
 from __future__ import annotations
 

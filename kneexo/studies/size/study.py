@@ -56,7 +56,10 @@ _IMPLICIT_STEP_S = 1e-3
 
 @needs_runs
 async def _at_reference(scenario: Scenario) -> dict[str, Any]:
-    """Return bandwidths and errors at the scenario's sine; nan and ``failure`` where one fails."""
+    """Return bandwidths and errors at the scenario's sine, by name.
+
+    The numbers of a part that fails are nan, and ``failure`` has the reasons.
+    """
     failures = []
 
     async def measured(*names: str, part: Awaitable[Sequence[float]]) -> dict[str, float]:
@@ -97,11 +100,11 @@ def smallest(
     bound_deg: float,
     tolerance: float,
 ) -> Search:
-    """Smallest value of ``low`` … ``high`` (> 0) with an error within the bound.
+    """Search the smallest value in ``low`` … ``high`` (> 0) whose error is within the bound.
 
-    Bisection of the logarithm down to a relative ``tolerance``. Assumes that the error never
-    increases with the value. An error of nan is beyond every bound. Where even ``high`` is not
-    enough, ``reached`` is False and the value is the best of nine.
+    The search bisects the logarithm down to a relative ``tolerance``. It assumes that the error
+    never increases with the value. An error of nan is beyond every bound. If the error at ``high``
+    exceeds the bound, the result is the value of least error among nine from ``low`` to ``high``.
     """
     at_low, at_high = error_deg(low), error_deg(high)
     if at_low <= bound_deg:
@@ -277,7 +280,7 @@ def _one_at_a_time(factors: Sequence[float]) -> list[dict[str, float]]:
 
 
 def _by_path(results: Sequence[Any], factors: Sequence[float]) -> dict[str, Sequence[Any]]:
-    """Group the results of the items of `_one_at_a_time` by path."""
+    """Group results, in the order of the items of ``_one_at_a_time``, by path of the hardware."""
     count = len(factors)
     return {path: results[n * count : (n + 1) * count] for n, path in enumerate(HARDWARE)}
 
@@ -287,7 +290,10 @@ def _pairs(factors: Sequence[float]) -> list[dict[str, float]]:
 
 
 def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: float) -> bool:
-    """Return whether gains have the required disk margin and walk without chattering."""
+    """Return whether gains have the required disk margin and let the knee walk without chattering.
+
+    ``asked_change_rpm`` is the mean change of command per sample that the motion itself requires.
+    """
     allowed = settings.command_change_ratio_max * asked_change_rpm
     return bool(
         result["disk_margin"] >= settings.disk_margin_min
@@ -296,7 +302,10 @@ def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: 
 
 
 def _best(gains: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
-    """Return the gains with the least error that meet the demands; if none does, that walk."""
+    """Return the gains of least error among those that meet the demands, else among all that walk.
+
+    Raises `ParameterError` if no gains let the knee walk.
+    """
     walk_at_all = [row for row in gains if not math.isnan(row["max_error_deg"])]
     if not walk_at_all:
         raise ParameterError(
@@ -338,7 +347,7 @@ def _design(
 def _variations(
     design: Scenario, flow_factor: float, settings: SizeSettings
 ) -> dict[str, Scenario]:
-    """Return a design on plants that differ from the controller's nominal plant, by name."""
+    """Return scenarios by name: the design on plants unlike the nominal plant of its controller."""
     valves = FullCylinderParameters()
     full_order = {
         name: getattr(valves, name) * flow_factor

@@ -39,7 +39,7 @@ from kneexo.studies.sliding.settings import SLIDING_LAW, SlidingSettings
 from kneexo.systems.sliding_mode_controller import sliding_variable
 
 _ROUNDING = 1e-6
-"""Relative tolerance on η for a condition that holds with equality."""
+"""Relative tolerance of the checks, for conditions that hold with equality."""
 
 
 _TRACE_POINTS = 600
@@ -50,7 +50,10 @@ _SHORTEST = 20
 
 
 def plant_state_columns(plant: PlantParameters) -> tuple[tuple[str, float], ...]:
-    """The plant's continuous state: columns of a run, and their factors to the Context's units."""
+    """Return the run column of each continuous state of the plant, in the Context's order.
+
+    Each column comes with the factor from its unit to the unit in the Context.
+    """
     states = (state for part in plant_parts(plant) for state in part.states)
     return tuple((state.column, 1.0 / state.factor) for state in states)
 
@@ -69,8 +72,8 @@ def sliding_rates(
 ) -> tuple[Array, Array]:
     """Return the true s in m/s² and ds/dt in m/s³, each (n,), at n ``rows`` of a run.
 
-    ``commands_rad_s`` (n,) are the motor speed commands in force there. The run needs the
-    signals of `sliding_signals`. Raises `ParameterError` for another controller.
+    ``commands_rad_s`` (n,) are the motor speed commands in force at these rows. The run must have
+    the signals of `sliding_signals`. Raises `ParameterError` if the controller is no sliding mode.
     """
     lambda_ = sliding_mode(scenario).lambda_per_s
     plant: Any = make_plant(scenario.plant, table_1=scenario.polynomial)
@@ -110,8 +113,8 @@ def error_bounds(
     """Return bounds on |e| in m and on |ė| in m/s at ``time_s``, each (n,), while |s| ≤ Φ.
 
     ``error_m`` and ``rate_m_s`` are e and ė at the first time. The bounds follow from
-    (d/dt + λ)² e = s: the free motion, plus Φ times the integral over the absolute impulse
-    response. The second part tends to Φ/λ² for e and to 2Φ/(exp(1)·λ) for ė; Slotine's bound on ė
+    (d/dt + λ)² e = s. They add the free motion and Φ times the integral over the absolute impulse
+    response. The second part tends to Φ/λ² for e and to 2Φ/(exp(1)·λ) for ė. Slotine's bound on ė
     is 2Φ/λ.
     """
     z = lambda_per_s * (time_s - time_s[0])
@@ -144,10 +147,11 @@ async def check_sliding(
     - ``bounded_share``: share of the samples with |e| within `error_bounds`, from the first time in
       the layer until s leaves it.
 
-    With a sampled law the shares count ds/dt just after an update. ``held_share`` counts it just
-    before the next update, ``mean_share`` the mean between both. A run that fails is repeated over
-    half the time until it does not fail: ``failure`` has the first reason, ``duration_s`` the last
-    duration. Missing numbers are nan. ``trace`` has signals for figures.
+    With a sampled law the shares above use ds/dt just after an update of the command.
+    ``held_share`` is ``holding_share`` with ds/dt just before the next update, ``mean_share`` with
+    the mean of ds/dt between both. A run that fails is repeated over half the time until it does
+    not fail; ``failure`` has the first reason (else empty), ``duration_s`` the last duration.
+    Missing numbers are nan. ``trace`` has signals for figures.
     """
     law = sliding_mode(scenario)
     measured: dict[str, Any] = dict.fromkeys(

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.sliding.study.SlidingResult`, in full order."""
+"""Figures of a `kneexo.studies.sliding.study.SlidingResult`, for the full-order plant."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from kneexo.studies.plots import legend_below
 from kneexo.studies.sliding.study import LAWS, SlidingResult
 
 _OFF = 40.0
-"""Where |s|/Φ of a run is drawn that left the range of motion."""
+"""Value of |s|/Φ at which the figure marks a run that left the range of motion."""
 
 
 def _shown_eta(result: SlidingResult) -> float:
-    """η of the figures over time: the smallest with which the paper's k ends its run."""
+    """Return the η for the figures over time: the smallest at which the paper's k completes a run.
+
+    If the paper's k completes no run, the result is the first η of the settings.
+    """
     load = result.settings.loads_n[0]
     complete = [
         case.eta_m_s3
@@ -27,7 +30,10 @@ def _shown_eta(result: SlidingResult) -> float:
 
 
 def condition(result: SlidingResult) -> Figure:
-    """sgn(s)·ds/dt outside the layer over time: from a start there, and along the reference."""
+    """Draw sgn(s)·ds/dt of the samples outside the boundary layer over time.
+
+    The left panel starts outside the layer, the right panel follows the reference.
+    """
     figure, ax = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     load = result.settings.loads_n[0]
     for axis, part, eta, scale in (
@@ -54,10 +60,7 @@ def condition(result: SlidingResult) -> Figure:
 
 
 def error_bound(result: SlidingResult) -> Figure:
-    """The error over time beside its bound, one axis for each load; a cross ends a failed run.
-
-    One legend stands below both: inside, it would hide where an error changes its sign.
-    """
+    """Draw the error over time and its bound, a panel for each load. A cross ends a failed run."""
     loads, law = result.settings.loads_n, result.law
     figure, ax = plt.subplots(
         1, len(loads), figsize=(4.5 * len(loads), 4), layout="constrained", squeeze=False
@@ -79,7 +82,10 @@ def error_bound(result: SlidingResult) -> Figure:
 
 
 def boundary_layer(result: SlidingResult) -> Figure:
-    """The largest |s|/Φ along the reference over η; marks on top left the range of motion."""
+    """Draw the largest |s|/Φ along the reference over η.
+
+    Marks at the top stand for runs that left the range of motion.
+    """
     figure, ax = plt.subplots(figsize=(6.5, 5.0), layout="constrained")
     for style, load in zip(("-", "--", ":", "-."), result.settings.loads_n, strict=False):
         for index, (name, label) in enumerate(LAWS.items()):
@@ -106,7 +112,7 @@ def boundary_layer(result: SlidingResult) -> Figure:
 
 
 def figures(result: SlidingResult) -> dict[str, Figure]:
-    """``sliding_condition``, ``error_bound`` and ``boundary_layer``."""
+    """Draw all figures: ``sliding_condition``, ``error_bound`` and ``boundary_layer``."""
     return {
         "sliding_condition": condition(result),
         "error_bound": error_bound(result),

@@ -1,4 +1,4 @@
-"""Markdown of `kneexo.studies.sliding.study`."""
+"""Markdown report on a `kneexo.studies.sliding.study.SlidingResult`."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def report(result: SlidingResult) -> str:
 
 
 def _measured(name: str, factor: float = 1.0) -> Cell:
-    """Return a cell with a number of `check_sliding` times a factor."""
+    """Return a function that prints a case's `check_sliding` number ``name`` times ``factor``."""
 
     def text(case: SlidingCase) -> str:
         return number(factor * case.measured[name])
@@ -56,15 +56,16 @@ def _measured(name: str, factor: float = 1.0) -> Cell:
 
 
 def _keeps_its_promise(case: SlidingCase) -> bool:
-    """Whether s stays in the layer and the condition holds at every sample outside."""
+    """Return whether s stays in the layer, and all samples outside meet the sliding condition."""
     outside, holding = case.measured["outside_share"], case.measured["holding_share"]
     return case.stays and (not outside or holding == 1.0)
 
 
 def _shares(result: SlidingResult) -> Iterator[dict[str, Any]]:
-    """Yield for each law its least and largest share of the samples outside that hold, in %.
+    """Yield for each law the least and largest share in % of samples that meet the condition.
 
-    The runs are those in full order along the reference and from outside the layer.
+    The share is over a run's samples outside the layer. The runs are all of the full-order plant
+    that leave the layer, but for those with a sampled law.
     """
     for name, label in LAWS.items():
         shares = [

@@ -1,4 +1,4 @@
-"""Settings of the sliding condition, and its scenario."""
+"""Settings and default scenario of the study `sliding`."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.knee_coordinates import rod_derivatives
 
 LAWS = {"paper": "Eq. 27", "area": "Eq. 27 + area", "area_gain": "Eq. 27 + area, gain"}
-"""The k that are compared, and their names in tables."""
+"""The formulas for the gain k that are compared: Eq. 27, and Eq. 27 with further terms."""
 
 
 # -------------------------------------------------------------------------------- study
@@ -39,8 +39,8 @@ LAWS = {"paper": "Eq. 27", "area": "Eq. 27 + area", "area_gain": "Eq. 27 + area,
 def effective_masses_kg(scenario: Scenario) -> tuple[float, float]:
     """Return mass bounds in kg that cover the gain b of both chambers over the reference's range.
 
-    They are the law's own bounds times (Ā/A_i)(4V_i/V_t), the factor by which the reduced order is
-    too stiff.
+    For a full-order plant they are the law's own bounds times (Ā/A_i)(4V_i/V_t), the factor by
+    which the reduced order is too stiff. For a reduced-order plant they are the law's own bounds.
     """
     law, oil, full = sliding_mode(scenario), scenario.plant.cylinder, scenario.plant.full_order
     if full is None:
@@ -58,7 +58,7 @@ def effective_masses_kg(scenario: Scenario) -> tuple[float, float]:
 
 
 def _with_law(scenario: Scenario, law: str) -> Scenario:
-    """Return the scenario with one of the `LAWS`."""
+    """Return the scenario with the parameters of the controller that give one of the `LAWS`."""
     oil, values = scenario.plant.cylinder, {}
     if law != "paper":
         values["controller.area_uncertainty"] = oil.cap_area_m2 / oil.mean_area_m2 - 1.0
@@ -72,10 +72,10 @@ def _with_law(scenario: Scenario, law: str) -> Scenario:
 
 @dataclass(frozen=True)
 class SlidingCase:
-    """One run of the study with its numbers from `check_sliding`."""
+    """One run of the study, with its labels and its numbers from `check_sliding`."""
 
     part: str
-    """motion: along the reference; start: from outside the layer; sampled: at 2 ms."""
+    """``motion`` (along the reference), ``start`` (outside the layer) or ``sampled`` (at 2 ms)."""
     plant: str
     law: str
     load_n: float
@@ -84,7 +84,7 @@ class SlidingCase:
 
     @property
     def stays(self) -> bool:
-        """Whether s stayed in the layer once it was there, and the run reached its end."""
+        """Whether s never left the layer after reaching the layer, and the run completed."""
         return not self.measured["failure"] and self.measured["left_share"] == 0.0
 
 
@@ -165,16 +165,16 @@ def _cases(
 
 @dataclass(frozen=True)
 class NeededEta:
-    """η in m/s³ from which on the paper's k should keep s inside the layer in full order."""
+    """Least η in m/s³ with which Eq. 27 should keep s in the layer on the full-order plant."""
 
     speed: float
-    """βη covers ω̂²|ΔA/Ā||ẋ_d| at the reference's peak speed."""
+    """At this η, βη equals ω̂²(A_1/Ā − 1)|ẋ_d| at the reference's peak speed."""
     stability: float
-    """2λβη/Φ exceeds ω̂²(1 − A_2/Ā): with P_2 loaded the layer itself repels below."""
+    """At this η, 2λβη/Φ equals ω̂²(1 − A_2/Ā). With less and P_2 loaded, the layer repels s."""
 
 
 def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
-    """Return the η that the closed forms require, for a sinusoidal reference."""
+    """Return the η that the closed forms require along the scenario's sinusoidal reference."""
     law, oil = sliding_mode(scenario), scenario.plant.cylinder
     reference = require_sine(scenario)
     phase = np.linspace(0.0, 2.0 * np.pi, 2001)
@@ -206,7 +206,7 @@ class SlidingResult(Result):
         return sliding_mode(self.scenario)
 
     def of(self, part: str, **labels: Any) -> list[SlidingCase]:
-        """Return the cases of a part with these labels, in order."""
+        """Return the cases of a part whose fields equal ``labels``, in the order of the runs."""
         return [
             case
             for case in self.cases
@@ -214,9 +214,9 @@ class SlidingResult(Result):
         ]
 
     def smallest_eta(self, law: str, load_n: float) -> float:
-        """Return the smallest η in m/s³ from which on s stays in the layer; inf if none.
+        """Return the smallest η in m/s³ at and above which s stays in the layer, or inf.
 
-        Only runs in full order along the reference count."""
+        Only runs of the full-order plant along the reference count."""
         cases = self.of("motion", plant="full", law=law, load_n=load_n)
         smallest = math.inf
         for case in sorted(cases, key=lambda c: -c.eta_m_s3):
@@ -226,7 +226,7 @@ class SlidingResult(Result):
         return smallest
 
     def results(self) -> dict[str, Any]:
-        """Plain data, units in the names."""
+        """Return the study as plain data without traces, with units in the names."""
         return {
             "needed_eta_m_s3": asdict(self.needed),
             "smallest_eta_m_s3": {
@@ -247,11 +247,11 @@ def sliding_study(
     settings: SlidingSettings = SlidingSettings(),
     **options: Unpack[SweepOptions],
 ) -> SlidingResult:
-    """Check the sliding condition in reduced and full order, with Eq. 27's k and completed ones.
+    """Check the sliding condition on the reduced- and the full-order plant, with each of `LAWS`.
 
-    ``scenario``: the continuous law with exact states and a sinusoidal reference; its cylinder is
-    taken in both orders, with the loads of ``settings``. ``options``: see
-    `kneexo.sweeps.SweepOptions`. Raises `ParameterError` for a scenario of another kind.
+    ``scenario`` must have the continuous law, exact states, a knee load and a sinusoidal reference.
+    The study simulates both orders of its cylinder under the loads of ``settings``. ``options``:
+    see `kneexo.sweeps.SweepOptions`. Raises `ParameterError` for a scenario of another kind.
     """
     law = sliding_mode(scenario)
     if not law.continuous or scenario.plant.load.kind != "knee":
