@@ -1,11 +1,11 @@
-"""The command ``kneexo`` and ``python -m kneexo``."""
+"""The entry point of ``kneexo`` and ``python -m kneexo``."""
 
 import signal
 import sys
 
 
 def main() -> int:
-    """Run the command line; returns the exit code.
+    """Run the command line; return the exit code.
 
     Ctrl-C never prints a traceback, also while kneexo is being imported. The user's modules in the
     working directory can be imported, as with ``python -m``.

@@ -30,6 +30,6 @@ def gait_knee_flexion() -> tuple[Array, Array, Array]:
 
 
 def gait_start_percent() -> float:
-    """Return the start of `gait_reference` in % after heel contact: the least flexion."""
+    """Return the start of `gait_reference`: the time of least flexion, in % after heel contact."""
     percent, mean, _ = gait_knee_flexion()
     return float(percent[np.argmin(mean)])

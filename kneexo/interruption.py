@@ -41,7 +41,7 @@ def sigterm_raises() -> Iterator[None]:
 
 @contextmanager
 def interrupt_later() -> Iterator[None]:
-    """Context manager: Ctrl-C and SIGTERM act when the body has ended.
+    """Context manager: delay Ctrl-C and SIGTERM until the body has ended.
 
     Processes that the body starts never receive Ctrl-C. This process ends them itself.
     """

@@ -22,7 +22,7 @@ from kneexo.parameters import LinkageParameters
 from kneexo.result import Array, Result
 
 FIT_RANGE_DEG = (-2.0, 91.0)
-"""Knee angles for which the rod can be inverted: the range of motion and a margin."""
+"""Range of the knee angle in deg over which the rod can be inverted, wider than that of motion."""
 
 RodAndArm = Callable[[Array], tuple[Array, Array]]
 """A function that returns rod extension and moment arm in m for knee angles in rad."""
@@ -60,8 +60,9 @@ def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: An
 class LinkagePose(Result):
     """Angles and joints of the linkage at the knee angles ``knee_angle``; made by `pose`.
 
-    All arrays have the shape of ``knee_angle``. Points are complex numbers x + jy in m. Angles are
-    in rad.
+    All arrays have the shape of ``knee_angle``. Angles θ_2 of link 2, θ_3 of the coupler and θ_4 of
+    link 4 are in rad. Points are complex numbers x + jy in m: the coupler's joints A with link 2
+    and B with link 4, and the moving end of the rod, ``rod_pin``. The rod extension is in m.
     """
 
     knee_angle: Array
@@ -73,9 +74,9 @@ class LinkagePose(Result):
     rod_pin: NDArray[np.complex128]
     rod_extension: Array
     moment_arm: Array
-    """r = −dx/dθ_p in m."""
+    """Moment arm of the rod, r = −dx/dθ_p in m, with the rod extension x and the knee angle θ_p."""
     encoder_sensitivity: Array
-    """dθ_p/dθ_4."""
+    """Change of the knee angle with the angle of link 4, dθ_p/dθ_4."""
 
 
 def _ground(link: LinkageParameters) -> tuple[complex, complex]:
@@ -191,7 +192,7 @@ def exact_rod_and_arm(link: LinkageParameters, angle: Array) -> tuple[Array, Arr
 
 
 def rod_table(rod_and_arm: RodAndArm) -> tuple[Array, Array]:
-    """Return knee angles in steps of 0.5° and their rod extensions.
+    """Return knee angles in rad over `FIT_RANGE_DEG` in steps of 0.5°, and rod extensions in m.
 
     Raises `LinkageError` unless the extension falls as the knee flexes.
     """
@@ -267,7 +268,7 @@ def polynomial(coefficients: Any, argument: Any) -> Any:
 
 
 def polynomial_derivative(coefficients: Any, order: int = 1) -> list[Any]:
-    """Return the coefficients of the derivative of this order, highest power first."""
+    """Return the coefficients of the derivative of order ``order``, highest power first."""
     result = list(coefficients)
     for _ in range(order):
         degree = len(result) - 1

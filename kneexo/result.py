@@ -1,4 +1,4 @@
-"""Base class of results, and helpers that results share: arrays, axes and data frames."""
+"""Base class of results, and functions that results share: short texts, axes and data frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kneexo.errors import PackageError
 
 Array = NDArray[np.float64]
-"""An array of doubles."""
+"""Type of a numpy array of doubles."""
 
 _LONGEST = 60  # characters of one value
 
@@ -26,7 +26,7 @@ class Result:
     """
 
     def __repr__(self) -> str:
-        """Return name and short text of all fields in one line."""
+        """Return the class name and, for each field, its name and short text, on one line."""
         values = ", ".join(f"{name}={text}" for name, text in _texts(self))
         return f"{type(self).__name__}({values})"
 
@@ -45,7 +45,7 @@ def _texts(result: Any) -> Iterable[tuple[str, str]]:
 
 
 def short(value: Any) -> str:
-    """Return a value in a few words."""
+    """Return a value as short text: an array by its shape, a long tuple by its length."""
     if isinstance(value, float | complex | np.floating):
         return f"{value:.6g}"
     if isinstance(value, np.ndarray):
@@ -63,14 +63,14 @@ def short(value: Any) -> str:
 
 
 def _counted(value: Mapping[Any, Any], left: str, right: str) -> str:
-    """Return the first three names of a mapping, and their count if there are more."""
+    """Return the first three names of a mapping in brackets, and their number if there are more."""
     names = ", ".join(str(name) for name in list(value)[:3])
     more = f", … {len(value)} names" if len(value) > 3 else ""
     return f"{left}{names}{more}{right}"
 
 
 def axes_or_new(ax: Any, *shape: int, **options: Any) -> Any:
-    """Return ``ax``, or new axes if it is None.
+    """Return ``ax``, or new Matplotlib axes if ``ax`` is None.
 
     ``shape`` and ``options`` are arguments of ``matplotlib.pyplot.subplots``.
     """

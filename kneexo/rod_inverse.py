@@ -1,8 +1,8 @@
 """The inverse of the rod's kinematics as polynomials, fitted with decimal numbers.
 
 The state of the plant is the rod extension, so the plant needs knee angle, encoder angle and moment
-arm as functions of it. Decimal numbers make the fit, and with it every run, independent of the
-processor's own sines and sums.
+arm as functions of the rod extension. With decimal numbers the fit, and so every run, does not
+depend on the processor's own sines and sums.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ class RodInverse:
     """Knee angle θ_p, encoder angle θ_4 and moment arm r for a rod extension x.
 
     Each is a polynomial of t = (√(x_dc − x) − centre)/half_width, where x_dc is the extension at
-    the rod's dead centre. The dead centre lies outside the range of motion, so the three are
-    analytic functions of √(x_dc − x), and polynomials of degree 25 represent them to rounding.
-    The fit to Table 1 is exact to 3e-10 rad, because its dead centre lies nearer. Coefficients
-    belong to powers of t, highest first: Horner's rule gives small symbolic expressions, Clenshaw's
-    rule for Chebyshev series large ones.
+    the rod's dead centre (r = 0). The dead centre lies outside the range of motion, so θ_p, θ_4 and
+    r are analytic functions of √(x_dc − x), and polynomials of degree 25 represent them to
+    rounding. With Table 1 of the paper the error is 3e-10 rad, because the dead centre is nearer.
+    Coefficients belong to powers of t, highest first: Horner's rule gives small symbolic
+    expressions, Clenshaw's rule for Chebyshev series large ones.
     """
 
     dead_centre_m: float
@@ -66,7 +66,7 @@ class RodInverse:
 def fit_rod_inverse(
     link: LinkageParameters, table_1: RodPolynomialParameters | None = None
 ) -> RodInverse:
-    """Fit `RodInverse` to the exact linkage, or to Eq. 10 where ``table_1`` is given.
+    """Fit `RodInverse` to the exact linkage, or to Eq. 10 if ``table_1`` is not None.
 
     The fit is computed with 50 decimal digits and rounded once. So it has the same bits on every
     processor and with every numerical library.
@@ -113,8 +113,8 @@ def _fit(
 ) -> RodInverse:
     """Fit `RodInverse` by discrete orthogonality of Chebyshev polynomials, in decimal numbers.
 
-    ``angles`` are the ends of the fit and points between them. ``dead_centre_angle`` is the value
-    of `_dead_centre_angle`.
+    ``angles`` are the knee angles of the fit in rad, the first and the last at the ends of its
+    range. ``dead_centre_angle`` is the value of `_dead_centre_angle`.
     """
     first, last = Decimal(float(angles[0])), Decimal(float(angles[-1]))
     extension, arm = decimal_rod_and_arm(first)
@@ -247,9 +247,9 @@ def _angle(vector: tuple[Decimal, Decimal], near: Decimal) -> Decimal:
 def _dead_centre_angle(rod_and_arm: RodAndArm, start: float) -> float | None:
     """Return the knee angle of the dead centre (r = 0) below ``start``, in rad.
 
-    Returns None where there is no dead centre within 60° below ``start``, or where the linkage
-    cannot be assembled before one is reached. Then `_fit` chooses a point well outside its range,
-    because the fit only requires that the square root is analytic within the range.
+    Returns None if there is no dead centre within 60° below ``start``, or if the linkage cannot be
+    assembled before the dead centre. Then `_fit` chooses a point well outside its range, because
+    the fit only requires that the square root is analytic within the range.
     """
     angles = np.linspace(start, start - np.radians(60.0), 241)
     previous = angles[0]

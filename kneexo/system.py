@@ -15,9 +15,9 @@ LIBRARIES = {"libglib-2.0.so.0": "libglib2.0-0"}
 
 
 def lacking(modules: Iterable[str] = ()) -> str:
-    """Return a line that names what is missing and how to install it, or an empty text.
+    """Return a line with the missing libraries and how to install them; empty if none is missing.
 
-    ``modules`` are modules of the standard library that must be there too. Debian has them in the
+    ``modules`` are modules of the standard library that are required too. Debian has them in the
     package ``python3-venv``.
     """
     missing = {name: package for name, package in LIBRARIES.items() if not _loads(name)}
@@ -43,7 +43,7 @@ def _loads(library: str) -> bool:
 
 
 def main() -> int:
-    """Check what an installation needs. Returns 2 and prints a line when something is missing."""
+    """Return 0; or print a line and return 2 if an installation lacks a library or module."""
     if line := lacking(("ensurepip", "venv")):
         print(f"kneexo: {line}", file=sys.stderr)
         return 2

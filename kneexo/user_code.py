@@ -21,9 +21,9 @@ _LIBRARIES = tuple(
 def user_code(failure: str) -> Iterator[None]:
     """Context manager for a body that runs code of the user.
 
-    An error in the body becomes a `ParameterError`. Its message of one line has ``failure``, the
-    error, and file and line of its cause. A call of ``sys.exit`` is an error too. A `KneexoError`
-    and a `KeyboardInterrupt` are raised unchanged.
+    An error in the body, also a call of ``sys.exit``, becomes a `ParameterError`. Its message is
+    one line: ``failure``, then the error with file and line of its cause. A `KneexoError` and a
+    `KeyboardInterrupt` are raised unchanged.
     """
     try:
         yield
@@ -36,7 +36,7 @@ def user_code(failure: str) -> Iterator[None]:
 
 
 def cause_of(error: BaseException) -> str:
-    """Describe an error: type, first line of its message, and file and line of its cause."""
+    """Return a text about an error: type, first line of its message, file and line of its cause."""
     place: tuple[str | None, int | None] | None
     if isinstance(error, SyntaxError):
         reason, place = error.msg, (error.filename, error.lineno)

@@ -1,4 +1,4 @@
-"""Add commands with their arguments to the parser, and read the arguments that they share."""
+"""Adds commands with their arguments to the parser, and reads the arguments that they share."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _P = TypeVar("_P", bound="Parameters")
 
 
 class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
-    """Adds the default to each help text, unless it is None, False or an empty list."""
+    """Adds the default value to each help text, unless this is None, False or an empty list."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         if action.default in (None, False, []):
@@ -49,8 +49,8 @@ def add_command(
     """Add a command to a group of subparsers.
 
     Each parameter of ``command`` gets the parsed argument of the same name. ``choice`` gets a
-    `ScenarioChoice`, and ``page`` a `ReportPage` or None. ``attributes`` are those of the
-    `Request`; a function among them computes its attribute from all parsed arguments.
+    `ScenarioChoice`, and ``page`` a `ReportPage` or None. ``attributes`` are attributes of the
+    `Request`. A function in place of a value computes the attribute from all parsed arguments.
     """
     parser: argparse.ArgumentParser = group.add_parser(
         name,
@@ -92,13 +92,13 @@ def _request(
 
 
 def out(options: argparse.Namespace) -> Path:
-    """Return the argument of ``--out``, for an attribute of `add_command`."""
+    """Return the parsed argument of ``--out``; made for ``attributes`` of `add_command`."""
     path: Path = options.out
     return path
 
 
 def add_scenario(parser: argparse.ArgumentParser, default: str = PAPER) -> None:
-    """Add the scenario file; ``default`` describes the scenario without a file."""
+    """Add the argument for a scenario file; ``default`` describes the scenario without a file."""
     parser.add_argument(
         "scenario",
         nargs="?",
@@ -108,7 +108,7 @@ def add_scenario(parser: argparse.ArgumentParser, default: str = PAPER) -> None:
 
 
 def add_engine(parser: argparse.ArgumentParser) -> None:
-    """Add ``--engine``."""
+    """Add ``--engine``, which chooses compiled equations or Drake's Simulator."""
     parser.add_argument(
         "--engine",
         choices=("compiled", "drake"),
@@ -118,7 +118,7 @@ def add_engine(parser: argparse.ArgumentParser) -> None:
 
 
 def add_set(parser: argparse.ArgumentParser, description: str, destination: str) -> None:
-    """Add ``--set NAME=VALUE``, whose texts are listed in the attribute ``destination``."""
+    """Add ``--set NAME=VALUE``; the list of all texts is the parsed argument ``destination``."""
     parser.add_argument(
         "--set",
         action="append",
@@ -130,7 +130,7 @@ def add_set(parser: argparse.ArgumentParser, description: str, destination: str)
 
 
 def add_values(parser: argparse.ArgumentParser) -> None:
-    """Add ``--set`` for values of the scenario."""
+    """Add ``--set``, which changes values of the scenario."""
     example = "a value of the scenario, such as plant.cylinder.mass_kg=1.7, in place of the file's"
     add_set(parser, f"{example}; `kneexo params SCENARIO.yaml` lists them", "values")
 
@@ -147,7 +147,7 @@ def add_out(parser: argparse.ArgumentParser, files: str) -> None:
 
 
 def add_html(parser: argparse.ArgumentParser) -> None:
-    """Add ``--html``."""
+    """Add ``--html``, which requests the report as an HTML page too."""
     parser.add_argument(
         "--html",
         action="store_true",
@@ -156,7 +156,7 @@ def add_html(parser: argparse.ArgumentParser) -> None:
 
 
 def decimal(text: str) -> float:
-    """Return a finite number. `float` also accepts nan, ``1_0`` and digits of other scripts."""
+    """Return a finite number in the digits 0-9. `float` also accepts ``nan`` and ``1_0``."""
     if NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
         return value
     raise argparse.ArgumentTypeError(f"{shown(text)!r} must be a finite number in the digits 0-9")
@@ -174,14 +174,14 @@ def integer(text: str) -> int:
 
 @dataclass(frozen=True)
 class ScenarioChoice:
-    """The scenario of a command: a file or the default, then ``--set``, then ``--engine``."""
+    """The scenario of a command: a file or the default, changed by ``--set`` and ``--engine``."""
 
     path: str | None = None
     values: Sequence[str] = ()
     engine: Literal["compiled", "drake"] | None = None
 
     def load(self, default: Scenario | None = None) -> Scenario:
-        """Return the scenario; ``default`` is used without a file, None for the paper's setup."""
+        """Return the scenario; without a file ``default``, or the paper's setup if it is None."""
         from kneexo.parameters import Scenario
         from kneexo.parameters.scenario_file import load_scenario
 
@@ -190,7 +190,7 @@ class ScenarioChoice:
 
 
 def with_values(parameters: _P, texts: Sequence[str]) -> _P:
-    """Return the parameters with the changes of ``--set``, texts NAME=VALUE."""
+    """Return the parameters with the changes ``texts``, the arguments NAME=VALUE of ``--set``."""
     from kneexo.parameters.paths import changed
     from kneexo.parameters.scenario_file import read_value
 

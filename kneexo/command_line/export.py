@@ -14,7 +14,7 @@ from kneexo.errors import shown
 
 
 def add_exports(subparsers: Any) -> None:
-    """Add ``export c`` and ``export fmu``."""
+    """Add the commands ``export c`` and ``export fmu`` to the parser."""
     summary = "write the controller, the plant or the closed loop for use outside Python"
     group = subparsers.add_parser("export", help=summary, formatter_class=arguments.HelpFormatter)
     forms = group.add_subparsers(title="forms", required=True, metavar="FORM")
@@ -71,7 +71,10 @@ def add_exports(subparsers: Any) -> None:
 
 
 def _add_target(parser: argparse.ArgumentParser, measurement: str) -> None:
-    """Add the arguments of both forms; ``measurement`` is the input of the controller."""
+    """Add the arguments that ``export c`` and ``export fmu`` share.
+
+    ``measurement`` describes the measured input of the controller in the help text.
+    """
     arguments.add_scenario(parser)
     arguments.add_values(parser)
     parser.add_argument(
@@ -100,9 +103,10 @@ def export_c(
     step_s: float | None,
     look_up: bool,
 ) -> Outcome:
-    """Write a target as C to the directory ``out``, see `kneexo.export.firmware`; say how it went.
+    """Write controller, plant or loop as C to the directory ``out``; return the measurements.
 
-    Adds a notice if the replay of the test vectors differs by more than the tolerance.
+    See `kneexo.export.firmware`. Adds a notice if the replay of the test vectors differs by more
+    than the tolerance.
     """
     from kneexo.command_line.output import to_json
     from kneexo.compiler import REPLAY_TOLERANCES
@@ -144,7 +148,10 @@ def export_c(
 def export_fmu(
     choice: ScenarioChoice, out: Path, target: str, fmi: int, step_s: float | None
 ) -> Outcome:
-    """Write a target as FMU, see `kneexo.export.fmu`; list its inputs, outputs and parameters."""
+    """Write controller, plant or loop as FMU to ``out``; return the names of its variables.
+
+    See `kneexo.export.fmu`.
+    """
     from kneexo.command_line.output import to_json
     from kneexo.export import fmu
 

@@ -1,6 +1,6 @@
-"""A report as one HTML page: text, tables, pictures as SVG, scenario and settings.
+"""Writes a report as one HTML page: text, tables, pictures as SVG, scenario and settings.
 
-The page may hold a compressed page of `kneexo.view`, which a button opens.
+The page can hold a compressed page of `kneexo.view`, which a button opens.
 """
 
 from __future__ import annotations
@@ -75,17 +75,17 @@ button.onclick = async () => {
 
 @dataclass(frozen=True)
 class ReportPage:
-    """The HTML page of the report of a command, a file of the output directory."""
+    """The request for an HTML page with the report of a command."""
 
     words: Sequence[str]
     """The command and the arguments that change its result: the title of the page."""
     directory: Path
-    """The output directory."""
+    """Directory that the files of the command are written to."""
     name: str
-    """The name of the file."""
+    """Name of the HTML file in ``directory``."""
 
     def require_replaceable(self) -> None:
-        """Raise `OutputError` if the output directory has such a file that is not of kneexo."""
+        """Raise `OutputError` if the HTML file exists and is not of kneexo."""
         require_mark(self.directory / self.name, "<title>kneexo ", "page of kneexo")
 
     def file(
@@ -95,10 +95,10 @@ class ReportPage:
         origin: Mapping[str, Any],
         motions: Mapping[str, Motion] | None = None,
     ) -> dict[str, str]:
-        """Return name and text of the page.
+        """Return the text of the page by the name of its file.
 
-        Parameters as of `html_page`; ``motions`` are the runs, by name, that the page shows in
-        three dimensions.
+        Parameters as of `html_page`. ``motions`` has the runs, by name, that the page shows in
+        three dimensions; None or empty: the page shows no motion.
         """
         view = ""
         if motions:
@@ -117,16 +117,16 @@ def html_page(
     origin: Mapping[str, Any],
     view: str = "",
 ) -> str:
-    """Return the text of one self-contained page.
+    """Return the text of one self-contained HTML page.
 
     Parameters
     ----------
     title
         The command that computed the report.
     report
-        Markdown.
+        Text in Markdown.
     figures
-        Figures by name; they stay open.
+        Matplotlib figures by name; they stay open.
     origin
         The first items of every JSON result: version, scenario and settings.
     view
@@ -170,7 +170,7 @@ def html_page(
 
 
 def _view(page: str) -> str:
-    """Return a section with a compressed page and a button that shows it in a frame."""
+    """Return an HTML section with ``page``, compressed, and a button that shows the page."""
     data = base64.b64encode(gzip.compress(page.encode(), mtime=0)).decode()
     return f"""<section class="view">
 <h2>The knee in three dimensions</h2>
@@ -182,7 +182,7 @@ def _view(page: str) -> str:
 
 
 def _svg(figure: Figure) -> str:
-    """Return a figure as an SVG element without a date: equal figures give equal text."""
+    """Return a Matplotlib figure as SVG text without a date: equal figures give equal text."""
     import matplotlib as mpl
 
     stream = io.StringIO()

@@ -1,4 +1,4 @@
-"""Run the command line: its exit codes, and the one line on stderr for each failure."""
+"""Runs the command line: exit codes, and one line on stderr for each failure."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ kneexo simulates a polycentric knee exoskeleton with electro-hydraulic actuator.
 
 kneexo --help lists all commands.
 """
-"""What ``kneexo`` without arguments prints."""
+"""The text that ``kneexo`` without arguments prints."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code.
+    """Run one command; return the exit code.
 
     ``arguments`` are the words after ``kneexo``, by default those of this process.
     """
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _prepare_libraries() -> None:
-    """Set what numpy and Matplotlib read when they are imported."""
+    """Set one BLAS thread and a Matplotlib backend without windows, before their import."""
     # On matrices as small as ours, threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # We only write files, and Matplotlib refuses a name that it does not know.
@@ -85,14 +85,17 @@ def _prepare_streams() -> None:
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:
-    """Return the characters that a stream cannot encode, as JSON writes them, and their end."""
+    """Codec error handler: return JSON escapes of the characters, and the index after them."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return json.dumps(error.object[error.start : error.end])[1:-1], error.end
 
 
 def _run(delivery: Delivery) -> int:
-    """Run a command; print one line for each error of input, memory or the user's code."""
+    """Run the command of ``delivery``; return the exit code.
+
+    An error of input, memory or the user's code becomes one line on stderr; other errors pass.
+    """
     request = delivery.request
     if request.uses_drake:
         if line := system.lacking():  # Drake itself would print a page
@@ -121,15 +124,15 @@ def _run(delivery: Delivery) -> int:
 
 
 def _fail(line: str, code: int = 2) -> int:
-    """Print one line on stderr; returns the exit code."""
+    """Print one line on stderr; return the exit code ``code``."""
     print(_one_line(line), end="", file=sys.stderr)
     return code
 
 
 def _failed_output(error: OSError) -> int:
-    """Print why a file or stream cannot be written; returns the exit code.
+    """Print why a file or stream cannot be written; return the exit code 2.
 
-    A pipe that its reader has closed, as with ``| head``, is no failure.
+    If the reader of a pipe has closed the pipe, as with ``| head``, print nothing and return 0.
     """
     if sys.stdout is not None:  # what stdout still holds would fail again at exit
         with suppress(OSError):  # a stream without a file descriptor
@@ -143,7 +146,7 @@ def _failed_output(error: OSError) -> int:
 
 
 def _interrupted(interrupt: KeyboardInterrupt, delivery: Delivery | None) -> int:
-    """Print where the results are; returns the exit code of Ctrl-C or SIGTERM."""
+    """Print where results are; return the exit code of Ctrl-C, 130, or of SIGTERM, 143."""
     notice = "nothing was written" if delivery is None else delivery.interrupt_notice()
     if isinstance(interrupt, Terminated):
         return _fail(f"terminated; {notice}", 143)
@@ -151,7 +154,7 @@ def _interrupted(interrupt: KeyboardInterrupt, delivery: Delivery | None) -> int
 
 
 def _interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
-    """Return the interrupt that caused an error, if any.
+    """Return the `KeyboardInterrupt` that caused an error, or None.
 
     Extension modules replace an interrupt by an error of their own. Some, such as pydantic's, keep
     only the name of the interrupt in their message.

@@ -21,48 +21,48 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The results of a command, before anything is written or printed."""
+    """The results of a command, which a `Delivery` writes and prints."""
 
     text: str = ""
-    """Printed on stdout."""
+    """Text that is printed on stdout."""
     document: str | None = None
-    """JSON that is printed in place of ``text`` if the user asked for JSON. None: ``text``."""
+    """JSON text that is printed instead of ``text`` with ``--json``. None: ``text`` is printed."""
     notices: Sequence[str] = ()
     """Lines that are printed on stderr, before the text."""
     advice: str = ""
-    """A line that is printed on stderr after the text, but not with JSON."""
+    """A line that is printed on stderr after the text, unless JSON is printed."""
     files: Mapping[str, str | bytes | Callable[[Path], object]] = field(default_factory=dict)
-    """Content of each file of `Request.directory`, by name, or a function that writes the file."""
+    """Content of each file of `Request.directory`, or a function that writes it, by file name."""
     figures: Mapping[str, Figure] = field(default_factory=dict)
     """Figures by name; each becomes a PNG and a PDF file of `Request.directory`."""
     page: str = ""
-    """Content of `Request.file`."""
+    """HTML text that is written to `Request.file`."""
     open_in_browser: bool = False
-    """Whether the browser shows `Request.file`."""
+    """Whether the browser opens `Request.file` after the text is printed."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """A command with its arguments, and where its results go."""
+    """A command with its arguments, and the files for its results."""
 
     run: Callable[..., Outcome]
-    """Runs the command. A request with `checkpoint_path` passes a keyword ``checkpoint``."""
+    """Runs the command. With a `checkpoint_path` the function gets a keyword ``checkpoint``."""
     json: bool = False
-    """Whether to print JSON."""
+    """Whether to print the results as JSON."""
     directory: Path | None = None
-    """The directory for `Outcome.files` and `Outcome.figures`."""
+    """The directory for `Outcome.files` and `Outcome.figures`; None if the command has none."""
     file: Path | None = None
-    """The file for `Outcome.page`."""
+    """The file for `Outcome.page`; None if the command writes no page."""
     scenario: str | None = None
-    """The scenario file, whose name precedes messages of errors."""
+    """Path of the scenario file, which precedes messages of errors; None without a file."""
     checkpoint_path: Path | None = None
-    """The file that keeps the finished pieces of a study until its results are written."""
+    """File for the finished pieces of a study until its results are written; None: no such file."""
     restart: bool = False
     """Whether to delete the finished pieces of an earlier run first."""
     uses_drake: bool = True
     """Whether the command imports Drake."""
     uses_workers: bool = False
-    """Whether the command has ``--workers``, which the message about too little memory names."""
+    """Whether the command has ``--workers``; if memory is short, the message suggests fewer."""
 
 
 class Delivery:
@@ -75,7 +75,7 @@ class Delivery:
         self._written = False
 
     def run(self) -> int:
-        """Run the command, write its files, print its text; returns the exit code."""
+        """Run the command, write its files, print its text; return the exit code."""
         request = self.request
         if request.directory is not None:
             with output_directory(request.directory, self._note_written) as directory:
@@ -94,13 +94,13 @@ class Delivery:
         return self._print(outcome)
 
     def interrupt_notice(self) -> str:
-        """Return a phrase that says where an interrupted command has left results or pieces."""
+        """Return a phrase that says where an interrupted command has left results, if it has."""
         if self._written:
             return f"the results are in {shown(self.request.directory or self.request.file)}"
         return self.checkpoint_notice() or "nothing was written"
 
     def checkpoint_notice(self) -> str:
-        """Return a phrase that says where a study has left finished pieces; empty if nowhere."""
+        """Return a phrase that says where finished pieces of a study are; empty without pieces."""
         path = self.request.checkpoint_path
         if path is None or not (path.exists() if self._checkpoint is None else self._checkpoint):
             return ""
@@ -119,13 +119,16 @@ class Delivery:
         return self.request.run(checkpoint=self._checkpoint)
 
     def _note_written(self) -> None:
-        """Note that the results are in their place, and delete the checkpoint."""
+        """Note that the results are written, and delete the checkpoint unless pieces are unused."""
         self._written = True
         if self._checkpoint is not None:
             self._unused_pieces = self._checkpoint.remove()
 
     def _print(self, outcome: Outcome) -> int:
-        """Print notices and text, and open the browser if requested; returns the exit code."""
+        """Print notices and text, and open the browser if requested.
+
+        Returns the exit code: 2 if no browser can be opened, else 0.
+        """
         for notice in outcome.notices:
             print(notice, file=sys.stderr)
         if self._unused_pieces:
@@ -147,13 +150,13 @@ class Delivery:
 
 
 def file_names(files: Iterable[str], figures: Iterable[str] = ()) -> list[str]:
-    """Return the sorted names of the files of an `Outcome`."""
+    """Return the sorted names of files and figures; a figure is a PDF file and a PNG file."""
     return sorted([*files, *(f"{name}.{kind}" for name in figures for kind in ("pdf", "png"))])
 
 
 @contextmanager
 def named_in_errors(path: str | None) -> Iterator[None]:
-    """Context manager: put the name of a file before the messages of errors that lack it."""
+    """Context manager: put the file name ``path`` before messages of errors that lack the name."""
     try:
         yield
     except KneexoError as error:
@@ -163,7 +166,7 @@ def named_in_errors(path: str | None) -> Iterator[None]:
 
 
 def _write(outcome: Outcome, directory: Path) -> None:
-    """Write files and figures of an outcome; the figures are closed."""
+    """Write the files and figures of an outcome to ``directory``, and close the figures."""
     for name, content in outcome.files.items():
         if callable(content):
             content(directory / name)

@@ -12,7 +12,7 @@ from kneexo.parameters.quantity import allowed_range, models_of, source_of, unit
 from kneexo.studies.catalogue import STUDIES
 
 Row = dict[str, Any]
-"""The keys are ``parameter`` (a dotted name), ``value``, ``unit``, ``range``, ``provenance``."""
+"""A row: ``parameter`` (a dotted name), ``value``, ``unit``, ``range`` and ``provenance``."""
 
 
 def parameter_rows(
@@ -23,11 +23,12 @@ def parameter_rows(
     Parameters
     ----------
     model
-        The object, or a class with its defaults.
+        The object; or a class, of which the defaults are listed.
     path
         Text before the name of each parameter.
     all_kinds
-        Whether to add rows of the kinds, such as of controllers, that ``model`` does not have.
+        Whether to add the parameters of the other kinds of each part, for example of every kind of
+        controller.
     """
     cls = model if isinstance(model, type) else type(model)
     for name, field in cls.model_fields.items():
@@ -51,13 +52,13 @@ def parameter_rows(
 
 
 def setting_rows() -> Iterator[Row]:
-    """Yield the settings of all studies; imports the studies, and so Drake."""
+    """Yield a row for each setting of all studies; imports the studies, and so Drake."""
     for study in STUDIES.values():
         yield from parameter_rows(study.settings(), f"{study.label or study.command}: ")
 
 
 def uncertainty_rows() -> Iterator[Row]:
-    """Yield the default uncertainty set."""
+    """Yield a row for each value of the default uncertainty set."""
     for path, uncertainty in UNCERTAINTY.values.items():
         options = uncertainty.options
         yield {

@@ -19,7 +19,7 @@ from kneexo.studies.catalogue import STUDIES
 from kneexo.version import __version__
 
 LONGEST_LINE = 1200
-"""Largest number of characters of a message."""
+"""Largest number of characters of a message on stderr; a longer message is shortened."""
 
 EPILOG = """\
 examples:
@@ -50,7 +50,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parsed(arguments: Sequence[str]) -> Request:
-    """Return the request of the words after ``kneexo``; exits with code 2 if they are wrong."""
+    """Return the request for the words after ``kneexo``; exit with code 2 if they are wrong."""
     options = _parser().parse_args(arguments)
     request: Request = options.request(options)
     return request
@@ -92,7 +92,7 @@ def _add_completion(subparsers: Any) -> None:
 
 
 def completion(shell: str) -> Outcome:
-    """Return a script that completes commands, options and files in a shell."""
+    """Return a script by which bash, zsh or tcsh completes commands, options and files."""
     import shtab
 
     parser = _parser()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def add_single_runs(subparsers: Any) -> None:
-    """Add ``simulate`` and ``linearize``."""
+    """Add the commands ``simulate`` and ``linearize`` to the parser."""
     parser = arguments.add_command(
         subparsers, "simulate", simulate, "run one scenario", directory=arguments.out
     )
@@ -52,7 +52,7 @@ def add_single_runs(subparsers: Any) -> None:
 
 
 def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) -> Outcome:
-    """Run a scenario; return its signals, metrics and plot, and a page if one is requested."""
+    """Run a scenario; return signals, metrics, plot, and unless ``page`` is None an HTML page."""
     scenario = choice.load()
     from kneexo.analysis import track
     from kneexo.command_line.output import to_json, write_csv
@@ -85,7 +85,7 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
 
 
 def _track_with_bar(scenario: Scenario) -> TrackingResult:
-    """Run a scenario by Drake, with a bar that shows the simulated time."""
+    """Run a scenario by Drake's Simulator with a progress bar of the simulated time."""
     from kneexo.analysis import track
     from kneexo.diagrams import make_closed_loop
     from kneexo.progress import progress_bar
@@ -146,6 +146,6 @@ def linearize(
 
 
 def _section(title: str, text: str) -> list[str | list[str]]:
-    """Return blocks of a `document`: a heading, the first line, and the other lines as a list."""
+    """Return a section for `document`: heading, first line of ``text``, other lines as a list."""
     first, *others = text.splitlines()
     return [f"## {title}", first, [f"- {line.strip()}" for line in others]]

@@ -1,4 +1,4 @@
-"""The studies of the catalogue as commands."""
+"""Makes a command from each study of the catalogue."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
-    """Add a command for each study; ``study NAME`` becomes a command of the group ``study``."""
+    """Add a command for each study; ``study contest`` is ``contest`` in the group ``study``."""
     groups = {"": subparsers}
     for study in studies:
         group, _, name = study.command.rpartition(" ")
@@ -105,11 +105,12 @@ def run_study(
     uncertainty: str | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Outcome:
-    """Run a study; return results, report, figures, and a page if one is requested.
+    """Run a study; return results, report, figures, and unless ``page`` is None an HTML page.
 
-    ``settings`` are changes of the settings, each NAME=VALUE. ``dask`` is the address of a cluster,
-    which replaces ``workers`` processes. ``uncertainty`` is a file of uncertain values, for a study
-    that is `uncertain`. ``checkpoint`` keeps finished pieces of a study that is `resumable`.
+    ``choice`` selects the scenario. ``settings`` changes settings of the study, each by NAME=VALUE.
+    ``workers`` is the number of processes, None for one on each core; the Dask cluster at the
+    address ``dask`` replaces them. ``uncertainty`` is the path of a file of uncertain values, for a
+    study that is `uncertain`. ``checkpoint`` stores finished pieces of a study that is `resumable`.
     """
     scenario = choice.load(study.scenario)
     changed = arguments.with_values(study.settings(), settings)
@@ -147,7 +148,10 @@ def run_study(
 
 
 def _executor(workers: int | None, dask: str | None) -> AbstractContextManager[Executor | None]:
-    """Return the Dask cluster at the address ``dask``; None lets the study start processes."""
+    """Context manager: give the Dask cluster at the address ``dask``, or None without an address.
+
+    With None the study starts processes. Raises `ParameterError` if ``workers`` is less than 1.
+    """
     if workers is not None and workers < 1:
         raise ParameterError(f"--workers = {workers}: must be at least 1")
     if dask is None:

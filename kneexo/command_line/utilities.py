@@ -16,7 +16,7 @@ from kneexo.version import __version__
 
 
 def add_utilities(subparsers: Any) -> None:
-    """Add ``params``, ``diagram`` and ``cache``."""
+    """Add the commands ``params``, ``diagram`` and ``cache`` to the parser."""
     parser = arguments.add_command(
         subparsers,
         "params",
@@ -59,9 +59,9 @@ def add_utilities(subparsers: Any) -> None:
 
 
 def params(choice: ScenarioChoice, yaml: bool, schema: bool) -> Outcome:
-    """Return the list of all parameters, or the text of a scenario file or of a schema.
+    """Return the list of all parameters, or a scenario file (``yaml``) or its schema (``schema``).
 
-    The list has the settings of all studies too if the user named no scenario file.
+    Without a scenario file the list also has the settings of all studies and the uncertain values.
     """
     scenario = choice.load()
     if yaml:
@@ -123,7 +123,7 @@ def diagram(choice: ScenarioChoice, out: Path) -> Outcome:
 
 
 def cache(clear: bool) -> Outcome:
-    """Return size, limit and last use of the compiled models on disk; or delete the models."""
+    """Return size, limit and last use of the compiled models on disk; ``clear`` deletes them."""
     import time
 
     from kneexo.compiler import cache_directory, cache_entries, cache_size_limit, clear_cache

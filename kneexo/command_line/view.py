@@ -1,4 +1,4 @@
-"""The command ``view``."""
+"""The command ``view``, which shows runs in three dimensions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kneexo.version import __version__
 
 
 def add_view(subparsers: Any) -> None:
-    """Add ``view``."""
+    """Add the command ``view`` to the parser."""
     parser = arguments.add_command(
         subparsers,
         "view",
@@ -47,10 +47,11 @@ def add_view(subparsers: Any) -> None:
 
 
 def view(runs: Sequence[str], values: Sequence[str], out: Path, browser: bool) -> Outcome:
-    """Return a page that shows runs in three dimensions, and whether the browser opens it.
+    """Return an HTML page that shows runs in three dimensions.
 
-    A run is a scenario file, with changes ``values`` (each NAME=VALUE), or the directory of an
-    earlier run. Without runs the page shows the paper's setup.
+    A run is a scenario file, with changes ``values`` (each NAME=VALUE), or a directory that
+    ``kneexo simulate`` wrote. Without runs the page shows the paper's setup. If ``browser`` is
+    True, the browser opens the page.
     """
     from kneexo.command_line.output import to_json
     from kneexo.parameters.scenario_file import load_scenario
@@ -89,11 +90,11 @@ def view(runs: Sequence[str], values: Sequence[str], out: Path, browser: bool) -
 
 
 def run_names(runs: Sequence[str]) -> list[str]:
-    """Return a name for each run, all different; without runs the name of the paper's setup.
+    """Return a unique name for each run; without runs the name of the paper's setup.
 
     A name is that of the file or directory. Equal names are preceded by the name of the parent
-    directory. Names that are still equal become the argument itself, with a number from the second
-    time on.
+    directory. Names that are still equal become the argument itself. If the arguments are equal
+    too, the second and later names get a number.
     """
     if not runs:
         return ["the paper's setup"]

@@ -24,10 +24,10 @@ from kneexo.result import Array
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
 OUTSIDE = ("disturbance_force", "knee_torque")
-"""Inputs that no part of the closed loop drives; zero in the test vectors."""
+"""Names of the input ports that no part of the closed loop drives; zero in the test vectors."""
 
 VECTORS_S = 2.0
-"""Default length of the test vectors in s; a shorter scenario gives vectors of its whole run."""
+"""Default length of the test vectors in simulated s; if a scenario is shorter, its duration."""
 
 
 def make_firmware(
@@ -39,12 +39,14 @@ def make_firmware(
     step_s: float | None = None,
     look_up: bool = False,
 ) -> tuple[CSource, Vectors]:
-    """Return a target of a scenario as C99, and test vectors from its compiled closed loop.
+    """Return controller, plant or loop of a scenario as C99, with test vectors.
+
+    The inputs of the test vectors come from a run of the compiled closed loop.
 
     Parameters
     ----------
     scenario
-        The closed loop; a custom controller too.
+        The closed loop; its controller may be a custom one.
     what
         ``controller``, ``plant`` or ``loop``: see `make_target`. The input of a controller with a
         quantized encoder is the encoder count, an int32_t.
@@ -57,7 +59,8 @@ def make_firmware(
         Largest step of RK4 in s; by default `rk4_step_s`. A target without continuous states
         ignores it.
     look_up
-        Replace the computation of knee angle and rod extension from the count by tables.
+        Look up knee angle and rod extension in tables by the encoder count, instead of computing
+        them.
 
     Raises
     ------
@@ -122,7 +125,7 @@ def export_firmware(
 
 
 def loop_inputs(scenario: Scenario, target: Target, source: CSource, steps: int) -> Array:
-    """Run the closed loop, and return the inputs of a target at each step.
+    """Run the compiled closed loop; return the inputs that ``target`` receives at each step.
 
     The result has the shape (steps, input elements). Inputs in `OUTSIDE` are zero.
     """

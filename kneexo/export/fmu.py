@@ -32,10 +32,10 @@ from kneexo.systems import knee_reference
 from kneexo.version import __version__
 
 TOOL = "kneexo"
-"""Name at the beginning of the generation tool in the description of an FMU."""
+"""First word of the tool's name in an FMU, by which `export_fmu` recognizes FMUs of kneexo."""
 
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
-"""Factors that probe which Context parameters a number of the scenario reaches."""
+"""Factors by which `parameter_effects` multiplies a number to see which values follow."""
 
 _AT_REST = "; the initial state does not follow"
 
@@ -53,11 +53,11 @@ class FmuFile:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     parameters: int
-    """Number of parameters."""
+    """Number of parameters of the FMU."""
     scenario_parameters: tuple[str, ...]
-    """Names of the parameters that are values of the scenario."""
+    """Names of those FMU parameters that are values of the scenario: ``plant.cylinder.mass_kg``."""
     binary: bool
-    """True: it holds a binary; False: sources alone."""
+    """Whether the FMU holds a Linux binary beside its C sources."""
 
 
 def export_fmu(
@@ -70,9 +70,9 @@ def export_fmu(
 ) -> FmuFile:
     """Write the FMU of `make_fmu` with its sources and, if a C compiler exists, a Linux binary.
 
-    ``path`` is the file, or a directory in which the file is called ``knee_plant.fmu`` or the like.
-    Raises the errors of `make_fmu`, and `OutputError` if another file than an FMU of kneexo stands
-    there.
+    ``path`` is the file. If ``path`` is a directory, or a new path without the ending ``.fmu``, the
+    file ``knee_plant.fmu`` or the like is written in this directory. Raises the errors of
+    `make_fmu`, and `OutputError` if the file exists and is no FMU of kneexo, or cannot be written.
     """
     file = Path(path)
     if not file.is_dir():
@@ -101,16 +101,16 @@ def make_fmu(
     fmi: int = 3,
     step_s: float | None = None,
 ) -> Fmu:
-    """Return a target of a scenario as FMU.
+    """Return controller, plant or loop of a scenario as FMU.
 
-    The FMU has these parameters: each number of the scenario that Context parameters repeat
-    unchanged, under its dotted name; each remaining Context parameter; and the initial states of
-    the plant. Initial states are fixed parameters; the others may change during a run.
+    The FMU has three kinds of parameters: numbers of the scenario that equal one or more Context
+    parameters, under their dotted names; all other Context parameters, under their names in C; and
+    initial states of the plant. Initial states are fixed; the others can change during a run.
 
     Parameters
     ----------
     scenario
-        The closed loop; a custom controller too.
+        The closed loop; its controller may be a custom one.
     what
         ``controller``, ``plant`` or ``loop``: see `make_target`.
     fmi
@@ -160,7 +160,7 @@ _DESCRIPTIONS = {
 
 
 def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[FmuParameter]:
-    """Yield parameters for numbers of the scenario, then for the other Context parameters."""
+    """Yield FMU parameters that are tunable: scenario numbers, then other Context parameters."""
     prefix = "controller/" if target.what == "controller" else ""
     names = [f"{prefix}{name}" for name in source.equations.parameters]
     members = dict(zip(names, source.plan.members, strict=True))
@@ -195,12 +195,12 @@ def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[Fm
 
 @dataclass(frozen=True)
 class Effect:
-    """The reach of one number of the scenario."""
+    """The effects of a change of one number of the scenario."""
 
     touched: set[str]
     """Context parameters that change with the number."""
     same: set[str]
-    """All of ``touched`` if each of them always equals the number; otherwise empty."""
+    """Equal to ``touched`` if each of its parameters always equals the number, otherwise empty."""
     start: bool
     """Whether the initial state of the plant changes with the number."""
 
@@ -243,7 +243,7 @@ def _start(scenario: Scenario, default: dict[str, float]) -> dict[str, float]:
 
 
 def _numbers(parameters: Parameters, path: str = "") -> Iterator[tuple[str, float, list[Any]]]:
-    """Yield for each number of parameters its path, its value, and other values of its field.
+    """Yield for each number of parameters its path, its value, and other values to try.
 
     A number in a tuple has the path ``name[index]``; the other values are whole tuples.
     """
@@ -270,7 +270,7 @@ def _field(scenario: Scenario, path: str) -> Any:
 
 
 def _initial(scenario: Scenario, source: CSource) -> Iterator[FmuParameter]:
-    """Yield a parameter for each initial state of the plant, which starts at rest."""
+    """Yield a fixed FMU parameter for each continuous state of the plant, which starts at rest."""
     start = math.degrees(knee_reference.start_angle_rad(scenario.reference))
     variables = plant_states(scenario)
     description = f"the scenario starts at rest, the knee at {start:.6g} deg"
@@ -290,7 +290,7 @@ def _initial(scenario: Scenario, source: CSource) -> Iterator[FmuParameter]:
 
 
 def _starts(scenario: Scenario, target: Target, source: CSource) -> dict[str, float]:
-    """Return the values of inputs at the start of the closed loop; others are left out."""
+    """Return the start value of each input that a port of the closed loop or plant supplies."""
     loop = make_closed_loop(scenario, signals=())
     context = loop.CreateDefaultContext()
     plant = loop.GetSubsystemByName("plant")
@@ -310,7 +310,7 @@ def _starts(scenario: Scenario, target: Target, source: CSource) -> dict[str, fl
 
 
 def _require_own(file: Path) -> None:
-    """Raise `OutputError` if a file exists that is no FMU of kneexo."""
+    """Raise `OutputError` if ``file`` exists, unless it is an FMU of kneexo."""
     try:
         tool = generation_tool(read_bytes(file, _MOST_BYTES))
     except (FileNotFoundError, NotADirectoryError):

@@ -1,4 +1,4 @@
-"""Diagrams to export: controller, plant or closed loop of a scenario, with their ports."""
+"""Diagrams to export: controller, plant or closed loop of a scenario, with their ports in C."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ _FIELDS = {
 
 @dataclass(frozen=True)
 class Target:
-    """A diagram to export."""
+    """A diagram to export, with its ports and their names in C."""
 
     what: What
     diagram: System
     inputs: tuple[str, ...]
-    """Input ports that stay open."""
+    """Names of the input ports that become inputs of the exported code."""
     outputs: tuple[str, ...]
     interface: Interface
     tick_s: float | None
@@ -73,9 +73,9 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
 
 
 def largest_step_s(scenario: Scenario, what: str) -> float:
-    """Return the default of the largest step of RK4 of a target in s: see `rk4_step_s`.
+    """Return the default step of RK4 in s of the exported code: see `rk4_step_s`.
 
-    Raises the errors of `make_target`.
+    ``what`` is ``controller``, ``plant`` or ``loop``. Raises the errors of `make_target`.
     """
     target = make_target(scenario, what)
     diagram = read_diagram(target.diagram, inputs=target.inputs)

@@ -1,4 +1,4 @@
-"""Locks that keep other processes away from a file; the kernel releases them with the process."""
+"""Locks files against other processes; the kernel releases a lock when its process ends."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class LockedFile:
 
     The constructor opens and locks the file, and creates a missing file. The lock ends with
     `close`, with `delete` or with the process. It also ends when this process opens the same file
-    by another `LockedFile`, because an exception, such as the last one of a notebook, may keep the
-    first object alive. `append` opens and locks the file again if necessary.
+    by another `LockedFile`: an exception that a notebook stores can keep the first object alive.
+    `append` opens and locks the file again if necessary.
 
     Raises `BlockingIOError` if another process has locked the file, and `OSError` if the file is
     not regular or cannot be opened.
@@ -58,7 +58,7 @@ class LockedFile:
             data = data[stream.write(data) :]
 
     def clear(self) -> None:
-        """Remove the content."""
+        """Remove the content of the file."""
         self._open().truncate(0)
 
     @property

@@ -1,4 +1,4 @@
-"""Read files that a user names: regular files up to a size, text in UTF-8."""
+"""Reads files that a user names: regular files of limited size, and text in UTF-8."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import stat
 from kneexo.errors import ScenarioError, shortened, shown
 
 MIB = 2**20
-"""Bytes of one MiB."""
+"""Number of bytes in one MiB."""
 
 _CHUNK = MIB
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF32_BE)

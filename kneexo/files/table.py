@@ -1,4 +1,4 @@
-"""Read columns of numbers from a CSV file that a user names."""
+"""Reads columns of numbers from a CSV file that a user names."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from kneexo.errors import shortened
 from kneexo.files.reading import MIB, file_error, read_text
 
 MOST_BYTES_OF_TABLE = 256 * MIB
-"""Size of the largest CSV file that is read."""
+"""Size in bytes of the largest CSV file that `read_table` accepts."""
 
 NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
-"""A decimal number. `float` also accepts ``1_0``, ``nan`` and the digits of other scripts."""
+"""Pattern of a decimal number in the digits 0-9. `float` also accepts ``1_0`` and ``nan``."""
 
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 

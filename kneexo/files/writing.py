@@ -1,8 +1,8 @@
-"""Write the files of a result: all of them or none, and never over a file of somebody else.
+"""Writes the files of a result, all or none, and refuses to replace files of other programs.
 
 New files are written to a temporary directory ``.kneexo-…`` beside their destination and moved at
 the end. A process holds a lock in its temporary directory. A later process deletes the temporary
-directories that nobody locks, which processes that were killed have left.
+directories without a lock, which killed processes have left.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ _LOCK = "kneexo.lock"
 
 
 def require_mark(path: Path, mark: str, kind: str) -> None:
-    """Raise `OutputError` for a file without our ``mark``; ``kind`` names it in the message."""
+    """Raise `OutputError` if the file ``path`` exists and does not contain the text ``mark``.
+
+    The message says that the file is no ``kind``.
+    """
     try:
         marked = mark.encode() in read_bytes(path, _MOST_BYTES)
     except (FileNotFoundError, NotADirectoryError):
@@ -73,7 +76,7 @@ def _replacement(
     remedy: str,
     when_written: Callable[[], object] | None = None,
 ) -> Iterator[Path]:
-    """Implement `output_directory`; messages begin with ``option`` and end with ``remedy``."""
+    """Implement `output_directory`; its errors begin with ``option`` and end with ``remedy``."""
     created: list[Path] = []
     workspace, lock_file = None, None
     try:
@@ -140,7 +143,10 @@ def _delete_leftovers(target: Path) -> None:
 
 
 def _delete(workspace: Path) -> None:
-    """Delete the lock last, so that a later process recognizes what a kill leaves."""
+    """Delete a temporary directory, the lock file last.
+
+    If a kill interrupts the deletion, a later process recognizes the rest by the lock file.
+    """
     for folder in (workspace / "new", workspace / "old", workspace):
         shutil.rmtree(folder, ignore_errors=True)
 

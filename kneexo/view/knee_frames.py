@@ -44,21 +44,22 @@ class KneeFrames(LeafSystem):
     Parameters
     ----------
     scene_graph
-        Gets the source ``name``, and a frame ``name::part`` with one geometry for each part. The
-        shank hides the ghost of the reference while both agree.
+        The constructor adds the source ``name`` to this SceneGraph, and for each part a frame
+        ``name::part`` with one geometry. The shank hides its ghost at the reference while both
+        agree.
     linkage
-        Its geometry.
+        Geometry of the linkage.
     name
-        Name of the source.
+        Name of the source in SceneGraph.
     depth_m
-        y of the knee's plane in m.
+        y of the knee's plane in the world, in m.
 
     Raises
     ------
     ParameterError
         ``depth_m`` is not finite.
     LinkageError
-        The linkage cannot be assembled: in the constructor, or at a knee angle or reference.
+        The linkage cannot be assembled: in the constructor, or later at a knee angle or reference.
     """
 
     def __init__(

@@ -43,12 +43,12 @@ class Leg:
     def of_signals(
         cls, name: str, linkage: LinkageParameters, signals: Mapping[str, ArrayLike]
     ) -> Leg:
-        """Return a leg with the `COLUMNS` of a run."""
+        """Return a leg from ``signals``, which has the `COLUMNS` of a run, each (n,)."""
         return cls(name, linkage, *(np.asarray(signals[column]) for column in COLUMNS))
 
 
 def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
-    """Run a scenario; return its leg, and why the run ends early (empty if it does not).
+    """Run a scenario; return its leg, and why the run ends early (empty if the run is complete).
 
     If the run fails, the leg ends with the last sample before the failure. Raises `SimulationError`
     if there is no such sample.

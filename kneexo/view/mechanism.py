@@ -1,4 +1,4 @@
-"""The bars and pins of leg and linkage: between which points of the knee's plane they lie.
+"""The bars and pins of leg and linkage, and the points of the knee's plane where they are.
 
 Points are complex numbers x + jy in m, seen from the thigh, with x forwards and y up. The lengths
 of thigh, shank and foot and the thickness of all parts are only for the eye; no result depends on
@@ -22,10 +22,11 @@ THIGH_M, SHANK_M, FOOT_M = 0.34, 0.34, 0.14
 """Lengths of thigh, shank and foot in m."""
 
 HEAD = 0.9
-"""Length of the cylinder, divided by the distance of the pins of cylinder and rod at x = 0.
+"""Length of the drawn cylinder, divided by the length of the drawn rod.
 
-The rod is as long as this distance. So the rod does not leave the cylinder while the rod extension
-x is below 0.9 of it, and a stub of the rod is visible at x = 0.
+The rod is as long as the distance of the pins of cylinder and rod at the rod extension x = 0. So
+the rod does not leave the cylinder while x is below 0.9 of this distance, and a stub of the rod is
+visible at x = 0.
 """
 
 
@@ -39,7 +40,7 @@ class Bar:
     colour: tuple[float, float, float]
     """Red, green and blue from 0 to 1."""
     layer_m: float = 0.0
-    """Distance from the knee's plane."""
+    """Distance of the bar from the knee's plane in m."""
 
 
 _BONE, _STEEL = (0.93, 0.89, 0.80), (0.60, 0.62, 0.66)
@@ -57,13 +58,13 @@ BARS = {
     "cylinder": Bar("cylinder_pin", "cylinder_end", 0.010, (0.5, 0.5, 0.5)),
     "rod": Bar("rod_start", "rod_pin", 0.005, (0.85, 0.87, 0.9)),
 }
-"""The bars by name."""
+"""The bars of leg and linkage by name."""
 
 PINS = ("o_a", "o_b", "a", "b", "cylinder_pin", "rod_pin")
-"""The points that have a pin, besides the instantaneous centre of rotation ``icr``."""
+"""Names of the points that have a pin, besides the instantaneous centre of rotation ``icr``."""
 
 GHOST = ("shank", "foot")
-"""The bars that are drawn a second time, at the reference."""
+"""Names of the bars that are drawn a second time, at the reference of the knee angle."""
 
 
 def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
@@ -83,7 +84,7 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     shank_is_ground = anchor.imag < 0.0
 
     def moved(point: complex) -> Points:
-        """Return the positions of a point of the coupler; ``point``: its position at 0 rad."""
+        """Return the positions of a coupler point, which is at ``point`` at the knee angle 0."""
         return np.asarray(turn * (point - straight.joint_b) + now.joint_b)
 
     def from_thigh(point: Points | complex) -> Points:

@@ -35,13 +35,13 @@ FRAMES_PER_S = 32.0
 """Frames per second of a recording."""
 
 MOST_FRAMES = 4800
-"""Largest sum of the frames of all legs of a page, 150 s of one leg. The page has at most 8 MB."""
+"""Largest number of frames of a page, summed over its legs: 150 s of one leg, at most 8 MB."""
 
 MOST_FRAMES_IN_REPORT = 1920
-"""The same limit for a page within a report. The page has at most 3 MB."""
+"""Largest number of frames, summed over the legs, of a page within a report: at most 3 MB."""
 
 MOST_LEGS = 30
-"""Largest number of legs of a page. The page has at most 8 MB."""
+"""Largest number of legs of a page, one leg for each run. The page has at most 8 MB."""
 
 MARK = "<!-- made by kneexo view -->"
 """A comment in each page. No command replaces a file without this comment."""
@@ -60,7 +60,10 @@ _HEAD = """
 
 
 def shown_s(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> float:
-    """Return the time in s that a page shows: the longest run, or less if the page is full."""
+    """Return the time in s that a page shows: that of the longest run, or less if the page is full.
+
+    A page is full if its legs have ``most_frames`` frames together.
+    """
     return min(max(float(leg.time_s[-1]) for leg in legs), most_frames / (FRAMES_PER_S * len(legs)))
 
 
@@ -95,7 +98,7 @@ def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
 
 
 def _quiet_meshcat() -> Meshcat:
-    """Return a new Meshcat, without the message of Drake that prints the address of its server."""
+    """Return a new Meshcat; suppress the message of Drake with the address of its server."""
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(logging.WARNING)
@@ -116,7 +119,7 @@ def _record(
     """Record a leg up to the time ``end_s``.
 
     ``path`` is the leg's path in Meshcat, ``depth_m`` the y of its plane, ``largest_pa`` the load
-    pressure of full colour.
+    pressure at which the cylinder is red.
     """
     end_s = min(end_s, leg.time_s[-1])
     times = np.arange(0.0, end_s + 0.5 / FRAMES_PER_S, 1.0 / FRAMES_PER_S)
@@ -152,7 +155,7 @@ def _record(
 
 
 def _shank(linkage: LinkageParameters, knee_angle: Array) -> Placement:
-    """Return the placement of the shank's frame, whose x axis points down along the shank."""
+    """Return the placement of the shank's frame at knee angles; its x axis points to the ankle."""
     at = points(linkage, knee_angle)
     down = at["ankle"] - at["shank_start"]
     return Placement(at["shank_start"], down / np.abs(down))
@@ -165,7 +168,7 @@ def _move(
     placement: Placement,
     poses: Iterator[RigidTransform],
 ) -> None:
-    """Record the poses of ``placement`` at ``path``, or a single pose if the poses are equal.
+    """Record the pose of the object ``path`` at each of ``times``, or one pose if it is constant.
 
     The frame of the shank carries all parts that are fixed to the shank. So the page holds a pose
     of each time only for this frame and for the few parts that move in another way.

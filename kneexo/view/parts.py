@@ -1,7 +1,7 @@
 """The drawn parts of a leg: their shapes, colours and poses in the world, for all views.
 
-World: x forwards, z up, y away from the viewer. A bar has its axis along z of its own frame and
-its origin in the middle.
+In the world, x points forwards, z up and y away from the viewer. In its own frame a bar has its
+axis along z and its origin in the middle.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _TOLERANCE = 1e-9  # m and rad
 
 @dataclass(frozen=True)
 class Placement:
-    """The places of one part at n times."""
+    """The positions and directions of one part in the knee's plane at n times."""
 
     middle: Points
-    """(n,)"""
+    """Middle of the part, (n,)."""
     direction: Points | None = None
     """Unit vectors along the bar, (n,). None: a pin across the plane."""
     layer_m: float = 0.0
-    """Distance from the knee's plane."""
+    """Distance of the part from the knee's plane in m, along y of the world."""
 
     def seen_from(self, frame: Placement) -> Placement:
         """Return the placement relative to a frame, whose x axis is the frame's direction."""
@@ -55,18 +55,18 @@ class Placement:
 
     @property
     def is_constant(self) -> bool:
-        """Whether the part stands still, within 1e-9 m and rad."""
+        """Whether all n positions and directions are equal, within 1e-9 m and rad."""
         values = [self.middle] if self.direction is None else [self.middle, self.direction]
         return all(bool(np.abs(v - v[0]).max() < _TOLERANCE) for v in values)
 
     def frames(self) -> Iterator[RigidTransform]:
-        """Yield the pose at each time of a frame whose x axis is the direction."""
+        """Yield for each time the pose of a frame in the middle whose x axis is the direction."""
         direction = np.ones_like(self.middle) if self.direction is None else self.direction
         for point, angle in zip(self.middle, -np.angle(direction), strict=True):
             yield RigidTransform(RotationMatrix.MakeYRotation(angle), in_world(point, self.layer_m))
 
     def poses(self) -> Iterator[RigidTransform]:
-        """Yield the pose of the part at each time."""
+        """Yield the pose of the part's shape at each time."""
         axis = RigidTransform(_ACROSS if self.direction is None else _ALONG, np.zeros(3))
         yield from (frame @ axis for frame in self.frames())
 
@@ -107,7 +107,7 @@ def shapes(linkage: LinkageParameters) -> dict[str, Look]:
 
 
 def icr_path(linkage: LinkageParameters, depth_m: float = 0.0) -> Array:
-    """Return the path of the instantaneous centre of rotation over 0…90°, (3, 91) in m.
+    """Return the path of the instantaneous centre of rotation at knee angles 0…90°, (3, 91) in m.
 
     ``depth_m`` is the y of the knee's plane. Raises `LinkageError` as `shapes`.
     """
@@ -116,17 +116,17 @@ def icr_path(linkage: LinkageParameters, depth_m: float = 0.0) -> Array:
 
 
 def in_world(point: complex, depth_m: float) -> Array:
-    """Return a point of the knee's plane in the world, (3,) in m; ``depth_m`` is the plane's y."""
+    """Return a point of the knee's plane in world coordinates, (3,) in m; ``depth_m`` is its y."""
     return np.array([point.real, depth_m, point.imag])
 
 
 def depths_m(legs: int) -> list[float]:
-    """Return the depth in m of each of ``legs`` legs beside each other, the nearest leg first."""
+    """Return the y in m of each of ``legs`` legs beside each other, the nearest leg first."""
     return [(number - 0.5 * (legs - 1)) * _SPACING_M for number in range(legs)]
 
 
 def look_at_legs(meshcat: Meshcat, legs: int) -> None:
-    """Look from the side at legs beside each other, without grid and axes."""
+    """Set the camera to see ``legs`` legs beside each other from the side; hide grid and axes."""
     for path in ("/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
     distance = 0.55 + 0.5 * _SPACING_M * (legs - 1)

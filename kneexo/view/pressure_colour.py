@@ -1,4 +1,4 @@
-"""The colour of a part that shows a pressure."""
+"""The leaf system that colours a part in Meshcat by a pressure."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class PressureColour(LeafSystem):
     path
         Path of the part's geometry in Meshcat.
     largest_pressure_pa
-        p_max in Pa.
+        p_max in Pa, the pressure at which the part is red.
     period_s
-        Period in s.
+        Time in s between two updates of the colour.
 
     Raises `ParameterError` if ``largest_pressure_pa`` or ``period_s`` is not finite and positive.
     """

@@ -1,1 +1,1 @@
-"""Equations as C99."""
+"""Writes equations as C99: functions, test vectors and build files."""

@@ -1,4 +1,4 @@
-"""Exported C under the compilers of this machine: differences in a replay, size on a target."""
+"""Builds and runs exported C on this machine, and measures its size on microcontrollers."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..errors import CompilationError
 from ..files import temporary_folder
 
 COMPILERS = ("cc", "gcc", "clang")
-"""Names of compilers for this machine; the first one on the PATH is used."""
+"""Names of C compilers for this machine; the first of them on the PATH is used."""
 
 TARGETS = {
     "Cortex-M4F": "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16",
     "Cortex-M7": "-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-d16",
 }
-"""Options of arm-none-eabi-gcc for each target."""
+"""Options of arm-none-eabi-gcc for each microcontroller core, by the name of the core."""
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 """Flags of the C compiler. Without contraction, a product and a sum are rounded separately."""
 
 
 BUILD = "build"
-"""Folder beside the sources in which the Makefile puts its products."""
+"""Name of the folder beside the sources to which the exported Makefile writes."""
 
 
 class BuildError(CompilationError):
@@ -35,7 +35,11 @@ class BuildError(CompilationError):
 
 @dataclass(frozen=True)
 class Replay:
-    """Largest difference and largest value of each output over the test vectors."""
+    """Comparison of the outputs of the C code with the test vectors.
+
+    ``difference`` and ``largest`` have, for each output, the largest difference and the largest
+    magnitude in the vectors. ``passed``: no step failed, and no difference is above the tolerance.
+    """
 
     difference: dict[str, float]
     largest: dict[str, float]
@@ -44,16 +48,16 @@ class Replay:
 
 @dataclass(frozen=True)
 class CodeSize:
-    """Bytes on a target, without those of the C library."""
+    """Size of exported code on a microcontroller in bytes, without the C library."""
 
     flash: int
-    """Code and constants, parameters among them."""
+    """Code and constants, including the parameter values."""
     stack: int
     """Stack of a step: the sum of the frames of all functions that a step may call."""
 
 
 def replay(name: str, files: Mapping[str, str]) -> Replay:
-    """Build the harness for this machine, run it, and return the differences that it prints.
+    """Build the test harness for this machine, run it, and return its comparison.
 
     Raises `BuildError` if there is no C compiler or the build fails, and `CompilationError` if the
     harness prints no differences.
@@ -77,7 +81,7 @@ def replay(name: str, files: Mapping[str, str]) -> Replay:
 
 
 def shared_library(files: Mapping[str, str]) -> bytes | None:
-    """Return a shared library for this machine; None without a C compiler.
+    """Compile C files to a shared library for this machine; return None without a C compiler.
 
     The library exports the functions that are marked as visible, and hides the others. Raises
     `CompilationError` if the build fails.
@@ -100,7 +104,7 @@ def _sources(files: Mapping[str, str]) -> list[str]:
 
 
 def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
-    """Return flash and stack on each of `TARGETS`.
+    """Compile the model ``name`` for each microcontroller of `TARGETS`; return flash and stack.
 
     Raises `BuildError` if arm-none-eabi-gcc is missing or fails.
     """

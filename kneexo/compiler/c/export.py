@@ -1,4 +1,4 @@
-"""A model in C as a folder: sources, test vectors with a harness, build files, README."""
+"""Writes a model in C as a folder: sources, test vectors and their harness, build files, README."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from .template import rendered
 from .vectors import Vectors, recorded_vectors
 
 REPLAY_TOLERANCES = {"double": 1e-9, "float": 1e-3}
-"""Largest difference that the harness accepts, relative to the largest value of the output."""
+"""Largest difference of an output in a replay, divided by its largest magnitude, per precision."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Cost of exported code, and the answers of the compilers of this machine."""
+    """Cost of exported code, and results of the compilers of this machine."""
 
     operations: dict[str, int]
-    """How often one step executes each operator and each function of the C library."""
+    """Number of executions in one step of each operator and C library function."""
     state_bytes: int
-    """Size of ``NAME_state_t``."""
+    """Size of the C struct ``NAME_state_t`` in bytes."""
     replay: Replay | None
-    """Differences over the test vectors; None if no C compiler builds the harness."""
+    """Result of the replay of the test vectors; None if the test harness cannot be built."""
     code_sizes: dict[str, CodeSize]
-    """Size on each of `TARGETS`; empty if arm-none-eabi-gcc builds nothing."""
+    """Flash and stack on each microcontroller of `TARGETS`; empty if they cannot be measured."""
     not_measured: dict[str, str]
-    """Reason for each missing one of ``differences`` and ``flash and stack``."""
+    """Why ``replay`` (key ``differences``) or ``code_sizes`` (``flash and stack``) is missing."""
 
 
 def export_c(
@@ -62,9 +62,9 @@ def export_c(
     directory
         The folder; created if it is missing. The files of an earlier export in it are replaced.
     name
-        Beginning of all names and files.
+        Prefix of all C names and file names, a C identifier of up to 31 characters.
     inputs
-        Input ports that stay open.
+        Names of the input ports of the diagram that become inputs of the C code.
     samples
         Inputs of each step of the test vectors (steps, elements of all inputs); zeros by default.
     steps
@@ -79,11 +79,11 @@ def export_c(
     Raises
     ------
     CompilationError
-        The diagram has no equations to print; an option is wrong.
+        The diagram cannot be compiled to C, or an argument is wrong.
     OutputError
         The folder has files that no export wrote, or cannot be written.
     SimulationError
-        The compiled diagram, which makes the test vectors, fails.
+        The run of the compiled diagram, which makes the test vectors, fails.
     """
     require_export_folder(directory)
     source = source_of(read_diagram(diagram, inputs=inputs), name, context, **options)
@@ -102,9 +102,8 @@ def require_export_folder(directory: str | os.PathLike[str]) -> None:
 def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors) -> Measurement:
     """Build, run and measure a model in C, and write its folder.
 
-    Files of the last export in the directory are replaced, and the others of them deleted. Raises
-    `OutputError` as `require_export_folder`, and if a file cannot be written; then the files of the
-    last export stay.
+    Files of an earlier export in the directory are replaced or deleted. Raises `OutputError` as
+    `require_export_folder` does, and if a file cannot be written; then no earlier file is deleted.
     """
     files, measurement = exported(source, vectors)
     require_export_folder(directory)
@@ -113,7 +112,7 @@ def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors
 
 
 def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measurement]:
-    """Build and run the code; return name and text of each file of the folder, and measurements."""
+    """Build, run and measure the code; return the files' texts by name, and the measurements."""
     files = files_of(source, vectors)
     differences, sizes, not_measured = None, {}, {}
     try:
@@ -135,7 +134,7 @@ def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measure
 
 
 def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
-    """Return name and text of each file of the folder, but the README."""
+    """Return the texts of all files of the folder except README.md, by file name."""
     plan = source.plan
     rows = zip(vectors.inputs.tolist(), vectors.outputs.tolist(), strict=True)
     data = source.template_data | {
@@ -155,9 +154,9 @@ def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
 
 
 def _values(source: CSource, fields: Sequence[Field], values: Sequence[float]) -> list[str]:
-    """Return values of fields as C text.
+    """Return the values of input or output elements as C text, in the order of ``fields``.
 
-    Zero stands for a value that is smaller than every normal number of the precision.
+    A number whose magnitude is below the normal numbers of the precision becomes zero.
     """
     real = source.plan.real
     return [
@@ -169,7 +168,7 @@ def _values(source: CSource, fields: Sequence[Field], values: Sequence[float]) -
 
 
 def _measured(name: str, measurement: Measurement) -> Iterator[tuple[str, str]]:
-    """Yield quantity and value of each row of the README's table of numbers."""
+    """Yield the rows (quantity, value) of the table in the README's section Numbers, as text."""
     operations = measurement.operations
     counts = ", ".join(f"{count} {operation}" for operation, count in operations.items())
     yield "operations in a step", f"{sum(operations.values())}: {counts}"

@@ -1,4 +1,4 @@
-"""The functions of a model in C that evaluate its equations at one instant."""
+"""Builds the C functions that evaluate the equations of a model at one instant."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ARRAYS = {"constant": "c", "state": "x", "discrete": "d"}
 
 @dataclass(frozen=True)
 class Function:
-    """A function in C: its name, its arguments after the instant, and its statements."""
+    """A C function as text: its name, the arguments after the first one, and its statements."""
 
     name: str
     arguments: str
@@ -25,29 +25,30 @@ class Function:
 
     @property
     def text(self) -> str:
-        """The statements as C text."""
+        """The statements, joined by line breaks."""
         return "\n".join(self.statements)
 
     def reads(self, variable: str) -> bool:
-        """Return whether the statements use a variable; comments and members do not count."""
+        """Return whether the statements use ``variable``; comments and struct members do not."""
         code = re.sub(r"/\*.*?\*/", "", self.text, flags=re.DOTALL)
         return re.search(rf"(?<![\w>.]){variable}\b", code) is not None
 
 
 class Functions:
-    """All functions of a plan, and the number of operations of a step.
+    """The C functions of a model, made from its ``Plan``, and the operations that a step executes.
 
     Attributes
     ----------
     constants
         ``constants_of``: computes the values that depend on parameters alone.
     of_an_instant
-        The other functions; each reads an ``instant``. A function of a quantity
-        that the model lacks is left out.
+        The other functions. The first argument of each is the ``instant`` from which it reads. A
+        function is left out if the model lacks its results: ``rate_at`` without continuous states.
     constant_count
         Number of values that ``constants_of`` computes.
     operations
-        How often one step executes each operator, and each function of the C library by its name.
+        Number of executions in one step of each operator and function, by symbol or name: ``+``,
+        ``sqrt``. All updates are counted as if they were due.
     library
         Names of the functions of the C library that the code calls.
     """
@@ -67,7 +68,7 @@ class Functions:
         self.library = sorted(self._printer.functions)
 
     def call(self, name: str) -> bool:
-        """Return whether a statement calls the function ``name``."""
+        """Return whether any of the C functions calls the function ``name``."""
         return any(f"{name}(" in f.text for f in (self.constants, *self.of_an_instant))
 
     def _of_an_instant(self) -> list[Function]:
@@ -91,7 +92,10 @@ class Functions:
         return list(compress(functions, are_needed))
 
     def _load(self, kind: str, index: int) -> str:
-        """Return the C text that reads an element of a source, a constant or a table."""
+        """Return the C text that reads element ``index`` of ``kind``.
+
+        ``kind`` is a source of the graph (``input``, ``state``, …), ``constant`` or ``table``.
+        """
         plan = self._plan
         if kind == "parameter":
             return f"p->{plan.members[index]}"
@@ -110,7 +114,10 @@ class Functions:
     def _block(
         self, targets: Sequence[tuple[str, int]], times: int = 1, depth: int = 1
     ) -> list[str]:
-        """Return statements that compute the targets; a step executes them ``times`` times."""
+        """Return C statements that compute ``targets``, pairs of a C variable and a node.
+
+        One step executes these statements ``times`` times; the method adds them to `operations`.
+        """
         self._printer.operations.clear()
         lines = self._printer.block(targets, self._load, indent="    " * depth)
         for operation, count in self._printer.operations.items():
@@ -118,7 +125,7 @@ class Functions:
         return lines
 
     def _updates(self) -> list[str]:
-        """Return statements that write the discrete states after the updates into ``next``."""
+        """Return C statements that write the discrete states after a tick's updates to ``next``."""
         schedule, updates = self._plan.schedule, self._plan.equations.updates
         lines = []
         for update, period, offset in zip(updates, schedule.periods, schedule.offsets, strict=True):

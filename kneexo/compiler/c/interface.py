@@ -34,7 +34,7 @@ _KEYWORDS = frozenset(
     ]
 )
 _MACRO = re.compile(r"(M|FP|FLT|DBL|LDBL)_[A-Z0-9]\w*|U?INT\w*_(MAX|MIN|C)")
-"""Further macros of math.h, float.h and stdint.h."""
+"""Pattern of reserved names besides ``_KEYWORDS``: macros of math.h, float.h and stdint.h."""
 
 _HEADERS = frozenset(
     [
@@ -44,17 +44,17 @@ _HEADERS = frozenset(
         *("time", "uchar", "wchar", "wctype"),
     ]
 )
-"""Headers of the C library; a file of the same name would hide one of them."""
+"""Headers of the C library. A header of the model with the same name would hide one of them."""
 
 _START_MEMBERS = ("initial_x", "initial_d")
-"""Members of the struct of parameters that hold the start; leaf systems must not have them."""
+"""Members of the parameter struct that hold the initial states; no leaf system gets these names."""
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 
 
 @dataclass(frozen=True)
 class Field:
-    """One element of a port: a member of the struct of inputs or outputs."""
+    """One element of an input or output port, which is one member of a C struct."""
 
     port: str
     name: str
@@ -83,13 +83,13 @@ class Interface:
     Parameters
     ----------
     fields
-        Names of the elements of a port, by the name of the port. A name should end in the unit.
-        A port that is missing here gets its own name, followed by the number of the element if the
-        port has more than one.
+        C names of the elements of each port, by the name of the port. A name should end in the
+        unit. The elements of a port that is missing here are called ``PORT`` if there is one,
+        otherwise ``PORT_0``, ``PORT_1`` …
     integers
         Input ports of type int32_t, such as encoder counts.
     ranges
-        Lowest and highest allowed value of an input, by the name of the element.
+        Lowest and highest allowed value of an input, by the C name of the element.
     """
 
     fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -97,7 +97,7 @@ class Interface:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def members(self, sizes: Mapping[str, int]) -> tuple[Field, ...]:
-        """Return the elements of ports, of which ``sizes`` gives name and size, in their order.
+        """Return the elements of ports in their order; ``sizes`` has each port's size by name.
 
         Raises `CompilationError` if ``fields`` has a wrong number of names for a port, and if two
         elements have the same name.
@@ -117,7 +117,7 @@ class Interface:
 
 
 def parameter_members(parameters: Sequence[str], root: str) -> tuple[str, ...]:
-    """Return the member of the struct in C for each Context parameter.
+    """Return the member of the C parameter struct that holds each Context parameter.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def parameter_members(parameters: Sequence[str], root: str) -> tuple[str, ...]:
         Names of the Context parameters: path of the leaf system, dot, name of the parameter or
         ``group[element]``.
     root
-        Member for a leaf system that has no path, because it is the whole diagram.
+        Name of the leaf system in C if the whole diagram is one leaf system, which has no path.
 
     Returns
     -------
@@ -149,10 +149,10 @@ def parameter_members(parameters: Sequence[str], root: str) -> tuple[str, ...]:
 
 
 def require_model_name(name: str) -> None:
-    """Raise `CompilationError` for a name that no file and no identifier of a model can begin with.
+    """Raise `CompilationError` if ``name`` cannot be the prefix of a model's files and C names.
 
-    Such names are headers of the C library, keywords, and texts that are no C identifier of at most
-    31 characters.
+    Refused are names of C headers, keywords, and texts that are no C identifier of at most 31
+    characters.
     """
     if name.lower() in _HEADERS:
         raise CompilationError(f"name = {name!r}: is a header of C; choose another name")
@@ -171,7 +171,7 @@ def c_name(text: str) -> str:
 
 
 def _short_names(paths: Collection[str]) -> dict[str, str]:
-    """Return for each path of a system its shortest end that is the end of no other path."""
+    """Return for each system path the shortest sequence of last names that ends no other path."""
     short = {}
     for path in paths:
         names = path.split("/")

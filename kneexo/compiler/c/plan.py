@@ -1,4 +1,4 @@
-"""The plan of a model in C: everything that functions and templates print, as data."""
+"""The content of a model in C as data, which the C functions and templates print."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from .tables import Table
 
 @dataclass(frozen=True)
 class Plan:
-    """What a model in C computes, from which data, and how the data are named."""
+    """The content of a model in C: equations, parameter values, C names, times and tables."""
 
     name: str
-    """Beginning of all names and files."""
+    """Prefix of all C names and file names."""
     real: Precision
-    """Floating-point type."""
+    """Floating-point type of the code."""
     equations: Equations
     parameters: Array
     """Values of the Context parameters."""
     state: State
     """State before the initialization events."""
     members: tuple[str, ...]
-    """Member of the struct in C for each Context parameter: see `parameter_members`."""
+    """Member of the C parameter struct for each Context parameter: see `parameter_members`."""
     inputs: tuple[Field, ...]
-    """Elements of the open input ports."""
+    """Elements of the input ports, in their order."""
     outputs: tuple[Field, ...]
     """Elements of the exported output ports."""
     output_nodes: tuple[int, ...]
-    """Node of each element of ``outputs``."""
+    """Node of the graph that computes each element of ``outputs``."""
     schedule: Schedule
     tables: tuple[Table, ...]
-    """Nodes that the code looks up by an integer input, with their values."""
+    """Tables of the nodes whose values the code looks up by an integer input."""
     sums: Mapping[int, tuple[int, ...]]
-    """Discrete states that compensated sums update, with the nodes that each sum adds."""
+    """Indices of the discrete states that compensated sums update, with the nodes added to each."""
 
     @cached_property
     def needs_time(self) -> bool:
@@ -49,12 +49,12 @@ class Plan:
 
     @property
     def counts_steps(self) -> bool:
-        """Whether the state counts steps: for the time, or for several sample times."""
+        """Whether the C state counts steps: for the time, or for updates not due at every tick."""
         return self.needs_time or self.schedule.counts_ticks
 
     @property
     def step_nodes(self) -> list[int]:
-        """Nodes whose values a step computes."""
+        """Nodes of the graph whose values one step computes."""
         return step_nodes(self.equations, self.output_nodes)
 
 
@@ -66,12 +66,12 @@ def step_nodes(equations: Equations, output_nodes: tuple[int, ...]) -> list[int]
 
 
 def compensated_sums(equations: Equations, real: Precision) -> dict[int, tuple[int, ...]]:
-    """Return each discrete state whose update is a sum of itself and others, with the others.
+    """Return each discrete state whose update adds other nodes to the state, with these nodes.
 
-    In single precision the code adds them by Kahan's compensated summation: the rounding error of
-    an addition is kept, and taken into account by the next one. Otherwise a float would lose
-    increments far smaller than the sum, so that an integrator would drift. In double precision the
-    result is empty.
+    In single precision the code adds the nodes by Kahan's compensated summation: each addition
+    corrects the rounding error of the addition before. Otherwise a float would lose increments far
+    smaller than the sum, so that an integrator would drift. In double precision the result is
+    empty.
     """
     if real is not FLOAT:
         return {}

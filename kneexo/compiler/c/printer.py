@@ -1,4 +1,4 @@
-"""Nodes of a graph as C99 statements, in double or single precision."""
+"""Prints nodes of the graph of equations as C99 statements, in double or single precision."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ from ..equations.partition import fixed_nodes
 from ..errors import CompilationError
 
 WIDTH = 96
-"""Longest line of C."""
+"""Largest number of characters of a line of printed C."""
 
 _LONGEST_EXPRESSION = 160
 
 Load = Callable[[str, int], str]
-"""Returns the C text that reads an element of a source (`graph.SOURCES`), constant or table."""
+"""A function that returns the C text for reading an element, from its kind and its index.
+
+The kinds are the sources of the graph (``graph.SOURCES``), ``constant`` and ``table``.
+"""
 
 
 @dataclass(frozen=True)
@@ -33,10 +36,10 @@ class Precision:
 
     name: str
     suffix: str
-    """End of literals, and of the names of functions of the C library."""
+    """Suffix of literals and of C library functions, such as the f of ``1.0f`` and ``sqrtf``."""
     largest: float
     smallest: float
-    """Smallest normal number."""
+    """Smallest positive normal number."""
     round: Callable[[float], np.floating]
 
 
@@ -45,14 +48,15 @@ DOUBLE = Precision("double", "", 1.7976931348623157e308, 2.2250738585072014e-308
 FLOAT = Precision("float", "f", 3.4028234663852886e38, 1.1754943508222875e-38, np.float32)
 """C's ``float``: 32 bits."""
 PRECISIONS = {precision.name: precision for precision in (DOUBLE, FLOAT)}
-"""Each precision by its name in C."""
+"""The precisions by their names in C, ``double`` and ``float``."""
 
 
 def literal(value: float, precision: Precision, name: str = "a constant") -> str:
-    """Return a number as C text.
+    """Return a number as a C literal, rounded to ``precision``.
 
-    Raises `CompilationError` for a number that is not finite, or that no normal number of the type
-    represents. ``name`` names the number in the message.
+    Raises `CompilationError` for a number that is not finite, and for a number other than zero
+    whose magnitude is below or above that of the type's normal numbers. The message calls it
+    ``name``.
     """
     if not math.isfinite(value):
         raise CompilationError(f"{name} = {value}: must be finite")
@@ -68,26 +72,29 @@ def literal(value: float, precision: Precision, name: str = "a constant") -> str
 
 @dataclass
 class CPrinter:
-    """Prints the statements that compute nodes.
+    """Prints C statements that compute nodes of ``graph``.
 
-    Nodes in ``fixed`` and ``tables`` are not computed: the statements read their values.
+    The statements do not compute nodes in ``fixed`` and ``tables``, but read their values.
     """
 
     graph: Graph
     precision: Precision
     sections: Sequence[Section]
-    """Groups of nodes; statements come in this order, each group under a comment."""
+    """Groups of nodes that set the order of the statements. A comment precedes each group."""
     fixed: dict[int, int] = field(default_factory=dict)
-    """Nodes that depend on parameters alone, with the indices of their values."""
+    """Nodes that depend on parameters alone, with the indices of their values in the C array c."""
     tables: dict[int, int] = field(default_factory=dict)
-    """Nodes whose values stand in tables, with the numbers of the tables."""
+    """Nodes whose values are looked up in tables, each with the number of its table."""
     functions: set[str] = field(default_factory=set)
-    """Names of the functions of the C library that all blocks so far call."""
+    """Names of the functions of the C library that all blocks printed so far call."""
     operations: Counter[str] = field(default_factory=Counter)
-    """How often each operator and each function stands in the blocks so far."""
+    """Number of times that each operator and function is in the blocks since the last clearing."""
 
     def collect_fixed(self, roots: Iterable[int]) -> None:
-        """Fill `fixed` with the nodes behind ``roots`` that are fixed and more than a load."""
+        """Set `fixed` to the nodes that ``roots`` need and that depend on parameters alone.
+
+        Parameters themselves are left out: the statements read them directly.
+        """
         nodes = fixed_nodes(self.graph, roots, self.tables)
         worthwhile = [node for node in nodes if self.graph.nodes[node][0] not in SOURCES]
         self.fixed = {node: number for number, node in enumerate(worthwhile)}
@@ -100,9 +107,10 @@ class CPrinter:
         fixed: Mapping[int, int] | None = None,
         indent: str = "    ",
     ) -> list[str]:
-        """Return statements that compute nodes and assign the values to targets.
+        """Return C statements that compute nodes and assign their values to C variables.
 
-        ``targets``: pairs of C text and node. ``fixed`` replaces `fixed` if it is given.
+        ``targets`` has pairs of a C variable and a node. ``load`` returns the C text for reading an
+        element. ``fixed`` replaces the attribute `fixed`, unless it is None.
         """
         constants = self.fixed if fixed is None else fixed
         loads = {node: ("constant", number) for node, number in constants.items()}
@@ -114,7 +122,7 @@ class _Block:
     def __init__(
         self, printer: CPrinter, load: Load, loads: Mapping[int, tuple[str, int]], indent: str
     ) -> None:
-        """``loads``: source and index to read for each node that is not computed here."""
+        """``loads`` has the kind and index for ``load`` of each node that is read, not computed."""
         self.printer, self.graph, self.load, self.loads = printer, printer.graph, load, loads
         self.real = printer.precision
         self.indent = indent
@@ -140,7 +148,11 @@ class _Block:
         return lines + self._statements(sorted(waiting), uses) + self._assignments(unset)
 
     def _statements(self, nodes: Sequence[int], uses: Counter[int]) -> list[str]:
-        """Return statements for nodes that are used several times or are long; note the others."""
+        """Return C statements that define variables for nodes used several times or long.
+
+        Store the C text of each node, its variable or its expression, for the statements that
+        follow.
+        """
         lines = []
         for node in nodes:
             text = self._expression(node)
@@ -178,7 +190,7 @@ class _Block:
 
     @staticmethod
     def _bare(text: str) -> str:
-        """Return an expression without the parentheses around the whole."""
+        """Return a C expression without its outer parentheses, if one pair encloses all of it."""
         if not (text.startswith("(") and text.endswith(")")):
             return text
         depth = 0
@@ -237,7 +249,7 @@ class _Block:
         return f"({text})"
 
     def _negated(self, node: int) -> str | None:
-        """Return x as text for a product -x that has no name yet, else None."""
+        """Return the text of x if ``node`` is a product with the text (-x), else None."""
         kind, *_ = self.graph.nodes[node]
         text = self.text[node]
         return text[2:-1] if kind == "multiply" and text.startswith("(-") else None

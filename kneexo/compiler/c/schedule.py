@@ -1,4 +1,4 @@
-"""Ticks of a model in C, and the Runge-Kutta steps within a tick."""
+"""Computes tick, update periods and Runge-Kutta steps of a model in C."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _MOST_STEPS = 2**16 - 1  # an uint16_t counts them
 
 @dataclass(frozen=True)
 class Schedule:
-    """Times of a model: one call of ``NAME_step`` covers one tick."""
+    """Times of a model in C: one call of ``NAME_step`` simulates one tick."""
 
     tick_s: float
     """Length of a tick in s: the sample time of the model."""
     periods: tuple[int, ...]
-    """Period of each group of updates, in ticks."""
+    """Period in ticks of each group of updates. A group has one sample time and one offset."""
     offsets: tuple[int, ...]
     """First tick at which each group of updates is due."""
     largest_step_s: float
@@ -40,12 +40,12 @@ class Schedule:
 
     @property
     def counts_ticks(self) -> bool:
-        """Whether a group of updates exists that is not due at every tick."""
+        """Whether any group of updates is not due at every tick."""
         return any(self.offsets) or any(period > 1 for period in self.periods)
 
     @property
     def cycle(self) -> tuple[int, int]:
-        """First tick of the cycle in which the sample times repeat, and of the cycle after it."""
+        """First tick of the cycle in which the updates repeat, and first tick of the next cycle."""
         first = max(self.offsets, default=0)
         return first, first + math.lcm(1, *self.periods)
 

@@ -1,10 +1,10 @@
-"""A model as C99: header, source and parameter values, of any diagram that compiles.
+"""A model as C99: header, source and parameter values, for any diagram that compiles.
 
 ``NAME_init`` computes the values that depend on parameters alone, and the discrete state after the
-initialization events. ``NAME_step`` goes over one tick, from t to t + T, in this order: updates at
-t with the inputs of the call, fixed steps of the classical fourth-order Runge-Kutta method for the
-continuous states, and outputs just before the updates at t + T. So the output of a controller that
-holds its command follows from the inputs of the same call.
+initialization events. ``NAME_step`` simulates one tick, from t to t + T. The step executes the
+updates at t with the inputs of the call, integrates the continuous states with fixed steps of the
+classical fourth-order Runge-Kutta method, and computes the outputs just before the updates at t +
+T. So the command that a controller holds over the tick follows from the inputs of the same call.
 """
 
 from __future__ import annotations
@@ -42,26 +42,26 @@ class CSource:
     equations
         Equations of the diagram: see `read_equations`.
     name
-        Beginning of all names and files, a C identifier of up to 31 characters.
+        Prefix of all C names and file names, a C identifier of up to 31 characters.
     parameters, state
         Values of the Context parameters, and the state before the initialization events.
     precision
         ``double`` or ``float``.
     outputs
-        Output ports to export; all by default.
+        Names of the output ports to export; all by default.
     interface
         Names, types and ranges of the ports in C.
     tick_s
-        Time in s that a step covers. Required for a diagram without a sample time; otherwise the
-        longest time that divides ``tick_s`` and all sample times is used.
+        Time in s that a step covers. Required for a diagram without a sample time. Otherwise a step
+        covers the longest time that divides all sample times and, unless it is None, ``tick_s``.
     step_s
         Largest step of the Runge-Kutta method in s; by default it follows from the fastest mode at
         the start (`rk4_step_s`).
     look_up
-        Replace values that depend on a single integer input with a range by tables. Changing a
-        parameter that is used only there has no effect in C.
+        Look up values that follow from one integer input with a range in tables, instead of
+        computing them. Changing a parameter that is used only there has no effect in C.
     subject
-        What is exported; part of the first line of each file.
+        Short description of the model, part of the first line of each file.
 
     Raises
     ------
@@ -106,7 +106,7 @@ class CSource:
 
     @cached_property
     def plan(self) -> Plan:
-        """Everything that is printed, as data."""
+        """The content of the files as data."""
         real = PRECISIONS[self.precision]
         # The printers add nodes of their own, and the key of machine code depends on all nodes.
         equations = replace(self.equations, graph=self.equations.graph.copy())
@@ -145,12 +145,12 @@ class CSource:
 
     @cached_property
     def functions(self) -> Functions:
-        """The functions of the source file."""
+        """The C functions that evaluate the equations."""
         return Functions(self.plan)
 
     @property
     def operations(self) -> Counter[str]:
-        """How often one step executes each operator and each function of the C library."""
+        """Number of executions in one step of each operator and C library function."""
         return self.functions.operations
 
     @property
@@ -164,12 +164,12 @@ class CSource:
 
     @property
     def first_line(self) -> str:
-        """Text of the first line of each file."""
+        """Text of the comment in the first line of each file."""
         return plain_line(f"{MARK} {self.subject}")
 
     @property
     def template_data(self) -> dict[str, Any]:
-        """Data that every template of a model gets."""
+        """Variables that every template of the model gets."""
         return {
             "name": self.name,
             "NAME": self.name.upper(),
@@ -182,7 +182,7 @@ class CSource:
         }
 
     def files(self) -> dict[str, str]:
-        """Return name and text of each file: header, source, parameter values."""
+        """Return the texts of header, source and parameter file, by file name."""
         plan, equations, start = self.plan, self.equations, self._start()
         data = self.template_data | {
             "leaves": self._leaves(),
@@ -204,7 +204,7 @@ class CSource:
         return {file: rendered(__package__, name, **data) for file, name in templates.items()}
 
     def _start(self) -> dict[str, list[str]]:
-        """Return the start values of the states ``x`` and ``d`` as C text, if there are any."""
+        """Return the initial states (``x`` continuous, ``d`` discrete) as C text, if not empty."""
         vectors = {"x": self.state.continuous, "d": self.state.discrete}
         return {
             key: [literal(value, self.plan.real, f"initial {key}") for value in vector.tolist()]
@@ -213,7 +213,7 @@ class CSource:
         }
 
     def _leaves(self) -> dict[str, list[_Member]]:
-        """Return the members of the struct of parameters by the leaf system that they belong to."""
+        """Return the members of the C parameter struct, grouped by their leaf system's C name."""
         leaves: dict[str, dict[str, _Member]] = {}
         names, values = self.equations.parameters, self.parameters.tolist()
         for member, name, value in zip(self.plan.members, names, values, strict=True):
@@ -226,7 +226,7 @@ class CSource:
         return {leaf: list(members.values()) for leaf, members in leaves.items()}
 
     def _state_members(self) -> list[tuple[str, int, str]]:
-        """Return name, size and meaning of each array in the struct of the state."""
+        """Return name, size and meaning of each array in the C struct ``NAME_state_t``."""
         states, discrete = self.equations.states, self.equations.discrete
         rows = [
             ("x", len(states), f"continuous: {', '.join(states)}"),
@@ -249,7 +249,7 @@ def source_of(diagram: DiagramEquations, name: str, context: Any = None, **optio
 
 @dataclass(frozen=True)
 class _Member:
-    """A member of the struct of parameters of a leaf system, and its values as C text."""
+    """A member of the C parameter struct of a leaf system, with its values as C text."""
 
     name: str
     is_array: bool

@@ -1,4 +1,4 @@
-"""Largest step of the Runge-Kutta method in exported code, from the fastest mode of a diagram."""
+"""Computes the default step of the Runge-Kutta method in C from the fastest mode of a diagram."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ..native.runner import STEP_S
 from ..run_data import Array, State
 
 STEP_ANGLE = 0.2
-"""Largest product of the step of RK4 and the magnitude of an eigenvalue."""
+"""Largest product h·|λ| of the default step h of RK4 and the magnitude of an eigenvalue λ."""
 
 SHORTEST_STEP_S = 1e-7
-"""Shortest default step. For a faster mode ``step_s`` is required; better leave the mode out."""
+"""Shortest default step in s. If a mode requires less, pass ``step_s`` or leave the mode out."""
 
 
 def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:

@@ -19,9 +19,10 @@ from ..run_data import Array
 
 @dataclass(frozen=True)
 class Table:
-    """Values of a node, one for each value of an integer input; ``first`` is the lowest.
+    """The values of one node of the graph, one value for each value of an integer input.
 
-    ``element`` is the index of the input among the elements of all inputs.
+    ``first`` is the lowest value of the input, so ``values[i]`` belongs to ``first + i``.
+    ``element`` is the index of the input among the elements of all input ports.
     """
 
     node: int
@@ -36,9 +37,11 @@ def tables_of(
     ranges: Mapping[int, tuple[int, int]],
     parameters: Array,
 ) -> list[Table]:
-    """Return tables of the nodes whose computation takes more than sums and products.
+    """Return tables of the nodes that follow from one integer input, if they are costly.
 
-    ``ranges``: lowest and highest value of each integer input, by its element of the inputs.
+    A node is costly if it requires a division or a function of the C library. ``roots`` are the
+    nodes that the model computes. ``ranges`` has the lowest and highest value of each integer
+    input, by the input's index among the elements of all input ports.
     """
     elements = {graph.source("input", element): element for element in ranges}
     by_count = nodes_by_count(

@@ -1,4 +1,4 @@
-"""Text files from the templates of a package, by Jinja2."""
+"""Renders Jinja2 templates of C code and other text files."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from .printer import comment_lines, literal
 
 
 def rendered(package: str, template: str, **data: Any) -> str:
-    """Return the text of a template in the folder ``templates`` of a package.
+    """Return a template from the folder ``templates`` of ``package``, filled with ``data``.
 
-    Besides the filters of Jinja2 a template has ``comment`` (`comment_lines` as text), ``literal``,
-    and ``quoted`` (a string of C). Raises ``jinja2.UndefinedError`` for a name that ``data`` lacks.
+    A template can use the filters of Jinja2 and three more: ``comment`` (`comment_lines` as text),
+    ``literal``, and ``quoted`` (a C string literal). Raises ``jinja2.UndefinedError`` for a name
+    that ``data`` lacks.
     """
     return _environment(package).get_template(template).render(data)
 
@@ -37,7 +38,7 @@ def _environment(package: str) -> Environment:
 
 
 def _quoted(text: str) -> str:
-    """Return the text as a string of C; characters that mean something to C or printf become _."""
+    """Return a C string literal; special characters of C or printf and non-ASCII become ``_``."""
     return '"' + re.sub(r'[^ -~]|[\\"%?]', "_", text) + '"'
 
 

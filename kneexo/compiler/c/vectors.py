@@ -1,4 +1,4 @@
-"""Test vectors of a model in C: the inputs of each step, and the outputs that must follow."""
+"""Test vectors of a model in C: the inputs of each step, and the outputs that C must return."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .source import CSource
 
 @dataclass(frozen=True)
 class Vectors:
-    """Inputs of each step (steps, input elements), and outputs (steps, output elements)."""
+    """Inputs (steps, input elements) and expected outputs (steps, output elements) of each step."""
 
     inputs: Array
     outputs: Array
 
 
 def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors:
-    """Run the compiled diagram with the inputs of each step, and return inputs and outputs.
+    """Run the compiled diagram with the inputs of each step; return inputs and recorded outputs.
 
     Inputs are constant over a step. Outputs are recorded just before the updates of the next step.
     The integrator is RK4 with the steps of the source.
@@ -36,14 +36,14 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     diagram
         The diagram from which the equations of the source were read.
     source
-        The model in C; it gives parameters, state, ticks and outputs.
+        The model in C; the run has its parameters, initial state, ticks and outputs.
     inputs
         Inputs of each step (steps, input elements).
 
     Raises
     ------
     CompilationError
-        The inputs vary, and the diagram has continuous states and sample times.
+        The inputs vary from step to step, and the diagram has continuous states and sample times.
     SimulationError
         The run fails.
     """

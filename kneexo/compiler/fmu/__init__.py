@@ -1,1 +1,1 @@
-"""Equations as a functional mock-up unit (FMU)."""
+"""Writes a model in C as a functional mock-up unit (FMU) for co-simulation."""

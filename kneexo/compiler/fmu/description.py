@@ -1,4 +1,4 @@
-"""The XML files of an FMU: modelDescription.xml, and buildDescription.xml of FMI 3."""
+"""Writes the XML files of an FMU: modelDescription.xml, and buildDescription.xml of FMI 3."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _LONGEST_DESCRIPTION = 2**26
 
 @dataclass(frozen=True)
 class Header:
-    """Everything that the model description says beside the variables."""
+    """The content of modelDescription.xml except the variables."""
 
     fmi: int
     """Version of the standard: 2 or 3."""
     name: str
-    """Model identifier."""
+    """Model identifier of the FMU."""
     token: str
     """GUID of FMI 2, instantiation token of FMI 3."""
     tool: str
@@ -33,7 +33,7 @@ class Header:
     """Default end of a run in s."""
     sample_time_s: float
     files: Sequence[str]
-    """Names of the source files that a compiler must translate."""
+    """Names of the C files that are compiled to a binary."""
 
 
 def model_description(header: Header, table: VariableTable) -> str:
@@ -71,7 +71,7 @@ def model_description(header: Header, table: VariableTable) -> str:
 
 
 def build_description(header: Header) -> str:
-    """Return the text of buildDescription.xml."""
+    """Return the text of buildDescription.xml, which lists the C files of an FMU by FMI 3."""
     root = Element("fmiBuildDescription", fmiVersion=_STANDARDS[3])
     build = SubElement(root, "BuildConfiguration", modelIdentifier=header.name)
     files = SubElement(build, "SourceFileSet", language="C99")
@@ -81,7 +81,7 @@ def build_description(header: Header) -> str:
 
 
 def generation_tool(archive: bytes) -> str | None:
-    """Return the tool that made an FMU; "" if the FMU names none, None for another file."""
+    """Return the tool that made an FMU, "" if the FMU names no tool, or None for another file."""
     try:
         with (
             zipfile.ZipFile(io.BytesIO(archive)) as files,
@@ -131,10 +131,10 @@ def _add_variable(parent: Element, fmi: int, reference: int, variable: Variable)
 
 
 def _add_structure(parent: Element, fmi: int, table: VariableTable) -> None:
-    """Add the dependencies of the outputs on inputs and parameters.
+    """Add the lists of outputs, each with the variables on which the output depends.
 
-    After a step, an output depends on no input before the next step. After the initialization, some
-    outputs depend on inputs.
+    After a step, an output depends on no input until the next step. During the initialization,
+    outputs can depend on inputs and parameters.
     """
     outputs = table.references("output")
     initial = list(zip(outputs, table.initial_dependencies(), strict=True))

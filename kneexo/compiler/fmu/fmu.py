@@ -1,7 +1,7 @@
 """A model in C as a functional mock-up unit (FMU) for co-simulation, by FMI 2.0 or 3.0.
 
-The FMU has the sources of `CSource` and three more. ``NAME_fmu.h`` and ``NAME_fmu.c`` implement an
-instance of the model: its variables, modes, steps and saved states. ``NAME_fmi2.c`` or
+The FMU has the source files of `CSource` and three more. ``NAME_fmu.h`` and ``NAME_fmu.c``
+implement an instance of the model: its variables, modes, steps and saved states. ``NAME_fmi2.c`` or
 ``NAME_fmi3.c`` implements the functions of the standard.
 """
 
@@ -26,7 +26,7 @@ from .description import Header, build_description, model_description
 from .variables import FmuParameter, VariableTable
 
 FMI_VERSIONS = (2, 3)
-"""Versions of the FMI standard."""
+"""Versions of the FMI standard that `Fmu` supports."""
 
 _PLATFORMS = {2: "linux64", 3: "x86_64-linux"}
 _FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest of a zip file: equal FMUs have equal bytes
@@ -34,7 +34,7 @@ _FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest of a zip file: equal FMUs ha
 
 @dataclass(frozen=True)
 class Fmu:
-    """An FMU of a model.
+    """A functional mock-up unit (FMU) of a model.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Fmu:
     description
         A short text about the model.
     starts
-        Start values of inputs by their names; zero for the others.
+        Start values of inputs by name; every other input starts at zero.
     stop_s
         Default end of a run in s.
 
@@ -84,12 +84,12 @@ class Fmu:
 
     @cached_property
     def table(self) -> VariableTable:
-        """All variables."""
+        """All variables of the FMU, with their value references."""
         return VariableTable(self.source.plan, self.parameters, self.starts)
 
     @cached_property
     def token(self) -> str:
-        """GUID of FMI 2, instantiation token of FMI 3; equal FMUs have the same."""
+        """GUID of FMI 2 or instantiation token of FMI 3, a hash: equal FMUs have the same token."""
         numbers = (self.fmi, self.tool, self.description, self.stop_s)
         table = self.table
         digest = hashlib.sha256(repr((numbers, table.variables, table.parameters)).encode())
@@ -99,7 +99,7 @@ class Fmu:
 
     @cached_property
     def sources(self) -> dict[str, str]:
-        """Name and text of each file in C."""
+        """Texts of all C sources and headers by file name."""
         return self._texts(self.token)
 
     def _texts(self, token: str) -> dict[str, str]:
@@ -140,18 +140,19 @@ class Fmu:
         return model_description(self._header, self.table)
 
     def library(self) -> bytes | None:
-        """Return the binary for Linux on x86-64; None on another machine or without a C compiler.
+        """Return the compiled binary for Linux on x86-64.
 
-        Raises `CompilationError` if the C compiler fails.
+        Returns None on another machine or without a C compiler. Raises `CompilationError` if the C
+        compiler fails.
         """
         if (sys.platform, platform.machine()) != ("linux", "x86_64"):
             return None
         return shared_library(self.sources)
 
     def archive(self, library: bytes | None) -> bytes:
-        """Return the zip file, whose bytes depend on its content alone.
+        """Return the bytes of the FMU, a zip file; equal content gives equal bytes.
 
-        ``library``: the binary from `library`; None for an FMU of sources alone.
+        ``library`` is the binary from the method `library`; None for an FMU with C sources alone.
         """
         files: dict[str, str | bytes] = {"modelDescription.xml": self.model_description()}
         files |= {f"sources/{file}": text for file, text in self.sources.items()}

@@ -11,7 +11,7 @@ BASE_UNITS = ("kg", "m", "s", "rad")
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit in the notation of Modelica, with exponents of `BASE_UNITS` and factor to SI."""
+    """A unit: its name in the notation of Modelica, exponents of `BASE_UNITS`, and factor to SI."""
 
     name: str
     exponents: tuple[int, int, int, int]

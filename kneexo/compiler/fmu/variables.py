@@ -18,18 +18,21 @@ Causality = Literal["independent", "input", "parameter", "output", "local"]
 
 @dataclass(frozen=True)
 class FmuParameter:
-    """A parameter of an FMU; its value, divided by ``divisor``, sets members of the struct in C."""
+    """A parameter of an FMU, which sets members of the C parameter struct.
+
+    Each member gets the value of the parameter, divided by ``divisor``.
+    """
 
     name: str
     start: float
     members: tuple[str, ...]
-    """The members that it sets: ``leaf.parameter`` or ``initial_x[1]``."""
+    """The members of the struct that the parameter sets: ``leaf.mass``, ``initial_x[1]``."""
     description: str = ""
     low: float = -DOUBLE.largest
     high: float = DOUBLE.largest
     divisor: float = 1.0
     tunable: bool = True
-    """True: it may change during a run; False: only before the end of the initialization."""
+    """True: the value may change during a run; False: only before the initialization ends."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class Variable:
 
     @property
     def unit(self) -> Unit | None:
-        """The unit at the end of the name; s for the time; None without a unit."""
+        """The unit that the name ends in, or None; the unit of the time is s."""
         return unit_of_name("time_s" if self.causality == "independent" else self.name)
 
 
@@ -63,10 +66,10 @@ class VariableTable:
     parameters
         Parameters of the FMU, in any order. ``self.parameters`` has the tunable ones first.
     starts
-        Start values of inputs by their names; zero for the others.
+        Start values of inputs by name; every other input starts at zero.
 
     Raises `CompilationError` if two variables have the same name, if two parameters set the same
-    member, and if the model lacks a member.
+    member of the C parameter struct, and if the struct lacks a member.
     """
 
     def __init__(
@@ -116,16 +119,16 @@ class VariableTable:
                 raise CompilationError(f"{self._plan.name}: the parameter {member} in C {reason}")
 
     def references(self, causality: Causality) -> list[int]:
-        """Return the value references of all variables of a causality."""
+        """Return the value references of all variables with this causality."""
         return [i for i, v in enumerate(self.variables) if v.causality == causality]
 
     def assignments(self) -> list[tuple[str, int, FmuParameter]]:
-        """Return each member that a parameter sets, with value reference and parameter."""
+        """Return each C struct member that a parameter sets, with value reference and parameter."""
         pairs = zip(self.references("parameter"), self.parameters, strict=True)
         return [(member, i, parameter) for i, parameter in pairs for member in parameter.members]
 
     def initial_dependencies(self) -> list[list[int]]:
-        """Return for each output the references of the inputs and parameters that set its start."""
+        """Return for each output the references of the variables that affect its start value."""
         graph = self._plan.equations.graph
         initial_nodes = self._plan.equations.initial_discrete
         dependencies = []
@@ -137,7 +140,7 @@ class VariableTable:
         return dependencies
 
     def _setters(self, operations: Sequence[Entry]) -> list[int]:
-        """Return the references of the inputs and parameters that set sources among operations."""
+        """Return the references of the inputs and parameters that graph entries read."""
         inputs = self.references("input")
         setters = {member: reference for member, reference, _ in self.assignments()}
         members = {"parameter": self._plan.members, "state": self._states}
@@ -151,7 +154,7 @@ class VariableTable:
 
 
 def _sources(operations: Iterable[Entry]) -> Iterator[tuple[str, int]]:
-    """Yield kind and index of each operation that reads an input, a parameter or a state."""
+    """Yield kind and index of each graph entry that reads an input, a parameter or a state."""
     for kind, *rest in operations:
         if kind in ("input", "parameter", "state", "discrete"):
             yield str(kind), int(rest[0])

@@ -261,7 +261,7 @@ def test_the_readme_lists_the_functions_of_all_that_is_printed(tmp_path):
     text = exported(source, Vectors(np.ones((1, 1)), np.full((1, 1), np.e)))[0]["README.md"]
     assert text.count("-->") == 1
     assert text.splitlines()[0].endswith("a --- > b -->")
-    assert "It needs `math.h` of the C library (`expf`)." in text
+    assert "The code needs `math.h` of the C library (`expf`)." in text
     if shutil.which("arm-none-eabi-gcc"):
         assert "| Cortex-M7: flash, code and parameters, without the C library, -O2 |" in text
         assert "| Cortex-M7: stack of a step, without the C library, -O2 |" in text

@@ -56,7 +56,7 @@ static real maximum(real a, real b)
 
 {% endif %}
 {% if sums %}
-/* Kahan's compensated sum: keeps the rounding error for the next call. */
+/* Kahan's compensated sum: lost carries the rounding error to the next call. */
 static real sum(real total, real term, real *lost)
 {
     const real added = term - *lost;
@@ -142,7 +142,7 @@ static void {{ function.name }}(const instant *at{{ function.arguments }})
 
 {% endfor %}
 {% if states %}
-/* The classical Runge-Kutta method over a sample time, in {{ schedule.steps }} equal steps. */
+/* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps. */
 static void integrate(instant *at, real *x)
 {
 {% if needs_time %}

@@ -19,18 +19,18 @@ typedef {{ real.name }} {{ name }}_real_t;
 
 #define {{ NAME }}_SAMPLE_TIME_S {{ schedule.tick_s | literal(real, "sample_time") }}
 
-/* Status of a call: 0, or the sum of what went wrong. After a failed step the state is as it was
- * before, and the outputs are the last ones that were right; without a start they are zero. */
+/* Status of a call: 0 for success, or one of the codes below. A failed step leaves the state
+ * unchanged. Its outputs are those of the last successful step or start, or zeros without a start. */
 #define {{ NAME }}_OK 0U
 #define {{ NAME }}_BAD_INPUT 1U /* an input is not finite, or out of its range */
 #define {{ NAME }}_BAD_RESULT 2U /* a result is not finite */
 {% if limits %}
-#define {{ NAME }}_OUT_OF_LIMITS 4U /* a leaf system left its limits */
+#define {{ NAME }}_OUT_OF_LIMITS 4U /* the state is outside the limits of a leaf system */
 {% endif %}
 #define {{ NAME }}_NOT_STARTED 8U /* {{ name }}_init has not succeeded yet */
 #define {{ NAME }}_BAD_PARAMETER 16U /* a parameter or a start value is not finite */
 
-/* Context parameters of the leaf systems, in SI units, and the start. */
+/* Context parameters of the leaf systems, in SI units, and the initial states. */
 typedef struct {
 {% for leaf, members in leaves.items() %}
     struct {
@@ -43,7 +43,7 @@ typedef struct {
     {{ name }}_real_t initial_{{ letter }}[{{ values | length }}];
 {% endfor %}
 {% if not numbers %}
-    {{ name }}_real_t none; /* nothing here */
+    {{ name }}_real_t none; /* unused, for C allows no empty struct */
 {% endif %}
 } {{ name }}_params_t;
 
@@ -52,7 +52,7 @@ typedef struct {
 {% set ends = field.limits(real) %}
     {{ "int32_t" if field.is_integer else name ~ "_real_t" }} {{ field.name }};{{ " /* %s */" | format(ends | join(" ... ")) if ends }}
 {% else %}
-    {{ name }}_real_t none; /* nothing here */
+    {{ name }}_real_t none; /* unused, for C allows no empty struct */
 {% endfor %}
 } {{ name }}_inputs_t;
 
@@ -60,7 +60,7 @@ typedef struct {
 {% for field in outputs %}
     {{ name }}_real_t {{ field.name }};
 {% else %}
-    {{ name }}_real_t none; /* nothing here */
+    {{ name }}_real_t none; /* unused, for C allows no empty struct */
 {% endfor %}
 } {{ name }}_outputs_t;
 
@@ -69,9 +69,9 @@ typedef struct {
 {{ meaning | comment("    ") }}
     {{ name }}_real_t {{ member }}[{{ size }}];
 {% endfor %}
-    {{ name }}_outputs_t last; /* the last outputs that were right */
+    {{ name }}_outputs_t last; /* outputs of the last successful step or start */
 {% if counts_steps %}
-    uint32_t tick; /* {{ "steps so far" if needs_time else "steps in the cycle of the sample times" }} */
+    uint32_t tick; /* {{ "number of steps since the start" if needs_time else "number of the step in the cycle of sample times" }} */
 {% endif %}
     uint32_t started; /* 1 after {{ name }}_init has succeeded, else 0 */
 } {{ name }}_state_t;
@@ -79,28 +79,27 @@ typedef struct {
 extern const {{ name }}_params_t {{ name }}_params;
 
 {% if tables %}
-/* Values for each value of an integer input, computed by the export. Changing a parameter that is
- * used only for them has no effect. */
+/* Tables with a number for each value of an integer input, computed by the export. Changing a
+ * parameter that only these numbers depend on has no effect. */
 {% for table in tables %}
 extern const {{ name }}_real_t {{ name }}_table_{{ loop.index0 }}[{{ table.values | length }}];
 {% endfor %}
 
 {% endif %}
-/* Start anew; the inputs are those of the first step. After a failure the model is not started:
- * steps and outputs are refused until {{ name }}_init succeeds. */
+/* Start or restart the model; the inputs are those of the first step. After a failed start, steps
+ * and outputs return {{ NAME }}_NOT_STARTED until {{ name }}_init succeeds. */
 uint16_t {{ name }}_init({{ name }}_state_t *state, const {{ name }}_params_t *params,
     const {{ name }}_inputs_t *inputs);
 
-/* Call this function after a change of parameters; the state stays. Change a copy of the struct, and
- * use the copy for the steps only if the status is 0. After another status the state still belongs
- * to the old parameters. */
+/* Change the parameters of a started model; the values of its states stay. Pass a changed copy of
+ * the struct. If the status is 0, pass this copy to the next steps; otherwise keep the old struct. */
 uint16_t {{ name }}_update_parameters({{ name }}_state_t *state, const {{ name }}_params_t *params);
 
-/* Go over one sample time. */
+/* Simulate one sample time with constant inputs; the outputs are those at its end. */
 uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *state,
     const {{ name }}_inputs_t *inputs, {{ name }}_outputs_t *outputs);
 
-/* The outputs at the present state and these inputs, without a step. */
+/* Compute the outputs from the present state and these inputs, without a step. */
 uint16_t {{ name }}_outputs(const {{ name }}_params_t *params, const {{ name }}_state_t *state,
     const {{ name }}_inputs_t *inputs, {{ name }}_outputs_t *outputs);
 

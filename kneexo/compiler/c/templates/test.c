@@ -1,6 +1,6 @@
 {{ first_line | comment }}
-/* Replays the test vectors and prints the largest difference of each output. Ends with 0 when all
- * of them are small, else with 1. */
+/* Replays the test vectors and prints the largest difference of each output from its expected
+ * values. The exit code is 0 if no call fails and no difference is above TOLERANCE, else 1. */
 #include "{{ name }}_vectors.h"
 
 #include <math.h>
@@ -8,7 +8,7 @@
 
 #define FIELDS {{ outputs | length }}U
 
-/* Largest difference that passes, as a part of the largest value of that output. */
+/* Largest accepted difference of an output, divided by the output's largest magnitude. */
 #ifndef TOLERANCE
 #define TOLERANCE {{ tolerance }}
 #endif

@@ -4,7 +4,7 @@
 
 #include "{{ name }}.h"
 
-/* Inputs of a step, and the outputs that must follow. */
+/* Inputs of a step, and the outputs that the step must return. */
 typedef struct {
     {{ name }}_inputs_t inputs;
     {{ name }}_outputs_t outputs;

@@ -13,7 +13,7 @@
 #define EXPORT
 #endif
 
-/* A program that holds several FMUs in source form gives each the prefix of its own. */
+/* A program that compiles several FMUs from source gives the functions of each a prefix. */
 #if defined(FMI{{ fmi }}_FUNCTION_PREFIX) && !defined(FMI{{ fmi }}_OVERRIDE_FUNCTION_PREFIX)
 #define JOINED(a, b) a##b
 #define PREFIXED(a, b) JOINED(a, b)
@@ -40,7 +40,7 @@ static status_t refuse(void *{{ instance }}, const char *text)
     return status_of({{ name }}_fmu_refuse(fmu_of({{ instance }}), text));
 }
 
-/* There are no variables of a {{ kind }}: {{ reading }} none of them is right. */
+/* Refuse a call for variables of a type that this FMU lacks, unless their count is zero. */
 static status_t refuse_any(void *{{ instance }}, size_t count, const char *text)
 {
     return (count == 0U) ? FMI{{ fmi }}_OK : refuse({{ instance }}, text);

@@ -1,7 +1,6 @@
 {% extends "fmi.c" %}
 {% set fmi, instance = 2, "component" %}
 {% set State, Deserialize, byte = "state", "DeSerialize", "char" %}
-{% set kind, reading = "type", "reading" %}
 {% block types %}
 typedef void (*logger_t)(void *environment, const char *instance, status_t status,
     const char *category, const char *message, ...);
@@ -201,7 +200,7 @@ EXPORT status_t FMI(GetStatus)(void *component, int kind, status_t *value)
     return refuse(component, "GetStatus: no step is pending, DoStep ends before it returns");
 }
 
-/* Kind 2 asks for the end of the last step that succeeded. */
+/* Kind 2 asks for the end time of the last successful step. */
 EXPORT status_t FMI(GetRealStatus)(void *component, int kind, double *value)
 {
     if (kind != 2) {

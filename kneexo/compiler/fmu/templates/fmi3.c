@@ -1,7 +1,6 @@
 {% extends "fmi.c" %}
 {% set fmi, instance = 3, "instance" %}
 {% set State, Deserialize, byte = "State", "Deserialize", "uint8_t" %}
-{% set kind, reading = "kind", "asking for" %}
 {% block types %}
 typedef void (*logger_t)(void *environment, status_t status, const char *category,
     const char *message);
@@ -329,7 +328,7 @@ EXPORT status_t FMI(GetVariableDependencies)(void *instance, uint32_t dependent,
     return refuse(instance, "GetVariableDependencies: modelDescription.xml has them");
 }
 
-/* Some importers load every function of the standard, whatever the FMU is for. */
+/* Some importers load all functions of the standard, also those for FMUs of other kinds. */
 static status_t refuse_exchange(void *instance)
 {
     return refuse(instance, "this FMU is for co-simulation only");

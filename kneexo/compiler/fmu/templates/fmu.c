@@ -6,14 +6,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Value references: time, inputs, tunable and fixed parameters, outputs, constants. */
+/* First value reference of each group of variables; the time has the value reference 0. */
 #define FIRST_INPUT 1U
 #define FIRST_TUNABLE {{ first_tunable }}U
 #define FIRST_FIXED {{ first_fixed }}U
 #define FIRST_OUTPUT {{ first_output }}U
 #define FIRST_CONSTANT {{ first_constant }}U
 
-/* Parts of a sample time by which a communication point and a step may miss the grid. */
+/* Allowed distance of communication point and step size from the grid, in sample times. */
 #define POINT_SLACK 1e-2
 #define SIZE_SLACK 1e-6
 
@@ -21,7 +21,7 @@
 
 typedef struct {
     const char *name;
-    const char *unit; /* after a space, where there is one */
+    const char *unit; /* after a space; empty without a unit */
     double start;
     double low;
     double high;
@@ -113,7 +113,7 @@ static bool refuse_variable({{ name }}_fmu_t *fmu, uint32_t reference, const cha
     return {{ name }}_fmu_refuse(fmu, text);
 }
 
-/* The status word of the model in words. */
+/* Report the status of a failed call of the model in words; returns false. */
 static bool refuse_status({{ name }}_fmu_t *fmu, const char *what, double time, uint16_t status)
 {
     const double *v = fmu->memory.values;
@@ -215,7 +215,7 @@ bool {{ name }}_fmu_set({{ name }}_fmu_t *fmu, const uint32_t *references, size_
     return true;
 }
 
-/* State and outputs at the start, from inputs and parameters. */
+/* Compute state and outputs at the start from inputs and parameters. */
 static bool start_model({{ name }}_fmu_t *fmu)
 {
     {{ name }}_memory_t *m = &fmu->memory;
@@ -325,7 +325,7 @@ bool {{ name }}_fmu_terminate({{ name }}_fmu_t *fmu)
 
 /* --------------------------------------------------------------------------------- step */
 
-/* Whether a step lies on the grid of the sample times; gives its sample times. */
+/* Check that a step lies on the grid of sample times; write its number of sample times to ticks. */
 static bool is_on_grid({{ name }}_fmu_t *fmu, double point, double size, uint32_t *ticks)
 {
     const {{ name }}_memory_t *m = &fmu->memory;

@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Text that only this FMU has. */
+/* GUID or instantiation token: a text that identifies this FMU. */
 #define {{ NAME }}_TOKEN "{{ token }}"
 
 typedef enum {
@@ -18,26 +18,26 @@ typedef enum {
     {{ NAME }}_TERMINATED
 } {{ name }}_mode_t;
 
-/* Memory of an instance. */
+/* Values, state and mode of an instance: the content of a saved FMU state. */
 typedef struct {
-    double values[{{ variables|length }}]; /* by value reference */
-    double start; /* of the experiment, in s */
-    double stop; /* in s */
+    double values[{{ variables|length }}]; /* of all variables, by value reference */
+    double start; /* start time of the experiment in s */
+    double stop; /* stop time in s */
     {{ name }}_params_t params;
     {{ name }}_state_t state;
-    uint32_t ticks; /* sample times since the start */
+    uint32_t ticks; /* number of sample times since the start */
     {{ name }}_mode_t mode;
-    bool outputs_are_fresh; /* while initializing */
+    bool outputs_are_fresh; /* while initializing: values has the outputs for the present inputs */
     bool is_tuned; /* a parameter has changed since the last step */
 } {{ name }}_memory_t;
 
 typedef struct {
     {{ name }}_memory_t memory;
-    void (*report)(void *owner, const char *text); /* of an error */
+    void (*report)(void *owner, const char *text); /* reports the text of an error */
     void *owner;
 } {{ name }}_fmu_t;
 
-/* Every function returns false after an error. Then it has reported the error, and the memory is
+/* Every function of type bool reports an error and returns false if it fails. Then the memory is
  * unchanged. */
 
 /* Reset the memory; every variable gets its start value. */
@@ -55,7 +55,7 @@ bool {{ name }}_fmu_enter_initialization({{ name }}_fmu_t *fmu);
 bool {{ name }}_fmu_exit_initialization({{ name }}_fmu_t *fmu);
 bool {{ name }}_fmu_terminate({{ name }}_fmu_t *fmu);
 
-/* Go from the communication point over a whole number of sample times. */
+/* Simulate size seconds from the communication point: a whole number of sample times. */
 bool {{ name }}_fmu_step({{ name }}_fmu_t *fmu, double point, double size);
 
 bool {{ name }}_fmu_save({{ name }}_fmu_t *fmu, void **saved);
