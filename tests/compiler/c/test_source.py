@@ -3,7 +3,6 @@
 import ctypes
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -270,15 +269,6 @@ def test_a_double_needs_53_bits():
     assert "typedef float model_real_t;" in single
 
 
-def test_operations_of_a_step_count_all_stages():
-    source = exported(oscillator(), inputs=["u0"], tick_s=0.01, step_s=0.002)
-    stage = replace(source, step_s=0.01)
-    assert source.plan.schedule.steps == 5
-    difference = source.operations.total() - stage.operations.total()
-    rates = stage.operations.total()  # the output is a state: nothing to compute
-    assert difference == 4 * rates
-
-
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_state_bytes_are_those_of_the_compiler(c_text, multirate, precision):
     clocked = exported(multirate, precision=precision)
@@ -307,21 +297,6 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
     assert built(source).replay(np.zeros((1, 0))).tolist() == [[6.0]]
     assert "\n" not in source.first_line
     assert "\\" not in source.first_line
-
-
-def test_a_comment_asks_for_no_variable(built):
-    """The comment names x and d, which the model does not have."""
-
-    def graph_of(g):
-        y = g.multiply(g.constant(2.0), g.source("input", 0))
-        return {"outputs": {"y": [y]}, "sections": [Section("d: output y", "y = x + c", (y,))]}
-
-    source = CSource(
-        *(equations_of(graph_of, inputs={"u": 1}), "m", np.zeros(0)),
-        State(np.zeros(0), np.zeros(0)),
-        tick_s=0.1,
-    )
-    assert built(source).replay([[4.0]]).tolist() == [[8.0]]
 
 
 # ------------------------------------------------------------------------------ bad input

@@ -1,6 +1,5 @@
 """The cache of machine code: sealed files, safe directories, bounded size."""
 
-import dataclasses
 import errno
 import importlib.util
 import os
@@ -15,13 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from pydrake.symbolic import Variable
-from pydrake.systems.primitives import SymbolicVectorSystem
 
-from kneexo.compiler import State, compile_diagram
-from kneexo.compiler.diagram_equations import equations_key
-from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
-from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.errors import OutputError
 
 HOUR_S = 3600.0
@@ -86,20 +79,6 @@ def test_keys_that_differ_only_in_their_end_are_different():
     assert cache.load(start + "a") == b"a"
     assert cache.load(start + "b") == b"b"
     assert cache.load(start) is None
-
-
-def test_every_part_of_equations_is_in_their_key():
-    graph = Graph()
-    x = graph.source("state", 0)
-    base = Equations(graph=graph, states=["x"], derivatives=[x], outputs={"y": [x]})
-    assert equations_key(base) == equations_key(dataclasses.replace(base))
-    others = {"parameters": ["p"], "states": ["z"], "discrete": ["d"], "inputs": {"u": 1}}
-    others |= {"derivatives": [], "initial_discrete": [x], "outputs": {}, "limits": [Limit("a", x)]}
-    others |= {"updates": [Update(0.1, 0.0, ())], "graph": Graph()}
-    others |= {"sections": [Section("law: output y", "Law.", (x,))]}
-    assert set(others) == {field.name for field in dataclasses.fields(Equations)}
-    keys = [equations_key(dataclasses.replace(base, **{k: v})) for k, v in others.items()]
-    assert len({equations_key(base), *keys}) == 1 + len(others)
 
 
 def test_an_entry_of_another_key_is_refused():
@@ -569,19 +548,3 @@ def test_clear_says_what_it_cannot_delete(monkeypatch):
         with pytest.raises(OutputError, match=rf"^{path}: cannot be deleted \(Permission denied\)"):
             cache.clear_cache()
     assert cache.clear_cache() == 1
-
-
-def test_code_for_one_run_and_for_lanes_are_two_entries_and_loaded_once():
-    x = Variable("x")
-
-    def simulate(count):
-        system = SymbolicVectorSystem(state=[x], dynamics=[-1.2345 * x], output=[x])
-        model = compile_diagram(system)
-        parameters, states = [model.parameters()] * count, State([1.0], [])
-        model.simulate_batch(parameters, states, 0.1, record_period_s=0.1)
-        return len(cache.cache_entries())
-
-    alone = simulate(1)
-    assert simulate(8) == alone + 1
-    cache.clear_cache()
-    assert simulate(1) == simulate(8) == 0  # this process has them

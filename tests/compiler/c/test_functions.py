@@ -1,0 +1,49 @@
+"""Functions in C of a model: the operations of a step, the variables that they read."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.systems.primitives import LinearSystem
+
+from kneexo.compiler import read_diagram
+from kneexo.compiler.c.functions import Function
+from kneexo.compiler.c.source import CSource, source_of
+from kneexo.compiler.equations.equations import Equations, Section
+from kneexo.compiler.run_data import State
+
+
+def test_operations_of_a_step_count_all_stages():
+    system = LinearSystem([[0.0, 1.0], [-400.0, -4.0]], [[0.0], [400.0]], [[1.0, 0.0]], [[0.0]])
+    source = source_of(read_diagram(system, inputs=["u0"]), "m", tick_s=0.01, step_s=0.002)
+    stage = replace(source, step_s=0.01)
+    assert source.plan.schedule.steps == 5
+    difference = source.operations.total() - stage.operations.total()
+    rates = stage.operations.total()  # the output is a state: nothing to compute
+    assert difference == 4 * rates
+
+
+def test_a_comment_asks_for_no_variable(built):
+    """The comment names x and d, which the model does not have."""
+
+    equations = Equations(inputs={"u": 1})
+    g = equations.graph
+    y = g.multiply(g.constant(2.0), g.source("input", 0))
+    equations.outputs = {"y": [y]}
+    equations.sections = [Section("d: output y", "y = x + c", (y,))]
+    source = CSource(equations, "m", np.zeros(0), State(np.zeros(0), np.zeros(0)), tick_s=0.1)
+    assert built(source).replay([[4.0]]).tolist() == [[8.0]]
+
+
+@pytest.mark.parametrize(
+    ("statement", "reads_x"),
+    [
+        ("y = x[0];", True),
+        ("y = 2.0*x;", True),
+        ("y = 1.0; /* x\nis x */", False),
+        ("y = p->x;", False),
+        ("y = in.x + max + x_0;", False),
+    ],
+)
+def test_a_function_reads_what_its_code_names(statement, reads_x):
+    assert Function("f", "", ["real y;", statement]).reads("x") is reads_x

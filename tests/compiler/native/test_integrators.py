@@ -1,0 +1,85 @@
+"""Fixed-step integrators over one tick, against the same methods in plain Python."""
+
+import numpy as np
+import pytest
+
+from kneexo.compiler.native.integrators import Tick, advance_rk4, advance_runge_kutta3
+from kneexo.compiler.native.ir import Array, Module
+from kneexo.compiler.native.llvm import Library, compile_text
+from kneexo.compiler.native.types import BYTE, DOUBLE, POINTER
+
+LANES = 2
+
+
+@pytest.fixture(scope="module", params=[advance_rk4, advance_runge_kutta3], ids=["rk4", "rk3"])
+def method(request):
+    """Name, and ``advance(x, start, end, step, running)``: x (2, lanes) at the end, rates by step.
+
+    The system is x₀' = x₁, x₁' = t - x₀; two lanes.
+    """
+    module, type_ = Module(), DOUBLE.of(LANES)
+    names = ("x", "times", "running", "count")
+    f = module.function("tick", dict.fromkeys(names, POINTER), internal=False)
+    x = Array(f.arguments["x"], type_)
+    times, count = (Array(f.arguments[name], DOUBLE) for name in ("times", "count"))
+
+    def rate(t, x, out):
+        count[0] = count[0] + 1.0
+        out[0] = x[1]
+        out[1] = f.coerce(t, type_) - x[0]
+
+    running = Array(f.arguments["running"], BYTE.of(LANES))[0].differs(0)
+    request.param(Tick(f, 2, type_, times[0], times[1], x, running, rate, times[2]))
+    function = Library(compile_text(module.text())).function("tick", len(names))
+
+    def advance(x, start, end, step, running=(1, 1)):
+        x, count = np.array(x), np.zeros(1)
+        arrays = (x, np.array([start, end, step]), np.array(running, dtype=np.uint8), count)
+        function(*(array.ctypes.data for array in arrays))
+        return x, round(count[0])
+
+    return {advance_rk4: 4, advance_runge_kutta3: 3}[request.param], advance
+
+
+def exact(t, start, x):
+    """x₀ - t and x₁ - 1 turn as a point on a circle."""
+    offset, speed = x[0] - start, x[1] - 1.0
+    c, s = np.cos(t - start), np.sin(t - start)
+    return np.array([t + c * offset + s * speed, 1.0 - s * offset + c * speed])
+
+
+STARTS = np.array([[1.0, -0.3], [0.5, 2.0]])
+
+
+def test_errors_have_the_order_of_the_method(method):
+    order, advance = method
+    errors = [
+        np.abs(advance(STARTS, 0.2, 1.2, step)[0] - exact(1.2, 0.2, STARTS)).max()
+        for step in (0.1, 0.05)
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
+    assert errors[0] < 1e-3
+
+
+def test_lanes_that_do_not_run_stay(method):
+    _, advance = method
+    x, _ = advance(STARTS, 0.0, 1.0, 0.1, running=(0, 1))
+    np.testing.assert_array_equal(x[:, 0], STARTS[:, 0])
+    np.testing.assert_allclose(x[:, 1], exact(1.0, 0.0, STARTS)[:, 1], rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("step", "rk4_steps", "rk3_steps"),
+    [
+        (0.25, 4, 4),
+        (0.3, 4, 4),
+        (5.0, 1, 1),
+        (1.0 / 1.005, 2, 1),  # the last step of the third order stretches by 1 %
+        (1.0 / 1.02, 2, 2),
+        (1.0 - 1e-12, 1, 1),  # rounding makes no step
+    ],
+)
+def test_number_of_steps(method, step, rk4_steps, rk3_steps):
+    order, advance = method
+    _, rates = advance(STARTS, 0.0, 1.0, step)
+    assert rates == (4 * rk4_steps if order == 4 else 3 * rk3_steps)
