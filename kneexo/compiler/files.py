@@ -23,16 +23,16 @@ _STALE_S = 3600.0
 
 
 class FileStatus(NamedTuple):
-    """A file in a directory."""
+    """Path, size and time of the last use of a file in a directory."""
 
     path: Path
     size_bytes: int
     last_use_s: float
-    """Unix time in seconds."""
+    """Unix time of the last use in s, which is the modification time of the file."""
 
 
 def files_in(directory: Path, names: re.Pattern[str]) -> list[FileStatus]:
-    """Return the files of a directory whose whole name matches.
+    """Return the files of a directory whose whole name matches the regular expression ``names``.
 
     A directory that cannot be read gives an empty list.
     """
@@ -50,7 +50,7 @@ def files_in(directory: Path, names: re.Pattern[str]) -> list[FileStatus]:
 
 
 def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
-    """Write a file under a temporary name, then give it its name, in place of an earlier file.
+    """Write a file under a temporary name, then rename the file to ``path``, where it replaces any.
 
     If writing fails, the earlier file stays. ``mode``: permissions, from which the umask is taken.
     """
@@ -87,7 +87,7 @@ def make_private_directory(directory: Path) -> None:
 
 
 def process_directory() -> Path:
-    """Make a temporary directory that is deleted at the end of this process; a fork keeps it."""
+    """Make a temporary directory, which the end of this process deletes, but no forked process."""
     directory = Path(tempfile.mkdtemp(prefix=f"{ROOT}-"))
     atexit.register(_delete_directory, directory, os.getpid())
     return directory
@@ -107,10 +107,11 @@ def temporary_folder(files: Mapping[str, str]) -> Iterator[Path]:
 
 
 def require_marked(folder: Path, mark: str, kind: str, build: str) -> None:
-    """Raise `OutputError` if a folder has a file without our ``mark`` in its first line.
+    """Raise `OutputError` if a folder contains a file without the text ``mark`` in its first line.
 
-    ``kind`` names the origin of marked files in the message. The folder ``build`` in the folder,
-    and folders that a killed `write_folder` left, need no mark. A missing folder passes.
+    ``kind`` is the name that the message gives to marked files. A folder named ``build`` in the
+    folder, and folders that a killed `write_folder` left, need no mark. A missing folder is no
+    error.
     """
     for file in sorted(folder.iterdir()) if folder.is_dir() else ():
         if not (file.name == build or _is_unfinished(file, build) or _is_marked(file, mark)):
@@ -123,8 +124,9 @@ def require_marked(folder: Path, mark: str, kind: str, build: str) -> None:
 def write_folder(folder: Path, files: Mapping[str, str], *, keep: str) -> None:
     """Write texts by their names into a folder, and delete the other files in the folder.
 
-    The folder is created if it is missing. Its folder ``keep`` stays. All files are written before
-    the first one replaces an earlier file. Raises `OutputError` if writing fails.
+    A missing folder is created. A folder named ``keep`` in the folder stays. All new files are
+    written before the first new file replaces an earlier file. Raises `OutputError` if writing
+    fails.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -408,8 +408,9 @@ def _context_at(make_diagram: Callable[[], Any], parameters: Array) -> tuple[Nod
 
 
 def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel:
-    """Compile a diagram of floats; each of its leaves must convert to Drake's Expression.
+    """Compile a diagram of floats whose leaves convert to Drake's Expression.
 
+    Loggers, and other leaves on which no state, margin or output depends, need not convert.
     Machine code is made at its first use, and kept on disk in `cache_directory`.
 
     Parameters

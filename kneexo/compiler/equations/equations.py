@@ -9,7 +9,7 @@ from .graph import Graph
 
 @dataclass(frozen=True)
 class Update:
-    """The discrete update of all leaves with one sample period and offset."""
+    """The discrete updates of all leaves that have the same sample period and offset."""
 
     period_s: float
     offset_s: float
@@ -22,7 +22,7 @@ class Limit:
     """A limit that a leaf states by its margin; a run stops when the margin falls below zero."""
 
     system: str
-    """Path of the leaf."""
+    """Path of the leaf that states the margin."""
     margin: int
     """Node of the margin, a scalar."""
 

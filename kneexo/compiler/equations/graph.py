@@ -41,10 +41,11 @@ class Graph:
     """For each node, the kinds of `SOURCES` that its value depends on, except ``constant``."""
     _numbers: dict[Entry, int] = field(default_factory=dict)
     _polynomials: dict[int, tuple[tuple[int, ...], int]] = field(default_factory=dict)
-    """For the node of a polynomial, its coefficients, lowest power first, and its variable."""
+    """For each node of a polynomial, the nodes of its coefficients (lowest power first), and of its
+    variable."""
 
     def copy(self) -> Graph:
-        """Return a graph with the same nodes; nodes made later are in one of both graphs only."""
+        """Return a copy of the graph; a node made later in one graph is not in the other."""
         lists = list(self.nodes), list(self.depends)
         return Graph(*lists, dict(self._numbers), dict(self._polynomials))
 
@@ -89,7 +90,7 @@ class Graph:
         return self._node("constant", float(value))
 
     def source(self, kind: str, index: int = 0) -> int:
-        """Make a source: element ``index`` of all parameters, states … by ``kind``, or the time."""
+        """Make the node of a source: the time, or element ``index`` of the vector of this kind."""
         return self._node(kind, index)
 
     @property
@@ -193,7 +194,7 @@ class Graph:
         return self._node(name, argument)
 
     def binary(self, name: str, left: int, right: int) -> int:
-        """Make ``min``, ``max`` or ``atan2``; for atan2(sin a, cos a) make a minus whole turns."""
+        """Make ``min``, ``max`` or ``atan2``; atan2(sin ψ, cos ψ) becomes ψ minus whole turns."""
         (first, *angles), (second, *others) = self.nodes[left], self.nodes[right]
         if (name, first, second) == ("atan2", "sin", "cos") and angles == others:
             angle = self.arguments(left)[0]

@@ -34,9 +34,9 @@ class Role(Enum):
     ROUNDING = auto()
     """The value is a whole number."""
     COMPARISON = auto()
-    """The value is a truth value that depends on numbers."""
+    """The value is a truth value that depends on numbers, as that of a > b."""
     LOGIC = auto()
-    """The value is a truth value that depends on truth values."""
+    """The value is a truth value that depends on truth values: and, or, not."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Operation:
     value: Callable[..., Any]
     """Function that returns the value for arguments that are numbers or NumPy arrays."""
     partials: Partials
-    """Function that makes the nodes of the derivatives."""
+    """Function that makes the nodes of the derivatives by each argument."""
     drake: str
     """Name of Drake's ExpressionKind or FormulaKind."""
     native: str
@@ -71,7 +71,7 @@ class Operation:
 
     @property
     def decides(self) -> bool:
-        """Whether a change of the last bit of an argument can change the value as a whole."""
+        """Whether the last bit of an argument can change the value by much, as in a comparison."""
         return self.role in (Role.COMPARISON, Role.ROUNDING)
 
 

@@ -88,7 +88,7 @@ class Layout:
 
     @classmethod
     def from_plain(cls, data: dict[str, Any]) -> Layout:
-        """Return the layout from a dictionary of `plain`, after JSON too."""
+        """Return the layout from a dictionary of `plain`, whose tuples JSON has made lists."""
 
         def tuples(value: Any) -> Any:
             return tuple(map(tuples, value)) if isinstance(value, list | tuple) else value
@@ -123,7 +123,7 @@ class Program:
         """Nodes that depend on parameters alone, with their indices in the array of constants."""
         self.memos = self._memos()
         self.deciding = _deciding(graph, graph.reachable(self._roots()))
-        """Nodes that must keep the bits that Drake computes: see ``_deciding``."""
+        """Nodes whose last bit can change a comparison or rounding; they keep Drake's last bits."""
 
     @property
     def layout(self) -> Layout:

@@ -16,7 +16,7 @@ hold its tolerance. `OUTPUT_NOT_FINITE`: a recorded output is not finite.
 MEMO_LINES = 4096
 """Number of rows in a look-up table of functions of one whole number; must be a power of two.
 
-A 12-bit encoder has this number of counts.
+The number is that of the counts of a 12-bit encoder, 4096.
 """
 
 RUN = (
@@ -59,7 +59,7 @@ in s, and ``places`` (rows,) the indices of the snapshots from which the integra
 """
 
 DOUBLES = ("tick", "unit", "step", "tolerance")
-"""Arguments of ``run`` and ``between`` that are doubles; all others are integers or addresses."""
+"""Those arguments of the machine code that are doubles; all others are integers or addresses."""
 
 INPUT = ("break_count", "breaks", "powers", "coefficients")
 """How the machine code gets an `InputTable`: two numbers and the addresses of two arrays.

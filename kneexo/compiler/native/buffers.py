@@ -19,12 +19,12 @@ class BufferPool:
     """
 
     def __init__(self, most: int) -> None:
-        """``most``: largest number of doubles in unused blocks; the pool frees blocks beyond it."""
+        """``most``: number of unused doubles above which the pool frees its oldest blocks."""
         self._most = most
         self._unused: deque[Array] = deque()
 
     def array(self, shape: tuple[int, ...]) -> Array:
-        """Return an array of doubles, not initialized, in an unused block or in fresh memory."""
+        """Return an array of uninitialized doubles, in an unused block or else in a new block."""
         size = math.prod(shape)
         memory = self._memory(size)
         # Every view of the record has `root` as its base, so `root` lives as long as any view.

@@ -258,8 +258,8 @@ def acos(f: Function, x: Value) -> Value:
 def _arc(f: Function, magnitude: Value) -> tuple[Value, Value, Value]:
     """Emit an auxiliary angle for the arc sine and the arc cosine of x = ``magnitude``.
 
-    Returns s, the sine of the angle; the angle minus s; and whether x > ½. For x ≤ ½ the angle is
-    arcsin x, so s = x. For x > ½ the angle is half of arccos x, so s = √((1 - x) / 2).
+    Returns s, which is the sine of the angle, the angle minus s, and whether x > ½. For x ≤ ½ the
+    angle is arcsin x, so s = x. For x > ½ it is half of arccos x, so s = √((1 - x) / 2).
     """
     far = magnitude > 0.5
     z = f.select(far, f.fma(magnitude, -0.5, 0.5), magnitude * magnitude)

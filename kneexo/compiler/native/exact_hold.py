@@ -65,9 +65,10 @@ _WHOLE = 1 << FINEST  # number of finest steps in a tick
 
 
 class Memory:
-    """Where things are in the exact hold's memory of one lane, for ``size`` states.
+    """Layout of the memory that the exact hold uses for one lane, with ``size`` states.
 
-    The attributes without a text of their own are indices of first elements, of eight bytes each.
+    Most attributes are the index of the first element of a part of the memory, in elements of eight
+    bytes; ``size`` is the number of elements.
     """
 
     def __init__(self, size: int) -> None:
@@ -244,7 +245,7 @@ def _step(
 
 
 class ExactHold:
-    """Emits the exact hold: `prepare` its code before the first tick, `advance` that of a tick."""
+    """Emits the exact hold: `prepare` emits the code before the first tick, `advance` a tick."""
 
     def __init__(
         self, tick_s: Value, tolerance: Value, memory: Array, shared: Array, choose: ChooseSlot
@@ -290,7 +291,7 @@ class ExactHold:
             self._refresh(tick, lane, memory, levels[lane])
 
     def advance(self, tick: Tick) -> Value:
-        """Emit the steps of a tick; return a condition, true in lanes that miss the tolerance."""
+        """Emit the steps of a tick; return a condition: true in lanes that miss the tolerance."""
         f, size, type_ = tick.function, tick.size, tick.type
         lanes, at = type_.lanes, Memory(size)
         ints, mask = INT.of(lanes), BOOL.of(lanes)
@@ -406,9 +407,10 @@ class ExactHold:
     def _coarsen(
         self, tick: Tick, worst: Value, easy: Value, position: Value, level: Variable
     ) -> None:
-        """Emit code that doubles the next step, also repeatedly, in each lane of ``easy``.
+        """Emit code that doubles the next step in each lane of ``easy``, where the error is small.
 
-        In these lanes the error is small. A step begins at a multiple of its length in the tick.
+        The code doubles again while the predicted error is small, and while the step would begin at
+        a multiple of its length.
         """
         f = tick.function
         flags, positions = _spilled(f, f.flags(easy)), _spilled(f, position)

@@ -286,7 +286,7 @@ class Function:
         return self.instruction(f"{code} {a.type} {a.name}, {b.name}", BOOL.of(a.type.lanes))
 
     def select(self, condition: Value, positive: Operand, otherwise: Operand) -> Value:
-        """Emit for each lane ``positive`` where the condition holds, else ``otherwise``."""
+        """Emit a choice: in each lane ``positive`` if the condition holds, else ``otherwise``."""
         a, b = self.alike(positive, otherwise)
         lanes = max(condition.type.lanes, a.type.lanes)
         if condition.type.lanes > 1:

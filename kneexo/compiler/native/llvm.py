@@ -53,7 +53,7 @@ def processor() -> Processor:
 
 
 def compile_text(text: str, target: Processor | None = None) -> bytes:
-    """Return the object code of an IR text for ``target``, by default for the `processor`.
+    """Return the object code of an IR text for ``target``, by default the result of `processor`.
 
     Warns if the processor has no instruction for fused multiply-add. The code then calls the C
     library's ``fma``, which gives the same bits, but is many times slower.
@@ -84,7 +84,10 @@ def _machine(target: Processor) -> Any:
 
 
 class Library:
-    """Object code loaded into this process; the code stays loaded while a function of it exists."""
+    """Object code loaded into this process.
+
+    The code stays loaded as long as Python refers to the library or to one of its functions.
+    """
 
     def __init__(self, code: bytes) -> None:
         _start()

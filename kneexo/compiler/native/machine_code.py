@@ -125,7 +125,7 @@ def _announced() -> Iterator[None]:
 
 @cache
 def _sources() -> str:
-    """Return a fingerprint of the compiler's own source files, which changes when they change."""
+    """Return a hash of all source files of the compiler; a changed file changes all cache keys."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())

@@ -37,7 +37,7 @@ class Columns:
         return self.f.each(self.size * self.blocks)
 
     def element(self, row: Operand, column: Operand) -> Value:
-        """Emit the index of an element among all doubles of a matrix, with the zeros counted."""
+        """Emit the index of an element among all doubles of a matrix, filling zeros included."""
         return self.f.coerce(column, INT) * self.rows + row
 
     def multiply(self, left: Array, right: Array, out: Array) -> None:
@@ -54,7 +54,7 @@ class Columns:
                 out[f.coerce(j, INT) * self.blocks + block] = total.get()
 
     def store(self, matrix: Callable[[Operand], Value], out: Array) -> None:
-        """Emit the copy of a matrix to ``out``, column by column, without the zeros at their ends.
+        """Emit the copy of a matrix to ``out``, column by column, without the filling zeros.
 
         ``matrix(index)`` returns the vector with this index.
         """

@@ -139,7 +139,7 @@ class Printer:
     def _block(self) -> Iterator[None]:
         """Context manager: at its end forget the values that its body emitted.
 
-        Code after a conditional block must not use them.
+        Code after a conditional block must not use values that were computed in the block.
         """
         before = dict(self._emitted)
         yield
@@ -295,7 +295,7 @@ def define_constants(module: Module, program: Program) -> None:
 
 
 def sources(time: Operand, **arrays: Array) -> Load:
-    """Return a `Load` that reads ``arrays``, named by the kind of their source, and ``time``."""
+    """Return a `Load` that gives ``time`` for the time, and else reads the array of the kind."""
     return lambda kind, index: time if kind == "time" else arrays[kind][index]
 
 

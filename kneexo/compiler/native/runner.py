@@ -64,7 +64,7 @@ class Snapshots:
     d: Array
 
     def after(self, first: int) -> Snapshots:
-        """Return the snapshots from the tick ``first`` on; all of them if ``first`` is 0."""
+        """Return the snapshots at the tick ``first`` and later; all snapshots if ``first`` is 0."""
         start = int(np.searchsorted(self.ticks, first)) if first else 0
         return Snapshots(self.ticks[start:], self.x[start:], self.d[start:])
 
@@ -89,7 +89,7 @@ class Runner:
         step_s: float = STEP_S,
         tolerance: float = TOLERANCE,
     ) -> None:
-        """Take arguments as `CompiledModel.simulate`, and get the machine code.
+        """Check the arguments, which `CompiledModel.simulate` explains, and get the machine code.
 
         Raises `ValueError` for an unknown output or integrator, and for a wrong number.
         """
@@ -193,14 +193,14 @@ class Runner:
             Continuous states (states, lanes) and discrete states (discrete states, lanes); changed
             in place.
         first, last
-            Numbers of ticks; ``last`` is (lanes,).
+            Number of the first tick, and number of the last tick of each lane, (lanes,).
         inputs
             Open inputs of each lane.
         record
-            Memory for the records (lanes, columns, rows). A run without a step records its only
-            tick.
+            Memory for the records (lanes, columns, rows). A run whose first tick is the last one
+            records this tick.
         snapshots
-            Ticks and memory; with a single lane only.
+            Ticks at which the states are stored, and memory for them; with a single lane only.
         cancelled
             Called between two calls of the machine code; if it returns True, the run ends with
             `KeyboardInterrupt`.

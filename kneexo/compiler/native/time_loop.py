@@ -187,7 +187,7 @@ class _Model:
             ("snapshot_x", self.x, program.size),
             ("snapshot_d", self.d, self.discrete_count),
         )
-        """For both kinds of state: argument for snapshots, array, and number of states."""
+        """For both kinds of state: name of the snapshots' argument, array, number of states."""
 
     def inputs_of(self, lane: Operand, time: Value, u: Array) -> None:
         """Emit code that writes the open inputs of one lane at ``time`` to ``u``."""
