@@ -129,7 +129,7 @@ _TOO_MUCH = (
 class _Loader(yaml.SafeLoader):
     """PyYAML loader that reads ``1e5`` as a number, and ``on``, ``1:30`` and dates as text.
 
-    ``name`` is the file's name in error messages.
+    ``name`` stands for the text in error messages.
     """
 
     def __init__(self, name: str, text: str) -> None:

@@ -36,7 +36,10 @@ def _maps(
 
 
 def lambda_and_slope(result: ControllerResult) -> Figure:
-    """Draw error, chattering, settling time and disk margin over λ and k/Φ, at the centre's η."""
+    """Draw error, chattering, settling time and disk margin over λ and k/Φ.
+
+    η is that of the grid's centre.
+    """
     lambda_, phi, eta = result.centre
     lambdas, slope = result.settings.lambdas_per_s, result.slope_per_s[::-1, eta]
     default = (lambdas[lambda_], result.slope_per_s[phi, eta])
@@ -68,7 +71,10 @@ def lambda_and_slope(result: ControllerResult) -> Figure:
 
 
 def phi_and_eta(result: ControllerResult) -> Figure:
-    """Draw error, chattering, saturation and disk margin over Φ and η, at the centre's λ."""
+    """Draw error, chattering, saturation and disk margin over Φ and η.
+
+    λ is that of the grid's centre.
+    """
     lambda_, phi, eta = result.centre
     phis, etas = result.settings.phis_m_s2, result.settings.etas_m_s3
     beta = result.slope_per_s[phi, eta] * phis[phi] / etas[eta]

@@ -76,7 +76,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class LimitCycleCase:
-    """Run of a variant of the loop whose limit cycle has degrees; ``time_s``, ``error_deg`` (n,).
+    """One variant of the loop with a limit cycle of some degrees; ``time_s``, ``error_deg`` (n,).
 
     ``oscillation_at_rest_deg``: error from peak to peak while the reference rests at its upper end.
     If a run fails, ``failure`` has the reason, numbers are nan and arrays empty.

@@ -93,7 +93,7 @@ _START_S = 0.5
 
 
 def in_order(scenario: Scenario, order: str, disturbance_n: float = 0.0) -> Scenario:
-    """Return the scenario with one of the `ORDERS` of its cylinder, and a force added to its load.
+    """Return the scenario with one of the `ORDERS`, and a constant force added to its load.
 
     A scenario without load gets a load without weight.
     """
@@ -331,7 +331,10 @@ class OrderResult(Result):
 
 
 def switching_force_n(scenario: Scenario) -> float:
-    """Return P_r (A_1 − A_2) in N: at this force the loaded chamber changes."""
+    """Return the force P_r (A_1 − A_2) in N on the rod at which the load changes the chamber.
+
+    P_r is the reservoir's pressure, A_1 and A_2 are the areas of the piston.
+    """
     full, oil = scenario.plant.full_order or FullCylinderParameters(), scenario.plant.cylinder
     return full.reservoir_pressure_pa * (oil.cap_area_m2 - oil.rod_side_area_m2)
 

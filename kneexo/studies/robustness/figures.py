@@ -138,7 +138,7 @@ def importance(result: RobustnessResult) -> Figure:
     """Draw two tables of uncertain values by figure of merit.
 
     The left table has rank correlations over the samples. The right table has the linear effect of
-    each value's whole interval.
+    each value's whole interval, in % of the nominal figure of merit.
     """
     names = short_names(result.uncertainty.values)
     merits = list(result.merits)
@@ -214,9 +214,10 @@ def _plot_table(
 
 
 def nyquist(result: RobustnessResult) -> Figure:
-    """Draw the Nyquist plots of the first samples, and of the plant with the smallest disk margin.
+    """Draw the Nyquist plots of the first ``nyquist_loops`` samples, the unstable ones in red.
 
-    The second plot has the disk of its margin. Unstable loops are red, and the title counts them.
+    The loop with the smallest disk margin of all stable plants is drawn with the disk that it
+    touches. The title counts the unstable plants.
     """
     figure, ax = plt.subplots(figsize=(6.0, 6.0), layout="constrained")
     assessments = [*result.samples, *result.corners, *result.one_at_a_time, result.nominal]
@@ -256,7 +257,7 @@ def _loop(result: RobustnessResult, assessment: Assessment) -> SampledLoop | Non
 
 
 def figures(result: RobustnessResult) -> dict[str, Figure]:
-    """Draw the figures of the study: distribution, tornado, importance, Nyquist; by name."""
+    """Draw distribution, tornado, importance and Nyquist plots, and return the figures by name."""
     return {
         "robustness_distribution": distribution(result),
         "robustness_tornado": tornado(result),

@@ -93,9 +93,9 @@ def _failures(name: str, assessments: Sequence[Assessment]) -> dict[str, Any]:
 def _corners(
     result: RobustnessResult, merits: Sequence[str], names: Mapping[str, str]
 ) -> Iterator[list[str]]:
-    """Yield table rows with a column for each figure of merit, at its worst corner.
+    """Yield the rows of a table with one column for the worst corner of each figure of merit.
 
-    Each row has one uncertain value at these corners, the last row the figures of merit.
+    Each row has one uncertain value at these corners. The last row has the figures of merit there.
     """
     corners = [worst(result.corners, merit) for merit in merits]
     for path, name in names.items():

@@ -231,7 +231,7 @@ class RobustnessResult(Result):
 
     @property
     def merits(self) -> tuple[str, ...]:
-        """Names of the figures of merit that the study computed (no bandwidth if switched off)."""
+        """Names of the figures of merit that the study computed; the bandwidth can be missing."""
         return tuple(name for name in MERITS if name in self.nominal.metrics)
 
     def effects(self, merit: str) -> dict[str, list[float]]:
@@ -337,7 +337,7 @@ def robustness_study(
     settings: RobustnessSettings = RobustnessSettings(),
     **options: Unpack[SweepOptions],
 ) -> RobustnessResult:
-    """Assess the loop of ``scenario`` on the plants of ``uncertainty``.
+    """Assess the closed loop of ``scenario`` on plants with the values of ``uncertainty``.
 
     The study leaves out, and reports, uncertain values that the scenario lacks, such as those of a
     load in a scenario without load. The bandwidth is measured only if the reference is a sine that
@@ -403,9 +403,10 @@ def _explore(
 def _local(
     scenario: Scenario, paths: Sequence[str], duration_s: float, task: str
 ) -> dict[str, Any]:
-    """Return derivatives by metric and path for the ``task`` margins or tracking.
+    """Return the derivatives of metrics with respect to uncertain values, by metric and path.
 
-    If the task fails, the result has only ``failure``, the reason.
+    ``task`` selects the metrics, margins or tracking. If the task fails, the result has only
+    ``failure``, the reason.
     """
     try:
         if task == "margins":

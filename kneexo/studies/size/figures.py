@@ -129,9 +129,10 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
 
 
 def _regimes(axis: Axes, result: SizeResult) -> None:
-    """Draw the acceleration limits at the ratios `ONE_PERCENT_RATIO`, `ACCELERATION_ALONE_RATIO`.
+    """Draw the lines A a/R² = ``ONE_PERCENT_RATIO`` and ``ACCELERATION_ALONE_RATIO`` on a map.
 
-    Below the first the limit reduces the bandwidth, below the second it alone sets the bandwidth.
+    A (m/s²) and R (m/s) are the rod's acceleration and speed limits, a (m) is its amplitude. Below
+    the first line A reduces the bandwidth by over 1 %, below the second R has no effect on it.
     """
     speed = np.array(axis.get_xlim())
     motor = result.scenario.plant.pump.speed_limit_rad_s

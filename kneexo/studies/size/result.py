@@ -36,7 +36,8 @@ from kneexo.studies.size.settings import SizeSettings
 class Search:
     """Result of a search in ``low`` … ``high`` for the smallest value that keeps the error's bound.
 
-    If no value keeps the bound, ``reached`` is False and ``value`` is the tried one of least error.
+    If no value keeps the bound, ``reached`` is False and ``value`` has the least error of those
+    tried.
     """
 
     value: float
@@ -50,10 +51,11 @@ class Search:
 class WalkingDesign:
     """Hardware sized for one stride frequency, and how it walks.
 
-    ``flow`` is the search for a factor on the scenario's flow per motor revolution,
-    ``acceleration`` that for a limit in rad/s². ``scenario`` has ``margin`` times both. ``walking``
-    has `walking_metrics` with the scenario's own solver, ``checked`` those with RK4 at the check
-    step, ``halved`` those with RK4 at half the check step.
+    ``flow`` is the search for the smallest factor on the scenario's flow per motor revolution,
+    ``acceleration`` the search for the smallest acceleration limit of the motor in rad/s².
+    ``scenario`` has ``margin`` times both values. ``walking`` has `walking_metrics` with the
+    scenario's own solver. ``checked`` and ``halved`` have the same metrics with RK4 at the check
+    step and at half the check step.
     """
 
     frequency_hz: float
@@ -72,9 +74,9 @@ class SizeResult(Result):
     scenario: Scenario
     settings: SizeSettings
     nominal: Mapping[str, Any]
-    """Bandwidth and error of the scenario's hardware at its own sine."""
+    """Bandwidth and error with the scenario's own hardware, controller and sine."""
     sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
-    """As ``nominal``, with one value multiplied by each of ``settings.factors``; by path."""
+    """By path of a hardware value: ``nominal`` with this value times each of the factors."""
     bandwidth_map_hz: Array
     """Bandwidth over the factors of the acceleration limit (rows) and of the flow (columns)."""
     demands: Sequence[WalkingDemand]
@@ -84,7 +86,7 @@ class SizeResult(Result):
     torque_demands: Mapping[float, WalkingDemand]
     """As ``segment_demands``, at the first stride frequency, by the wearer's torque in N·m."""
     gains: Sequence[Mapping[str, Any]]
-    """All tried gains, each with its metrics of walking at the highest stride frequency."""
+    """All tried gains, with margins and metrics of walking at the highest stride frequency."""
     best_gains: Mapping[str, Any]
     steps: Mapping[str, Sequence[Mapping[str, Any]]]
     """Stages from the scenario to a loop that walks: `walking_metrics` by stride frequency."""
@@ -175,7 +177,7 @@ def _shown(scenario: Scenario, path: str, factor: float) -> float:
 
 
 def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
-    """Return the peaks of a demand, and the flow and acceleration they require of the hardware."""
+    """Return the peaks that walking requires, and the flow and motor acceleration for them."""
     peaks = demand.peaks()
     limit = scenario.plant.pump.speed_limit_rad_s
     needed = peaks["peak_motor_speed_rad_s"] / limit

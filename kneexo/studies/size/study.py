@@ -134,22 +134,22 @@ def size_study(
     settings: SizeSettings = SizeSettings(),
     **options: Unpack[SweepOptions],
 ) -> SizeResult:
-    """Sweep the hardware around a scenario's, then size it for walking.
+    """Vary the hardware of a scenario, then size the hardware for walking.
 
-    1. One value at a time, and flow against acceleration limit: bandwidth and error at the
-       scenario's own sine.
-    2. What the measured gait asks for (`walking_demand`), and how the scenario's hardware walks.
-    3. λ, k/Φ and T_f for walking: the least error at the highest stride frequency, with more than
-       enough flow and acceleration, among gains with the disk margin and without chattering.
-    4. For each stride frequency the smallest flow (by the pump's displacement) with more than
-       enough acceleration, then, with margin on that flow, the smallest acceleration limit.
-    5. Pressure and power of these designs at a small step, the first design on other plants, and
-       what each of its values contributes.
+    1. Vary one hardware value at a time, and flow with acceleration limit. Measure bandwidth and
+       error with the scenario's own sine.
+    2. Compute what the measured gait requires (`walking_demand`).
+    3. Choose λ, k/Φ and T_f for walking: the gains of least error at the highest stride frequency,
+       with ample flow and acceleration, that keep the disk margin and do not chatter.
+    4. For each stride frequency, search the smallest flow (by the pump's displacement) with ample
+       acceleration, then, with margin on this flow, the smallest acceleration limit.
+    5. Measure pressure and power of these designs at a small step. Let the first design walk on
+       other plants, and with its hardware values varied.
 
     ``options``: see `kneexo.sweeps.SweepOptions`.
 
-    Raises `ParameterError` when the scenario's reference is no sine that moves, its controller is
-    no sliding mode with an observer, its motor has no limits, or no gains let it walk.
+    Raises `ParameterError` when the scenario's reference is no sine that moves, the controller is
+    no sliding mode with an observer, the motor has no limits, or no gains let the knee walk.
     """
     require_sine(scenario)
     if scenario.controller.kind != "smc" or scenario.estimator.kind != "observer":

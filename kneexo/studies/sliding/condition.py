@@ -1,5 +1,9 @@
 """The sliding condition s·ds/dt ≤ −η|s| in one run, and the bounds on the error.
 
+Symbols are those of Eq. 15–27: x is the rod's position in m, e = x − x_d its error, Φ the width of
+the boundary layer, b the gain from motor speed to x⃛ and b̂ the controller's value of b, ω̂ the
+hydraulic natural frequency of the nominal plant.
+
 The true s is ë + 2λė + λ²e, so ds/dt = x⃛ − x⃛_d + 2λë + λ²ė. AutoDiff differentiates the rod's
 acceleration along the flow of the plant's equations; this gives x⃛ exactly at each logged state.
 Whether the condition holds at a state thus does not depend on the solver.

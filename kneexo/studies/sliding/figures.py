@@ -60,7 +60,10 @@ def condition(result: SlidingResult) -> Figure:
 
 
 def error_bound(result: SlidingResult) -> Figure:
-    """Draw the error over time and its bound, a panel for each load. A cross ends a failed run."""
+    """Draw the rod's error |e| over time and its bound Φ/λ², with a panel for each load.
+
+    A cross ends a run that left the range of motion.
+    """
     loads, law = result.settings.loads_n, result.law
     figure, ax = plt.subplots(
         1, len(loads), figsize=(4.5 * len(loads), 4), layout="constrained", squeeze=False

@@ -64,8 +64,8 @@ def _keeps_its_promise(case: SlidingCase) -> bool:
 def _shares(result: SlidingResult) -> Iterator[dict[str, Any]]:
     """Yield for each law the least and largest share in % of samples that meet the condition.
 
-    The share is over a run's samples outside the layer. The runs are all of the full-order plant
-    that leave the layer, but for those with a sampled law.
+    The share counts a run's samples outside the layer. The runs are those of the full-order plant
+    with a continuous law and such samples.
     """
     for name, label in LAWS.items():
         shares = [

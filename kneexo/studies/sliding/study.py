@@ -1,4 +1,4 @@
-"""The study of the sliding condition s·ds/dt ≤ −η|s|, in reduced and full order."""
+"""The study of the sliding condition s·ds/dt ≤ −η|s| on the reduced- and the full-order plant."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ class NeededEta:
     speed: float
     """At this η, βη equals ω̂²(A_1/Ā − 1)|ẋ_d| at the reference's peak speed."""
     stability: float
-    """At this η, 2λβη/Φ equals ω̂²(1 − A_2/Ā). With less and P_2 loaded, the layer repels s."""
+    """At this η, 2λβη/Φ equals ω̂²(1 − A_2/Ā). Below, a load on chamber 2 drives s outwards."""
 
 
 def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
