@@ -43,7 +43,7 @@ def sigterm_raises() -> Iterator[None]:
 def interrupt_later() -> Iterator[None]:
     """Context manager: delay Ctrl-C and SIGTERM until the body has ended.
 
-    Processes that the body starts never receive Ctrl-C. This process ends them itself.
+    Processes that the body starts never receive Ctrl-C, so this process has to end them.
     """
     arrived: list[int] = []
     handlers: dict[int, Any] = {}

@@ -240,8 +240,8 @@ def invert_rod(
 def icr(link: Any, theta_3: Any, theta_4: Any, xp: Any = np) -> tuple[Any, Any]:
     """Return the instantaneous centre of rotation of the coupler, (x, y) in m.
 
-    The lines O_A A and O_B B meet there. The point is O_B + t e^{jθ_4}; t follows from the cross
-    product with A − O_A.
+    The lines O_A A and O_B B of links 2 and 4 meet there, at O_B + t e^{jθ_4}. The length t follows
+    from the cross product with A − O_A.
     """
     cos_4, sin_4 = xp.cos(theta_4), xp.sin(theta_4)
     d_x = link.o_b_x_m - link.o_a_x_m

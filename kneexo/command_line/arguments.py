@@ -27,7 +27,7 @@ _P = TypeVar("_P", bound="Parameters")
 
 
 class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
-    """Adds the default value to each help text, unless this is None, False or an empty list."""
+    """Adds the default value to each help text, except the values None, False and empty list."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         if action.default in (None, False, []):
@@ -181,7 +181,7 @@ class ScenarioChoice:
     engine: Literal["compiled", "drake"] | None = None
 
     def load(self, default: Scenario | None = None) -> Scenario:
-        """Return the scenario; without a file ``default``, or the paper's setup if it is None."""
+        """Return the scenario. Without a file return ``default``, or for None the paper's setup."""
         from kneexo.parameters import Scenario
         from kneexo.parameters.scenario_file import load_scenario
 

@@ -130,7 +130,7 @@ def html_page(
     origin
         The first items of every JSON result: version, scenario and settings.
     view
-        A whole HTML page that a button opens within this one; empty: no button.
+        A whole HTML page that a button shows inside the returned page; empty: no button.
     """
     import yaml
     from markdown_it import MarkdownIt

@@ -94,7 +94,7 @@ class Delivery:
         return self._print(outcome)
 
     def interrupt_notice(self) -> str:
-        """Return a phrase that says where an interrupted command has left results, if it has."""
+        """Return a phrase that says where an interrupted command left results, if anywhere."""
         if self._written:
             return f"the results are in {shown(self.request.directory or self.request.file)}"
         return self.checkpoint_notice() or "nothing was written"
@@ -119,7 +119,7 @@ class Delivery:
         return self.request.run(checkpoint=self._checkpoint)
 
     def _note_written(self) -> None:
-        """Note that the results are written, and delete the checkpoint unless pieces are unused."""
+        """Note that the results are written. Delete the checkpoint, or count its unused pieces."""
         self._written = True
         if self._checkpoint is not None:
             self._unused_pieces = self._checkpoint.remove()

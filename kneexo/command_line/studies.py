@@ -1,4 +1,4 @@
-"""Makes a command from each study of the catalogue."""
+"""Makes a command from each study of `kneexo.studies.catalogue`."""
 
 from __future__ import annotations
 

@@ -56,8 +56,8 @@ def make_firmware(
         Length of the test vectors in s, at most the duration of the scenario; by default
         `VECTORS_S`.
     step_s
-        Largest step of RK4 in s; by default `rk4_step_s`. A target without continuous states
-        ignores it.
+        Largest step of RK4 in s; by default `rk4_step_s`. A diagram without continuous states
+        ignores ``step_s``.
     look_up
         Look up knee angle and rod extension in tables by the encoder count, instead of computing
         them.
@@ -68,9 +68,9 @@ def make_firmware(
         ``what``, ``vectors_s`` or ``step_s`` is wrong; the reference of a loop is sampled; errors
         of `make_closed_loop`.
     CompilationError
-        The target cannot be printed: see `CSource`.
+        The diagram cannot be exported: see `CSource`.
     SimulationError
-        The run of the closed loop or of the target fails.
+        The run of the closed loop or of the exported diagram fails.
     """
     require_step(step_s)
     if what == "loop" and isinstance(scenario.reference, SampledReference):

@@ -35,7 +35,7 @@ TOOL = "kneexo"
 """First word of the tool's name in an FMU, by which `export_fmu` recognizes FMUs of kneexo."""
 
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
-"""Factors by which `parameter_effects` multiplies a number to see which values follow."""
+"""Factors by which `parameter_effects` changes a number to see which Context parameters follow."""
 
 _AT_REST = "; the initial state does not follow"
 
@@ -55,7 +55,7 @@ class FmuFile:
     parameters: int
     """Number of parameters of the FMU."""
     scenario_parameters: tuple[str, ...]
-    """Names of those FMU parameters that are values of the scenario: ``plant.cylinder.mass_kg``."""
+    """Names of the FMU parameters that are values of the scenario: ``plant.cylinder.mass_kg``."""
     binary: bool
     """Whether the FMU holds a Linux binary beside its C sources."""
 
@@ -116,15 +116,15 @@ def make_fmu(
     fmi
         Version of the standard: 2 or 3.
     step_s
-        Largest step of RK4 in s; by default `rk4_step_s`. A target without continuous states
-        ignores it.
+        Largest step of RK4 in s; by default `rk4_step_s`. A diagram without continuous states
+        ignores ``step_s``.
 
     Raises
     ------
     ParameterError
         ``what``, ``fmi`` or ``step_s`` is wrong; errors of `make_closed_loop`.
     CompilationError
-        The target cannot be printed: see `CSource`.
+        The diagram cannot be exported: see `CSource`.
     """
     if fmi not in FMI_VERSIONS:
         raise ParameterError(f"fmi = {fmi!r}: must be one of {', '.join(map(str, FMI_VERSIONS))}")
@@ -208,9 +208,10 @@ class Effect:
 def parameter_effects(scenario: Scenario, names: list[str]) -> dict[str, Effect]:
     """Return which Context parameters each number of a scenario changes, by its dotted path.
 
-    The function sets each number to the ends of its range and to several other values, and
-    compares the Context parameters ``names``. Values that the scenario refuses, and values that
-    change the form of the equations, are left out. So are numbers that change no parameter.
+    The function sets each number to the ends of its range and to several other values, and looks
+    which of the Context parameters ``names`` change. Values that the scenario refuses, and values
+    that change the form of the equations, are skipped. The result lacks numbers that change no
+    parameter.
     """
     before, start = scenario_values(scenario), scenario_start(scenario)
     effects = {}

@@ -35,7 +35,7 @@ class Table:
     columns: dict[str, list[float]]
 
     def require(self, name: str, low: float, high: float, unit: str) -> None:
-        """Raise `ScenarioError` for a value of a column outside ``low`` … ``high``."""
+        """Raise `ScenarioError` for a value of a column in ``unit`` outside ``low`` … ``high``."""
         for line, value in zip(self.lines, self.columns[name], strict=True):
             if not low <= value <= high:
                 message = (
@@ -59,7 +59,7 @@ class Table:
 def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
     """Read columns of a CSV file, whose first record holds the names of the columns.
 
-    Lines between records are left out if they are empty or start with ``#``.
+    Lines between records are ignored if they are empty or start with ``#``.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
     Raises
     ------
     ScenarioError
-        The file cannot be read, a record is damaged or too long, a column is missing or there
+        The file cannot be read, a record is damaged or too long, a column is missing or occurs
         twice, or a value is no finite number in decimal digits.
     """
     try:

@@ -41,7 +41,7 @@ def require_mark(path: Path, mark: str, kind: str) -> None:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file, or replace an earlier one. Missing directories are created.
+    """Write ``content`` to a file, and replace an earlier file. Missing directories are created.
 
     Raises `OutputError` if the file cannot be written. An earlier file is unchanged then, and no
     new directory is left.
@@ -54,7 +54,7 @@ def write_file(path: Path, content: bytes) -> None:
 def output_directory(
     path: str | os.PathLike[str], when_written: Callable[[], object] | None = None
 ) -> Iterator[Path]:
-    """Context manager: gives a temporary directory, whose files move to ``path`` at the end.
+    """Context manager: give a temporary directory, whose files move to ``path`` after the body.
 
     All files move or none. If the body fails or a file cannot be moved, ``path`` is as before.
     Missing directories are created, and removed again after a failure. ``when_written`` is called

@@ -23,7 +23,7 @@ from .template import rendered
 from .vectors import Vectors, recorded_vectors
 
 REPLAY_TOLERANCES = {"double": 1e-9, "float": 1e-3}
-"""Largest difference of an output in a replay, divided by its largest magnitude, per precision."""
+"""Largest accepted difference of an output in the replay, divided by its largest magnitude."""
 
 
 @dataclass(frozen=True)

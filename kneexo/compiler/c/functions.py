@@ -43,7 +43,7 @@ class Functions:
         ``constants_of``: computes the values that depend on parameters alone.
     of_an_instant
         The other functions. The first argument of each is the ``instant`` from which it reads. A
-        function is left out if the model lacks its results: ``rate_at`` without continuous states.
+        function without results is left out, for example ``rate_at`` without continuous states.
     constant_count
         Number of values that ``constants_of`` computes.
     operations

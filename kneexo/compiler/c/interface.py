@@ -84,8 +84,8 @@ class Interface:
     ----------
     fields
         C names of the elements of each port, by the name of the port. A name should end in the
-        unit. The elements of a port that is missing here are called ``PORT`` if there is one,
-        otherwise ``PORT_0``, ``PORT_1`` …
+        unit. If a port is missing here, its only element is called ``PORT``, and several elements
+        are called ``PORT_0``, ``PORT_1`` …
     integers
         Input ports of type int32_t, such as encoder counts.
     ranges
@@ -171,7 +171,7 @@ def c_name(text: str) -> str:
 
 
 def _short_names(paths: Collection[str]) -> dict[str, str]:
-    """Return for each system path the shortest sequence of last names that ends no other path."""
+    """Return for each system path its shortest end in whole names that is no other path's end."""
     short = {}
     for path in paths:
         names = path.split("/")

@@ -54,9 +54,8 @@ PRECISIONS = {precision.name: precision for precision in (DOUBLE, FLOAT)}
 def literal(value: float, precision: Precision, name: str = "a constant") -> str:
     """Return a number as a C literal, rounded to ``precision``.
 
-    Raises `CompilationError` for a number that is not finite, and for a number other than zero
-    whose magnitude is below or above that of the type's normal numbers. The message calls it
-    ``name``.
+    Raises `CompilationError`, with ``name`` in the message, for a number that is not finite, and
+    for a number other than zero whose magnitude is outside the normal numbers of the type.
     """
     if not math.isfinite(value):
         raise CompilationError(f"{name} = {value}: must be finite")
@@ -88,7 +87,7 @@ class CPrinter:
     functions: set[str] = field(default_factory=set)
     """Names of the functions of the C library that all blocks printed so far call."""
     operations: Counter[str] = field(default_factory=Counter)
-    """Number of times that each operator and function is in the blocks since the last clearing."""
+    """Uses of each operator and function in all blocks since a caller last emptied this counter."""
 
     def collect_fixed(self, roots: Iterable[int]) -> None:
         """Set `fixed` to the nodes that ``roots`` need and that depend on parameters alone.
@@ -122,7 +121,7 @@ class _Block:
     def __init__(
         self, printer: CPrinter, load: Load, loads: Mapping[int, tuple[str, int]], indent: str
     ) -> None:
-        """``loads`` has the kind and index for ``load`` of each node that is read, not computed."""
+        """Store the arguments; ``loads`` has kind and index of each node that ``load`` reads."""
         self.printer, self.graph, self.load, self.loads = printer, printer.graph, load, loads
         self.real = printer.precision
         self.indent = indent

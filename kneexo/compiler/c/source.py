@@ -3,8 +3,8 @@
 ``NAME_init`` computes the values that depend on parameters alone, and the discrete state after the
 initialization events. ``NAME_step`` simulates one tick, from t to t + T. The step executes the
 updates at t with the inputs of the call, integrates the continuous states with fixed steps of the
-classical fourth-order Runge-Kutta method, and computes the outputs just before the updates at t +
-T. So the command that a controller holds over the tick follows from the inputs of the same call.
+classical fourth-order Runge-Kutta method, and computes the outputs just before the next updates, at
+t + T. So the command that a controller holds over a tick follows from the inputs of that call.
 """
 
 from __future__ import annotations

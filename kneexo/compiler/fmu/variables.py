@@ -128,7 +128,7 @@ class VariableTable:
         return [(member, i, parameter) for i, parameter in pairs for member in parameter.members]
 
     def initial_dependencies(self) -> list[list[int]]:
-        """Return for each output the references of the variables that affect its start value."""
+        """Return for each output the value references of the variables that affect its start."""
         graph = self._plan.equations.graph
         initial_nodes = self._plan.equations.initial_discrete
         dependencies = []
@@ -140,7 +140,7 @@ class VariableTable:
         return dependencies
 
     def _setters(self, operations: Sequence[Entry]) -> list[int]:
-        """Return the references of the inputs and parameters that graph entries read."""
+        """Return the value references of the inputs and parameters that graph entries read."""
         inputs = self.references("input")
         setters = {member: reference for member, reference, _ in self.assignments()}
         members = {"parameter": self._plan.members, "state": self._states}
