@@ -136,16 +136,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "parameters/uncertainty": ("parameters/test_uncertainty",),
     "simulation/drake": ("simulation/test_engines", "simulation/test_both_engines"),
     "simulation/run": ("simulation/test_engines", "test_result"),
-    "studies/paper": ("studies/reproduce/test_study",),
     "parameters/scenario_file": ("parameters/test_scenario_file", "parameters/test_uncertainty"),
     "studies/reproduce/study": ("studies/reproduce/test_study", "test_cluster"),
-    "studies/controller/result": ("studies/controller/test_study",),
-    "studies/controller/settings": ("studies/controller/test_study",),
-    "studies/size/settings": ("studies/size/test_study",),
-    "studies/sliding/condition": ("studies/sliding/test_study",),
-    "studies/sliding/settings": ("studies/sliding/test_study",),
-    "studies/size/study": ("studies/size/test_study", "studies/size/test_report"),
-    "studies/size/result": ("studies/size/test_report",),
     "sweeps/sweep": ("sweeps/test_parallel",),
     "systems/_leaf": ("systems/test_leaf",),
     "systems/state_variable": ("systems/test_bldc_pump", "diagrams/test_plant"),
@@ -307,10 +299,7 @@ def drawn(count: int, seed: int, root: Path = ROOT) -> dict[str, int]:
 def mirrored(module: str, root: Path = ROOT) -> list[str]:
     """Paths of the tests of a module such as ``analysis/tracking``, from the root of the tree."""
     folder, _, name = module.rpartition("/")
-    if folder == "studies":  # with the report and the pictures of a study
-        name = name.removesuffix("_report").removesuffix("_figures")
-    names = TESTS.get(module) or TESTS.get(f"{folder}/{name}")
-    names = names or (f"{folder}/test_{name}".lstrip("/"),)
+    names = TESTS.get(module, (f"{folder}/test_{name}".lstrip("/"),))
     if module.startswith(
         ("parameters/", "studies/", "analysis/frequency_response", "analysis/sine_estimate")
     ):

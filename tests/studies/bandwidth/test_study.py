@@ -1,12 +1,20 @@
 """The frequency response over amplitude and frequency, its report and its pictures."""
 
 import math
-from dataclasses import replace
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from bandwidth_cases import (
+    AMPLITUDES,
+    BANDWIDTHS,
+    FREQUENCIES,
+    GAINS,
+    LINEAR_GAINS,
+    LINEAR_PHASES,
+    PHASES,
+    SMALL_MAP,
+)
 
 from kneexo.analysis import bandwidth
 from kneexo.analysis.bandwidth import (
@@ -19,19 +27,16 @@ from kneexo.analysis.bandwidth import (
     speed_limit_reached_hz,
 )
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.sine_estimate import SineEstimate, SineEstimateSettings
+from kneexo.analysis.sine_estimate import SineEstimate
 from kneexo.command_line.output import to_json
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import RampReference, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.simulation.engines import simulate
-from kneexo.studies.bandwidth import BandwidthResult, BandwidthSettings, bandwidth_study, study
+from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study, study
 from kneexo.studies.bandwidth.figures import figures
 from kneexo.studies.bandwidth.report import report
 from kneexo.sweeps.checkpoint import Checkpoint
-
-QUICK = SineEstimateSettings(averaged_cycles=2, largest_cycles=3)
-BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "validate_bandwidth.py"
 
 
 def sine(amplitude_deg, **values):
@@ -39,17 +44,6 @@ def sine(amplitude_deg, **values):
 
 
 # --------------------------------------------------------------------------- amplitude map
-
-
-SMALL_MAP = BandwidthSettings(
-    amplitudes_deg=(0.3, 3.0), frequencies_hz=(2.5, 5.0, 12.5), estimate=QUICK
-)
-
-
-@pytest.fixture(scope="module")
-def mapped(tmp_path_factory):
-    path = tmp_path_factory.mktemp("map") / "checkpoint.jsonl"
-    return bandwidth_study(Scenario(), SMALL_MAP, checkpoint=Checkpoint(path)), path
 
 
 def test_the_map_shows_where_the_limits_take_over(mapped):
@@ -136,76 +130,6 @@ def test_a_bus_that_rounds_is_a_quantizer_of_the_map():
     assert "% with them" not in report(exact)
 
 
-def test_a_map_without_a_sine_to_compare_with_the_linear_loop_says_so(mapped):
-    limited = replace(mapped[0], unlimited=np.zeros(3, dtype=bool))
-    assert "nothing to compare with the linear loop" in report(limited)
-    failed = mapped[0].response.copy()
-    failed[0] = math.nan
-    for result in (limited, replace(mapped[0], response=failed)):
-        assert "nan" not in report(result)
-
-
-def test_the_report_names_the_sine_whose_mean_wanders_most(by_hand):
-    means = np.array([[40.0, 41.0, 41.5], [39.1, 32.4, 45.0]])  # about 40°
-    text = report(replace(by_hand, cells=by_hand.cells | {"mean_deg": means}))
-    assert "At 3 sines the mean" in text
-    assert "(7.6°) at 30° and 0.2 Hz" in text
-
-
-@pytest.mark.slow
-def test_every_figure_of_a_map_can_be_drawn(mapped):
-    for figure in figures(mapped[0]).values():
-        figure.canvas.draw()
-
-
-GAINS = np.array([[0.99, 0.8, 0.5], [0.95, 0.6, 0.2]])
-PHASES = np.array([[-5.0, -20.0, -50.0], [-15.0, -70.0, -190.0]])
-LINEAR_GAINS, LINEAR_PHASES = np.array([1.0, 0.91, 0.52]), np.array([-4.0, -19.0, -45.0])
-FOLLOWER = np.array([[1.0, 1.0, 0.8], [0.97, 0.65, 0.25]])
-BANDWIDTHS = {
-    "measured_hz": [0.3, 0.16],
-    "linear_loop_hz": [0.31, 0.31],
-    "acceleration_bound_hz": [3.3, 0.5],
-    "follower_hz": [6.7, 0.17],
-    "rate_limit_hz": [6.9, 0.18],
-    "speed_limit_reached_hz": [4.0, 0.12],
-}
-AMPLITUDES, FREQUENCIES = (1.0, 30.0), (0.1, 0.2, 0.4)
-
-
-def table(start):
-    return start + 0.01 * np.arange(6.0).reshape(2, 3)
-
-
-@pytest.fixture(scope="module")
-def by_hand():
-    """A map that nothing was simulated for: its numbers tell each other apart."""
-    return BandwidthResult(
-        amplitudes_deg=np.array(AMPLITUDES),
-        frequencies_hz=np.array(FREQUENCIES),
-        response=GAINS * np.exp(1j * np.radians(PHASES)),
-        cells={
-            "uncertainty": 0.1 * table(0.1),
-            "settled": np.array([[True, True, False], [True, False, True]]),
-            "cycles": np.arange(6).reshape(2, 3),
-            "mean_deg": table(40.0),
-            "speed_limited_share": table(0.3),
-            "acceleration_limited_share": table(0.6),
-        },
-        bandwidths={name: np.array(values) for name, values in BANDWIDTHS.items()},
-        linear=LINEAR_GAINS * np.exp(1j * np.radians(LINEAR_PHASES)),
-        linear_failure="",
-        follower=FOLLOWER * np.exp(0.2j),
-        unquantized=LINEAR_GAINS * np.exp(1j * np.radians(LINEAR_PHASES)) * [1.003, 0.905, 5.0],
-        unlimited=np.array([True, True, False]),
-        failures=("30 deg, 9 Hz: left the range",),
-        scenario=Scenario(),
-        settings=BandwidthSettings(
-            amplitudes_deg=AMPLITUDES, frequencies_hz=FREQUENCIES, estimate=QUICK
-        ),
-    )
-
-
 def test_results_of_a_map_are_those_of_its_cells(by_hand, flat, check_rules):
     numbers = by_hand.results()
     check_rules(numbers)
@@ -247,165 +171,6 @@ def test_the_frame_has_a_row_for_each_cell(by_hand, monkeypatch):
     assert columns["phase_deg"] == pytest.approx(PHASES.ravel())
     for name, values in by_hand.cells.items():
         assert columns[name].tolist() == values.ravel().tolist()
-
-
-def test_every_cell_of_the_report_is_in_the_map(by_hand, tables, check_cells):
-    text = report(by_hand)
-    (shown,) = tables(text)
-    columns = (
-        "measured_hz",
-        "linear_loop_hz",
-        "acceleration_bound_hz",
-        "follower_hz",
-        "rate_limit_hz",
-    )
-    lowest = (("linear loop", 0.31), ("speed limit", 0.17))
-    check_cells(
-        shown,
-        [
-            [a, *(BANDWIDTHS[c][i] for c in columns), name, BANDWIDTHS["measured_hz"][i] / hertz]
-            for i, (a, (name, hertz)) in enumerate(zip(AMPLITUDES, lowest, strict=True))
-        ],
-    )
-    speed, acceleration = rod_limits(Scenario())
-    for said in (
-        "about 40°, 6 sines",
-        "2 sines had not settled after 3 cycles",
-        f"at most {100.0 * 0.1 * 0.15 / 0.2:.2g} % of the gain",
-        "the linear loop at 1°; the speed limit at 30°",
-        f"at most {1e3 * speed:.3g} mm/s and {acceleration:.3g} m/s²",
-        f"below {1e3 * speed**2 / acceleration:.2g} mm of rod",
-        "by at most 9.5 % without quantizers, 12 % with them",
-        "- 30 deg, 9 Hz: left the range",
-    ):
-        assert said in text
-
-
-def test_the_heat_maps_have_frequency_across_and_amplitude_up(by_hand, curves, check_heat_map):
-    axes = figures(by_hand)["amplitude_map"].axes
-    panels = (
-        20.0 * np.log10(GAINS),
-        PHASES,
-        by_hand.cells["speed_limited_share"],
-        by_hand.cells["acceleration_limited_share"],
-    )
-    labels = ("gain (dB)", "phase (deg)", "speed limit", "acceleration limit")
-    for ax, values, label in zip(axes[:4], panels, labels, strict=True):
-        shown = np.ma.filled(ax.collections[0].get_array(), np.nan)
-        assert shown == pytest.approx(values)
-        check_heat_map(ax, FREQUENCIES, AMPLITUDES, shown.reshape(2, 3).T)
-        assert ax.get_title(loc="right").endswith(label)
-    lines = curves(axes[0])
-    for label, name in (
-        ("−3 dB, measured", "measured_hz"),
-        ("speed limit, closed form", "rate_limit_hz"),
-        ("speed limit, follower through x(θ)", "follower_hz"),
-        ("acceleration bound", "acceleration_bound_hz"),
-        ("linear loop", "linear_loop_hz"),
-    ):
-        assert lines[label][0] == pytest.approx(BANDWIDTHS[name])
-        assert lines[label][1] == pytest.approx(AMPLITUDES)
-    reached = curves(axes[2])["the reference asks for more speed"]
-    assert reached[0] == pytest.approx(BANDWIDTHS["speed_limit_reached_hz"])
-    for ax in axes[2:4]:
-        assert ax.lines[0].get_xdata() == pytest.approx(BANDWIDTHS["measured_hz"])
-
-
-def test_bode_plots_have_measured_linear_and_follower(by_hand, curves):
-    gain, phase = figures(by_hand)["bode_by_amplitude"].axes
-    share = 0.1 * table(0.1) / GAINS
-    for ax, measured, errors, linear, follower in (
-        (
-            gain,
-            20.0 * np.log10(GAINS),
-            20.0 * np.log10(1.0 + share),
-            20.0 * np.log10(LINEAR_GAINS),
-            20.0 * np.log10(FOLLOWER),
-        ),
-        (
-            phase,
-            PHASES,
-            np.degrees(np.arcsin(share)),
-            LINEAR_PHASES,
-            np.full((2, 3), math.degrees(0.2)),
-        ),
-    ):
-        for i, bars in enumerate(ax.containers):
-            assert bars.get_label() == f"{AMPLITUDES[i]:g}°"
-            assert bars[0].get_xdata() == pytest.approx(FREQUENCIES)
-            assert bars[0].get_ydata() == pytest.approx(measured[i])
-            ends = np.array([segment[:, 1] for segment in bars[2][0].get_segments()])
-            assert np.ptp(ends, axis=1) == pytest.approx(2.0 * errors[i])
-        dotted = [
-            line for line in ax.lines if line.get_linestyle() == ":" and len(line.get_xdata())
-        ]
-        for line, values in zip(dotted, follower, strict=True):
-            assert line.get_ydata() == pytest.approx(values)
-        assert curves(ax)["linear loop"][1] == pytest.approx(linear)
-    level = [line.get_ydata()[0] for line in gain.lines if len(set(line.get_ydata())) == 1]
-    assert level == pytest.approx([-10.0 * math.log10(2.0)])
-
-
-def test_the_closed_form_is_drawn_over_the_demand_of_speed(by_hand, curves):
-    _, ax = figures(by_hand)["rate_limited_sine"].axes
-    lines = curves(ax)
-    for i, amplitude in enumerate(AMPLITUDES):
-        x, y = lines[f"{amplitude:g}°"]
-        # −3 dB of the closed form lies at ρ = R/(aω) = 0.5554.
-        assert x == pytest.approx(
-            np.array(FREQUENCIES) / BANDWIDTHS["rate_limit_hz"][i] / 0.55539, rel=1e-4
-        )
-        assert y == pytest.approx(20.0 * np.log10(GAINS[i]))
-    x, y = lines["closed form"]
-    assert np.interp(1.0 / 0.55539, x, y) == pytest.approx(-10.0 * math.log10(2.0), abs=0.01)
-    triangle = x > 1.9  # a triangle of speed R: 8/π² · π/2 · ρ
-    assert y[triangle] == pytest.approx(20.0 * np.log10(4.0 / math.pi / x[triangle]), abs=1e-6)
-
-
-def test_every_axis_has_its_label_scale_limits_and_legend(by_hand):
-    drawn = figures(by_hand)
-    across, up, gain = "frequency (Hz)", "amplitude (deg)", "gain (dB)"
-    labels = {
-        "amplitude_map": [("", up), ("", ""), (across, up), (across, "")],
-        "bode_by_amplitude": [("", gain), (across, "phase (deg)")],
-        "rate_limited_sine": [
-            ("time (periods)", "position (amplitudes)"),
-            ("speed demand aω/R = 1/ρ (1)", gain),
-        ],
-    }
-    legends = {
-        "amplitude_map": [6, None, 2, 1],
-        "bode_by_amplitude": [5, None],
-        "rate_limited_sine": [4, 4],
-    }
-    for name, expected in labels.items():
-        axes = drawn[name].axes[: len(expected)]
-        assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in axes] == expected
-        for ax, count in zip(axes, legends[name], strict=True):
-            legend = ax.get_legend()
-            assert (None if legend is None else len(legend.get_texts())) == count, name
-    sine, demand = drawn["rate_limited_sine"].axes
-    for ax in (*drawn["amplitude_map"].axes[:4], *drawn["bode_by_amplitude"].axes, demand):
-        assert ax.get_xscale() == "log"
-    for ax in (demand, drawn["bode_by_amplitude"].axes[0]):
-        assert ax.get_ylim() == (-45.0, 5.0)
-    # The last one and a half of four periods, the sine and three followers of it.
-    for line in sine.lines:
-        assert line.get_xdata()[[0, -1]] == pytest.approx([0.0, 1.5])
-        assert np.abs(line.get_ydata()).max() <= 1.0 + 1e-9
-    assert sine.lines[0].get_ydata() == pytest.approx(
-        np.sin(2.0 * math.pi * (sine.lines[0].get_xdata() + 2.5)), abs=1e-9
-    )
-    for line, ratio in zip(sine.lines[1:], (0.8, 0.555390, 0.3), strict=True):
-        assert line.get_label() == f"ρ = {ratio:.3g}"
-        rate = np.abs(np.diff(line.get_ydata())).max() * 1000.0
-        assert rate == pytest.approx(2.0 * math.pi * ratio, rel=1e-3)
-    first = drawn["amplitude_map"].axes[0]
-    norm = first.collections[0].norm
-    assert (norm.vmin, norm.vmax) == (-20.0, 3.0)
-    assert list(first.get_yticks()) == [1.0, 30.0]
-    for ax in (first, drawn["bode_by_amplitude"].axes[0]):
-        assert list(ax.get_xticks()) == [0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]
 
 
 def test_an_interrupted_map_goes_on_with_identical_results(mapped):

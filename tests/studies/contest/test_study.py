@@ -1,9 +1,14 @@
-import dataclasses
 import math
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from contest_cases import (
+    BASE,
+    LAG,
+    SMALL,
+    made_up,
+)
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.sampled_loop import linearize_loop
@@ -14,25 +19,18 @@ from kneexo.parameters import (
     UNCERTAIN_KNEE,
     UNCERTAINTY,
     PidParameters,
-    Scenario,
-    SimulationParameters,
-    SineReference,
     SlidingModeParameters,
     Uncertainty,
     UncertaintySet,
 )
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw, realize
-from kneexo.studies.contest.figures import figures
 from kneexo.studies.contest.report import report
 from kneexo.studies.contest.study import (
     COLUMNS,
     CONTESTANTS,
     INFEASIBLE_DEG,
-    Contestant,
-    ContestResult,
     ContestSettings,
-    Tuning,
     contest_study,
     objective_deg,
     search,
@@ -81,10 +79,7 @@ def test_the_search_evaluates_whole_generations_and_repeats_itself():
 
 # --------------------------------------------------------------------------- the objective
 
-BASE = Scenario(
-    reference=SineReference(amplitude_deg=0.5, frequency_hz=10.0),
-    simulation=SimulationParameters(duration_s=0.2),
-)
+
 LAGS = (0.008, 0.016)
 
 
@@ -94,7 +89,7 @@ def plants(controller=SlidingModeParameters(), lags=LAGS, **values):
     return [changed(entered, {"plant.pump.lag_s": lag}) for lag in lags]
 
 
-def figure(scenarios, name):
+def metric_of(scenarios, name):
     return np.array([getattr(track(scenario).metrics, name) for scenario in scenarios])
 
 
@@ -105,7 +100,7 @@ def disk_margins(scenarios):
 def test_a_candidate_within_its_limits_has_its_mean_error():
     scenarios = plants()
     errors, changes = (
-        figure(scenarios, name) for name in ("max_error_deg", "mean_command_change_rpm")
+        metric_of(scenarios, name) for name in ("max_error_deg", "mean_command_change_rpm")
     )
     # The budget holds for the mean over the plants, the margin for each; both may be used up.
     budget, least = np.mean(changes), min(disk_margins(scenarios))
@@ -116,7 +111,7 @@ def test_a_candidate_within_its_limits_has_its_mean_error():
 
 def test_violations_are_counted_and_ordered():
     scenarios = plants()
-    change = figure(scenarios, "mean_command_change_rpm").mean()
+    change = metric_of(scenarios, "mean_command_change_rpm").mean()
     low, high = sorted(disk_margins(scenarios))
     feasible = objective_deg(change, low, scenarios)
     # On one plant, on both, and without any margin on the one whose loop is unstable.
@@ -145,72 +140,6 @@ def test_contestants_have_as_many_gains():
 
 
 # ---------------------------------------------------------------------------- the outcome
-
-
-def metrics_of(error, change=10.0, margin=0.8, stable=True, margins_failure=""):
-    failed = math.isnan(error)
-    return {
-        "max_error_deg": error,
-        "mean_command_change_rpm": math.nan if failed else change,
-        "tracking_failure": "gone" if failed else "",
-        "stable": stable,
-        "disk_margin": margin if stable else math.nan,
-        "margins_failure": margins_failure,
-    }
-
-
-SHARES = (0.01, 0.03, 0.97, 0.99)
-"""Where the gains of a tuning lie between their bounds, by decades."""
-
-
-def made_up():
-    settings = ContestSettings(
-        contestants={name: CONTESTANTS[name] for name in ("SMC", "PID")}, optimizer_seeds=(1, 2)
-    )
-    tunings = tuple(
-        Tuning(
-            name,
-            seed,
-            {
-                path: span.low * (span.high / span.low) ** share
-                for (path, span), share in zip(CONTESTANTS[name].gains.items(), SHARES, strict=True)
-            },
-            objective,
-            64,
-            converged,
-            0.01,
-            (95.0, 0.5),
-        )
-        for name, seed, objective, converged in (
-            ("SMC", 1, 0.3, True),
-            ("SMC", 2, 0.2, False),
-            ("PID", 1, 95.0, False),
-            ("PID", 2, 0.4, True),
-        )
-    )
-    tested = {
-        "SMC": [metrics_of(e, 10.0 + 10.0 * e, 0.8 - 0.1 * e) for e in (0.1, 0.2, 0.3, 0.4)],
-        "PID": [metrics_of(e, 12.0, 0.9) for e in (0.05, 0.3, 0.5)]
-        + [metrics_of(math.nan, stable=None, margins_failure="does not rest")],
-        "SMC, default": [metrics_of(0.6, stable=False)] * 4,
-    }
-    other_reference = {
-        name: [metrics_of(1.0 + n + 0.1 * k) for k in range(4)] for n, name in enumerate(tested)
-    }
-    entrants = {name: {"controller": {"kind": "smc"}} for name in tested}
-    samples = tuple({"plant.cylinder.mass_kg": 1.5} for _ in range(4))
-    return ContestResult(
-        Scenario(),
-        UNCERTAINTY,
-        ("plant.load.knee_torque_n_m",),
-        settings,
-        12.0,
-        tunings,
-        entrants,
-        samples,
-        tested,
-        other_reference,
-    )
 
 
 SUMMARY = {
@@ -245,125 +174,6 @@ def test_results_hold_what_was_tuned_and_tested(flat):
         )
 
 
-@pytest.fixture(params=["made up", "run"])
-def contest(request):
-    """A contest by hand, and one that was held."""
-    return made_up() if request.param == "made up" else request.getfixturevalue("small")[0]
-
-
-def said_gains(contest, tuning):
-    """Gains as the report has them: a mark on those within 2 % of the way from a bound."""
-    texts = []
-    for path, value in tuning.gains.items():
-        span = contest.settings.contestants[tuning.contestant].gains[path]
-        share = math.log(value / span.low) / math.log(span.high / span.low)
-        mark = "" if 0.02 < share < 0.98 else " (at its bound)"
-        texts.append(f"{path.split('.')[1]} = {value:.4g}{mark}")
-    return ", ".join(texts)
-
-
-def test_every_cell_of_the_report_is_in_the_summary(contest, tables, check_cells):
-    text, summary = report(contest), contest.summary()
-    outcome, tunings = tables(text)
-    assert outcome[0] == ["", *contest.entrants]
-    check_cells(
-        outcome,
-        [[COLUMNS[key], *(summary[name][key] for name in contest.entrants)] for key in COLUMNS],
-    )
-    for name, unit in (("_deg", "(deg)"), ("_rpm", "(rpm/sample)")):
-        assert all(label.endswith(unit) for key, label in COLUMNS.items() if key.endswith(name))
-    check_cells(
-        tunings,
-        [
-            {
-                "contestant": tuning.contestant,
-                "seed": tuning.seed,
-                "objective (deg)": tuning.objective_deg
-                if tuning.objective_deg < 90.0
-                else "no feasible gains found",
-                "evaluations": tuning.evaluations,
-                "converged": "yes" if tuning.converged else "**no**",
-                "spread": tuning.spread,
-                "gains": said_gains(contest, tuning),
-            }
-            for tuning in contest.tunings
-        ],
-    )
-    settings, task = contest.settings, contest.settings.other_reference
-    for sentence in (
-        f"{len(contest.samples)} test plants, none",
-        f"the other reference is {task.amplitude_deg:g}° at {task.frequency_hz:g} Hz, which",
-        f"at most {settings.population * settings.generations + settings.population} evaluations",
-        f"on {1 + settings.training_samples} training plants",
-        f"with at most {contest.budget_rpm:.1f} rpm per sample",
-        f"a disk margin of {settings.least_disk_margin:g} or more",
-    ):
-        assert sentence in text
-
-
-def test_the_outcome_shows_each_entrant_at_its_errors_and_margins(contest, curves):
-    here, there, margins = figures(contest)["contest"].axes
-    share = (np.arange(len(contest.samples)) + 1.0) / len(contest.samples)
-
-    def errors_of(assessed):
-        return [values["max_error_deg"] for values in assessed]
-
-    def distribution_of(assessed):
-        """Errors of the runs that end, and their share of all plants."""
-        errors = [error for error in errors_of(assessed) if not math.isnan(error)]
-        return np.sort(errors), share[: len(errors)]
-
-    named = curves(here)
-    assert list(named) == list(contest.entrants)
-    for n, name in enumerate(contest.entrants):
-        errors, shares = distribution_of(contest.tested[name])
-        x, y = named[name]
-        assert x == pytest.approx(errors)
-        assert y == pytest.approx(shares)
-        errors, shares = distribution_of(contest.other_reference[name])
-        x, y = there.lines[n].get_data()
-        assert x == pytest.approx(errors)
-        assert y == pytest.approx(shares)
-        x, y = margins.lines[n].get_data()
-        assert x == pytest.approx(errors_of(contest.tested[name]), nan_ok=True)
-        expected = [values["disk_margin"] for values in contest.tested[name]]
-        assert y == pytest.approx(expected, nan_ok=True)
-        tuned = name in contest.settings.contestants
-        for ax in (here, there):
-            assert ax.lines[n].get_linestyle() == ("-" if tuned else "--")
-        assert margins.lines[n].get_marker() == ("o" if tuned else "x")
-        assert len({ax.lines[n].get_color() for ax in (here, there, margins)}) == 1
-    least = contest.settings.least_disk_margin
-    assert list(curves(margins)[f"(c) least in the tuning, {least:g}"][1]) == [least, least]
-    assert {ax.get_xlabel() for ax in (here, there, margins)} == {"largest error (deg)"}
-    assert {ax.get_xscale() for ax in (here, there, margins)} == {"log"}
-    assert here.get_ylabel() == there.get_ylabel() == "share of the test plants"
-    assert margins.get_ylabel() == "disk margin"
-    task = contest.settings.other_reference
-    assert there.get_title() == f"(b) {task.amplitude_deg:g}° at {task.frequency_hz:g} Hz"
-
-
-def test_the_search_shows_the_best_of_each_generation(contest):
-    (ax,) = figures(contest)["contest_search"].axes
-    size = contest.settings.population
-    for line, tuning in zip(ax.lines, contest.tunings, strict=True):
-        assert line.get_label().startswith(tuning.contestant)
-        assert ("not converged" in line.get_label()) is not tuning.converged
-        # The first generation follows the population that it starts from.
-        count = len(tuning.history_deg)
-        assert line.get_xdata() == pytest.approx(size * np.arange(2, count + 2))
-        feasible = [value if value < 90.0 else math.nan for value in tuning.history_deg]
-        assert line.get_ydata() == pytest.approx(feasible, nan_ok=True)
-        assert line.get_linestyle() == ("-" if tuning.seed == 1 else "--")
-    assert (ax.get_xlabel(), ax.get_ylabel()) == (
-        "evaluations",
-        "mean of the largest errors (deg)",
-    )
-    contestants = [tuning.contestant for tuning in contest.tunings]
-    colors = {(name, line.get_color()) for name, line in zip(contestants, ax.lines, strict=True)}
-    assert len(colors) == len({color for _, color in colors}) == len(set(contestants))
-
-
 def test_the_winner_of_each_figure_is_named_whoever_it_is():
     done = made_up()
     winners = done.winners()
@@ -374,68 +184,15 @@ def test_the_winner_of_each_figure_is_named_whoever_it_is():
     assert done.better_share("PID", "SMC") == 0.25
 
 
-def test_the_report_says_what_did_not_converge_or_fit():
-    text = report(made_up())
-    assert "| SMC | 2 | 0.2 | 64 | **no** |" in text
-    assert "| PID | 1 | no feasible gains found |" in text
-    assert "SMC errs less than PID on 75 % of the plants" in text
-    assert "- unstable:" not in text  # nobody was better there
-    assert "| worst error (deg) | 0.4 | ∞ |" in text
-    assert "∞" in text
-    assert "The scenario lacks plant.load.knee_torque_n_m." in text
-
-
-def test_the_legend_names_everybody_once():
-    legend = [text.get_text() for text in figures(made_up())["contest"].legends[0].get_texts()]
-    assert legend[:3] == ["SMC", "PID", "SMC, default"]
-    assert legend[3:5] == ["(c) tuned here", "(c) not tuned here"]
-    assert len(legend) == 6
-
-
-def test_a_contest_whose_every_run_failed_is_drawn():
-    done = made_up()
-    failed = {name: [metrics_of(math.nan)] * 4 for name in done.tested}
-    figure = figures(dataclasses.replace(done, tested=failed, other_reference=failed))["contest"]
-    figure.canvas.draw()
-    assert [ax.get_xlim() for ax in figure.axes] == [(0.1, 10.0)] * 3
-
-
 # -------------------------------------------------------------------------------- the runs
 
-LAG = UncertaintySet(values={"plant.pump.lag_s": Uncertainty(low=0.005, high=0.02)})
-SMALL = ContestSettings(
-    contestants={
-        "PI": Contestant(
-            controller=PidParameters(),
-            gains={
-                "controller.proportional_per_s": Uncertainty(low=1.0, high=9.0, scale="log"),
-                "controller.integral_per_s2": Uncertainty(low=0.1, high=40.0, scale="log"),
-            },
-        )
-    },
-    training_samples=1,
-    test_samples=2,
-    optimizer_seeds=(1, 2),
-    population=5,
-    generations=1,
-    duration_s=0.2,
-    other_reference=SineReference(amplitude_deg=0.2, frequency_hz=20.0),
-    other_duration_s=0.1,
-)
+
 UNTUNED = {
     "SMC, default": SlidingModeParameters(),
     "PID as in the paper": PID_PAPER,
     "PID, error only": PID_TUNED,
     "PID with reference velocity, error only": PID_FEEDFORWARD,
 }
-
-
-@pytest.fixture(scope="module")
-def small(tmp_path_factory):
-    checkpoint = Checkpoint(tmp_path_factory.mktemp("contest") / "checkpoint.jsonl")
-    # The study replaces duration and controller.
-    other = changed(BASE, {"simulation.duration_s": 7.0, "controller": PID_PAPER.model_dump()})
-    return contest_study(other, LAG, SMALL, checkpoint=checkpoint), checkpoint
 
 
 def lags_of(seed, count):
@@ -474,7 +231,7 @@ def test_every_entrant_is_assessed_on_every_test_plant(small, flat):
 def test_the_search_is_for_the_smallest_objective_within_the_default_smcs_budget(small):
     contest, _ = small
     lags = [0.010, *lags_of(SMALL.training_seed, 1)]
-    budget = figure(plants(lags=lags), "mean_command_change_rpm").mean()
+    budget = metric_of(plants(lags=lags), "mean_command_change_rpm").mean()
     assert contest.budget_rpm == pytest.approx(budget, rel=1e-12)
 
     def objective(units):

@@ -1,12 +1,17 @@
 """Full against reduced order: speeds, modes, bandwidth and the switching force."""
 
-import dataclasses
-import itertools
 import math
 from concurrent.futures import Executor
 
 import numpy as np
 import pytest
+from order_cases import (
+    BRIEF,
+    FORCE,
+    NAMES,
+    POSTURE,
+    rows,
+)
 
 from kneexo.analysis import simulate
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
@@ -20,7 +25,6 @@ from kneexo.parameters.paths import changed
 from kneexo.studies.order.figures import figures
 from kneexo.studies.order.report import report
 from kneexo.studies.order.study import (
-    OrderResult,
     OrderSettings,
     frequency_row,
     in_order,
@@ -34,7 +38,6 @@ from kneexo.sweeps.checkpoint import Checkpoint
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
 AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)
 MEAN_AREA = 0.5 * (AREA_1 + AREA_2)
-LAG = 0.010
 FLOW = 0.8e-6 * 5000.0 / 60.0 / 6.0
 TABLE_1 = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)
 TIGHT = {"plant.pump.internal_leakage_m3_per_s_pa": 0.0}
@@ -119,29 +122,8 @@ def test_no_linear_loop_is_said_in_words():
 
 # ------------------------------------------------------------------------ one small comparison
 
-FORCE, POSTURE = 300.0, 40.0
-BRIEF = changed(
-    UNCERTAIN_KNEE,
-    {
-        "reference": {"kind": "sine", "mean_deg": 40.0, "amplitude_deg": 10.0, "frequency_hz": 2.0},
-        "simulation.duration_s": 3.198,
-        # Under `FORCE` P_1 passes the relief pressure now and then; little flows back.
-        "plant.full_order": {
-            "reservoir_pressure_pa": 0.25e6,
-            "relief_pressure_pa": 1.09e6,
-            "relief_conductance_m3_per_s_pa": 1e-12,
-        },
-    },
-)
+
 FULL = dict(BRIEF.plant.full_order)
-SMALL = OrderSettings(
-    disturbances_n=(0.0, FORCE), postures_deg=(POSTURE,), switching_forces_n=(16.0,)
-)
-
-
-@pytest.fixture(scope="module")
-def small():
-    return order_study(BRIEF, SMALL)
 
 
 def plant_of(order, force, weight=True):
@@ -302,16 +284,6 @@ def comparison(tmp_path_factory):
     return result, path
 
 
-def rows(part, **labels):
-    return [row for row in part if all(row[k] == v for k, v in labels.items())]
-
-
-def assert_line(line, x, y):
-    """Abscissae and ordinates of a line are those of its row."""
-    assert line[0] == pytest.approx(list(x))
-    assert line[1] == pytest.approx(list(y))
-
-
 @pytest.mark.slow
 def test_tracking_error_of_the_full_order_is_that_of_its_area(comparison):
     result, _ = comparison
@@ -362,79 +334,6 @@ def test_comparison_resumes_and_draws(comparison):
 
 # ------------------------------------------------------- report and figures, by hand-made rows
 
-NAMES = {
-    "tracking": (
-        *("max_error_deg", "rms_error_deg", "mean_command_change_rpm", "saturated_share"),
-        *("load_pressure_min_mpa", "load_pressure_max_mpa", "cap_min_mpa", "cap_max_mpa"),
-        *("rod_side_min_mpa", "rod_side_max_mpa"),
-    ),
-    "speeds": ("saturated_share", "rod_speed_mm_s"),
-    "switching": (
-        *("velocity_swing_mm_s", "velocity_rms_mm_s", "load_pressure_swing_mpa"),
-        "max_error_deg",
-    ),
-    "frequency": (
-        *("rod_force_n", "mode_hz", "mode_damping", "phase_margin_deg", "gain_margin"),
-        *("delay_margin_ms", "disk_margin", "bandwidth_hz"),
-        "complementary_sensitivity_bandwidth_hz",
-    ),
-    "bandwidth": ("bandwidth_hz",),
-}
-"""The numbers of a row in each part; no two of all rows are equal."""
-
-
-@pytest.fixture(scope="module")
-def by_hand():
-    counter = itertools.count(1)
-
-    def row(part, **labels):
-        values = {name: round(0.00617 * next(counter), 5) for name in NAMES[part]}
-        values |= {name: value / 5.0 for name, value in values.items() if "share" in name}
-        if labels.get("order") == "full":
-            gone = [name for name in values if name.startswith("load_pressure")]
-        else:
-            gone = [name for name in values if name.startswith(("cap", "rod_side"))]
-        return labels | {k: v for k, v in values.items() if k not in gone}
-
-    loads, postures = (0.0, 60.0, -60.0), (10.0, 40.0, 70.0)
-    both = [(order, load) for load in loads for order in ("reduced", "full")]
-    tracking = [row("tracking", order=o, disturbance_n=f) for o, f in both]
-    for n, one in enumerate(tracking):
-        names = ("load_pressure",) if one["order"] == "reduced" else ("cap", "rod_side")
-        one["trace"] = {
-            "time_s": [0.0, 1.0, 2.0],
-            "error_deg": [0.1 + n, 0.2 + n, 0.3 + n],
-            "pressures_mpa": {name: [n + 0.5, n + 0.6, len(name)] for name in names},
-        }
-    frequency = [
-        row("frequency", order=o, disturbance_n=f, posture_deg=p, stable=True, failure="")
-        for o, f in both
-        for p in postures
-    ]
-    for n, one in enumerate(frequency):
-        one["trace"] = {"frequencies_hz": [1.0, 10.0], "plant_gain_m": [1e-3 * (n + 1), 2e-5 * n]}
-    lost = dict.fromkeys(NAMES["frequency"][3:], math.nan)
-    frequency[0] |= dict.fromkeys(NAMES["frequency"][-2:], math.nan)
-    frequency[1] |= lost | {"stable": False}
-    frequency[2] |= lost | {"stable": None, "failure": "no rest"}
-    return OrderResult(
-        tracking=tuple(tracking),
-        speeds=tuple(
-            row("speeds", order=o, force_n=60.0, direction=d)
-            for o in ("reduced", "full")
-            for d in ("in", "out")
-        ),
-        switching=tuple(
-            row("switching", force_n=f, direction=d, oscillates=d == "in" and f == 16.0)
-            for d in ("in", "out")
-            for f in (6.0, 16.0)
-        ),
-        frequency=tuple(frequency),
-        bandwidth=tuple(row("bandwidth", order=o, disturbance_n=f, failure="") for o, f in both),
-        scenario=UNCERTAIN_KNEE,
-        settings=OrderSettings(disturbances_n=loads, postures_deg=postures),
-    )
-
 
 def test_results_are_the_rows_without_their_traces(by_hand, flat, check_rules):
     numbers = by_hand.results()
@@ -444,198 +343,6 @@ def test_results_are_the_rows_without_their_traces(by_hand, flat, check_rules):
         for part in NAMES
     }
     assert flat(numbers) == pytest.approx(flat(expected), nan_ok=True)
-
-
-@pytest.fixture(params=["by_hand", "small"])
-def study(request):
-    """Rows by hand, and those of a run."""
-    return request.getfixturevalue(request.param)
-
-
-def limits(row, name):
-    """Least and largest pressure, to a thousandth of a MPa; empty where the order has none."""
-    ends = [row.get(f"{name}_{end}_mpa") for end in ("min", "max")]
-    return "" if ends[0] is None else f"{ends[0]:.3f}…{ends[1]:.3f}"
-
-
-def small_signal(row, name):
-    if row["failure"] or not row["stable"]:
-        return row["failure"] or "unstable"
-    return "none below Nyquist" if math.isnan(row[name]) else row[name]
-
-
-def test_every_cell_of_the_report_is_in_its_row(study, tables, check_cells):
-    tracking, speeds, bandwidth, frequency, switching = tables(report(study))
-
-    def case(row):
-        return {"order": row["order"], "disturbance (N)": row["disturbance_n"]}
-
-    check_cells(
-        tracking,
-        [
-            case(row)
-            | {
-                "rms error (deg)": row["rms_error_deg"],
-                "largest error (deg)": row["max_error_deg"],
-                "change of command (rpm/sample)": row["mean_command_change_rpm"],
-                "P_L (MPa)": limits(row, "load_pressure"),
-                "P_1 (MPa)": limits(row, "cap"),
-                "P_2 (MPa)": limits(row, "rod_side"),
-            }
-            for row in study.tracking
-        ],
-    )
-    check_cells(
-        speeds,
-        [
-            {
-                "order": row["order"],
-                "force (N)": row["force_n"],
-                "direction": row["direction"],
-                "rod speed (mm/s)": row["rod_speed_mm_s"],
-                "saturated (%)": 100.0 * row["saturated_share"],
-            }
-            for row in study.speeds
-        ],
-    )
-    check_cells(
-        bandwidth, [case(row) | {"bandwidth (Hz)": row["bandwidth_hz"]} for row in study.bandwidth]
-    )
-    check_cells(
-        frequency,
-        [
-            case(row)
-            | {
-                "posture (deg)": row["posture_deg"],
-                "rod force (N)": row["rod_force_n"],
-                "mode (Hz)": row["mode_hz"],
-                "damping ratio": row["mode_damping"],
-                "phase margin (deg)": row["phase_margin_deg"],
-                "gain margin": row["gain_margin"],
-                "delay margin (ms)": row["delay_margin_ms"],
-                "disk margin": row["disk_margin"],
-                "small-signal −3 dB, with feedforward (Hz)": small_signal(row, "bandwidth_hz"),
-                "complementary sensitivity −3 dB (Hz)": small_signal(
-                    row, "complementary_sensitivity_bandwidth_hz"
-                ),
-            }
-            for row in study.frequency
-        ],
-    )
-    check_cells(
-        switching,
-        [
-            {
-                "force (N)": row["force_n"],
-                "direction": row["direction"],
-                "swing of the rod's velocity (mm/s)": row["velocity_swing_mm_s"],
-                "swing of P_L (MPa)": row["load_pressure_swing_mpa"],
-                "largest error (deg)": row["max_error_deg"],
-            }
-            for row in study.switching
-        ],
-    )
-    rate = study.settings.switching_rate_deg_s
-    assert f"## Near the switching force, full order, {rate:g} deg/s\n" in report(study)
-
-
-def test_the_findings_have_the_extremes_of_each_order(study):
-    text = report(study)
-    for part, name, form in (
-        ("tracking", "rms_error_deg", ".3f"),
-        ("speeds", "rod_speed_mm_s", ".1f"),
-        ("bandwidth", "bandwidth_hz", ".3f"),
-        ("frequency", "mode_hz", ".0f"),
-        ("frequency", "mode_damping", ".2g"),
-        ("frequency", "phase_margin_deg", ".1f"),
-        ("frequency", "disk_margin", ".2f"),
-    ):
-        extremes = []
-        for order in ("reduced", "full"):
-            values = [row[name] for row in getattr(study, part) if row["order"] == order]
-            ends = sorted({f"{f(values):{form}}" for f in (np.nanmin, np.nanmax)}, key=float)
-            extremes.append(f"{order} {'…'.join(ends)}")
-        assert ", ".join(extremes) in text
-    assert "the paper measured 0.21 Hz" in text
-    assert study.oscillating_n("in") == [16.0]
-    assert study.oscillating_n("out") == []
-    assert "oscillates at 16…16 N when it retracts" in text
-    assert "oscillates at none of the forces when it extends" in text
-
-
-def test_the_zone_of_oscillation_is_compared_with_what_lies_beside_it(by_hand):
-    # Forces of 6 and 16 N, inward and outward; it oscillates at 16 N inward alone.
-    beside, inside, *_ = by_hand.switching
-    numbers = (
-        f"swings by up to {inside['velocity_swing_mm_s']:.0f} mm/s and "
-        f"P_L by {inside['load_pressure_swing_mpa']:.2f} MPa, but the error is at most "
-        f"{inside['max_error_deg']:.2f} deg, beside the zone {beside['max_error_deg']:.2f} deg"
-    )
-    assert numbers in report(by_hand)
-    still = dataclasses.replace(by_hand, switching=(beside,))
-    assert "beside the zone" not in report(still)
-
-
-def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
-    drawn = figures(study)
-    assert set(drawn) == {"order_tracking", "order_switching", "order_frequency"}
-    pressures = {"P_L, reduced": "load_pressure", "P_1, full": "cap", "P_2, full": "rod_side"}
-    loads = study.settings.disturbances_n
-    panels = np.reshape(drawn["order_tracking"].axes, (len(loads), 2))
-    for (error, pressure), load in zip(panels, loads, strict=True):
-        assert error.get_title() == f"disturbance {load:g} N"
-        assert (error.get_ylabel(), pressure.get_ylabel()) == ("error (deg)", "pressure (MPa)")
-        lines, shown = curves(error), curves(pressure)
-        cases = rows(study.tracking, disturbance_n=load)
-        assert set(lines) == {row["order"] for row in cases} == {"reduced", "full"}
-        assert set(shown) == set(pressures)
-        for row in cases:
-            trace = row["trace"]
-            assert_line(lines[row["order"]], trace["time_s"], trace["error_deg"])
-            for label, name in pressures.items():
-                if name in trace["pressures_mpa"]:
-                    assert_line(shown[label], trace["time_s"], trace["pressures_mpa"][name])
-        (zero,) = (line for line in error.lines if line.get_label().startswith("_"))
-        assert list(zero.get_ydata()) == [0.0, 0.0]
-    assert [ax.get_xlabel() for ax in panels[-1]] == ["time (s)", "time (s)"]
-    first = panels[0, 0]
-    assert all(first.get_shared_x_axes().joined(first, ax) for ax in panels.flat)
-    (ax,) = drawn["order_switching"].axes
-    lines = curves(ax)
-    for label, direction in (("retracting", "in"), ("extending", "out")):
-        cases = rows(study.switching, direction=direction)
-        swings = [row["velocity_swing_mm_s"] for row in cases]
-        assert_line(lines[label], [row["force_n"] for row in cases], swings)
-    (label,) = (label for label in lines if label.startswith("P_r"))
-    force = switching_force_n(study.scenario)
-    assert lines[label][0] == pytest.approx([force, force])
-    assert label == f"P_r(A_1 − A_2) = {force:.1f} N"
-    assert ax.get_xlabel() == "force on the rod (N)"
-    assert ax.get_ylabel() == "swing of the rod's velocity about v_d (mm/s)"
-    (ax,) = drawn["order_frequency"].axes
-    lines = curves(ax)
-    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_title()) == (
-        "frequency (Hz)",
-        "rod velocity per command (mm/rad)",
-        "plant at 40 deg",
-    )
-    cases = rows(study.frequency, posture_deg=40.0)
-    for row in cases:
-        trace = row["trace"]
-        gain = [1e3 * value for value in trace["plant_gain_m"]]
-        line = lines.pop(f"{row['order']}, {row['disturbance_n']:g} N")
-        assert_line(line, trace["frequencies_hz"], gain)
-    assert lines.pop("Nyquist, 250 Hz")[0] == pytest.approx([250.0, 250.0])
-    assert lines == {}
-    # An order has a colour, a load a dash: lines of two loads may coincide.
-    styles = {(line.get_color(), line.get_linestyle()) for line in ax.lines[: len(cases)]}
-    assert len(styles) == len(cases) == 2 * len(loads)
-
-
-def test_a_comparison_without_forces_has_dashes_in_its_report():
-    settings = OrderSettings(disturbances_n=(0.0,), switching_forces_n=(0.0,))
-    empty = OrderResult((), (), (), (), (), UNCERTAIN_KNEE, settings)
-    assert "Rod speed at the limit in mm/s: reduced –, full –." in report(empty)
 
 
 # ------------------------------------------------------------------------------ bad input

@@ -13,6 +13,15 @@ from functools import partial, reduce
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from robustness_cases import (
+    FEW,
+    REAL,
+    SAMPLED,
+    SMALL,
+    expected_summary,
+    merits,
+    uncertain,
+)
 from scipy.stats import spearmanr
 
 from kneexo.analysis.assessment import assess
@@ -24,19 +33,16 @@ from kneexo.parameters import (
     UNCERTAINTY,
     FullCylinderParameters,
     Scenario,
-    Uncertainty,
     UncertaintySet,
 )
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw
 from kneexo.simulation import engines
 from kneexo.studies.robustness import study as module
-from kneexo.studies.robustness.figures import figures
 from kneexo.studies.robustness.report import report
 from kneexo.studies.robustness.study import (
     MERITS,
     Assessment,
-    RobustnessSettings,
     assess_plant,
     failures,
     quantile,
@@ -47,35 +53,6 @@ from kneexo.studies.robustness.study import (
 )
 from kneexo.sweeps import parallel, parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint
-
-FEW = RobustnessSettings(
-    samples=40, corners_max=200, bandwidth=False, sensitivity_duration_s=0.0, nyquist_loops=3
-)
-
-
-def uncertain(**values):
-    """An uncertainty set; names with __ for the dots."""
-    return UncertaintySet(
-        values={path.replace("__", "."): Uncertainty(**one) for path, one in values.items()}
-    )
-
-
-SMALL = uncertain(
-    plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
-    plant__pump__lag_s={"low": 0.005, "high": 0.02, "scale": "log"},
-    bus__latency_samples={"options": (0, 1, 2)},
-)
-
-
-def merits(**changes):
-    """What `assess` returns, all well unless said otherwise."""
-    return {
-        **{name: 1.0 for name in MERITS if name != "bandwidth_hz"},
-        "stable": True,
-        "tracking_failure": "",
-        "margins_failure": "",
-        **changes,
-    }
 
 
 @pytest.fixture
@@ -127,10 +104,6 @@ def test_one_at_a_time_changes_one_value(formula):
     assert result.nominal.metrics["max_error_deg"] == 0.01
     # Nominal, one at a time, samples, corners: each once. The option that is nominal runs again.
     assert len(seen) == 1 + 7 + 40 + 12 == len(set(seen)) + 1
-
-
-def levels_of(one):
-    return one.options or (one.low, one.high)
 
 
 def share_of(path, one, scenario):
@@ -328,6 +301,7 @@ def test_reasons_that_differ_in_numbers_are_one():
 
 # --------------------------------------------------------------------------------- statistics
 
+
 OPTIONS = uncertain(a={"low": 0.0, "high": 1.0}, b={"options": ("x", "y", "z")})
 
 
@@ -397,24 +371,6 @@ def test_short_names_stay_apart():
 
 # ------------------------------------------------------------------------------- with the loop
 
-REAL = changed(
-    UNCERTAIN_KNEE,
-    {
-        "reference": {"kind": "sine", "amplitude_deg": 2.0, "frequency_hz": 4.0},
-        "simulation.duration_s": 0.3,
-    },
-)
-
-
-@pytest.fixture(scope="module")
-def real():
-    budget = FEW.model_copy(update={"samples": 4, "corners_max": 4, "sensitivity_duration_s": 0.1})
-    wide = uncertain(
-        plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
-        plant__pump__lag_s={"low": 0.0099, "high": 0.0101, "scale": "log"},
-    )
-    return robustness_study(REAL, wide, budget)
-
 
 def test_every_row_is_that_of_runs_and_margins_of_its_own_plant(real, in_numbers, margins):
     assessments = (real.nominal, *real.one_at_a_time, *real.samples, *real.corners)
@@ -437,18 +393,6 @@ def test_a_narrow_interval_moves_the_figures_as_the_local_sensitivity_says(real)
         assert linear == pytest.approx(high - low, rel=1e-3)
     assert set(real.local) >= {"rms_error_deg", "largest_eigenvalue", "gain_margin"}
     assert math.isnan(real.linear_effect("max_error_deg", "plant.pump.lag_s"))
-
-
-@pytest.mark.slow
-def test_every_figure_can_be_drawn(real):
-    drawn = figures(real)
-    for figure in drawn.values():
-        figure.canvas.draw()
-    key = [text.get_text() for text in drawn["robustness_importance"].legends[0].get_texts()]
-    assert key[:2] == ["more of the value is worse", "more of the value is better"]
-    marks = [text.get_text() for text in drawn["robustness_tornado"].legends[0].get_texts()]
-    assert marks == ["low end", "high end", "nominal"]
-    assert "None of the 4 samples fails or is unstable." in report(real)
 
 
 def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
@@ -484,6 +428,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
 
 
 # ------------------------------------------------------------- the same, however it is run
+
 
 BLIND = changed(Scenario(), {"plant.knee.flexion_max_deg": 70.0, "simulation.duration_s": 6.0})
 MISMOUNTED = uncertain(
@@ -539,3 +484,44 @@ def test_a_reference_that_does_not_move_has_no_bandwidth(formula):
     step = changed(UNCERTAIN_KNEE, {"reference": {"kind": "step"}})
     result = robustness_study(step, SMALL, FEW.model_copy(update={"bandwidth": True}))
     assert "bandwidth_hz" not in result.merits
+
+
+def test_the_summary_of_each_figure_is_that_of_its_visits(by_hand, flat, check_rules):
+    numbers = by_hand.results()
+    check_rules(numbers)
+    assert list(numbers["metrics"]) == list(MERITS)
+    for merit, own in numbers["metrics"].items():
+        names = ("nominal", "median", "percentile_5", "percentile_95")
+        values = [own[name] for name in names]
+        values += [own[f"worst_{kind}"]["value"] for kind in ("sample", "corner")]
+        expected = expected_summary(merit)
+        if merit == "max_error_deg":  # a figure that is missing has no number
+            expected[4] = math.nan
+        assert values == pytest.approx(expected, nan_ok=True), merit
+        assert own["failed_samples"] == (merit == "max_error_deg")
+        assert own["failed_corners"] == 0
+        high = MERITS[merit].sign_of_worse > 0.0
+        at_worst = by_hand.samples[3 if merit == "max_error_deg" else 2 if high else 1]
+        assert own["worst_sample"]["values"] == at_worst.values
+        assert own["worst_corner"]["values"] == by_hand.corners[0 if high else 1].values
+    assert numbers["share_within_worst_sample_at_95_percent_confidence"] == pytest.approx(
+        0.05 ** (1 / 5)
+    )
+    assert numbers["failures"]["samples"] == [
+        {"count": 1, "example": "t = 1 s: out of range", "values": by_hand.samples[3].values}
+    ]
+    assert numbers["failures"]["corners"] == numbers["failures"]["one_at_a_time"] == []
+    assert (numbers["corners_visited"], numbers["corners_possible"]) == (3, 12)
+    for kind in ("samples", "corners", "one_at_a_time"):
+        assessments = getattr(by_hand, kind)
+        expected = [{"values": dict(v.values)} | v.metrics for v in assessments]
+        assert flat(numbers[kind]) == pytest.approx(flat(expected), nan_ok=True)
+    assert numbers["nominal"] == by_hand.nominal.metrics
+    assert numbers["local_sensitivity"] == by_hand.local
+    for merit, own in numbers["rank_correlation"].items():
+        values = SAMPLED.copy()
+        if merit == "max_error_deg":
+            values[3] = math.inf
+        for n, path in enumerate(("plant.cylinder.mass_kg", "plant.pump.lag_s")):
+            x = [(1.50, 1.45, 1.60, 1.75, 1.65), (0.012, 0.007, 0.019, 0.011, 0.009)][n]
+            assert own[path] == pytest.approx(spearmanr(x, values).statistic)

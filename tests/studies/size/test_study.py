@@ -9,6 +9,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from size_cases import (
+    SMALL,
+)
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.hardware import (
@@ -31,22 +34,10 @@ from kneexo.studies.paper import PID_TUNED
 from kneexo.studies.size import study as size
 from kneexo.studies.size.figures import figures
 from kneexo.studies.size.report import report
-from kneexo.studies.size.settings import SizeSettings
 from kneexo.studies.size.study import size_study, smallest
 from kneexo.sweeps.checkpoint import Checkpoint
 
 matplotlib.use("Agg")
-
-SMALL = SizeSettings(
-    factors=(0.5, 1.0, 2.0),
-    walking_factors=(0.5, 1.0, 1.5),
-    stride_frequencies_hz=(1.0,),
-    lambda_per_s=(20.0, 80.0),
-    slope_per_s=(5e4,),
-    observer_s=(0.02,),
-    search_tolerance=0.02,
-    wearer_torques_n_m=(0.0, 10.0),
-)
 
 
 # ---------------------------------------------------------------------------------- search
@@ -99,25 +90,6 @@ def test_what_cannot_be_sized_is_refused(scenario, told):
     with pytest.raises(ParameterError, match=told) as caught:
         size_study(scenario, SMALL)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        ({"factors": (1.0, 1.0)}, "factors: must increase"),
-        ({"walking_factors": (2.0, 1.0)}, "walking_factors: must increase"),
-        ({"factors": ()}, "factors has 0 values: must have at least 1"),
-        (
-            {"acceleration_limit_min_rad_s2": 1e5},
-            "acceleration_limit_min_rad_s2 = 100000 rad/s² must be below",
-        ),
-        ({"cycles": 1}, "cycles = 1 is out of range: must be finite and >= 2 and <= 1000"),
-    ],
-)
-def test_settings_that_contradict_themselves_are_refused(values, told):
-    with pytest.raises(ParameterError) as caught:
-        SizeSettings(**values)
-    assert told in str(caught.value)
 
 
 # ------------------------------------------------------------------------------ whole study
@@ -201,12 +173,6 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
     assert result.walking_map_deg == pytest.approx(worst, rel=1e-3)
     assert result.traces["nominal"]["error"] == pytest.approx(0.5 * 2.0 * 10.0 * 4.0)
     assert result.traces["sized"]["error"] == pytest.approx(2.0 / 1.1, rel=1e-3)
-
-
-@pytest.fixture(scope="module")
-def study(tmp_path_factory):
-    path = tmp_path_factory.mktemp("sizing") / "checkpoint"
-    return size_study(settings=SMALL, checkpoint=Checkpoint(path)), path
 
 
 @pytest.mark.slow
@@ -299,14 +265,6 @@ def test_a_study_that_goes_on_from_a_checkpoint_is_the_same(study):
     assert to_json(again.results()) == to_json(result.results())
     for name, trace in result.traces.items():
         assert all(np.array_equal(again.traces[name][key], trace[key]) for key in trace)
-
-
-@pytest.mark.slow
-def test_every_figure_can_be_drawn(study):
-    result, _ = study
-    assert "nan" not in report(result)
-    for figure in figures(result).values():
-        figure.canvas.draw()
 
 
 @pytest.mark.slow

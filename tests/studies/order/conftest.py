@@ -1,0 +1,87 @@
+"""Results of the order study that several test files read."""
+
+import itertools
+import math
+
+import pytest
+from order_cases import (
+    BRIEF,
+    FORCE,
+    NAMES,
+    POSTURE,
+)
+
+from kneexo.parameters import UNCERTAIN_KNEE
+from kneexo.studies.order.study import (
+    OrderResult,
+    OrderSettings,
+    order_study,
+)
+
+SMALL = OrderSettings(
+    disturbances_n=(0.0, FORCE), postures_deg=(POSTURE,), switching_forces_n=(16.0,)
+)
+
+
+@pytest.fixture(scope="session")
+def small():
+    return order_study(BRIEF, SMALL)
+
+
+@pytest.fixture(scope="session")
+def by_hand():
+    counter = itertools.count(1)
+
+    def row(part, **labels):
+        values = {name: round(0.00617 * next(counter), 5) for name in NAMES[part]}
+        values |= {name: value / 5.0 for name, value in values.items() if "share" in name}
+        if labels.get("order") == "full":
+            gone = [name for name in values if name.startswith("load_pressure")]
+        else:
+            gone = [name for name in values if name.startswith(("cap", "rod_side"))]
+        return labels | {k: v for k, v in values.items() if k not in gone}
+
+    loads, postures = (0.0, 60.0, -60.0), (10.0, 40.0, 70.0)
+    both = [(order, load) for load in loads for order in ("reduced", "full")]
+    tracking = [row("tracking", order=o, disturbance_n=f) for o, f in both]
+    for n, one in enumerate(tracking):
+        names = ("load_pressure",) if one["order"] == "reduced" else ("cap", "rod_side")
+        one["trace"] = {
+            "time_s": [0.0, 1.0, 2.0],
+            "error_deg": [0.1 + n, 0.2 + n, 0.3 + n],
+            "pressures_mpa": {name: [n + 0.5, n + 0.6, len(name)] for name in names},
+        }
+    frequency = [
+        row("frequency", order=o, disturbance_n=f, posture_deg=p, stable=True, failure="")
+        for o, f in both
+        for p in postures
+    ]
+    for n, one in enumerate(frequency):
+        one["trace"] = {"frequencies_hz": [1.0, 10.0], "plant_gain_m": [1e-3 * (n + 1), 2e-5 * n]}
+    lost = dict.fromkeys(NAMES["frequency"][3:], math.nan)
+    frequency[0] |= dict.fromkeys(NAMES["frequency"][-2:], math.nan)
+    frequency[1] |= lost | {"stable": False}
+    frequency[2] |= lost | {"stable": None, "failure": "no rest"}
+    return OrderResult(
+        tracking=tuple(tracking),
+        speeds=tuple(
+            row("speeds", order=o, force_n=60.0, direction=d)
+            for o in ("reduced", "full")
+            for d in ("in", "out")
+        ),
+        switching=tuple(
+            row("switching", force_n=f, direction=d, oscillates=d == "in" and f == 16.0)
+            for d in ("in", "out")
+            for f in (6.0, 16.0)
+        ),
+        frequency=tuple(frequency),
+        bandwidth=tuple(row("bandwidth", order=o, disturbance_n=f, failure="") for o, f in both),
+        scenario=UNCERTAIN_KNEE,
+        settings=OrderSettings(disturbances_n=loads, postures_deg=postures),
+    )
+
+
+@pytest.fixture(params=["by_hand", "small"])
+def study(request):
+    """Rows by hand, and those of a run."""
+    return request.getfixturevalue(request.param)

@@ -1,0 +1,173 @@
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from size_cases import (
+    ACCELERATION,
+    AREA_MM2,
+    FLOW,
+    SETTINGS,
+    SPEED_MM_S,
+)
+
+from kneexo.analysis.hardware import (
+    DISPLACEMENT,
+    scaled,
+    tuned,
+)
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.command_line.output import to_json
+from kneexo.parameters import UNCERTAIN_KNEE
+
+FLOW_L_MIN = 0.8e-3 * 5000.0 / 6.0
+
+
+def demanded(frequency, factor):
+    """What `demand` says, in the units of the results."""
+    ratio = 6700.0 * factor / (5000.0 * math.pi / 30.0)
+    start = math.asin(0.25)  # ∫ max(sin + ¼, 0) = ¼ (π + 2 asin ¼) + 2 cos asin ¼
+    positive = (0.25 * (math.pi + 2.0 * start) + 2.0 * math.cos(start)) / (2.0 * math.pi)
+    return {
+        "frequency_hz": frequency,
+        "peak_knee_rate_deg_s": 301.0 * factor,
+        "peak_rod_speed_mm_s": 620.0 * factor,
+        "flow_factor": ratio,
+        "peak_rod_acceleration_m_s2": 6.3 * factor,
+        "peak_motor_acceleration_rad_s2": 68000.0 * factor / ratio,
+        "peak_flow_l_min": 9.96 * factor,
+        "peak_rod_force_n": 64.0 * factor,
+        "peak_pressure_mpa": 0.65 * factor,
+        "peak_shaft_power_w": 69.0 * factor,
+        "delivered_energy_j": 69.0 * factor * positive / 1.25 / frequency,
+        "net_energy_j": 69.0 * factor * 0.2 / frequency,
+    }
+
+
+def test_the_demand_is_in_the_units_of_its_names(sized, flat, check_rules):
+    numbers = sized.results()
+    check_rules(numbers)
+    expected = {
+        "demand": [demanded(1.0, 1.0), demanded(0.8, 0.7)],
+        "demand_with_segment_inertia": [demanded(1.0, 1.1), demanded(0.8, 0.9)],
+        "demand_by_wearer_torque_n_m": {"0": demanded(1.0, 1.3), "10": demanded(1.0, 1.7)},
+    }
+    shown = {key: numbers[key] for key in expected}
+    # The trapezoids of the sampled stride are good for 1e-3.
+    assert flat(shown) == pytest.approx(flat(expected), rel=1e-3)
+
+
+def test_limits_are_those_of_pump_gear_and_piston(sized):
+    numbers = sized.results()["limits"]
+    # Eq. 10 with Table 1: half of 139.05 − 38.92 mm, on G1 to 0.2 mm.
+    amplitude = 0.5 * (139.05 - 38.92)
+    assert numbers["rod_amplitude_mm"] == pytest.approx(amplitude, abs=0.2)
+    assert numbers["rod_speed_limit_mm_s"] == pytest.approx(SPEED_MM_S, rel=1e-9)
+    motor = 5000.0 * math.pi / 30.0
+    limit = UNCERTAIN_KNEE.plant.pump.acceleration_limit_rad_s2
+    assert numbers["rod_acceleration_limit_m_s2"] == pytest.approx(
+        1e-3 * SPEED_MM_S * limit / motor, rel=1e-9
+    )
+    ratio = motor * SPEED_MM_S / numbers["rod_amplitude_mm"]
+    assert numbers["acceleration_limit_one_percent_rad_s2"] == pytest.approx(7.27 * ratio, rel=1e-9)
+    assert numbers["acceleration_limit_alone_rad_s2"] == pytest.approx(0.73 * ratio, rel=1e-9)
+
+
+def test_a_design_tells_every_way_to_its_flow(sized):
+    for design, one, share in zip(
+        sized.results()["designs"], sized.designs, (1.0, 2.0), strict=True
+    ):
+        factor = FLOW * share
+        expected = {
+            "frequency_hz": one.frequency_hz,
+            "flow_factor": factor,
+            "rod_speed_limit_mm_s": SPEED_MM_S * factor,
+            "rod_acceleration_limit_m_s2": 1e-3
+            * SPEED_MM_S
+            * factor
+            * ACCELERATION
+            * share
+            * UNCERTAIN_KNEE.plant.pump.acceleration_limit_rad_s2
+            / (5000.0 * math.pi / 30.0),
+            "flow_at_speed_limit_l_min": FLOW_L_MIN * factor,
+            "acceleration_limit_rad_s2": ACCELERATION * share * 1e4,
+            "displacement_cm3_per_rev": 0.8 * factor,
+            "or_gear_ratio": 6.0 / factor,
+            "or_motor_speed_limit_rpm": 5000.0 * factor,
+            # Without the gear, the piston that the paper's motor moves as fast: 6/flow of ours.
+            "or_piston_area_without_gear_mm2": AREA_MM2 * 6.0 / factor,
+            "rated_force_of_that_piston_n": AREA_MM2 * 6.0 / factor * 3.5,
+        }
+        assert {name: design[name] for name in expected} == pytest.approx(expected, rel=1e-9)
+        assert design["flow_search"] == vars(one.flow)
+        assert design["acceleration_search"] == vars(one.acceleration)
+        assert design["walking"] == one.walking
+        assert design["checked"] == one.checked
+        assert design["halved_step"] == one.halved
+        assert design["step_agreement"] == pytest.approx(
+            {
+                "max_error_deg": 0.02,
+                "peak_pressure_mpa": 0.02,
+                "peak_shaft_power_w": 0.05,
+                "delivered_energy_j": 0.02,
+            }
+        )
+
+
+def test_the_controller_is_asked_for_what_the_lag_takes(sized):
+    numbers = sized.results()["controller"]
+    beta = math.sqrt(1.8 / 1.4)
+    stiffness = 4.0 * 1.72e9 * (1e-6 * AREA_MM2) ** 2 / (math.sqrt(1.4 * 1.8) * 41_233e-9)
+    assert numbers["authority_m_s3"] == pytest.approx(beta * 2.8e5, rel=1e-9)
+    assert numbers["slope_per_s"] == pytest.approx(beta * 2.8e5 / 3.2, rel=1e-9)
+    assert numbers["authority_asked_m_s3"] == pytest.approx(stiffness * 0.011 * 6.3, rel=1e-4)
+    # The stride is one small sine about 40°.
+    ample = scaled(UNCERTAIN_KNEE, {DISPLACEMENT: SETTINGS.largest_flow_factor})
+    for name, scenario in (
+        ("linear_error_deg", ample),
+        ("linear_error_tuned_deg", tuned(ample, sized.best_gains)),
+    ):
+        error = 0.01 * abs(linearize_loop(scenario, 40.0).output_response(1.0)[0] - 1.0)
+        assert numbers[name] == pytest.approx(error, rel=2e-3)
+
+
+def test_what_was_measured_is_in_the_results_as_it_is(sized, flat):
+    numbers = json.loads(to_json(sized.results()))
+    plain = json.loads(
+        to_json(
+            {
+                "nominal": sized.nominal,
+                "gains": sized.gains,
+                "best_gains": sized.best_gains,
+                "steps": sized.steps,
+                "design_at_reference": sized.design_at_reference,
+                "variations": sized.variations,
+                "bandwidth_map": {
+                    "factors": [0.5, 1.0, 2.0],
+                    "bandwidth_hz": sized.bandwidth_map_hz,
+                },
+                "walking_map": {
+                    "factors": [0.5, 1.0, 1.25, 1.5],
+                    "max_error_deg": sized.walking_map_deg,
+                },
+                "walking_sweeps": {
+                    path: [
+                        {"factor": factor} | one
+                        for factor, one in zip((0.5, 1.0, 1.25, 1.5), sweep, strict=True)
+                    ]
+                    for path, sweep in sized.walking_sweeps.items()
+                },
+            }
+        )
+    )
+    assert flat({key: numbers[key] for key in plain}) == flat(plain)
+    # Tables 2 and 3: rpm, cm³/rev, 1, rad/s², ms, counts/rev.
+    for (path, sweep), value in zip(
+        numbers["sweeps"].items(), (5000.0, 0.8, 6.0, 1e4, 10.0, 4096.0), strict=True
+    ):
+        measured = json.loads(to_json(sized.sweeps[path]))
+        for factor, row, own in zip((0.5, 1.0, 2.0), sweep, measured, strict=True):
+            assert row.pop("factor") == factor
+            assert row.pop("value") == pytest.approx(factor * value, rel=1e-9)
+            assert row == own
