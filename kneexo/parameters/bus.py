@@ -9,7 +9,7 @@ from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, quantity
 
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
-"""Smallest and largest target velocity that a drive accepts, in units of its 32-bit integer."""
+"""Smallest and largest 32-bit integer, the range of a drive's target velocity."""
 
 
 def _latency(default: int, source: str) -> Any:

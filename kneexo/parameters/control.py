@@ -137,7 +137,7 @@ class SlidingModeParameters(Parameters):
 
 
 class PidParameters(Parameters):
-    """PID controller of the knee angle. Its output is a motor speed."""
+    """PID controller of the knee angle. The controller's output is a motor speed."""
 
     kind: Literal["pid"] = "pid"
     sample_time_s: float = _sample_time()

@@ -52,13 +52,13 @@ class LinkageParameters(Parameters):
     rod_anchor_angle_rad: float = _angle(-97.3807)
     """θ_rod of Eq. 9, the direction of the cylinder's pin from the origin."""
     rod_length_m: float = _length(231.3769e-3)
-    """L_0, the distance of the pins of rod and cylinder at x = 0; the paper does not print it."""
+    """L_0, the distance of the pins of rod and cylinder at x = 0, not printed in the paper."""
     branch: Literal[-1, 1] = choice(
         -1, "assembly branch, the sign of sin(θ_4 − θ_2); the paper never states it"
     )
 
     def __repr__(self) -> str:
-        """Return the name of a linkage in `LINKAGES`, else code with the values unlike G1's."""
+        """Return the name of a linkage in `LINKAGES`, else code with the values unlike `G1`."""
         names = (name for name, linkage in LINKAGES.items() if linkage == self)
         return next(names, None) or super().__repr__()
 

@@ -52,7 +52,7 @@ def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
 
 
 def has_path(scenario: Scenario, path: str) -> bool:
-    """Return whether the parts that ``scenario`` has include a value at a dotted path."""
+    """Return whether ``scenario``, with the parts that it has now, has a value at a dotted path."""
     holder: Any = scenario
     for name in path.split("."):
         if not isinstance(holder, Parameters) or name not in type(holder).model_fields:

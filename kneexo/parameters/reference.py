@@ -20,7 +20,7 @@ def _flexion(default: float, source: str) -> Any:
     return quantity(default, "deg", source, ge=-2, le=91)
 
 
-_SHORTEST_RAMP_S = 1e-3  # its third power divides the jerk
+_SHORTEST_RAMP_S = 1e-3  # the jerk of the reference is divided by the third power of ``ramp_s``
 _SHORTEST_SAMPLE_S = 1e-6
 LONGEST_TIME_S = 1e5
 """Largest magnitude of a sample's time in s; times can be negative."""

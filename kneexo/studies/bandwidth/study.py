@@ -62,7 +62,7 @@ class BandwidthSettings(Parameters):
     _increasing = field_validator("amplitudes_deg", "frequencies_hz")(require_increasing)
 
 
-_LEAST_GAIN = 1e-12  # as of a sine between two counts of the encoder
+_LEAST_GAIN = 1e-12  # lower limit for decibels; the knee may not move within a count of the encoder
 _LIMITS = {
     "follower_hz": "speed limit",
     "acceleration_bound_hz": "acceleration limit",
@@ -260,7 +260,7 @@ def bandwidth_study(
     amplitudes, frequencies = settings.amplitudes_deg, np.array(settings.frequencies_hz)
     mean_deg = require_sine(scenario).mean_deg
     require_sampled(frequencies[-1], scenario)
-    at = [changed(scenario, {"reference.amplitude_deg": a}) for a in amplitudes]  # checks them
+    at = [changed(scenario, {"reference.amplitude_deg": a}) for a in amplitudes]  # may raise
     quantized = scenario.quantized
     cells: list[_Item] = [(a, f, quantized) for a in amplitudes for f in settings.frequencies_hz]
     small: list[_Item] = [(amplitudes[0], f, False) for f in settings.frequencies_hz if quantized]

@@ -234,7 +234,7 @@ def _design(design: WalkingDesign, scenario: Scenario) -> dict[str, Any]:
         "rod_acceleration_limit_m_s2": acceleration,
         "flow_at_speed_limit_l_min": 6e4 * speed * cylinder.mean_area_m2,
         "acceleration_limit_rad_s2": pump.acceleration_limit_rad_s2,
-        # ways to that flow, each with everything else as it is
+        # Each of the next values alone gives this flow, with all other values unchanged.
         "displacement_cm3_per_rev": HARDWARE[DISPLACEMENT][2] * pump.displacement_m3_per_rad,
         "or_gear_ratio": printed.gear_ratio / flow,
         "or_motor_speed_limit_rpm": to_rpm(printed.speed_limit_rad_s * flow),

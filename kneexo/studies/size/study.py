@@ -339,7 +339,7 @@ def _design(
     sized_flow = settings.margin * flow.value
     acceleration = smallest(lambda a: error_deg(sized_flow, a), low, high, **needed)
     design = sized(sized_flow, settings.margin * acceleration.value)
-    check = settings.check_step_s  # which the oil's mode needs
+    check = settings.check_step_s  # small enough for the oil's mode
     solvers = [design, *(design.with_steps(step) for step in (check, 0.5 * check))]
     return WalkingDesign(frequency_hz, flow, acceleration, design, *run(walking, solvers))
 

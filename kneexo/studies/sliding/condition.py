@@ -171,7 +171,7 @@ async def check_sliding(
     measured["duration_s"] = float(run.time_s[-1])
     command = run["motor_speed_command_rad_s"]
     if not law.continuous:
-        command = command[1:]  # logged is what was held up to the sample
+        command = command[1:]  # a sample's log has the command that was held before the sample
     rows = np.arange(command.size)
     if scenario.estimator.kind == "exact":
         s = run["sliding_variable_m_s2"][rows]
