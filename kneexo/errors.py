@@ -30,7 +30,7 @@ class LinkageError(KneexoError, ValueError):
 
 
 class LinearizationError(KneexoError, ArithmeticError):
-    """A linearization fails: there is no equilibrium or no linear loop at this posture."""
+    """A linearization fails: there is no equilibrium or no linear loop at the requested posture."""
 
 
 class PackageError(KneexoError, ImportError):

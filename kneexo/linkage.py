@@ -22,7 +22,7 @@ from kneexo.parameters import LinkageParameters
 from kneexo.result import Array, Result
 
 FIT_RANGE_DEG = (-2.0, 91.0)
-"""Range of the knee angle in deg over which the rod can be inverted, wider than that of motion."""
+"""Knee angles in deg between which the rod can be inverted: range of motion and a margin."""
 
 RodAndArm = Callable[[Array], tuple[Array, Array]]
 """A function that returns rod extension and moment arm in m for knee angles in rad."""
@@ -168,7 +168,7 @@ def rod_extension(link: LinkageParameters, knee_angle: ArrayLike) -> Array:
 
 
 def moment_arm(link: LinkageParameters, knee_angle: ArrayLike) -> Array:
-    """Return the moment arm of the rod, r(θ_p) = −dx/dθ_p, in m. Raises as `pose` does."""
+    """Return the rod's moment arm r(θ_p) = −dx/dθ_p in m. Raises `LinkageError` as `pose` does."""
     return pose(link, knee_angle).moment_arm
 
 
@@ -186,7 +186,7 @@ def knee_angle_from_rod(link: LinkageParameters, extension: ArrayLike) -> Array:
 
 
 def exact_rod_and_arm(link: LinkageParameters, angle: Array) -> tuple[Array, Array]:
-    """Return rod extension and moment arm of the linkage in m; raises as `pose` does."""
+    """Return rod extension and moment arm of the linkage in m. Raises `LinkageError` as `pose`."""
     at = pose(link, angle)
     return at.rod_extension, at.moment_arm
 

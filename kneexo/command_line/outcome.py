@@ -94,7 +94,10 @@ class Delivery:
         return self._print(outcome)
 
     def interrupt_notice(self) -> str:
-        """Return a phrase that says where an interrupted command left results, if anywhere."""
+        """Return a phrase that says where an interrupted command left results or finished pieces.
+
+        Without results and pieces the phrase is "nothing was written".
+        """
         if self._written:
             return f"the results are in {shown(self.request.directory or self.request.file)}"
         return self.checkpoint_notice() or "nothing was written"

@@ -16,7 +16,7 @@ from kneexo.view.parts import ICR_COLOUR, depths_m, icr_path, look_at_legs
 from kneexo.view.pressure_colour import PressureColour
 
 PORTS = {"knee_angle": 1, "knee_reference": 4, "load_pressure": 1}
-"""Output ports of a leg that the view shows, with their sizes. Only the first is required."""
+"""Output ports of a leg that the view shows, with their sizes. Only ``knee_angle`` is required."""
 
 PERIOD_S = 1.0 / 32.0
 """Time between two pictures, in s."""

@@ -155,7 +155,7 @@ def _record(
 
 
 def _shank(linkage: LinkageParameters, knee_angle: Array) -> Placement:
-    """Return the placement of the shank's frame at knee angles; its x axis points to the ankle."""
+    """Return the placement of the shank's frame at knee angles in rad; x points to the ankle."""
     at = points(linkage, knee_angle)
     down = at["ankle"] - at["shank_start"]
     return Placement(at["shank_start"], down / np.abs(down))

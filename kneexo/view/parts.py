@@ -41,7 +41,7 @@ class Placement:
     """The positions and directions of one part in the knee's plane at n times."""
 
     middle: Points
-    """Middle of the part, (n,)."""
+    """Middle of the part at each time, (n,), a complex point of the knee's plane in m."""
     direction: Points | None = None
     """Unit vectors along the bar, (n,). None: a pin across the plane."""
     layer_m: float = 0.0

@@ -26,13 +26,13 @@ class Plan:
     parameters: Array
     """Values of the Context parameters."""
     state: State
-    """State before the initialization events."""
+    """Values of the states before the initialization events of the diagram."""
     members: tuple[str, ...]
     """Member of the C parameter struct for each Context parameter: see `parameter_members`."""
     inputs: tuple[Field, ...]
-    """Elements of the input ports, in their order."""
+    """Elements of the input ports in their order, one member of the C struct of inputs each."""
     outputs: tuple[Field, ...]
-    """Elements of the exported output ports."""
+    """Elements of the exported output ports, one member of the C struct of outputs each."""
     output_nodes: tuple[int, ...]
     """Node of the graph that computes each element of ``outputs``."""
     schedule: Schedule
@@ -59,7 +59,7 @@ class Plan:
 
 
 def step_nodes(equations: Equations, output_nodes: tuple[int, ...]) -> list[int]:
-    """Return the nodes of all updates, limits, derivatives and exported outputs."""
+    """Return the graph nodes of all updates, limits, derivatives and exported outputs."""
     updates = [node for update in equations.updates for _, node in update.values]
     limits = [limit.margin for limit in equations.limits]
     return [*updates, *limits, *equations.derivatives, *output_nodes]

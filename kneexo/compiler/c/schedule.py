@@ -17,14 +17,14 @@ _MOST_STEPS = 2**16 - 1  # an uint16_t counts them
 
 @dataclass(frozen=True)
 class Schedule:
-    """Times of a model in C: one call of ``NAME_step`` simulates one tick."""
+    """Times of a model in C, in which one call of ``NAME_step`` simulates one tick."""
 
     tick_s: float
     """Length of a tick in s: the sample time of the model."""
     periods: tuple[int, ...]
     """Period in ticks of each group of updates. A group has one sample time and one offset."""
     offsets: tuple[int, ...]
-    """First tick at which each group of updates is due."""
+    """First tick at which each group of updates with one sample time is due."""
     largest_step_s: float
     """Largest allowed step of the Runge-Kutta method in s."""
 

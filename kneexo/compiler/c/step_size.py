@@ -12,7 +12,7 @@ from ..native.runner import STEP_S
 from ..run_data import Array, State
 
 STEP_ANGLE = 0.2
-"""Largest product h·|λ| of the default step h of RK4 and the magnitude of an eigenvalue λ."""
+"""Largest product h·|λ| of the default RK4 step h and the magnitude of the fastest eigenvalue λ."""
 
 SHORTEST_STEP_S = 1e-7
 """Shortest default step in s. If a mode requires less, pass ``step_s`` or leave the mode out."""

@@ -19,7 +19,7 @@ from .source import CSource
 
 @dataclass(frozen=True)
 class Vectors:
-    """Inputs (steps, input elements) and expected outputs (steps, output elements) of each step."""
+    """Test vectors: inputs (steps, input elements), expected outputs (steps, output elements)."""
 
     inputs: Array
     outputs: Array

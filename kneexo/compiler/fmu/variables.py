@@ -42,7 +42,7 @@ class Variable:
     name: str
     causality: Causality
     variability: str
-    """``continuous``, ``tunable``, ``fixed`` or ``constant``."""
+    """How the value can change by FMI: ``continuous``, ``tunable``, ``fixed`` or ``constant``."""
     start: float | None = None
     description: str = ""
     low: float = -DOUBLE.largest
