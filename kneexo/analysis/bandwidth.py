@@ -93,7 +93,7 @@ def speed_limit_reached_hz(scenario: Scenario) -> float:
 def follower_response(scenario: Scenario, frequency_hz: float) -> complex:
     """Return the knee's response to the scenario's sine if the rod's only limit is its speed.
 
-    The rod equals the rod extension of the reference, except where its speed limit prevents it
+    The rod follows the reference exactly, except where its speed limit prevents this
     (`rate_limited_follower`). The result is the complex ratio of the fundamentals of knee angle and
     reference at ``frequency_hz``.
     """
@@ -131,7 +131,7 @@ async def large_signal_bandwidth_hz(
     scenario: Scenario = Scenario(),
     settings: SineEstimateSettings = SineEstimateSettings(averaged_cycles=2, largest_cycles=6),
 ) -> float:
-    """Return the bandwidth in Hz for the amplitude of the scenario's sinusoidal reference.
+    """Return the closed loop's bandwidth in Hz at the amplitude of its sinusoidal reference.
 
     `estimate_sine` measures the gain at several frequencies. The search starts at 0.8 times the
     smallest of three predictions: rate limit, acceleration bound and linear bandwidth. The
@@ -181,7 +181,7 @@ def _first_fall_hz(
 
 
 def _expected_hz(scenario: Scenario) -> float:
-    """Return the lowest bandwidth in Hz by speed limit, acceleration limit or linear loop."""
+    """Predict the bandwidth in Hz: the lowest by speed limit, acceleration limit, linear loop."""
     speed, acceleration = rod_limits(scenario)
     amplitude = rod_amplitude_m(scenario)
     limits = [

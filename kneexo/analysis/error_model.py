@@ -4,14 +4,15 @@ The error has three causes: a wrong piston area, a motor with lag, and leakage.
 
 Below the hydraulic resonance the oil is stiff, and the rod moves as the pump does. Notation:
 
-- e: error x − x_d of the rod extension x with the reference x_d; P_L: load pressure; C_t: leakage.
+- e: error x − x_d of the rod extension x with the reference x_d; P_L: load pressure.
 - λ, Φ, k: slope and boundary layer of the sliding variable s, and switching gain (Eq. 20–27).
 - Ā, A_i: mean piston area, by which the controller computes, and area of the loaded chamber.
 - α: motor speed that a rod speed requires, divided by the value that the controller computes. It
   is A_i/Ā when only the area is wrong.
 - τ: delay from a command to the motor speed, τ = τ_m + T/2 + n T. The terms are the lag of the
   motor, half the sample time T for which a command is held, and n samples of latency of the bus.
-- κ = k/(Φ ω̂²) with ω̂² = 4β_eĀ²/(m̂V_t).
+- κ = k/(Φ ω̂²) with ω̂² = 4β_eĀ²/(m̂V_t), the hydraulic natural frequency by bulk modulus β_e,
+  estimated mass m̂ and total volume V_t; C_t: leakage coefficient of pump and cylinder.
 
 Inside the boundary layer Eq. 27 gives
 

@@ -134,7 +134,7 @@ def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> list[dict[s
 
 @dataclass(frozen=True, repr=False)
 class FrequencyResponse(Result):
-    """Response of knee angle θ_p to reference θ_d at its frequency, measured sine by sine.
+    """Complex response θ_p/θ_d of the knee angle to its reference, measured sine by sine.
 
     ``frequencies_hz`` (n,), ``response`` (trials, n) complex. A shape-preserving cubic (PCHIP)
     through the mean gains over the trials has the value 1/√2 at ``bandwidth_hz``;
@@ -175,7 +175,7 @@ class FrequencyResponse(Result):
         return data_frame(columns, "frequency_hz")
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot trials, means and PCHIP of magnitude and phase as in Fig. 13; return two Axes."""
+        """Plot trials, means and PCHIP of magnitude and phase; return two Matplotlib axes."""
         ax = axes_or_new(ax, 1, 2, figsize=(10, 4))
         f = self.frequencies_hz
         fine = np.linspace(f[0], f[-1], 400)
@@ -284,7 +284,7 @@ def require_sine(scenario: Scenario) -> SineReference:
 
 
 def highest_frequency_hz(scenario: Scenario) -> float:
-    """Return the frequency in Hz whose period is ten sample times of the controller."""
+    """Return the highest frequency in Hz of a sine: ten samples of the controller a period."""
     return 0.1 / scenario.controller.sample_time_s
 
 

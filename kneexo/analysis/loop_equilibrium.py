@@ -114,7 +114,7 @@ def _system(diagram: Any, path: str) -> Any:
 
 
 def start_state(scenario: Scenario, size: int) -> list[Any]:
-    """Return the initial continuous states of the closed loop, (size,), as in its Context.
+    """Return the initial continuous states of the closed loop, (size,), in Context units.
 
     The states of the plant come first. The states of a custom controller are zero.
     """
@@ -196,7 +196,7 @@ def find_equilibrium(
 
 
 def _sample_time_s(diagram: Any) -> float:
-    """Return the only sample time in s; `LinearizationError` for none or several."""
+    """Return the diagram's only sample time in s; `LinearizationError` for none or several."""
     timing = diagram.GetUniquePeriodicDiscreteUpdateAttribute()
     if timing is None:
         raise LinearizationError(

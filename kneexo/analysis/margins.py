@@ -25,7 +25,7 @@ class Margins(Result):
     unstable, and the numbers are changes that put an eigenvalue on the circle but no margins.
 
     Gain and phase have a margin in both directions, each above zero. A conditionally stable loop
-    may lose stability by less gain (``lower_gain_margin``) or by a phase lead
+    can lose stability by less gain (``lower_gain_margin``) or by a phase lead
     (``phase_lead_margin_deg``). python-control returns the smaller of both phase margins, a lead
     as a negative number.
 
@@ -141,7 +141,7 @@ def _disk_frequency(transfer: LoopTransfer, grid: Array, loop: Complex) -> float
 
 
 def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:
-    """Return the zeros of ``function`` between grid points where ``values`` of it change sign."""
+    """Return the zeros of ``function`` between points of ``grid`` where ``values`` change sign."""
     changes = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
     brackets = ((grid[i], grid[i + 1]) for i in changes)
     return [

@@ -65,7 +65,7 @@ def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float
 def _plant_gradients(
     plant: Any, point: Array, outputs: tuple[str, ...], knee_torque: float, disturbance: float
 ) -> tuple[Array, Array]:
-    """Return state derivatives and values of the ports ``outputs`` at a point, and gradients.
+    """Return state derivatives and ports ``outputs`` at a point, and the gradients of both.
 
     ``point`` (n + 1,) contains the states and the motor speed command in rad/s. The gradients have
     n rows for the derivatives, then one for each element of the outputs, and n + 1 columns.
@@ -139,7 +139,7 @@ def find_operating_point(
 
 
 def _plant(plant: PlantParameters | Diagram, knee_angle_deg: float) -> Any:
-    """Return ``plant`` if it is a diagram; otherwise build a plant that starts at the angle."""
+    """Return ``plant`` if it is a diagram, else a new plant that starts at ``knee_angle_deg``."""
     if isinstance(plant, PlantParameters):
         return make_plant(plant, initial_knee_angle_rad=math.radians(knee_angle_deg))
     return plant

@@ -65,7 +65,7 @@ class PolynomialFit(Result):
         return data_frame({name: getattr(self, name) for name in names}, "angle_deg")
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot linkage, fit and Table 1 for both maps, as in Fig. 5; return the two Axes."""
+        """Plot linkage, fit and Table 1 for both maps, as in Fig. 5; return two Matplotlib axes."""
         ax = axes_or_new(ax, 1, 2, figsize=(9, 3.8))
         table = self.table
         angle, rod = self.angle_deg, self.extension_mm

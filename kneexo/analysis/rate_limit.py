@@ -65,15 +65,14 @@ def rate_limited_gain(ratio: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[
     """Return the complex gain of the fundamental of a follower with a speed limit.
 
     ``ratio``, of any shape, is ρ = R/(aω) for the speed limit R and the target a sin ωt. The result
-    has the same shape.
-    Raises `ParameterError` unless all ratios are positive.
+    has the same shape. Raises `ParameterError` unless all ratios are positive.
     """
     ratios = np.asarray(ratio, dtype=float)
     return np.array([_gain(float(r)) for r in ratios.ravel()]).reshape(ratios.shape)
 
 
 def rate_limit_bandwidth_hz(speed_limit: float, amplitude: float) -> float:
-    """Return 0.28656 R/a, the frequency in Hz at which the gain of the follower is 1/√2.
+    """Return 0.28656 R/a, the frequency in Hz at which a follower with speed limit has gain 1/√2.
 
     ``speed_limit`` R and ``amplitude`` a of the sine have the same unit of length, such as m/s and
     m. Raises `ParameterError` unless both are finite and positive.

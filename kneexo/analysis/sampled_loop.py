@@ -156,7 +156,7 @@ class SampledLoop(Result):
         return np.asarray(1.0 / (1.0 + self.loop_response(frequencies_hz)), dtype=complex)
 
     def complementary_sensitivity(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return L/(1 + L) of the loop transfer L, (n,), at frequencies in Hz."""
+        """Return the complementary sensitivity L/(1 + L), (n,), at frequencies in Hz."""
         loop = self.loop_response(frequencies_hz)
         return np.asarray(loop / (1.0 + loop), dtype=complex)
 
@@ -227,7 +227,7 @@ class SampledLoop(Result):
             )
 
     def loop_on_grid(self, frequencies_hz: Array) -> Complex:
-        """Return L at many frequencies in Hz, (n,), with a relative error of about 1e-9.
+        """Return the loop transfer L at many frequencies in Hz, (n,), to a relative error of 1e-9.
 
         1 + L = det(zI − A + b c)/det(zI − A), where each determinant is the product of
         (z − eigenvalue).
@@ -281,7 +281,7 @@ class SampledLoop(Result):
         return f"{bandwidth:.4g} Hz"
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot magnitude and phase of the loop up to its Nyquist frequency; return the two Axes.
+        """Plot magnitude and phase of L up to the Nyquist frequency; return two Matplotlib axes.
 
         The phase is unwrapped and starts in −270…90°. The plot of a stable loop shows its margins.
         """
@@ -394,7 +394,7 @@ def linearize_loop(
     scenario
         The loop. Its reference and initial offset have no effect.
     knee_angle_deg
-        The constant reference.
+        The constant reference in deg.
     output
         Output port, with one element, whose response to the reference is computed.
     diagram

@@ -210,7 +210,7 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
     reference = equilibrium.reference
 
     def rates(point: Array, columns: int, gradient: Array, seeded: Scenario) -> Array:
-        """Return the gradients of dx/dt and z⁺ at ``point``, which itself has ``gradient``."""
+        """Return the gradients of dx/dt and z⁺ at a point whose own gradient is ``gradient``."""
         state = InitializeAutoDiff(point.reshape(-1, 1), gradient).reshape(-1)
         context = equilibrium.autodiff_context(state, reference)
         set_loop_parameters(equilibrium.diagram, context, seeded)

@@ -65,7 +65,7 @@ class SineEstimateSettings(Parameters):
 
 @dataclass(frozen=True, repr=False)
 class SineEstimate(Result):
-    """Response of knee angle θ_p to one sine in θ_d at its frequency, averaged over last cycles.
+    """Complex response θ_p/θ_d of the knee angle to a sine in its reference, over last cycles.
 
     ``uncertainty`` is the absolute error of the complex response (`response_uncertainty`). It does
     not include errors that are equal in all cycles. ``settled`` is True if neighbours among
@@ -84,7 +84,7 @@ class SineEstimate(Result):
     cycles: int
     """Number of simulated cycles after the ramp."""
     mean_deg: float
-    """Mean knee angle of the averaged cycles; limits of the motor may shift it from the mean of
+    """Mean knee angle of the averaged cycles; limits of the motor can shift it from the mean of
     the reference."""
     speed_limited_share: float
     acceleration_limited_share: float
@@ -124,8 +124,8 @@ def cycle_responses(
 
     The response is the ratio of the fundamentals of the columns ``output`` and ``reference``,
     complex (cycles,). The means of ``output`` are (cycles,). At least three cycles are required;
-    the first one begins at ``start_s``. A cycle may have any number of samples, not only a whole
-    one. The mean of the output may drift while the motor is at its limits; a linear drift,
+    the first cycle begins at ``start_s``. A cycle need not contain a whole number of samples.
+    The mean of the output can drift while the motor is at its limits; a linear drift,
     estimated from the means of neighbouring cycles, is removed.
     """
     means, amplitudes = np.empty((cycles, 3)), np.empty((cycles, 3), complex)
@@ -149,9 +149,9 @@ def cycle_responses(
 
 
 def settled_cycles(responses: Any, tolerance: float) -> int:
-    """Return the length of the longest end of ``responses`` (n,) in which all neighbours agree.
+    """Return how many responses at the end of ``responses`` (n,) agree, each with the next one.
 
-    Two neighbours agree if their difference is at most ``tolerance``, relative to the later one.
+    Two responses agree if their difference is at most ``tolerance``, relative to the later one.
     """
     change = np.abs(np.diff(responses)) > tolerance * np.abs(responses[1:])
     return len(responses) - (int(np.flatnonzero(change)[-1]) + 1 if change.any() else 0)
@@ -160,7 +160,8 @@ def settled_cycles(responses: Any, tolerance: float) -> int:
 def response_uncertainty(responses: Any) -> float:
     """Return the uncertainty of the mean of ``responses``, complex (n >= 2,).
 
-    It is the standard error of the mean plus the distance between the means of first and last half.
+    The uncertainty is the standard error of the mean plus the distance between the means of the
+    first and the last half.
     """
     n = len(responses)
     scatter = math.sqrt(float(np.sum(np.abs(responses - np.mean(responses)) ** 2)) / (n - 1))

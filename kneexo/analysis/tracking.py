@@ -1,4 +1,4 @@
-"""Tracking runs: error, chattering, pressure, power and energy of a closed loop."""
+"""Metrics of tracking runs: error, chattering, pressure, power and energy of a closed loop."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TRACKING_METRICS = (
     "saturated_share",
     "peak_pressure_mpa",
 )
-"""Fields of `TrackingMetrics` that follow from the first four `TRACKING_SIGNALS`."""
+"""Fields of `TrackingMetrics` that require only the first four `TRACKING_SIGNALS`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -249,9 +249,9 @@ class TrackingResult(Result):
         return ax
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot angle, error and motor speed command below each other; return the Axes.
+        """Plot angle, error and motor speed command below each other; return three axes.
 
-        ``ax``: three Matplotlib Axes; None: those of a new figure.
+        ``ax``: three Matplotlib axes; None: those of a new figure.
         """
         ax = axes_or_new(ax, 3, 1, sharex=True, figsize=(7, 7))
         self.plot_angle(ax[0])

@@ -189,7 +189,7 @@ def chosen_signals(
     signals: Sequence[str] | None,
     outputs: Mapping[str, int] | None = None,
 ) -> tuple[str, ...]:
-    """Return ``signals``, or all available ones for None.
+    """Return ``signals`` as a tuple, or all `available_signals` if ``signals`` is None.
 
     Raises `ParameterError` for a signal that `available_signals` does not contain.
     """

@@ -19,7 +19,7 @@ class Part(NamedTuple):
     make: Callable[[], Any]
     """Returns a new system; compiled runs do not call it."""
     values: Callable[[], dict[str, float]]
-    """Returns the Context parameters by name; after the first vector by ``vector[index]``."""
+    """Returns the Context parameters by name; those of further vectors by ``vector[index]``."""
     states: tuple[StateVariable, ...] = ()
     """The continuous states in the order of the Context."""
     start: Callable[[], Sequence[float]] | None = None

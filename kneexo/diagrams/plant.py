@@ -193,7 +193,7 @@ def _start_extension_and_force(
     initial_offset_m: float,
     table_1: RodPolynomialParameters,
 ) -> tuple[float, float]:
-    """Return the rod extension in m at the start and the force of load and spring there in N."""
+    """Return the initial rod extension in m and the force of load and spring there in N."""
     low, high = parameters.knee.flexion_min_deg, parameters.knee.flexion_max_deg
     if not low - 1e-9 <= math.degrees(initial_knee_angle_rad) <= high + 1e-9:
         raise ParameterError(

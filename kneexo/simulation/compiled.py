@@ -86,7 +86,7 @@ def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
 
 @cache
 def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
-    """Return each field of ``kind`` that `structure` reads, and whether it can hold parameters."""
+    """Return names of the fields that `structure` reads, each with True for nested parameters."""
 
     def structural(annotation: Any) -> bool:
         if isinstance(annotation, type) and issubclass(annotation, Parameters):
@@ -166,7 +166,7 @@ _diagrams: dict[str, Any] = {}
 
 
 def _diagram(key: str, scenario: Scenario) -> Any:
-    """Return the `scenario_diagram` of a structure from a cache, as Python 3.11 never frees any."""
+    """Return the `scenario_diagram` of a structure, built once: Python 3.11 never frees it."""
     with _lock:
         if key not in _diagrams:
             _diagrams[key] = scenario_diagram(scenario)
@@ -174,7 +174,7 @@ def _diagram(key: str, scenario: Scenario) -> Any:
 
 
 class _Custom(NamedTuple):
-    """Key of the equations, parameters and initial states of a custom controller."""
+    """A custom controller: key of its equations, its parameters and its initial states."""
 
     key: str
     """Digest of the equations."""

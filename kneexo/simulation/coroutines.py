@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 
 
 class Request(Generic[Answer]):
-    """A request, such as for a run; ``await request`` returns the answer or raises an error."""
+    """A request, such as for a run; ``await request`` returns its answer or raises an error."""
 
     def __await__(self) -> Generator[Any, Any, Answer]:
         return (yield self)
@@ -110,7 +110,7 @@ async def awaitable(
 
 
 def is_synchronous(function: Callable[..., Any]) -> bool:
-    """Whether ``function`` was made by `synchronous`, or is a `functools.partial` of such a one."""
+    """Whether ``function``, or that of a `functools.partial`, was made by `synchronous`."""
     return hasattr(partial(function).func, "async_function")
 
 

@@ -127,7 +127,7 @@ class Checkpoint:
     def remove(self) -> int:
         """Delete the file after a complete sweep and return the number of unused pieces.
 
-        An unused piece is one that this sweep did not ask for, such as one of other settings. If
+        An unused piece is a piece that this sweep did not read, such as one with other settings. If
         there are unused pieces, the file is only closed.
         """
         unused = len(self._results.keys() - self._used)
@@ -147,7 +147,7 @@ _PAYLOAD = len(_sealed(b"")) - len(b"}")  # index at which the payload of a line
 
 
 def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
-    """Return the key of each piece ``function(item)``.
+    """Return the key of each piece of work ``function(item)``.
 
     The key is a digest of kneexo's version, the function with its bound arguments, and the item.
     """

@@ -277,7 +277,7 @@ class _Units:
         return [self._waiting.popleft() for _ in range(size)]
 
     def give_back(self, unfinished: Sequence[int], finished: int, in_time: bool) -> None:
-        """Return the unfinished indices of a unit to the front of the queue and adapt the size.
+        """Return unfinished indices of a unit to the front of the queue; adapt the size of units.
 
         ``finished`` is the number of finished indices. If the unit ended within the time limit,
         the size becomes at least twice this number; otherwise it becomes this number.
@@ -287,9 +287,9 @@ class _Units:
 
 
 def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
-    """Return the number of items in each of the first units, for ``count`` items in all.
+    """Return the size of the first units of ``count`` items in all.
 
-    The number is more than 1 only if calls of ``function`` share batches and there are at least
+    The size is more than 1 only if calls of ``function`` share batches and there are at least
     8 items for each worker.
     """
     if not is_synchronous(function):

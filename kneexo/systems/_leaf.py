@@ -24,7 +24,7 @@ else:  # `leaf_template` adds Drake's class of the scalar
 
 
 def clip(value: Any, lower: Any, upper: Any) -> Any:
-    """Limit a float, AutoDiffXd or Expression to lower…upper, with its derivative in between."""
+    """Limit a float, AutoDiffXd or Expression to lower…upper; within, its derivative is kept."""
     return _min(_max(value, lower), upper)
 
 
@@ -118,8 +118,8 @@ class NamedLeaf(LeafSystem):
     def _declare_check(self, check: Callable[[Any], None]) -> None:
         """Declare ``check(context)``, which raises an error outside the limits of the system.
 
-        A simulation with floats calls it after each step. A compiled run that ends outside the
-        limits calls it, as the method ``check``, for the message of the error.
+        Drake's Simulator of floats calls ``check`` after each step. A compiled run that ends
+        outside the limits calls it too, by the attribute ``check``, for the error message.
         """
         self.check = check
         if self._scalar is float:
@@ -146,7 +146,7 @@ class NamedLeaf(LeafSystem):
 
 @cache
 def leaf_template(component: type[NamedLeaf]) -> Any:
-    """Return Drake's template of a component: its leaf systems by scalar type.
+    """Return Drake's template of a component: a table of its classes by scalar type.
 
     The template is made at the first call, because Drake needs some milliseconds for a template,
     and compiled runs need none. An explicit scope avoids 40 ms of stack inspection.
@@ -176,8 +176,8 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
 def require_finite(system: Any, context: Any, **values: Any) -> None:
     """Raise `SimulationError` for the first of the floats ``values`` that is not finite.
 
-    A NaN derivative would hang Drake's error-controlled integrators, and its other integrators
-    would ignore it. Values of AutoDiffXd and Expression are not checked.
+    A NaN derivative would hang Drake's error-controlled integrators, and Drake's other integrators
+    would ignore the NaN. Values of AutoDiffXd and Expression are not checked.
     """
     for name, value in values.items():
         if isinstance(value, float) and not math.isfinite(value):

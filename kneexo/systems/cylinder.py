@@ -20,7 +20,7 @@ from kneexo.systems._leaf import (
 from kneexo.systems.state_variable import StateVariable
 
 PA_PER_MPA = 1e6
-"""Pascal per megapascal: pressures are states in MPa, ports are in Pa."""
+"""Pa per MPa: pressures are states in MPa and outputs in Pa."""
 
 
 def start_extension(parameters: CylinderParameters, initial_extension_m: float | None) -> float:
@@ -63,7 +63,7 @@ def cylinder_states(*pressures: str) -> tuple[StateVariable, ...]:
 
 
 class Cylinder(NamedLeaf):
-    """Base of the cylinders of both orders, with their common ports: m dv/dt = F_rod − F_L.
+    """Base of the cylinders of reduced and full order, with common ports: m dv/dt = F_rod − F_L.
 
     State: x in m, v in m/s and the pressures in MPa, all of order one. A subclass defines load
     pressure, rod force and pressure rates. Raises `SimulationError` at the end of a step that
@@ -85,11 +85,11 @@ class Cylinder(NamedLeaf):
         self._declare_check(self._require_in_stroke)
 
     def _load_pressure(self, state: list[Any]) -> Any:
-        """Return the load pressure P_L in Pa; ``state`` is that of ``_state``."""
+        """Return the load pressure P_L in Pa for a state in SI units."""
         raise NotImplementedError
 
     def _rod_force(self, p: Any, state: list[Any]) -> Any:
-        """Return the force of the rod on its load in N, positive when it pushes."""
+        """Return the force of the rod on its load in N, positive when the rod pushes."""
         raise NotImplementedError
 
     def _pressure_rates(self, p: Any, state: list[Any], flow: Any) -> dict[str, Any]:

@@ -127,8 +127,8 @@ class FullCylinder(Cylinder):
     depends on the loaded chamber, not on the direction: it is Q/A_1 where
     F_L > P_r (A_1 − A_2), which loads the cap side, and Q/A_2 otherwise. Within a few newtons of
     this switching force a retracting rod oscillates between both speeds, by default at 12…23 N.
-    Coulomb friction shifts these forces by its own amount. Runs with radau3 then take ten times as
-    long.
+    Coulomb friction shifts these forces by its own amount. Runs by Drake's ``radau3`` then take ten
+    times as long.
 
     =================  ====  ===========  ===============================================
     input port         size  unit

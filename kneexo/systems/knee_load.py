@@ -14,7 +14,10 @@ from kneexo.systems._leaf import NamedLeaf, leaf_template, value_or_zero
 def weight_torque(
     knee_angle: Any, *, mass: Any, centre_of_mass: Any, thigh_inclination: Any, gravity: Any
 ) -> Any:
-    """Return the torque of the shank's weight in N·m, m g l sin(α − θ_p); positive flexes."""
+    """Return the torque m g l sin(α − θ_p) of the shank's weight in N·m; positive flexes the knee.
+
+    θ_p is ``knee_angle``, l ``centre_of_mass`` and α ``thigh_inclination``.
+    """
     return mass * gravity * centre_of_mass * drake_math.sin(thigh_inclination - knee_angle)
 
 
@@ -27,9 +30,10 @@ def load_force(
     torque: Any = 0.0,
     disturbance: Any = 0.0,
 ) -> Any:
-    """Return the force on the rod in N; positive opposes extension. See `KneeLoad`.
+    """Return the force F_L of `KneeLoad` on the rod in N; positive opposes extension.
 
-    ``p`` has the values of `KneeLoadParameters` as attributes.
+    ``p`` has the values of `KneeLoadParameters` as attributes. ``torque`` (N·m) and ``disturbance``
+    (N) are added to the torque and disturbance of ``p``.
     """
     torque = (
         weight_torque(

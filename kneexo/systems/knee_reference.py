@@ -52,9 +52,9 @@ class _KneeReference(NamedLeaf):
 
 
 _SMOOTHSTEP = (-20.0, 70.0, -84.0, 35.0, 0.0, 0.0, 0.0, 0.0)
-"""Polynomial from 0 at 0 to 1 at 1 whose first three derivatives are zero at both ends.
+"""Coefficients, highest power first, of a polynomial that rises from 0 at 0 to 1 at 1.
 
-The coefficients begin with the highest power.
+Its first three derivatives are zero at both ends.
 """
 
 
@@ -206,7 +206,7 @@ def start_angle_rad(parameters: Reference) -> float:
 def reference_range_deg(parameters: Reference) -> tuple[float, float]:
     """Return the smallest and the largest knee angle of a reference in deg.
 
-    A spline through samples is also searched between them.
+    The range of a sampled reference includes the curve between the samples.
     """
     if not isinstance(parameters, SampledReference):
         return parameters.range_deg

@@ -35,8 +35,9 @@ class PidController(NamedLeaf):
     With the error e = θ_d − θ_p, its first-order filter z and G = gear·Ā/D_m (motor per rod speed):
     z⁺ = z + (1 − e^(−T/T_d))(e − z),  I⁺ = I + T(K_i e + (w_u − w)/T_t),
     w = K_p z⁺ + I + K_d (e − z⁺)/T_d,  u = clip(G(−r_0 w + K_v dx_d/dt), ±u_max).
-    w is the commanded knee rate, and w_u the knee rate that the limited command u gives. The minus
-    sign is there because the rod retracts as the knee flexes. The filter smooths the counts of the
+    T is the sample time, T_d ``filter_s``, T_t ``anti_windup_s`` and r_0 ``moment_arm_m``. w is the
+    commanded knee rate, and w_u the knee rate that the limited command u gives. The rod retracts as
+    the knee flexes, hence the minus sign. The filter smooths the counts of the
     encoder in P and D, as the observer does for the sliding-mode controller.
 
     ===================  ====  =====================  ===================================

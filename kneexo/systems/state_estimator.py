@@ -55,8 +55,8 @@ class TrackingObserver(NamedLeaf):
     =================  ====  ===============  ============================================
 
     The discrete state, updated every ``sample_time_s``, is the prediction x̂⁻, v̂⁻, â⁻.
-    ``Simulator.Initialize()`` sets it to the present y, at rest. Context parameter by name:
-    ``time_constant_s`` (T_f). Raises `ParameterError` for a sample time that is not positive.
+    ``Simulator.Initialize()`` sets the prediction to the present y, at rest. Context parameter by
+    name: ``time_constant_s`` (T_f). Raises `ParameterError` for a sample time that is not positive.
     """
 
     def __init__(
