@@ -115,7 +115,7 @@ def error_model(
     scenario
         Plant, nominal plant of the controller, controller and bus.
     loaded_chamber
-        Chamber that carries the load, for a plant of full order; None for one of reduced order.
+        Chamber that carries the load, for a plant of full order; None in reduced order.
     rod_speed_m_s
         Rod speed at which k is evaluated. It matters if the controller's uncertainties of area,
         stiffness or damping make k grow with the speed.

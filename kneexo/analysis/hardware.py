@@ -114,7 +114,7 @@ def expected_bandwidth_hz(scenario: Scenario) -> float:
 
 
 def sliding_mode(scenario: Scenario) -> SlidingModeParameters:
-    """Return a scenario's sliding-mode controller; `ParameterError` if it has another one."""
+    """Return a scenario's sliding-mode controller; `ParameterError` for another controller."""
     if scenario.controller.kind != "smc":
         raise ParameterError(f"controller.kind = {scenario.controller.kind}: must be smc")
     return scenario.controller

@@ -405,8 +405,9 @@ def linearize_loop(
     Raises
     ------
     LinearizationError
-        The loop has no equilibrium, or one outside the boundary layer or at the speed limit; the
-        controller is continuous or switches by signum; or a derivative is not finite.
+        The loop has no equilibrium, or the equilibrium lies outside the boundary layer or at the
+        speed limit; the controller is continuous or switches by signum; or a derivative is not
+        finite.
     """
     equilibrium = find_equilibrium(scenario, knee_angle_deg, diagram)
     n, m = equilibrium.continuous_states, equilibrium.point.size - equilibrium.continuous_states

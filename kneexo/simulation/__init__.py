@@ -1,7 +1,7 @@
 """Runs of closed loops, by compiled equations or by Drake's Simulator.
 
 `compiled` runs a scenario with `kneexo.compiler`, `drake` runs a diagram with Drake's Simulator.
-`engines` chooses between both engines. `run` holds the result of either engine. `coroutines` lets
+`engines` chooses between these two engines. `run` holds the result of a run. `coroutines` lets
 async functions share batches of runs.
 """
 

@@ -257,7 +257,7 @@ _NO_INPUTS = InputTable()
 def reference_table(reference: SampledReference) -> InputTable:
     """Return a sampled reference and its three derivatives as the table of a model's input.
 
-    Before the first sample and after the last one the reference is constant.
+    The reference is constant before the first and after the last sample.
     """
     return input_table(knee_reference.sampled_spline(reference), derivatives=3)
 

@@ -76,7 +76,7 @@ def run_concurrently(
 def synchronous(
     server: Server,
 ) -> Callable[[Callable[Arguments, Coroutine[Any, Any, Result]]], Callable[Arguments, Result]]:
-    """Return a decorator that turns an async function into a plain one.
+    """Return a decorator that turns an async function into a plain function.
 
     A call of the plain function runs the coroutine and serves its requests by ``server``.
     """
@@ -100,8 +100,8 @@ async def awaitable(
 ) -> Result:
     """Call ``function`` from an async function: ``await awaitable(function, ...)``.
 
-    The requests of a `synchronous` function, or of a `functools.partial` of one, reach the server
-    of the outer coroutine. Any other function is called when the coroutine is awaited.
+    The requests of a `synchronous` function, or of a `functools.partial` of such a function, reach
+    the server of the outer coroutine. Any other function is called when the coroutine is awaited.
     """
     call: Any = partial(function, *arguments, **named)
     if is_synchronous(function):

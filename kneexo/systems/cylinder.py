@@ -113,7 +113,7 @@ class Cylinder(NamedLeaf):
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
         """Set dx/dt, dv/dt and the pressure rates.
 
-        Raises `SimulationError` when one of them is not finite.
+        Raises `SimulationError` when one of these rates is not finite.
         """
         p, state = self._numbers(context)
         _, v, acceleration = self._motion(context, p, state)

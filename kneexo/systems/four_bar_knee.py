@@ -67,8 +67,8 @@ class FourBarKnee(NamedLeaf):
     Stateless. Vector 0 of the Context parameters has the links and the scaling of the fit by name;
     vectors 1, 2 and 3 have the coefficients for θ_p, θ_4 and r, highest power first. All four
     belong to one geometry: build another system for another geometry. With ``table_1`` the rod
-    follows Eq. 10, the polynomial of the paper's controller, instead of Eq. 8 and 9; θ_4 follows
-    the linkage in either case.
+    follows Eq. 10, the polynomial of the paper's controller, instead of Eq. 8 and 9. θ_4 always
+    follows the linkage.
 
     Raises `LinkageError` on construction when the linkage cannot be assembled. Raises
     `SimulationError` at the end of a step that leaves the range of motion by more than

@@ -3,7 +3,7 @@
 Each system has one output port, ``knee_reference``: θ_d, dθ_d/dt, d²θ_d/dt², d³θ_d/dt³ in rad and
 s. `make_knee_reference` makes the system for a parameter class. Samples become Drake's
 `TrajectorySource`, with the same output at its port ``y0``. A `TrajectorySource` has no Context
-parameters and no value at a symbolic time. For a loop that requires either,
+parameters and no value at a symbolic time. For a loop that requires them,
 ``make_closed_loop(external_reference=True)`` has an input port in place of the reference.
 """
 
@@ -224,8 +224,8 @@ def reference_range_deg(parameters: Reference) -> tuple[float, float]:
 def require_reference_in_range(parameters: Reference, knee: KneeParameters) -> None:
     """Raise `ParameterError` when a reference leaves the range of motion.
 
-    All samples must lie within the range. The curve between samples may exceed it by
-    ``knee.overshoot_deg``.
+    All samples must lie within the range. The curve between samples can exceed it by
+    at most ``knee.overshoot_deg``.
     """
     knee.require_in_range(*parameters.range_deg)
     if not isinstance(parameters, SampledReference):
