@@ -49,12 +49,10 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "errors": ("command_line/test_main", "parameters/test_scenario_file"),
     "interruption": ("test_interruption", "command_line/test_main"),
-    "version": ("test_citation",),
     "analysis/sampled_loop": (
         "analysis/test_sampled_loop",
         "analysis/test_sampled_loop_in_time",
     ),
-    "analysis/signals": ("analysis/test_tracking", "analysis/test_walking"),
     "compiler/model_base": ("compiler/test_model_base", "compiler/test_model"),
     "compiler/equations/contexts": ("compiler/equations/test_contexts", "compiler/test_model"),
     "compiler/equations/events": ("compiler/equations/test_events", "compiler/test_drake_zoo"),
@@ -80,8 +78,6 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "compiler/c/export": ("compiler/c/test_export", "compiler/c/test_source"),
     "compiler/c/plan": ("compiler/c/test_plan", "compiler/c/test_source", "compiler/c/test_tables"),
-    "compiler/fmu/description": ("compiler/fmu/test_fmu",),
-    "compiler/fmu/variables": ("compiler/fmu/test_fmu",),
     "compiler/c/source": ("compiler/c/test_source", "compiler/c/test_tables"),
     "compiler/c/build": ("compiler/c/test_build", "compiler/fmu/test_fmu"),
     "compiler/equations/partition": (
@@ -95,7 +91,6 @@ TESTS: dict[str, tuple[str, ...]] = {
         "compiler/c/test_step_size",
     ),
     "diagrams/part": ("diagrams/test_part", "diagrams/test_plant", "diagrams/test_controller"),
-    "diagrams/signals": ("diagrams/test_closed_loop",),
     "diagrams/closed_loop": (
         "diagrams/test_closed_loop",
         "diagrams/test_closed_loop_second_program",
@@ -106,7 +101,6 @@ TESTS: dict[str, tuple[str, ...]] = {
         "diagrams/test_plant_exact_solution",
         "diagrams/test_full_order_plant",
     ),
-    "parameters/bus": ("systems/test_drive", "parameters/test_quantity"),
     "parameters/control": (
         "parameters/test_control",
         "parameters/test_quantity",
@@ -118,7 +112,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "test_linkage",
         "test_rod_inverse",
     ),
-    "parameters/paths": ("parameters/test_scenario_file", "parameters/test_uncertainty"),
+    "parameters/paths": ("parameters/test_paths", "parameters/test_uncertainty"),
     "parameters/plant": ("parameters/test_plant", "parameters/test_quantity"),
     "parameters/quantity": ("parameters/test_quantity", "parameters/test_scenario_file"),
     "parameters/reference": (
@@ -135,13 +129,20 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "parameters/uncertainty": ("parameters/test_uncertainty",),
     "simulation/drake": ("simulation/test_engines", "simulation/test_both_engines"),
-    "simulation/run": ("simulation/test_engines", "test_result"),
+    "simulation/run": ("simulation/test_run", "simulation/test_engines", "test_result"),
     "parameters/scenario_file": ("parameters/test_scenario_file", "parameters/test_uncertainty"),
     "studies/reproduce/study": ("studies/reproduce/test_study", "test_cluster"),
-    "sweeps/sweep": ("sweeps/test_parallel",),
     "systems/_leaf": ("systems/test_leaf",),
-    "systems/state_variable": ("systems/test_bldc_pump", "diagrams/test_plant"),
-    "systems/cylinder": ("systems/test_reduced_cylinder", "systems/test_full_cylinder"),
+    "systems/state_variable": (
+        "systems/test_state_variable",
+        "systems/test_bldc_pump",
+        "diagrams/test_plant",
+    ),
+    "systems/cylinder": (
+        "systems/test_cylinder",
+        "systems/test_reduced_cylinder",
+        "systems/test_full_cylinder",
+    ),
 }
 """Tests of the modules that have no file of their own name."""
 

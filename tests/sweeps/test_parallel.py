@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from concurrent.futures import (
-    BrokenExecutor,
     Executor,
     Future,
     ThreadPoolExecutor,
@@ -20,25 +19,8 @@ from hypothesis import given, strategies as st
 
 from kneexo.errors import WorkerError
 from kneexo.simulation.coroutines import Request, awaitable, synchronous
-from kneexo.sweeps import open_sweep, parallel, parallel_map, process_pool
+from kneexo.sweeps import parallel, parallel_map, process_pool
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
-
-
-class AtOnce(Executor):
-    """Runs what is submitted at once, as another process would: nothing is shared."""
-
-    def __init__(self, most=math.inf):
-        self.units = []
-        self.most = most
-
-    def submit(self, function, *arguments):
-        if len(self.units) >= self.most:
-            raise BrokenExecutor("no worker left\nto speak of")
-        called, given, items = pickle.loads(pickle.dumps((function, *arguments)))
-        future = Future()
-        future.set_result(called(given, items))
-        self.units.append(len(items))
-        return future
 
 
 @pytest.fixture(scope="module")
@@ -63,9 +45,9 @@ def test_the_heaviest_item_goes_first():
     assert seen == [3, 2, 1]
 
 
-def test_no_items_make_no_results():
+def test_no_items_make_no_results(at_once):
     assert parallel_map(math.sqrt, []) == []
-    assert parallel_map(math.sqrt, [], executor=AtOnce()) == []
+    assert parallel_map(math.sqrt, [], executor=at_once()) == []
 
 
 def test_processes_give_the_same_as_this_process(pool):
@@ -96,8 +78,8 @@ def test_the_callers_executor_is_used_and_left_running():
 # ----------------------------------------------------------------------------------- units
 
 
-def test_small_pieces_go_together_and_all_are_done():
-    executor = AtOnce()
+def test_small_pieces_go_together_and_all_are_done(at_once):
+    executor = at_once()
     items = [float(n) for n in range(20_000)]
     assert parallel_map(math.sqrt, items, executor=executor) == [math.sqrt(x) for x in items]
     assert sum(executor.units) == len(items)
@@ -106,9 +88,9 @@ def test_small_pieces_go_together_and_all_are_done():
     assert len(executor.units) < 8000
 
 
-def test_pieces_that_take_long_go_one_by_one(monkeypatch):
+def test_pieces_that_take_long_go_one_by_one(monkeypatch, at_once):
     monkeypatch.setattr(parallel, "UNIT_S", 0.0)
-    executor = AtOnce()
+    executor = at_once()
     executor._max_workers = 1
     seen = []
     monkeypatch.setattr(threading, "kneexo_seen", seen, raising=False)
@@ -126,9 +108,9 @@ def note(item):
     durations=st.lists(st.sampled_from([0.0, 0.0, 0.0, 1.0]), max_size=200),
     workers=st.integers(1, 5),
 )
-def test_each_piece_is_computed_once_whatever_fits_into_a_unit(durations, workers):
+def test_each_piece_is_computed_once_whatever_fits_into_a_unit(durations, workers, at_once):
     clock = [0.0]
-    executor = AtOnce()
+    executor = at_once()
     executor._max_workers = workers
     done = []
 
@@ -206,12 +188,12 @@ async def square_below(limit, item):
     return await awaitable(square, item)
 
 
-def test_calls_go_on_together_with_the_results_of_each_alone(batches):
+def test_calls_go_on_together_with_the_results_of_each_alone(batches, at_once):
     items = list(range(700))
     expected = [n * n for n in items]
     assert parallel_map(square, items) == expected
     assert 64 < max(batches) <= 256
-    assert parallel_map(square, items, executor=AtOnce()) == expected
+    assert parallel_map(square, items, executor=at_once()) == expected
 
 
 @pytest.mark.slow
@@ -221,9 +203,9 @@ def test_processes_go_on_with_calls_together(pool):
 
 
 @pytest.mark.parametrize("unit_s", [0.0, 0.5])
-def test_units_of_calls_grow_as_others_do(batches, monkeypatch, unit_s):
+def test_units_of_calls_grow_as_others_do(batches, monkeypatch, unit_s, at_once):
     monkeypatch.setattr(parallel, "UNIT_S", unit_s)
-    executor = AtOnce()
+    executor = at_once()
     executor._max_workers = 2
     items = list(range(1, 1800, 10))
     assert parallel_map(square, items, executor=executor) == [n * n for n in items]
@@ -232,14 +214,14 @@ def test_units_of_calls_grow_as_others_do(batches, monkeypatch, unit_s):
     assert (executor.units[8] == 8) == (unit_s == 0.0)
 
 
-def test_few_calls_are_shared_by_all_workers(batches):
-    executor = AtOnce()
+def test_few_calls_are_shared_by_all_workers(batches, at_once):
+    executor = at_once()
     executor._max_workers = 8
     parallel_map(square, list(range(27)), executor=executor)
     assert executor.units == [1] * 27
 
 
-def test_results_before_an_error_are_stored(tmp_path, batches):
+def test_results_before_an_error_are_stored(tmp_path, batches, at_once):
     path = tmp_path / "checkpoint.jsonl"
     items = list(range(40))
     with pytest.raises(ValueError, match="33 is too much"):
@@ -248,7 +230,7 @@ def test_results_before_an_error_are_stored(tmp_path, batches):
     kept = Checkpoint(path)
     assert [key in kept for key in keys] == [True] * 33 + [False] * 7
     with pytest.raises(ValueError, match="33 is too much"):
-        parallel_map(partial(square_below, 33), items, executor=AtOnce(), checkpoint=kept)
+        parallel_map(partial(square_below, 33), items, executor=at_once(), checkpoint=kept)
 
 
 def test_stored_results_are_not_computed_again(tmp_path, batches):
@@ -305,17 +287,17 @@ def test_results_before_the_death_of_a_worker_are_stored(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("most", [0, 1, 7])
-def test_an_executor_that_breaks_is_one_line_and_resumes(tmp_path, most):
+def test_an_executor_that_breaks_is_one_line_and_resumes(tmp_path, most, at_once):
     path = tmp_path / "checkpoint.jsonl"
     items = list(range(30))
-    executor = AtOnce(most)
+    executor = at_once(most)
     executor._max_workers = 1
     with pytest.raises(WorkerError) as caught:
         parallel_map(abs, items, executor=executor, checkpoint=Checkpoint(path))
     assert "\n" not in str(caught.value)
     kept = Checkpoint(path)
     assert len(kept) == max(most - 3, 0)  # the results of three units were not yet taken
-    assert parallel_map(abs, items, executor=AtOnce(), checkpoint=kept) == items
+    assert parallel_map(abs, items, executor=at_once(), checkpoint=kept) == items
 
 
 def test_an_executor_that_cancels_the_work_is_one_line():
@@ -386,34 +368,6 @@ def test_workers_leave_an_interrupt_to_the_parent(pool):
     held_back = partial(signal.pthread_sigmask, signal.SIG_BLOCK)
     assert all(signal.SIGINT in held for held in parallel_map(held_back, [()] * 3, executor=pool))
     assert signal.SIGINT not in held_back(())
-
-
-# ------------------------------------------------------------------------------------- sweep
-
-
-def test_a_sweep_maps_with_its_workers_and_its_checkpoint(tmp_path):
-    executor, checkpoint = AtOnce(), Checkpoint(tmp_path / "pieces.jsonl")
-    with open_sweep(workers=3, executor=executor, checkpoint=checkpoint) as sweep:
-        assert sweep.map(math.sqrt, [4.0, 9.0]) == [2.0, 3.0]
-        assert sweep.map(math.factorial, [3]) == [6]
-    assert sum(executor.units) == len(checkpoint) == 3
-    with open_sweep(executor=AtOnce(most=0), checkpoint=checkpoint) as sweep:
-        assert sweep.map(math.sqrt, [9.0, 4.0]) == [3.0, 2.0]
-
-
-@pytest.mark.parametrize("progress", [False, True])
-def test_a_sweep_shows_the_bars_that_have_a_description(capsys, monkeypatch, progress):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with open_sweep(progress=progress) as sweep:
-        sweep.map(math.sqrt, [4.0], "roots")
-        sweep.map(math.sqrt, [4.0])
-    assert ("roots: 100%" in capsys.readouterr().err) == progress
-
-
-@pytest.mark.slow
-def test_a_sweep_has_no_other_options():
-    with pytest.raises(TypeError, match="'worker'"), open_sweep(worker=2):
-        pass
 
 
 def test_one_core_needs_no_pool_where_the_scheduler_says_nothing(monkeypatch):

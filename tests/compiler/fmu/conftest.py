@@ -1,6 +1,20 @@
-"""FMUs in FMPy; tests of `export` use them too."""
+"""FMUs in FMPy, which tests of `export` use too; the FMU of a small diagram."""
 
 import pytest
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import (
+    Adder,
+    ConstantVectorSource,
+    DiscreteTimeDelay,
+    Gain,
+    LinearSystem,
+)
+
+from kneexo.compiler import read_diagram
+from kneexo.compiler.c.interface import Interface
+from kneexo.compiler.c.source import source_of
+from kneexo.compiler.fmu.fmu import Fmu
+from kneexo.compiler.fmu.variables import FmuParameter
 
 
 class FmuInstance:
@@ -90,3 +104,60 @@ def fmu_instance():
     """The class of FMU instances; skips without FMPy."""
     pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
     return FmuInstance
+
+
+def _lag_source(**options):
+    """A lag, dx/dt = 3 (u + offset) - 2 x, and x a sample late."""
+    builder = DiagramBuilder()
+    offset = builder.AddNamedSystem("offset", ConstantVectorSource([0.0]))
+    sum_ = builder.AddNamedSystem("sum", Adder(2, 1))
+    gain = builder.AddNamedSystem("gain", Gain(3.0, 1))
+    lag = builder.AddNamedSystem("lag", LinearSystem([[-2.0]], [[1.0]], [[1.0]], [[0.0]]))
+    delay = builder.AddNamedSystem("delay", DiscreteTimeDelay(0.1, 1, 1))
+    builder.Connect(offset.get_output_port(), sum_.get_input_port(1))
+    builder.Connect(sum_.get_output_port(), gain.get_input_port())
+    builder.Connect(gain.get_output_port(), lag.get_input_port())
+    builder.Connect(lag.get_output_port(), delay.get_input_port())
+    builder.ExportInput(sum_.get_input_port(0), "u")
+    builder.ExportOutput(lag.get_output_port(), "x")
+    builder.ExportOutput(delay.get_output_port(), "late")
+    builder.ExportOutput(gain.get_output_port(), "direct")
+    diagram = builder.Build()
+    interface = Interface({"u": ["u_m_s"], "x": ["x_m"], "late": ["late_m"], "direct": ["d_m_s"]})
+    read = read_diagram(diagram, inputs=["u"])
+    return source_of(read, "lag", interface=interface, **options)
+
+
+@pytest.fixture(scope="session")
+def lag_source():
+    """``lag_source(**options)``: the C source of a lag."""
+    return _lag_source
+
+
+PARAMETERS = (
+    FmuParameter("offset_m_s", 0.0, ("offset.group_0[0]",), "added to the input"),
+    FmuParameter("initial.x_mm", 500.0, ("initial_x[0]",), "where x starts", 0.0, 2e3, 1e3, False),
+)
+
+
+@pytest.fixture(scope="session", params=[2, 3])
+def fmu(request):
+    """The FMU of the lag, in each version of the standard."""
+    return Fmu(_lag_source(), PARAMETERS, request.param, "a tool", "a lag", {"u_m_s": 0.25}, 5.0)
+
+
+@pytest.fixture(scope="session")
+def path(fmu, tmp_path_factory):
+    """File of the FMU of the lag; skips without a C compiler."""
+    library = fmu.library()
+    if library is None:
+        pytest.skip("needs a C compiler on Linux, x86-64")
+    file = tmp_path_factory.mktemp("fmu") / "lag.fmu"
+    file.write_bytes(fmu.archive(library))
+    return file
+
+
+@pytest.fixture(scope="session")
+def lag_parameters():
+    """A tunable and a fixed parameter of the lag."""
+    return PARAMETERS

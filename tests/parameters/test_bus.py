@@ -1,0 +1,66 @@
+"""Parameters of the bus: units of the target velocity, latency, refusals."""
+
+import math
+
+import pytest
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import Cia402Parameters, NoBus, Scenario
+
+
+@pytest.mark.parametrize(
+    ("unit_rpm", "code"),
+    [
+        (1.0, 0x00B44700),
+        (0.1, 0xFFB44700),
+        (0.01, 0xFEB44700),
+        (1e-3, 0xFDB44700),
+        (1e-4, 0xFCB44700),
+        (1e-5, 0xFBB44700),
+        (1e-6, 0xFAB44700),
+    ],
+)
+def test_the_code_of_the_velocity_unit_is_that_of_0x60a9(unit_rpm, code):
+    assert Cia402Parameters(velocity_unit_rpm=unit_rpm).si_unit_velocity == code
+
+
+def test_units_are_rpm_outside_and_rad_s_inside():
+    assert Cia402Parameters(velocity_unit_rpm=0.1).velocity_unit_rad_s == pytest.approx(
+        0.1 * 2.0 * math.pi / 60.0, rel=1e-15
+    )
+    assert NoBus().velocity_unit_rad_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("bus", "line"),
+    [
+        (
+            {"kind": "cia402", "velocity_unit_rpm": 0.5},
+            "bus.velocity_unit_rpm = 0.5 rpm: "
+            "must be 1.0, 0.1, 0.01, 0.001, 0.0001, 1e-05 or 1e-06",
+        ),
+        (
+            {"kind": "cia402", "velocity_unit_rpm": 10},
+            "bus.velocity_unit_rpm = 10 rpm: must be 1.0, 0.1, 0.01, 0.001, 0.0001, 1e-05 or 1e-06",
+        ),
+        (
+            {"kind": "cia402", "latency_samples": 11},
+            "bus.latency_samples = 11 samples is out of range: "
+            "must be finite and >= 0 and <= 10 samples",
+        ),
+        (
+            {"latency_samples": -1},
+            "bus.latency_samples = -1 samples is out of range: "
+            "must be finite and >= 0 and <= 10 samples",
+        ),
+        (
+            {"velocity_unit_rpm": 1},
+            "bus.velocity_unit_rpm: unknown name; known here: kind, latency_samples",
+        ),
+        ({"kind": "can"}, "bus.kind = 'can': must be 'none', 'cia402'"),
+    ],
+)
+def test_a_fault_is_one_line(bus, line):
+    with pytest.raises(ParameterError) as error:
+        Scenario(bus=bus)
+    assert str(error.value) == f"Scenario: {line}"

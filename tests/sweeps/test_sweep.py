@@ -1,0 +1,34 @@
+"""Sweeps: maps that share workers, checkpoint and progress bars."""
+
+import math
+import sys
+
+import pytest
+
+from kneexo.sweeps import open_sweep
+from kneexo.sweeps.checkpoint import Checkpoint
+
+
+def test_a_sweep_maps_with_its_workers_and_its_checkpoint(tmp_path, at_once):
+    executor, checkpoint = at_once(), Checkpoint(tmp_path / "pieces.jsonl")
+    with open_sweep(workers=3, executor=executor, checkpoint=checkpoint) as sweep:
+        assert sweep.map(math.sqrt, [4.0, 9.0]) == [2.0, 3.0]
+        assert sweep.map(math.factorial, [3]) == [6]
+    assert sum(executor.units) == len(checkpoint) == 3
+    with open_sweep(executor=at_once(most=0), checkpoint=checkpoint) as sweep:
+        assert sweep.map(math.sqrt, [9.0, 4.0]) == [3.0, 2.0]
+
+
+@pytest.mark.parametrize("progress", [False, True])
+def test_a_sweep_shows_the_bars_that_have_a_description(capsys, monkeypatch, progress):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with open_sweep(progress=progress) as sweep:
+        sweep.map(math.sqrt, [4.0], "roots")
+        sweep.map(math.sqrt, [4.0])
+    assert ("roots: 100%" in capsys.readouterr().err) == progress
+
+
+@pytest.mark.slow
+def test_a_sweep_has_no_other_options():
+    with pytest.raises(TypeError, match="'worker'"), open_sweep(worker=2):
+        pass
