@@ -24,7 +24,9 @@ FEW = RobustnessSettings(
 def uncertain(**values):
     """An uncertainty set; names with __ for the dots."""
     return UncertaintySet(
-        values={path.replace("__", "."): Uncertainty(**one) for path, one in values.items()}
+        values={
+            path.replace("__", "."): Uncertainty(**keywords) for path, keywords in values.items()
+        }
     )
 
 
@@ -63,9 +65,9 @@ def assessment(number, mass, lag, delay, **changes):
         "plant.pump.lag_s": lag,
         "bus.latency_samples": delay,
     }
-    kept = {path: value for path, value in values.items() if value is not None}
+    present = {path: value for path, value in values.items() if value is not None}
     numbers = {name: round(number * size, 6) for name, size in UNITS.items()}
-    return Assessment(kept, merits(**numbers, bandwidth_failure="") | changes)
+    return Assessment(present, merits(**numbers, bandwidth_failure="") | changes)
 
 
 SAMPLED = np.array([1.5, 0.9, 1.9, 1.2, 1.1])

@@ -206,7 +206,7 @@ def test_a_run_that_fails_leaves_its_cell_empty(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("scenario", "values", "told"),
+    ("scenario", "values", "message"),
     [
         (Scenario(), {"frequencies_hz": (1.0, 2.0, 51.0)}, "51 Hz is too high: must be <= 50 Hz"),
         (Scenario(), {"amplitudes_deg": (1.0, 45.0)}, "leaves the range of motion"),
@@ -218,9 +218,9 @@ def test_a_run_that_fails_leaves_its_cell_empty(monkeypatch):
         (Scenario(reference=RampReference()), {}, "reference = ramp"),
     ],
 )
-def test_a_map_that_means_nothing_is_refused_before_any_run(monkeypatch, scenario, values, told):
+def test_a_map_that_means_nothing_is_refused_before_any_run(monkeypatch, scenario, values, message):
     monkeypatch.setattr(study, "estimate_sine", None)
-    with pytest.raises(ParameterError, match=told):
+    with pytest.raises(ParameterError, match=message):
         bandwidth_study(scenario, BandwidthSettings(**values))
 
 

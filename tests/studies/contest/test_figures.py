@@ -82,8 +82,8 @@ def test_the_legend_names_everybody_once():
 
 
 def test_a_contest_whose_every_run_failed_is_drawn():
-    done = made_up()
-    failed = {name: [metrics_of(math.nan)] * 4 for name in done.tested}
-    figure = figures(dataclasses.replace(done, tested=failed, other_reference=failed))["contest"]
+    study = made_up()
+    failed = {name: [metrics_of(math.nan)] * 4 for name in study.tested}
+    figure = figures(dataclasses.replace(study, tested=failed, other_reference=failed))["contest"]
     figure.canvas.draw()
     assert [ax.get_xlim() for ax in figure.axes] == [(0.1, 10.0)] * 3

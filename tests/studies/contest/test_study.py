@@ -127,9 +127,9 @@ def test_violations_are_counted_and_ordered():
     assert (chattering, wild) == pytest.approx((90.0 * 2.01, 90.0 * 2.999))
     # Above 90 deg at the start.
     gone = plants(lags=LAGS[:1], **{"reference.mean_deg": 89.4, "initial_offset_m": -3.5e-3})
-    one, both = (objective_deg(1e6, low, gone + other) for other in (scenarios[:1], gone))
-    assert (one, both) == pytest.approx((90.0 * 3.5, 90.0 * 4.0))
-    values = [feasible, little, less, none, chattering, wild, one, both]
+    single, both = (objective_deg(1e6, low, gone + other) for other in (scenarios[:1], gone))
+    assert (single, both) == pytest.approx((90.0 * 3.5, 90.0 * 4.0))
+    values = [feasible, little, less, none, chattering, wild, single, both]
     assert np.all(np.isfinite(values))
     assert all(a < b for a, b in pairwise(values))
     assert feasible < INFEASIBLE_DEG < little
@@ -159,10 +159,10 @@ def test_levels_count_failed_runs_as_infinite_errors(flat, check_rules):
 
 
 def test_results_hold_what_was_tuned_and_tested(flat):
-    done = made_up()
-    numbers = done.results()
-    for own, tuning in zip(numbers["tunings"], done.tunings, strict=True):
-        assert own == vars(tuning) | {"feasible": tuning.objective_deg < 90.0}
+    study = made_up()
+    numbers = study.results()
+    for row, tuning in zip(numbers["tunings"], study.tunings, strict=True):
+        assert row == vars(tuning) | {"feasible": tuning.objective_deg < 90.0}
     assert numbers["better_share"] == {
         "SMC": {"SMC": 0.0, "PID": 0.75},
         "PID": {"SMC": 0.25, "PID": 0.0},
@@ -170,18 +170,18 @@ def test_results_hold_what_was_tuned_and_tested(flat):
     assert numbers["budget_rpm"] == 12.0
     for name in ("tested", "other_reference", "entrants"):
         assert flat(dict(numbers[name])) == pytest.approx(
-            flat(dict(getattr(done, name))), nan_ok=True
+            flat(dict(getattr(study, name))), nan_ok=True
         )
 
 
 def test_the_winner_of_each_figure_is_named_whoever_it_is():
-    done = made_up()
-    winners = done.winners()
+    study = made_up()
+    winners = study.winners()
     assert winners["median_error_deg"] == ["SMC"]
     assert winners["median_disk_margin"] == ["PID"]
     assert winners["unstable"] == ["SMC", "PID"]
-    assert done.better_share("SMC", "PID") == 0.75
-    assert done.better_share("PID", "SMC") == 0.25
+    assert study.better_share("SMC", "PID") == 0.75
+    assert study.better_share("PID", "SMC") == 0.25
 
 
 # -------------------------------------------------------------------------------- the runs
@@ -262,7 +262,7 @@ def test_a_search_without_enough_generations_is_flagged(small):
 
 
 def test_a_resumed_contest_goes_on_and_gives_the_same(small):
-    done, checkpoint = small
+    study, checkpoint = small
     header, *lines = checkpoint.path.read_bytes().splitlines(keepends=True)
     # 2 for the budget, twice 10 evaluations, 5 entrants on 2 plants and 2 tasks. A search may try a
     # candidate twice, which depends on SciPy's version, and computes it once.
@@ -271,9 +271,9 @@ def test_a_resumed_contest_goes_on_and_gives_the_same(small):
     cut = checkpoint.path.with_name("cut.jsonl")
     # Interrupted in the second generation of the second search.
     cut.write_bytes(header + b"".join(lines[:19]))
-    resumed = contest_study(done.scenario, LAG, SMALL, checkpoint=Checkpoint(cut))
-    assert to_json(resumed.results()) == to_json(done.results())
-    assert report(resumed) == report(done)
+    resumed = contest_study(study.scenario, LAG, SMALL, checkpoint=Checkpoint(cut))
+    assert to_json(resumed.results()) == to_json(study.results())
+    assert report(resumed) == report(study)
     assert len(cut.read_bytes().splitlines()) == 1 + len(lines)
 
 
@@ -281,13 +281,13 @@ def test_a_resumed_contest_goes_on_and_gives_the_same(small):
 
 
 def test_uncertain_values_without_effect_are_left_out(small):
-    done, checkpoint = small
+    study, checkpoint = small
     load = {"plant.load.segment_mass_kg": Uncertainty(low=0.0, high=3.0)}
     more = UncertaintySet(values={**LAG.values, **load})
     resumed = Checkpoint(checkpoint.path, resume=True)
-    again = contest_study(done.scenario, more, SMALL, checkpoint=resumed)
+    again = contest_study(study.scenario, more, SMALL, checkpoint=resumed)
     assert again.left_out == ("plant.load.segment_mass_kg",)
-    assert again.tested == done.tested
+    assert again.tested == study.tested
 
 
 def test_values_that_no_scenario_has_are_one_line():

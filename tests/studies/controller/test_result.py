@@ -23,11 +23,11 @@ from kneexo.studies.controller.result import (
 def made_up(failures=None, **values):
     """A study whose arrays are given by functions of λ, Φ and η; all loops stable and sound."""
     axes = (GRID.lambdas_per_s, GRID.phis_m_s2, GRID.etas_m_s3)
-    given = dict.fromkeys(METRICS, lambda lambda_, phi, eta: 1.0)
-    given["saturated_share"] = lambda lambda_, phi, eta: 0.0
+    defaults = dict.fromkeys(METRICS, lambda lambda_, phi, eta: 1.0)
+    defaults["saturated_share"] = lambda lambda_, phi, eta: 0.0
     arrays = {
         name: np.array([function(*point) for point in product(*axes)]).reshape(SHAPE)
-        for name, function in (given | values).items()
+        for name, function in (defaults | values).items()
     }
     mapped = {name: np.ones((2, 2)) for name in MAP_METRICS}
     return ControllerResult(Scenario(), GRID, arrays, failures or {}, (), mapped)
@@ -170,7 +170,7 @@ def test_results_are_the_grid_the_trap_and_the_map(by_hand, flat, check_rules):
             **by_hand.map_values,
         },
     }
-    own = {name: value for name, value in numbers.items() if name != "claims"}
-    assert flat(own) == pytest.approx(flat(expected), nan_ok=True)
+    without_claims = {name: value for name, value in numbers.items() if name != "claims"}
+    assert flat(without_claims) == pytest.approx(flat(expected), nan_ok=True)
     for claim, written in zip(by_hand.claims(), numbers["claims"], strict=True):
         assert written == vars(claim) | {"verdict": claim.verdict}

@@ -120,7 +120,7 @@ def test_the_trap_has_its_variants(small, in_numbers, margins):
 
 def test_the_oscillation_at_rest_is_that_of_the_later_half_of_the_hold(small):
     law = SlidingModeParameters()
-    own = changed(
+    scenario = changed(
         BASE,
         {
             "controller.lambda_per_s": 20.0,
@@ -128,7 +128,7 @@ def test_the_oscillation_at_rest_is_that_of_the_later_half_of_the_hold(small):
             "estimator.time_constant_s": SMALL.limit_cycle_time_constant_s,
         },
     )
-    run = simulate(experiments(own, SMALL)["hold"], signals=("knee_angle",))
+    run = simulate(experiments(scenario, SMALL)["hold"], signals=("knee_angle",))
     angle = run["knee_angle_rad"][run.time_s >= 0.05 - 1e-9]  # the reference is constant
     built = next(case for case in small[0].limit_cycle if case.variant == "as built")
     assert built.oscillation_at_rest_deg == pytest.approx(np.degrees(np.ptp(angle)), rel=1e-9)
@@ -156,8 +156,8 @@ def test_a_run_that_fails_leaves_nan_and_its_reason(monkeypatch):
         raise SimulationError("t = 1 s: knee_angle left the range of motion")
 
     monkeypatch.setattr(module, "track", fail)
-    one = SMALL.model_dump() | {"lambdas_per_s": (20.0,), "phis_m_s2": (3.2,)}
-    study = controller_study(BASE, ControllerSettings(**one))
+    single_point = SMALL.model_dump() | {"lambdas_per_s": (20.0,), "phis_m_s2": (3.2,)}
+    study = controller_study(BASE, ControllerSettings(**single_point))
     assert study.failures == {
         (20.0, 3.2, 2.8e5): "t = 1 s: knee_angle left the range of motion",
     }

@@ -44,9 +44,9 @@ def by_hand():
     loads, postures = (0.0, 60.0, -60.0), (10.0, 40.0, 70.0)
     both = [(order, load) for load in loads for order in ("reduced", "full")]
     tracking = [row("tracking", order=o, disturbance_n=f) for o, f in both]
-    for n, one in enumerate(tracking):
-        names = ("load_pressure",) if one["order"] == "reduced" else ("cap", "rod_side")
-        one["trace"] = {
+    for n, tracked in enumerate(tracking):
+        names = ("load_pressure",) if tracked["order"] == "reduced" else ("cap", "rod_side")
+        tracked["trace"] = {
             "time_s": [0.0, 1.0, 2.0],
             "error_deg": [0.1 + n, 0.2 + n, 0.3 + n],
             "pressures_mpa": {name: [n + 0.5, n + 0.6, len(name)] for name in names},
@@ -56,8 +56,11 @@ def by_hand():
         for o, f in both
         for p in postures
     ]
-    for n, one in enumerate(frequency):
-        one["trace"] = {"frequencies_hz": [1.0, 10.0], "plant_gain_m": [1e-3 * (n + 1), 2e-5 * n]}
+    for n, linear in enumerate(frequency):
+        linear["trace"] = {
+            "frequencies_hz": [1.0, 10.0],
+            "plant_gain_m": [1e-3 * (n + 1), 2e-5 * n],
+        }
     lost = dict.fromkeys(NAMES["frequency"][3:], math.nan)
     frequency[0] |= dict.fromkeys(NAMES["frequency"][-2:], math.nan)
     frequency[1] |= lost | {"stable": False}

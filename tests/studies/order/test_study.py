@@ -52,8 +52,8 @@ def test_in_order_changes_order_and_load_alone():
     assert full.plant.full_order is not None
     assert full.plant.load == KneeLoadParameters(disturbance_n=60.0)
     assert in_order(full, "reduced", -60.0) == UNCERTAIN_KNEE
-    own = changed(Scenario(), {"plant.full_order": {"coulomb_friction_n": 5.0}})
-    assert in_order(own, "full").plant.full_order.coulomb_friction_n == 5.0
+    rough = changed(Scenario(), {"plant.full_order": {"coulomb_friction_n": 5.0}})
+    assert in_order(rough, "full").plant.full_order.coulomb_friction_n == 5.0
     # Without a load there is none but the disturbance.
     assert in_order(Scenario(), "full", 7.0).plant.load == KneeLoadParameters(
         segment_mass_kg=0.0, disturbance_n=7.0
@@ -247,8 +247,10 @@ def test_every_row_is_that_of_its_own_run(small, flat):
             for order, force in cases
         ],
     }
-    for part, own in expected.items():
-        assert flat(list(getattr(small, part))) == pytest.approx(flat(own), nan_ok=True), part
+    for part, rows_by_hand in expected.items():
+        assert flat(list(getattr(small, part))) == pytest.approx(flat(rows_by_hand), nan_ok=True), (
+            part
+        )
     # Each number has a chance to be wrong.
     assert [row["oscillates"] for row in expected["switching"]] == [True, False]
     assert all(0.1 < row["saturated_share"] < 0.9 for row in expected["tracking"])

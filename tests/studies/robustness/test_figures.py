@@ -136,8 +136,8 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
         return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2f}"
 
     assert {t.get_position(): t.get_text() for t in ranks.texts} == {
-        (column, row): cell(own[path])
-        for column, own in enumerate(correlations.values())
+        (column, row): cell(by_path[path])
+        for column, by_path in enumerate(correlations.values())
         for row, path in enumerate(rows)
     }
     assert {t.get_position(): t.get_text() for t in linear.texts} == {
@@ -154,16 +154,16 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
     for column, merit in enumerate(correlations):
         more_is_worse = merit in ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
         sign = 1.0 if more_is_worse else -1.0
-        own = np.array([correlations[merit][path] for path in rows[:2]])
-        assert np.asarray(shown_ranks[:2, column]) == pytest.approx(sign * own)
+        sampled = np.array([correlations[merit][path] for path in rows[:2]])
+        assert np.asarray(shown_ranks[:2, column]) == pytest.approx(sign * sampled)
     assert len(ranks.get_xticklabels()) == len(MERITS)
 
 
 def test_nyquist_draws_the_loops_of_the_samples(by_hand):
     unstable = assessment(1.2, 1.7, None, None, stable=False, disk_margin=math.nan)
     one_at_a_time = (*by_hand.one_at_a_time[:-1], unstable)
-    done = dataclasses.replace(by_hand, one_at_a_time=one_at_a_time)
-    (ax,) = figures(done)["robustness_nyquist"].axes
+    study = dataclasses.replace(by_hand, one_at_a_time=one_at_a_time)
+    (ax,) = figures(study)["robustness_nyquist"].axes
     for line, sample in zip(ax.lines, by_hand.samples[: FEW.nyquist_loops], strict=False):
         loop = linearize_loop(realize(UNCERTAIN_KNEE, SMALL, sample.values), 40.0)
         expected = loop.loop_response(np.geomspace(0.02, 250.0, 2000))

@@ -110,7 +110,8 @@ def test_unstable_loops_whose_runs_end_are_counted_with_their_errors(by_hand):
 
 def test_failures_are_told_as_a_share(by_hand):
     two = tuple(
-        dataclasses.replace(one, metrics=by_hand.samples[3].metrics) for one in by_hand.samples[:2]
+        dataclasses.replace(assessment, metrics=by_hand.samples[3].metrics)
+        for assessment in by_hand.samples[:2]
     )
     text = report(dataclasses.replace(by_hand, samples=two + by_hand.samples[2:3] * 8))
     assert "2 of the 10 samples (20 %) fail in part" in text

@@ -106,16 +106,16 @@ def test_one_at_a_time_changes_one_value(formula):
     assert len(seen) == 1 + 7 + 40 + 12 == len(set(seen)) + 1
 
 
-def share_of(path, one, scenario):
+def share_of(path, uncertainty, scenario):
     """0 … 1 along the levels of a value, as a plant of a corner has it."""
     value = reduce(getattr, path.split("."), scenario)
-    if one.options:
-        known = [LINKAGES.get(o, o) if isinstance(o, str) else o for o in one.options]
+    if uncertainty.options:
+        known = [LINKAGES.get(o, o) if isinstance(o, str) else o for o in uncertainty.options]
         known = [FullCylinderParameters(**o) if isinstance(o, dict) else o for o in known]
         return known.index(value) / (len(known) - 1)
-    if one.scale == "log":
-        return math.log(value / one.low) / math.log(one.high / one.low)
-    return (value - one.low) / (one.high - one.low)
+    if uncertainty.scale == "log":
+        return math.log(value / uncertainty.low) / math.log(uncertainty.high / uncertainty.low)
+    return (value - uncertainty.low) / (uncertainty.high - uncertainty.low)
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def weighted(formula):
         weights = {path: (-1.0) ** n * (1.0 + 0.1 * n) for n, path in enumerate(UNCERTAINTY.values)}
 
         def value(scenario):
-            shares = {p: share_of(p, one, scenario) for p, one in UNCERTAINTY.values.items()}
+            shares = {p: share_of(p, u, scenario) for p, u in UNCERTAINTY.values.items()}
             total = sum(weights[p] * share for p, share in shares.items())
             mass, lag = shares["plant.cylinder.mass_kg"], shares["plant.pump.lag_s"]
             total += interaction * mass * lag
@@ -217,10 +217,10 @@ REFUSED = {
 @pytest.mark.parametrize("path", REFUSED)
 def test_wrong_values_are_refused_before_anything_runs(formula, path):
     seen = formula(lambda scenario: merits())
-    one, message = REFUSED[path]
+    uncertainty, message = REFUSED[path]
     values = {"plant.pump": {"options": ({},)}} if path == "plant.pump.lag_s" else {}
     with raises_one_line(re.escape(path) + message):
-        robustness_study(Scenario(), UncertaintySet(values={**values, path: one}), FEW)
+        robustness_study(Scenario(), UncertaintySet(values={**values, path: uncertainty}), FEW)
     assert seen == []
 
 
@@ -490,20 +490,20 @@ def test_the_summary_of_each_figure_is_that_of_its_visits(by_hand, flat, check_r
     numbers = by_hand.results()
     check_rules(numbers)
     assert list(numbers["metrics"]) == list(MERITS)
-    for merit, own in numbers["metrics"].items():
+    for merit, summary in numbers["metrics"].items():
         names = ("nominal", "median", "percentile_5", "percentile_95")
-        values = [own[name] for name in names]
-        values += [own[f"worst_{kind}"]["value"] for kind in ("sample", "corner")]
+        values = [summary[name] for name in names]
+        values += [summary[f"worst_{kind}"]["value"] for kind in ("sample", "corner")]
         expected = expected_summary(merit)
         if merit == "max_error_deg":  # a figure that is missing has no number
             expected[4] = math.nan
         assert values == pytest.approx(expected, nan_ok=True), merit
-        assert own["failed_samples"] == (merit == "max_error_deg")
-        assert own["failed_corners"] == 0
+        assert summary["failed_samples"] == (merit == "max_error_deg")
+        assert summary["failed_corners"] == 0
         high = MERITS[merit].sign_of_worse > 0.0
         at_worst = by_hand.samples[3 if merit == "max_error_deg" else 2 if high else 1]
-        assert own["worst_sample"]["values"] == at_worst.values
-        assert own["worst_corner"]["values"] == by_hand.corners[0 if high else 1].values
+        assert summary["worst_sample"]["values"] == at_worst.values
+        assert summary["worst_corner"]["values"] == by_hand.corners[0 if high else 1].values
     assert numbers["share_within_worst_sample_at_95_percent_confidence"] == pytest.approx(
         0.05 ** (1 / 5)
     )
@@ -518,10 +518,10 @@ def test_the_summary_of_each_figure_is_that_of_its_visits(by_hand, flat, check_r
         assert flat(numbers[kind]) == pytest.approx(flat(expected), nan_ok=True)
     assert numbers["nominal"] == by_hand.nominal.metrics
     assert numbers["local_sensitivity"] == by_hand.local
-    for merit, own in numbers["rank_correlation"].items():
+    for merit, by_path in numbers["rank_correlation"].items():
         values = SAMPLED.copy()
         if merit == "max_error_deg":
             values[3] = math.inf
         for n, path in enumerate(("plant.cylinder.mass_kg", "plant.pump.lag_s")):
             x = [(1.50, 1.45, 1.60, 1.75, 1.65), (0.012, 0.007, 0.019, 0.011, 0.009)][n]
-            assert own[path] == pytest.approx(spearmanr(x, values).statistic)
+            assert by_path[path] == pytest.approx(spearmanr(x, values).statistic)

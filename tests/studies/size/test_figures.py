@@ -48,7 +48,7 @@ def test_sweeps_show_every_row(sized, drawn, curves):
         for path, sweep in sweeps.items():
             x, y = lines[HARDWARE[path][0]]
             assert x == pytest.approx(factors)
-            assert y == pytest.approx([one[name] for one in sweep], nan_ok=True)
+            assert y == pytest.approx([row[name] for row in sweep], nan_ok=True)
     bounds = curves(axes[0])
     for path, label in (
         (SPEED_LIMIT, "motor speed"),
@@ -56,7 +56,7 @@ def test_sweeps_show_every_row(sized, drawn, curves):
         (ACCELERATION_LIMIT, "acceleration"),
     ):
         (shown,) = (v for k, v in bounds.items() if k.startswith("bound") and label in k)
-        expected = [one["expected_bandwidth_hz"] for one in sized.sweeps[path]]
+        expected = [row["expected_bandwidth_hz"] for row in sized.sweeps[path]]
         assert shown[1] == pytest.approx(expected)
 
 

@@ -15,15 +15,15 @@ from kneexo.studies.size.report import report
 
 def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
     numbers = sized.results()
-    hardware, demands, torques, steps, designs, variations, kept = tables(report(sized))
+    hardware, demands, torques, steps, designs, variations, reserves = tables(report(sized))
 
     columns = (*AT_SINE[:1], "small_signal_bandwidth_hz", "bandwidth_hz", "max_error_deg")
     rows = [["hardware as it is", *(numbers["nominal"][name] for name in columns)]]
     for path, sweep in numbers["sweeps"].items():
         name, unit, _ = HARDWARE[path]
-        for one in (sweep[0], sweep[2]):
-            label = f"{name} {one['value']:.4g} {unit}".rstrip()
-            rows.append([label, *(one[column] for column in columns)])
+        for entry in (sweep[0], sweep[2]):
+            label = f"{name} {entry['value']:.4g} {unit}".rstrip()
+            rows.append([label, *(entry[column] for column in columns)])
     check_cells(hardware, rows)
     assert hardware[0][1:] == [
         "bound (Hz)",
@@ -37,13 +37,13 @@ def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
     check_cells(
         demands,
         [
-            [row[0], *(one[name] for one in both)]
+            [row[0], *(entry[name] for entry in both)]
             for row, name in zip(demands[1:], [*both[0]][1:], strict=True)
         ],
     )
     by_torque = numbers["demand_by_wearer_torque_n_m"]
     names = ("peak_rod_force_n", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
-    check_cells(torques, [[t, *(one[n] for n in names)] for t, one in by_torque.items()])
+    check_cells(torques, [[t, *(entry[n] for n in names)] for t, entry in by_torque.items()])
 
     names = ("max_error_deg", "rms_error_deg")
     lost = "fails: t = 1 s: left the range"
@@ -51,12 +51,12 @@ def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
     check_cells(
         steps,
         [
-            ["as it is", *(one[name] for one in (first, second) for name in names)],
+            ["as it is", *(entry[name] for entry in (first, second) for name in names)],
             ["ample", lost, "–", *(sized.steps["ample"][1][name] for name in names)],
         ],
     )
 
-    one, other = numbers["designs"]
+    design, other = numbers["designs"]
     searched = [d["acceleration_search"] for d in numbers["designs"]]
     values = {
         "smallest flow": [d["flow_search"]["value"] for d in numbers["designs"]],
@@ -70,10 +70,10 @@ def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
         *("displacement_cm3_per_rev", "or_gear_ratio", "or_motor_speed_limit_rpm"),
         *("or_piston_area_without_gear_mm2", "rated_force_of_that_piston_n"),
     ):
-        values[name] = [one[name], other[name]]
+        values[name] = [design[name], other[name]]
     for name in WALKING_METRICS:
         if name not in ("saturated_share", "net_energy_j"):
-            halved = name in one["step_agreement"]
+            halved = name in design["step_agreement"]
             kind = "halved_step" if halved else "walking"
             values[name] = [d[kind][name] for d in numbers["designs"]]
     values["change"] = [5.0, 5.0]
@@ -90,7 +90,7 @@ def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
         variations,
         [["reduced", *(reduced[n] for n in names)], ["full", lost, *["–"] * 5]],
     )
-    assert kept[1:] == [
+    assert reserves[1:] == [
         [HARDWARE[path][0], "1 … 1.25" if n < 3 else "1 … 1.5"] for n, path in enumerate(HARDWARE)
     ]
 
@@ -119,7 +119,7 @@ def check_units(rows, values):
 
 def test_the_words_have_the_numbers_of_the_results(sized):
     numbers, text = sized.results(), report(sized)
-    limits, own = numbers["limits"], numbers["controller"]
+    limits, needs = numbers["limits"], numbers["controller"]
     for said in (
         f"= {limits['rod_speed_limit_mm_s']:.1f} mm/s",
         f"= {limits['rod_acceleration_limit_m_s2']:.3f} m/s²",
@@ -128,8 +128,8 @@ def test_the_words_have_the_numbers_of_the_results(sized):
         f"below {limits['acceleration_limit_alone_rad_s2']:.0f} rad/s² it decides",
         "its speed limit 87 % of the time",
         "With 25 times the flow and 100000 rad/s² no limit",
-        f"errs by {own['linear_error_deg']:.1f}° at 1 Hz",
-        f"and by {own['linear_error_tuned_deg']:.2f}° with λ",
+        f"errs by {needs['linear_error_deg']:.1f}° at 1 Hz",
+        f"and by {needs['linear_error_tuned_deg']:.2f}° with λ",
         "reference 10…70° moves it",
         "largest at 0.1 Hz after the first period",
         "at 1 Hz; the ratings are",
@@ -140,13 +140,14 @@ def test_the_words_have_the_numbers_of_the_results(sized):
         "It follows 10…70° at 0.1 Hz to 0.918°.",
         "3 dB for that sine: 0.884 Hz (bound of its limits 0.867 Hz, linear loop 0.901 Hz).",
         "of those tried in 0.5 … 1.5, that keep the error within 2°",
-        f"= {own['authority_asked_m_s3']:.2g} m/s³; the controller has",
-        f" {own['authority_m_s3']:.2g}, so η must grow",
+        f"= {needs['authority_asked_m_s3']:.2g} m/s³; the controller has",
+        f" {needs['authority_m_s3']:.2g}, so η must grow",
         "λ 20 1/s → 80 1/s",
-        f"k/Φ {own['slope_per_s']:.3g} 1/s → 5e+04 1/s",
+        f"k/Φ {needs['slope_per_s']:.3g} 1/s → 5e+04 1/s",
         "T_f 20 ms:",
         "disk margin 0.01, phase margin 44°",
-        " and ".join(f"{one['flow_factor']:.3g}" for one in numbers["demand"]) + " times the flow",
+        " and ".join(f"{entry['flow_factor']:.3g}" for entry in numbers["demand"])
+        + " times the flow",
         "ratings are 3.5 MPa and 200 W",
     ):
         assert said in text

@@ -75,12 +75,12 @@ def test_limits_are_those_of_pump_gear_and_piston(sized):
 
 
 def test_a_design_tells_every_way_to_its_flow(sized):
-    for design, one, share in zip(
+    for numbers, design, share in zip(
         sized.results()["designs"], sized.designs, (1.0, 2.0), strict=True
     ):
         factor = FLOW * share
         expected = {
-            "frequency_hz": one.frequency_hz,
+            "frequency_hz": design.frequency_hz,
             "flow_factor": factor,
             "rod_speed_limit_mm_s": SPEED_MM_S * factor,
             "rod_acceleration_limit_m_s2": 1e-3
@@ -99,13 +99,13 @@ def test_a_design_tells_every_way_to_its_flow(sized):
             "or_piston_area_without_gear_mm2": AREA_MM2 * 6.0 / factor,
             "rated_force_of_that_piston_n": AREA_MM2 * 6.0 / factor * 3.5,
         }
-        assert {name: design[name] for name in expected} == pytest.approx(expected, rel=1e-9)
-        assert design["flow_search"] == vars(one.flow)
-        assert design["acceleration_search"] == vars(one.acceleration)
-        assert design["walking"] == one.walking
-        assert design["checked"] == one.checked
-        assert design["halved_step"] == one.halved
-        assert design["step_agreement"] == pytest.approx(
+        assert {name: numbers[name] for name in expected} == pytest.approx(expected, rel=1e-9)
+        assert numbers["flow_search"] == vars(design.flow)
+        assert numbers["acceleration_search"] == vars(design.acceleration)
+        assert numbers["walking"] == design.walking
+        assert numbers["checked"] == design.checked
+        assert numbers["halved_step"] == design.halved
+        assert numbers["step_agreement"] == pytest.approx(
             {
                 "max_error_deg": 0.02,
                 "peak_pressure_mpa": 0.02,
@@ -153,8 +153,8 @@ def test_what_was_measured_is_in_the_results_as_it_is(sized, flat):
                 },
                 "walking_sweeps": {
                     path: [
-                        {"factor": factor} | one
-                        for factor, one in zip((0.5, 1.0, 1.25, 1.5), sweep, strict=True)
+                        {"factor": factor} | walked
+                        for factor, walked in zip((0.5, 1.0, 1.25, 1.5), sweep, strict=True)
                     ]
                     for path, sweep in sized.walking_sweeps.items()
                 },
@@ -167,7 +167,7 @@ def test_what_was_measured_is_in_the_results_as_it_is(sized, flat):
         numbers["sweeps"].items(), (5000.0, 0.8, 6.0, 1e4, 10.0, 4096.0), strict=True
     ):
         measured = json.loads(to_json(sized.sweeps[path]))
-        for factor, row, own in zip((0.5, 1.0, 2.0), sweep, measured, strict=True):
+        for factor, row, measured_row in zip((0.5, 1.0, 2.0), sweep, measured, strict=True):
             assert row.pop("factor") == factor
             assert row.pop("value") == pytest.approx(factor * value, rel=1e-9)
-            assert row == own
+            assert row == measured_row

@@ -7,7 +7,7 @@ from kneexo.studies.size.settings import SizeSettings
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "message"),
     [
         ({"factors": (1.0, 1.0)}, "factors: must increase"),
         ({"walking_factors": (2.0, 1.0)}, "walking_factors: must increase"),
@@ -19,7 +19,7 @@ from kneexo.studies.size.settings import SizeSettings
         ({"cycles": 1}, "cycles = 1 is out of range: must be finite and >= 2 and <= 1000"),
     ],
 )
-def test_settings_that_contradict_themselves_are_refused(values, told):
+def test_settings_that_contradict_themselves_are_refused(values, message):
     with pytest.raises(ParameterError) as caught:
         SizeSettings(**values)
-    assert told in str(caught.value)
+    assert message in str(caught.value)

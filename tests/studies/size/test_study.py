@@ -78,7 +78,7 @@ def test_a_search_that_ends_beyond_its_range_tells_the_best_value():
 
 
 @pytest.mark.parametrize(
-    ("scenario", "told"),
+    ("scenario", "message"),
     [
         (Scenario(reference=RampReference()), "reference = ramp"),
         (Scenario(controller=PID_TUNED), "controller.kind = pid"),
@@ -86,8 +86,8 @@ def test_a_search_that_ends_beyond_its_range_tells_the_best_value():
         (Scenario(plant=PlantParameters(ideal_motor=True)), "plant.ideal_motor = true"),
     ],
 )
-def test_what_cannot_be_sized_is_refused(scenario, told):
-    with pytest.raises(ParameterError, match=told) as caught:
+def test_what_cannot_be_sized_is_refused(scenario, message):
+    with pytest.raises(ParameterError, match=message) as caught:
         size_study(scenario, SMALL)
     assert "\n" not in str(caught.value)
 
@@ -98,11 +98,13 @@ def test_what_cannot_be_sized_is_refused(scenario, told):
 @pytest.fixture
 def by_formula(monkeypatch):
     """At f Hz with λ = 80 1/s, 10 f times the flow and 2e4 f rad/s² leave an error of 2°."""
-    own = UNCERTAIN_KNEE.plant.pump.displacement_m3_per_rad
+    displacement = UNCERTAIN_KNEE.plant.pump.displacement_m3_per_rad
 
     def error(scenario, frequency_hz):
         pump = scenario.plant.pump
-        short = max(10.0 * own / pump.displacement_m3_per_rad, 2e4 / pump.acceleration_limit_rad_s2)
+        short = max(
+            10.0 * displacement / pump.displacement_m3_per_rad, 2e4 / pump.acceleration_limit_rad_s2
+        )
         return 2.0 * frequency_hz * short * 80.0 / scenario.controller.lambda_per_s
 
     def walking(scenario, frequency_hz, cycles):
@@ -119,7 +121,7 @@ def by_formula(monkeypatch):
 
 @pytest.mark.usefixtures("by_formula")
 def test_every_row_of_the_sweeps_is_that_of_its_own_hardware(in_numbers):
-    own = changed(
+    base = changed(
         Scenario(),
         {
             "reference": {"kind": "sine", "amplitude_deg": 2.0, "frequency_hz": 4.0},
@@ -127,11 +129,11 @@ def test_every_row_of_the_sweeps_is_that_of_its_own_hardware(in_numbers):
         },
     )
     few = {"factors": (2.0,), "walking_factors": (1.0,), "lambda_per_s": (80.0,)}
-    result = size_study(own, changed(SMALL, few))
+    result = size_study(base, changed(SMALL, few))
     rows = {path: row for path, (row,) in result.sweeps.items()}
     assert list(rows) == list(HARDWARE)
     for path, row in (("", result.nominal), *rows.items()):
-        hardware = scaled(own, {path: 2.0}) if path else own
+        hardware = scaled(base, {path: 2.0}) if path else base
         expected = in_numbers(hardware, 0.25) | {
             "expected_bandwidth_hz": expected_bandwidth_hz(hardware),
             "bandwidth_hz": large_signal_bandwidth_hz(hardware),
@@ -160,14 +162,14 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
     # Ample: 25 times the flow and 1e5 rad/s²; the hardest stride is that of 1 Hz.
     assert result.best_gains["lambda_per_s"] == 80.0
     assert result.best_gains["max_error_deg"] == pytest.approx(2.0 * 10.0 / 25.0)
-    assert [one["meets"] for one in result.gains] == [True, True]
+    assert [entry["meets"] for entry in result.gains] == [True, True]
     for frequency, design in zip((0.5, 1.0), result.designs, strict=True):
         assert design.flow.value == pytest.approx(10.0 * frequency, rel=1e-3)
         assert design.acceleration.value == pytest.approx(2e4 * frequency, rel=1e-3)
         assert design.walking["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
     # What follows is about 0.5 Hz.
-    for one in result.variations.values():
-        assert one["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
+    for entry in result.variations.values():
+        assert entry["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
     factors = np.array(settings.walking_factors)
     worst = 2.0 / 1.1 / np.minimum(*np.meshgrid(factors, factors))
     assert result.walking_map_deg == pytest.approx(worst, rel=1e-3)
@@ -210,10 +212,10 @@ def test_what_the_controller_needs(study):
     assert steps[3]["max_error_deg"] < 2.0
     assert result.best_gains["lambda_per_s"] == 80.0
     assert result.best_gains["meets"]
-    own = result.results()["controller"]
-    assert own["authority_asked_m_s3"] > own["authority_m_s3"]
+    needs = result.results()["controller"]
+    assert needs["authority_asked_m_s3"] > needs["authority_m_s3"]
     law = sliding_mode(result.designs[0].scenario)
-    asked_for = own["authority_asked_m_s3"]
+    asked_for = needs["authority_asked_m_s3"]
     assert law.gain_ratio * law.eta_m_s3 > asked_for
 
 
@@ -221,19 +223,19 @@ def test_what_the_controller_needs(study):
 def test_bandwidth_goes_with_flow_and_never_beyond_its_bound(study):
     result, _ = study
     for path in (SPEED_LIMIT, DISPLACEMENT):
-        half, base, double = (one["bandwidth_hz"] for one in result.sweeps[path])
+        half, base, double = (entry["bandwidth_hz"] for entry in result.sweeps[path])
         # f ∝ R; the observer and the acceleration limit take 2 % at twice the flow.
         assert half / base == pytest.approx(0.5, rel=0.01)
         assert double / base == pytest.approx(2.0, rel=0.03)
     for path in HARDWARE:
-        for factor, one in zip(SMALL.factors, result.sweeps[path], strict=True):
+        for factor, entry in zip(SMALL.factors, result.sweeps[path], strict=True):
             bound = expected_bandwidth_hz(scaled(UNCERTAIN_KNEE, {path: factor}))
-            assert one["expected_bandwidth_hz"] == bound
+            assert entry["expected_bandwidth_hz"] == bound
             # The bound is that of a sine in x; the knee's is 3 % lower.
-            assert 0.93 * bound < one["bandwidth_hz"] <= bound
-    errors = [one["max_error_deg"] for one in result.sweeps["encoder.counts_per_revolution"]]
+            assert 0.93 * bound < entry["bandwidth_hz"] <= bound
+    errors = [entry["max_error_deg"] for entry in result.sweeps["encoder.counts_per_revolution"]]
     assert errors[0] > errors[1] > errors[2]
-    lag = [one["max_error_deg"] for one in result.sweeps["plant.pump.lag_s"]]
+    lag = [entry["max_error_deg"] for entry in result.sweeps["plant.pump.lag_s"]]
     assert lag[0] < lag[1] < lag[2]
 
 

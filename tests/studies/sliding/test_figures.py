@@ -19,8 +19,8 @@ def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
     assert set(drawn) == {"sliding_condition", "error_bound", "boundary_layer"}
     first = study.settings.loads_n[0]
     # Over time the smallest η with which the paper's k ends its run; the first load alone.
-    own = study.of("motion", plant="full", law="paper", load_n=first)
-    smallest = min(case.eta_m_s3 for case in own if not case.measured["failure"])
+    same_law = study.of("motion", plant="full", law="paper", load_n=first)
+    smallest = min(case.eta_m_s3 for case in same_law if not case.measured["failure"])
     panels = ("start", study.settings.start_eta_m_s3, 1e3), ("motion", smallest, 1.0)
     for ax, (part, eta, scale) in zip(drawn["sliding_condition"].axes, panels, strict=True):
         lines = curves(ax)
@@ -55,12 +55,13 @@ def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
     lines = curves(ax)
     for law, label in LAWS.items():
         for load in study.settings.loads_n:
-            own = study.of("motion", plant="full", law=law, load_n=load)
-            failed = [case.eta_m_s3 for case in own if case.measured["failure"]]
+            same_law = study.of("motion", plant="full", law=law, load_n=load)
+            failed = [case.eta_m_s3 for case in same_law if case.measured["failure"]]
             largest = [
-                math.nan if case.measured["failure"] else case.measured["largest_s"] for case in own
+                math.nan if case.measured["failure"] else case.measured["largest_s"]
+                for case in same_law
             ]
-            etas = [case.eta_m_s3 for case in own]
+            etas = [case.eta_m_s3 for case in same_law]
             assert_line(lines.pop(f"{label}, {load:g} N"), etas, largest)
             if failed:
                 assert_line(lines.pop(f"{label}, {load:g} N: left the range"), failed, [40.0])

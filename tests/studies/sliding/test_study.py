@@ -160,11 +160,13 @@ def measured(scenario):
         result["reaching_s"] = time[first]
         result["left_share"] = len(later) / (count - first)
         result["largest_s"] = max(abs(s[k]) for k in range(first, count)) / phi
-        kept = range(first, later[0] if later else count)
-        bound[kept], _ = error_bounds(
-            time[kept], e[first], e_rate[first], lambda_per_s=lambda_, phi_m_s2=phi
+        before_leaving = range(first, later[0] if later else count)
+        bound[before_leaving], _ = error_bounds(
+            time[before_leaving], e[first], e_rate[first], lambda_per_s=lambda_, phi_m_s2=phi
         )
-        result["bounded_share"] = np.mean([abs(e[k]) <= 1.000001 * bound[k] for k in kept])
+        result["bounded_share"] = np.mean(
+            [abs(e[k]) <= 1.000001 * bound[k] for k in before_leaving]
+        )
         settled = [k for k in range(count) if time[k] >= time[first] + 0.1 / lambda_]
         if settled:
             e_2 = s[settled] - 2.0 * lambda_ * e_rate[settled] - lambda_**2 * e[settled]
@@ -195,9 +197,9 @@ def test_every_case_is_measured_in_its_own_run(small_study, flat):
     shares = {}
     for case, (labels, scenario) in zip(study.cases, expected, strict=True):
         assert (case.part, case.plant, case.law, case.load_n, case.eta_m_s3) == labels
-        own = measured(scenario)
-        assert flat(case.measured) == pytest.approx(flat(own), nan_ok=True), labels
-        for name, value in own.items():
+        by_numpy = measured(scenario)
+        assert flat(case.measured) == pytest.approx(flat(by_numpy), nan_ok=True), labels
+        for name, value in by_numpy.items():
             shares.setdefault(name, set()).add(value if name != "trace" else "")
     # Each share has a chance to be wrong, but for that of the bounds, which always hold.
     for name in (n for n in shares if n.endswith("_share") and n != "bounded_share"):
