@@ -87,8 +87,8 @@ def test_stacked_tables_keep_their_values():
 
 
 def test_constants_stack_without_breaks():
-    one, two = (InputTable(coefficients=np.full((1, 1, 1), value)) for value in (1.0, 2.0))
-    stacked = stack_tables(one, two)
+    first, second = (InputTable(coefficients=np.full((1, 1, 1), value)) for value in (1.0, 2.0))
+    stacked = stack_tables(first, second)
     assert stacked.breaks.size == 0
     np.testing.assert_array_equal(stacked.coefficients, [[[1.0], [2.0]]])
 

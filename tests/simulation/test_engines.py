@@ -68,10 +68,10 @@ def test_a_run_that_would_not_fit_into_memory_is_refused_by_its_size(monkeypatch
 
 @pytest.mark.parametrize("integrator", ["exact_hold", "radau3"])
 def test_progress_ends_at_the_duration(integrator):
-    told = []
+    times_s = []
     settings = SimulationParameters(duration_s=0.1, integrator=integrator)
-    simulate(Scenario(simulation=settings), signals=("knee_angle",), progress=told.append)
-    assert told[-1] == pytest.approx(0.1)
+    simulate(Scenario(simulation=settings), signals=("knee_angle",), progress=times_s.append)
+    assert times_s[-1] == pytest.approx(0.1)
 
 
 def test_an_output_of_a_users_diagram_that_is_not_finite_ends_the_run():

@@ -227,10 +227,10 @@ def test_results_before_an_error_are_stored(tmp_path, batches, at_once):
     with pytest.raises(ValueError, match="33 is too much"):
         parallel_map(partial(square_below, 33), items, checkpoint=Checkpoint(path))
     keys = piece_keys(partial(square_below, 33), items)
-    kept = Checkpoint(path)
-    assert [key in kept for key in keys] == [True] * 33 + [False] * 7
+    stored = Checkpoint(path)
+    assert [key in stored for key in keys] == [True] * 33 + [False] * 7
     with pytest.raises(ValueError, match="33 is too much"):
-        parallel_map(partial(square_below, 33), items, executor=at_once(), checkpoint=kept)
+        parallel_map(partial(square_below, 33), items, executor=at_once(), checkpoint=stored)
 
 
 def test_stored_results_are_not_computed_again(tmp_path, batches):
@@ -279,10 +279,10 @@ def test_results_before_the_death_of_a_worker_are_stored(tmp_path, monkeypatch):
     with pytest.raises(WorkerError, match="a worker process died") as caught:
         parallel_map(square_or_die, items, workers=2, checkpoint=Checkpoint(path))
     assert "\n" not in str(caught.value)
-    kept = Checkpoint(path)
-    assert 1 <= len(kept) < len(items)
+    stored = Checkpoint(path)
+    assert 1 <= len(stored) < len(items)
     monkeypatch.delenv("KNEEXO_TEST_CHECKPOINT")
-    results = parallel_map(square_or_die, items, checkpoint=kept)
+    results = parallel_map(square_or_die, items, checkpoint=stored)
     assert results == [n * n for n in items]
 
 
@@ -295,9 +295,9 @@ def test_an_executor_that_breaks_is_one_line_and_resumes(tmp_path, most, at_once
     with pytest.raises(WorkerError) as caught:
         parallel_map(abs, items, executor=executor, checkpoint=Checkpoint(path))
     assert "\n" not in str(caught.value)
-    kept = Checkpoint(path)
-    assert len(kept) == max(most - 3, 0)  # the results of three units were not yet taken
-    assert parallel_map(abs, items, executor=at_once(), checkpoint=kept) == items
+    stored = Checkpoint(path)
+    assert len(stored) == max(most - 3, 0)  # the results of three units were not yet taken
+    assert parallel_map(abs, items, executor=at_once(), checkpoint=stored) == items
 
 
 def test_an_executor_that_cancels_the_work_is_one_line():

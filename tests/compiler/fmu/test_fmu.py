@@ -67,11 +67,11 @@ def test_values_while_initializing(path, fmu_instance):
 
 
 def test_a_step_of_many_ticks_equals_that_many_steps(path, fmu_instance):
-    one, many = fmu_instance(path).start(), fmu_instance(path).start()
-    one.step(0.0, 7 * TICK_S)
+    single, many = fmu_instance(path).start(), fmu_instance(path).start()
+    single.step(0.0, 7 * TICK_S)
     for n in range(7):
         many.step(n * TICK_S, TICK_S)
-    assert one.get("x_m", "late_m", "time") == many.get("x_m", "late_m", "time")
+    assert single.get("x_m", "late_m", "time") == many.get("x_m", "late_m", "time")
 
 
 def test_times_count_from_the_start_time(path, fmu_instance):
@@ -218,19 +218,19 @@ def test_a_tuned_parameter_that_is_not_finite_in_c_is_explained(sensitive):
 
 def test_a_state_that_was_never_started_is_explained(lag):
     """Of damaged bytes: of the ones in it, one says that the model is started."""
-    data, told = lag.serialize(), []
-    one = (1).to_bytes(4, sys.byteorder)
+    data, messages = lag.serialize(), []
+    started = (1).to_bytes(4, sys.byteorder)
     for place in range(len(data) - 3):
-        if data[place : place + 4] == one:
+        if data[place : place + 4] == started:
             lag.deserialize(data[:place] + bytes(4) + data[place + 4 :])
             before = len(lag.messages)
             with suppress(Exception):
                 lag.step(0.0, TICK_S)
-            told += lag.messages[before:]
+            messages += lag.messages[before:]
     assert (
         "t = 0 s: the step failed, status = 8: the model is not started; initialize the instance "
         "again"
-    ) in told
+    ) in messages
 
 
 def test_what_may_not_be_set(lag, path, fmu_instance):
