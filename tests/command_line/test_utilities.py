@@ -59,12 +59,13 @@ def test_diagram_always_writes_the_dot_file(capsys, tmp_path, monkeypatch):
 
 def test_diagram_draws_with_graphviz(capsys, tmp_path, monkeypatch):
     fake = tmp_path / "dot"
-    fake.write_text('#!/bin/sh\nfor last; do :; done\necho "$1" > "$last"\n')
+    fake.write_text('#!/bin/sh\ncat > /dev/null\necho "$1"\n')
     fake.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     assert main(["diagram", "--out", str(tmp_path / "out"), "--json"]) == 0
     names = json.loads(capsys.readouterr().out)["files"]
     assert names == ["closed_loop.dot", "closed_loop.png", "closed_loop.svg"]
+    assert (tmp_path / "out" / "closed_loop.png").read_text() == "-Tpng\n"
 
 
 def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
