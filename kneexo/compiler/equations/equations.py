@@ -14,12 +14,12 @@ class Update:
     period_s: float
     offset_s: float
     values: tuple[tuple[int, int], ...]
-    """Pairs: index of a discrete state, and node of the value of this state after the update."""
+    """Pairs (index of a discrete state, node that computes this state's value after the update)."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit that a leaf states by its margin; a run stops when the margin falls below zero."""
+    """A limit of a leaf. A run stops when the margin, the distance to the limit, is below zero."""
 
     system: str
     """Path of the leaf that states the margin."""
@@ -29,7 +29,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Section:
-    """The nodes that one leaf computes for one purpose; C code has them under a comment."""
+    """The nodes that one leaf computes for one purpose. In C a comment precedes each section."""
 
     where: str
     """Path of the leaf and the purpose of the nodes: an output port, derivatives, an update …"""
@@ -50,14 +50,14 @@ class Equations:
     discrete: list[str] = field(default_factory=list)
     """Names of the discrete states."""
     inputs: dict[str, int] = field(default_factory=dict)
-    """Sizes of the diagram's open input ports, which get their values in a run, by name."""
+    """Dictionary from name to size of the open input ports. A run gives the ports their values."""
     derivatives: list[int] = field(default_factory=list)
     """Nodes of the time derivatives of the continuous states."""
     initial_discrete: list[int] = field(default_factory=list)
     """Nodes of the discrete states after ``Simulator.Initialize()``."""
     updates: list[Update] = field(default_factory=list)
     outputs: dict[str, list[int]] = field(default_factory=dict)
-    """Nodes of the elements of each output port of the diagram, by the name of the port."""
+    """Dictionary from the name of each output port of the diagram to the nodes of its elements."""
     limits: list[Limit] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     """All sections; each section comes after the sections whose nodes it depends on."""

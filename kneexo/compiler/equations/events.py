@@ -31,8 +31,8 @@ def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
 def to_symbolic(leaf: Node) -> Any:
     """Return a copy of a leaf system for Drake's symbolic scalar type Expression.
 
-    Raises `CompilationError` if the leaf does not convert to Expression, and if it has an update
-    other than periodic discrete updates.
+    Raises `CompilationError` if the leaf does not convert to Expression, or if the leaf has an
+    update that is not a periodic discrete update.
     """
     with _recorded_declarations() as declarations:
         symbolic = symbolic_value(leaf.name, leaf.system.ToSymbolicMaybe)
@@ -76,12 +76,11 @@ _declarations_lock = RLock()
 
 @contextmanager
 def _recorded_declarations() -> Iterator[list[tuple[Any, str, Sequence[Any]]]]:
-    """Context manager: record the events that symbolic Python leaves declare in its body.
+    """Context manager: record each event that a symbolic leaf in Python declares during the body.
 
-    The value is a list with an entry (leaf, method, arguments) for each declaration. Drake lists
-    the events of a leaf in C++ only. So the events of a leaf written in Python are recorded while
-    its symbolic form declares them. The events of a leaf written in C++ stay unknown, except
-    witness functions and periodic discrete updates.
+    The value is a list with an entry (leaf, method, arguments) for each declaration. The record is
+    necessary because Drake lists the events of a leaf in C++ only. The events of a leaf written in
+    C++ stay unknown, except witness functions and periodic discrete updates.
     """
     declarations: list[tuple[Any, str, Sequence[Any]]] = []
     leaf_type = LeafSystem_[Expression]
@@ -105,12 +104,10 @@ def _recorded_declarations() -> Iterator[list[tuple[Any, str, Sequence[Any]]]]:
 
 
 def _unfit_update(method: str, arguments: Sequence[Any]) -> str | None:
-    """Return the kind of a declared update, such as "a per-step discrete update", or None.
+    """Return the kind of an update that does not compile, such as "a per-step discrete update".
 
-    None means that the declaration compiles.
-
-    Publish events and periodic discrete updates give None. In Python a DiscreteUpdateEvent has no
-    constructor, so only methods declare discrete updates.
+    Returns None for publish events and periodic discrete updates, which compile. In Python a
+    DiscreteUpdateEvent has no constructor, so only methods declare discrete updates.
     """
     trigger = "per-step" if "PerStep" in method else "periodic"
     event_type = UnrestrictedUpdateEvent_[Expression]

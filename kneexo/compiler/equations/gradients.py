@@ -11,9 +11,9 @@ from .operations import OPERATIONS
 def gradients(graph: Graph, roots: Iterable[int], kind: str = "state") -> list[dict[int, int]]:
     """Return the gradient of each root by the sources of ``kind``, such as the continuous states.
 
-    A gradient is a dictionary: index of the source, and node of the partial derivative by this
-    source; derivatives that are zero are left out. At a corner (`Role.CORNER`) the derivative is
-    that of one side.
+    A gradient is a dictionary from the index of a source to the node of the partial derivative by
+    this source. Derivatives that are zero are left out. At a corner (`Role.CORNER`) the node gives
+    the derivative on one side of the corner.
     """
     roots = list(roots)
     of_node: dict[int, dict[int, int]] = {}
@@ -27,7 +27,7 @@ def _gradient(
 ) -> dict[int, int]:
     """Return the gradient of a node by the chain rule.
 
-    ``gradient_of``: the gradients of the arguments of the node.
+    ``gradient_of``: dictionary from each argument of the node to the gradient of this argument.
     """
     name = str(graph.nodes[node][0])
     if name == kind:

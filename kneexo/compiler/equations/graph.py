@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 Entry: TypeAlias = tuple[Any, ...]
 """The content of a node: name of the operation or source, and its arguments.
 
-An argument of an operation is the number of a node. A constant has its value as argument, and any
-other source has the index of an element.
+An argument of an operation is the number of a node. The argument of a constant is its value. The
+argument of any other source is the index of an element.
 """
 
 SOURCES = ("constant", "parameter", "time", "state", "discrete", "input")
@@ -41,11 +41,11 @@ class Graph:
     """For each node, the kinds of `SOURCES` that its value depends on, except ``constant``."""
     _numbers: dict[Entry, int] = field(default_factory=dict)
     _polynomials: dict[int, tuple[tuple[int, ...], int]] = field(default_factory=dict)
-    """For each node of a polynomial, the nodes of its coefficients (lowest power first), and of its
-    variable."""
+    """Dictionary from the node of a polynomial to a pair: the nodes of the coefficients (lowest
+    power first), and the node of the variable."""
 
     def copy(self) -> Graph:
-        """Return a copy of the graph; a node made later in one graph is not in the other."""
+        """Return an independent copy: new nodes of the copy do not appear in this graph."""
         lists = list(self.nodes), list(self.depends)
         return Graph(*lists, dict(self._numbers), dict(self._polynomials))
 
@@ -124,10 +124,10 @@ class Graph:
         return self._as_polynomial(rest) or self._node("add", *rest)
 
     def _as_polynomial(self, terms: list[int]) -> int | None:
-        """Make a sum of two ``terms`` c + t·p(t), with a polynomial p, by Estrin's scheme.
+        """If two ``terms`` are c and t·p(t) with a polynomial p, make their sum; else return None.
 
-        The coefficients are fixed values. The products of the scheme do not wait for each other, as
-        those of Horner's rule do. Returns None if the terms have another form.
+        The coefficients are fixed values. The sum uses Estrin's scheme, whose products do not wait
+        for each other. (Each product of Horner's rule waits for the product before.)
         """
         for constant, product in (terms, terms[::-1]) if len(terms) == 2 else ():
             name, *factors = self.nodes[product]
@@ -190,7 +190,7 @@ class Graph:
         return self._node("power", base, exponent)
 
     def unary(self, name: str, argument: int) -> int:
-        """Make the function ``name`` of one argument, one of `operations.UNARY`."""
+        """Make a function of one argument; ``name`` is one of `operations.UNARY`."""
         return self._node(name, argument)
 
     def binary(self, name: str, left: int, right: int) -> int:
@@ -204,7 +204,7 @@ class Graph:
         return self._node(name, left, right)
 
     def compare(self, name: str, left: int, right: int) -> int:
-        """Make the comparison ``name`` of two numbers, one of `operations.COMPARISONS`."""
+        """Make a comparison of two numbers; ``name`` is one of `operations.COMPARISONS`."""
         return self._node(name, left, right)
 
     def where(self, condition: int, positive: int, otherwise: int) -> int:
@@ -222,7 +222,7 @@ class Graph:
     ) -> list[int]:
         """Return ``roots`` and all nodes that they depend on; arguments come before their readers.
 
-        ``arguments``: returns the arguments of a node that the search follows; by default all.
+        ``arguments(node)`` returns the arguments that the search follows, by default all arguments.
         """
         followed = self.arguments if arguments is None else arguments
         reached: set[int] = set()
@@ -235,7 +235,7 @@ class Graph:
         return sorted(reached)
 
     def subtract_one(self, exponent: int) -> int:
-        """Make the node ``exponent`` minus 1; a finite constant gives a constant."""
+        """Make ``exponent`` - 1. If the exponent is a finite constant, the result is a constant."""
         value = self.value(exponent)
         if value is not None and math.isfinite(value):
             return self.constant(value - 1.0)

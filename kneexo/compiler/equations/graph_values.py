@@ -14,8 +14,9 @@ from .operations import OPERATIONS
 def values_of(graph: Graph, roots: Iterable[int], sources: Mapping[str, Any]) -> list[Any]:
     """Return the value of each root; an undefined value is nan or inf.
 
-    ``sources``: for each kind of source except constants, its values by index, such as all states.
-    If these values are arrays, the results are arrays of the same shape.
+    ``sources`` maps each kind of source, such as ``state``, to the values of all its elements, such
+    as all states. Constants need no entry. If the values are arrays, the results are arrays of the
+    same shape.
     """
     roots = list(roots)
     values: dict[int, Any] = {}

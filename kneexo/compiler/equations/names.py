@@ -10,11 +10,12 @@ from .tree import Node
 
 
 def parameter_groups(leaf: Node, context: Any) -> list[list[str]]:
-    """Return, for each numeric parameter group of a leaf of floats, the names of its elements.
+    """Return one list of element names for each numeric parameter group of a leaf of floats.
 
-    The names of the first group come from the leaf's attribute ``parameter_names``, if this has as
-    many names as the group has elements. Otherwise they come from the accessors of Drake's vector.
-    An element without accessor, and an element of another group, is named by its number.
+    The names of the first group come from the leaf's attribute ``parameter_names``, if this
+    attribute has as many names as the group has elements. Otherwise the names come from the
+    accessors of Drake's vector. An element without accessor gets a number as its name. The elements
+    of all other groups get numbers, too.
     """
     names = tuple(getattr(leaf.system, "parameter_names", ()))
     groups = []
@@ -30,7 +31,7 @@ def parameter_groups(leaf: Node, context: Any) -> list[list[str]]:
 
 
 def state_names(leaf: Node, context: Any) -> list[str]:
-    """Return the names of a leaf's continuous states, from accessors of its vector or by number."""
+    """Return the names of a leaf's continuous states, from Drake's accessors or else numbered."""
     return _accessor_names(leaf.path, "x", context.get_continuous_state_vector())
 
 

@@ -1,7 +1,7 @@
-"""The only table of operations: value, derivative, cost, and how machine code and C write each.
+"""The only table of operations: value, derivative, cost, and form in machine code and in C.
 
-A new operation is a new row of this table. It requires no other code, unless a backend (machine
-code or C) has to write it in a new way.
+A new row of this table adds an operation. No other code is necessary, unless a backend (machine
+code or C) has to write the operation in a new way.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import numpy as np
 from .graph import Graph
 
 Partials: TypeAlias = Callable[[Graph, tuple[int, ...], int], list[int | None]]
-"""``partials(graph, arguments, node)`` returns the node of each derivative of ``node``.
+"""``partials(graph, arguments, node)`` returns the derivatives of ``node`` by its arguments.
 
-The derivatives are those by the arguments, in their order. None stands for a derivative that counts
-as zero, because the value does not follow this argument continuously.
+Each derivative is a node, or None. None means that the derivative counts as zero, because the value
+changes only in jumps when the argument changes.
 """
 
 
@@ -34,7 +34,7 @@ class Role(Enum):
     ROUNDING = auto()
     """The value is a whole number."""
     COMPARISON = auto()
-    """The value is a truth value that depends on numbers, as that of a > b."""
+    """The value is a truth value that depends on numbers, such as a > b."""
     LOGIC = auto()
     """The value is a truth value that depends on truth values: and, or, not."""
 
@@ -46,23 +46,23 @@ class Operation:
     value: Callable[..., Any]
     """Function that returns the value for arguments that are numbers or NumPy arrays."""
     partials: Partials
-    """Function that makes the nodes of the derivatives by each argument."""
+    """Function that makes the nodes of the derivatives by the arguments: see `Partials`."""
     drake: str
     """Name of Drake's ExpressionKind or FormulaKind."""
     native: str
-    """How LLVM IR is written: name of an emitter in `native.printer`, a dot, argument of the
-    emitter. Some emitters have no argument and no dot."""
+    """Name of the emitter in `native.printer` that writes the operation as LLVM IR. A dot and an
+    argument of the emitter can follow the name."""
     c: str
-    """How C is written: an operator, or the name of a function in double precision."""
+    """The operation in C: an operator, or the name of a function in double precision."""
     role: Role = Role.SMOOTH
     exact: bool = False
-    """Whether every processor and library computes the same bits, as IEEE 754 demands."""
+    """True if IEEE 754 fixes every bit of the result, on all processors and in all libraries."""
     arguments: int | None = 2
     """Number of arguments; None stands for any number."""
     cost: int = 10
-    """Duration of the operation, relative to a sum."""
+    """Duration of the operation divided by the duration of a sum."""
     simple: bool = False
-    """Whether a small processor computes the operation without a library and without division."""
+    """True if a small processor computes the operation without a library and without division."""
 
     @property
     def is_condition(self) -> bool:
@@ -71,7 +71,7 @@ class Operation:
 
     @property
     def decides(self) -> bool:
-        """Whether the last bit of an argument can change the value by much, as in a comparison."""
+        """True if the last bit of an argument can change the value by much, as in a comparison."""
         return self.role in (Role.COMPARISON, Role.ROUNDING)
 
 
@@ -258,7 +258,7 @@ OPERATIONS: dict[str, Operation] = {
     "or": _logic(lambda *conditions: reduce(np.logical_or, conditions), "Or", "binary.or", "||"),
     "not": _logic(np.logical_not, "Not", "not", "!", 1),
 }
-"""Each operation, by the name that the nodes of a graph use."""
+"""Dictionary from the name of an operation in the nodes of a graph to its row of the table."""
 
 COMPARISONS = tuple(n for n, row in OPERATIONS.items() if row.role is Role.COMPARISON)
 """Names of the comparisons of two numbers."""

@@ -29,11 +29,12 @@ def is_rounded(graph: Graph, node: int) -> bool:
 def fixed_nodes(
     graph: Graph, roots: Iterable[int], looked_up: Collection[int] = frozenset()
 ) -> list[int]:
-    """Return the fixed nodes to compute once: roots, and nodes that other code reads.
+    """Return the fixed nodes to compute once; arguments come before the nodes that read them.
 
-    Parameters are among these nodes, and literal constants are not. A fixed truth value is computed
-    where it is used, so its arguments are returned in its place. A node in ``looked_up`` reads no
-    fixed node. Arguments come before the nodes that read them.
+    A fixed node is returned if it is a root, or if a node that is not fixed reads it. Parameters
+    are among the returned nodes, and literal constants are not. Code computes a fixed truth value
+    at each use, so the arguments of the truth value are returned in its place. A node in
+    ``looked_up`` comes from a table, so it reads no fixed node.
     """
     roots = list(roots)
     used = set(roots)
@@ -56,11 +57,12 @@ def nodes_by_count(
     cost: Callable[[Operation], int],
     cost_of_look_up: int,
 ) -> dict[int, list[int]]:
-    """Return, for each count, the nodes whose values a table at this count should hold.
+    """Return a dictionary from each count to the nodes whose values a table should hold.
 
-    A node is in the table if four conditions hold. Its value depends on one count alone. It is no
-    truth value. A root, or a node that depends on more than this count, reads it. To compute it
-    costs more than a look-up.
+    A table has one row for each value of the count. A node is in the table of a count if four
+    conditions hold. The node depends on this count alone. The node is no truth value. The node is a
+    root, or a node that does not depend on this count alone reads the node. The computation of the
+    node costs more than a look-up.
 
     Parameters
     ----------

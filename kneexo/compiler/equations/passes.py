@@ -2,8 +2,8 @@
 
 A value is fixed if it depends on parameters alone. Fixed factors of a product are put together, and
 fixed values are computed once a run. Functions of one whole number, such as an encoder count, are
-looked up in a table. The rewriting changes last bits. Values that are compared or rounded are
-computed as Drake computes them, so decisions stay as Drake makes them.
+looked up in a table. The rewriting changes last bits. Values that are compared or rounded keep the
+operations that Drake makes, so each comparison and rounding has the same result as in Drake.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Layout:
     constants: int
     """Number of values that depend on parameters alone."""
     memos: tuple[int, ...]
-    """Number of values in a row of each table of whole-number functions."""
+    """For each look-up table of functions of a whole number, the number of values in a row."""
 
     @property
     def input_count(self) -> int:
@@ -88,7 +88,7 @@ class Layout:
 
     @classmethod
     def from_plain(cls, data: dict[str, Any]) -> Layout:
-        """Return the layout from a dictionary of `plain`, whose tuples JSON has made lists."""
+        """Return the layout from the result of `plain`, in which JSON has made tuples lists."""
 
         def tuples(value: Any) -> Any:
             return tuple(map(tuples, value)) if isinstance(value, list | tuple) else value
@@ -97,7 +97,10 @@ class Layout:
 
 
 class Program:
-    """The equations as machine code computes them: rewritten nodes, assigned to functions."""
+    """The equations of a model, prepared for machine code.
+
+    The nodes are rewritten for speed and assigned to the functions of the machine code.
+    """
 
     def __init__(self, equations: Equations) -> None:
         self.equations = equations
@@ -111,16 +114,17 @@ class Program:
         ]
         nodes = regrouped(graph, [node for _, node in elements])
         self.jacobian = [(at, node) for (at, _), node in zip(elements, nodes, strict=True)]
-        """Index (column by column) and node of each element of the Jacobian that is not zero.
+        """Pairs (index, node), one for each element of the Jacobian that is not zero.
 
-        The Jacobian has the derivatives of dx/dt by the continuous states x.
+        The Jacobian has the derivatives of dx/dt by the continuous states x. The index counts the
+        elements column by column.
         """
         self.derivatives = regrouped(graph, equations.derivatives)
         self.initial_discrete = equations.initial_discrete
         self.groups = self._groups()
         self.instant = [node for group in self.groups for _, node in group.targets]
         self.hoisted = self._hoisted()
-        """Nodes that depend on parameters alone, with their indices in the array of constants."""
+        """Dictionary from a node that depends on parameters alone to its index in the constants."""
         self.memos = self._memos()
         self.deciding = _deciding(graph, graph.reachable(self._roots()))
         """Nodes whose last bit can change a comparison or rounding; they keep Drake's last bits."""
@@ -147,7 +151,7 @@ class Program:
         )
 
     def _groups(self) -> list[Group]:
-        """Return the groups of the margins, of each discrete update and of each output port."""
+        """Return one group for all margins, one for each update, and one for each output port."""
         equations = self.equations
         groups = [
             Group(
@@ -193,14 +197,17 @@ class Program:
 # ------------------------------------------------------------------------------- regrouping
 
 _Sum = tuple[dict[int, int], int | None]
-"""A sum: a dictionary of nodes with their fixed factors, and a fixed term or None."""
+"""A sum: a dictionary from node to fixed factor, and the fixed term (None if there is none)."""
 
 
 def regrouped(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """Return a node with the same value, up to rounding, for each root, from fewer operations.
+    """Return, for each root, a node that computes the same value in fewer operations.
+
+    The value is the same up to rounding.
 
     A quotient by a fixed value becomes a product. Fixed factors and fixed terms are put together. A
-    fixed factor of a sum goes into the sum's terms. A fourth power becomes a square's square.
+    fixed factor of a sum goes into the sum's terms. A product of four equal factors x becomes
+    (x²)².
     """
     return _Regrouping(graph, roots).roots
 
@@ -267,9 +274,10 @@ class _Regrouping:
         return self._noted(node, (total, fixed))
 
     def _noted(self, node: int, total: _Sum) -> int:
-        """Make the node of a sum, in place of ``node``; return the new node.
+        """Make the node of the sum ``total``, which replaces ``node``; return the new node.
 
-        If only one other node uses the sum, note its terms, so that the other node can absorb them.
+        If only one other node reads a short sum, store the terms of the sum. The other node can
+        then absorb these terms.
         """
         graph = self.graph
         terms, fixed = total

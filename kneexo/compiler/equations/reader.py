@@ -39,8 +39,8 @@ class _Leaf:
     def __init__(self, node: Node, equations: Equations, open_inputs: dict[int, int]) -> None:
         """Convert a leaf, and add the names of its parameters and states to ``equations``.
 
-        ``open_inputs``: for each open input port of the root, by the port's index, the index of its
-        first element among the elements of all open inputs.
+        ``open_inputs`` maps the index of each open input port of the root to the index of the
+        port's first element among the elements of all open inputs.
         """
         self.node = node
         context_of_floats = node.system.CreateDefaultContext()
@@ -48,10 +48,10 @@ class _Leaf:
         self.system = to_symbolic(node)
         self.context = context = self.system.CreateDefaultContext()
         self.meaning: dict[int, int | tuple[Node, int, int]] = {}
-        """Meaning of a variable by its id: the node of a source, or an element of another leaf's
-        output port, as (leaf, index of the port, index of the element)."""
+        """Dictionary from the id of a variable to its meaning: the node of a source, or an element
+        of another leaf's output port, as (leaf, index of the port, index of the element)."""
         self.outputs: dict[int, list[int] | None] = {}
-        """Nodes of each output port, by its index; None while the port is being read."""
+        """Dictionary from the index of an output port to its nodes, or to None during reading."""
         graph = equations.graph
 
         if context.num_abstract_states() or context.num_abstract_parameters():
@@ -106,10 +106,10 @@ class _Leaf:
 
 
 class _Reader:
-    """Reads the leaves of a tree into `Equations`.
+    """Reads the equations of all leaf systems of a diagram into one object `Equations`.
 
-    An output port is read when its nodes are first needed. So each section comes after the sections
-    whose nodes it depends on.
+    The reader reads an output port when another leaf first needs its nodes. So each section, which
+    has the nodes of one leaf for one purpose, comes after the sections that it depends on.
     """
 
     def __init__(self, root: Node, inputs: Sequence[str]) -> None:
@@ -180,9 +180,10 @@ class _Reader:
             equations.limits.append(Limit(leaf.node.path, node))
 
     def read_initial(self, leaf: _Leaf) -> None:
-        """Add a leaf's discrete states after its initialization events to the equations.
+        """Add the nodes of a leaf's initial discrete states to the equations.
 
-        The events change the Context of the leaf, so this comes after all other reading.
+        Initialization events compute these states. The events change the Context of the leaf, so
+        call this method after all other reading.
         """
         if not leaf.context.num_discrete_state_groups() + leaf.context.num_continuous_states():
             return
@@ -212,15 +213,15 @@ class _Reader:
     def _evaluated(
         self, purpose: str, leaf: _Leaf, evaluate: Callable[[], Sequence[Any]]
     ) -> list[int]:
-        """Return the nodes of the expressions that ``evaluate()`` returns, as a section.
+        """Add the expressions that ``evaluate()`` returns as a `Section`; return their nodes.
 
-        ``purpose``: what the expressions are, for the section and for error messages.
+        ``purpose``: text that the section and error messages use as the name of the expressions.
         """
         where = f"{leaf.node.name}: {purpose}"
         return completed(self._section(where, leaf, symbolic_value(where, evaluate)))
 
     def _section(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> Steps[list[int]]:
-        """Return the nodes of the expressions ``values``, and add them as a section."""
+        """Add the expressions ``values`` to the equations as a `Section`; return their nodes."""
         variable = partial(self._node_of_variable, where, leaf)
         nodes = yield Conversion(self.equations.graph, where, variable).nodes(values)
         self.equations.sections.append(Section(where, leaf.node.summary, tuple(nodes)))

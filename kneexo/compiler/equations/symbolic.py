@@ -33,10 +33,10 @@ _FORMULAS = {
 
 
 def completed(steps: Steps[T]) -> T:
-    """Run a generator of the type `Steps` and all that it yields; return its value.
+    """Run a generator of the type `Steps` to its end; return the value that it computes.
 
-    The computations in progress are kept in a list. So a deep chain of blocks or expressions does
-    not reach Python's limit of recursion.
+    The function also runs each generator that a generator yields. A list holds the generators in
+    progress, so a deep chain of blocks or expressions does not reach Python's limit of recursion.
     """
     pending: list[Steps[Any]] = [steps]
     value: Any = None
@@ -52,7 +52,7 @@ def completed(steps: Steps[T]) -> T:
 
 
 class Conversion:
-    """Converts the expressions of one leaf for one purpose, such as an output port, to nodes."""
+    """Converts symbolic expressions of one leaf, such as an output port's, to nodes of a graph."""
 
     def __init__(
         self, graph: Graph, where: str, node_of_variable: Callable[[Any], Steps[int]]

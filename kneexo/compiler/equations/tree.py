@@ -13,14 +13,15 @@ from pydrake.systems.framework import InputPortIndex, OutputPortIndex
 class Node:
     """A system in the tree of a diagram: the root, a diagram in it, or a leaf system.
 
-    Its path joins the names of the systems around it and its own by ``/``. The name of the root is
-    left out, so the root has the empty path.
+    The path of a system consists of the names of the diagrams that contain the system, and of its
+    own name, joined by ``/``. The name of the root is left out, so the root has the empty path.
     """
 
     def __init__(self, system: Any, parent: Node | None = None, number: int = 0) -> None:
         """Make the node and all nodes below it.
 
-        ``number``: index of the system in its diagram; it names a system without a name.
+        ``number``: index of the system in its diagram. This number becomes part of the path of a
+        system that the user has not named.
         """
         self.system = system
         self.parent = parent
@@ -60,7 +61,7 @@ class Node:
 
     @property
     def has_equations(self) -> bool:
-        """Whether a state, a margin or an output port of the whole diagram depends on this leaf.
+        """True if a state, a margin or an output port of the whole diagram depends on this leaf.
 
         A margin is the distance of a leaf from a limit that stops a run. Loggers and systems that
         only feed viewers have no equations.
@@ -103,10 +104,10 @@ class Node:
         return self.parent.system.GetMutableSubsystemContext(self.system, parent_context)
 
     def driver(self, index: int) -> tuple[Node, int] | int | None:
-        """Return what drives input port ``index`` of this system.
+        """Return the source of input port ``index`` of this system.
 
-        The result is a leaf and the index of its output port, or the index of an input port of the
-        root. It is None for a port that is not connected.
+        The source is a leaf with the index of an output port, or the index of an input port of the
+        root. The result is None if the input port is not connected.
         """
         if self.parent is None:
             return index

@@ -14,9 +14,9 @@ hold its tolerance. `OUTPUT_NOT_FINITE`: a recorded output is not finite.
 """
 
 MEMO_LINES = 4096
-"""Number of rows in a look-up table of functions of one whole number; must be a power of two.
+"""Number of rows of each look-up table for functions of one whole number; a power of two.
 
-The number is that of the counts of a 12-bit encoder, 4096.
+A 12-bit encoder has 4096 counts.
 """
 
 RUN = (
@@ -31,19 +31,22 @@ RUN = (
 Each argument has eight bytes: a number, or the address of an array.
 
 - ``c`` (constants, lanes) and ``lane_c`` (lanes, constants): values that depend on parameters alone
-- ``x`` (states, lanes), ``d`` (discrete states, lanes): the states at the start, then at the end
+- ``x`` (states, lanes), ``d`` (discrete states, lanes): states; the call replaces the states at the
+  start by the states at the end
 - ``inputs`` (lanes, 4): the open inputs of each lane, as `INPUT` lists them
 - ``tick`` and ``unit`` in s; a unit has ``split`` ticks: see `Timing`
-- ``first``: number of the first tick; ``last`` (lanes,): number of the last one; ``longest``: the
-  largest of ``last``
+- ``first``: number of the first tick; ``last`` (lanes,): number of each lane's last tick;
+  ``longest``: the largest element of ``last``
 - ``periods``, ``offsets`` (updates,) of the discrete updates in ticks
 - ``record_every``: ticks between two records; ``row``: row of the first record
-- ``requested`` (output ports,) bytes: whether a port is recorded; ``columns`` (column_count,):
-  numbers of the recorded elements among the elements of all outputs
+- ``requested`` (output ports,) bytes: 1 if a port is recorded, else 0; ``columns`` (column_count,):
+  indices of the recorded elements among the elements of all outputs
 - ``record`` (lanes, column_count, ``rows``): memory for the records
 - ``step`` in s and ``tolerance`` of the integrator; ``memory`` and ``shared`` of the exact hold
-- ``tags``, ``values``: arguments and values in the look-up tables of whole-number functions
-- ``status`` (lanes, 3), out: outcome, tick of the end, index of the limit that was passed
+- ``tags``, ``values``: look-up tables for functions of one whole number; ``tags`` has the whole
+  number of each row, ``values`` the values of the functions
+- ``status`` (lanes, 3): the call writes the outcome, the tick at which the run failed, and the
+  index of the limit that was passed
 - ``snapshots`` (snapshot_count,): ticks whose states, after the events, are written to
   ``snapshot_x`` (snapshot_count, states) and ``snapshot_d``; with a single lane only
 """
@@ -54,15 +57,16 @@ BETWEEN = (
 )
 """Arguments of the machine code's function ``between``, which makes records between two ticks.
 
-They mean the same as those of ``run``. In addition ``times`` (rows,) are the times of the records
-in s, and ``places`` (rows,) the indices of the snapshots from which the integration starts.
+`RUN` explains all but the last two arguments. ``times`` (rows,) are the times of the records in s.
+``places`` (rows,) has, for each record, the index of the snapshot from which integration starts.
 """
 
 DOUBLES = ("tick", "unit", "step", "tolerance")
-"""Those arguments of the machine code that are doubles; all others are integers or addresses."""
+"""Names of the arguments that are doubles; all other arguments are integers or addresses."""
 
 INPUT = ("break_count", "breaks", "powers", "coefficients")
-"""How the machine code gets an `InputTable`: two numbers and the addresses of two arrays.
+"""Names of the four items, of eight bytes each, that pass an `InputTable` to the machine code.
 
-Each has eight bytes. ``powers`` is the number of powers in a polynomial.
+``break_count`` is the number of breaks, and ``powers`` the number of coefficients of a polynomial.
+``breaks`` and ``coefficients`` are the addresses of the arrays with the same names.
 """

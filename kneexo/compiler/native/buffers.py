@@ -13,9 +13,10 @@ from ..run_data import Array
 
 
 class BufferPool:
-    """Blocks of memory that are used again once no array refers to them.
+    """A pool of memory blocks. A block is used again once no array refers to the block.
 
-    Fresh memory for a record from the operating system takes as long as the run that fills it.
+    To get fresh memory for a record from the operating system takes as long as the run that fills
+    the record.
     """
 
     def __init__(self, most: int) -> None:

@@ -3,8 +3,8 @@
 Each entry is one file with a format version, a SHA-256 seal over key and content, and the content.
 The files are in ``KNEEXO_CACHE_DIR``, else in ``kneexo`` below ``XDG_CACHE_HOME``, else in
 ``~/.cache/kneexo``. A user can delete this directory at any time. Its size is limited to 512 MiB,
-or to ``KNEEXO_CACHE_SIZE_MB`` MiB; the entries with the oldest last use are deleted first. The
-variables and the directory are named after the package (`root`).
+or to ``KNEEXO_CACHE_SIZE_MB`` MiB. The least recently used entries are deleted first. The names of
+the variables and of the directory contain the name of the package (`root`).
 
 The seal detects damage, but anybody can compute it. Trust rests on file ownership: a directory or
 file that another user could have written is never used.
@@ -52,7 +52,8 @@ _warnings_given: set[str] = set()
 def load(key: str) -> bytes | None:
     """Return the content of the cache entry with this key; None if no such entry exists.
 
-    A damaged entry gives a warning and None. The call records the time of the entry's last use.
+    If the entry is damaged, the call warns and returns None. Otherwise the call sets the time of
+    the entry's last use.
     """
     for directory in reversed(_directories()):
         path = directory / _name(key)
@@ -127,9 +128,10 @@ def clear_cache() -> int:
 
 
 def cache_size_limit() -> int:
-    """Return the largest total size of the cache entries in bytes: see the text of this module.
+    """Return the largest total size of the cache entries in bytes.
 
-    A wrong value of the environment variable gives a warning and the default size.
+    The environment variable ``KNEEXO_CACHE_SIZE_MB`` sets the size in MiB. If the variable has a
+    wrong value, the call warns and returns the default size, 512 MiB.
     """
     setting = variable("CACHE_SIZE_MB")
     text = os.environ.get(setting) or str(_DEFAULT_LIMIT_MB)
@@ -175,7 +177,10 @@ def _is_trusted(status: os.stat_result) -> bool:
 
 
 def _shrink(stored: Path) -> None:
-    """Delete the least recently used entries beyond the size limit, never the file ``stored``."""
+    """Delete the least recently used entries until the rest is within the size limit.
+
+    The file ``stored``, which was just written, stays in any case.
+    """
     limit, total = cache_size_limit(), 0
     files = files_in(stored.parent, _ENTRY)
     for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
@@ -191,15 +196,16 @@ def _shrink(stored: Path) -> None:
 def cache_directory() -> Path:
     """Return the directory for new cache entries, which `store` creates if it is missing.
 
-    The environment chooses the directory. A private directory of this process replaces the chosen
-    directory, with a warning, if the path cannot be determined or is no directory, if another user
-    owns the directory, if group or others may write to it, and after a failed attempt to write.
+    The environment chooses the directory. In each of these cases the call warns and returns a
+    private directory of this process: the path cannot be determined or is no directory, another
+    user owns the directory, group or others may write to the directory, or an attempt to write to
+    the directory has failed.
     """
     return _directories()[-1]
 
 
 def _directories() -> list[Path]:
-    """Return all directories in which entries are looked for; the last one is for new entries."""
+    """Return all directories that `load` searches. New entries go to the last directory."""
     try:
         chosen = _chosen_directory()
     except (RuntimeError, OSError) as error:  # no home directory, or no working directory
@@ -221,7 +227,7 @@ def _chosen_directory() -> Path:
 
 
 def _refusal(directory: Path) -> str:
-    """Return the reason not to load machine code from a directory; empty if no reason exists."""
+    """Return the reason not to load machine code from a directory, or "" if no reason exists."""
     try:
         status = directory.stat()
     except OSError:  # absent; `store` says why when it cannot be made

@@ -6,10 +6,10 @@ import os
 
 
 def available_cores() -> int:
-    """Return the number of cores that the scheduler gives this process.
+    """Return the number of cores that the scheduler lets this process use.
 
-    macOS and Windows have no ``os.sched_getaffinity``; there the function returns the number of the
-    machine's cores.
+    On macOS and Windows, which have no ``os.sched_getaffinity``, the function returns the number of
+    the machine's cores.
     """
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

@@ -1,8 +1,9 @@
 """Emits elementary functions as instructions; scalars and lanes of vectors get the same bits.
 
 For signed zeros, infinities, nan and subnormal numbers a function gives the same value as the C
-function of the same name. Its error is below 2 units in the last place. Select instructions serve
-lanes with different cases. Only large arguments of sine and cosine cause a branch.
+function of the same name. Its error is below 2 units in the last place. If lanes require different
+formulas, the code computes all formulas and selects a result in each lane. Only large arguments of
+sine and cosine cause a branch.
 ``benchmarks/fit_elementary.py`` computes and prints the coefficients.
 
 The methods are those of W. J. Cody and W. Waite, Software Manual for the Elementary Functions
@@ -98,7 +99,7 @@ LOG = (  # relative error 4.3e-18
     0.15331721600556042,
     0.14616449685043353,
 )
-"""Coefficients cᵢ of 2 artanh s = 2 s + s³ (c₀ + c₁ s² + …), for the s of `log`."""
+"""Coefficients cᵢ of 2 artanh s = 2 s + s³ (c₀ + c₁ s² + …), where `log` defines s."""
 HALF_PI = (  # relative error 3.5e-50
     1.5707963267948966,
     6.123233995736766e-17,
@@ -112,7 +113,7 @@ LN_2 = (  # relative error 8.2e-34
 """The natural logarithm of 2 as a sum of two doubles, the larger double first."""
 
 LARGE = 1e9
-"""Largest |x| for which this module computes sin x and cos x; the C library serves larger ones."""
+"""Largest |x| for which this module computes sin x and cos x. Above it the C library does."""
 
 ROUNDING = 1.5 * 2.0**52
 """A number whose unit in the last place is 1.
@@ -131,15 +132,15 @@ SIGN = _bits(-0.0)
 ROOT_HALF = _bits(math.sqrt(0.5))
 """Bit pattern of the double √½."""
 EXPONENT = 52
-"""Number of the lowest bit of the exponent in the bit pattern of a double."""
+"""Position of the exponent's lowest bit in the bit pattern of a double; bit 0 is the lowest."""
 BIAS = 1023
-"""Content of the exponent's bits in the double 2⁰."""
+"""The whole number in the exponent's bits of the double 1.0 = 2⁰."""
 
 
 def estrin(f: Function, coefficients: Sequence[float], x: Value) -> Value:
-    """Emit the polynomial c₀ + c₁ x + c₂ x² + … with ``coefficients`` c by Estrin's scheme.
+    """Emit the value of the polynomial c₀ + c₁ x + c₂ x² + … with the ``coefficients`` c₀, c₁, ….
 
-    The products of this scheme do not wait for each other.
+    The code uses Estrin's scheme, which is fast because its products do not wait for each other.
     """
     terms = [f.coerce(c, x.type) for c in coefficients]
     power = x
@@ -152,12 +153,12 @@ def estrin(f: Function, coefficients: Sequence[float], x: Value) -> Value:
 
 
 def sincos(f: Function, x: Value) -> tuple[Value, Value]:
-    """Emit sine and cosine of x in rad; return both.
+    """Emit the sine and the cosine of x in rad; return the two values.
 
-    The remainder of x by π/2 keeps its relative precision next to a multiple of π/2. The first step
-    of the reduction is exact, and the second is rounded once. The error of π/2 as a sum of three
-    doubles (1e-40) is far smaller than the distance of a double up to `LARGE` from the closest
-    multiple (6e-19).
+    The code first subtracts a multiple of π/2 from x. The remainder keeps its relative precision
+    even if x is next to the multiple: the first subtraction is exact, and the second is rounded
+    once. The sum of three doubles for π/2 causes an error of 1e-40. A double up to `LARGE` is at
+    least 6e-19 away from every multiple, which is far more.
     """
     sine, cosine = _of_large(f, ("sin", "cos"), x, _sincos(f, x))
     return sine, cosine
@@ -184,9 +185,9 @@ def _sincos(f: Function, x: Value) -> tuple[Value, Value]:
 
 
 def _of_large(f: Function, names: Sequence[str], x: Value, values: Sequence[Value]) -> list[Value]:
-    """Emit, for each lane, ``values`` or, if |x| is above `LARGE`, the C library's values at x.
+    """Emit a choice: the C library's values at x in lanes with |x| > `LARGE`, else ``values``.
 
-    ``names``: names of the C library's functions, one for each of ``values``.
+    ``names``: names of the C library's functions, one name for each value.
     """
     results = [f.variable(value) for value in values]
     with f.when(f.any_lane(f.absolute(x) > LARGE)):
@@ -196,10 +197,11 @@ def _of_large(f: Function, names: Sequence[str], x: Value, values: Sequence[Valu
 
 
 def _library_if_large(module: Module, name: str, type_: Type) -> Function:
-    """Return the emitted function of ``x`` and ``value`` that calls the C library if |x| > `LARGE`.
+    """Return an emitted function of ``x`` and ``value`` that serves large arguments.
 
-    In all other lanes its result is ``value``. A separate function keeps these rare calls from
-    slowing down other code.
+    In lanes with |x| > `LARGE` the result is the value of the C library's function ``name`` at x.
+    In all other lanes the result is ``value``. A separate function keeps the rare calls of the C
+    library from slowing down other code.
     """
 
     def make() -> Function:
@@ -215,9 +217,10 @@ def _library_if_large(module: Module, name: str, type_: Type) -> Function:
 
 
 def atan2(f: Function, y: Operand, x: Operand) -> Value:
-    """Emit the angle in rad of the point (x, y), as C's atan2.
+    """Emit the angle in rad from the positive x axis to the point (x, y), like C's ``atan2``.
 
-    The angle is ± base ± the angle between the point and the nearer axis; base is 0, π/2 or π.
+    The code first computes the angle between the direction to the point and the nearer axis. The
+    result is ± b ± this angle, where b is 0, π/2 or π.
     """
     y, x = f.alike(y, x)
     across, up = f.absolute(x), f.absolute(y)
@@ -256,10 +259,10 @@ def acos(f: Function, x: Value) -> Value:
 
 
 def _arc(f: Function, magnitude: Value) -> tuple[Value, Value, Value]:
-    """Emit an auxiliary angle for the arc sine and the arc cosine of x = ``magnitude``.
+    """Emit an auxiliary angle, from which `asin` and `acos` get their values at x = ``magnitude``.
 
-    Returns s, which is the sine of the angle, the angle minus s, and whether x > ½. For x ≤ ½ the
-    angle is arcsin x, so s = x. For x > ½ it is half of arccos x, so s = √((1 - x) / 2).
+    If x ≤ ½, the angle is arcsin x, and its sine is s = x. If x > ½, the angle is half of arccos x,
+    and its sine is s = √((1 - x) / 2). Returns s, the angle minus s, and the condition x > ½.
     """
     far = magnitude > 0.5
     z = f.select(far, f.fma(magnitude, -0.5, 0.5), magnitude * magnitude)
@@ -270,7 +273,7 @@ def _arc(f: Function, magnitude: Value) -> tuple[Value, Value, Value]:
 def exp(f: Function, x: Value) -> Value:
     """Emit the exponential eˣ = eʳ 2ᵏ, with x = k ln 2 + r and |r| ≤ ½ ln 2.
 
-    2ᵏ is a product of two factors, neither of which overflows.
+    The code multiplies by 2ᵏ in two factors, because 2ᵏ alone can overflow.
     """
     x = f.maximum(f.minimum(x, 720.0), -760.0)  # ∞ and 0 from there on
     shifted = f.fma(x, 1.0 / math.log(2.0), ROUNDING)
@@ -291,8 +294,9 @@ def exp(f: Function, x: Value) -> Value:
 def log(f: Function, x: Value) -> Value:
     """Emit the natural logarithm of x = 2ᵏ (1 + u), with √½ ≤ 1 + u < √2.
 
-    A polynomial gives log(1 + u) = 2 artanh s, with s = u/(2 + u). As in Sun's fdlibm its part
-    u - u²/2 is added at the end. The rest is small, so its rounding error is small too.
+    A polynomial gives log(1 + u) = 2 artanh s, where s = u/(2 + u). The code adds the part u - u²/2
+    of this logarithm last, as Sun's fdlibm does. The rest of the logarithm is small, so the
+    rounding error of the rest is small too.
     """
     tiny = x < 2.0**-1022
     bits = f.bits(f.select(tiny, x * 2.0**54, x)) - ROOT_HALF

@@ -1,31 +1,32 @@
 """The exact hold: an exponential integrator with error control, for one lane or several.
 
-It splits dx/dt = A x + g(t, x), where A is the Jacobian at some earlier state. A step h solves the
-linear part exactly, by the functions of z = A h
+It advances the states x by a tick, the unit of a run's time grid, in one step or in several. The
+method splits dx/dt = A x + g(t, x), where A is the Jacobian at some earlier state. A step h solves
+the linear part exactly, by the functions of z = A h
 
     phi_1 = (e^z - 1)/z,  phi_2 = (phi_1 - 1)/z,  phi_3 = (phi_2 - 1/2)/z,
 
 and takes g as a parabola through the start, the middle and the end (Cox and Matthews 2002,
-J. Comput. Phys. 176). With g relative to its value at the start, g_a at the middle and g_b at the
-end, the states are
+J. Comput. Phys. 176). Let g_a be g at the middle minus g at the start, and g_b be g at the end
+minus g at the start. The states are
 
     middle          x + h/2 phi_1(z/2) dx/dt,
     predicted end   x + h phi_1 dx/dt + 2 h (phi_2 + phi_2(z/2)) g_a,
     end             x + h phi_1 dx/dt + 2 h phi_2 g_a + h (phi_2 - 4 phi_3) (2 g_a - g_b).
 
-The order is three with any A. Near the start of the step, g along the solution is g' t to first
-order. The middle lacks the term (h/2)^2 phi_2(z/2) g'. The predicted end lacks the term
-h^2 (phi_2 - a/2) g', where h a is the factor of g_a in the formula above. The end contains g_a with
+The order is three with any A. Near the start of the step, g changes by g' t to first order in the
+time t since the start. The middle lacks the term (h/2)^2 phi_2(z/2) g'. The predicted end lacks the
+term h^2 (phi_2 - a/2) g', where h a is the factor of g_a in the formula above. The end has g_a with
 the factor h (4 phi_2 - 8 phi_3), about 2/3 h, and g_b with the factor h (4 phi_3 - phi_2), about
-h/6. So the two errors cancel where a = 2 (phi_2 + phi_2(z/2)). This is the weak form of a condition
+h/6. So the two errors cancel if a = 2 (phi_2 + phi_2(z/2)). This is the weak form of a condition
 of Hochbruck and Ostermann (2005, SIAM J. Numer. Anal. 43). If A is the Jacobian at the start and g
 does not depend on time, g' is zero and the order is four.
 
 A straight line for g in place of the parabola gives a method of order two. The last term above is
 the difference between the two ends, and is the error estimate. A step that misses the tolerance is
-repeated with the Jacobian at its start. If this does not help, the step is halved, which gets it
+repeated with the Jacobian at its start. If this does not help, the step is halved. Short steps get
 past corners of the derivatives (a clip, a valve). If a tick requires eight steps or more, each step
-keeps a tenth of the tolerance, because the errors add up. Every sixteenth of these steps tries the
+must meet a tenth of the tolerance, because the errors add up. Every sixteenth such step tries the
 Jacobian at its start even if the step meets the tolerance. An old Jacobian can be good enough for
 small steps only, and the steps would then stay small.
 
@@ -46,14 +47,14 @@ from .phi_functions import FINEST, define_fill_tables
 from .types import BOOL, DOUBLE, INT, POINTER
 
 ChooseSlot = Callable[[Tick, Value, Array, Value], None]
-"""``choose(tick, lane, memory, time)`` emits the choice of the Jacobian for one lane.
+"""``choose(tick, lane, memory, time)`` emits code that chooses the Jacobian of one lane.
 
 The code computes the Jacobian at the lane's state and then calls ``choose_slot``: see
 `define_choose_slot`.
 """
 
 SLOTS = 4
-"""Number of slots of a run: each stores one Jacobian and its tables of phi functions."""
+"""Number of slots of a lane. A slot stores one Jacobian and the tables of its phi functions."""
 
 _MANY = 3  # least number of halvings with which a tick has "many" steps
 _SHARE = 0.1  # share of the tolerance that each of many steps may use
@@ -65,17 +66,18 @@ _WHOLE = 1 << FINEST  # number of finest steps in a tick
 
 
 class Memory:
-    """Layout of the memory that the exact hold uses for one lane, with ``size`` states.
+    """Layout of the memory that the exact hold uses for one lane, in elements of eight bytes.
 
-    Most attributes are the index of the first element of a part of the memory, in elements of eight
-    bytes; ``size`` is the number of elements.
+    ``Memory(size)`` serves ``size`` continuous states. The attribute ``size`` is the number of
+    elements of the memory, and ``square`` is the number of elements of one matrix. The other
+    attributes, such as ``jacobians``, are the indices at which the parts of the memory begin.
     """
 
     def __init__(self, size: int) -> None:
         square = size * size
         self.square = square
         self.table = 3 * square
-        """Number of elements of the three phi functions of one Jacobian for one step size."""
+        """Number of elements of a table: three phi functions of one Jacobian for one step size."""
         sizes = {
             "filled": 1,  # number of slots that hold a Jacobian
             "made": 1,  # number of Jacobians stored so far
@@ -98,14 +100,14 @@ class Memory:
     def shared(self, lanes: int) -> int:
         """Return the number of elements of the memory that all lanes share.
 
-        It holds, for each lane, the number of halvings of the step, and the Jacobian and the tables
-        in use.
+        This memory holds three things for each lane: the number of halvings of the step, the
+        current Jacobian, and the current tables.
         """
         return (1 + self.square + self.table + 2 * self.square) * lanes
 
 
 def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
-    """Emit the product ``out`` = matrix · vector; the matrix is stored column by column."""
+    """Emit ``out`` = matrix · vector. The matrix is stored column by column."""
     if size <= UNROLLED:
         for row in range(size):
             total = matrix[row] * vector[0]
@@ -122,12 +124,13 @@ def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array)
 
 
 def define_choose_slot(module: Module, size: int) -> Function:
-    """Define the emitted function ``choose_slot(x, memory, tick)``, which chooses the Jacobian.
+    """Define the emitted function ``choose_slot(x, memory, tick)``, which chooses a Jacobian.
 
-    `Memory` describes ``memory``; ``x`` is the state of the lane. The current Jacobian stays if
-    (candidate - current) · ``change`` is less than a tenth of ``rest``. Otherwise the candidate
-    becomes the current Jacobian. If no slot holds the candidate yet, the code stores the candidate
-    in place of the oldest Jacobian, and computes its tables.
+    ``x``: states of the lane; ``memory``: see `Memory`; ``tick``: duration of a tick in s. The
+    memory has a candidate for the Jacobian, the vector ``change``, and the vector ``rest``. If
+    (candidate - current Jacobian) · ``change`` is less than a tenth of ``rest``, the current
+    Jacobian stays. Otherwise the candidate becomes the current Jacobian. If no slot holds the
+    candidate yet, the candidate replaces the oldest Jacobian, and the code computes new tables.
     """
     fill_tables = define_fill_tables(module, size)
     at, square = Memory(size), size * size
@@ -181,12 +184,12 @@ def define_choose_slot(module: Module, size: int) -> Function:
 
 @dataclass(frozen=True)
 class _Step:
-    """Values in the emitted code of a step that is not accepted yet."""
+    """The result of one step, which is not accepted yet, as values of the emitted code."""
 
     end: Array
     """State at the end of the step."""
     worst: Value
-    """Sum of the states' error estimates, each divided by its tolerance; at most 1 is good."""
+    """Sum of error estimate / tolerance over all states. At most 1 means: tolerance met."""
     middle: Array
     """State at the middle of the step."""
     rest: Array
@@ -196,10 +199,10 @@ class _Step:
 def _step(
     tick: Tick, time: Value, h: Value, slope: Array, weight: Array, tables: Array, jacobian: Array
 ) -> _Step:
-    """Emit a step of ``h`` in s from the states ``tick.x`` at ``time``: see the module's equations.
+    """Emit one step from the states ``tick.x`` at ``time``, by the equations of this module.
 
-    ``slope``: dx/dt at the start; ``weight``: inverse of the tolerance of each state; ``tables``:
-    phi functions of the Jacobian for this step and for half of it.
+    ``h``: duration of the step in s; ``slope``: dx/dt at the start; ``weight``: inverse of the
+    tolerance of each state; ``tables``: phi functions of ``jacobian`` for the steps h and h/2.
     """
     f, size, square = tick.function, tick.size, tick.size**2
     middle, predicted, end = (tick.vector() for _ in range(3))
@@ -245,14 +248,17 @@ def _step(
 
 
 class ExactHold:
-    """Emits the exact hold: `prepare` emits the code before the first tick, `advance` a tick."""
+    """Emits the exact hold.
+
+    `prepare` emits code that runs before the first tick, and `advance` emits the steps of one tick.
+    """
 
     def __init__(
         self, tick_s: Value, tolerance: Value, memory: Array, shared: Array, choose: ChooseSlot
     ) -> None:
-        """Take the values of the emitted code that `prepare` and `advance` both use.
+        """Store values of the emitted code for `prepare` and `advance`.
 
-        ``tick_s``: duration of a tick in s; ``memory``: the memory of each lane (`Memory`), one
+        ``tick_s``: duration of a tick in s; ``memory``: the memories of all lanes (`Memory`), one
         after the other; ``shared``: the memory that all lanes share (`Memory.shared`).
         """
         self.tick_s, self.tolerance = tick_s, tolerance
@@ -260,15 +266,16 @@ class ExactHold:
         self.choose = choose
 
     def _lanes(self, tick: Tick) -> Iterator[tuple[Value, Array]]:
-        """Emit a loop over all lanes; yield number and memory of the lane to the loop's body."""
+        """Emit a loop over all lanes. Yield the lane's number and memory once, to emit the body."""
         at = Memory(tick.size)
         for lane in tick.function.loop(tick.type.lanes):
             number = tick.function.coerce(lane, INT)
             yield number, self.memory.shifted(number * at.size)
 
     def _refresh(self, tick: Tick, lane: Value, memory: Array, level: Value) -> None:
-        """Emit the copy of a lane's current Jacobian, and of its tables for the step with ``level``
-        halvings, to the shared memory.
+        """Emit code that copies a lane's current Jacobian and tables to the shared memory.
+
+        ``level``: the copied tables belong to the step after this number of halvings.
         """
         f, at, lanes = tick.function, Memory(tick.size), tick.type.lanes
         slot = memory.cast(INT)[at.slot]
@@ -280,9 +287,9 @@ class ExactHold:
             self.shared[(f.coerce(i, INT) + (1 + at.square)) * lanes + lane] = tables[i]
 
     def prepare(self, tick: Tick) -> None:
-        """Emit the choice of a first Jacobian in each lane that has none.
+        """Emit code that chooses a first Jacobian in each lane that has no Jacobian yet.
 
-        Also emit the copy of every lane's current Jacobian and tables to the shared memory.
+        The code then copies every lane's current Jacobian and tables to the shared memory.
         """
         levels = self.shared.cast(INT)
         for lane, memory in self._lanes(tick):
@@ -291,7 +298,10 @@ class ExactHold:
             self._refresh(tick, lane, memory, levels[lane])
 
     def advance(self, tick: Tick) -> Value:
-        """Emit the steps of a tick; return a condition: true in lanes that miss the tolerance."""
+        """Emit the steps of a tick. Return a condition that is true in lanes with a bad result.
+
+        The result of a lane is bad if even the shortest steps miss the tolerance by too much.
+        """
         f, size, type_ = tick.function, tick.size, tick.type
         lanes, at = type_.lanes, Memory(size)
         ints, mask = INT.of(lanes), BOOL.of(lanes)
@@ -354,10 +364,11 @@ class ExactHold:
         good: Variable,
         rough: Variable,
     ) -> None:
-        """Emit code that tries another Jacobian in each lane of ``doubted``, or halves its step.
+        """Emit code that tries another Jacobian in each lane of ``doubted``, or halves the step.
 
-        A step that cannot be halved again is accepted until the errors of such steps add up to too
-        much; then the lane is marked in ``rough``.
+        The shortest step cannot be halved, so the code accepts this step even if the step misses
+        the tolerance. If the errors of such steps add up to too much, the code does not accept the
+        step, and ``rough`` becomes true in the lane.
         """
         f, size, lanes, at = tick.function, tick.size, tick.type.lanes, Memory(tick.size)
         times, worsts = _spilled(f, time), _spilled(f, step.worst)
@@ -407,10 +418,10 @@ class ExactHold:
     def _coarsen(
         self, tick: Tick, worst: Value, easy: Value, position: Value, level: Variable
     ) -> None:
-        """Emit code that doubles the next step in each lane of ``easy``, where the error is small.
+        """Emit code that lengthens the next step in each lane of ``easy``, whose error is small.
 
-        The code doubles again while the predicted error is small, and while the step would begin at
-        a multiple of its length.
+        The code doubles the step as long as the predicted error is small and the doubled step
+        begins at a multiple of its own length.
         """
         f = tick.function
         flags, positions = _spilled(f, f.flags(easy)), _spilled(f, position)
@@ -431,7 +442,7 @@ class ExactHold:
 
 
 def _spilled(f: Function, value: Value) -> Array:
-    """Return new local memory, and emit the copy of the lanes of ``value`` to this memory."""
+    """Emit code that copies the lanes of ``value`` to new local memory; return this memory."""
     memory = f.array(value.type.lanes, value.type.of(1))
     _spill(memory, 0, value)
     return memory

@@ -9,12 +9,15 @@ from .ir import Array, Function, Operand, Value
 from .types import INT, Type
 
 Rate = Callable[[Operand, Array, Array], None]
-"""``rate(t, x, out)`` emits ``out`` = dx/dt at time t in s and state x, with the inputs at t."""
+"""``rate(t, x, out)`` emits code that writes dx/dt at time t in s and states x to ``out``."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """The values from which an integrator emits one tick; the code advances the states ``x``."""
+    """The values that an integrator requires to emit one tick.
+
+    The emitted code advances the states ``x`` from the time ``start`` to the time ``end``.
+    """
 
     function: Function
     size: int
@@ -26,7 +29,7 @@ class Tick:
     """Start and end of the tick in s, the same in all lanes."""
     x: Array
     running: Value
-    """Condition: true in the lanes that advance. A single lane advances whatever the condition."""
+    """Condition that is true in the lanes that advance. Code with a single lane ignores it."""
     rate: Rate
     step: Value
     """Largest step of the Runge-Kutta integrators in s."""
@@ -36,7 +39,7 @@ class Tick:
         return self.function.array(self.size, self.type)
 
     def along(self, out: Array, *terms: tuple[Operand, Array]) -> None:
-        """Emit ``out`` = x + the sum of factor · vector over the pairs ``terms``."""
+        """Emit ``out`` = x + Σ factor · vector, where ``terms`` are the pairs (factor, vector)."""
         f = self.function
         for i in f.each(self.size):
             total = self.x[i]
@@ -45,7 +48,7 @@ class Tick:
             out[i] = total
 
     def accept(self, new: Array) -> None:
-        """Emit the copy of ``new`` to the states ``x``, in the lanes that advance."""
+        """Emit code that copies ``new`` to the states ``x`` in the lanes that advance."""
         for i in self.function.each(self.size):
             if self.type.lanes == 1:
                 self.x[i] = new[i]
@@ -54,7 +57,10 @@ class Tick:
 
 
 def advance_rk4(tick: Tick) -> None:
-    """Emit one tick of the classical fourth-order Runge-Kutta method, in equal steps."""
+    """Emit one tick of the classical fourth-order Runge-Kutta method.
+
+    The steps are equal, and at most as long as ``tick.step``.
+    """
     f = tick.function
     span = tick.end - tick.start
     steps = f.maximum(f.ceil(span / tick.step - 1e-9), 1.0)
@@ -77,7 +83,7 @@ def advance_rk4(tick: Tick) -> None:
 
 
 def advance_runge_kutta3(tick: Tick) -> None:
-    """Emit one tick in the steps of Drake's RungeKutta3Integrator, which has the order three.
+    """Emit one tick of a third-order method, in the steps of Drake's RungeKutta3Integrator.
 
     The last step ends exactly at the end of the tick: it is shorter than ``tick.step``, or at most
     1 % longer.

@@ -23,7 +23,7 @@ _BinaryOperator: TypeAlias = "Callable[[Value, Operand], Value]"
 
 
 def _operators(name: str) -> tuple[_BinaryOperator, _BinaryOperator]:
-    """Return methods for Python's ``a ∘ b`` and reflected ``b ∘ a`` that emit the operation."""
+    """Return the methods that emit the operation ``name`` for ``a ∘ b`` and reflected ``b ∘ a``."""
 
     def operate(self: Value, other: Operand) -> Value:
         return self.function.binary(name, self, other)
@@ -35,7 +35,7 @@ def _operators(name: str) -> tuple[_BinaryOperator, _BinaryOperator]:
 
 
 class Value:
-    """A register or literal of the emitted code, with its type; Python's operators emit code."""
+    """A register or literal of the emitted code. Python's operators emit instructions."""
 
     __slots__ = ("function", "name", "type")
 
@@ -140,7 +140,7 @@ class Variable:
 
 
 class Loop:
-    """A loop that `Function.forever` emits; `stop_if` emits its end."""
+    """A loop that `Function.forever` emits. `stop_if` emits a jump out of the loop."""
 
     def __init__(self, function: Function, after: str) -> None:
         self._function, self._after = function, after
@@ -192,7 +192,7 @@ class Module:
 
 
 class Function:
-    """An emitted function. Its methods append instructions, and most return the result."""
+    """An emitted function. Its methods append instructions, and most return the result's value."""
 
     def __init__(
         self,
@@ -216,7 +216,7 @@ class Function:
         self._count = 0
 
     def text(self) -> str:
-        """Return the IR text of the function; one without a result gets a return at its end."""
+        """Return the IR text of the function, with a return at the end if it has no result."""
         end = ["  ret void"] if self.returns is None else ["  unreachable"]
         if self._lines and self._lines[-1].startswith("  ret "):
             end = []
@@ -253,7 +253,7 @@ class Function:
         return Value(self, text if lanes > 1 else "0", INT.of(lanes))
 
     def coerce(self, value: Operand, type_: Type) -> Value:
-        """Return an operand as a value of a type: a number as a literal, a scalar in all lanes."""
+        """Convert a Python number to a literal, or a scalar to a vector with the same lanes."""
         if not isinstance(value, Value):
             return self.constant(value, type_)
         if value.type == type_:
@@ -265,13 +265,13 @@ class Function:
         return self.instruction(text, type_)
 
     def alike(self, *operands: Operand) -> list[Value]:
-        """Return operands in the type with the most lanes; without a `Value`, as doubles."""
+        """Convert operands to their type with the most lanes, or to doubles if all are numbers."""
         types = [operand.type for operand in operands if isinstance(operand, Value)]
         widest = max(types, key=lambda type_: type_.lanes, default=DOUBLE)
         return [self.coerce(operand, widest) for operand in operands]
 
     def binary(self, name: str, left: Operand, right: Operand) -> Value:
-        """Emit the arithmetic or bitwise operation ``name``, as LLVM calls it for integers."""
+        """Emit an arithmetic or bitwise operation. ``name``: LLVM's name of it for integers."""
         a, b = self.alike(left, right)
         prefix = "f" if a.type.element == "double" else ""
         return self.instruction(f"{prefix}{name} {a.type} {a.name}, {b.name}", a.type)
@@ -327,12 +327,12 @@ class Function:
         return self._intrinsic("copysign", magnitude, sign)
 
     def minimum(self, first: Operand, second: Operand) -> Value:
-        """Emit the smaller operand, as std::min; ``first`` if an operand is nan."""
+        """Emit the smaller operand, or ``first`` if an operand is nan, like std::min."""
         a, b = self.alike(first, second)
         return self.select(b < a, b, a)
 
     def maximum(self, first: Operand, second: Operand) -> Value:
-        """Emit the larger operand, as std::max; ``first`` if an operand is nan."""
+        """Emit the larger operand, or ``first`` if an operand is nan, like std::max."""
         a, b = self.alike(first, second)
         return self.select(a < b, b, a)
 
@@ -372,7 +372,7 @@ class Function:
         return self.gathered(values[0].type.lanes, of_lane)
 
     def call(self, function: Function, *values: Value) -> Value:
-        """Emit a call of a function of this module; return its result, unusable if it has none."""
+        """Emit a call of ``function``; return its result, or a dummy if it returns nothing."""
         arguments = ", ".join(f"{value.type} {value.name}" for value in values)
         if function.returns is None:
             self.line(f"call void @{function.name}({arguments})")
@@ -383,7 +383,7 @@ class Function:
     # ---------------------------------------------------------------------------- lanes
 
     def any_lane(self, condition: Value) -> Value:
-        """Emit whether a condition holds in at least one lane; return this scalar condition."""
+        """Emit a scalar condition that is true if ``condition`` is true in at least one lane."""
         lanes = condition.type.lanes
         if lanes == 1:
             return condition
@@ -392,7 +392,7 @@ class Function:
         return self.instruction(f"icmp ne i{lanes} {bits.name}, 0", BOOL)
 
     def lane(self, value: Value, lane: int) -> Value:
-        """Emit the scalar in one lane of a value; a value with a single lane is returned as is."""
+        """Emit the scalar in one lane of a vector, or return ``value`` itself if it is a scalar."""
         if value.type.lanes == 1:
             return value
         text = f"extractelement {value.type} {value.name}, i64 {lane}"
@@ -413,7 +413,7 @@ class Function:
     # --------------------------------------------------------------------------- memory
 
     def array(self, size: int, type_: Type = DOUBLE) -> Array:
-        """Return local memory of this function for ``size`` elements; it is not initialized."""
+        """Return local memory of this function for ``size`` elements, without initial values."""
         self._count += 1
         name = f"%a{self._count}"
         count = f"[{max(size, 1)} x {type_}]"
@@ -433,7 +433,7 @@ class Function:
     # -------------------------------------------------------------------------- control
 
     def new_labels(self, *names: str) -> list[str]:
-        """Return a label for each of the names; the name and a number make the label unique."""
+        """Return a unique label for each name: the name, followed by a new number."""
         self._count += 1
         return [f"{name}{self._count}" for name in names]
 
@@ -445,8 +445,8 @@ class Function:
     def when(self, condition: Value, *, rare: bool = False) -> Iterator[None]:
         """Context manager: the code that its body emits runs only if a scalar condition holds.
 
-        ``rare``: tell LLVM that the condition seldom holds, so that LLVM keeps the branch. Else
-        LLVM may make a select of the branch, and later code would wait for the condition.
+        ``rare``: tell LLVM that the condition seldom holds, so that LLVM keeps the branch. LLVM can
+        replace another branch by a select instruction, and later code waits for the condition.
         """
         body, after = self.new_labels("then", "after")
         weights = ", !prof !0" if rare else ""
@@ -458,7 +458,7 @@ class Function:
 
     @contextmanager
     def forever(self) -> Iterator[Loop]:
-        """Context manager: the code that its body emits runs again until `Loop.stop_if` ends it."""
+        """Context manager: the code that its body emits repeats until `Loop.stop_if` leaves it."""
         head, after = self.new_labels("loop", "after")
         self.line(f"br label %{head}")
         self.label(head)
@@ -469,8 +469,8 @@ class Function:
     def each(self, count: int | Value) -> Iterator[Operand]:
         """Yield the indices 0 … ``count`` - 1 to a Python loop whose body emits code.
 
-        A Python ``count`` up to `UNROLLED` gives Python numbers, so the code is unrolled. Else the
-        Python loop has one pass, which emits the body of a loop over the yielded index.
+        If ``count`` is a Python number up to `UNROLLED`, the indices are Python numbers, so the
+        code is unrolled. Otherwise one pass of the Python loop emits the body of an emitted loop.
         """
         if isinstance(count, int) and count <= UNROLLED:
             yield from range(count)
@@ -483,7 +483,7 @@ class Function:
             number.set(k + 1)
 
     def loop(self, count: int | Value) -> Iterator[Operand]:
-        """As `each`, but always emit a loop: short code, for loops that run rarely."""
+        """Like `each`, but never unroll. The code is short, which suits loops that run rarely."""
         return self.each(self.coerce(count, INT))
 
     def return_(self, value: Value | None = None) -> None:
@@ -491,7 +491,7 @@ class Function:
         self.line("ret void" if value is None else f"ret {value.type} {value.name}")
 
     def return_if(self, condition: Value, value: Value | None = None) -> None:
-        """Emit a return from the function, with ``value`` as result, under a scalar condition."""
+        """Emit code that returns ``value`` from the function if a scalar condition holds."""
         leave, onward = self.new_labels("leave", "onward")
         self.line(f"br i1 {condition.name}, label %{leave}, label %{onward}")
         self.label(leave)

@@ -16,22 +16,23 @@ import llvmlite.binding as llvm
 from ..root import variable
 
 LANES = 8
-"""Number of runs that one call of a batch makes, each in one lane of a vector.
+"""Number of runs that one call of the machine code makes in a batch, one run in each lane.
 
-Eight doubles are one vector of AVX-512, or two of AVX2, whose operations overlap.
+Eight doubles fill one vector of AVX-512. They fill two vectors of AVX2, and the processor works on
+the two vectors at the same time.
 """
 
 
 @dataclass(frozen=True)
 class Processor:
-    """A processor that machine code is made for: its name and its features, as LLVM writes them."""
+    """A processor that machine code is made for. LLVM defines the texts of name and features."""
 
     name: str
     features: str
 
     @cached_property
     def key(self) -> str:
-        """Text of the processor and LLVM's version; equal texts mean the same machine code."""
+        """Text that names processor and LLVM version. Equal texts mean equal machine code."""
         versions = f"llvmlite {llvmlite.__version__}, LLVM {llvm.llvm_version_info}"
         return f"{versions}, {llvm.get_process_triple()}, {self.name}, {self.features}"
 
@@ -44,7 +45,10 @@ def _start() -> None:
 
 @cache
 def processor() -> Processor:
-    """Return the processor that ``KNEEXO_CPU`` names (x86-64-v3 …), else that of this machine."""
+    """Return the processor that ``KNEEXO_CPU`` names, or this machine's processor by default.
+
+    A name is, for example, x86-64-v3.
+    """
     _start()
     chosen = os.environ.get(variable("CPU"))
     if chosen:
@@ -53,7 +57,7 @@ def processor() -> Processor:
 
 
 def compile_text(text: str, target: Processor | None = None) -> bytes:
-    """Return the object code of an IR text for ``target``, by default the result of `processor`.
+    """Compile an IR text for the processor ``target``, by default `processor`; return object code.
 
     Warns if the processor has no instruction for fused multiply-add. The code then calls the C
     library's ``fma``, which gives the same bits, but is many times slower.
@@ -98,9 +102,10 @@ class Library:
         self._functions: dict[str, Callable[..., None]] = {}
 
     def function(self, name: str, arguments: int) -> Callable[..., None]:
-        """Return the function ``name`` for calls from Python.
+        """Return the emitted function ``name`` as a function that Python can call.
 
-        It expects ``arguments`` addresses, returns None, and runs without the GIL.
+        The function expects as many addresses as ``arguments`` says, returns None, and runs without
+        the GIL.
         """
         if name not in self._functions:
             address = self._engine.get_function_address(name)

@@ -19,7 +19,7 @@ from .llvm import Library, compile_text, processor
 from .time_loop import between_text, run_text, start_text
 
 Source = Equations | Callable[[], Equations]
-"""Equations, or a function that returns them; it is called only if the cache lacks code."""
+"""Equations, or a function that returns equations and is called only if the cache lacks code."""
 
 ANNOUNCED_AFTER_S = 1.0
 """Time in s after which a line on stderr says that equations are being compiled."""
@@ -32,8 +32,8 @@ _layouts: dict[str, Layout] = {}
 class MachineCode:
     """The machine-code functions of one model, each loaded or compiled when it is first requested.
 
-    Models with different equations must have different texts ``key``. A pickled object holds key
-    and source alone, so another process loads the code from the cache or compiles it.
+    ``key`` is a text that must differ between models with different equations. Pickle keeps only
+    key and source, so another process loads the code from the cache or compiles the equations.
     """
 
     def __init__(self, key: str, source: Source) -> None:
@@ -60,7 +60,7 @@ class MachineCode:
 
     @property
     def program(self) -> Program:
-        """The equations, rewritten for the emission of code; made at the first use."""
+        """The equations, rewritten for machine code. The first access rewrites them."""
         with _lock:
             if self._program is None:
                 source = self._source
@@ -68,7 +68,7 @@ class MachineCode:
             return self._program
 
     def start(self, name: str) -> Callable[..., None]:
-        """Return the machine code's function ``name``: ``constants`` or ``initialize``.
+        """Return the machine-code function ``name``, which is ``constants`` or ``initialize``.
 
         See `define_constants` and `define_initialize`.
         """
@@ -76,13 +76,13 @@ class MachineCode:
         return self._library("start", lambda: start_text(self.program)).function(name, arguments)
 
     def run(self, integrator: str, lanes: int) -> Callable[..., None]:
-        """Return the machine code's function ``run`` for this integrator; arguments: see `RUN`."""
+        """Return the machine-code function ``run`` for an integrator. `RUN` lists its arguments."""
         part = f"run, {integrator}, {lanes} lanes"
         library = self._library(part, lambda: run_text(self.program, integrator, lanes))
         return library.function("run", 1)
 
     def between(self) -> Callable[..., None]:
-        """Return the machine code's function ``between``; arguments: see `BETWEEN`."""
+        """Return the machine-code function ``between``. `BETWEEN` lists its arguments."""
         library = self._library("between", lambda: between_text(self.program))
         return library.function("between", 1)
 
@@ -99,7 +99,10 @@ class MachineCode:
             return _libraries[key]
 
     def _entry(self, part: str) -> str:
-        """Return the cache key of a part of the code, a text of all that the code depends on."""
+        """Return the cache key of a part of the code: a text that names all causes of the code.
+
+        The causes are the model, the compiler's source, the processor, and the part.
+        """
         return "\n".join((self.key, _sources(), processor().key, part))
 
 

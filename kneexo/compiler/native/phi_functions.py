@@ -12,9 +12,10 @@ FINEST = 12
 
 
 class Columns:
-    """Emits operations on square matrices with ``size`` rows, whose columns are stored as vectors.
+    """Emits operations on square matrices with ``size`` rows.
 
-    One instruction works on a whole vector. Zeros fill up the last vector of each column.
+    Each column is stored in one or more vectors, because one instruction works on a whole vector.
+    Zeros fill up the last vector of a column.
     """
 
     def __init__(self, f: Function, size: int) -> None:
@@ -33,11 +34,14 @@ class Columns:
         return matrix
 
     def each(self) -> Iterator[Operand]:
-        """Yield the index of each vector of a matrix to a loop that emits code: `Function.each`."""
+        """Yield the index of each vector of a matrix to a Python loop: see `Function.each`."""
         return self.f.each(self.size * self.blocks)
 
     def element(self, row: Operand, column: Operand) -> Value:
-        """Emit the index of an element among all doubles of a matrix, filling zeros included."""
+        """Emit code that computes the index of an element among all doubles of a matrix.
+
+        The zeros that fill up a column count as doubles of the matrix.
+        """
         return self.f.coerce(column, INT) * self.rows + row
 
     def multiply(self, left: Array, right: Array, out: Array) -> None:
@@ -54,9 +58,9 @@ class Columns:
                 out[f.coerce(j, INT) * self.blocks + block] = total.get()
 
     def store(self, matrix: Callable[[Operand], Value], out: Array) -> None:
-        """Emit the copy of a matrix to ``out``, column by column, without the filling zeros.
+        """Emit code that copies a matrix to ``out``, column by column, without filling zeros.
 
-        ``matrix(index)`` returns the vector with this index.
+        ``matrix(index)`` returns the vector ``index`` of the matrix.
         """
         f, last = self.f, (self.size - 1) * self.blocks
         for j in f.each(self.size - 1):  # the next column overwrites the rows of zeros
@@ -73,12 +77,13 @@ class Columns:
 
 
 def define_fill_tables(module: Module, size: int) -> Function:
-    """Define the emitted function ``fill_tables(a, tick, tables)`` of the matrix ``a``.
+    """Define the emitted function ``fill_tables(a, tick, tables)``.
 
-    The code writes h phi_1, h phi_2 and h (phi_2 - 4 phi_3) at the argument a h to ``tables``, for
-    the steps h = tick/2^level of the levels 0 … `FINEST` + 1. It begins at a small step with a
-    Taylor series. Doublings lead from there to each longer step (Skaflestad and Wright 2009, Appl.
-    Numer. Math. 59).
+    The function computes h phi_1, h phi_2 and h (phi_2 - 4 phi_3) at the argument a h, where ``a``
+    is a matrix, and writes these matrices to ``tables``. There is one table for each step
+    h = tick/2^level, with the levels 0 … `FINEST` + 1. A Taylor series gives the functions at a
+    small step, and doublings lead to each longer step (Skaflestad and Wright 2009, Appl. Numer.
+    Math. 59).
     """
     square = size * size
     arguments = {"a": POINTER, "tick": DOUBLE, "tables": POINTER}

@@ -16,10 +16,10 @@ from .ir import Array, Function, Module, Operand, Value
 from .types import DOUBLE, INT, POINTER, Type
 
 Load = Callable[[str, int], Operand]
-"""``load(kind, index)`` emits the load of one element of a source, such as a state.
+"""``load(kind, index)`` emits code that loads one element of a source, such as a state.
 
-The kinds are those of `graph.SOURCES`. Only ``constant`` has another meaning: the values that
-depend on parameters alone, which are computed once a run.
+``kind`` is one of `graph.SOURCES`. The kind ``constant`` has another meaning here: it stands for
+the values that depend on parameters alone, which are computed once a run.
 """
 
 _EMITTERS: dict[str, Callable[[Function, str, Sequence[Operand]], Operand]] = {
@@ -30,14 +30,15 @@ _EMITTERS: dict[str, Callable[[Function, str, Sequence[Operand]], Operand]] = {
     "elementary": lambda f, name, a: getattr(elementary, name)(f, *a),
     "library": lambda f, name, a: f.library(name, *a),
 }
-"""Functions that emit an operation, by the text before the dot in `Operation.native`.
+"""Dictionary from the text before the dot in `Operation.native` to a Python function.
 
-Each gets the function of the emitted code, the text after the dot, and the emitted arguments.
+The Python function emits the operation. Its arguments are the emitted function, the text after the
+dot, and the emitted arguments of the operation.
 """
 
 
 class Printer:
-    """Emits nodes of a program into one function."""
+    """Emits code that computes nodes of a `Program`, as instructions of one emitted function."""
 
     def __init__(
         self,
@@ -57,13 +58,13 @@ class Printer:
             The function that gets the instructions, the program that has the nodes, and the
             function that emits loads of sources.
         hoisted
-            Nodes whose values are loaded as constants, with their indices among the constants; by
-            default those of the program.
+            Dictionary from each node that the code loads as a constant to its index among the
+            constants; by default ``program.hoisted``.
         memory
-            Look-up tables: two arrays (tags, values) for each `Memo` of the program. With None the
-            code looks up nothing.
+            Two arrays for each `Memo` of the program: the whole numbers (tags) of the rows of its
+            look-up table, and the values in the rows. If None, the code looks up nothing.
         known
-            Values of nodes that are emitted already.
+            Dictionary from each node whose value is emitted already to this value.
         """
         self.function, self.program, self.graph = function, program, program.graph
         self.load = load
@@ -92,10 +93,11 @@ class Printer:
         condition: Callable[[tuple[str, int]], Value],
         store: Callable[[Place, Operand], None],
     ) -> None:
-        """Emit the computation of groups of nodes, each under its condition.
+        """Emit code that computes each group of nodes if the condition of the group holds.
 
-        Nodes that several groups need come first, without a condition. ``condition``: emits the
-        condition of a group; ``store(place, value)``: emits the store of the value of a target.
+        Nodes that several groups need are computed first, without a condition. The Python function
+        ``condition(group.condition)`` emits the condition of a group, and ``store(place, value)``
+        emits the store of a value to its destination.
         """
         users: dict[int, list[str]] = {}
         needed: dict[int, set[int]] = {}
@@ -131,7 +133,7 @@ class Printer:
     def always(
         self, targets: Iterable[tuple[Place, int]], store: Callable[[Place, Operand], None]
     ) -> None:
-        """Emit the computation and the stores of targets, without a condition."""
+        """Emit code that computes and stores the values of ``targets`` without a condition."""
         no_condition = Value(self.function, "", INT)
         self.groups([Group(ALWAYS, tuple(targets))], lambda _: no_condition, store)
 
@@ -148,7 +150,8 @@ class Printer:
     def _operation(self, node: int) -> str:
         """Return the name of the operation that is emitted for a node.
 
-        The name is empty if the value of the node is loaded, known or looked up.
+        The name is empty if the code loads the value as a constant, finds it in a look-up table, or
+        has computed it before.
         """
         is_loaded = node in self.hoisted or node in self.known or node in self.memo_of
         return "" if is_loaded else str(self.graph.nodes[node][0])
@@ -192,7 +195,7 @@ class Printer:
         return _EMITTERS[emitter](f, name, a)
 
     def _sum(self, terms: Sequence[int], values: Mapping[int, Operand], fused: set[int]) -> Operand:
-        """Emit a sum; each product in ``fused`` is added by a fused multiply-add."""
+        """Emit a sum. A fused multiply-add adds each term that is a product in ``fused``."""
         total: Operand | None = None
         for term in terms:
             if term not in fused:
@@ -214,7 +217,7 @@ class Printer:
         return total
 
     def _factors(self, node: int, values: Mapping[int, Operand]) -> tuple[int, list[Operand]]:
-        """Return sign and emitted factors of a product; factors of -1 only change the sign."""
+        """Return the sign that the factors -1 give a product, and its other, emitted factors."""
         sign, factors = 1, []
         for argument in self.graph.arguments(node):
             if self.graph.value(argument) == -1.0:
@@ -233,10 +236,10 @@ class Printer:
     # ------------------------------------------------------------------- whole-number functions
 
     def _looked_up(self, count: Operand, number: int, memo: Memo) -> dict[int, Operand]:
-        """Emit code that looks up the values of a memo's nodes in table ``number`` at ``count``.
+        """Emit code that looks up the nodes of ``memo`` at the whole number ``count``.
 
-        If the table lacks the row of this count, the code computes and stores the row. Returns the
-        emitted values by node.
+        ``number``: index of the look-up table. If the table has no row for ``count``, the code
+        computes and stores the row. Returns a dictionary from node to emitted value.
         """
         if ("row", number) in self._emitted:
             row: dict[int, Operand] = self._emitted["row", number]
@@ -282,7 +285,8 @@ def _condition(function: Function, value: Operand) -> Value:
 def define_constants(module: Module, program: Program) -> None:
     """Define the emitted function ``constants(p, c)``.
 
-    It writes to ``c`` all values that depend on the parameters ``p`` alone.
+    The function computes all values that depend on the parameters ``p`` alone, and writes these
+    values to ``c``.
     """
     f = module.function("constants", dict.fromkeys(("p", "c"), POINTER), internal=False)
     parameters, c = (Array(f.arguments[name], DOUBLE) for name in ("p", "c"))
@@ -295,15 +299,16 @@ def define_constants(module: Module, program: Program) -> None:
 
 
 def sources(time: Operand, **arrays: Array) -> Load:
-    """Return a `Load` that gives ``time`` for the time, and else reads the array of the kind."""
+    """Return a `Load` that gives ``time`` for the kind ``time``, else an item of its array."""
     return lambda kind, index: time if kind == "time" else arrays[kind][index]
 
 
 def define_initialize(module: Module, program: Program) -> None:
     """Define the emitted function ``initialize(x, d, u, c, after)``, for the time 0.
 
-    It writes the discrete states after the initialization events to ``after``. ``x`` and ``d`` are
-    the continuous and discrete states before, ``u`` the open inputs, ``c`` the constants.
+    The function writes the discrete states after the initialization events to ``after``. ``x`` and
+    ``d`` are the continuous and discrete states before these events, ``u`` are the open inputs, and
+    ``c`` are the values that `define_constants` computes.
     """
     names = ("x", "d", "u", "c", "after")
     f = module.function("initialize", dict.fromkeys(names, POINTER), internal=False)
@@ -318,7 +323,11 @@ def define_initialize(module: Module, program: Program) -> None:
 
 
 def define_derivatives(module: Module, program: Program, lanes: int, attributes: str) -> Function:
-    """Define the emitted function ``derivatives(t, x, d, u, c, out)``: ``out`` = dx/dt."""
+    """Define the emitted function ``derivatives(t, x, d, u, c, out)``.
+
+    The function writes dx/dt at the time ``t`` in s to ``out``; x, d, u, c: see
+    `define_initialize`. ``attributes``: LLVM's attributes of the function.
+    """
     f, load, out = _of_state(module, program, "derivatives", lanes, attributes)
 
     def store(place: Place, value: Operand) -> None:
@@ -330,9 +339,9 @@ def define_derivatives(module: Module, program: Program, lanes: int, attributes:
 
 
 def define_jacobian(module: Module, program: Program) -> Function:
-    """Define the emitted function ``jacobian(t, x, d, u, c, out)`` of one lane.
+    """Define the emitted function ``jacobian(t, x, d, u, c, out)``, which serves one lane.
 
-    It writes the Jacobian, the derivatives of dx/dt by ``x``, to ``out``, column by column.
+    The function writes the derivatives of dx/dt by the states ``x`` to ``out``, column by column.
     """
     f, load, out = _of_state(module, program, "jacobian", 1, "noinline")
     for i in f.loop(program.size**2):

@@ -23,13 +23,16 @@ STEP_S = 2e-4
 """Default step of the integrators ``rk4`` and ``runge_kutta3`` in s."""
 
 ROUGH_STEP_S = 2e-5
-"""Step of RK4 in s for records between two ticks, and for runs that the exact hold gives up."""
+"""Step of RK4 in s.
+
+RK4 makes records between two ticks, and repeats runs that miss the tolerance of the exact hold.
+"""
 
 LONGEST_TICK_S = 2e-3
 """Longest tick of the exact hold in s.
 
-The exact hold evaluates the derivatives at three points of a tick. An input with a period of half a
-tick looks constant at these points.
+The exact hold evaluates the derivatives at the start, the middle and the end of a tick. An input
+with a period of half a tick has the same value at these points, so it would look constant.
 """
 
 TOLERANCE = 1e-8
@@ -47,7 +50,7 @@ def address(array: NDArray[Any]) -> int:
 
 
 def element_name(port: str, element: int, size: int) -> str:
-    """Return the name of an element of a port: ``port[element]``, or ``port`` if its size is 1."""
+    """Return ``port[element]``, the name of an element; ``port`` if the port has one element."""
     return f"{port}[{element}]" if size > 1 else port
 
 
@@ -75,7 +78,7 @@ _NO_TICKS: Integers = np.empty(0, dtype=np.int64)
 class Runner:
     """Machine code of a model with one integrator, and the memory that the code works on.
 
-    The memory holds the step and the Jacobians of each lane from one call to the next.
+    The memory keeps the step and the Jacobians of each lane from one call to the next.
     """
 
     def __init__(
@@ -91,7 +94,8 @@ class Runner:
     ) -> None:
         """Check the arguments, which `CompiledModel.simulate` explains, and get the machine code.
 
-        Raises `ValueError` for an unknown output or integrator, and for a wrong number.
+        Raises `ValueError` for an unknown output or integrator, and for a step, a tolerance or a
+        record period that is not finite and positive.
         """
         if integrator not in INTEGRATORS:
             raise ValueError(
@@ -102,7 +106,7 @@ class Runner:
                 raise ValueError(f"{name} = {value}: must be finite and > 0")
         layout = code.layout
         self.sizes = sizes = dict(layout.outputs)
-        """Number of elements of each output port of the model, by the port's name."""
+        """Dictionary from the name of each output port of the model to its number of elements."""
         for name in outputs or ():
             if name not in sizes:
                 raise ValueError(f"output {name!r} is unknown; known: {', '.join(sizes)}")
@@ -159,9 +163,9 @@ class Runner:
         self._address = ctypes.addressof(self._arguments)
 
     def restart(self, parameters: Array) -> Runner:
-        """Set the parameters (lanes, parameters) and forget Jacobians and look-up tables.
+        """Set the parameters (lanes, parameters); return this runner.
 
-        Returns this runner.
+        The method also clears the Jacobians and look-up tables, which depend on the parameters.
         """
         for lane, row in enumerate(np.ascontiguousarray(parameters, dtype=float)):
             self._constants(address(row), address(self._lane_c[lane]))
@@ -182,30 +186,31 @@ class Runner:
         snapshots: Snapshots | None = None,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> Integers:
-        """Advance the states from tick ``first`` to tick ``last`` of each lane.
+        """Advance the states of each lane from tick ``first`` to the last tick of the lane.
 
-        A long run is made by several calls of the machine code, so that Ctrl-C can end it. The
-        number of calls does not change the bits.
+        A long run is split into several calls of the machine code, so that Ctrl-C can end the run.
+        The split does not change the bits of the results.
 
         Parameters
         ----------
         x, d
-            Continuous states (states, lanes) and discrete states (discrete states, lanes); changed
-            in place.
+            Continuous states (states, lanes) and discrete states (discrete states, lanes). The
+            method changes these arrays in place.
         first, last
             Number of the first tick, and number of the last tick of each lane, (lanes,).
         inputs
             Open inputs of each lane.
         record
-            Memory for the records (lanes, columns, rows). A run whose first tick is the last one
-            records this tick.
+            Memory for the records (lanes, columns, rows). If the first tick is the last tick, the
+            run records this tick.
         snapshots
             Ticks at which the states are stored, and memory for them; with a single lane only.
         cancelled
             Called between two calls of the machine code; if it returns True, the run ends with
             `KeyboardInterrupt`.
 
-        Returns the status of each lane (lanes, 3): outcome, tick, index of the limit.
+        Returns the status (lanes, 3): for each lane the outcome, the tick at which the run failed,
+        and the index of the limit that stopped the run.
         """
         start, longest, ends = first, int(last.max()), np.empty_like(last)
         every = self.timing.record_every
@@ -319,7 +324,7 @@ def _input_argument(table: InputTable) -> tuple[int, ...]:
 
 @cache
 def _structure(names: tuple[str, ...]) -> type[ctypes.Structure]:
-    """Return the ctypes class of a structure with the fields ``names``, eight bytes each."""
+    """Return a ctypes class with the fields ``names``. Each field has eight bytes."""
     fields = [(n, ctypes.c_double if n in DOUBLES else ctypes.c_int64) for n in names]
     return type("Arguments", (ctypes.Structure,), {"_fields_": fields})
 
@@ -331,9 +336,9 @@ def _arguments(names: tuple[str, ...], **values: Any) -> Any:
 
 
 def _set(arguments: Any, **values: Any) -> None:
-    """Set fields of a ctypes structure to numbers, or to addresses of arrays.
+    """Set fields of a ctypes structure; for an array, set the field to the array's address.
 
-    The caller keeps the arrays alive.
+    The caller must keep the arrays alive as long as machine code uses the structure.
     """
     for name, value in values.items():
         if isinstance(value, np.ndarray):

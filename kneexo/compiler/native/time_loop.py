@@ -1,6 +1,6 @@
-"""Emits the functions of a model as IR text: start, time loop, and records between ticks.
+"""Emits three IR texts of a model: to start a run, to advance a run, to record between two ticks.
 
-Each function that a runner may need has a text of its own, so that only the used ones are compiled.
+A text is compiled when a runner first calls one of its functions.
 
 Names of the arrays: ``x`` continuous states, ``d`` discrete states, ``u`` open inputs, ``c`` values
 that depend on parameters alone, ``y`` outputs. The number of lanes is the number of runs that one
@@ -43,7 +43,7 @@ _INLINED_STATES, _INLINED_NODES = 8, 1500  # beyond that derivatives are called
 
 
 def start_text(program: Program) -> str:
-    """Return the IR text of the functions of `define_constants` and `define_initialize`."""
+    """Return the IR text with the functions of `define_constants` and `define_initialize`."""
     module = Module()
     define_constants(module, program)
     define_initialize(module, program)
@@ -53,7 +53,7 @@ def start_text(program: Program) -> str:
 def run_text(program: Program, integrator: str, lanes: int) -> str:
     """Return the IR text of ``run(arguments)``, which advances the states from tick to tick.
 
-    ``integrator``: one of `INTEGRATORS`; the arguments of ``run`` are those of `RUN`.
+    ``integrator``: one of `INTEGRATORS`. `RUN` lists the arguments of ``run``.
     """
     module = Module()
     _Run(module, program, integrator, lanes).trace()
@@ -61,10 +61,10 @@ def run_text(program: Program, integrator: str, lanes: int) -> str:
 
 
 def between_text(program: Program) -> str:
-    """Return the IR text of ``between(arguments)``; the arguments are those of `BETWEEN`.
+    """Return the IR text of ``between(arguments)``. `BETWEEN` lists the arguments.
 
-    The function records the outputs at any times. For each record it integrates by RK4 from the
-    snapshot (states that ``run`` stored at a tick) before the record's time.
+    The function records the outputs at any times. RK4 integrates from a snapshot, which holds the
+    states that ``run`` stored at a tick, to the time of each record.
     """
     module = Module()
     _trace_between(module, program)
@@ -75,10 +75,10 @@ def between_text(program: Program) -> str:
 
 
 class _Clock:
-    """Emits code that computes the time of the current tick, and code for the next tick.
+    """Emits code that stores the number of the current tick and computes the time of this tick.
 
-    As in `Timing.times`, the time of a tick is that of the last whole unit before it, plus that of
-    the ticks since then. So rounding errors do not add up.
+    As in `Timing.times`, a unit has ``split`` ticks. The time is (whole units) · unit + (further
+    ticks) · tick, so rounding errors do not add up.
     """
 
     def __init__(self, f: Function, arguments: _Arguments, tick: Value) -> None:
@@ -93,7 +93,7 @@ class _Clock:
         return self.f.fma(self.f.to_double(self.whole.get()), self.a["unit"], part)
 
     def advance(self) -> None:
-        """Emit code that makes the next tick the current one."""
+        """Emit code that adds 1 to the number of the current tick."""
         f, part = self.f, self.part.get() + 1
         is_whole = part.equals(self.a["split"])
         self.whole.set(self.whole.get() + f.flags(is_whole))
@@ -101,7 +101,7 @@ class _Clock:
 
 
 class _Arguments:
-    """Loads the arguments of an emitted function from the memory behind its only parameter."""
+    """Emits loads of a function's arguments from the memory to which its only parameter points."""
 
     def __init__(self, f: Function, names: Sequence[str]) -> None:
         self.f = f
@@ -120,10 +120,10 @@ class _Arguments:
 
 
 def _define_inputs(module: Module, program: Program) -> Function:
-    """Define the emitted function ``evaluate_inputs(t, table, u)``, as `InputTable.value`.
+    """Define the emitted function ``evaluate_inputs(t, table, u)``, like `InputTable.value`.
 
-    It writes the values of one lane's open inputs at the time ``t`` in s to ``u``. Segments are
-    closed on the left. Only the last of several breaks belongs to the segment before this break.
+    The function writes one lane's open inputs at the time ``t`` in s to ``u``. Each break belongs
+    to the segment on its right. Only the last of several breaks belongs to the segment on its left.
     """
     arguments = {"t": DOUBLE, "table": POINTER, "u": POINTER}
     f = module.function("evaluate_inputs", arguments)
@@ -160,7 +160,7 @@ def _define_inputs(module: Module, program: Program) -> Function:
 
 
 class _Model:
-    """Emits a model's equations for ``run`` and ``between``, and local memory for their arrays."""
+    """Emits the equations of a model into the function ``run`` or ``between``."""
 
     def __init__(self, f: Function, program: Program, lanes: int, arguments: _Arguments) -> None:
         self.f, self.program, self.lanes = f, program, lanes
@@ -187,7 +187,7 @@ class _Model:
             ("snapshot_x", self.x, program.size),
             ("snapshot_d", self.d, self.discrete_count),
         )
-        """For both kinds of state: name of the snapshots' argument, array, number of states."""
+        """For ``x`` and for ``d``: name of the snapshots' argument, array, number of states."""
 
     def inputs_of(self, lane: Operand, time: Value, u: Array) -> None:
         """Emit code that writes the open inputs of one lane at ``time`` to ``u``."""
@@ -207,13 +207,13 @@ class _Model:
                 self.u.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane] = u[i]
 
     def rate(self, time: Operand, x: Array, out: Array) -> None:
-        """Emit ``out`` = dx/dt at ``time`` and state ``x``, with the open inputs at that time."""
+        """Emit code that sets the open inputs at ``time``, and then writes dx/dt to ``out``."""
         self.set_inputs(time)
         pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
         self.f.call(self.derivatives, self.f.coerce(time, self.type), *pointers)
 
     def tick(self, start: Value, end: Value, step: Value, running: Value) -> Tick:
-        """Return the values from which an integrator emits a tick of this model: see `Tick`."""
+        """Return the `Tick` from which an integrator emits one tick of this model."""
         return Tick(
             self.f, self.program.size, self.type, start, end, self.x, running, self.rate, step
         )
@@ -226,14 +226,14 @@ class _Model:
         store: Callable[[Place, Operand], None],
         memory: Sequence[Array] | None = None,
     ) -> None:
-        """Emit the computation of groups of nodes at ``time``: see `Printer.groups`."""
+        """Emit code that computes groups of nodes at ``time``: see `Printer.groups`."""
         self.set_inputs(time)
         load = sources(time, state=self.x, discrete=self.d, input=self.u, constant=self.c)
         printer = Printer(self.f, self.program, load, memory=memory)
         printer.groups(groups, condition, store)
 
     def record(self, columns: Array, count: Value, record: Array, rows: Value, row: Value) -> None:
-        """Emit the copy of output elements to one row of each lane's record.
+        """Emit code that copies output elements to one row of each lane's record.
 
         ``columns``: indices of the ``count`` recorded elements; ``rows``: number of rows of a
         record; ``row``: index of the row.
@@ -251,23 +251,23 @@ class _Model:
 
 @dataclass(frozen=True)
 class _Now:
-    """Values in the emitted code of one pass of the time loop, at one tick."""
+    """Values of the emitted code in one pass of the time loop, which handles one tick."""
 
     number: Value
     """Number of the tick."""
     time: Value
     """Time of the tick in s."""
     present: Value
-    """Condition by lane: not failed, and not past its last tick; always true with one lane."""
+    """True in lanes that have not failed and are not past their last tick; with one lane true."""
     running: Value
-    """Condition by lane: not failed, and not yet at its last tick."""
+    """True in lanes that have not failed and have not reached their last tick."""
 
 
 class _Run:
     """Emits the function ``run``, which advances each lane from tick ``first`` to its last tick.
 
-    As in Drake, all events at a time see the states before these events. The discrete updates at
-    the last tick belong to the next call.
+    As in Drake, all events at a time see the states before these events. The next call of ``run``
+    makes the discrete updates at the last tick.
     """
 
     def __init__(self, module: Module, program: Program, integrator: str, lanes: int) -> None:
@@ -362,7 +362,7 @@ class _Run:
     def _events(self, now: _Now, row: Variable) -> None:
         """Emit the records, checks and discrete updates of a tick.
 
-        The code runs if a record or an update is due. ``row``: variable with the next record's row.
+        The code runs if a record or an update is due. ``row``: variable with the next row's index.
         """
         f, a, model, program = self.f, self.a, self.model, self.program
         recording = (now.number % a["record_every"]).equals(0) & (row.get() < a["rows"])
@@ -421,7 +421,7 @@ class _Run:
                         model.d[i] = f.select(running, self.after[i], before)
 
     def _memory(self) -> list[Array]:
-        """Return the arrays of the look-up tables: tags, then values, of each memo in turn."""
+        """Return two arrays for each `Memo` in turn: tags and values of its look-up table."""
         tags, values = (self.a.array(name, DOUBLE) for name in ("tags", "values"))
         memory = []
         first = 0
@@ -432,7 +432,7 @@ class _Run:
         return memory
 
     def _fail(self, lanes: Value, code: int, tick: Value, which: int = 0) -> None:
-        """Emit the end of the runs in ``lanes``; their status becomes (code, tick, which)."""
+        """Emit code that ends the runs in ``lanes``, and sets their status (code, tick, which)."""
         f = self.f
         with f.when(f.any_lane(lanes), rare=True):
             for lane in range(self.lanes):

@@ -34,7 +34,7 @@ class Timing:
     def times(self, ticks: Any) -> Any:
         """Return the times in s of the tick numbers ``ticks``, an integer or an array.
 
-        The time at a whole number of units is a single product, so it is rounded only once.
+        The time at a whole number of units is a single product, which is rounded only once.
         """
         if self.split == 1:
             return ticks * self.unit
