@@ -66,7 +66,7 @@ class Operation:
 
     @property
     def is_condition(self) -> bool:
-        """Whether the value of the operation is a truth value."""
+        """True if the value of the operation is a truth value."""
         return self.role in (Role.COMPARISON, Role.LOGIC)
 
     @property

@@ -59,7 +59,7 @@ def nodes_by_count(
 ) -> dict[int, list[int]]:
     """Return a dictionary from each count to the nodes whose values a table should hold.
 
-    A table has one row for each value of the count. A node is in the table of a count if four
+    A row of a table belongs to a value of the count. A node is in the table of a count if four
     conditions hold. The node depends on this count alone. The node is no truth value. The node is a
     root, or a node that does not depend on this count alone reads the node. The computation of the
     node costs more than a look-up.

@@ -189,7 +189,10 @@ class _Step:
     end: Array
     """State at the end of the step."""
     worst: Value
-    """Sum of error estimate / tolerance over all states. At most 1 means: tolerance met."""
+    """Sum over all states of error estimate / tolerance.
+
+    The step meets the tolerance if this sum is at most 1.
+    """
     middle: Array
     """State at the middle of the step."""
     rest: Array
@@ -298,9 +301,9 @@ class ExactHold:
             self._refresh(tick, lane, memory, levels[lane])
 
     def advance(self, tick: Tick) -> Value:
-        """Emit the steps of a tick. Return a condition that is true in lanes with a bad result.
+        """Emit the steps of a tick; return a condition.
 
-        The result of a lane is bad if even the shortest steps miss the tolerance by too much.
+        The condition is true in lanes where even the shortest steps miss the tolerance by too much.
         """
         f, size, type_ = tick.function, tick.size, tick.type
         lanes, at = type_.lanes, Memory(size)

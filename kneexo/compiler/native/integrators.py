@@ -9,7 +9,10 @@ from .ir import Array, Function, Operand, Value
 from .types import INT, Type
 
 Rate = Callable[[Operand, Array, Array], None]
-"""``rate(t, x, out)`` emits code that writes dx/dt at time t in s and states x to ``out``."""
+"""``rate(t, x, out)`` emits code that writes dx/dt at time t in s and states x to ``out``.
+
+The open inputs have their values at the time t.
+"""
 
 
 @dataclass(frozen=True)

@@ -192,7 +192,7 @@ class Module:
 
 
 class Function:
-    """An emitted function. Its methods append instructions, and most return the result's value."""
+    """An emitted function. Its methods append instructions; most methods return the result."""
 
     def __init__(
         self,

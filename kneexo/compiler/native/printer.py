@@ -217,7 +217,7 @@ class Printer:
         return total
 
     def _factors(self, node: int, values: Mapping[int, Operand]) -> tuple[int, list[Operand]]:
-        """Return the sign that the factors -1 give a product, and its other, emitted factors."""
+        """Separate the factors -1 from a product; return their sign and the other factors."""
         sign, factors = 1, []
         for argument in self.graph.arguments(node):
             if self.graph.value(argument) == -1.0:
@@ -299,7 +299,7 @@ def define_constants(module: Module, program: Program) -> None:
 
 
 def sources(time: Operand, **arrays: Array) -> Load:
-    """Return a `Load` that gives ``time`` for the kind ``time``, else an item of its array."""
+    """Return a `Load` that gives ``time`` for the kind ``time``, else reads ``arrays[kind]``."""
     return lambda kind, index: time if kind == "time" else arrays[kind][index]
 
 

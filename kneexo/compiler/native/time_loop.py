@@ -258,7 +258,7 @@ class _Now:
     time: Value
     """Time of the tick in s."""
     present: Value
-    """True in lanes that have not failed and are not past their last tick; with one lane true."""
+    """True in lanes that have not failed and are not past the last tick. A single lane: true."""
     running: Value
     """True in lanes that have not failed and have not reached their last tick."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Type:
-    """An LLVM type: the scalar type ``element``, or a vector of ``lanes`` elements if not 1."""
+    """An LLVM type: the scalar type ``element``, or a vector if ``lanes`` is more than 1."""
 
     element: str
     lanes: int = 1
