@@ -51,8 +51,8 @@ def compile(
     ScenarioError
         The file is faulty.
     CompilationError
-        ``system`` is something else, or a subsystem cannot be converted; ``inputs`` are given for
-        a scenario, whose inputs follow from its reference.
+        ``system`` has another type, or a subsystem cannot be converted. Also raised if ``inputs``
+        are given for a scenario, because the reference of the scenario determines its inputs.
     """
     # Importing kneexo alone loads neither LLVM nor Drake.
     from kneexo.compiler import compile_diagram

@@ -7,8 +7,8 @@ import sys
 def main() -> int:
     """Run the command line; return the exit code.
 
-    Ctrl-C never prints a traceback, also while kneexo is being imported. The user's modules in the
-    working directory can be imported, as with ``python -m``.
+    Ctrl-C never prints a traceback, not even while kneexo is being imported. Modules in the working
+    directory can be imported, as they can with ``python -m``.
     """
     if "" not in sys.path and not sys.flags.safe_path:
         sys.path.append("")  # last, so that a file there hides no installed module

@@ -34,7 +34,7 @@ class LinearizationError(KneexoError, ArithmeticError):
 
 
 class PackageError(KneexoError, ImportError):
-    """A required package is not installed. The message names the package."""
+    """A required package is not installed. The message gives the name of the package."""
 
 
 class WorkerError(KneexoError, RuntimeError):

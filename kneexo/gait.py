@@ -1,4 +1,4 @@
-"""Measured flexion of a knee in walking, over the gait cycle.
+"""Measured flexion of the knee over the gait cycle of walking.
 
 The data are the mean of 56 strides of one healthy adult. They are derived from NONAN GaitPrint
 (Wiles et al., Scientific Data), CC BY 4.0; the first lines of
@@ -30,6 +30,6 @@ def gait_knee_flexion() -> tuple[Array, Array, Array]:
 
 
 def gait_start_percent() -> float:
-    """Return the start of `gait_reference`: the time of least flexion, in % after heel contact."""
+    """Return the time of least flexion in % after heel contact. `gait_reference` starts there."""
     percent, mean, _ = gait_knee_flexion()
     return float(percent[np.argmin(mean)])

@@ -12,7 +12,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM arrived. Code that handles Ctrl-C, a `KeyboardInterrupt`, handles it too."""
+    """SIGTERM arrived. Code that handles Ctrl-C (`KeyboardInterrupt`) handles SIGTERM too."""
 
 
 def _terminate(number: int, frame: Any) -> None:
@@ -27,7 +27,7 @@ def _in_main_thread() -> bool:
 def sigterm_raises() -> Iterator[None]:
     """Context manager: SIGTERM raises `Terminated` in the body.
 
-    Has no effect outside the main thread, and if the program has a handler for SIGTERM already.
+    The manager has no effect outside the main thread, or if the program already handles SIGTERM.
     """
     unhandled = _in_main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     if unhandled:
@@ -43,7 +43,7 @@ def sigterm_raises() -> Iterator[None]:
 def interrupt_later() -> Iterator[None]:
     """Context manager: delay Ctrl-C and SIGTERM until the body has ended.
 
-    Processes that the body starts never receive Ctrl-C, so this process has to end them.
+    Processes that the body starts never receive Ctrl-C. The code that starts them must end them.
     """
     arrived: list[int] = []
     handlers: dict[int, Any] = {}

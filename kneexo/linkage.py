@@ -22,7 +22,7 @@ from kneexo.parameters import LinkageParameters
 from kneexo.result import Array, Result
 
 FIT_RANGE_DEG = (-2.0, 91.0)
-"""Knee angles in deg between which the rod can be inverted: range of motion and a margin."""
+"""The lowest and the highest knee angle in deg at which the rod can be inverted."""
 
 RodAndArm = Callable[[Array], tuple[Array, Array]]
 """A function that returns rod extension and moment arm in m for knee angles in rad."""
@@ -32,15 +32,15 @@ RodAndArm = Callable[[Array], tuple[Array, Array]]
 
 
 def wrap(angle: Any, xp: Any = np) -> Any:
-    """Return the same angle within (−π, π], as atan2(sin, cos)."""
+    """Return the angle within (−π, π] that equals the angle up to a multiple of 2π."""
     return xp.atan2(xp.sin(angle), xp.cos(angle))
 
 
 def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: Any = np) -> Any:
     """Return the knee angle θ_p, within (−π, π], for the angle θ_4 of link 4 (Eq. 3–7).
 
-    Eq. 6 is evaluated as θ_3 = atan2(A, B) ± acos(C/√(A² + B²)). The paper's form divides by
-    B + C, which passes through zero inside the range of motion of G1 and G2. ``link`` has the
+    Eq. 6 is evaluated as θ_3 = atan2(A, B) ± acos(C/√(A² + B²)). The form in the paper divides by B
+    + C, but B + C is zero at a knee angle within the range of motion of G1 and G2. ``link`` has the
     lengths and φ of `LinkageParameters`; ``eq6_sign`` is the value of the function `eq6_sign`.
     Returns nan where the linkage cannot be assembled.
     """
@@ -58,11 +58,12 @@ def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: An
 
 @dataclass(frozen=True, repr=False)
 class LinkagePose(Result):
-    """Angles and joints of the linkage at the knee angles ``knee_angle``; made by `pose`.
+    """The result of `pose`: angles and joints of the linkage at the knee angles ``knee_angle``.
 
     All arrays have the shape of ``knee_angle``. Angles θ_2 of link 2, θ_3 of the coupler and θ_4 of
-    link 4 are in rad. Points are complex numbers x + jy in m: the coupler's joints A with link 2
-    and B with link 4, and the moving end of the rod, ``rod_pin``. The rod extension is in m.
+    link 4 are in rad. Points are complex numbers x + jy in m. Joint A connects the coupler to link
+    2, joint B connects the coupler to link 4, and ``rod_pin`` is the moving end of the rod. The rod
+    extension is in m.
     """
 
     knee_angle: Array
@@ -76,7 +77,7 @@ class LinkagePose(Result):
     moment_arm: Array
     """Moment arm of the rod, r = −dx/dθ_p in m, with the rod extension x and the knee angle θ_p."""
     encoder_sensitivity: Array
-    """Change of the knee angle with the angle of link 4, dθ_p/dθ_4."""
+    """Derivative of the knee angle with respect to the angle of link 4, dθ_p/dθ_4."""
 
 
 def _ground(link: LinkageParameters) -> tuple[complex, complex]:
@@ -91,9 +92,9 @@ def rod_anchor(link: LinkageParameters) -> complex:
 def pose(link: LinkageParameters, knee_angle: ArrayLike) -> LinkagePose:
     """Assemble the linkage at given knee angles, in closed form.
 
-    The knee angle sets the angle of the coupler, θ_3 = θ_p − φ. With the vector
-    D = O_B − O_A − a_3 e^{jθ_3}, θ_4 solves |D + a_4 e^{jθ_4}| = a_2. Of its two solutions
-    ``link.branch`` chooses one: it is the sign of sin(θ_4 − θ_2). Eq. 8 and 9 give the rod. θ_4 is
+    The knee angle sets the angle of the coupler, θ_3 = θ_p − φ. With the vector D = O_B − O_A − a_3
+    e^{jθ_3}, θ_4 solves |D + a_4 e^{jθ_4}| = a_2. The equation has two solutions. ``link.branch``
+    is the sign of sin(θ_4 − θ_2) in the chosen solution. Eq. 8 and 9 give the rod. θ_4 is
     continuous over the range of motion, because it lies within ±π of its value at 45°.
 
     Raises `LinkageError` where the links do not close.
@@ -146,10 +147,10 @@ def _theta_4(link: LinkageParameters, theta_p: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def eq6_sign(link: LinkageParameters) -> int:
-    """Return the sign in Eq. 6, −1 or 1, that gives the knee angles of this linkage.
+    """Return −1 or 1: the sign of acos in Eq. 6 with which Eq. 6 gives the linkage's knee angles.
 
-    Raises `LinkageError` when the sign changes within 0…90°. Then two knee angles have the same
-    encoder angle, and no controller can tell them apart.
+    Raises `LinkageError` if the sign changes within knee angles of 0…90°. Then two knee angles have
+    the same encoder angle, and no controller can tell them apart.
     """
     at = pose(link, np.radians(np.linspace(0.0, 90.0, 181)))
     signs = -np.sign(np.sin(at.theta_3 - at.theta_2))
@@ -186,13 +187,13 @@ def knee_angle_from_rod(link: LinkageParameters, extension: ArrayLike) -> Array:
 
 
 def exact_rod_and_arm(link: LinkageParameters, angle: Array) -> tuple[Array, Array]:
-    """Return rod extension and moment arm of the linkage in m. Raises `LinkageError` as `pose`."""
+    """Return rod extension and moment arm in m. Raises `LinkageError` as `pose` does."""
     at = pose(link, angle)
     return at.rod_extension, at.moment_arm
 
 
 def rod_table(rod_and_arm: RodAndArm) -> tuple[Array, Array]:
-    """Return knee angles in rad over `FIT_RANGE_DEG` in steps of 0.5°, and rod extensions in m.
+    """Return knee angles in rad, one every 0.5° of `FIT_RANGE_DEG`, and their rod extensions in m.
 
     Raises `LinkageError` unless the extension falls as the knee flexes.
     """
@@ -213,8 +214,9 @@ def invert_rod(
 ) -> Array:
     """Return the knee angles in rad at which the rod has these extensions in m.
 
-    Newton's method starts at an interpolated table. It stops when no step exceeds 1e-15 rad, or
-    after 20 steps. Raises `LinkageError` when no knee angle within −2…91° has an extension.
+    Newton's method starts from angles interpolated in a table. It stops when no step exceeds 1e-15
+    rad, or after 20 steps. Raises `LinkageError` if no knee angle within −2…91° has one of the
+    extensions.
     """
     x = np.asarray(extension, dtype=float)
     grid, table = rod_table(rod_and_arm)
@@ -240,8 +242,9 @@ def invert_rod(
 def icr(link: Any, theta_3: Any, theta_4: Any, xp: Any = np) -> tuple[Any, Any]:
     """Return the instantaneous centre of rotation of the coupler, (x, y) in m.
 
-    The lines O_A A and O_B B of links 2 and 4 meet there, at O_B + t e^{jθ_4}. The length t follows
-    from the cross product with A − O_A.
+    The centre is where the line through O_A and A (link 2) meets the line through O_B and B (link
+    4). So the centre is O_B + t e^{jθ_4}, and the length t follows from the cross product with A −
+    O_A.
     """
     cos_4, sin_4 = xp.cos(theta_4), xp.sin(theta_4)
     d_x = link.o_b_x_m - link.o_a_x_m
@@ -258,8 +261,8 @@ def icr(link: Any, theta_3: Any, theta_4: Any, xp: Any = np) -> tuple[Any, Any]:
 def polynomial(coefficients: Any, argument: Any) -> Any:
     """Return the value of a polynomial at ``argument``, by Horner's rule.
 
-    ``coefficients`` begin with the highest power. Works for arrays, decimal numbers and all scalars
-    of Drake.
+    ``coefficients`` begin with the highest power. ``argument`` can be an array, a decimal number or
+    a scalar of Drake.
     """
     value = coefficients[0]
     for coefficient in coefficients[1:]:
@@ -268,7 +271,7 @@ def polynomial(coefficients: Any, argument: Any) -> Any:
 
 
 def polynomial_derivative(coefficients: Any, order: int = 1) -> list[Any]:
-    """Return the coefficients of the derivative of order ``order``, highest power first."""
+    """Differentiate a polynomial ``order`` times; return coefficients, highest power first."""
     result = list(coefficients)
     for _ in range(order):
         degree = len(result) - 1

@@ -14,8 +14,8 @@ _FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}, {remaining} left"
 def progress_bar(total: float, description: str | None) -> Any:
     """Return a bar of tqdm that ends at ``total``; its method ``update(amount)`` advances it.
 
-    The bar shows nothing if ``description`` is None, if stderr is not a terminal, and in a notebook
-    without ipywidgets (``pip install "kneexo[notebook]"``).
+    The bar shows nothing if ``description`` is None, or if stderr is no terminal. In a notebook the
+    bar requires ipywidgets (``pip install "kneexo[notebook]"``) and otherwise shows nothing.
     """
     settings: dict[str, Any] = {
         "total": total,

@@ -1,4 +1,4 @@
-"""Base class of results, and functions that results share: short texts, axes and data frames."""
+"""Base class of results, and functions for their short texts, Matplotlib axes and data frames."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _LONGEST = 60  # characters of one value
 class Result:
     """Base of the dataclasses of results. A subclass is a dataclass with ``repr=False``.
 
-    ``repr`` shows each field in a few words: a number by its value, an array by its shape. A
-    notebook shows the same as a table.
+    ``repr`` shows each field in a few words, for example a number by its value and an array by its
+    shape. A notebook shows the same texts in a table.
     """
 
     def __repr__(self) -> str:
-        """Return the class name and, for each field, its name and short text, on one line."""
+        """Return one line with the class name, and the name and short text of each field."""
         values = ", ".join(f"{name}={text}" for name, text in _texts(self))
         return f"{type(self).__name__}({values})"
 
@@ -45,7 +45,7 @@ def _texts(result: Any) -> Iterable[tuple[str, str]]:
 
 
 def short(value: Any) -> str:
-    """Return a value as short text: an array by its shape, a long tuple by its length."""
+    """Return a short text for a value, such as an array's shape or a long tuple's length."""
     if isinstance(value, float | complex | np.floating):
         return f"{value:.6g}"
     if isinstance(value, np.ndarray):
@@ -63,7 +63,7 @@ def short(value: Any) -> str:
 
 
 def _counted(value: Mapping[Any, Any], left: str, right: str) -> str:
-    """Return the first three names of a mapping in brackets, and their number if there are more."""
+    """Return the names of a mapping in brackets. After three names, return only their number."""
     names = ", ".join(str(name) for name in list(value)[:3])
     more = f", … {len(value)} names" if len(value) > 3 else ""
     return f"{left}{names}{more}{right}"
@@ -80,7 +80,7 @@ def axes_or_new(ax: Any, *shape: int, **options: Any) -> Any:
 
 
 def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
-    """Return a `pandas.DataFrame` of columns by name, each (n,).
+    """Return a `pandas.DataFrame`. ``columns`` maps the name of a column to its values (n,).
 
     ``index`` is the name of the column that becomes the index. Raises `PackageError` when pandas is
     not installed.

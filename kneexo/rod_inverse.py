@@ -1,8 +1,8 @@
 """The inverse of the rod's kinematics as polynomials, fitted with decimal numbers.
 
 The state of the plant is the rod extension, so the plant needs knee angle, encoder angle and moment
-arm as functions of the rod extension. With decimal numbers the fit, and so every run, does not
-depend on the processor's own sines and sums.
+arm as functions of the rod extension. The fit uses decimal numbers because sines and sums of
+doubles can differ between processors. So the fit, and every run, gives the same bits everywhere.
 """
 
 from __future__ import annotations
@@ -45,14 +45,15 @@ _PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459"
 
 @dataclass(frozen=True)
 class RodInverse:
-    """Knee angle θ_p, encoder angle θ_4 and moment arm r for a rod extension x.
+    """Knee angle θ_p, encoder angle θ_4 and moment arm r as polynomials, for a rod extension x.
 
-    Each is a polynomial of t = (√(x_dc − x) − centre)/half_width, where x_dc is the extension at
-    the rod's dead centre (r = 0). The dead centre lies outside the range of motion, so θ_p, θ_4 and
-    r are analytic functions of √(x_dc − x), and polynomials of degree 25 represent them to
-    rounding. With Table 1 of the paper the error is 3e-10 rad, because the dead centre is nearer.
-    Coefficients belong to powers of t, highest first: Horner's rule gives small symbolic
-    expressions, Clenshaw's rule for Chebyshev series large ones.
+    The argument of the polynomials is t = (√(x_dc − x) − centre)/half_width, where x_dc is the rod
+    extension at the rod's dead centre (r = 0). The dead centre lies outside the range of motion, so
+    θ_p, θ_4 and r are analytic functions of √(x_dc − x), and polynomials of degree 25 represent
+    them to rounding. For the rod of the paper's Table 1 the error is 3e-10 rad, because its dead
+    centre is nearer. The coefficients are factors of powers of t, highest power first. Powers of t
+    give small symbolic expressions by Horner's rule. A Chebyshev series would give large
+    expressions by Clenshaw's rule.
     """
 
     dead_centre_m: float
@@ -67,10 +68,10 @@ class RodInverse:
 def fit_rod_inverse(
     link: LinkageParameters, table_1: RodPolynomialParameters | None = None
 ) -> RodInverse:
-    """Fit `RodInverse` to the exact linkage, or to Eq. 10 if ``table_1`` is not None.
+    """Fit `RodInverse` to the exact linkage, or to ``table_1`` (Eq. 10) if it is not None.
 
-    The fit is computed with 50 decimal digits and rounded once. So it has the same bits on every
-    processor and with every numerical library.
+    The fit is computed with 50 decimal digits and then rounded once. So the fit has the same bits
+    on every processor and with every numerical library.
 
     Raises `LinkageError` when the linkage cannot be assembled, the rod extension does not fall as
     the knee flexes over −2…91°, or the error of the fit is above 1e-8 rad.
@@ -114,8 +115,8 @@ def _fit(
 ) -> RodInverse:
     """Fit `RodInverse` by discrete orthogonality of Chebyshev polynomials, in decimal numbers.
 
-    ``angles`` are the knee angles of the fit in rad, the first and the last at the ends of its
-    range. ``dead_centre_angle`` is the value of `_dead_centre_angle`.
+    The first and the last of ``angles`` are the knee angles in rad at the ends of the fit's range.
+    ``dead_centre_angle`` is the value of `_dead_centre_angle`.
     """
     first, last = Decimal(float(angles[0])), Decimal(float(angles[-1]))
     extension, arm = decimal_rod_and_arm(first)
@@ -162,9 +163,10 @@ def _fit(
 
 
 def _in_powers(nodes: Sequence[Decimal], values: Sequence[Decimal]) -> tuple[float, ...]:
-    """Return the Chebyshev series of degree `FIT_DEGREE` as coefficients of powers, highest first.
+    """Fit a Chebyshev series of degree `FIT_DEGREE`; return coefficients of powers, highest first.
 
-    ``values`` are the function's values at ``nodes``, the zeros of a Chebyshev polynomial.
+    ``values`` are the values of the fitted function at ``nodes``, the zeros of a Chebyshev
+    polynomial.
     """
     total = [Decimal(0)] * (FIT_DEGREE + 1)
     # T_n and T_{n+1}: values at the nodes, and coefficients of powers (integers), lowest first.
@@ -198,9 +200,9 @@ def _decimal_pose(
 ) -> tuple[Decimal, Decimal, tuple[Decimal, Decimal]]:
     """Return rod extension x, moment arm r and the vector a_4 e^{jθ_4}, as decimal numbers.
 
-    The equations are those of `pose` without angles. Squaring |D + a_4 e^{jθ_4}| = a_2 gives the
-    scalar product of D and a_4 e^{jθ_4}, (a_2² − a_4² − |D|²)/2. So θ_3 is the only angle whose
-    cosine and sine must be computed anew: a series of decimal numbers is slow.
+    The equations are the equations of `pose`, solved for vectors instead of angles. Squaring |D +
+    a_4 e^{jθ_4}| = a_2 gives the scalar product of D and a_4 e^{jθ_4}, (a_2² − a_4² − |D|²)/2. So
+    only θ_3 requires a cosine and a sine, which are slow in decimal numbers.
     """
     p = SimpleNamespace(**{k: Decimal(v) for k, v in link.model_dump().items()})
     theta_3 = knee_angle - p.phi_rad
@@ -238,7 +240,7 @@ def _cos_sin(angle: Decimal) -> tuple[Decimal, Decimal]:
 
 
 def _angle(vector: tuple[Decimal, Decimal], near: Decimal) -> Decimal:
-    """Return the angle of a vector in rad. ``near`` is the same angle in double precision."""
+    """Return the angle of a vector in rad. ``near`` is an approximation in double precision."""
     x, y = vector
     cos, sin = _cos_sin(near)
     # The sine of the remaining angle of 1e-15 rad is this angle.
@@ -249,8 +251,8 @@ def _dead_centre_angle(rod_and_arm: RodAndArm, start: float) -> float | None:
     """Return the knee angle of the dead centre (r = 0) below ``start``, in rad.
 
     Returns None if there is no dead centre within 60° below ``start``, or if the linkage cannot be
-    assembled before the dead centre. Then `_fit` chooses a point well outside its range, because
-    the fit only requires that the square root is analytic within the range.
+    assembled before the dead centre. Without a dead centre `_fit` chooses x_dc well outside its
+    range. That is enough, because the square root only has to be analytic within the range.
     """
     angles = np.linspace(start, start - np.radians(60.0), 241)
     previous = angles[0]

@@ -15,9 +15,9 @@ LIBRARIES = {"libglib-2.0.so.0": "libglib2.0-0"}
 
 
 def lacking(modules: Iterable[str] = ()) -> str:
-    """Return a line with the missing libraries and how to install them; empty if none is missing.
+    """Return a line: the missing libraries and how to install them. Return "" if none is missing.
 
-    ``modules`` are modules of the standard library that are required too. Debian has them in the
+    ``modules`` are modules of the standard library that are checked too. On Debian they are in the
     package ``python3-venv``.
     """
     missing = {name: package for name, package in LIBRARIES.items() if not _loads(name)}
@@ -32,7 +32,7 @@ def lacking(modules: Iterable[str] = ()) -> str:
 
 
 def _loads(library: str) -> bool:
-    """Return whether a shared library can be loaded; True on other systems than Linux."""
+    """Return whether a shared library can be loaded. On systems other than Linux return True."""
     if sys.platform != "linux":  # Drake for macOS does not need it
         return True
     try:
@@ -43,7 +43,7 @@ def _loads(library: str) -> bool:
 
 
 def main() -> int:
-    """Return 0; or print a line and return 2 if an installation lacks a library or module."""
+    """Return 0 if all libraries and modules exist. Otherwise print which are missing, return 2."""
     if line := lacking(("ensurepip", "venv")):
         print(f"kneexo: {line}", file=sys.stderr)
         return 2

@@ -21,9 +21,9 @@ _LIBRARIES = tuple(
 def user_code(failure: str) -> Iterator[None]:
     """Context manager for a body that runs code of the user.
 
-    An error in the body, also a call of ``sys.exit``, becomes a `ParameterError`. Its message is
-    one line: ``failure``, then the error with file and line of its cause. A `KneexoError` and a
-    `KeyboardInterrupt` are raised unchanged.
+    An error in the body becomes a `ParameterError`, and so does a call of ``sys.exit``. The message
+    is one line that begins with ``failure`` and goes on with the text of `cause_of`. A
+    `KneexoError` and a `KeyboardInterrupt` are raised unchanged.
     """
     try:
         yield
@@ -36,7 +36,7 @@ def user_code(failure: str) -> Iterator[None]:
 
 
 def cause_of(error: BaseException) -> str:
-    """Return a text about an error: type, first line of its message, file and line of its cause."""
+    """Return a text with an error's type, first line of message, and file and line of the cause."""
     place: tuple[str | None, int | None] | None
     if isinstance(error, SyntaxError):
         reason, place = error.msg, (error.filename, error.lineno)
@@ -59,13 +59,13 @@ def place_in_user_code(error: BaseException) -> tuple[str, int] | None:
 
 
 def _innermost(error: BaseException) -> tuple[str, int] | None:
-    """Return file and line of the innermost frame outside kneexo, or None if there is none."""
+    """Return file and line of the innermost frame outside kneexo, or None without such a frame."""
     places = _places(error)
     return places[-1] if places else None
 
 
 def _places(error: BaseException) -> list[tuple[str, int]]:
-    """Return file and line of all frames of an error outside kneexo, the innermost last."""
+    """Return file and line of each frame of the traceback outside kneexo, the innermost last."""
     return [
         (frame.f_code.co_filename, line)
         for frame, line in traceback.walk_tb(error.__traceback__)

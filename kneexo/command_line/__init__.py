@@ -1,1 +1,1 @@
-"""The command ``kneexo``: its parser, its commands, and the files and messages that they give."""
+"""The command ``kneexo``: its parser, its subcommands, and their files and messages."""

@@ -1,4 +1,4 @@
-"""Adds commands with their arguments to the parser, and reads the arguments that they share."""
+"""Adds commands to the parser, and defines the arguments that several commands share."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def add_command(
 
     Each parameter of ``command`` gets the parsed argument of the same name. ``choice`` gets a
     `ScenarioChoice`, and ``page`` a `ReportPage` or None. ``attributes`` are attributes of the
-    `Request`. A function in place of a value computes the attribute from all parsed arguments.
+    `Request`. An attribute can be a function that computes the value from all parsed arguments.
     """
     parser: argparse.ArgumentParser = group.add_parser(
         name,
@@ -69,7 +69,7 @@ def _request(
     attributes: dict[str, Any],
     options: argparse.Namespace,
 ) -> Request:
-    """Return the request of a command for its parsed arguments ``options``.
+    """Return the request that runs a command with the parsed arguments ``options``.
 
     ``program`` is ``kneexo`` and the name of the command, such as ``kneexo export c``.
     """
@@ -92,13 +92,13 @@ def _request(
 
 
 def out(options: argparse.Namespace) -> Path:
-    """Return the parsed argument of ``--out``; made for ``attributes`` of `add_command`."""
+    """Return the parsed argument of ``--out``. Serves as an attribute in `add_command`."""
     path: Path = options.out
     return path
 
 
 def add_scenario(parser: argparse.ArgumentParser, default: str = PAPER) -> None:
-    """Add the argument for a scenario file; ``default`` describes the scenario without a file."""
+    """Add the argument for a scenario file. Its help text says that ``default`` is the default."""
     parser.add_argument(
         "scenario",
         nargs="?",
@@ -118,7 +118,7 @@ def add_engine(parser: argparse.ArgumentParser) -> None:
 
 
 def add_set(parser: argparse.ArgumentParser, description: str, destination: str) -> None:
-    """Add ``--set NAME=VALUE``; the list of all texts is the parsed argument ``destination``."""
+    """Add ``--set NAME=VALUE``. The parsed argument ``destination`` is the list of all texts."""
     parser.add_argument(
         "--set",
         action="append",
@@ -136,7 +136,7 @@ def add_values(parser: argparse.ArgumentParser) -> None:
 
 
 def add_out(parser: argparse.ArgumentParser, files: str) -> None:
-    """Add ``--out DIR``; ``files`` describes what the command writes there."""
+    """Add ``--out DIR``. ``files`` describes what the command writes to DIR, for the help text."""
     parser.add_argument(
         "--out",
         metavar="DIR",
@@ -156,14 +156,14 @@ def add_html(parser: argparse.ArgumentParser) -> None:
 
 
 def decimal(text: str) -> float:
-    """Return a finite number in the digits 0-9. `float` also accepts ``nan`` and ``1_0``."""
+    """Parse a finite decimal number. Refuse ``nan`` and ``1_0``, which `float` accepts."""
     if NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
         return value
     raise argparse.ArgumentTypeError(f"{shown(text)!r} must be a finite number in the digits 0-9")
 
 
 def integer(text: str) -> int:
-    """Return an integer of at most nine digits."""
+    """Parse an integer of at most nine digits."""
     if re.fullmatch(r"[-+]?[0-9]{1,9}", text):
         return int(text)
     raise argparse.ArgumentTypeError(f"{shown(text)!r} must be an integer in the digits 0-9")
@@ -174,14 +174,14 @@ def integer(text: str) -> int:
 
 @dataclass(frozen=True)
 class ScenarioChoice:
-    """The scenario of a command: a file or the default, changed by ``--set`` and ``--engine``."""
+    """The scenario of a command, from a file or the default, with ``--set`` and ``--engine``."""
 
     path: str | None = None
     values: Sequence[str] = ()
     engine: Literal["compiled", "drake"] | None = None
 
     def load(self, default: Scenario | None = None) -> Scenario:
-        """Return the scenario. Without a file return ``default``, or for None the paper's setup."""
+        """Return the scenario. Without a file, start from ``default`` (None: the paper's setup)."""
         from kneexo.parameters import Scenario
         from kneexo.parameters.scenario_file import load_scenario
 
@@ -190,7 +190,7 @@ class ScenarioChoice:
 
 
 def with_values(parameters: _P, texts: Sequence[str]) -> _P:
-    """Return the parameters with the changes ``texts``, the arguments NAME=VALUE of ``--set``."""
+    """Return changed parameters. ``texts`` are the arguments NAME=VALUE of ``--set``."""
     from kneexo.parameters.paths import changed
     from kneexo.parameters.scenario_file import read_value
 
@@ -204,6 +204,6 @@ def with_values(parameters: _P, texts: Sequence[str]) -> _P:
 
 
 def origin_of(scenario: Scenario, settings: Parameters | None = None) -> dict[str, Any]:
-    """Return the first items of every JSON result: version of kneexo, scenario and settings."""
+    """Return the items that begin every JSON result: version of kneexo, scenario, settings."""
     origin = {"kneexo": __version__, "scenario": scenario.model_dump(mode="json")}
     return origin if settings is None else origin | {"settings": settings.model_dump(mode="json")}

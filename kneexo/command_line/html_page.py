@@ -85,7 +85,7 @@ class ReportPage:
     """Name of the HTML file in ``directory``."""
 
     def require_replaceable(self) -> None:
-        """Raise `OutputError` if the HTML file exists and is not of kneexo."""
+        """Raise `OutputError` if the HTML file exists and was not written by kneexo."""
         require_mark(self.directory / self.name, "<title>kneexo ", "page of kneexo")
 
     def file(
@@ -95,10 +95,10 @@ class ReportPage:
         origin: Mapping[str, Any],
         motions: Mapping[str, Motion] | None = None,
     ) -> dict[str, str]:
-        """Return the text of the page by the name of its file.
+        """Return a dictionary from the name of the HTML file to the text of the page.
 
-        Parameters as of `html_page`. ``motions`` has the runs, by name, that the page shows in
-        three dimensions; None or empty: the page shows no motion.
+        For the other parameters see `html_page`. ``motions`` maps names to runs that the page shows
+        in three dimensions. If ``motions`` is None or empty, the page shows no motion.
         """
         view = ""
         if motions:
@@ -126,11 +126,12 @@ def html_page(
     report
         Text in Markdown.
     figures
-        Matplotlib figures by name; they stay open.
+        Dictionary from name to Matplotlib figure. The figures stay open.
     origin
         The first items of every JSON result: version, scenario and settings.
     view
-        A whole HTML page that a button shows inside the returned page; empty: no button.
+        A whole HTML page that a button shows inside the returned page. An empty text means no
+        button.
     """
     import yaml
     from markdown_it import MarkdownIt
@@ -170,7 +171,7 @@ def html_page(
 
 
 def _view(page: str) -> str:
-    """Return an HTML section with ``page``, compressed, and a button that shows the page."""
+    """Return an HTML section with the compressed ``page`` and a button that shows the page."""
     data = base64.b64encode(gzip.compress(page.encode(), mtime=0)).decode()
     return f"""<section class="view">
 <h2>The knee in three dimensions</h2>
@@ -182,7 +183,7 @@ def _view(page: str) -> str:
 
 
 def _svg(figure: Figure) -> str:
-    """Return a Matplotlib figure as SVG text without a date: equal figures give equal text."""
+    """Return a Matplotlib figure as SVG without a date, so that equal figures give equal text."""
     import matplotlib as mpl
 
     stream = io.StringIO()

@@ -1,4 +1,4 @@
-"""Runs the command line: exit codes, and one line on stderr for each failure."""
+"""Runs the command line. Each failure gives an exit code and one line on stderr."""
 
 from __future__ import annotations
 
@@ -67,7 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _prepare_libraries() -> None:
-    """Set one BLAS thread and a Matplotlib backend without windows, before their import."""
+    """Set one BLAS thread and a Matplotlib backend without windows.
+
+    Called before NumPy and Matplotlib are imported.
+    """
     # On matrices as small as ours, threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # We only write files, and Matplotlib refuses a name that it does not know.
@@ -77,7 +80,7 @@ def _prepare_libraries() -> None:
 
 
 def _prepare_streams() -> None:
-    """Let stdout and stderr escape characters that their encoding lacks."""
+    """Make stdout and stderr write escapes for characters that their encoding lacks."""
     codecs.register_error("kneexo", _escaped)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -85,7 +88,7 @@ def _prepare_streams() -> None:
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:
-    """Codec error handler: return JSON escapes of the characters, and the index after them."""
+    """Handle a codec error: return JSON escapes of the characters, and the index after them."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return json.dumps(error.object[error.start : error.end])[1:-1], error.end
@@ -94,7 +97,8 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 def _run(delivery: Delivery) -> int:
     """Run the command of ``delivery``; return the exit code.
 
-    An error of input, memory or the user's code becomes one line on stderr; other errors pass.
+    An error becomes one line on stderr if its cause is the input, a lack of memory, or the user's
+    code. Any other error is raised.
     """
     request = delivery.request
     if request.uses_drake:
@@ -130,7 +134,7 @@ def _fail(line: str, code: int = 2) -> int:
 
 
 def _failed_output(error: OSError) -> int:
-    """Print why a file or stream cannot be written; return the exit code 2.
+    """Print why a file or stream cannot be written, and return the exit code 2.
 
     If the reader of a pipe has closed the pipe, as with ``| head``, print nothing and return 0.
     """
@@ -146,7 +150,7 @@ def _failed_output(error: OSError) -> int:
 
 
 def _interrupted(interrupt: KeyboardInterrupt, delivery: Delivery | None) -> int:
-    """Print where results are; return the exit code of Ctrl-C, 130, or of SIGTERM, 143."""
+    """Print where results are. Return the exit code: 130 for Ctrl-C, 143 for SIGTERM."""
     notice = "nothing was written" if delivery is None else delivery.interrupt_notice()
     if isinstance(interrupt, Terminated):
         return _fail(f"terminated; {notice}", 143)
@@ -156,8 +160,8 @@ def _interrupted(interrupt: KeyboardInterrupt, delivery: Delivery | None) -> int
 def _interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
     """Return the `KeyboardInterrupt` that caused an error, or None.
 
-    Extension modules replace an interrupt by an error of their own. Some, such as pydantic's, keep
-    only the name of the interrupt in their message.
+    Extension modules replace an interrupt by another error. In some modules, such as pydantic's,
+    only the message of this error names the interrupt.
     """
     cause: BaseException | None = error
     while cause is not None:
@@ -171,5 +175,5 @@ def _interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
 
 
 def _one_line(message: Warning | str, *_: Any, **__: Any) -> str:
-    """Return a message or warning as one line; has the signature of `warnings.formatwarning`."""
+    """Return a warning as one line. Replaces `warnings.formatwarning`."""
     return f"kneexo: {shortened(escaped(str(message)), LONGEST_LINE)}\n"

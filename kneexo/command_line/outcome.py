@@ -1,4 +1,4 @@
-"""The request for a command, its outcome, and the delivery that writes and prints the outcome."""
+"""Requests and outcomes of commands, and the delivery that writes and prints an outcome."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class Outcome:
     text: str = ""
     """Text that is printed on stdout."""
     document: str | None = None
-    """JSON text that is printed instead of ``text`` with ``--json``. None: ``text`` is printed."""
+    """JSON text that ``--json`` prints instead of ``text``. If None, ``--json`` prints ``text``."""
     notices: Sequence[str] = ()
     """Lines that are printed on stderr, before the text."""
     advice: str = ""
     """A line that is printed on stderr after the text, unless JSON is printed."""
     files: Mapping[str, str | bytes | Callable[[Path], object]] = field(default_factory=dict)
-    """Content of each file of `Request.directory`, or a function that writes it, by file name."""
+    """Files for `Request.directory`: from file name to content, or to a function that writes it."""
     figures: Mapping[str, Figure] = field(default_factory=dict)
-    """Figures by name; each becomes a PNG and a PDF file of `Request.directory`."""
+    """Figures by name. Each figure is written to `Request.directory` as PNG and as PDF."""
     page: str = ""
     """HTML text that is written to `Request.file`."""
     open_in_browser: bool = False
@@ -46,7 +46,7 @@ class Request:
     """A command with its arguments, and the files for its results."""
 
     run: Callable[..., Outcome]
-    """Runs the command. With a `checkpoint_path` the function gets a keyword ``checkpoint``."""
+    """Function that runs the command. If `checkpoint_path` is set, it gets ``checkpoint``."""
     json: bool = False
     """Whether to print the results as JSON."""
     directory: Path | None = None
@@ -54,15 +54,15 @@ class Request:
     file: Path | None = None
     """The file for `Outcome.page`; None if the command writes no page."""
     scenario: str | None = None
-    """Path of the scenario file, which precedes messages of errors; None without a file."""
+    """Path of the scenario file, with which error messages begin. None without a file."""
     checkpoint_path: Path | None = None
-    """File for the finished pieces of a study until its results are written; None: no such file."""
+    """File that holds finished pieces of a study until its results are written, or None."""
     restart: bool = False
-    """Whether to delete the finished pieces of an earlier run first."""
+    """Whether to delete the finished pieces of an earlier run before the command runs."""
     uses_drake: bool = True
     """Whether the command imports Drake."""
     uses_workers: bool = False
-    """Whether the command has ``--workers``; if memory is short, the message suggests fewer."""
+    """Whether the command has ``--workers``, so that a message about memory suggests fewer."""
 
 
 class Delivery:
@@ -103,7 +103,7 @@ class Delivery:
         return self.checkpoint_notice() or "nothing was written"
 
     def checkpoint_notice(self) -> str:
-        """Return a phrase that says where finished pieces of a study are; empty without pieces."""
+        """Return a phrase that says where finished pieces are, or an empty text without pieces."""
         path = self.request.checkpoint_path
         if path is None or not (path.exists() if self._checkpoint is None else self._checkpoint):
             return ""
@@ -122,7 +122,10 @@ class Delivery:
         return self.request.run(checkpoint=self._checkpoint)
 
     def _note_written(self) -> None:
-        """Note that the results are written. Delete the checkpoint, or count its unused pieces."""
+        """Note that the results are written. Delete the checkpoint, unless it has unused pieces.
+
+        An unused piece, such as a piece of other settings, was not read by this command.
+        """
         self._written = True
         if self._checkpoint is not None:
             self._unused_pieces = self._checkpoint.remove()
@@ -153,13 +156,13 @@ class Delivery:
 
 
 def file_names(files: Iterable[str], figures: Iterable[str] = ()) -> list[str]:
-    """Return the sorted names of files and figures; a figure is a PDF file and a PNG file."""
+    """Return the sorted file names of files and figures. A figure has a PDF and a PNG file."""
     return sorted([*files, *(f"{name}.{kind}" for name in figures for kind in ("pdf", "png"))])
 
 
 @contextmanager
 def named_in_errors(path: str | None) -> Iterator[None]:
-    """Context manager: put the file name ``path`` before messages of errors that lack the name."""
+    """Context manager: put ``path`` before the message of an error that does not name the file."""
     try:
         yield
     except KneexoError as error:

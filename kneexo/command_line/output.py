@@ -1,4 +1,4 @@
-"""Writes results as JSON, signals as CSV, figures as PNG and PDF."""
+"""Writes results as JSON, signals as CSV, and figures as PNG and PDF."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def plain(value: Any) -> Any:
-    """Return ``value`` as data for JSON: arrays become lists, numbers that are not finite None."""
+    """Return ``value`` as data for JSON: arrays become lists, nan and infinity become None."""
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
@@ -35,7 +35,7 @@ def to_json(value: Any) -> str:
 
 
 def write_csv(path: Path, run: Run) -> None:
-    """Write all signals of a run to a CSV file; each column name ends with the unit."""
+    """Write all signals of a run to a CSV file. The name of a column ends with its unit."""
     line = ",".join(["%.10g"] * len(run.columns)) + "\n"
     with path.open("w", encoding="utf-8") as file:
         file.write(",".join(run.columns) + "\n")
@@ -43,7 +43,7 @@ def write_csv(path: Path, run: Run) -> None:
 
 
 def save_figure(directory: Path, name: str, figure: Figure) -> None:
-    """Write a figure as NAME.png and NAME.pdf, without dates: equal figures give equal files."""
+    """Write a figure as NAME.png and NAME.pdf without dates, so equal figures give equal files."""
     figure.savefig(directory / f"{name}.png", dpi=150)
     figure.set_layout_engine(None)  # the layout is complete; an engine would draw each file twice
     figure.savefig(directory / f"{name}.pdf", metadata={"CreationDate": None})

@@ -23,12 +23,12 @@ def parameter_rows(
     Parameters
     ----------
     model
-        The object; or a class, of which the defaults are listed.
+        The object, or the class. For a class the defaults are listed.
     path
         Text before the name of each parameter.
     all_kinds
-        Whether to add the parameters of the other kinds of each part, for example of every kind of
-        controller.
+        Whether to list every kind of each part, for example every kind of controller. If False,
+        only the kinds in ``model`` are listed.
     """
     cls = model if isinstance(model, type) else type(model)
     for name, field in cls.model_fields.items():
@@ -52,7 +52,7 @@ def parameter_rows(
 
 
 def setting_rows() -> Iterator[Row]:
-    """Yield a row for each setting of all studies; imports the studies, and so Drake."""
+    """Yield a row for each setting of each study. Imports the studies, and so Drake."""
     for study in STUDIES.values():
         yield from parameter_rows(study.settings(), f"{study.label or study.command}: ")
 

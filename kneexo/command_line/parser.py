@@ -19,7 +19,7 @@ from kneexo.studies.catalogue import STUDIES
 from kneexo.version import __version__
 
 LONGEST_LINE = 1200
-"""Largest number of characters of a message on stderr; a longer message is shortened."""
+"""Largest number of characters of a message on stderr. A longer message is shortened."""
 
 EPILOG = """\
 examples:
@@ -42,7 +42,7 @@ Exit codes: 0 success, 2 wrong input or a run that failed (one line says why),
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose error messages escape and shorten the arguments that they quote."""
+    """A parser whose error messages quote arguments escaped and shortened."""
 
     def error(self, message: str) -> NoReturn:
         """Print usage and message, and exit with code 2."""
@@ -50,7 +50,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parsed(arguments: Sequence[str]) -> Request:
-    """Return the request for the words after ``kneexo``; exit with code 2 if they are wrong."""
+    """Return the request for the words after ``kneexo``. Exit with code 2 if a word is wrong."""
     options = _parser().parse_args(arguments)
     request: Request = options.request(options)
     return request
@@ -101,7 +101,7 @@ def completion(shell: str) -> Outcome:
 
 
 def _complete_paths(parser: argparse.ArgumentParser, file: object, directory: object) -> None:
-    """Mark the arguments of a parser and its subparsers that are files or directories.
+    """Mark the arguments of a parser and its subparsers whose values are files or directories.
 
     `shtab` reads the marks ``file`` and ``directory``.
     """

@@ -52,7 +52,7 @@ def add_single_runs(subparsers: Any) -> None:
 
 
 def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) -> Outcome:
-    """Run a scenario; return signals, metrics, plot, and unless ``page`` is None an HTML page."""
+    """Run a scenario; return signals, metrics and plot. If ``page`` is given, add an HTML page."""
     scenario = choice.load()
     from kneexo.analysis import track
     from kneexo.command_line.output import to_json, write_csv
@@ -85,7 +85,7 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
 
 
 def _track_with_bar(scenario: Scenario) -> TrackingResult:
-    """Run a scenario by Drake's Simulator with a progress bar of the simulated time."""
+    """Run a scenario in Drake's Simulator, and show a progress bar of the simulated time."""
     from kneexo.analysis import track
     from kneexo.diagrams import make_closed_loop
     from kneexo.progress import progress_bar

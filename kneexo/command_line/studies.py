@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 
 
 def add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
-    """Add a command for each study; ``study contest`` is ``contest`` in the group ``study``."""
+    """Add a command for each study.
+
+    A name of two words, such as ``study contest``, adds the command ``contest`` to the group
+    ``study``.
+    """
     groups = {"": subparsers}
     for study in studies:
         group, _, name = study.command.rpartition(" ")
@@ -105,12 +109,13 @@ def run_study(
     uncertainty: str | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Outcome:
-    """Run a study; return results, report, figures, and unless ``page`` is None an HTML page.
+    """Run a study; return results, report and figures. If ``page`` is given, add an HTML page.
 
     ``choice`` selects the scenario. ``settings`` changes settings of the study, each by NAME=VALUE.
-    ``workers`` is the number of processes, None for one on each core; the Dask cluster at the
-    address ``dask`` replaces them. ``uncertainty`` is the path of a file of uncertain values, for a
-    study that is `uncertain`. ``checkpoint`` stores finished pieces of a study that is `resumable`.
+    ``workers`` is the number of processes, by default the number of cores. If ``dask`` is the
+    address of a Dask cluster, the cluster replaces the processes. ``uncertainty`` is the path of a
+    file of uncertain values, for a study that is `uncertain`. ``checkpoint`` stores the finished
+    pieces of a study that is `resumable`.
     """
     scenario = choice.load(study.scenario)
     changed = arguments.with_values(study.settings(), settings)
@@ -148,9 +153,9 @@ def run_study(
 
 
 def _executor(workers: int | None, dask: str | None) -> AbstractContextManager[Executor | None]:
-    """Context manager: give the Dask cluster at the address ``dask``, or None without an address.
+    """Context manager: give the Dask cluster at the address ``dask``, or None without address.
 
-    With None the study starts processes. Raises `ParameterError` if ``workers`` is less than 1.
+    A study that gets None starts processes. Raises `ParameterError` if ``workers`` is less than 1.
     """
     if workers is not None and workers < 1:
         raise ParameterError(f"--workers = {workers}: must be at least 1")

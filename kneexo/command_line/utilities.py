@@ -61,7 +61,8 @@ def add_utilities(subparsers: Any) -> None:
 def params(choice: ScenarioChoice, yaml: bool, schema: bool) -> Outcome:
     """Return the list of all parameters, or a scenario file (``yaml``) or its schema (``schema``).
 
-    Without a scenario file the list also has the settings of all studies and the uncertain values.
+    If no scenario file is given, the list also has the settings of all studies and the uncertain
+    values.
     """
     scenario = choice.load()
     if yaml:
@@ -123,7 +124,7 @@ def diagram(choice: ScenarioChoice, out: Path) -> Outcome:
 
 
 def cache(clear: bool) -> Outcome:
-    """Return size, limit and last use of the compiled models on disk; ``clear`` deletes them."""
+    """Return size, limit and last use of the compiled models on disk. Delete all if ``clear``."""
     import time
 
     from kneexo.compiler import cache_directory, cache_entries, cache_size_limit, clear_cache

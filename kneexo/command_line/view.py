@@ -49,9 +49,9 @@ def add_view(subparsers: Any) -> None:
 def view(runs: Sequence[str], values: Sequence[str], out: Path, browser: bool) -> Outcome:
     """Return an HTML page that shows runs in three dimensions.
 
-    A run is a scenario file, with changes ``values`` (each NAME=VALUE), or a directory that
-    ``kneexo simulate`` wrote. Without runs the page shows the paper's setup. If ``browser`` is
-    True, the browser opens the page.
+    Each of ``runs`` is a scenario file, or a directory that ``kneexo simulate`` wrote. ``values``
+    (each NAME=VALUE) change the scenarios of files. Without runs the page shows the paper's setup.
+    If ``browser`` is True, the browser opens the page.
     """
     from kneexo.command_line.output import to_json
     from kneexo.parameters.scenario_file import load_scenario
@@ -90,11 +90,11 @@ def view(runs: Sequence[str], values: Sequence[str], out: Path, browser: bool) -
 
 
 def run_names(runs: Sequence[str]) -> list[str]:
-    """Return a unique name for each run; without runs the name of the paper's setup.
+    """Return a unique name for each run. Without runs, return the name of the paper's setup.
 
-    A name is that of the file or directory. Equal names are preceded by the name of the parent
-    directory. Names that are still equal become the argument itself. If the arguments are equal
-    too, the second and later names get a number.
+    The name of a run is the name of its file or directory. If two names are equal, the name of the
+    parent directory precedes each of the two names. If the names are still equal, the arguments
+    themselves are the names. Equal arguments get numbers from the second on.
     """
     if not runs:
         return ["the paper's setup"]

@@ -1,16 +1,16 @@
-"""Compiles any Drake diagram of vectors to machine code, C or an FMU.
+"""Compiles a Drake diagram to machine code, C or an FMU, if all its ports are vectors.
 
 The equations are written once, in the leaf systems. They pass through these folders:
 
-- ``equations/`` reads them off the symbolic form of a diagram into one graph of shared operations,
-  and rewrites the graph for speed;
-- ``native/`` makes machine code of the graph, keeps the code on disk and runs it;
+- ``equations/`` reads the equations from the symbolic form of a diagram into one graph, in which
+  equal operations are stored once, and rewrites the graph for speed;
+- ``native/`` turns the graph into machine code, stores the code on disk and runs it;
 - ``c/`` and ``fmu/`` print the graph as C99 and pack it as an FMU.
 
-The names below are the whole interface. Each is imported at its first use, because the command line
-uses some names and must not load NumPy or Drake for these.
+The names below are the whole interface. A name is imported when it is first used. So the command
+line can use some names without loading NumPy or Drake.
 
-A leaf system can have three public attributes for the compiler: ``margin``, ``check`` and
+The compiler reads three public attributes that a leaf system can have: ``margin``, ``check`` and
 ``parameter_names``; see `kneexo.compiler.equations.reader`.
 """
 

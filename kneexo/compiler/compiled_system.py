@@ -19,18 +19,21 @@ from .run_data import Array, InputTable, State
 class CompiledSystem(LeafSystem):
     """A leaf system that contains a compiled model and advances it by one tick in each update.
 
-    Ports: the open inputs of the model, held over a tick, and its outputs, with the same names as
-    in the model. Numeric parameters: ``model.parameter_names``. Discrete state: first the
-    continuous states of the model, then its discrete ones. The tick is the longest one that divides
-    all sample times of the model.
+    The ports have the names that they have in the model. The input ports are the open inputs of the
+    model, and their values are held over a tick. The output ports are the outputs of the model.
+    Numeric parameters: ``model.parameter_names``. Discrete state: first the continuous states of
+    the model, then the discrete states of the model. The tick is the longest one that divides all
+    sample times of the model.
 
-    As in every discrete system the state changes right after an update. So outputs and logs at a
-    tick are those of the compiled diagram, and between two ticks they are those of the next tick.
-    An input from another discrete system arrives one tick later, because an update sees the values
-    before all updates. Compile that system too to avoid this delay.
+    As in every discrete system, an update at a tick changes the state right after the tick. So
+    outputs and logs at a tick equal the outputs of the compiled diagram at that tick. Between two
+    ticks they already have the values of the next tick. An input from another discrete system
+    arrives one tick later, because an update sees the values before all updates. Compile that
+    system too to avoid this delay.
 
-    Step and Jacobians of the integrator are a cache entry of the Context, not part of its state. So
-    a run that starts from the state of another run agrees with that run only within the tolerance.
+    The step size and the Jacobians of the integrator are a cache entry of the Context, not part of
+    the state. So a run that continues from a copied state agrees with the original run only within
+    the tolerance of the integrator.
     """
 
     def __init__(
@@ -51,14 +54,14 @@ class CompiledSystem(LeafSystem):
         model
             A `CompiledModel`.
         parameters, state
-            Default values of the Context. ``state`` is the state before the initialization events,
-            which this system has too.
+            Parameters and state of the default Context. ``state`` is the state before the
+            initialization events. This system has the same initialization events as the model.
         integrator, step_s, tolerance
             As in `CompiledModel.simulate`; an update raises the errors of that method.
         tick_s
             Time in s that the tick must divide; required for a model without sample time.
 
-        Raises `ValueError` for a wrong ``tick_s`` and for a missing one.
+        Raises `ValueError` if ``tick_s`` is wrong, or is required and missing.
         """
         if tick_s is None and not model.sample_times_s:
             raise ValueError("tick_s is needed: the model has no sample time")
@@ -109,7 +112,7 @@ class CompiledSystem(LeafSystem):
         value.set_value(_Running(self, parameters))
 
     def _state(self, context: Any) -> Array:
-        """Return a copy of this system's state: continuous, then discrete states of the model."""
+        """Return a copy of the state: the model's continuous states, then its discrete states."""
         values: Array = context.get_discrete_state(0).CopyToVector()
         return values
 
@@ -148,7 +151,7 @@ class CompiledSystem(LeafSystem):
 
 
 class _Running:
-    """A `Runner` with the parameters of a Context, and memory for states and outputs."""
+    """Runs the model with the parameters of one Context; holds memory for states and outputs."""
 
     def __init__(self, system: CompiledSystem, parameters: Array) -> None:
         self._system, self._parameters = system, parameters
@@ -161,11 +164,11 @@ class _Running:
         self._runner.bind(self._x, self._d, self._last, self._outputs)
 
     def __deepcopy__(self, memo: Any) -> _Running:
-        """Return a new object with empty memory; Drake copies cache entries with their Context."""
+        """Return a new object with empty memory, for Drake's copy of the Context."""
         return _Running(self._system, self._parameters)
 
     def advanced(self, state: Array, tick: int, inputs: InputTable) -> Array:
-        """Return the state one tick after ``tick``, from the state at ``tick``.
+        """Run the model from ``state`` at ``tick`` for one tick; return the new state.
 
         Raises the errors of `CompiledModel.simulate`.
         """
@@ -173,7 +176,7 @@ class _Running:
         return np.concatenate((self._x[:, 0], self._d[:, 0]))
 
     def outputs(self, state: Array, tick: int, inputs: InputTable) -> Array:
-        """Return the elements of all outputs at ``tick``, (elements,), for this state."""
+        """Return all outputs at ``tick`` for this state, as one array (elements,)."""
         self._run(state, tick, tick, 1, inputs)
         return self._outputs[0, :, 0].copy()
 

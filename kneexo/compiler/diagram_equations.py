@@ -1,4 +1,4 @@
-"""The equations of a diagram, and the values of its Contexts as vectors; nothing is compiled."""
+"""Reads the equations of a diagram, and the values of a Context as vectors, without compiling."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ class DiagramEquations:
 
     @cached_property
     def key(self) -> str:
-        """Text that identifies the equations: see `equations_key`."""
+        """Text that differs between diagrams with different equations: see `equations_key`."""
         return equations_key(self.equations)
 
     def parameters(self, context: Any | None = None) -> Array:
-        """Return the parameters in a Context of the diagram, by default in the default Context."""
+        """Return the parameters in ``context``, by default in the diagram's default Context."""
         context = self.diagram.CreateDefaultContext() if context is None else context
         return parameters_of(self.root, context)
 
     def state(self, context: Any | None = None) -> State:
-        """Return the states in a Context of the diagram, by default in the default Context.
+        """Return the state in ``context``, by default in the diagram's default Context.
 
-        Initialization events are not applied: see `ModelBase.initialized`.
+        The state is the state before the initialization events: see `ModelBase.initialized`.
         """
         context = self.diagram.CreateDefaultContext() if context is None else context
         return state_of(self.root, context)
 
 
 def read_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramEquations:
-    """Return the equations of a diagram of floats; arguments and errors: see `compile_diagram`."""
+    """Return the equations of a diagram of floats. Arguments and errors: see `compile_diagram`."""
     if not isinstance(diagram, System):
         raise CompilationError(
             f"{type(diagram).__name__} {diagram!r:.60}: cannot be compiled; must be a Diagram or "
@@ -75,7 +75,7 @@ def read_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramEquation
 
 
 def equations_key(equations: Equations) -> str:
-    """Return a text (SHA-256) that is equal only for equal equations and the same Drake version."""
+    """Return a hash (SHA-256) of the equations and the version of Drake."""
     named = [(field.name, getattr(equations, field.name)) for field in fields(equations)]
     content = [value.nodes if name == "graph" else value for name, value in named]
     return hashlib.sha256(repr((version("drake"), content)).encode()).hexdigest()

@@ -1,17 +1,17 @@
-"""The errors that the compiler raises for wrong input or a failed run; a message is one line."""
+"""The errors that the compiler raises for wrong input or a failed run. Each message is one line."""
 
 from __future__ import annotations
 
 
 def escaped(text: str) -> str:
-    r"""Return the text on one line. Characters that do not print become escapes, such as ``\n``."""
+    r"""Return the text with escapes, such as ``\n``, in place of characters that do not print."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def shortened(text: str, most: int = 120) -> str:
-    """Return the text; if it has more than ``most`` characters, " … " replaces its middle."""
+    """Replace the middle of a text by " … " if the text has more than ``most`` characters."""
     if len(text) <= most:
         return text
     return f"{text[: most // 2]} … {text[-(most // 2) + 3 :]}"
@@ -23,7 +23,7 @@ def shown(name: object) -> str:
 
 
 class Error(Exception):
-    """Base of all errors that the compiler raises on purpose; a message is escaped to one line."""
+    """Base of all errors that the compiler raises on purpose. The message becomes one line."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(escaped(message))
@@ -34,11 +34,11 @@ class ParameterError(Error, ValueError):
 
 
 class SimulationError(Error, RuntimeError):
-    """A simulation diverged or left its range; the message tells the time and the signal."""
+    """A simulation diverged or left its range. The message tells the time and the signal."""
 
 
 class StiffnessError(SimulationError):
-    """The integrator exact_hold cannot hold its tolerance: the derivatives jump too often."""
+    """The derivatives jump too often for the integrator exact_hold to meet its tolerance."""
 
 
 class OutputError(Error, OSError):
@@ -46,4 +46,4 @@ class OutputError(Error, OSError):
 
 
 class CompilationError(Error, TypeError):
-    """A diagram cannot be compiled; the message names the subsystem and the port."""
+    """A diagram cannot be compiled. The message names the subsystem and the port."""

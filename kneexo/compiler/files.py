@@ -1,6 +1,6 @@
-"""Files that appear whole or not at all, folders of them, and the clean-up after killed processes.
+"""Writes files and folders completely or not at all, and deletes what killed processes left.
 
-The functions raise `OSError`, unless their text says otherwise.
+Each function can raise `OSError`, unless its docstring says otherwise.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _STALE_S = 3600.0
 
 
 class FileStatus(NamedTuple):
-    """Path, size and time of the last use of a file in a directory."""
+    """The path of a file, its size, and the time of its last use."""
 
     path: Path
     size_bytes: int
     last_use_s: float
-    """Unix time of the last use in s, which is the modification time of the file."""
+    """Unix time of the last use in s. The modification time of the file records the last use."""
 
 
 def files_in(directory: Path, names: re.Pattern[str]) -> list[FileStatus]:
@@ -50,9 +50,10 @@ def files_in(directory: Path, names: re.Pattern[str]) -> list[FileStatus]:
 
 
 def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
-    """Write a file under a temporary name, then rename the file to ``path``, where it replaces any.
+    """Write a file under a temporary name, then rename it to ``path``, replacing an earlier file.
 
-    If writing fails, the earlier file stays. ``mode``: permissions, from which the umask is taken.
+    If writing fails, the earlier file stays. The file gets the permissions ``mode`` that the umask
+    allows.
     """
     temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
     try:
@@ -66,7 +67,7 @@ def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
 
 
 def delete_stale(directory: Path, names: str) -> None:
-    """Delete temporary files of `write_whole` that killed processes left more than an hour ago.
+    """Delete temporary files of `write_whole` older than an hour, left by killed processes.
 
     ``names`` is a regular expression for the final names of the files. Never raises `OSError`.
     """
@@ -80,14 +81,14 @@ def delete_stale(directory: Path, names: str) -> None:
 
 
 def make_private_directory(directory: Path) -> None:
-    """Make a directory and its missing parents, closed to other users."""
+    """Make a directory, and its missing parents, that other users cannot open."""
     if not directory.is_dir():
         make_private_directory(directory.parent)
         directory.mkdir(mode=0o700, exist_ok=True)
 
 
 def process_directory() -> Path:
-    """Make a temporary directory, which the end of this process deletes, but no forked process."""
+    """Make a temporary directory; this process deletes it at its end, a forked process does not."""
     directory = Path(tempfile.mkdtemp(prefix=f"{ROOT}-"))
     atexit.register(_delete_directory, directory, os.getpid())
     return directory
@@ -100,7 +101,7 @@ def _delete_directory(directory: Path, process: int) -> None:
 
 @contextmanager
 def temporary_folder(files: Mapping[str, str]) -> Iterator[Path]:
-    """Context manager: a temporary folder that holds ``files``, texts by their names."""
+    """Context manager: give a temporary folder that holds ``files``, which maps names to texts."""
     with tempfile.TemporaryDirectory(prefix=f"{ROOT}-") as folder:
         _write_texts(Path(folder), files)
         yield Path(folder)
@@ -109,9 +110,8 @@ def temporary_folder(files: Mapping[str, str]) -> Iterator[Path]:
 def require_marked(folder: Path, mark: str, kind: str, build: str) -> None:
     """Raise `OutputError` if a folder contains a file without the text ``mark`` in its first line.
 
-    ``kind`` is the name that the message gives to marked files. A folder named ``build`` in the
-    folder, and folders that a killed `write_folder` left, need no mark. A missing folder is no
-    error.
+    The error message calls marked files ``kind``. The function skips the subfolder with the name
+    ``build`` and subfolders that a killed `write_folder` left. A missing folder is no error.
     """
     for file in sorted(folder.iterdir()) if folder.is_dir() else ():
         if not (file.name == build or _is_unfinished(file, build) or _is_marked(file, mark)):
@@ -122,10 +122,11 @@ def require_marked(folder: Path, mark: str, kind: str, build: str) -> None:
 
 
 def write_folder(folder: Path, files: Mapping[str, str], *, keep: str) -> None:
-    """Write texts by their names into a folder, and delete the other files in the folder.
+    """Write files into a folder, and delete all other files in the folder.
 
-    A missing folder is created. A folder named ``keep`` in the folder stays. All new files are
-    written before the first new file replaces an earlier file. Raises `OutputError` if writing
+    ``files`` maps the name of a file to its text. A missing folder is created. Subfolders stay, for
+    example the folder ``keep`` for builds. Only temporary folders of killed calls are deleted. No
+    earlier file is replaced before all new files are written. Raises `OutputError` if writing
     fails.
     """
     try:
@@ -150,7 +151,7 @@ def _write_texts(folder: Path, files: Mapping[str, str]) -> None:
 
 
 def _is_unfinished(file: Path, build: str) -> bool:
-    """Return whether this is a folder that a killed `write_folder` left."""
+    """Return whether a killed `write_folder` left this folder."""
     return file.is_dir() and file.name.startswith(f"{build}-")
 
 

@@ -30,7 +30,7 @@ from .run_data import Array, InputTable, Integers, State
 
 @dataclass(frozen=True, repr=False)
 class Simulation:
-    """The records of one run: times ``time_s`` (n,), each output (n, size), and the final state."""
+    """The records of one run: times ``time_s`` (n,), outputs (n, size) by name, and final state."""
 
     time_s: Array
     outputs: dict[str, Array]
@@ -47,7 +47,7 @@ class Simulation:
 
 @dataclass(frozen=True)
 class _Batch:
-    """Checked arguments of several runs of one model, with one element for each run."""
+    """Checked arguments of several runs of one model. Each field has one element for each run."""
 
     parameters: Array
     """Parameters of all runs, (runs, parameters)."""
@@ -58,11 +58,10 @@ class _Batch:
 
 
 class CompiledModel(ModelBase):
-    """A diagram as machine code; `compile_diagram` makes it.
+    """A diagram as machine code, made by `compile_diagram`.
 
-    Parameters, initial state and inputs are arguments of each run. So one compiled model serves
-    every diagram with the same equations, whatever its numbers. Runs do not touch Drake and release
-    the GIL.
+    Parameters, initial state and inputs are arguments of each run. So all diagrams that differ only
+    in numbers can share one compiled model. Runs do not call Drake, and they release the GIL.
     """
 
     def __reduce__(self) -> tuple[type[CompiledModel], tuple[MachineCode]]:
@@ -80,37 +79,38 @@ class CompiledModel(ModelBase):
         inputs: InputTable | None = None,
         **options: Any,
     ) -> Simulation:
-        """Run the model from t = 0; all events are exactly at their times. Return the records.
+        """Run the model from t = 0 and return the records. Each event occurs exactly at its time.
 
         Parameters
         ----------
         parameters
-            One value for each of ``parameter_names``.
+            Values of ``parameter_names``, in this order.
         state
             State at t = 0, after the initialization events: see `initialized`.
         duration_s
-            Duration in s. The run ends with the last tick up to this time. If the last of
-            ``record_times_s`` is later than this tick, the run ends with the tick after it.
+            Duration in s. The run ends at the last tick up to this time. If ``record_times_s`` has
+            a time after that tick, the run ends one tick later.
         outputs
-            Output ports to record; all by default.
+            Names of the output ports to record; all by default.
         record_period_s
             Time between two records in s, by default the shortest sample time. As in Drake's
             `VectorLogSink`, a record at t sees the state before the updates at t.
         record_times_s
-            Ascending times of the records in s, in place of a record period. For a record between
-            two ticks RK4 integrates with steps of 20 µs from the tick before; the run itself does
-            not change.
+            Ascending times of the records in s, in place of a record period. A record between two
+            ticks is computed from the earlier tick by RK4 with steps of 20 µs. These extra steps do
+            not change the run.
         integrator
-            ``exact_hold``: exponential integrator, with error control by ``tolerance``. ``rk4`` and
-            ``runge_kutta3`` (as Drake's): Runge-Kutta integrators with steps of at most ``step_s``.
+            ``exact_hold`` is an exponential integrator whose error control uses ``tolerance``.
+            ``rk4`` and ``runge_kutta3`` are Runge-Kutta integrators with steps of at most
+            ``step_s``. ``runge_kutta3`` is the method of Drake's integrator with this name.
         inputs
-            Open inputs as functions of time; zero by default.
+            Open inputs as piecewise polynomials of time; zero by default.
 
         Raises
         ------
         SimulationError
             A state or a recorded output is not finite, or a system left its limits. The error is a
-            `StiffnessError` if the exact hold cannot hold its tolerance.
+            `StiffnessError` if ``exact_hold`` cannot meet the tolerance.
         ParameterError
             A parameter is not finite.
         """
@@ -148,21 +148,22 @@ class CompiledModel(ModelBase):
     ) -> list[Any]:
         """Run once for each row of ``parameters`` (n, parameters); return a list of all results.
 
-        A result is a `Simulation`, or what ``reduce`` and ``failures`` put in its place.
+        Each result is a `Simulation`, unless ``reduce`` or ``failures`` replaces it.
 
-        Several runs share a call of the machine code, one in each lane, and several threads share
-        the runs. Each lane has its own steps, so a run has the same bits as alone.
+        One call of the machine code makes several runs, each in a lane of the processor's vector
+        registers. Several threads make such calls at the same time. Each lane has its own steps, so
+        each run has the same bits as a run made alone.
 
         Parameters
         ----------
         states, duration_s, inputs
-            As in `simulate`: one value for each run, or a single value for all runs.
+            One value for each run, or a single value for all runs; see `simulate`.
         reduce
             Function that is called with each `Simulation` right after its run. Its result replaces
             the simulation in the list, so that the memory of the records is free again.
         failures
-            ``raise``: when all runs have ended, raise the error of the first failed run.
-            ``return``: put the error of a failed run in the list.
+            ``raise``: after all runs, raise the error of the first failed run. ``return``: put the
+            error of each failed run in the list.
         threads
             Number of threads; by default the number of cores that this process may use.
         outputs, record_period_s, options
@@ -173,7 +174,7 @@ class CompiledModel(ModelBase):
         ValueError
             An argument is wrong, or its length is not the number of runs.
         SimulationError, ParameterError
-            As `simulate`.
+            As in `simulate`.
         """
         if failures not in ("raise", "return"):
             raise ValueError(f"failures = {failures!r}: must be one of raise, return")
@@ -226,7 +227,7 @@ class CompiledModel(ModelBase):
         durations: Sequence[float] | Array,
         inputs: Sequence[InputTable | None],
     ) -> _Batch:
-        """Return the arguments of all runs, checked and with durations in ticks.
+        """Check the arguments of all runs and convert durations to ticks. Return a ``_Batch``.
 
         Raises `ValueError` or `ParameterError` for a wrong argument.
         """
@@ -251,10 +252,10 @@ class CompiledModel(ModelBase):
         indices: list[int],
         cancelled: Callable[[], bool] = lambda: False,
     ) -> list[Simulation | SimulationError]:
-        """Make the runs of a batch that have the numbers ``indices``, one run in each lane.
+        """Make the runs ``indices`` of a batch by one call of machine code, one run in each lane.
 
-        If there are fewer runs than lanes, the other lanes repeat the last run. Returns for each
-        index the records of the run, or its error. ``cancelled``: see `Runner.run`.
+        If there are fewer runs than lanes, the other lanes repeat the last run. Return for each run
+        its records, or the error if the run failed. For ``cancelled`` see `Runner.run`.
         """
         lanes = [*indices, *indices[-1:] * (runner.lanes - len(indices))]
         x = _columns([batch.states[i].continuous for i in lanes])
@@ -282,7 +283,10 @@ class CompiledModel(ModelBase):
         return runs
 
     def _simulation(self, runner: Runner, times: Array, record: Array, final: State) -> Simulation:
-        """Return a run from its ``record`` (columns, rows) at ``times`` (rows,) in s."""
+        """Return a run as a `Simulation`.
+
+        ``record`` (columns, rows) has the values of the outputs at ``times`` (rows,) in s.
+        """
         outputs, first = {}, 0
         for name in runner.names:
             size = self.outputs[name]
@@ -295,7 +299,7 @@ class CompiledModel(ModelBase):
     ) -> Simulation | SimulationError:
         """Make the only run of a batch, with records at ``times`` (n,) in s.
 
-        Returns the records, or the error of the run.
+        Return the records, or the error if the run failed.
         """
         x, d = (_columns([v]) for v in (batch.states[0].continuous, batch.states[0].discrete))
         tick = runner.timing.tick
@@ -324,11 +328,11 @@ class CompiledModel(ModelBase):
     def as_system(
         self, parameters: Array, state: State, *, tick_s: float | None = None, **options: Any
     ) -> CompiledSystem:
-        """Return the model as a leaf system for Drake's Simulator; arguments: `CompiledSystem`."""
+        """Return the model as a leaf system. For the arguments see `CompiledSystem`."""
         return CompiledSystem(self, parameters, state, tick_s=tick_s, **options)
 
     def __repr__(self) -> str:
-        """Return a text with the numbers of parameters and states, and the names of the ports."""
+        """Return a text with the number of parameters, the number of states, and all port names."""
         return (
             f"{type(self).__name__}({len(self.parameter_names)} parameters, "
             f"{len(self.state_names)} continuous and {len(self.discrete_names)} discrete states, "
@@ -338,7 +342,7 @@ class CompiledModel(ModelBase):
 
 
 def _outcome(status: Integers, last: int, final: State) -> list[int]:
-    """Return the outcome of a run: status, tick of its end, index of the limit that was passed.
+    """Return the outcome of a run: status, last tick, index of the limit that the run passed.
 
     Machine code checks discrete states only where an output or a derivative uses them. So this
     function turns the status `OK` into `NOT_FINITE` if a final discrete state is not finite.
@@ -360,9 +364,10 @@ def _in_threads(
     threads: int | None,
     cancelled: Event,
 ) -> Iterator[Any]:
-    """Call ``function(item)`` for each item in several threads; yield the results in order.
+    """Call ``function(item)`` for all items in several threads. Yield the results in item order.
 
-    An exception, also that of Ctrl-C, sets ``cancelled`` and drops the items that have not begun.
+    An exception, for example from Ctrl-C, sets ``cancelled`` and drops the items that have not
+    begun.
     """
     count = available_cores() if threads is None else threads
     if count == 1 or len(items) == 1:
@@ -381,26 +386,26 @@ class DiagramModel(CompiledModel):
     """A compiled model together with its diagram of floats."""
 
     def __init__(self, read: DiagramEquations) -> None:
-        """``read``: the result of `read_diagram`."""
+        """Make the model of a diagram. ``read`` is the result of `read_diagram`."""
         self.read = read
         self.diagram = read.diagram
         code = MachineCode(read.key, read.equations)
         super().__init__(code, partial(_context_at, lambda: read.diagram))
 
     def parameters(self, context: Any | None = None) -> Array:
-        """Return the parameters in a Context of the diagram, by default in the default Context."""
+        """Return the parameters in ``context``, by default in the diagram's default Context."""
         return self.read.parameters(context)
 
     def state(self, context: Any | None = None) -> State:
-        """Return the states in a Context of the diagram, by default in the default Context.
+        """Return the state in ``context``, by default in the diagram's default Context.
 
-        Initialization events are not applied: see `initialized`.
+        The state is the state before the initialization events: see `initialized`.
         """
         return self.read.state(context)
 
 
 def _context_at(make_diagram: Callable[[], Any], parameters: Array) -> tuple[Node, Any]:
-    """Return the tree of a diagram, and the diagram's default Context with these parameters."""
+    """Return the tree of a diagram, and a default Context in which ``parameters`` are set."""
     root = Node(make_diagram())
     context = root.system.CreateDefaultContext()
     set_parameters(root, context, parameters)
@@ -410,22 +415,22 @@ def _context_at(make_diagram: Callable[[], Any], parameters: Array) -> tuple[Nod
 def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel:
     """Compile a diagram of floats whose leaves convert to Drake's Expression.
 
-    Loggers, and other leaves on which no state, margin or output depends, need not convert.
-    Machine code is made at its first use, and kept on disk in `cache_directory`.
+    A leaf on which no state, margin or output depends, such as a logger, need not convert. The
+    machine code is made when it is first used, and stored on disk in `cache_directory`.
 
     Parameters
     ----------
     diagram
-        A Diagram or leaf system with continuous states, discrete states with periodic updates, or
-        both. Its sample times must have a common divisor.
+        A Diagram or leaf system. Its states are continuous, or discrete with periodic updates. Its
+        sample times must have a common divisor.
     inputs
-        Names of the diagram's input ports that stay open, which means that each run gives their
-        values. All other input ports of the diagram count as unconnected.
+        Names of the diagram's input ports that stay open. Each run gives the values of the open
+        ports. All other input ports of the diagram count as unconnected.
 
     Raises
     ------
     CompilationError
-        ``diagram`` is no system of floats, or a part of it cannot be converted. The message names
+        ``diagram`` is no system of floats, or a subsystem cannot be converted. The message names
         the subsystem and the port.
     """
     return DiagramModel(read_diagram(diagram, inputs=inputs))
@@ -434,18 +439,18 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
 def compile_by_key(
     key: str, make_diagram: Callable[[], Any], *, inputs: Sequence[str] = ()
 ) -> CompiledModel:
-    """Return the compiled model of a diagram without building the diagram yet.
+    """Return a compiled model. The diagram is built later, and only if it is needed.
 
-    The diagram is built only if the cache has no machine code for the key, and to explain a failed
-    run.
+    The diagram is needed if the cache has no machine code for ``key``, and to explain a failed run.
 
     Parameters
     ----------
     key
         Text by which the cache finds the machine code. Diagrams with different equations must have
-        different texts, so the text must change when the code that builds the diagram changes.
+        different keys. So the key must change when the code that builds the diagram changes.
     make_diagram
-        Function that returns the diagram of floats. It must pickle if the model is to be pickled.
+        Function that returns the diagram of floats. A model can be pickled only if this function
+        can be pickled.
     inputs
         Names of the input ports that stay open: see `compile_diagram`.
     """

@@ -1,4 +1,4 @@
-"""Names, argument checks, initialization and errors of a compiled model: all except its runs."""
+"""The base class of a compiled model: names, argument checks, initial state and errors."""
 
 from __future__ import annotations
 
@@ -24,10 +24,13 @@ It returns the tree of the diagram of floats, and the Context of the tree's root
 
 
 class ModelBase:
-    """A compiled model without its runs; base of `CompiledModel`, and used by `CompiledSystem`."""
+    """Base of `CompiledModel`: everything about a compiled model except its runs."""
 
     def __init__(self, code: MachineCode, context_at: ContextAt | None = None) -> None:
-        """``context_at``: makes the Context in which a leaf's ``check`` explains a failed run."""
+        """Store the code, and the function that makes a Context for a leaf's ``check``.
+
+        A leaf's ``check`` explains a failed run. Without ``context_at`` no ``check`` is called.
+        """
         self.code = code
         self.layout = layout = code.layout
         self._context_at = context_at
@@ -37,7 +40,7 @@ class ModelBase:
         self.inputs: dict[str, int] = dict(layout.inputs)
         """Number of elements of each open input port, by the port's name."""
         self.no_inputs = InputTable(coefficients=np.zeros((1, max(layout.input_count, 1), 1)))
-        """Input table with which all open inputs are zero."""
+        """Input table that sets all open inputs to zero."""
         self.feedthrough: frozenset[str] = frozenset(layout.feedthrough)
         """Names of the output ports whose value depends on an open input at the same time."""
         self.outputs: dict[str, int] = dict(layout.outputs)
@@ -49,7 +52,7 @@ class ModelBase:
     def initialized(
         self, parameters: Array, state: State, inputs: InputTable | None = None
     ) -> State:
-        """Return the state after the initialization events of ``Simulator.Initialize()``, at t = 0.
+        """Apply the initialization events of ``Simulator.Initialize()``; return the state at t = 0.
 
         ``state`` is the state before these events; ``inputs`` are zero by default. Raises
         `ValueError` for an array of a wrong shape, `ParameterError` for a parameter that is not
@@ -63,7 +66,7 @@ class ModelBase:
         return State(x, after)
 
     def constants(self, parameters: Array) -> Array:
-        """Return all values in the equations that depend on parameters alone, (constants,).
+        """Return the values in the equations that depend on parameters alone, (constants,).
 
         Raises `ParameterError` for a parameter that is not finite.
         """
@@ -73,7 +76,7 @@ class ModelBase:
         return constants
 
     def checked_parameters(self, parameters: Array) -> Array:
-        """Return parameters (runs, parameters) as contiguous doubles for machine code.
+        """Return parameters (runs, parameters) as an array of doubles in C order, for machine code.
 
         Raises `ValueError` for a wrong number of parameters, `ParameterError` for a parameter that
         is not finite.
@@ -108,12 +111,12 @@ class ModelBase:
         state: State,
         output: str = "",
     ) -> SimulationError:
-        """Return the error that explains a failed run.
+        """Return the error of a failed run. The message says when and why the run failed.
 
         Parameters
         ----------
         outcome
-            Status of the run, tick of its end, index of the limit that was passed.
+            Status of the run, its last tick, and the index of the limit that the run passed.
         timing, parameters, state
             Time grid and parameters of the run, and the state at its end.
         output
@@ -146,13 +149,13 @@ class ModelBase:
 
 
 def not_finite(time_s: float, name: str) -> SimulationError:
-    """Return the error for a state or an output of this name that is not finite at ``time_s``."""
+    """Return the error for a state or output ``name`` that is not finite at ``time_s``."""
     return SimulationError(
         f"t = {time_s:.6g} s: {name} is not finite; reduce the step or check the parameters"
     )
 
 
 def _require_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
-    """Raise `ValueError` if ``values`` has another shape, which machine code would not notice."""
+    """Raise `ValueError` for a wrong shape, because machine code does not check shapes."""
     if values.shape != expected:
         raise ValueError(f"{name} has the shape {values.shape}: must be {expected}")

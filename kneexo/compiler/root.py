@@ -1,7 +1,7 @@
-"""The name of the installed package, from which the compiler's files and variables get names.
+"""The name of the package that contains the compiler, as a part of file and variable names.
 
-So a copy of this folder in a package of another name has its own cache, its own environment
-variables and its own mark in written files.
+If the compiler is copied into a package with another name, the copy has its own cache, environment
+variables and mark in written files.
 """
 
 from __future__ import annotations
@@ -11,5 +11,5 @@ ROOT = __name__.partition(".")[0]
 
 
 def variable(name: str) -> str:
-    """Return the full name of an environment variable, such as ``KNEEXO_CPU`` for ``CPU``."""
+    """Return the name of an environment variable with its prefix: ``KNEEXO_CPU`` for ``CPU``."""
     return f"{ROOT.upper()}_{name}"

@@ -1,4 +1,4 @@
-"""The data that a run of a compiled model starts from: states and open inputs, as arrays."""
+"""Initial states and open inputs of a run of a compiled model, as arrays."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class State:
 class InputTable:
     """Values of a model's open inputs: piecewise polynomials of time.
 
-    ``breaks`` (n,) are times in s and separate n + 1 segments; the first segment is before the
-    first break, the last one after the last break. ``coefficients[segment, input, power]`` belong
-    to powers of the time since the break at which the segment begins, and in the first segment to
+    ``breaks`` (n,) are times in s that separate n + 1 segments. The first segment lies before the
+    first break, and the last segment lies after the last break. ``coefficients[segment, input,
+    power]`` are factors of powers of the time since the segment began, in the first segment of
     powers of t. Without arguments the table has a single input, which is zero.
     """
 
@@ -36,7 +36,7 @@ class InputTable:
     coefficients: Array = field(default_factory=lambda: np.zeros((1, 1, 1)))
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` for breaks that do not ascend, and for numbers that are not finite."""
+        """Raise `ValueError` if the breaks do not ascend, or if a number is not finite."""
         for name in ("breaks", "coefficients"):  # machine code reads doubles in C order
             values = np.array(getattr(self, name), dtype=float, order="C")
             if not np.isfinite(values).all():
@@ -48,8 +48,8 @@ class InputTable:
     def value(self, time_s: float) -> Array:
         """Return the values of the inputs at a time, (inputs,).
 
-        Each break belongs to the segment that begins there. Only the last of several breaks belongs
-        to the segment before it.
+        At a break, the value is the value of the segment that begins there. Only at the last of
+        several breaks it is the value of the segment that ends there.
         """
         segment = int(np.searchsorted(self.breaks, time_s, side="right"))
         if 1 < segment == self.breaks.size and time_s == self.breaks[-1]:

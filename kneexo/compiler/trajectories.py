@@ -1,4 +1,4 @@
-"""Makes input tables from Drake's trajectories, and puts several tables together."""
+"""Makes input tables from Drake's trajectories, and combines several tables in one."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from .run_data import Array, InputTable
 def input_table(
     trajectory: Any, derivatives: int = 0, *, zero_derivatives_beyond_limits: bool = True
 ) -> InputTable:
-    """Return the output of Drake's ``TrajectorySource(trajectory, derivatives)`` as input table.
+    """Return a table with the outputs of Drake's ``TrajectorySource(trajectory, derivatives)``.
 
     Parameters
     ----------
     trajectory
         A PiecewisePolynomial with one column. Before its start the inputs have the values at the
-        start, after its end those at the end.
+        start. After its end the inputs have the values at the end.
     derivatives
-        Number of time derivatives that follow the value; the table has
-        ``rows · (1 + derivatives)`` inputs.
+        Number of time derivatives that follow the value. The table has ``1 + derivatives`` inputs
+        for each row of the trajectory.
     zero_derivatives_beyond_limits
-        Whether the derivatives are zero before the start and after the end. Else they have the
-        values at start and end.
+        If True, the derivatives are zero before the start and after the end. If False, the
+        derivatives keep their values at the start and at the end.
 
     Raises
     ------
@@ -69,8 +69,8 @@ def input_table(
 def stack_tables(*tables: InputTable) -> InputTable:
     """Return one table with the inputs of several tables, in their order.
 
-    The result has the breaks of all tables. Each polynomial is rewritten in powers of the time
-    since the break, of any table, at which its new segment begins.
+    The result has the breaks of all tables. So a segment of a table can be split into several
+    segments, and each new segment has powers of the time since its own beginning.
     """
     breaks = np.unique(np.concatenate([_breaks(table) for table in tables]))
     inputs = sum(table.coefficients.shape[1] for table in tables)
@@ -90,9 +90,10 @@ def stack_tables(*tables: InputTable) -> InputTable:
 
 
 def _breaks(table: InputTable) -> Array:
-    """Return the breaks of a table in s, where a new segment begins at each break.
+    """Return the breaks of a table in s, the last of several breaks one bit later.
 
-    The last of several breaks belongs to the segment before it, so it is made later by one bit.
+    `stack_tables` begins a new segment at each break. In an `InputTable` the last of several breaks
+    still belongs to the segment before, so the new segment must begin one bit later.
     """
     breaks = table.breaks.copy()
     if breaks.size > 1:

@@ -1,4 +1,4 @@
-"""Controller, plant or closed loop of a scenario as code for other programs.
+"""Exports controller, plant or closed loop of a scenario as code for other programs.
 
 - `target` builds the diagram to export, with names, types and ranges of its ports;
 - `firmware` writes the diagram as C for a microcontroller, with test vectors;

@@ -1,4 +1,4 @@
-"""C for a microcontroller: controller, plant or loop of a scenario, with test vectors."""
+"""Exports controller, plant or loop of a scenario as C for a microcontroller."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from kneexo.result import Array
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
 OUTSIDE = ("disturbance_force", "knee_torque")
-"""Names of the input ports that no part of the closed loop drives; zero in the test vectors."""
+"""Names of the input ports that no part of the closed loop drives. The test vectors have zero."""
 
 VECTORS_S = 2.0
-"""Default length of the test vectors in simulated s; if a scenario is shorter, its duration."""
+"""Default length of the test vectors in simulated s. A shorter scenario limits the length."""
 
 
 def make_firmware(
@@ -46,7 +46,7 @@ def make_firmware(
     Parameters
     ----------
     scenario
-        The closed loop; its controller may be a custom one.
+        The closed loop. A custom controller is allowed.
     what
         ``controller``, ``plant`` or ``loop``: see `make_target`. The input of a controller with a
         quantized encoder is the encoder count, an int32_t.
@@ -59,14 +59,14 @@ def make_firmware(
         Largest step of RK4 in s; by default `rk4_step_s`. A diagram without continuous states
         ignores ``step_s``.
     look_up
-        Look up knee angle and rod extension in tables by the encoder count, instead of computing
-        them.
+        If True, the code looks up knee angle and rod extension in tables by the encoder count, and
+        does not compute them.
 
     Raises
     ------
     ParameterError
-        ``what``, ``vectors_s`` or ``step_s`` is wrong; the reference of a loop is sampled; errors
-        of `make_closed_loop`.
+        ``what``, ``vectors_s`` or ``step_s`` is wrong, or ``what`` is ``loop`` and the reference is
+        sampled. `make_closed_loop` raises this error too.
     CompilationError
         The diagram cannot be exported: see `CSource`.
     SimulationError
@@ -115,10 +115,10 @@ def export_firmware(
     what: str = "controller",
     **options: Any,
 ) -> Measurement:
-    """Write the result of `make_firmware` to a folder, with harness, build files and README.
+    """Write the code of `make_firmware` to a folder, with test harness, build files and README.
 
-    ``options`` are options of `make_firmware`. Raises the errors of `make_firmware`, and
-    `OutputError` if the folder has files that no export wrote or cannot be written.
+    ``options`` are options of `make_firmware`. Raises the errors of `make_firmware`. Raises
+    `OutputError` if the folder cannot be written, or has files that no export wrote.
     """
     require_export_folder(directory)  # before the run, which may take long
     return write_c(directory, *make_firmware(scenario, what, **options))

@@ -1,4 +1,4 @@
-"""FMUs for other simulators: controller, plant or closed loop of a scenario."""
+"""Exports controller, plant or closed loop of a scenario as an FMU for other simulators."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TOOL = "kneexo"
 """First word of the tool's name in an FMU, by which `export_fmu` recognizes FMUs of kneexo."""
 
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
-"""Factors by which `parameter_effects` changes a number to see which Context parameters follow."""
+"""Factors by which `parameter_effects` multiplies a number, to see which parameters change."""
 
 _AT_REST = "; the initial state does not follow"
 
@@ -55,7 +55,7 @@ class FmuFile:
     parameters: int
     """Number of parameters of the FMU."""
     scenario_parameters: tuple[str, ...]
-    """Names of the FMU parameters that are values of the scenario: ``plant.cylinder.mass_kg``."""
+    """Names of the FMU parameters that are numbers of the scenario."""
     binary: bool
     """Whether the FMU holds a Linux binary beside its C sources."""
 
@@ -70,9 +70,10 @@ def export_fmu(
 ) -> FmuFile:
     """Write the FMU of `make_fmu` with its sources and, if a C compiler exists, a Linux binary.
 
-    ``path`` is the file. If ``path`` is a directory, or a new path without the ending ``.fmu``, the
-    file ``knee_plant.fmu`` or the like is written in this directory. Raises the errors of
-    `make_fmu`, and `OutputError` if the file exists and is no FMU of kneexo, or cannot be written.
+    ``path`` is the file or its directory. A path that does not exist is a directory if it does not
+    end in ``.fmu``. The file in a directory is called ``knee_plant.fmu`` for the plant. Raises the
+    errors of `make_fmu`. Raises `OutputError` if the file cannot be written, or exists and is no
+    FMU of kneexo.
     """
     file = Path(path)
     if not file.is_dir():
@@ -103,9 +104,10 @@ def make_fmu(
 ) -> Fmu:
     """Return controller, plant or loop of a scenario as FMU.
 
-    The FMU has three kinds of parameters: numbers of the scenario that equal one or more Context
-    parameters, under their dotted names; all other Context parameters, under their names in C; and
-    initial states of the plant. Initial states are fixed; the others can change during a run.
+    The FMU has three kinds of parameters. If a number of the scenario equals one or more Context
+    parameters, it is a parameter under its dotted name. Every other Context parameter is a
+    parameter under its name in C. Parameters of these two kinds can change during a run. The third
+    kind are the initial states of the plant, which are fixed.
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def make_fmu(
     Raises
     ------
     ParameterError
-        ``what``, ``fmi`` or ``step_s`` is wrong; errors of `make_closed_loop`.
+        ``what``, ``fmi`` or ``step_s`` is wrong. `make_closed_loop` raises this error too.
     CompilationError
         The diagram cannot be exported: see `CSource`.
     """
@@ -160,7 +162,7 @@ _DESCRIPTIONS = {
 
 
 def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[FmuParameter]:
-    """Yield FMU parameters that are tunable: scenario numbers, then other Context parameters."""
+    """Yield the tunable FMU parameters: scenario numbers, then other Context parameters."""
     prefix = "controller/" if target.what == "controller" else ""
     names = [f"{prefix}{name}" for name in source.equations.parameters]
     members = dict(zip(names, source.plan.members, strict=True))
@@ -195,23 +197,22 @@ def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[Fm
 
 @dataclass(frozen=True)
 class Effect:
-    """The effects of a change of one number of the scenario."""
+    """What changes when one number of the scenario changes."""
 
     touched: set[str]
     """Context parameters that change with the number."""
     same: set[str]
-    """Equal to ``touched`` if each of its parameters always equals the number, otherwise empty."""
+    """Equal to ``touched`` if each parameter in it always equals the number, otherwise empty."""
     start: bool
     """Whether the initial state of the plant changes with the number."""
 
 
 def parameter_effects(scenario: Scenario, names: list[str]) -> dict[str, Effect]:
-    """Return which Context parameters each number of a scenario changes, by its dotted path.
+    """Return a dictionary from the dotted path of a scenario's number to the number's effects.
 
-    The function sets each number to the ends of its range and to several other values, and looks
-    which of the Context parameters ``names`` change. Values that the scenario refuses, and values
-    that change the form of the equations, are skipped. The result lacks numbers that change no
-    parameter.
+    The function sets each number to the ends of its range and to several other values, and compares
+    the Context parameters ``names`` before and after. It skips values that the scenario refuses or
+    that change the form of the equations. The dictionary lacks numbers that change no parameter.
     """
     before, start = scenario_values(scenario), scenario_start(scenario)
     effects = {}
@@ -244,9 +245,9 @@ def _start(scenario: Scenario, default: dict[str, float]) -> dict[str, float]:
 
 
 def _numbers(parameters: Parameters, path: str = "") -> Iterator[tuple[str, float, list[Any]]]:
-    """Yield for each number of parameters its path, its value, and other values to try.
+    """Yield the path of each number in ``parameters``, its value, and other values to try.
 
-    A number in a tuple has the path ``name[index]``; the other values are whole tuples.
+    A number in a tuple has the path ``name[index]``, and the other values to try are whole tuples.
     """
     for name, field in type(parameters).model_fields.items():
         value = getattr(parameters, name)
@@ -271,7 +272,7 @@ def _field(scenario: Scenario, path: str) -> Any:
 
 
 def _initial(scenario: Scenario, source: CSource) -> Iterator[FmuParameter]:
-    """Yield a fixed FMU parameter for each continuous state of the plant, which starts at rest."""
+    """Yield a fixed FMU parameter for the start value of each continuous state of the plant."""
     start = math.degrees(knee_reference.start_angle_rad(scenario.reference))
     variables = plant_states(scenario)
     description = f"the scenario starts at rest, the knee at {start:.6g} deg"

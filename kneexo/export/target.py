@@ -1,4 +1,4 @@
-"""Diagrams to export: controller, plant or closed loop of a scenario, with their ports in C."""
+"""Builds the diagram to export (controller, plant or loop) and says what its ports are in C."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WHAT: tuple[What, ...] = ("controller", "plant", "loop")
 """Names of all parts of a scenario that can be exported."""
 
 ENCODER_COUNT = "encoder_count"
-"""Name of the port that carries the encoder's count."""
+"""Name of the port that has the count of the encoder."""
 
 _FIELDS = {
     **SIGNALS,
@@ -47,21 +47,22 @@ class Target:
     outputs: tuple[str, ...]
     interface: Interface
     tick_s: float | None
-    """Time in s that a step covers; None for a diagram with a sample time."""
+    """Time in s that a step covers, or None if the diagram has a sample time."""
 
 
 def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Target:
-    """Return a diagram of a scenario, with everything that an export must know about its ports.
+    """Return controller, plant or loop of a scenario as a diagram, with its ports in C.
 
     ``controller``
         `make_controller`. Inputs: encoder reading and knee reference. Output: motor speed command.
-        With ``counts``, the count of a quantized encoder, a whole number, replaces the reading.
+        With ``counts``, the reading of a quantized encoder is replaced by its count, a whole
+        number.
     ``plant``
         The plant with its encoder. Inputs: motor speed command and external forces. Outputs:
         encoder reading and the signals of the plant.
     ``loop``
-        `make_closed_loop`. Inputs: external forces, and the knee reference if it is sampled.
-        Outputs: all available signals.
+        `make_closed_loop`. Inputs: external forces. The knee reference is an input too if it is
+        sampled. Outputs: all available signals.
 
     Raises `ParameterError` for another ``what``, and the errors of `make_closed_loop`.
     """
@@ -121,9 +122,9 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
 def count_range(scenario: Scenario) -> tuple[float, float]:
     """Return the lowest and highest encoder count that the controller accepts.
 
-    The counts are those of θ_4 (Eq. 3–7) less the phase of the encoder, for all knee angles between
-    the stops and up to the allowed overshoot beyond. One count and the mounting error are added on
-    either side.
+    The knee angle can exceed the range of motion by the allowed overshoot. The range of counts
+    follows from θ_4 (Eq. 3–7), less the phase of the encoder, at these knee angles. It is extended
+    at each end by one count and by the mounting error.
     """
     encoder, plant = scenario.encoder, scenario.believed_plant
     knee = plant.knee
@@ -137,8 +138,8 @@ def count_range(scenario: Scenario) -> tuple[float, float]:
 def reference_range_rad(scenario: Scenario) -> tuple[float, float]:
     """Return the lowest and highest reference of the knee angle that the controller accepts.
 
-    The range is that of `require_reference_in_range`: the range of motion, and the allowed
-    overshoot beyond. An angle far outside would wind up the integral of a PID.
+    The range is the range of motion, extended by the allowed overshoot, as in
+    `require_reference_in_range`. A reference far outside would wind up the integral of a PID.
     """
     knee = scenario.plant.knee
     return (

@@ -1,4 +1,4 @@
-"""Locks files against other processes; the kernel releases a lock when its process ends."""
+"""Locks files against other processes. The kernel releases a lock when its process ends."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from kneexo.files.reading import read_bytes
 def lock(file: int | FileIO) -> None:
     """Lock an open file for this process.
 
-    Does nothing on a file system that has no locks. Raises `BlockingIOError` if the file is locked
-    already.
+    On a file system without locks the function does nothing. Raises `BlockingIOError` if the file
+    is locked already.
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -30,10 +30,11 @@ def lock(file: int | FileIO) -> None:
 class LockedFile:
     """A regular file that only one object of one process reads and extends at a time.
 
-    The constructor opens and locks the file, and creates a missing file. The lock ends with
-    `close`, with `delete` or with the process. It also ends when this process opens the same file
-    by another `LockedFile`: an exception that a notebook stores can keep the first object alive.
-    `append` opens and locks the file again if necessary.
+    The constructor opens and locks the file, and creates a missing file. The lock ends when `close`
+    or `delete` is called, or when the process ends. The lock also ends when this process makes
+    another `LockedFile` of the same file. Otherwise a stored exception, which can keep the first
+    object alive in a notebook, would keep the lock. `append` opens and locks the file again if
+    necessary.
 
     Raises `BlockingIOError` if another process has locked the file, and `OSError` if the file is
     not regular or cannot be opened.
@@ -45,13 +46,13 @@ class LockedFile:
         self._open()
 
     def read(self, most_bytes: int) -> bytes:
-        """Return the content; raises `OSError` if it has more than ``most_bytes`` bytes."""
+        """Return the content. Raises `OSError` if the file has more than ``most_bytes`` bytes."""
         return read_bytes(self._path, most_bytes)
 
     def append(self, data: bytes) -> None:
         """Write all of ``data`` at the end of the file.
 
-        Raises `OSError` if the file cannot be written; a part of ``data`` may be in the file then.
+        Raises `OSError` if writing fails. Then the file can contain a part of ``data``.
         """
         stream = self._open()
         while data:  # a disk that is almost full accepts a part, then raises
@@ -78,7 +79,7 @@ class LockedFile:
         self._release()
 
     def _open(self) -> FileIO:
-        """Return the open file; open and lock it if necessary."""
+        """Return the open file. Open and lock the file before if necessary."""
         while self._stream is None:
             stream = FileIO(self._path, "a+")
             finalize(self, stream.close)
@@ -103,4 +104,4 @@ class LockedFile:
 
 
 _LOCKED: WeakValueDictionary[tuple[int, int], LockedFile] = WeakValueDictionary()
-"""The files that this process has locked, by device and inode."""
+"""Dictionary from device and inode to the file that this process has locked."""

@@ -1,4 +1,4 @@
-"""Reads files that a user names: regular files of limited size, and text in UTF-8."""
+"""Reads bytes, or text in UTF-8, from regular files of limited size."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def read_bytes(path: str | os.PathLike[str], most_bytes: int) -> bytes:
 def read_text(path: str | os.PathLike[str], most_bytes: int) -> str:
     """Read a text file in UTF-8, with or without a byte order mark; see `read_bytes`.
 
-    Raises `ScenarioError`, one line with file and reason.
+    Raises `ScenarioError` with the file and the reason.
     """
     try:
         data = read_bytes(path, most_bytes)
@@ -68,7 +68,7 @@ def read_text(path: str | os.PathLike[str], most_bytes: int) -> str:
 
 
 def file_error(path: str | os.PathLike[str], line: int | None, message: str) -> ScenarioError:
-    """Return an error whose message is the name of the file, the line if given, and ``message``."""
+    """Return an error with the name of the file, the line if given, and ``message``."""
     place = "" if line is None else f":{line}"
     return ScenarioError(f"{shown(os.fspath(path))}{place}: {shortened(message, 800)}")
 

@@ -1,4 +1,4 @@
-"""Reads columns of numbers from a CSV file that a user names."""
+"""Reads columns of numbers from a CSV file."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 class Table:
     """Columns of numbers of a CSV file.
 
-    ``lines`` holds the number of the line on which each row starts. ``columns`` holds the finite
-    values of each column by its name.
+    ``lines`` has the line number at which each row starts. ``columns`` maps the name of a column to
+    its values, which are finite.
     """
 
     path: str | os.PathLike[str]
@@ -35,7 +35,7 @@ class Table:
     columns: dict[str, list[float]]
 
     def require(self, name: str, low: float, high: float, unit: str) -> None:
-        """Raise `ScenarioError` for a value of a column in ``unit`` outside ``low`` … ``high``."""
+        """Raise `ScenarioError` if a column has a value outside ``low`` … ``high``, in ``unit``."""
         for line, value in zip(self.lines, self.columns[name], strict=True):
             if not low <= value <= high:
                 message = (
@@ -45,7 +45,7 @@ class Table:
                 raise file_error(self.path, line, message)
 
     def require_increase(self, name: str, step: float, unit: str) -> None:
-        """Raise `ScenarioError` where a column rises by less than ``step`` from row to row."""
+        """Raise `ScenarioError` if a column rises by less than ``step`` from a row to the next."""
         values = self.columns[name]
         for line, before, value in zip(self.lines[1:], values, values[1:], strict=False):
             if not value - before >= step:
@@ -57,7 +57,7 @@ class Table:
 
 
 def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
-    """Read columns of a CSV file, whose first record holds the names of the columns.
+    """Read columns of a CSV file. The first record of the file has the names of the columns.
 
     Lines between records are ignored if they are empty or start with ``#``.
 
@@ -66,7 +66,7 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
     path
         A regular file of at most 256 MiB in UTF-8.
     names
-        The columns to read. Spaces around a name in the file do not count.
+        Names of the columns to read. Spaces around a name in the file are ignored.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Writes the files of a result, all or none, and refuses to replace files of other programs.
+"""Writes all files of a result or none, and refuses to replace files of other programs.
 
-New files are written to a temporary directory ``.kneexo-…`` beside their destination and moved at
-the end. A process holds a lock in its temporary directory. A later process deletes the temporary
-directories without a lock, which killed processes have left.
+New files are written to a temporary directory ``.kneexo-…`` in the target directory and moved at
+the end. A process holds a lock in its temporary directory. A temporary directory without a lock was
+left by a killed process, and a later process deletes it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LOCK = "kneexo.lock"
 def require_mark(path: Path, mark: str, kind: str) -> None:
     """Raise `OutputError` if the file ``path`` exists and does not contain the text ``mark``.
 
-    The message says that the file is no ``kind``.
+    The message says that the file is no ``kind``, such as a page of kneexo.
     """
     try:
         marked = mark.encode() in read_bytes(path, _MOST_BYTES)
@@ -41,10 +41,10 @@ def require_mark(path: Path, mark: str, kind: str) -> None:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write ``content`` to a file, and replace an earlier file. Missing directories are created.
+    """Write ``content`` to a file, and replace an earlier file. Create missing directories.
 
-    Raises `OutputError` if the file cannot be written. An earlier file is unchanged then, and no
-    new directory is left.
+    Raises `OutputError` if the file cannot be written. After an error an earlier file is unchanged,
+    and no new directory is left.
     """
     with _replacement(path.parent, f"--out {shown(path)}", "") as directory:
         (directory / path.name).write_bytes(content)
@@ -56,12 +56,12 @@ def output_directory(
 ) -> Iterator[Path]:
     """Context manager: give a temporary directory, whose files move to ``path`` after the body.
 
-    All files move or none. If the body fails or a file cannot be moved, ``path`` is as before.
-    Missing directories are created, and removed again after a failure. ``when_written`` is called
-    when the files are in ``path``, before Ctrl-C or SIGTERM can interrupt.
+    If the body fails or a file cannot be moved, no file moves and ``path`` is as before. Missing
+    directories are created, and removed again after a failure. ``when_written`` is called when the
+    files are in ``path``, before Ctrl-C or SIGTERM can interrupt.
 
-    Raises `OutputError` before the body if ``path`` cannot be written, and after it if the files
-    cannot be written. An `OSError` of the body becomes an `OutputError`.
+    Raises `OutputError` before the body if ``path`` cannot be written, and after the body if the
+    files cannot be written. An `OSError` of the body becomes an `OutputError`.
     """
     target = Path(path)
     remedy = "; choose another directory"
@@ -76,7 +76,7 @@ def _replacement(
     remedy: str,
     when_written: Callable[[], object] | None = None,
 ) -> Iterator[Path]:
-    """Implement `output_directory`; its errors begin with ``option`` and end with ``remedy``."""
+    """Do the work of `output_directory`. Messages begin with ``option`` and end with ``remedy``."""
     created: list[Path] = []
     workspace, lock_file = None, None
     try:
@@ -143,16 +143,16 @@ def _delete_leftovers(target: Path) -> None:
 
 
 def _delete(workspace: Path) -> None:
-    """Delete a temporary directory, the lock file last.
+    """Delete a temporary directory. Delete the lock file last.
 
-    If a kill interrupts the deletion, a later process recognizes the rest by the lock file.
+    If this process is killed meanwhile, the lock file tells a later process to delete the rest.
     """
     for folder in (workspace / "new", workspace / "old", workspace):
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def _replace(target: Path, workspace: Path) -> None:
-    """Move the new files to ``target``; restore the old files if one cannot be moved."""
+    """Move the new files to ``target``. If a new file cannot be moved, restore the old files."""
     old = workspace / "old"
     files = sorted((workspace / "new").iterdir())
     for file in files:

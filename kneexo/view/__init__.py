@@ -1,4 +1,4 @@
-"""The knee in three dimensions, live or recorded.
+"""Shows the knee in three dimensions, live or recorded.
 
 - `mechanism` has the points, bars and pins of leg and linkage.
 - `parts` has the shapes, colours and poses of the drawn parts.

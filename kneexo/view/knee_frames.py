@@ -45,21 +45,22 @@ class KneeFrames(LeafSystem):
     ----------
     scene_graph
         The constructor adds the source ``name`` to this SceneGraph, and for each part a frame
-        ``name::part`` with one geometry. The shank hides its ghost at the reference while both
-        agree.
+        ``name::part`` with one geometry. The ghost of the shank, at the reference, is hidden behind
+        the shank while knee angle and reference are equal.
     linkage
         Geometry of the linkage.
     name
         Name of the source in SceneGraph.
     depth_m
-        y of the knee's plane in the world, in m.
+        The y coordinate of the knee's plane in the world, in m.
 
     Raises
     ------
     ParameterError
         ``depth_m`` is not finite.
     LinkageError
-        The linkage cannot be assembled: in the constructor, or later at a knee angle or reference.
+        The linkage cannot be assembled. Raised in the constructor, or later for a knee angle or
+        reference.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The legs that a page shows: runs of scenarios, or of files that an earlier command wrote."""
+"""Makes the legs that a page shows, from scenarios or from files of earlier runs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SLACK_RAD = 1e-6
 
 @dataclass(frozen=True)
 class Leg:
-    """One run as a view shows it; ``time_s`` and the three signals are (n,) each."""
+    """One run, with what a view shows of the run. ``time_s`` and the three signals are (n,)."""
 
     name: str
     linkage: LinkageParameters
@@ -43,12 +43,12 @@ class Leg:
     def of_signals(
         cls, name: str, linkage: LinkageParameters, signals: Mapping[str, ArrayLike]
     ) -> Leg:
-        """Return a leg from ``signals``, which has the `COLUMNS` of a run, each (n,)."""
+        """Return a leg. ``signals`` maps each name in `COLUMNS` to its values (n,)."""
         return cls(name, linkage, *(np.asarray(signals[column]) for column in COLUMNS))
 
 
 def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
-    """Run a scenario; return its leg, and why the run ends early (empty if the run is complete).
+    """Run a scenario. Return the leg and an error message, which is empty for a complete run.
 
     If the run fails, the leg ends with the last sample before the failure. Raises `SimulationError`
     if there is no such sample.
@@ -81,8 +81,8 @@ def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
     """Read the leg of a run of ``scenario`` from the file signals.csv of ``kneexo simulate``.
 
     Raises `ScenarioError` if signals.csv cannot be read, a column is missing, the time does not
-    increase, or a value is out of range. Knee angle and reference must lie within the range of
-    motion of the scenario, extended by its overshoot.
+    increase, or a value is out of range. Knee angle and reference must lie within the scenario's
+    range of motion, extended by the allowed overshoot.
     """
     path = directory / "signals.csv"
     table = read_table(path, COLUMNS)

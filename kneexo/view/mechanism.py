@@ -1,4 +1,4 @@
-"""The bars and pins of leg and linkage, and the points of the knee's plane where they are.
+"""Defines the bars and pins of leg and linkage, and computes their points in the knee's plane.
 
 Points are complex numbers x + jy in m, seen from the thigh, with x forwards and y up. The lengths
 of thigh, shank and foot and the thickness of all parts are only for the eye; no result depends on
@@ -24,9 +24,9 @@ THIGH_M, SHANK_M, FOOT_M = 0.34, 0.34, 0.14
 HEAD = 0.9
 """Length of the drawn cylinder, divided by the length of the drawn rod.
 
-The rod is as long as the distance of the pins of cylinder and rod at the rod extension x = 0. So
-the rod does not leave the cylinder while x is below 0.9 of this distance, and a stub of the rod is
-visible at x = 0.
+The length of the rod is the distance between the pin of the cylinder and the pin of the rod at the
+rod extension x = 0. So the rod stays in the cylinder while x is below 0.9 of this length, and a
+stub of the rod is visible at x = 0.
 """
 
 
@@ -38,7 +38,7 @@ class Bar:
     end: str
     radius_m: float
     colour: tuple[float, float, float]
-    """Red, green and blue from 0 to 1."""
+    """Red, green and blue, each from 0 to 1."""
     layer_m: float = 0.0
     """Distance of the bar from the knee's plane in m."""
 
@@ -84,11 +84,11 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     shank_is_ground = anchor.imag < 0.0
 
     def moved(point: complex) -> Points:
-        """Return the positions of a coupler point, which is at ``point`` at the knee angle 0."""
+        """Return the positions of a point of the coupler. ``point``: position at full extension."""
         return np.asarray(turn * (point - straight.joint_b) + now.joint_b)
 
     def from_thigh(point: Points | complex) -> Points:
-        """Transform points from the frame of the ground link to that of the thigh."""
+        """Transform points from the frame of the ground link to the frame of the thigh."""
         values = point * np.ones(angle.size, dtype=complex)
         if shank_is_ground:
             return np.asarray((values - now.joint_b) / turn + straight.joint_b)

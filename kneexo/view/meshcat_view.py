@@ -16,7 +16,7 @@ from kneexo.view.parts import ICR_COLOUR, depths_m, icr_path, look_at_legs
 from kneexo.view.pressure_colour import PressureColour
 
 PORTS = {"knee_angle": 1, "knee_reference": 4, "load_pressure": 1}
-"""Output ports of a leg that the view shows, with their sizes. Only ``knee_angle`` is required."""
+"""Dictionary from an output port that the view shows to its size. ``knee_angle`` is required."""
 
 PERIOD_S = 1.0 / 32.0
 """Time between two pictures, in s."""
@@ -29,27 +29,27 @@ def add_meshcat_view(
     *,
     largest_pressure_pa: float = CylinderParameters().pressure_rating_pa,
 ) -> MeshcatVisualizer:
-    """Show knees of a diagram in Meshcat, beside each other, the first knee nearest.
+    """Show knees of a diagram beside each other in Meshcat. The first knee is nearest.
 
     Adds the subsystem ``knee_scene_graph``, and for each leg ``<leg>_frames`` (`KneeFrames`). A leg
     with a port ``load_pressure`` also gets ``<leg>_pressure_colour`` (`PressureColour`). In Meshcat
     the path ``knees/<leg>`` has bones, links, pins, cylinder and rod, the instantaneous centre of
-    rotation, and a ghost of shank and foot at the reference. The path ``icr_paths/<leg>`` has the
-    path of this centre over 0…90°.
+    rotation, and a ghost of shank and foot at the reference. The Meshcat path ``icr_paths/<leg>``
+    shows how this centre moves over 0…90° of knee angle.
 
     Parameters
     ----------
     builder
         The builder of the diagram.
     legs
-        Systems of ``builder`` with their linkages. A system requires an output port ``knee_angle``
-        (1, rad); its ports ``knee_reference`` (4, the first in rad) and ``load_pressure`` (1, Pa)
-        are optional. A diagram of `make_closed_loop` has all three.
+        Dictionary from systems of ``builder`` to linkages. A system requires an output port
+        ``knee_angle`` (1, rad); its ports ``knee_reference`` (4, the first in rad) and
+        ``load_pressure`` (1, Pa) are optional. A diagram of `make_closed_loop` has all three.
     meshcat
         Shows the legs from the side; its grid and axes are hidden.
     largest_pressure_pa
-        Load pressure in Pa at which the cylinder is fully red, and fully blue if negative; by
-        default the pressure rating of the cylinder.
+        Load pressure in Pa at which the cylinder is fully red. At the negative of this pressure the
+        cylinder is fully blue. The default is the pressure rating of the cylinder.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Recorded runs as one HTML page: Drake's Meshcat with a time slider."""
+"""Makes one HTML page of recorded runs: Drake's Meshcat with a time slider."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ FRAMES_PER_S = 32.0
 """Frames per second of a recording."""
 
 MOST_FRAMES = 4800
-"""Largest number of frames of a page, summed over its legs: 150 s of one leg, at most 8 MB."""
+"""Largest number of frames of a page, summed over its legs. The page has at most 8 MB."""
 
 MOST_FRAMES_IN_REPORT = 1920
-"""Largest number of frames, summed over the legs, of a page within a report: at most 3 MB."""
+"""Largest number of frames of a page in a report, summed over its legs: at most 3 MB."""
 
 MOST_LEGS = 30
 """Largest number of legs of a page, one leg for each run. The page has at most 8 MB."""
@@ -60,9 +60,10 @@ _HEAD = """
 
 
 def shown_s(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> float:
-    """Return the time in s that a page shows: that of the longest run, or less if the page is full.
+    """Return the time in s at which a page ends: the end of the longest run, or earlier.
 
-    A page is full if its legs have ``most_frames`` frames together.
+    The page ends earlier if it is full, which means that its legs have ``most_frames`` frames
+    together.
     """
     return min(max(float(leg.time_s[-1]) for leg in legs), most_frames / (FRAMES_PER_S * len(legs)))
 
@@ -72,8 +73,8 @@ def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
 
     The colour of a cylinder shows its load pressure. Red is the largest magnitude of all legs, blue
     is the same magnitude with negative sign. A grey shank shows the reference, and a line shows the
-    path of the instantaneous centre of rotation. A leg whose run is shorter stays at its last pose.
-    The page ends at `shown_s`, also if a run is longer.
+    path of the instantaneous centre of rotation. The page ends at `shown_s`, so the rest of a
+    longer run is not shown. After the end of a shorter run the leg stays at its last pose.
     """
     meshcat = _quiet_meshcat()
     meshcat.SetProperty("/Background", "visible", False)
@@ -98,7 +99,7 @@ def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
 
 
 def _quiet_meshcat() -> Meshcat:
-    """Return a new Meshcat; suppress the message of Drake with the address of its server."""
+    """Return a new Meshcat, without Drake's message about the address of the server."""
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(logging.WARNING)
@@ -109,7 +110,7 @@ def _quiet_meshcat() -> Meshcat:
 
 
 def require_page(path: Path) -> None:
-    """Raise `OutputError` for a file without our `MARK`; a missing file is accepted."""
+    """Raise `OutputError` if a file exists and does not contain `MARK`."""
     require_mark(path, MARK, "page of kneexo view")
 
 
@@ -118,8 +119,8 @@ def _record(
 ) -> None:
     """Record a leg up to the time ``end_s``.
 
-    ``path`` is the leg's path in Meshcat, ``depth_m`` the y of its plane, ``largest_pa`` the load
-    pressure at which the cylinder is red.
+    ``path`` is the leg's path in Meshcat. ``depth_m`` is the y coordinate of the leg's plane.
+    ``largest_pa`` is the load pressure in Pa at which the cylinder is red.
     """
     end_s = min(end_s, leg.time_s[-1])
     times = np.arange(0.0, end_s + 0.5 / FRAMES_PER_S, 1.0 / FRAMES_PER_S)
@@ -155,7 +156,7 @@ def _record(
 
 
 def _shank(linkage: LinkageParameters, knee_angle: Array) -> Placement:
-    """Return the placement of the shank's frame at knee angles in rad; x points to the ankle."""
+    """Return the placement of the shank's frame, whose x axis points to the ankle."""
     at = points(linkage, knee_angle)
     down = at["ankle"] - at["shank_start"]
     return Placement(at["shank_start"], down / np.abs(down))
@@ -170,8 +171,8 @@ def _move(
 ) -> None:
     """Record the pose of the object ``path`` at each of ``times``, or one pose if it is constant.
 
-    The frame of the shank carries all parts that are fixed to the shank. So the page holds a pose
-    of each time only for this frame and for the few parts that move in another way.
+    The frame of the shank carries all parts that are fixed to the shank. So the page records a pose
+    for each time only for this frame, and for the few parts that are not fixed to the shank.
     """
     if placement.is_constant:
         meshcat.SetTransform(path, next(poses))

@@ -1,7 +1,7 @@
-"""The drawn parts of a leg: their shapes, colours and poses in the world, for all views.
+"""Shapes, colours and poses of the drawn parts of a leg, for all views.
 
-In the world, x points forwards, z up and y away from the viewer. In its own frame a bar has its
-axis along z and its origin in the middle.
+In the world, x points forwards, z up and y away from the viewer. In the frame of a bar, the bar
+lies along z and the origin is the bar's middle.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ICR_COLOUR = Rgba(0.8, 0.0, 0.5)
 """Colour of the instantaneous centre of rotation and of its path."""
 
 REFERENCE = "reference_"
-"""Prefix of the names of the parts that show the reference."""
+"""Prefix of the names of the parts that show the reference of the knee angle."""
 
 Look = tuple[Cylinder, Rgba]
 """Shape and colour of a part."""
@@ -43,7 +43,7 @@ class Placement:
     middle: Points
     """Middle of the part at each time, (n,), a complex point of the knee's plane in m."""
     direction: Points | None = None
-    """Unit vectors along the bar, (n,). None: a pin across the plane."""
+    """Unit vectors along a bar, (n,), or None for a pin, which stands across the plane."""
     layer_m: float = 0.0
     """Distance of the part from the knee's plane in m, along y of the world."""
 
@@ -55,12 +55,12 @@ class Placement:
 
     @property
     def is_constant(self) -> bool:
-        """Whether all n positions and directions are equal, within 1e-9 m and rad."""
+        """Whether positions and directions are constant over time, within 1e-9 m and rad."""
         values = [self.middle] if self.direction is None else [self.middle, self.direction]
         return all(bool(np.abs(v - v[0]).max() < _TOLERANCE) for v in values)
 
     def frames(self) -> Iterator[RigidTransform]:
-        """Yield for each time the pose of a frame in the middle whose x axis is the direction."""
+        """For each time yield the pose of a frame: origin ``middle``, x axis ``direction``."""
         direction = np.ones_like(self.middle) if self.direction is None else self.direction
         for point, angle in zip(self.middle, -np.angle(direction), strict=True):
             yield RigidTransform(RotationMatrix.MakeYRotation(angle), in_world(point, self.layer_m))
@@ -74,7 +74,9 @@ class Placement:
 def placements(
     linkage: LinkageParameters, knee_angle: ArrayLike, reference: ArrayLike
 ) -> dict[str, Placement]:
-    """Return the placement of each part of `shapes` at knee angles and references (n,) in rad.
+    """Return a dictionary from the name of a part to its placement at n times.
+
+    Knee angles and references (n,) are in rad. The parts are the parts of `shapes`.
 
     Raises `LinkageError` if the linkage cannot be assembled.
     """
@@ -90,7 +92,9 @@ def _of_bar(bar: Bar, at: dict[str, Points]) -> Placement:
 
 
 def shapes(linkage: LinkageParameters) -> dict[str, Look]:
-    """Return shape and colour of each part: the bars, their ghosts ``reference_…``, and ``pin_…``.
+    """Return a dictionary from the name of a part to its shape and colour.
+
+    The parts are bars, pins ``pin_…``, and ghosts ``reference_…`` of bars at the reference.
 
     Raises `LinkageError` if the linkage cannot be assembled.
     """
@@ -109,24 +113,24 @@ def shapes(linkage: LinkageParameters) -> dict[str, Look]:
 def icr_path(linkage: LinkageParameters, depth_m: float = 0.0) -> Array:
     """Return the path of the instantaneous centre of rotation at knee angles 0…90°, (3, 91) in m.
 
-    ``depth_m`` is the y of the knee's plane. Raises `LinkageError` as `shapes`.
+    ``depth_m`` is the y coordinate of the knee's plane. Raises `LinkageError` as `shapes` does.
     """
     path = points(linkage, np.radians(np.linspace(0.0, 90.0, 91)))["icr"]
     return np.array([in_world(point, depth_m) for point in path]).T
 
 
 def in_world(point: complex, depth_m: float) -> Array:
-    """Return a point of the knee's plane in world coordinates, (3,) in m; ``depth_m`` is its y."""
+    """Return a point of the knee's plane in world coordinates (x, ``depth_m``, z) in m."""
     return np.array([point.real, depth_m, point.imag])
 
 
 def depths_m(legs: int) -> list[float]:
-    """Return the y in m of each of ``legs`` legs beside each other, the nearest leg first."""
+    """Return the y coordinates in m of ``legs`` legs beside each other, the nearest leg first."""
     return [(number - 0.5 * (legs - 1)) * _SPACING_M for number in range(legs)]
 
 
 def look_at_legs(meshcat: Meshcat, legs: int) -> None:
-    """Set the camera to see ``legs`` legs beside each other from the side; hide grid and axes."""
+    """Let the camera see ``legs`` legs beside each other from the side. Hide grid and axes."""
     for path in ("/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
     distance = 0.55 + 0.5 * _SPACING_M * (legs - 1)

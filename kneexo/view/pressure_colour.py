@@ -18,8 +18,8 @@ _BLUE, _GREY, _RED = np.array([0.1, 0.3, 0.9]), np.array([0.85] * 3), np.array([
 def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
     """Return red, green and blue from 0 to 1, (n, 3), for pressures (n,) in Pa.
 
-    The colour is blue at −``largest_pa`` and below, grey at 0, red at ``largest_pa`` and above, and
-    linear between them.
+    The colour is blue at −``largest_pa`` and below, grey at 0, and red at ``largest_pa`` and above.
+    Between these pressures the colour is interpolated linearly.
     """
     share = np.clip(pressure_pa / (largest_pa or 1.0), -1.0, 1.0)[:, None]
     return np.asarray(_GREY + np.abs(share) * (np.where(share > 0.0, _RED, _BLUE) - _GREY))
@@ -35,8 +35,9 @@ class PressureColour(LeafSystem):
     ===============  ====  ====  ===============================
 
     No state and no scalar conversion. A geometry of SceneGraph has a constant colour, so the system
-    sets the colour in Meshcat, every ``period_s`` from 0 s on and in recordings too. Add the system
-    after the `MeshcatVisualizer`, which creates the geometry in Meshcat.
+    sets the colour in Meshcat. The first update is at 0 s, and each later update follows after
+    ``period_s``. Recordings have the colour too. Add the system after the `MeshcatVisualizer`,
+    which creates the geometry in Meshcat.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Writes equations as C99: functions, test vectors and build files."""
+"""Writes the equations of a diagram as C99, with test vectors and build files."""

@@ -13,32 +13,33 @@ from ..errors import CompilationError
 from ..files import temporary_folder
 
 COMPILERS = ("cc", "gcc", "clang")
-"""Names of C compilers for this machine; the first of them on the PATH is used."""
+"""Names of C compilers for this machine. The first name that is found on the PATH is used."""
 
 TARGETS = {
     "Cortex-M4F": "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16",
     "Cortex-M7": "-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-d16",
 }
-"""Options of arm-none-eabi-gcc for each microcontroller core, by the name of the core."""
+"""Dictionary from the name of a microcontroller core to the options of arm-none-eabi-gcc."""
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
-"""Flags of the C compiler. Without contraction, a product and a sum are rounded separately."""
+"""Flags of the C compiler. ``-ffp-contract=off`` rounds a product and a sum separately."""
 
 
 BUILD = "build"
-"""Name of the folder beside the sources to which the exported Makefile writes."""
+"""Name of the folder that the exported Makefile writes to, beside the sources."""
 
 
 class BuildError(CompilationError):
-    """A compiler is missing or fails, so that nothing can be measured."""
+    """A compiler is missing or fails, so the code cannot be measured."""
 
 
 @dataclass(frozen=True)
 class Replay:
     """Comparison of the outputs of the C code with the test vectors.
 
-    ``difference`` and ``largest`` have, for each output, the largest difference and the largest
-    magnitude in the vectors. ``passed``: no step failed, and no difference is above the tolerance.
+    ``difference`` maps an output to the largest difference, ``largest`` maps an output to the
+    largest magnitude in the vectors. ``passed`` is True if no step failed and no difference is
+    above the tolerance.
     """
 
     difference: dict[str, float]
@@ -53,11 +54,11 @@ class CodeSize:
     flash: int
     """Code and constants, including the parameter values."""
     stack: int
-    """Stack of a step: the sum of the frames of all functions that a step may call."""
+    """Stack of a step: the sum of the stack frames of all functions that a step may call."""
 
 
 def replay(name: str, files: Mapping[str, str]) -> Replay:
-    """Build the test harness for this machine, run it, and return its comparison.
+    """Compile the test harness for this machine and run it. Return the comparison.
 
     Raises `BuildError` if there is no C compiler or the build fails, and `CompilationError` if the
     harness prints no differences.
@@ -81,10 +82,10 @@ def replay(name: str, files: Mapping[str, str]) -> Replay:
 
 
 def shared_library(files: Mapping[str, str]) -> bytes | None:
-    """Compile C files to a shared library for this machine; return None without a C compiler.
+    """Compile C files to a shared library for this machine. Return None without a C compiler.
 
-    The library exports the functions that are marked as visible, and hides the others. Raises
-    `CompilationError` if the build fails.
+    The library exports the functions that the C code marks as visible, and hides all other
+    functions. Raises `CompilationError` if the build fails.
     """
     compiler = _compiler()
     if compiler is None:
@@ -104,7 +105,7 @@ def _sources(files: Mapping[str, str]) -> list[str]:
 
 
 def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
-    """Compile the model ``name`` for each microcontroller of `TARGETS`; return flash and stack.
+    """Compile the model ``name`` for each core in `TARGETS`; return the sizes by core.
 
     Raises `BuildError` if arm-none-eabi-gcc is missing or fails.
     """

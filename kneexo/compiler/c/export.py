@@ -1,4 +1,4 @@
-"""Writes a model in C as a folder: sources, test vectors and their harness, build files, README."""
+"""Writes a folder with a model in C: sources, test vectors, test harness, build files, README."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from .template import rendered
 from .vectors import Vectors, recorded_vectors
 
 REPLAY_TOLERANCES = {"double": 1e-9, "float": 1e-3}
-"""Largest accepted difference of an output in the replay, divided by its largest magnitude."""
+"""Largest accepted difference of an output in the replay, divided by the output's magnitude."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Cost of exported code, and results of the compilers of this machine."""
+    """Cost of exported code, and results of compiling the code on this machine."""
 
     operations: dict[str, int]
-    """Number of executions in one step of each operator and C library function."""
+    """Dictionary from an operator or C library function to its number of executions in a step."""
     state_bytes: int
     """Size of the C struct ``NAME_state_t`` in bytes."""
     replay: Replay | None
-    """Result of the replay of the test vectors; None if the test harness cannot be built."""
+    """Result of running the test vectors; None if the test harness cannot be built."""
     code_sizes: dict[str, CodeSize]
-    """Flash and stack on each microcontroller of `TARGETS`; empty if they cannot be measured."""
+    """Flash and stack of the code for each core in `TARGETS`; empty if they cannot be measured."""
     not_measured: dict[str, str]
-    """Why ``replay`` (key ``differences``) or ``code_sizes`` (``flash and stack``) is missing."""
+    """Why the result ``differences`` or ``flash and stack`` is missing, by these names."""
 
 
 def export_c(
@@ -60,18 +60,18 @@ def export_c(
     diagram
         A Diagram or leaf system that `compile_diagram` accepts.
     directory
-        The folder; created if it is missing. The files of an earlier export in it are replaced.
+        The folder. A missing folder is created. Files of an earlier export are replaced.
     name
         Prefix of all C names and file names, a C identifier of up to 31 characters.
     inputs
         Names of the input ports of the diagram that become inputs of the C code.
     samples
-        Inputs of each step of the test vectors (steps, elements of all inputs); zeros by default.
+        Inputs in each step of the test vectors, (steps, elements of all inputs); zeros by default.
     steps
         Number of test vectors if ``samples`` is missing.
     context
-        Context with the values of parameters and states; the default Context by default. The
-        default step of RK4 follows from the fastest mode at these values.
+        Context with the values of parameters and states; by default the diagram's default Context.
+        The fastest mode at these values determines the default step of RK4.
     options
         Options of `CSource`: ``precision``, ``outputs``, ``interface``, ``tick_s``, ``step_s``,
         ``look_up``, ``subject``.
@@ -83,7 +83,7 @@ def export_c(
     OutputError
         The folder has files that no export wrote, or cannot be written.
     SimulationError
-        The run of the compiled diagram, which makes the test vectors, fails.
+        The compiled diagram runs to make the test vectors, and this run fails.
     """
     require_export_folder(directory)
     source = source_of(read_diagram(diagram, inputs=inputs), name, context, **options)
@@ -95,7 +95,7 @@ def export_c(
 
 
 def require_export_folder(directory: str | os.PathLike[str]) -> None:
-    """Raise `OutputError` if the directory has a file that no export wrote."""
+    """Raise `OutputError` if the directory has a file that was not written by an export."""
     require_marked(Path(directory), MARK, "an export", BUILD)
 
 
@@ -103,7 +103,8 @@ def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors
     """Build, run and measure a model in C, and write its folder.
 
     Files of an earlier export in the directory are replaced or deleted. Raises `OutputError` as
-    `require_export_folder` does, and if a file cannot be written; then no earlier file is deleted.
+    `require_export_folder` does, or if a file cannot be written. After an error all earlier files
+    are still there.
     """
     files, measurement = exported(source, vectors)
     require_export_folder(directory)
@@ -112,7 +113,7 @@ def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors
 
 
 def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measurement]:
-    """Build, run and measure the code; return the files' texts by name, and the measurements."""
+    """Build, run and measure the code. Return the files (texts by name) and the measurements."""
     files = files_of(source, vectors)
     differences, sizes, not_measured = None, {}, {}
     try:
@@ -134,7 +135,7 @@ def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measure
 
 
 def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
-    """Return the texts of all files of the folder except README.md, by file name."""
+    """Return a dictionary from file name to text, for all files of the folder except README.md."""
     plan = source.plan
     rows = zip(vectors.inputs.tolist(), vectors.outputs.tolist(), strict=True)
     data = source.template_data | {
@@ -154,9 +155,9 @@ def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
 
 
 def _values(source: CSource, fields: Sequence[Field], values: Sequence[float]) -> list[str]:
-    """Return the values of input or output elements as C text, in the order of ``fields``.
+    """Return each of ``values`` as C text, in the C type of its element in ``fields``.
 
-    A number whose magnitude is below the normal numbers of the precision becomes zero.
+    A number that is too small to be a normal number of the precision becomes zero.
     """
     real = source.plan.real
     return [

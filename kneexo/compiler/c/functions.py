@@ -17,7 +17,7 @@ _ARRAYS = {"constant": "c", "state": "x", "discrete": "d"}
 
 @dataclass(frozen=True)
 class Function:
-    """A C function as text: its name, the arguments after the first one, and its statements."""
+    """A C function as text: name, statements, and all arguments except the first."""
 
     name: str
     arguments: str
@@ -29,26 +29,27 @@ class Function:
         return "\n".join(self.statements)
 
     def reads(self, variable: str) -> bool:
-        """Return whether the statements use ``variable``; comments and struct members do not."""
+        """Return whether the statements use ``variable``, not only as a struct member."""
         code = re.sub(r"/\*.*?\*/", "", self.text, flags=re.DOTALL)
         return re.search(rf"(?<![\w>.]){variable}\b", code) is not None
 
 
 class Functions:
-    """The C functions of a model, made from its ``Plan``, and the operations that a step executes.
+    """The C functions that evaluate a ``Plan``, and the operations that one step executes.
 
     Attributes
     ----------
     constants
         ``constants_of``: computes the values that depend on parameters alone.
     of_an_instant
-        The other functions. The first argument of each is the ``instant`` from which it reads. A
-        function without results is left out, for example ``rate_at`` without continuous states.
+        The other functions. The first argument of each function is the struct ``instant``, from
+        which the function reads. A function without results is left out, for example ``rate_at`` if
+        there are no continuous states.
     constant_count
         Number of values that ``constants_of`` computes.
     operations
-        Number of executions in one step of each operator and function, by symbol or name: ``+``,
-        ``sqrt``. All updates are counted as if they were due.
+        Dictionary from an operator or function, such as ``+`` or ``sqrt``, to its number of
+        executions in a step in which all updates are due.
     library
         Names of the functions of the C library that the code calls.
     """
@@ -92,7 +93,7 @@ class Functions:
         return list(compress(functions, are_needed))
 
     def _load(self, kind: str, index: int) -> str:
-        """Return the C text that reads element ``index`` of ``kind``.
+        """Return C text that reads element ``index`` of the source ``kind``.
 
         ``kind`` is a source of the graph (``input``, ``state``, …), ``constant`` or ``table``.
         """
@@ -116,7 +117,8 @@ class Functions:
     ) -> list[str]:
         """Return C statements that compute ``targets``, pairs of a C variable and a node.
 
-        One step executes these statements ``times`` times; the method adds them to `operations`.
+        One step executes the statements ``times`` times. The method adds that many executions to
+        the attribute ``operations``.
         """
         self._printer.operations.clear()
         lines = self._printer.block(targets, self._load, indent="    " * depth)
@@ -125,7 +127,10 @@ class Functions:
         return lines
 
     def _updates(self) -> list[str]:
-        """Return C statements that write the discrete states after a tick's updates to ``next``."""
+        """Return C statements that execute the updates of a tick.
+
+        The statements write the new discrete states to the array ``next``.
+        """
         schedule, updates = self._plan.schedule, self._plan.equations.updates
         lines = []
         for update, period, offset in zip(updates, schedule.periods, schedule.offsets, strict=True):

@@ -34,7 +34,7 @@ _KEYWORDS = frozenset(
     ]
 )
 _MACRO = re.compile(r"(M|FP|FLT|DBL|LDBL)_[A-Z0-9]\w*|U?INT\w*_(MAX|MIN|C)")
-"""Pattern of reserved names besides ``_KEYWORDS``: macros of math.h, float.h and stdint.h."""
+"""Pattern of the macros in math.h, float.h and stdint.h, whose names a model must not use."""
 
 _HEADERS = frozenset(
     [
@@ -44,7 +44,7 @@ _HEADERS = frozenset(
         *("time", "uchar", "wchar", "wctype"),
     ]
 )
-"""Headers of the C library. A header of the model with the same name would hide one of them."""
+"""Headers of the C library. A model's header with the same name would hide the library's."""
 
 _START_MEMBERS = ("initial_x", "initial_d")
 """Members of the parameter struct that hold the initial states; no leaf system gets these names."""
@@ -54,19 +54,19 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 
 @dataclass(frozen=True)
 class Field:
-    """One element of an input or output port, which is one member of a C struct."""
+    """One element of an input or output port. The element is a member of a C struct."""
 
     port: str
     name: str
     is_integer: bool = False
-    """True: the type is int32_t; False: the floating-point type of the model."""
+    """If True, the C type is int32_t; if False, the floating-point type of the model."""
     range: tuple[float, float] | None = None
     """Lowest and highest allowed value; None: every finite value is allowed."""
 
     def limits(self, real: Precision) -> list[str]:
-        """Return the lowest and highest allowed value as C text; an empty list without a range.
+        """Return the lowest and highest allowed value as C text, or an empty list without a range.
 
-        The limits of an int32_t are the outermost whole numbers within the range.
+        The limits of an int32_t are the smallest and the largest whole number within the range.
         """
         if self.range is None:
             return []
@@ -83,13 +83,13 @@ class Interface:
     Parameters
     ----------
     fields
-        C names of the elements of each port, by the name of the port. A name should end in the
-        unit. If a port is missing here, its only element is called ``PORT``, and several elements
-        are called ``PORT_0``, ``PORT_1`` …
+        Dictionary from the name of a port to the C names of its elements. A C name should end in
+        the unit. If the port ``x`` is missing in the dictionary, a single element is called ``x``,
+        and several elements are called ``x_0``, ``x_1`` …
     integers
         Input ports of type int32_t, such as encoder counts.
     ranges
-        Lowest and highest allowed value of an input, by the C name of the element.
+        Dictionary from the C name of an input element to its lowest and highest allowed value.
     """
 
     fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -97,9 +97,9 @@ class Interface:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def members(self, sizes: Mapping[str, int]) -> tuple[Field, ...]:
-        """Return the elements of ports in their order; ``sizes`` has each port's size by name.
+        """Return the elements of ports in order. ``sizes`` maps the name of a port to its size.
 
-        Raises `CompilationError` if ``fields`` has a wrong number of names for a port, and if two
+        Raises `CompilationError` if ``fields`` has a wrong number of names for a port, or if two
         elements have the same name.
         """
         members = []
@@ -122,8 +122,8 @@ def parameter_members(parameters: Sequence[str], root: str) -> tuple[str, ...]:
     Parameters
     ----------
     parameters
-        Names of the Context parameters: path of the leaf system, dot, name of the parameter or
-        ``group[element]``.
+        Names of the Context parameters. A name has the path of the leaf system, a dot, and the name
+        of the parameter or ``group[element]``.
     root
         Name of the leaf system in C if the whole diagram is one leaf system, which has no path.
 
@@ -151,8 +151,8 @@ def parameter_members(parameters: Sequence[str], root: str) -> tuple[str, ...]:
 def require_model_name(name: str) -> None:
     """Raise `CompilationError` if ``name`` cannot be the prefix of a model's files and C names.
 
-    Refused are names of C headers, keywords, and texts that are no C identifier of at most 31
-    characters.
+    ``name`` must be a C identifier of at most 31 characters. Keywords and names of C headers are
+    refused.
     """
     if name.lower() in _HEADERS:
         raise CompilationError(f"name = {name!r}: is a header of C; choose another name")
@@ -163,7 +163,7 @@ def require_model_name(name: str) -> None:
 
 
 def c_name(text: str) -> str:
-    """Return the text as a C identifier that is neither a keyword nor a common macro."""
+    """Return the text, changed to a C identifier that is no keyword and no common macro."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
     if not name or name[0].isdigit():
         name = f"_{name}" if not name else f"n{name}"
@@ -171,7 +171,11 @@ def c_name(text: str) -> str:
 
 
 def _short_names(paths: Collection[str]) -> dict[str, str]:
-    """Return for each system path its shortest end in whole names that is no other path's end."""
+    """Return a short name for each system path.
+
+    The short name is the last name in the path, preceded by as many names as are required to tell
+    the path from all other paths.
+    """
     short = {}
     for path in paths:
         names = path.split("/")

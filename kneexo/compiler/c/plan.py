@@ -1,4 +1,4 @@
-"""The content of a model in C as data, which the C functions and templates print."""
+"""The data of a model in C, from which the C functions and the templates are filled."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .tables import Table
 
 @dataclass(frozen=True)
 class Plan:
-    """The content of a model in C: equations, parameter values, C names, times and tables."""
+    """The data of a model in C: equations, parameter values, C names, times and tables."""
 
     name: str
     """Prefix of all C names and file names."""
@@ -28,28 +28,28 @@ class Plan:
     state: State
     """Values of the states before the initialization events of the diagram."""
     members: tuple[str, ...]
-    """Member of the C parameter struct for each Context parameter: see `parameter_members`."""
+    """For each Context parameter its member of the C parameter struct: see `parameter_members`."""
     inputs: tuple[Field, ...]
-    """Elements of the input ports in their order, one member of the C struct of inputs each."""
+    """Elements of the input ports, in the order of the members of the C struct of inputs."""
     outputs: tuple[Field, ...]
-    """Elements of the exported output ports, one member of the C struct of outputs each."""
+    """Elements of the exported output ports, in the order of the members of the C struct."""
     output_nodes: tuple[int, ...]
-    """Node of the graph that computes each element of ``outputs``."""
+    """For each element of ``outputs``, the graph node that computes the element."""
     schedule: Schedule
     tables: tuple[Table, ...]
-    """Tables of the nodes whose values the code looks up by an integer input."""
+    """Tables in which the code looks up node values that depend on one integer input."""
     sums: Mapping[int, tuple[int, ...]]
-    """Indices of the discrete states that compensated sums update, with the nodes added to each."""
+    """Dictionary from the index of a discrete state to the nodes that a compensated sum adds."""
 
     @cached_property
     def needs_time(self) -> bool:
-        """Whether a step depends on the time."""
+        """Whether any value that a step computes depends on the time."""
         graph = self.equations.graph
         return any("time" in graph.depends[node] for node in self.step_nodes)
 
     @property
     def counts_steps(self) -> bool:
-        """Whether the C state counts steps: for the time, or for updates not due at every tick."""
+        """Whether the C state counts steps, to compute the time or to find the due updates."""
         return self.needs_time or self.schedule.counts_ticks
 
     @property
@@ -66,12 +66,11 @@ def step_nodes(equations: Equations, output_nodes: tuple[int, ...]) -> list[int]
 
 
 def compensated_sums(equations: Equations, real: Precision) -> dict[int, tuple[int, ...]]:
-    """Return each discrete state whose update adds other nodes to the state, with these nodes.
+    """Return the discrete states that are sums, each with the nodes that its update adds.
 
-    In single precision the code adds the nodes by Kahan's compensated summation: each addition
-    corrects the rounding error of the addition before. Otherwise a float would lose increments far
-    smaller than the sum, so that an integrator would drift. In double precision the result is
-    empty.
+    In single precision a float would lose increments far smaller than the sum, and an integrator
+    would drift. So the code adds the nodes by Kahan's compensated summation, in which each addition
+    corrects the rounding error of the addition before. In double precision the result is empty.
     """
     if real is not FLOAT:
         return {}

@@ -24,7 +24,7 @@ WIDTH = 96
 _LONGEST_EXPRESSION = 160
 
 Load = Callable[[str, int], str]
-"""A function that returns the C text for reading an element, from its kind and its index.
+"""Function of the kind and the index of an element; returns C text that reads the element.
 
 The kinds are the sources of the graph (``graph.SOURCES``), ``constant`` and ``table``.
 """
@@ -48,14 +48,14 @@ DOUBLE = Precision("double", "", 1.7976931348623157e308, 2.2250738585072014e-308
 FLOAT = Precision("float", "f", 3.4028234663852886e38, 1.1754943508222875e-38, np.float32)
 """C's ``float``: 32 bits."""
 PRECISIONS = {precision.name: precision for precision in (DOUBLE, FLOAT)}
-"""The precisions by their names in C, ``double`` and ``float``."""
+"""Dictionary from the C names ``double`` and ``float`` to the precisions."""
 
 
 def literal(value: float, precision: Precision, name: str = "a constant") -> str:
     """Return a number as a C literal, rounded to ``precision``.
 
-    Raises `CompilationError`, with ``name`` in the message, for a number that is not finite, and
-    for a number other than zero whose magnitude is outside the normal numbers of the type.
+    Raises `CompilationError` if the number is not finite, or if it is not zero and too large or too
+    small for a normal number of the type. ``name`` is in the message.
     """
     if not math.isfinite(value):
         raise CompilationError(f"{name} = {value}: must be finite")
@@ -73,7 +73,7 @@ def literal(value: float, precision: Precision, name: str = "a constant") -> str
 class CPrinter:
     """Prints C statements that compute nodes of ``graph``.
 
-    The statements do not compute nodes in ``fixed`` and ``tables``, but read their values.
+    Nodes in ``fixed`` and ``tables`` are not computed. The statements read their values.
     """
 
     graph: Graph
@@ -81,16 +81,16 @@ class CPrinter:
     sections: Sequence[Section]
     """Groups of nodes that set the order of the statements. A comment precedes each group."""
     fixed: dict[int, int] = field(default_factory=dict)
-    """Nodes that depend on parameters alone, with the indices of their values in the C array c."""
+    """Dictionary from a node that depends on parameters alone to its index in the C array ``c``."""
     tables: dict[int, int] = field(default_factory=dict)
-    """Nodes whose values are looked up in tables, each with the number of its table."""
+    """Dictionary from a node whose value is looked up in a table to the number of the table."""
     functions: set[str] = field(default_factory=set)
-    """Names of the functions of the C library that all blocks printed so far call."""
+    """Names of the C library functions that the printed code calls."""
     operations: Counter[str] = field(default_factory=Counter)
-    """Uses of each operator and function in all blocks since a caller last emptied this counter."""
+    """Number of uses of each operator and function. A caller may clear this counter."""
 
     def collect_fixed(self, roots: Iterable[int]) -> None:
-        """Set `fixed` to the nodes that ``roots`` need and that depend on parameters alone.
+        """Set `fixed` to those nodes required for ``roots`` that depend on parameters alone.
 
         Parameters themselves are left out: the statements read them directly.
         """
@@ -121,7 +121,7 @@ class _Block:
     def __init__(
         self, printer: CPrinter, load: Load, loads: Mapping[int, tuple[str, int]], indent: str
     ) -> None:
-        """Store the arguments; ``loads`` has kind and index of each node that ``load`` reads."""
+        """Store the arguments. ``loads`` maps a node that ``load`` reads to its kind and index."""
         self.printer, self.graph, self.load, self.loads = printer, printer.graph, load, loads
         self.real = printer.precision
         self.indent = indent
@@ -147,10 +147,10 @@ class _Block:
         return lines + self._statements(sorted(waiting), uses) + self._assignments(unset)
 
     def _statements(self, nodes: Sequence[int], uses: Counter[int]) -> list[str]:
-        """Return C statements that define variables for nodes used several times or long.
+        """Return C statements that define a variable for each node that deserves one.
 
-        Store the C text of each node, its variable or its expression, for the statements that
-        follow.
+        A node gets a variable if it is used several times, or if its expression is long. Store the
+        C text of each node, a variable or an expression, for the statements that follow.
         """
         lines = []
         for node in nodes:
@@ -189,7 +189,7 @@ class _Block:
 
     @staticmethod
     def _bare(text: str) -> str:
-        """Return a C expression without its outer parentheses, if one pair encloses all of it."""
+        """Return a C expression without parentheses that enclose the whole expression."""
         if not (text.startswith("(") and text.endswith(")")):
             return text
         depth = 0
@@ -248,7 +248,7 @@ class _Block:
         return f"({text})"
 
     def _negated(self, node: int) -> str | None:
-        """Return the text of x if ``node`` is a product with the text (-x), else None."""
+        """If ``node`` is a product with the C text ``(-x)``, return ``x``, otherwise None."""
         kind, *_ = self.graph.nodes[node]
         text = self.text[node]
         return text[2:-1] if kind == "multiply" and text.startswith("(-") else None
@@ -268,7 +268,7 @@ class _Block:
 
 
 def comment_lines(text: str, indent: str = "") -> list[str]:
-    """Return text as the lines of a C comment, in ASCII: Greek letters become their names."""
+    """Return the lines of a C comment in ASCII. Greek letters become their names."""
     text = re.sub(r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)", " ", plain_line(text))
     return textwrap.wrap(
         f"/* {text} */", WIDTH, initial_indent=indent, subsequent_indent=f"{indent} * "

@@ -17,14 +17,14 @@ _MOST_STEPS = 2**16 - 1  # an uint16_t counts them
 
 @dataclass(frozen=True)
 class Schedule:
-    """Times of a model in C, in which one call of ``NAME_step`` simulates one tick."""
+    """Tick, update periods and Runge-Kutta steps of a model in C. One call simulates one tick."""
 
     tick_s: float
     """Length of a tick in s: the sample time of the model."""
     periods: tuple[int, ...]
-    """Period in ticks of each group of updates. A group has one sample time and one offset."""
+    """Period in ticks of each group of updates that have the same sample time and offset."""
     offsets: tuple[int, ...]
-    """First tick at which each group of updates with one sample time is due."""
+    """For each group of updates, the first tick at which the group is due."""
     largest_step_s: float
     """Largest allowed step of the Runge-Kutta method in s."""
 
@@ -40,12 +40,12 @@ class Schedule:
 
     @property
     def counts_ticks(self) -> bool:
-        """Whether any group of updates is not due at every tick."""
+        """Whether the model must count ticks, because some updates are not due at every tick."""
         return any(self.offsets) or any(period > 1 for period in self.periods)
 
     @property
     def cycle(self) -> tuple[int, int]:
-        """First tick of the cycle in which the updates repeat, and first tick of the next cycle."""
+        """First tick of the first cycle of updates, and first tick of the second cycle."""
         first = max(self.offsets, default=0)
         return first, first + math.lcm(1, *self.periods)
 
@@ -58,11 +58,11 @@ def schedule_of(
     tick_s: float | None,
     step_s: float | None,
 ) -> Schedule:
-    """Return the times of the model ``name``; see `CSource` for the arguments.
+    """Return the schedule of the model ``name``. For the arguments see `CSource`.
 
-    Raises `CompilationError` for a diagram without a sample time if ``tick_s`` is None, for a
-    ``step_s`` that is not finite and positive, for too many steps in a tick, and for sample times
-    that repeat only after 2³¹ ticks.
+    Raises `CompilationError` if the diagram has no sample time and ``tick_s`` is None, if
+    ``step_s`` is not finite and positive, if a tick has too many steps, or if the updates repeat
+    only after 2³¹ ticks.
     """
     if not equations.updates and tick_s is None:
         raise CompilationError(f"{name}: tick_s is needed, for it has no sample time")

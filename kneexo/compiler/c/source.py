@@ -1,10 +1,10 @@
-"""A model as C99: header, source and parameter values, for any diagram that compiles.
+"""Writes header, source and parameter file in C99 for any diagram that compiles.
 
 ``NAME_init`` computes the values that depend on parameters alone, and the discrete state after the
 initialization events. ``NAME_step`` simulates one tick, from t to t + T. The step executes the
 updates at t with the inputs of the call, integrates the continuous states with fixed steps of the
 classical fourth-order Runge-Kutta method, and computes the outputs just before the next updates, at
-t + T. So the command that a controller holds over a tick follows from the inputs of that call.
+t + T. So the call for a tick returns the command that a controller holds over this tick.
 """
 
 from __future__ import annotations
@@ -52,22 +52,25 @@ class CSource:
     interface
         Names, types and ranges of the ports in C.
     tick_s
-        Time in s that a step covers. Required for a diagram without a sample time. Otherwise a step
-        covers the longest time that divides all sample times and, unless it is None, ``tick_s``.
+        Time in s that a step covers. ``tick_s`` is required for a diagram without a sample time.
+        Otherwise a step covers the longest time that divides all sample times, and ``tick_s`` too
+        if ``tick_s`` is not None.
     step_s
-        Largest step of the Runge-Kutta method in s; by default it follows from the fastest mode at
-        the start (`rk4_step_s`).
+        Largest step of the Runge-Kutta method in s. By default, `rk4_step_s` computes the step from
+        the fastest mode at the start.
     look_up
-        Look up values that follow from one integer input with a range in tables, instead of
-        computing them. Changing a parameter that is used only there has no effect in C.
+        If True, the code looks up a costly value in a table if the value depends only on one
+        integer input that has a range. If only such values use a parameter, changing the parameter
+        in C has no effect.
     subject
         Short description of the model, part of the first line of each file.
 
     Raises
     ------
     CompilationError
-        For a name that is no identifier, an unknown precision or output, names in ``interface``
-        that do not fit, times as in `schedule_of`, and ``look_up`` without a value to look up.
+        ``name`` is no identifier, ``precision`` or a name in ``outputs`` is unknown, ``interface``
+        does not fit the ports, `schedule_of` refuses the times, or ``look_up`` is True without a
+        value to look up.
     """
 
     equations: Equations
@@ -106,7 +109,7 @@ class CSource:
 
     @cached_property
     def plan(self) -> Plan:
-        """The content of the files as data."""
+        """The data from which the files are printed."""
         real = PRECISIONS[self.precision]
         # The printers add nodes of their own, and the key of machine code depends on all nodes.
         equations = replace(self.equations, graph=self.equations.graph.copy())
@@ -150,12 +153,12 @@ class CSource:
 
     @property
     def operations(self) -> Counter[str]:
-        """Number of executions in one step of each operator and C library function."""
+        """Number of executions in a step, by operator or C library function."""
         return self.functions.operations
 
     @property
     def state_bytes(self) -> int:
-        """Size of ``NAME_state_t`` in bytes; a float has 4 bytes, a double 8."""
+        """Size of the C struct ``NAME_state_t`` in bytes."""
         plan, real = self.plan, 8 if self.precision == "double" else 4
         groups = (self.equations.states, self.equations.discrete, plan.sums, plan.outputs)
         numbers = sum(map(len, groups)) + self.functions.constant_count
@@ -169,7 +172,7 @@ class CSource:
 
     @property
     def template_data(self) -> dict[str, Any]:
-        """Variables that every template of the model gets."""
+        """Dictionary of the variables that every template of the model uses."""
         return {
             "name": self.name,
             "NAME": self.name.upper(),
@@ -182,7 +185,7 @@ class CSource:
         }
 
     def files(self) -> dict[str, str]:
-        """Return the texts of header, source and parameter file, by file name."""
+        """Return a dictionary from file name to text, for header, source and parameter file."""
         plan, equations, start = self.plan, self.equations, self._start()
         data = self.template_data | {
             "leaves": self._leaves(),
@@ -204,7 +207,11 @@ class CSource:
         return {file: rendered(__package__, name, **data) for file, name in templates.items()}
 
     def _start(self) -> dict[str, list[str]]:
-        """Return the initial states (``x`` continuous, ``d`` discrete) as C text, if not empty."""
+        """Return the initial states as C text.
+
+        Key ``x`` has the continuous states, key ``d`` the discrete states. A key is missing if the
+        model has no such states.
+        """
         vectors = {"x": self.state.continuous, "d": self.state.discrete}
         return {
             key: [literal(value, self.plan.real, f"initial {key}") for value in vector.tolist()]
@@ -213,7 +220,7 @@ class CSource:
         }
 
     def _leaves(self) -> dict[str, list[_Member]]:
-        """Return the members of the C parameter struct, grouped by their leaf system's C name."""
+        """Return the members of the C parameter struct, in a list for each leaf's C name."""
         leaves: dict[str, dict[str, _Member]] = {}
         names, values = self.equations.parameters, self.parameters.tolist()
         for member, name, value in zip(self.plan.members, names, values, strict=True):
@@ -240,8 +247,8 @@ class CSource:
 def source_of(diagram: DiagramEquations, name: str, context: Any = None, **options: Any) -> CSource:
     """Return the model in C of a diagram that `read_diagram` has read.
 
-    Parameters and state are those of ``context``, by default of the default Context. ``options``
-    are options of `CSource`.
+    ``context`` has the parameters and the state; by default it is the diagram's default Context.
+    ``options`` are arguments of `CSource`.
     """
     values = diagram.parameters(context), diagram.state(context)
     return CSource(diagram.equations, name, *values, **options)
@@ -249,7 +256,7 @@ def source_of(diagram: DiagramEquations, name: str, context: Any = None, **optio
 
 @dataclass(frozen=True)
 class _Member:
-    """A member of the C parameter struct of a leaf system, with its values as C text."""
+    """A member of a leaf system's C parameter struct, and the values of the member as C text."""
 
     name: str
     is_array: bool

@@ -15,20 +15,20 @@ STEP_ANGLE = 0.2
 """Largest product h·|λ| of the default RK4 step h and the magnitude of the fastest eigenvalue λ."""
 
 SHORTEST_STEP_S = 1e-7
-"""Shortest default step in s. If a mode requires less, pass ``step_s`` or leave the mode out."""
+"""Shortest default step in s. A mode that requires a shorter step requires ``step_s``."""
 
 
 def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
-    """Return the default of the largest step of RK4 for a diagram, in s.
+    """Return the default value of ``step_s``, the largest step of RK4 for a diagram in s.
 
-    The rule is h = min(`STEP_S`, `STEP_ANGLE` / |λ|), and at least `SHORTEST_STEP_S`. λ is the
-    eigenvalue of largest magnitude of the continuous states; their derivatives are linearized at
-    the start, with zero inputs and constant discrete states.
+    The step is h = min(`STEP_S`, `STEP_ANGLE` / |λ|), but at least `SHORTEST_STEP_S`. The
+    derivatives of the continuous states are linearized at the start, with zero inputs and constant
+    discrete states. λ is the eigenvalue of this linearization with the largest magnitude.
 
-    A step of RK4 turns an undamped mode by z⁵/120 rad too little, with z = h·|λ|. The oil of a
+    Let z = h·|λ|. A step of RK4 turns an undamped mode by z⁵/120 rad too little. The oil of a
     hydraulic drive is nearly undamped, so that the errors of many steps add up: to 10 % of the load
-    pressure at z = 0.56, to less than 0.1 % at z = 0.2. RK4 is unstable beyond z = 2.8. So z = 0.2
-    leaves a factor of 14 for a system that becomes faster after its start.
+    pressure at z = 0.56, to less than 0.1 % at z = 0.2. RK4 is unstable beyond z = 2.8. So a system
+    with z = 0.2 at the start can become 14 times faster before RK4 is unstable.
 
     ``parameters`` are the values of the Context parameters, ``state`` is the state before the
     initialization events. Raises `CompilationError` if an element of the linearization is not

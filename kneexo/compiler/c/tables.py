@@ -1,4 +1,4 @@
-"""Tables of values that depend on a single integer input, such as the count of an encoder.
+"""Computes tables of values that depend on a single integer input, such as an encoder count.
 
 The export computes a table in double precision and rounds each value once. In single precision
 the table is more accurate than a computation in each step, and the look-up is faster.
@@ -19,7 +19,7 @@ from ..run_data import Array
 
 @dataclass(frozen=True)
 class Table:
-    """The values of one node of the graph, one value for each value of an integer input.
+    """The values of a graph node, one for each possible value of an integer input.
 
     ``first`` is the lowest value of the input, so ``values[i]`` belongs to ``first + i``.
     ``element`` is the index of the input among the elements of all input ports.
@@ -37,11 +37,11 @@ def tables_of(
     ranges: Mapping[int, tuple[int, int]],
     parameters: Array,
 ) -> list[Table]:
-    """Return tables of the nodes that follow from one integer input, if they are costly.
+    """Return a table for each costly node whose value depends on one integer input alone.
 
     A node is costly if it requires a division or a function of the C library. ``roots`` are the
-    nodes that the model computes. ``ranges`` has the lowest and highest value of each integer
-    input, by the input's index among the elements of all input ports.
+    nodes that the model computes. ``ranges`` maps the index of an integer input among the elements
+    of all input ports to the lowest and highest value of the input.
     """
     elements = {graph.source("input", element): element for element in ranges}
     by_count = nodes_by_count(

@@ -1,4 +1,4 @@
-"""Test vectors of a model in C: the inputs of each step, and the outputs that C must return."""
+"""Makes test vectors: the inputs of each step, and the outputs that the C code must return."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     """Run the compiled diagram with the inputs of each step; return inputs and recorded outputs.
 
     Inputs are constant over a step. Outputs are recorded just before the updates of the next step.
-    The integrator is RK4 with the steps of the source.
+    The integrator is RK4 with the step size of ``source``.
 
     Parameters
     ----------
     diagram
-        The diagram from which the equations of the source were read.
+        The diagram whose equations ``source`` has.
     source
-        The model in C; the run has its parameters, initial state, ticks and outputs.
+        The model in C. The run uses the parameters, initial state, ticks and outputs of ``source``.
     inputs
         Inputs of each step (steps, input elements).
 
@@ -84,7 +84,7 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
 
 
 def _with_holds(diagram: System, ports: Sequence[str], tick_s: float) -> System:
-    """Return a copy of the diagram with a zero-order hold before each of the input ports."""
+    """Return a copy of the diagram with a zero-order hold before each input port."""
     builder = DiagramBuilder()
     model = builder.AddNamedSystem("model", diagram.Clone())
     for name in ports:

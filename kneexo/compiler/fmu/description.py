@@ -33,7 +33,7 @@ class Header:
     """Default end of a run in s."""
     sample_time_s: float
     files: Sequence[str]
-    """Names of the C files that are compiled to a binary."""
+    """Names of the C files that an importer compiles to a binary."""
 
 
 def model_description(header: Header, table: VariableTable) -> str:
@@ -81,7 +81,10 @@ def build_description(header: Header) -> str:
 
 
 def generation_tool(archive: bytes) -> str | None:
-    """Return the tool that made an FMU, "" if the FMU names no tool, or None for another file."""
+    """Return the name of the tool that made an FMU.
+
+    Returns an empty text if the FMU names no tool, and None if the file is no FMU.
+    """
     try:
         with (
             zipfile.ZipFile(io.BytesIO(archive)) as files,
@@ -131,10 +134,10 @@ def _add_variable(parent: Element, fmi: int, reference: int, variable: Variable)
 
 
 def _add_structure(parent: Element, fmi: int, table: VariableTable) -> None:
-    """Add the lists of outputs, each with the variables on which the output depends.
+    """Add the lists of outputs to the XML, and to each output the variables that it depends on.
 
-    After a step, an output depends on no input until the next step. During the initialization,
-    outputs can depend on inputs and parameters.
+    Between two steps, outputs depend on no variable. During the initialization, outputs can depend
+    on inputs and parameters.
     """
     outputs = table.references("output")
     initial = list(zip(outputs, table.initial_dependencies(), strict=True))

@@ -41,7 +41,8 @@ class Fmu:
     source
         The model, in double precision and with real inputs only. Its name is the model identifier.
     parameters
-        Parameters of the FMU. A Context parameter that none of them sets keeps its value.
+        Parameters of the FMU. A Context parameter keeps its value if no parameter of the FMU sets
+        it.
     fmi
         Version of the standard: 2 or 3.
     tool
@@ -53,8 +54,8 @@ class Fmu:
     stop_s
         Default end of a run in s.
 
-    Raises `CompilationError` for a source in single precision or with an int32_t input, for another
-    ``fmi``, and as `VariableTable`.
+    Raises `CompilationError` if the source is in single precision or has an int32_t input, if
+    ``fmi`` is neither 2 nor 3, or if `VariableTable` raises it.
     """
 
     source: CSource
@@ -89,7 +90,7 @@ class Fmu:
 
     @cached_property
     def token(self) -> str:
-        """GUID of FMI 2 or instantiation token of FMI 3, a hash: equal FMUs have the same token."""
+        """GUID of FMI 2 or instantiation token of FMI 3: a hash that is the same for equal FMUs."""
         numbers = (self.fmi, self.tool, self.description, self.stop_s)
         table = self.table
         digest = hashlib.sha256(repr((numbers, table.variables, table.parameters)).encode())
@@ -99,7 +100,7 @@ class Fmu:
 
     @cached_property
     def sources(self) -> dict[str, str]:
-        """Texts of all C sources and headers by file name."""
+        """Dictionary from file name to text, for all C sources and headers."""
         return self._texts(self.token)
 
     def _texts(self, token: str) -> dict[str, str]:
@@ -150,9 +151,10 @@ class Fmu:
         return shared_library(self.sources)
 
     def archive(self, library: bytes | None) -> bytes:
-        """Return the bytes of the FMU, a zip file; equal content gives equal bytes.
+        """Return the bytes of the FMU, a zip file. Equal content gives equal bytes.
 
-        ``library`` is the binary from the method `library`; None for an FMU with C sources alone.
+        ``library`` is the binary that the method `library` returns. With None the FMU has C sources
+        but no binary.
         """
         files: dict[str, str | bytes] = {"modelDescription.xml": self.model_description()}
         files |= {f"sources/{file}": text for file, text in self.sources.items()}

@@ -1,4 +1,4 @@
-"""Units at the ends of names: the unit of ``motor_speed_rad_s`` is rad/s."""
+"""Finds the unit at the end of a name, such as rad/s for ``motor_speed_rad_s``."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _BY_ENDING = {
 
 
 def unit_of_name(name: str) -> Unit | None:
-    """Return the longest known unit at the end of a name; None if the name ends in no unit."""
+    """Return the longest unit with which a name ends, or None if the name ends with no unit."""
     words = name.rpartition(".")[2].split("_")
     endings = ("_".join(words[first:]) for first in range(1, len(words)))
     return next((_BY_ENDING[ending] for ending in endings if ending in _BY_ENDING), None)

@@ -13,14 +13,14 @@ from ..errors import CompilationError
 from .units import Unit, unit_of_name
 
 Causality = Literal["independent", "input", "parameter", "output", "local"]
-"""The role of a variable for the importer of an FMU, in the terms of the standard."""
+"""The role of a variable in the words of the FMI standard, such as ``input``."""
 
 
 @dataclass(frozen=True)
 class FmuParameter:
     """A parameter of an FMU, which sets members of the C parameter struct.
 
-    Each member gets the value of the parameter, divided by ``divisor``.
+    Each member is set to the value of the parameter, divided by ``divisor``.
     """
 
     name: str
@@ -32,7 +32,7 @@ class FmuParameter:
     high: float = DOUBLE.largest
     divisor: float = 1.0
     tunable: bool = True
-    """True: the value may change during a run; False: only before the initialization ends."""
+    """If False, the value cannot change after the initialization of a run."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Variable:
     name: str
     causality: Causality
     variability: str
-    """How the value can change by FMI: ``continuous``, ``tunable``, ``fixed`` or ``constant``."""
+    """FMI's word for when the value can change, such as ``continuous`` or ``fixed``."""
     start: float | None = None
     description: str = ""
     low: float = -DOUBLE.largest
@@ -50,12 +50,12 @@ class Variable:
 
     @property
     def unit(self) -> Unit | None:
-        """The unit that the name ends in, or None; the unit of the time is s."""
+        """The unit at the end of the name, or None without a unit. The unit of the time is s."""
         return unit_of_name("time_s" if self.causality == "independent" else self.name)
 
 
 class VariableTable:
-    """All variables of an FMU; the value reference of a variable is its index in ``variables``.
+    """All variables of an FMU. The value reference of a variable is its index in ``variables``.
 
     The order is: time, inputs, tunable parameters, fixed parameters, outputs, sample time.
 
@@ -64,12 +64,12 @@ class VariableTable:
     plan
         The model.
     parameters
-        Parameters of the FMU, in any order. ``self.parameters`` has the tunable ones first.
+        Parameters of the FMU, in any order. The attribute has the tunable parameters first.
     starts
         Start values of inputs by name; every other input starts at zero.
 
     Raises `CompilationError` if two variables have the same name, if two parameters set the same
-    member of the C parameter struct, and if the struct lacks a member.
+    member of the C parameter struct, or if the struct lacks a member.
     """
 
     def __init__(
@@ -123,12 +123,12 @@ class VariableTable:
         return [i for i, v in enumerate(self.variables) if v.causality == causality]
 
     def assignments(self) -> list[tuple[str, int, FmuParameter]]:
-        """Return each C struct member that a parameter sets, with value reference and parameter."""
+        """Return (C struct member, value reference, parameter) for each member that is set."""
         pairs = zip(self.references("parameter"), self.parameters, strict=True)
         return [(member, i, parameter) for i, parameter in pairs for member in parameter.members]
 
     def initial_dependencies(self) -> list[list[int]]:
-        """Return for each output the value references of the variables that affect its start."""
+        """Return, for each output, value references of the variables that set its start value."""
         graph = self._plan.equations.graph
         initial_nodes = self._plan.equations.initial_discrete
         dependencies = []
@@ -140,7 +140,7 @@ class VariableTable:
         return dependencies
 
     def _setters(self, operations: Sequence[Entry]) -> list[int]:
-        """Return the value references of the inputs and parameters that graph entries read."""
+        """Return value references of the FMU's inputs and parameters that graph entries read."""
         inputs = self.references("input")
         setters = {member: reference for member, reference, _ in self.assignments()}
         members = {"parameter": self._plan.members, "state": self._states}
