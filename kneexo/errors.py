@@ -1,6 +1,6 @@
-"""The errors that kneexo raises for wrong input or a failed run; each message is one line.
+"""The errors that kneexo raises for wrong input or a failed run. Each message is one line.
 
-The compiler has errors of its own; this module imports them.
+The module ``kneexo.compiler.errors`` defines the errors of the compiler, which are imported here.
 """
 
 from __future__ import annotations

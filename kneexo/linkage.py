@@ -32,16 +32,16 @@ RodAndArm = Callable[[Array], tuple[Array, Array]]
 
 
 def wrap(angle: Any, xp: Any = np) -> Any:
-    """Return the angle within (−π, π] that equals the angle up to a multiple of 2π."""
+    """Return the angle within (−π, π] that equals ``angle`` up to a multiple of 2π."""
     return xp.atan2(xp.sin(angle), xp.cos(angle))
 
 
 def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: Any = np) -> Any:
     """Return the knee angle θ_p, within (−π, π], for the angle θ_4 of link 4 (Eq. 3–7).
 
-    Eq. 6 is evaluated as θ_3 = atan2(A, B) ± acos(C/√(A² + B²)). The form in the paper divides by B
-    + C, but B + C is zero at a knee angle within the range of motion of G1 and G2. ``link`` has the
-    lengths and φ of `LinkageParameters`; ``eq6_sign`` is the value of the function `eq6_sign`.
+    Eq. 6 is evaluated as θ_3 = atan2(A, B) ± acos(C/√(A² + B²)). The form in the paper divides by
+    the sum B+C, which is zero at a knee angle within the range of motion of G1 and G2. ``link`` has
+    the lengths and φ of `LinkageParameters`; ``eq6_sign`` is the value of the function `eq6_sign`.
     Returns nan where the linkage cannot be assembled.
     """
     c_1 = link.o_b_x_m - link.o_a_x_m + link.a_4_m * xp.cos(encoder_angle)
@@ -92,10 +92,10 @@ def rod_anchor(link: LinkageParameters) -> complex:
 def pose(link: LinkageParameters, knee_angle: ArrayLike) -> LinkagePose:
     """Assemble the linkage at given knee angles, in closed form.
 
-    The knee angle sets the angle of the coupler, θ_3 = θ_p − φ. With the vector D = O_B − O_A − a_3
-    e^{jθ_3}, θ_4 solves |D + a_4 e^{jθ_4}| = a_2. The equation has two solutions. ``link.branch``
-    is the sign of sin(θ_4 − θ_2) in the chosen solution. Eq. 8 and 9 give the rod. θ_4 is
-    continuous over the range of motion, because it lies within ±π of its value at 45°.
+    The knee angle sets the angle of the coupler, θ_3 = θ_p − φ. The vector D is O_B − O_A −
+    a_3e^{jθ_3}, and θ_4 solves |D + a_4e^{jθ_4}| = a_2. The equation has two solutions.
+    ``link.branch`` is the sign of sin(θ_4 − θ_2) in the chosen solution. Eq. 8 and 9 give the rod.
+    θ_4 is continuous over the range of motion, because it lies within ±π of its value at 45°.
 
     Raises `LinkageError` where the links do not close.
     """
@@ -147,7 +147,7 @@ def _theta_4(link: LinkageParameters, theta_p: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def eq6_sign(link: LinkageParameters) -> int:
-    """Return −1 or 1: the sign of acos in Eq. 6 with which Eq. 6 gives the linkage's knee angles.
+    """Return −1 or 1, the sign of acos in Eq. 6 that gives the true knee angles.
 
     Raises `LinkageError` if the sign changes within knee angles of 0…90°. Then two knee angles have
     the same encoder angle, and no controller can tell them apart.
@@ -243,8 +243,8 @@ def icr(link: Any, theta_3: Any, theta_4: Any, xp: Any = np) -> tuple[Any, Any]:
     """Return the instantaneous centre of rotation of the coupler, (x, y) in m.
 
     The centre is where the line through O_A and A (link 2) meets the line through O_B and B (link
-    4). So the centre is O_B + t e^{jθ_4}, and the length t follows from the cross product with A −
-    O_A.
+    4). So the centre is O_B + te^{jθ_4}. The length t follows from the cross product with the
+    vector from O_A to A.
     """
     cos_4, sin_4 = xp.cos(theta_4), xp.sin(theta_4)
     d_x = link.o_b_x_m - link.o_a_x_m

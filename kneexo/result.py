@@ -63,7 +63,7 @@ def short(value: Any) -> str:
 
 
 def _counted(value: Mapping[Any, Any], left: str, right: str) -> str:
-    """Return the names of a mapping in brackets. After three names, return only their number."""
+    """Return the first three names of a mapping, and the number of names if there are more."""
     names = ", ".join(str(name) for name in list(value)[:3])
     more = f", … {len(value)} names" if len(value) > 3 else ""
     return f"{left}{names}{more}{right}"

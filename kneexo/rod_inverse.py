@@ -200,9 +200,9 @@ def _decimal_pose(
 ) -> tuple[Decimal, Decimal, tuple[Decimal, Decimal]]:
     """Return rod extension x, moment arm r and the vector a_4 e^{jθ_4}, as decimal numbers.
 
-    The equations are the equations of `pose`, solved for vectors instead of angles. Squaring |D +
-    a_4 e^{jθ_4}| = a_2 gives the scalar product of D and a_4 e^{jθ_4}, (a_2² − a_4² − |D|²)/2. So
-    only θ_3 requires a cosine and a sine, which are slow in decimal numbers.
+    The equations are the equations of `pose`, solved for vectors instead of angles. The square of
+    |D + a_4e^{jθ_4}| = a_2 gives the scalar product of D and a_4e^{jθ_4}, which is (a_2² − a_4² −
+    |D|²)/2. So only θ_3 requires a cosine and a sine, which are slow in decimal numbers.
     """
     p = SimpleNamespace(**{k: Decimal(v) for k, v in link.model_dump().items()})
     theta_3 = knee_angle - p.phi_rad

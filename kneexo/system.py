@@ -15,7 +15,7 @@ LIBRARIES = {"libglib-2.0.so.0": "libglib2.0-0"}
 
 
 def lacking(modules: Iterable[str] = ()) -> str:
-    """Return a line: the missing libraries and how to install them. Return "" if none is missing.
+    """Return a line that lists missing libraries and how to install them, or an empty text.
 
     ``modules`` are modules of the standard library that are checked too. On Debian they are in the
     package ``python3-venv``.
@@ -43,7 +43,7 @@ def _loads(library: str) -> bool:
 
 
 def main() -> int:
-    """Return 0 if all libraries and modules exist. Otherwise print which are missing, return 2."""
+    """Return 0, or print which libraries or modules are missing and return 2."""
     if line := lacking(("ensurepip", "venv")):
         print(f"kneexo: {line}", file=sys.stderr)
         return 2

@@ -22,7 +22,7 @@ def user_code(failure: str) -> Iterator[None]:
     """Context manager for a body that runs code of the user.
 
     An error in the body becomes a `ParameterError`, and so does a call of ``sys.exit``. The message
-    is one line that begins with ``failure`` and goes on with the text of `cause_of`. A
+    is one line that begins with ``failure`` and goes on with the text of ``cause_of``. A
     `KneexoError` and a `KeyboardInterrupt` are raised unchanged.
     """
     try:

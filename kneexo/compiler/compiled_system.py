@@ -151,7 +151,7 @@ class CompiledSystem(LeafSystem):
 
 
 class _Running:
-    """Runs the model with the parameters of one Context; holds memory for states and outputs."""
+    """Runs the model with the parameters of one Context, in memory that each run uses again."""
 
     def __init__(self, system: CompiledSystem, parameters: Array) -> None:
         self._system, self._parameters = system, parameters

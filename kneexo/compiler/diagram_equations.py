@@ -31,7 +31,7 @@ class DiagramEquations:
 
     @cached_property
     def key(self) -> str:
-        """Text that differs between diagrams with different equations: see `equations_key`."""
+        """Hash of the equations: see `equations_key`."""
         return equations_key(self.equations)
 
     def parameters(self, context: Any | None = None) -> Array:

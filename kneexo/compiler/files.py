@@ -52,8 +52,8 @@ def files_in(directory: Path, names: re.Pattern[str]) -> list[FileStatus]:
 def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Write a file under a temporary name, then rename it to ``path``, replacing an earlier file.
 
-    If writing fails, the earlier file stays. The file gets the permissions ``mode`` that the umask
-    allows.
+    If writing fails, the earlier file stays. ``mode`` has the permissions of the file before the
+    umask is applied.
     """
     temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
     try:
@@ -88,7 +88,10 @@ def make_private_directory(directory: Path) -> None:
 
 
 def process_directory() -> Path:
-    """Make a temporary directory; this process deletes it at its end, a forked process does not."""
+    """Make a temporary directory that is deleted when this process ends.
+
+    The end of a forked process does not delete the directory.
+    """
     directory = Path(tempfile.mkdtemp(prefix=f"{ROOT}-"))
     atexit.register(_delete_directory, directory, os.getpid())
     return directory

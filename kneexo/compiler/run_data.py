@@ -27,9 +27,10 @@ class InputTable:
     """Values of a model's open inputs: piecewise polynomials of time.
 
     ``breaks`` (n,) are times in s that separate n + 1 segments. The first segment lies before the
-    first break, and the last segment lies after the last break. ``coefficients[segment, input,
-    power]`` are factors of powers of the time since the segment began, in the first segment of
-    powers of t. Without arguments the table has a single input, which is zero.
+    first break, and the last segment lies after the last break. The ``coefficients[segment, input,
+    power]`` multiply powers of the time since the segment began. In the first segment the
+    coefficients multiply powers of t. Without arguments the table has a single input, which is
+    zero.
     """
 
     breaks: Array = field(default_factory=lambda: np.empty(0))

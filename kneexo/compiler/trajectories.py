@@ -90,7 +90,7 @@ def stack_tables(*tables: InputTable) -> InputTable:
 
 
 def _breaks(table: InputTable) -> Array:
-    """Return the breaks of a table in s, the last of several breaks one bit later.
+    """Return the breaks of a table in s. If there are several, the last is one bit later.
 
     `stack_tables` begins a new segment at each break. In an `InputTable` the last of several breaks
     still belongs to the segment before, so the new segment must begin one bit later.

@@ -23,7 +23,7 @@ from .template import rendered
 from .vectors import Vectors, recorded_vectors
 
 REPLAY_TOLERANCES = {"double": 1e-9, "float": 1e-3}
-"""Largest accepted difference of an output in the replay, divided by the output's magnitude."""
+"""Largest accepted difference of an output, divided by the output's largest magnitude."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Measurement:
     code_sizes: dict[str, CodeSize]
     """Flash and stack of the code for each core in `TARGETS`; empty if they cannot be measured."""
     not_measured: dict[str, str]
-    """Why the result ``differences`` or ``flash and stack`` is missing, by these names."""
+    """Dictionary from a missing result, ``differences`` or ``flash and stack``, to the reason."""
 
 
 def export_c(
