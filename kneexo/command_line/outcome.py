@@ -46,7 +46,7 @@ class Request:
     """A command with its arguments, and the files for its results."""
 
     run: Callable[..., Outcome]
-    """Function that runs the command. If `checkpoint_path` is set, it gets ``checkpoint``."""
+    """Function that runs the command; gets ``checkpoint`` if `checkpoint_path` is set."""
     json: bool = False
     """Whether to print the results as JSON."""
     directory: Path | None = None

@@ -113,9 +113,9 @@ def run_study(
 
     ``choice`` selects the scenario. ``settings`` changes settings of the study, each by NAME=VALUE.
     ``workers`` is the number of processes, by default the number of cores. If ``dask`` is the
-    address of a Dask cluster, the cluster replaces the processes. ``uncertainty`` is the path of a
-    file of uncertain values, for a study that is `uncertain`. ``checkpoint`` stores the finished
-    pieces of a study that is `resumable`.
+    address of a Dask cluster, the cluster replaces the processes. If the study is `uncertain`,
+    ``uncertainty`` is the path of a file of uncertain values. If the study is `resumable`,
+    ``checkpoint`` stores its finished pieces.
     """
     scenario = choice.load(study.scenario)
     changed = arguments.with_values(study.settings(), settings)

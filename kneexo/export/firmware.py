@@ -56,8 +56,8 @@ def make_firmware(
         Length of the test vectors in s, at most the duration of the scenario; by default
         `VECTORS_S`.
     step_s
-        Largest step of RK4 in s; by default `rk4_step_s`. A diagram without continuous states
-        ignores ``step_s``.
+        Largest step of RK4 in s; by default the value of `rk4_step_s`. A diagram without continuous
+        states ignores ``step_s``.
     look_up
         If True, the code looks up knee angle and rod extension in tables by the encoder count, and
         does not compute them.

@@ -112,14 +112,14 @@ def make_fmu(
     Parameters
     ----------
     scenario
-        The closed loop; its controller may be a custom one.
+        The closed loop. A custom controller is allowed.
     what
         ``controller``, ``plant`` or ``loop``: see `make_target`.
     fmi
         Version of the standard: 2 or 3.
     step_s
-        Largest step of RK4 in s; by default `rk4_step_s`. A diagram without continuous states
-        ignores ``step_s``.
+        Largest step of RK4 in s; by default the value of `rk4_step_s`. A diagram without continuous
+        states ignores ``step_s``.
 
     Raises
     ------

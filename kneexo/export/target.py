@@ -123,8 +123,8 @@ def count_range(scenario: Scenario) -> tuple[float, float]:
     """Return the lowest and highest encoder count that the controller accepts.
 
     The knee angle can exceed the range of motion by the allowed overshoot. The range of counts
-    follows from θ_4 (Eq. 3–7), less the phase of the encoder, at these knee angles. It is extended
-    at each end by one count and by the mounting error.
+    follows from θ_4 (Eq. 3–7), less the phase of the encoder, at these knee angles. One count and
+    the mounting error extend the range at each end.
     """
     encoder, plant = scenario.encoder, scenario.believed_plant
     knee = plant.knee

@@ -28,7 +28,7 @@ _LOCK = "kneexo.lock"
 def require_mark(path: Path, mark: str, kind: str) -> None:
     """Raise `OutputError` if the file ``path`` exists and does not contain the text ``mark``.
 
-    The message says that the file is no ``kind``, such as a page of kneexo.
+    ``kind`` is the name of marked files in the message, such as "page of kneexo".
     """
     try:
         marked = mark.encode() in read_bytes(path, _MOST_BYTES)

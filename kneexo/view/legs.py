@@ -30,7 +30,7 @@ _SLACK_RAD = 1e-6
 
 @dataclass(frozen=True)
 class Leg:
-    """One run, with what a view shows of the run. ``time_s`` and the three signals are (n,)."""
+    """The part of a run that a view shows. ``time_s`` and the three signals are (n,) each."""
 
     name: str
     linkage: LinkageParameters

@@ -17,7 +17,7 @@ _MOST_STEPS = 2**16 - 1  # an uint16_t counts them
 
 @dataclass(frozen=True)
 class Schedule:
-    """Tick, update periods and Runge-Kutta steps of a model in C. One call simulates one tick."""
+    """Times of a model in C. One call of ``NAME_step`` simulates one tick."""
 
     tick_s: float
     """Length of a tick in s: the sample time of the model."""
@@ -45,7 +45,7 @@ class Schedule:
 
     @property
     def cycle(self) -> tuple[int, int]:
-        """First tick of the first cycle of updates, and first tick of the second cycle."""
+        """First ticks of two cycles. The same updates are due in each cycle."""
         first = max(self.offsets, default=0)
         return first, first + math.lcm(1, *self.periods)
 
