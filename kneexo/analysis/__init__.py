@@ -1,7 +1,7 @@
 """Analyses of one scenario: runs, frequency responses, linear models, margins, sensitivities.
 
-Most functions return a frozen result with data and ``plot``. `kneexo.simulation` runs scenarios,
-and `kneexo.studies` compares many of them.
+Most functions return a frozen result object, which holds data and has a method ``plot``.
+`kneexo.simulation` runs scenarios, and `kneexo.studies` compares many scenarios.
 """
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz as large_signal_bandwidth_hz

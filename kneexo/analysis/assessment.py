@@ -13,21 +13,23 @@ from kneexo.parameters import Scenario
 from kneexo.simulation import awaitable, needs_runs
 
 MARGIN_METRICS = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
-"""Fields of `kneexo.analysis.Margins` that `assess` returns."""
+"""Names of the fields of `kneexo.analysis.Margins` that `assess` returns."""
 
 
 @needs_runs
 async def assess(
     scenario: Scenario, *, tracking: bool = True, margins: bool = True, bandwidth: bool = False
 ) -> dict[str, Any]:
-    """Return metrics of a scenario by name; each argument that is True adds a group of metrics.
+    """Return a dictionary from the name of a metric of a scenario to its value.
 
-    - ``tracking``: `TRACKING_METRICS` of a simulated run, and ``tracking_failure``.
-    - ``margins``: ``stable``, `MARGIN_METRICS` and ``margins_failure`` of the linear loop, with the
-      knee in the middle of the reference's range. The margins of an unstable loop are nan.
+    Each of these arguments adds a group of metrics if it is True:
+
+    - ``tracking``: the `TRACKING_METRICS` of a simulated run, and ``tracking_failure``.
+    - ``margins``: ``stable``, `MARGIN_METRICS` and ``margins_failure``. The loop is linearized in
+      the middle of the reference's range. The margins of an unstable loop are nan.
     - ``bandwidth``: ``bandwidth_hz`` (`large_signal_bandwidth_hz`) and ``bandwidth_failure``.
 
-    No `KneexoError` is raised, so that a sweep continues after a scenario that fails. If the
+    The function raises no `KneexoError`, so that a sweep continues after a scenario fails. If the
     analysis of a group fails, the numbers of the group are nan, ``stable`` is None, and the
     group's ``…_failure`` is the error message. Otherwise ``…_failure`` is an empty text.
     """

@@ -1,9 +1,9 @@
 """Large-signal bandwidth of the closed loop, and the bounds that the motor sets on it.
 
 The bandwidth is the frequency at which the gain of the fundamental first falls below 1/√2. For a
-small sine the bandwidth of the linear loop applies. For a large sine the limits of the motor
-matter. Let R be the largest speed and A the largest acceleration of the rod, a the amplitude of the
-rod's reference and ω its angular frequency. Then every controller obeys
+small sine it is the bandwidth of the linear loop. For a large sine the limits of the motor reduce
+the bandwidth. Let R be the largest speed and A the largest acceleration of the rod. Let a be the
+amplitude and ω the angular frequency of the rod's reference. Then every controller obeys
 
     gain <= (4/π) R/(aω) and gain <= (4/π) A/(aω²).
 
@@ -62,21 +62,21 @@ def rod_limits(scenario: Scenario) -> tuple[float, float]:
 def acceleration_bound_hz(acceleration_limit: float, amplitude: float) -> float:
     """Return √(4√2 A/(π a))/2π, the frequency in Hz above which any controller has a gain < 1/√2.
 
-    A is ``acceleration_limit`` of the rod and a the ``amplitude`` of its sinusoidal reference, in
-    the same unit of length, such as m/s² and m.
+    A is the ``acceleration_limit`` of the rod, and a is the ``amplitude`` of the rod's sinusoidal
+    reference. A and a must have the same unit of length, such as m/s² and m.
     """
     return math.sqrt(4.0 * math.sqrt(2.0) / math.pi * acceleration_limit / amplitude) / math.tau
 
 
 def rod_of(scenario: Scenario, knee_angle_rad: Array) -> Array:
-    """Return the rod extension in m at knee angles in rad, by the plant's linkage or polynomial."""
+    """Compute the rod extension in m at knee angles in rad, using the plant's rod map."""
     if scenario.plant.rod_map == "polynomial":
         return np.asarray(linkage.polynomial(scenario.polynomial.p_si, knee_angle_rad))
     return linkage.rod_extension(scenario.plant.linkage, knee_angle_rad)
 
 
 def rod_amplitude_m(scenario: Scenario) -> float:
-    """Return half the rod travel in m between smallest and largest angle of the reference."""
+    """Return half the distance in m that the rod moves over the range of the reference."""
     ends = rod_of(scenario, np.radians(scenario.reference.range_deg))
     return 0.5 * float(abs(ends[1] - ends[0]))
 
@@ -94,8 +94,8 @@ def follower_response(scenario: Scenario, frequency_hz: float) -> complex:
     """Return the knee's response to the scenario's sine if the rod's only limit is its speed.
 
     The rod follows the reference exactly, except where its speed limit prevents this
-    (`rate_limited_follower`). The result is the complex ratio of the fundamentals of knee angle and
-    reference at ``frequency_hz``.
+    (`rate_limited_follower`). The result is the complex fundamental of the knee angle, divided by
+    the fundamental of the reference, at ``frequency_hz``.
     """
     reference = require_sine(scenario)
     time = np.arange(3 * _FOLLOWER_STEPS + 1) / (_FOLLOWER_STEPS * frequency_hz)
@@ -135,13 +135,13 @@ async def large_signal_bandwidth_hz(
 
     `estimate_sine` measures the gain at several frequencies. The search starts at 0.8 times the
     smallest of three predictions: rate limit, acceleration bound and linear bandwidth. The
-    frequency grows by factors of 1.25 until the gain is below 1/√2, so that a narrower dip of the
-    gain can be missed. Then a root search over log gain and log frequency continues until the
+    frequency grows by factors of 1.25 until the gain is below 1/√2, so that the search can miss a
+    narrower dip of the gain. Then a root search over log gain and log frequency continues until the
     frequency is known to 0.1 % or the gain is 1/√2 to 0.05 %.
 
     The result is nan when the gain does not fall below 1/√2 between `LOWEST_HZ` and the frequency
     with ten samples a period. Raises `ParameterError` when the reference is no sine or does not
-    move, and the errors of `kneexo.simulation.simulate`.
+    move. Also raises the errors of `kneexo.simulation.simulate`.
     """
     require_sine(scenario)
     highest = highest_frequency_hz(scenario)
@@ -161,11 +161,12 @@ async def large_signal_bandwidth_hz(
 def _first_fall_hz(
     excess: Callable[[float], float], bottom: float, start: float, top: float
 ) -> float:
-    """Return the frequency f in Hz at which ``excess(ln f)`` first falls below zero, else nan.
+    """Return the frequency f in Hz at which ``excess(ln f)`` first falls below zero.
 
     ``bottom``, ``start`` and ``top`` are logarithms of frequencies in Hz. From ``start`` the search
-    moves down while ``excess`` is negative, at most to ``bottom``. Then the search moves up, at
-    most to ``top``. The result is nan without a change of sign between both ends.
+    moves down while ``excess`` is negative, at most to ``bottom``. Then the search moves up until
+    ``excess`` is negative, at most to ``top``. If ``excess`` does not change its sign on the way,
+    the result is nan.
     """
     low, step = start, math.log(_SEARCH_STEP)
     while excess(low) < 0.0:
@@ -181,7 +182,10 @@ def _first_fall_hz(
 
 
 def _expected_hz(scenario: Scenario) -> float:
-    """Predict the bandwidth in Hz: the lowest by speed limit, acceleration limit, linear loop."""
+    """Return the smallest of three predictions of the bandwidth in Hz.
+
+    The predictions follow from the speed limit, the acceleration limit and the linear loop.
+    """
     speed, acceleration = rod_limits(scenario)
     amplitude = rod_amplitude_m(scenario)
     limits = [
@@ -193,7 +197,10 @@ def _expected_hz(scenario: Scenario) -> float:
 
 
 def _linear_bandwidth_hz(scenario: Scenario) -> float:
-    """Return the linear loop's bandwidth in Hz at the reference's mean; nan if there is none."""
+    """Return the bandwidth in Hz of the loop, linearized at the mean of the reference.
+
+    The result is nan if the loop cannot be linearized or its gain does not fall below 1/√2.
+    """
     try:
         return linearize_loop(scenario, require_sine(scenario).mean_deg).bandwidth_hz()
     except LinearizationError:

@@ -2,17 +2,20 @@
 
 The error has three causes: a wrong piston area, a motor with lag, and leakage.
 
-Below the hydraulic resonance the oil is stiff, and the rod moves as the pump does. Notation:
+Below the hydraulic resonance the oil is stiff, and the pump's flow determines the rod speed.
+Notation:
 
-- e: error x − x_d of the rod extension x with the reference x_d; P_L: load pressure.
-- λ, Φ, k: slope and boundary layer of the sliding variable s, and switching gain (Eq. 20–27).
-- Ā, A_i: mean piston area, by which the controller computes, and area of the loaded chamber.
-- α: motor speed that a rod speed requires, divided by the value that the controller computes. It
-  is A_i/Ā when only the area is wrong.
-- τ: delay from a command to the motor speed, τ = τ_m + T/2 + n T. The terms are the lag of the
-  motor, half the sample time T for which a command is held, and n samples of latency of the bus.
-- κ = k/(Φ ω̂²) with ω̂² = 4β_eĀ²/(m̂V_t), the hydraulic natural frequency by bulk modulus β_e,
-  estimated mass m̂ and total volume V_t; C_t: leakage coefficient of pump and cylinder.
+- e = x − x_d: error of the rod extension x, whose reference is x_d. P_L: load pressure.
+- s: sliding variable, with slope λ. Φ: width of the boundary layer |s| <= Φ. k: switching gain
+  (Eq. 20–27).
+- Ā: mean piston area, which the controller assumes. A_i: area of the loaded chamber.
+- α: motor speed that a rod speed requires, divided by the value that the controller computes. If
+  only the area is wrong, α is A_i/Ā.
+- τ: delay from a command to the motor speed, τ = τ_m + T/2 + n T. τ_m is the lag of the motor, T
+  the sample time for which a command is held, and n the latency of the bus in samples.
+- ω̂: hydraulic natural frequency, ω̂² = 4β_eĀ²/(m̂V_t), with the bulk modulus β_e, the estimated
+  mass m̂ and the total volume V_t. κ = k/(Φ ω̂²).
+- C_t: leakage coefficient of pump and cylinder.
 
 Inside the boundary layer Eq. 27 gives
 
@@ -26,8 +29,8 @@ For a slow reference the left side is κ λ² e, so that
 
     e ≈ ω̂²/(λ² k/Φ) · [(1 − A_i/Ā) ẋ_d − α τ ẍ_d − C_t P_L/Ā].
 
-The left side also decides stability. A loaded area below Ā acts as negative damping: the loop is
-stable only with 2λ k/Φ > ω̂² (1 − α). With the default observer and λ = 20 1/s the loop requires
+The left side also decides stability. A loaded area below Ā acts as negative damping. The loop is
+stable only if 2λ k/Φ > ω̂² (1 − α). With the default observer and λ = 20 1/s the loop requires
 1.4 times this k/Φ.
 """
 
@@ -46,12 +49,12 @@ from kneexo.parameters import CylinderParameters, Scenario
 from kneexo.result import Result
 
 Chamber = Literal["cap", "rod_side"]
-"""Chamber of the cylinder that carries the load."""
+"""Name of the chamber of the cylinder that carries the load."""
 
 
 @dataclass(frozen=True, repr=False)
 class ErrorModel(Result):
-    """Closed form of the rod's error e = x − x_d inside boundary layer and speed limit.
+    """Closed form of the rod's error e = x − x_d, inside the boundary layer and the speed limit.
 
     The docstring of `kneexo.analysis.error_model` defines the symbols.
     """
@@ -66,28 +69,31 @@ class ErrorModel(Result):
     delay_s: float
     """τ: delay from a command to the motor speed."""
     leakage_m_per_s_pa: float
-    """C_t/Ā: rod speed in m/s that leakage costs per Pa of load pressure."""
+    """C_t/Ā: loss of rod speed in m/s by leakage, per Pa of load pressure."""
 
     @property
     def gain_s(self) -> float:
-        """ω̂²/(λ² k/Φ): error e in m for each m/s of rod speed that the motor command lacks."""
+        """ω̂²/(λ² k/Φ): factor from an error of the rod speed in m/s to the error e in m."""
         return self.stiffness_per_s2 / (self.lambda_per_s**2 * self.slope_per_s)
 
     @property
     def damping_s(self) -> float:
-        """2λκ − (1 − α) with κ = k/(Φ ω̂²): damping of the loop; if not positive, e diverges."""
+        """2λκ − (1 − α) with κ = k/(Φ ω̂²): damping of the loop.
+
+        The error e diverges unless the damping is positive.
+        """
         kappa = self.slope_per_s / self.stiffness_per_s2
         return 2.0 * self.lambda_per_s * kappa - (1.0 - self.speed_ratio)
 
     @property
     def stable(self) -> bool:
-        """Whether `damping_s` is positive, without the effects of sampling, observer and oil."""
+        """Whether `damping_s` is positive; sampling, observer and oil are neglected."""
         return self.damping_s > 0.0
 
     def error_m(self, velocity: Any, acceleration: Any, load_pressure_pa: Any = 0.0) -> Any:
         """Return the error e in m for a slow reference x_d.
 
-        ``velocity`` in m/s and ``acceleration`` in m/s² are derivatives of x_d;
+        ``velocity`` in m/s and ``acceleration`` in m/s² are derivatives of x_d.
         ``load_pressure_pa`` is P_L.
         """
         missing = (1.0 - self.speed_ratio) * velocity
@@ -95,7 +101,7 @@ class ErrorModel(Result):
         return self.gain_s * (missing - self.leakage_m_per_s_pa * load_pressure_pa)
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return the complex response e/x_d to a sine in x_d, (n,), at frequencies in Hz."""
+        """Return the complex response e/x_d to a sine in x_d, (n,), at frequencies in Hz, (n,)."""
         p = 2j * np.pi * frequency_array(frequencies_hz)
         kappa = self.slope_per_s / self.stiffness_per_s2
         driving = (1.0 - self.speed_ratio) * p - self.speed_ratio * self.delay_s * p**2
@@ -115,12 +121,12 @@ def error_model(
     scenario
         Plant, nominal plant of the controller, controller and bus.
     loaded_chamber
-        Chamber that carries the load, for a plant of full order; None in reduced order.
+        Chamber that carries the load, for a plant of full order. None for a plant of reduced order.
     rod_speed_m_s
-        Rod speed at which k is evaluated. It matters if the controller's uncertainties of area,
-        stiffness or damping make k grow with the speed.
+        Rod speed at which k is evaluated. The speed changes k only if the controller's
+        uncertainty of area, stiffness or damping is above zero.
 
-    The part |1 − β||x⃛_d − 2λë − λ²ė| of k is neglected. Raises `ParameterError` if the controller
+    The term |1 − β||x⃛_d − 2λë − λ²ė| of k is neglected. Raises `ParameterError` if the controller
     is no sliding-mode controller or ``loaded_chamber`` does not match the order of the plant.
     """
     law, believed, plant = sliding_mode(scenario), scenario.believed_plant, scenario.plant
@@ -148,9 +154,10 @@ def error_model(
 
 
 def _area_m2(cylinder: CylinderParameters, loaded: Chamber | None, full_order: bool) -> float:
-    """Return the area in m² of the loaded chamber; in reduced order, the mean piston area.
+    """Return the area in m² of the loaded chamber, or the mean piston area in reduced order.
 
-    Raises `ParameterError` if ``loaded`` does not match the order.
+    Raises `ParameterError` unless ``loaded`` names a chamber in full order and is None in reduced
+    order.
     """
     if full_order != (loaded is not None):
         raise ParameterError(

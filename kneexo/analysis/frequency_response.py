@@ -1,6 +1,6 @@
 """Frequency response of the closed loop by a sinestream, a test with one sine after another.
 
-`sinestream` repeats the experiment of Lee et al. 2020, Fig. 13, in trials with a fixed number of
+`sinestream` repeats the experiment of Lee et al. 2020, Fig. 13. Each trial has a fixed number of
 cycles. `kneexo.analysis.sine_estimate` measures the response to one sine more accurately.
 """
 
@@ -35,7 +35,7 @@ _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the pape
 
 
 class SinestreamSettings(Parameters):
-    """Frequencies and cycles of a sinestream, and the ranges from which its trials are drawn."""
+    """Frequencies and cycles of a sinestream, and the ranges of the values that vary by trial."""
 
     frequencies_hz: tuple[float, ...] = quantities(
         (
@@ -102,8 +102,8 @@ def trial_uncertainty(scenario: Scenario, settings: SinestreamSettings) -> Uncer
     """Return the values that differ between trials, with the ranges of ``settings``.
 
     Mass and encoder phase have uniform distributions. Leakage, acceleration limit and bulk modulus
-    have log-uniform ones, because only their orders of magnitude are known. The encoder phase
-    ranges over one count.
+    have log-uniform distributions, because only their orders of magnitude are known. The range of
+    the encoder phase is one count of the encoder.
     """
     ranges: dict[str, tuple[float, float]] = {
         _LEAKAGE: (
@@ -128,7 +128,10 @@ def trial_uncertainty(scenario: Scenario, settings: SinestreamSettings) -> Uncer
 
 
 def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> list[dict[str, Any]]:
-    """Draw the trials from `trial_uncertainty` with the seed of ``settings``, as values by path."""
+    """Sample the trials at random from `trial_uncertainty`, with the seed of ``settings``.
+
+    Returns one dictionary for each trial, from the path of a value in the scenario to the value.
+    """
     return draw(trial_uncertainty(scenario, settings), settings.trials, settings.seed)
 
 
@@ -136,10 +139,10 @@ def draw_trials(scenario: Scenario, settings: SinestreamSettings) -> list[dict[s
 class FrequencyResponse(Result):
     """Complex response θ_p/θ_d of the knee angle to its reference, measured sine by sine.
 
-    ``frequencies_hz`` (n,), ``response`` (trials, n) complex. A shape-preserving cubic (PCHIP)
-    through the mean gains over the trials has the value 1/√2 at ``bandwidth_hz``;
-    ``phase_at_bandwidth_deg`` is the mean phase at this frequency. Both are nan when the gain does
-    not fall to 1/√2 within the frequencies.
+    ``response`` is complex with the shape (trials, n) at the n ``frequencies_hz``. At
+    ``bandwidth_hz`` the mean gain over the trials falls to 1/√2. A shape-preserving cubic (PCHIP)
+    interpolates the gain between the frequencies. ``phase_at_bandwidth_deg`` is the mean phase at
+    the bandwidth. Bandwidth and its phase are nan if the gain does not fall to 1/√2.
     """
 
     frequencies_hz: Array
@@ -163,8 +166,8 @@ class FrequencyResponse(Result):
     def to_dataframe(self) -> Any:
         """Return means and trials as a `pandas.DataFrame` with the index ``frequency_hz``.
 
-        ``gain`` and ``phase_deg`` are means over the trials. ``gain_1``, ``phase_1_deg`` and so on
-        are values of one trial. Raises `PackageError` without pandas.
+        The columns ``gain`` and ``phase_deg`` are means over the trials. The columns ``gain_1`` and
+        ``phase_1_deg`` belong to the first trial, and so on. Raises `PackageError` without pandas.
         """
         trials = enumerate(zip(self.response, _phase_deg(self.response), strict=True), 1)
         columns = {"frequency_hz": self.frequencies_hz, "gain": self.gain}
@@ -216,7 +219,7 @@ class FrequencyResponse(Result):
 
 
 def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
-    """Return the complex amplitude A of a signal ≈ c + Re(A e^{jωt}), by least squares.
+    """Fit c + Re(A e^{jωt}) to a signal by least squares, and return the complex amplitude A.
 
     ``time_s`` and ``signal`` (n,) should cover whole periods, so that harmonics have no effect.
     """
@@ -227,7 +230,7 @@ def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
 
 
 def _phase_deg(response: Any) -> Array:
-    """Return the phase in deg, unwrapped along the last axis, which is that of the frequency."""
+    """Return the phase in deg, unwrapped over frequency, the last axis of the array."""
     return np.degrees(np.unwrap(np.angle(response), axis=-1))
 
 
@@ -275,7 +278,7 @@ async def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -
 
 
 def require_sine(scenario: Scenario) -> SineReference:
-    """Return a scenario's reference; `ParameterError` if it is no sine or does not move."""
+    """Return a scenario's reference. Raise `ParameterError` unless it is a sine that moves."""
     reference = scenario.reference
     if reference.kind != "sine" or reference.amplitude_deg == 0.0:
         shown = reference.kind if reference.kind != "sine" else "sine with amplitude_deg = 0 deg"
@@ -284,7 +287,7 @@ def require_sine(scenario: Scenario) -> SineReference:
 
 
 def highest_frequency_hz(scenario: Scenario) -> float:
-    """Return the highest frequency in Hz of a sine: ten samples of the controller a period."""
+    """Return the highest frequency in Hz of a sine, with ten samples of the controller a period."""
     return 0.1 / scenario.controller.sample_time_s
 
 
@@ -321,8 +324,8 @@ def sinestream(
     settings
         Frequencies, numbers of cycles, and the ranges from which trials are drawn.
     trials
-        Values of each trial by their paths in the scenario; ``{}`` is the scenario itself. None:
-        drawn by `draw_trials`.
+        For each trial a dictionary from path to value, which changes the scenario. The empty
+        dictionary leaves the scenario unchanged. None: `draw_trials` makes the trials.
     workers, executor, progress
         Processes and progress bar, as in `parallel_map`.
 

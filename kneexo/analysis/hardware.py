@@ -1,22 +1,23 @@
 """Bounds that the actuator's hardware sets on the bandwidth, and scenarios with other hardware.
 
-The motor has the largest speed ω_max and acceleration α_max, the pump the displacement D_m, the
-cylinder the mean piston area Ā. So the largest speed of the rod is R = ω_max D_m/(gear Ā), and its
-largest acceleration is A = α_max D_m/(gear Ā) = R α_max/ω_max. Of all motions within both limits, a
-trapezoidal speed profile has the largest fundamental. For a reference of amplitude a and angular
-frequency ω its gain is
+Let ω_max be the largest speed of the motor, α_max its largest acceleration, D_m the displacement of
+the pump and Ā the mean piston area. Then the largest speed of the rod is R = ω_max D_m/(gear Ā),
+and its largest acceleration is A = α_max D_m/(gear Ā) = R α_max/ω_max. Of all motions within these
+two limits, a trapezoidal speed profile has the largest fundamental. For a reference of amplitude a
+and angular frequency ω its gain is
 
     gain = 4A/(π ω² a) · sin(min(ωR/A, π/2)).
 
 - For small ωR/A the gain is 4R/(πωa), and the −3 dB frequency is 0.2866 R/a. The error of this
-  frequency is below 1 % while A > 7.3 R²/a.
-- For A < 0.73 R²/a the motion never reaches the speed limit, and the −3 dB frequency is
+  frequency is below 1 % if A > 7.3 R²/a. The bandwidth then depends on motor speed, displacement,
+  gear and piston area only through R.
+- If A < 0.73 R²/a, the motion never reaches the speed limit, and the −3 dB frequency is
   0.2136 √(A/a).
 
-In the first case motor speed, displacement, gear and piston area matter through R alone. No
-controller exceeds this gain. Inside both limits, `kneexo.analysis.error_model` gives the error of
-the sliding-mode loop. The gain βη must compensate the delay τ of the motor, τ ω̂² |ẍ_d|. A faster
-pump therefore requires another η, and a faster motion another λ.
+No controller exceeds this gain. While rod speed and acceleration stay below their limits,
+`kneexo.analysis.error_model` gives the error of the sliding-mode loop. The delay τ of the motor
+causes a disturbance τ ω̂² |ẍ_d|, for which the gain βη must compensate. A faster pump therefore
+requires another η, and a faster motion another λ.
 """
 
 from __future__ import annotations
@@ -48,10 +49,10 @@ HARDWARE = {
     "plant.pump.lag_s": ("drive lag", "ms", 1e3),
     "encoder.counts_per_revolution": ("encoder", "counts/rev", 1.0),
 }
-"""Hardware by dotted path in a scenario: name, displayed unit, factor from SI to this unit."""
+"""For each dotted path of a hardware value: name, displayed unit, factor from SI to this unit."""
 
 ONE_PERCENT_RATIO, ACCELERATION_ALONE_RATIO = 7.27, 0.73
-"""Two values of A a/R², with speed limit R and acceleration limit A of the rod and amplitude a.
+"""Two values of A a/R² for the speed limit R, acceleration limit A and amplitude a of the rod.
 
 At `ONE_PERCENT_RATIO` the acceleration limit reduces the bandwidth by 1 %. Below
 `ACCELERATION_ALONE_RATIO` the bandwidth does not depend on the speed limit.
@@ -66,8 +67,8 @@ def limited_gain(
 ) -> float:
     """Return the largest gain, at most 1, that limits of rod speed and acceleration allow.
 
-    The reference of the rod is a sine with ``amplitude``. This amplitude and both limits have the
-    same unit of length, such as m, m/s and m/s². All arguments must be positive.
+    The reference of the rod is a sine with the ``amplitude``. The amplitude and the two limits must
+    have the same unit of length, such as m, m/s and m/s². All arguments must be positive.
     """
     omega = 2.0 * math.pi * frequency_hz
     ramp = min(omega * speed_limit / acceleration_limit, 0.5 * math.pi)
@@ -114,7 +115,7 @@ def expected_bandwidth_hz(scenario: Scenario) -> float:
 
 
 def sliding_mode(scenario: Scenario) -> SlidingModeParameters:
-    """Return a scenario's sliding-mode controller; `ParameterError` for another controller."""
+    """Return the sliding-mode controller of a scenario. Raise `ParameterError` for another kind."""
     if scenario.controller.kind != "smc":
         raise ParameterError(f"controller.kind = {scenario.controller.kind}: must be smc")
     return scenario.controller
@@ -124,12 +125,13 @@ def sliding_mode(scenario: Scenario) -> SlidingModeParameters:
 
 
 def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
-    """Return a scenario with other hardware; ``factors``: factor by path of `HARDWARE`.
+    """Multiply hardware values of a scenario by ``factors`` and return the new scenario.
 
-    The controller is adapted. An explicit nominal plant gets the same factors, and the command
-    limit gets that of the motor speed limit. η and Φ of a sliding-mode controller are multiplied by
-    the change of the largest rod speed, so that k/Φ and the ratio of βη to the largest rod speed do
-    not change. The number of encoder counts is rounded.
+    ``factors`` maps a path of `HARDWARE` to a factor. The number of encoder counts is rounded. The
+    controller is adapted: An explicit nominal plant gets the same factors. The command limit is
+    multiplied by the factor of the motor speed limit. η and Φ of a sliding-mode controller are
+    multiplied by the change of the largest rod speed. So k/Φ does not change, nor does the ratio
+    of βη to the largest rod speed.
     """
     values: dict[str, Any] = {}
     for path, factor in factors.items():
@@ -157,8 +159,9 @@ def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
 def tuned(scenario: Scenario, gains: Mapping[str, float]) -> Scenario:
     """Return a scenario with other gains of the sliding-mode controller.
 
-    ``gains``: ``lambda_per_s`` (λ), ``slope_per_s`` (k/Φ, set by Φ) and ``observer_s`` (time
-    constant T_f of the observer). Raises `ParameterError` if the controller is of another kind.
+    ``gains`` must contain ``lambda_per_s`` (λ), ``slope_per_s`` (k/Φ) and ``observer_s`` (time
+    constant T_f of the observer). Φ is changed to give this k/Φ. Raises `ParameterError` if the
+    controller is of another kind.
     """
     control = sliding_mode(scenario)
     phi = control.gain_ratio * control.eta_m_s3 / gains["slope_per_s"]

@@ -1,7 +1,8 @@
 """Equilibria of sampled loops at a constant reference, where a loop can be linearized.
 
-Loops of one structure differ only in Context parameters and initial state. They share one diagram,
-because Python 3.11 never frees a LeafSystem: a sweep must not build a diagram for each scenario.
+Loops of the same structure differ only in Context parameters and initial state. These loops share
+one diagram, because Python 3.11 never frees a LeafSystem. So a sweep does not fill the memory with
+a diagram for each scenario.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from kneexo.simulation.compiled import structure_key
 class Equilibrium:
     """Equilibrium of a sampled loop at a constant reference, with a diagram for derivatives.
 
-    ``diagram`` has the scalar type AutoDiffXd; loops of one structure share it. ``context`` holds
-    the parameters of the loop. ``point`` contains the ``continuous_states`` states x of the plant,
-    then the discrete states z of the controller, in the units of the Context. ``reference`` (4,)
-    is θ_d in rad and its three derivatives.
+    ``diagram`` has the scalar type AutoDiffXd. Loops that differ only in numbers share it.
+    ``context`` holds the parameters of this loop. ``point`` contains the states x of the plant and
+    then the discrete states z of the controller, in the units of the Context. The number of states
+    x is ``continuous_states``. ``reference`` (4,) is θ_d in rad and its three derivatives.
     """
 
     diagram: Any
@@ -52,7 +53,7 @@ class Equilibrium:
         return context
 
     def rates(self, context: Any) -> Any:
-        """Return dx/dt and then the updated discrete state z⁺, in one array, at ``context``."""
+        """Return an array of dx/dt and the updated discrete state z⁺, evaluated at ``context``."""
         updated = self.diagram.EvalUniquePeriodicDiscreteUpdate(context)
         groups = [updated.get_vector(i).CopyToVector() for i in range(updated.num_groups())]
         return np.concatenate([self.diagram.EvalTimeDerivatives(context).CopyToVector(), *groups])
@@ -60,8 +61,9 @@ class Equilibrium:
     def gradients(self, point: Array, reference: Array, output: str) -> tuple[Array, ...]:
         """Return `rates` at a point, their gradients in (x, z, r), and the gradient of a port in x.
 
-        ``point`` is (x, z) with n states x and m states z, ``reference`` is r (4,), and the output
-        port ``output`` has one element. The shapes are (n + m,), (n + m, n + m + 4) and (1, n).
+        ``point`` is (x, z) with n states x and m states z, and ``reference`` is r (4,). The output
+        port ``output`` has one element. The three results have the shapes (n + m,),
+        (n + m, n + m + 4) and (1, n).
         """
         seeded = InitializeAutoDiff(np.append(point, reference).reshape(-1, 1)).reshape(-1)
         context = self.autodiff_context(seeded[: point.size], seeded[point.size :])
@@ -75,7 +77,10 @@ _built: dict[str, tuple[Any, Any]] = {}
 
 
 def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
-    """Return the closed loop in float and in AutoDiffXd; scenarios of one structure share both."""
+    """Return the closed loop as a diagram of floats and as a diagram of AutoDiffXd.
+
+    Scenarios that differ only in numbers share these two diagrams.
+    """
     key = structure_key(scenario)
     if scenario.controller.kind == "custom":  # whose Context parameters cannot be set by name
         key += known_to_controller(scenario).model_dump_json()
@@ -86,10 +91,11 @@ def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
 
 
 def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
-    """Set the Context parameters of a closed loop to those of a scenario of the same structure.
+    """Set the Context parameters of a closed loop to the values of a scenario.
 
-    Parameters of systems that are not in ``diagram``, such as reference and quantizers, are
-    ignored. The parameters of a custom controller are not changed.
+    The scenario of ``diagram`` differs only in numbers. Parameters of systems that are not in
+    ``diagram``, such as reference and quantizers, are ignored. The parameters of a custom
+    controller are not changed.
     """
     for path, values in loop_values(scenario):
         system = _system(diagram, path)
@@ -105,7 +111,10 @@ def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
 
 
 def _system(diagram: Any, path: str) -> Any:
-    """Return the system at a path if it is in ``diagram`` and has named parameters, else None."""
+    """Return the system at a path in ``diagram``.
+
+    The result is None if there is no system at the path or if it has no named parameters.
+    """
     for name in path.split("/"):
         if not diagram.HasSubsystemNamed(name):
             return None
@@ -123,7 +132,10 @@ def start_state(scenario: Scenario, size: int) -> list[Any]:
 
 
 def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -> None:
-    """Set reference and state of ``context``; ``state`` has n continuous, then discrete states."""
+    """Set reference and state of ``context``.
+
+    ``state`` contains n continuous states and then the discrete states.
+    """
     context.SetContinuousState(state[:n])
     for index in range(context.num_discrete_state_groups()):
         size = context.get_discrete_state(index).size()
@@ -140,8 +152,9 @@ def find_equilibrium(
     The reference is the constant ``knee_angle_deg``, the initial offset is zero, and the
     quantizers are bypassed. `kneexo.analysis.linearize_loop` describes ``diagram``.
 
-    Raises `LinearizationError` when there is no equilibrium, when it lies at the speed limit or
-    outside the boundary layer, and when the controller is continuous or switches by signum.
+    Raises `LinearizationError` when there is no equilibrium, when the command there is at its
+    limit, and when the sliding variable there is outside the boundary layer. Also raises it when
+    the controller is continuous or switches by signum.
     """
     controller = scenario.controller
     if controller.kind == "smc" and (controller.continuous or controller.switching == "signum"):
@@ -196,7 +209,7 @@ def find_equilibrium(
 
 
 def _sample_time_s(diagram: Any) -> float:
-    """Return the diagram's only sample time in s; `LinearizationError` for none or several."""
+    """Return the sample time in s. Raise `LinearizationError` if there are none or several."""
     timing = diagram.GetUniquePeriodicDiscreteUpdateAttribute()
     if timing is None:
         raise LinearizationError(
@@ -206,7 +219,10 @@ def _sample_time_s(diagram: Any) -> float:
 
 
 def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
-    """Raise `LinearizationError` if the command is at its limit or s outside the boundary layer."""
+    """Raise `LinearizationError` if there is no linear loop at the state of ``context``.
+
+    The command is then at its limit, or the sliding variable is outside the boundary layer.
+    """
     command = abs(float(diagram.GetOutputPort("motor_speed_command").Eval(context)[0]))
     limit = scenario.command_limit_rad_s
     if command >= limit * (1.0 - 1e-9):
@@ -224,12 +240,13 @@ def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
 
 
 def command_and_live(gradient: Array, n: int) -> tuple[int, Array, Any]:
-    """Return how the command depends on the states of the controller, and which states change.
+    """Return how the command depends on the states z of the controller, and which states change.
 
-    ``gradient`` holds the gradients of dx/dt (the first n rows) and z⁺ (m rows) in x (n columns), z
-    (m columns) and possibly other variables. The controller acts on the plant by its command k z
-    alone. Returned are the index of the element of z with the largest influence on dx/dt, k (m,)
-    with the value 1 at this index, and a mask (m,) of the states that an update can change.
+    ``gradient`` holds the gradients of dx/dt (the first n rows) and of the updated states z⁺ (m
+    rows). Its columns belong to x (n columns), z (m columns) and further variables, if any. The
+    controller acts on the plant only by its command k z. The three results are the index of the
+    element of z with the largest influence on dx/dt, the row k (m,), scaled to 1 at this index,
+    and a mask (m,) of the states that an update can change.
     """
     m = gradient.shape[0] - n
     influence = gradient[:n, n : n + m]

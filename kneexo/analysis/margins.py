@@ -22,23 +22,23 @@ class Margins(Result):
 
     Each margin is the smallest change of the loop that puts a closed-loop eigenvalue on the unit
     circle. A stable loop stays stable with any smaller change. If ``stable`` is False, the loop is
-    unstable, and the numbers are changes that put an eigenvalue on the circle but no margins.
+    already unstable. The numbers are then such changes too, but they are no margins.
 
-    Gain and phase have a margin in both directions, each above zero. A conditionally stable loop
-    can lose stability by less gain (``lower_gain_margin``) or by a phase lead
-    (``phase_lead_margin_deg``). python-control returns the smaller of both phase margins, a lead
-    as a negative number.
+    Gain and phase have margins in two directions. The loop can lose stability by more gain
+    (``gain_margin``) or less gain (``lower_gain_margin``), and by a phase lag
+    (``phase_margin_deg``) or a phase lead (``phase_lead_margin_deg``). No margin is negative.
+    python-control returns only the smaller phase margin, and a lead as a negative number.
 
     Frequencies are in Hz. ``gain_margin`` and ``disk_gain_margin`` are factors. ``disk_margin`` is
-    1/max|(S − T)/2| with S = 1/(1 + L) and T = L/(1 + L), the balanced disk margin. If no such
-    change exists, the margin is inf and its frequency nan.
+    1/max|(S − T)/2| with S = 1/(1 + L) and T = L/(1 + L), the balanced disk margin. If no change
+    of a kind destabilizes the loop, the margin is inf and its frequency is nan.
     """
 
     stable: bool
     gain_margin: float
     gain_margin_frequency_hz: float
     lower_gain_margin: float
-    """Largest factor below 1 at which the loop loses stability; 0 where there is none."""
+    """Largest gain factor below 1 at which the loop loses stability; 0 if no factor does."""
     phase_margin_deg: float
     """Smallest phase lag, 0…360°, at which the loop loses stability."""
     phase_margin_frequency_hz: float
@@ -71,14 +71,14 @@ class LoopTransfer(Protocol):
         """Return the derivative dL/df of L at a frequency f in Hz, in 1/Hz."""
 
     def loop_on_grid(self, frequencies_hz: Array) -> Complex:
-        """Return L at many frequencies in Hz, (n,); a relative error of 1e-9 is allowed."""
+        """Return L at many frequencies in Hz, (n,), with a relative error of at most 1e-9."""
 
 
 def stability_margins(transfer: LoopTransfer) -> Margins:
     """Return gain, phase, delay and disk margins of a loop up to its Nyquist frequency.
 
-    Crossings of L with the real axis and the unit circle are bracketed on a grid of 20 000
-    frequencies, of which the lowest is 1 mHz. Then a root search refines each crossing.
+    A grid of 20 000 frequencies, from 1 mHz up, brackets each crossing of L with the real axis and
+    with the unit circle. Then a root search refines the crossing.
     """
     nyquist = 0.5 / transfer.sample_time_s
     grid = np.geomspace(1e-3, nyquist, 20_000)
@@ -141,7 +141,7 @@ def _disk_frequency(transfer: LoopTransfer, grid: Array, loop: Complex) -> float
 
 
 def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:
-    """Return the zeros of ``function`` between points of ``grid`` where ``values`` change sign."""
+    """Return the zeros of ``function``; its ``values`` on ``grid`` change sign around each zero."""
     changes = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
     brackets = ((grid[i], grid[i + 1]) for i in changes)
     return [

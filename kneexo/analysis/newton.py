@@ -1,4 +1,4 @@
-"""Newton's method for the equilibria of plant and loop."""
+"""Newton's method, which finds the equilibria of the plant and of the closed loop."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def newton(
     rank_tolerance: float | None = None,
     relative: bool = False,
 ) -> tuple[Array, float]:
-    """Search a zero of a vector function from ``start`` (n,); return the point and the residual.
+    """Search a zero of a vector function from ``start`` (n,); return point and residual.
 
-    ``function`` returns values (m,) and Jacobian (m, n) at a point. Each step solves the linear
-    equations with the smallest norm of the step, so that a variable without influence keeps its
-    value. Singular values below ``rank_tolerance`` times the largest count as zero (None: the
-    default of `numpy.linalg.lstsq`).
+    ``function`` returns values (m,) and Jacobian (m, n) at a point. Each step is the least-squares
+    solution of the linear equations with the smallest norm, so that a variable without influence
+    keeps its value. Singular values below ``rank_tolerance`` times the largest singular value count
+    as zero. If ``rank_tolerance`` is None, the default of `numpy.linalg.lstsq` applies.
 
-    The search ends after `NEWTON_STEPS` steps, or after a step below 1e-13 in each variable; with
-    ``relative`` below 1e-13 (1 + |variable|). The residual is the largest absolute value of the
-    function before the last step. It is nan when the search meets a value or a derivative that is
-    not finite.
+    The search ends after `NEWTON_STEPS` steps, or when the step of each variable is below 1e-13. If
+    ``relative`` is True, this bound is 1e-13 (1 + |variable|). The residual is the largest absolute
+    value of the function before the last step. The residual is nan if a value or a derivative of
+    the function is not finite; the search then ends at once.
     """
     point, residual = start, math.inf
     for _ in range(NEWTON_STEPS):
@@ -51,7 +51,7 @@ def newton(
 def failure(residual: float, quantity: str) -> str:
     """Return the part of an error message that says why `newton` found no zero.
 
-    ``quantity`` names the numbers of which ``residual`` is the largest absolute value.
+    ``residual`` is the largest absolute value of some numbers, and ``quantity`` is their name.
     """
     if math.isnan(residual):
         return "Newton's method goes where the equations are not finite"

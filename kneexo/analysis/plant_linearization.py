@@ -20,7 +20,7 @@ from kneexo.parameters import PlantParameters
 from kneexo.result import Array, Result
 
 Complex = NDArray[np.complex128]
-"""An array of complex numbers."""
+"""Type of an array of complex numbers."""
 
 MID_RANGE_DEG = 40.0
 """Default knee angle in deg, the middle of the paper's range 10…70°."""
@@ -30,8 +30,8 @@ MID_RANGE_DEG = 40.0
 class OperatingPoint(Result):
     """Equilibrium of the plant under a load.
 
-    ``state`` (n,) is in the units of the plant's Context. ``motor_speed_rad_s`` compensates the
-    leakage under the load.
+    ``state`` (n,) is in the units of the plant's Context. The motor runs at ``motor_speed_rad_s``
+    to compensate the leakage under the load.
     """
 
     knee_angle_rad: float
@@ -51,12 +51,15 @@ class OperatingPoint(Result):
 
 
 def _rounded(value: float) -> float:
-    """Return ``value``, or zero for a value below 1e-9, which is a rounding error."""
+    """Return ``value``, or zero if its magnitude is below 1e-9 and so a rounding error."""
     return value if abs(value) > 1e-9 else 0.0
 
 
 def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float) -> None:
-    """Set the input ports of torque in N·m and force in N in ``context``; skip missing ports."""
+    """Fix the knee torque in N·m and the disturbance in N at the input ports of ``diagram``.
+
+    A value without a port is ignored.
+    """
     for name, value in (("knee_torque", knee_torque), ("disturbance_force", disturbance)):
         if diagram.HasInputPort(name):
             diagram.GetInputPort(name).FixValue(context, [value])
@@ -65,10 +68,11 @@ def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float
 def _plant_gradients(
     plant: Any, point: Array, outputs: tuple[str, ...], knee_torque: float, disturbance: float
 ) -> tuple[Array, Array]:
-    """Return state derivatives and ports ``outputs`` at a point, and the gradients of both.
+    """Return state derivatives and output ports ``outputs`` at a point, and their gradients.
 
-    ``point`` (n + 1,) contains the states and the motor speed command in rad/s. The gradients have
-    n rows for the derivatives, then one for each element of the outputs, and n + 1 columns.
+    ``point`` (n + 1,) contains the n states and the motor speed command in rad/s. The first result
+    contains the n derivatives and then the elements of the outputs. The second result has a row
+    for each element of the first result and n + 1 columns.
     """
     context = plant.CreateDefaultContext()
     seeded = InitializeAutoDiff(point.reshape(-1, 1)).reshape(-1)
@@ -94,8 +98,8 @@ def find_operating_point(
     """Find the state and motor speed that hold a knee angle under load, by Newton's method.
 
     ``plant`` is a set of parameters, or a diagram with the ports of `make_plant`. Raises
-    `LinearizationError` when there is no equilibrium, as when the motor would exceed its speed
-    limit. Raises `ParameterError` or `LinkageError` for an impossible posture.
+    `LinearizationError` when there is no equilibrium, for example because the motor would exceed
+    its speed limit. Raises `ParameterError` or `LinkageError` for an impossible posture.
     """
     diagram = _plant(plant, knee_angle_deg)
     if knee_torque_n_m and not diagram.HasInputPort("knee_torque"):
@@ -107,7 +111,7 @@ def find_operating_point(
     start = diagram.CreateDefaultContext().get_continuous_state_vector().CopyToVector()
 
     def derivatives(point: Array) -> tuple[Array, Array]:
-        """Return the rates of the states, then the error of the knee angle, and their gradients."""
+        """Return the array of state rates and knee angle error at a point, and its gradients."""
         values, gradient = _plant_gradients(
             automatic, point, ("knee_angle",), knee_torque_n_m, disturbance_n
         )
@@ -149,8 +153,8 @@ def _plant(plant: PlantParameters | Diagram, knee_angle_deg: float) -> Any:
 class PlantLinearization(Result):
     """Linear plant around an operating point: dx/dt = A x + B u, y = C x + D u.
 
-    u is the motor speed command in rad/s (one column). y consists of the elements of the ports
-    ``outputs`` (one row each).
+    u is the motor speed command in rad/s, so that B and D have one column. y contains the elements
+    of the ports ``outputs``.
     """
 
     a: Array
@@ -180,7 +184,7 @@ class PlantLinearization(Result):
 
     @property
     def damping(self) -> tuple[Array, Array]:
-        """Natural frequencies in rad/s and damping ratios of `poles`; an integrator has ratio 1."""
+        """Natural frequencies in rad/s and damping ratios of `poles`; a pole at 0 has ratio 1."""
         poles = self.poles
         frequency = np.abs(poles)
         ratio = np.ones_like(frequency)
@@ -192,9 +196,9 @@ class PlantLinearization(Result):
     def velocity_gain(self) -> float:
         """Steady rate of the first output per motor speed command: lim s·G(s) for s → 0.
 
-        This is the residue of the integrating pole. Leakage under a load shifts this pole away from
-        zero. It counts as integrating if it is at least a hundred times slower than the next pole;
-        otherwise, as with a spring, the gain is zero.
+        The gain is the residue of the integrating pole. Leakage under a load shifts this pole away
+        from zero. The slowest pole counts as integrating if it is at least a hundred times slower
+        than the next pole. Otherwise, for example with a spring, the gain is zero.
         """
         pole, following = self.poles[:2]
         if abs(pole) > 1e-2 * abs(following):
@@ -209,7 +213,7 @@ class PlantLinearization(Result):
         """Return a `control.StateSpace` in continuous time with named inputs, outputs and states.
 
         The input is ``motor_speed_command_rad_s``. An output has the name of its column in a run,
-        or that of its port if runs have no such column. The names of the states are `states`.
+        or the name of its port if runs have no such column. The names of the states are `states`.
         """
         import control
 
@@ -253,8 +257,8 @@ def linearize_plant(
 ) -> PlantLinearization:
     """Linearize the plant at the operating point of a knee angle under load, by AutoDiff.
 
-    `find_operating_point` describes the arguments and raises the same errors; ``outputs`` are
-    output ports of the plant. Raises `LinearizationError` too for a derivative that is not finite.
+    ``outputs`` are names of output ports of the plant. `find_operating_point` describes the other
+    arguments and the errors. Also raises `LinearizationError` for a derivative that is not finite.
     """
     diagram = _plant(plant, knee_angle_deg)
     point = find_operating_point(
@@ -295,8 +299,8 @@ def frequency_array(frequencies_hz: ArrayLike) -> Array:
 def require_finite(gradient: Array, states: int, knee_angle_deg: float) -> None:
     """Raise `LinearizationError` for a gradient that is not finite.
 
-    The first ``states`` rows are gradients of the rates of the states, the others of the outputs.
-    The message names the row and the knee angle.
+    The first ``states`` rows are gradients of the state rates. The other rows are gradients of the
+    outputs. The message names the row and the knee angle.
     """
     finite = np.isfinite(gradient).all(axis=1)
     if not finite.all():

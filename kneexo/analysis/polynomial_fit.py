@@ -21,13 +21,13 @@ SAMPLES = 901
 
 @dataclass(frozen=True, repr=False)
 class PolynomialFit(Result):
-    """Quintic fits of x(θ_p) and θ_p(x) to a linkage, compared with Table 1, in mm and deg.
+    """Quintic polynomials x(θ_p) and θ_p(x) fitted to a linkage, and their errors, in mm and deg.
 
     ``angle_deg`` (knee angle θ_p) and ``extension_mm`` (rod extension x) are points of the linkage,
-    each (n,). ``p_mm_deg`` and ``q_deg_mm`` (6,) are the fitted coefficients
-    of x(θ_p) and θ_p(x), highest power first. ``p_error_mm`` and ``q_error_deg`` (n,) are linkage
-    minus fitted polynomial. ``table_p_error_mm`` and ``table_q_error_deg`` (n,) are linkage minus
-    polynomial of Table 1.
+    each (n,). ``p_mm_deg`` and ``q_deg_mm`` (6,) are the fitted coefficients of x(θ_p) and θ_p(x),
+    highest power first. ``p_error_mm`` and ``q_error_deg`` (n,) are the values of the linkage minus
+    the fitted polynomial. ``table_p_error_mm`` and ``table_q_error_deg`` (n,)
+    are the values of the linkage minus the polynomial of Table 1.
     """
 
     table: RodPolynomialParameters
@@ -52,7 +52,7 @@ class PolynomialFit(Result):
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of points minus six coefficients; RMSE = √(SSE/degrees of freedom) in Fig. 5."""
+        """Number of points minus six coefficients. In Fig. 5, RMSE = √(SSE/degrees of freedom)."""
         return self.angle_deg.size - len(self.p_mm_deg)
 
     def to_dataframe(self) -> Any:
@@ -65,7 +65,7 @@ class PolynomialFit(Result):
         return data_frame({name: getattr(self, name) for name in names}, "angle_deg")
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot linkage, fit and Table 1 for both maps, as in Fig. 5; return two Matplotlib axes."""
+        """Plot linkage, fit and Table 1 for x(θ_p) and θ_p(x), as in Fig. 5; return two axes."""
         ax = axes_or_new(ax, 1, 2, figsize=(9, 3.8))
         table = self.table
         angle, rod = self.angle_deg, self.extension_mm
@@ -90,7 +90,7 @@ def fit_polynomials(
     start_deg: float = 0.0,
     samples: int = SAMPLES,
 ) -> PolynomialFit:
-    """Fit the quintics of Eq. 10 and 11 to a linkage, and compare ``table`` with the linkage.
+    """Fit the quintics of Eq. 10 and 11 to a linkage; also compute the errors of ``table``.
 
     The ``samples`` points have equal distances in knee angle from ``start_deg`` to 90°. Raises
     `LinkageError` when the linkage cannot be assembled.
@@ -113,5 +113,5 @@ def fit_polynomials(
 
 
 def _quintic(argument: Array, value: Array) -> Array:
-    """Fit a quintic value(argument) and return its 6 coefficients, highest power first."""
+    """Fit a quintic polynomial value(argument); return its 6 coefficients, highest power first."""
     return np.asarray(Polynomial.fit(argument, value, 5).convert().coef[::-1], dtype=float)

@@ -1,16 +1,17 @@
 """Frequency response of a follower with a speed limit, in closed form.
 
-The follower tracks the target a sin ωt with the speed limit R. Let φ = ωt be the phase, and let a
-be the unit of length. Then the slope of the follower over φ is at most ρ = R/(aω).
+The follower tracks the target a sin ωt, and its speed is at most R. Let φ = ωt be the phase, and
+let the amplitude a be the unit of length. Then the slope of the follower over φ is at most
+ρ = R/(aω).
 
-- ρ >= 1: the follower equals the target; the gain is 1.
-- ρ <= 2/√(π² + 4): the follower is a triangle wave of slope ±ρ. The gain of its fundamental is
-  4ρ/π. The triangle has its peak πρ/2 where it meets the sine. If it lags by ψ, this peak lies at
-  φ = π/2 + ψ, so that cos ψ = πρ/2.
-- Otherwise: the follower leaves the sine at φ_a = π − arccos ρ, where the slope of the sine falls
-  below −ρ. It moves along the line sin φ_a − ρ(φ − φ_a) until it meets the sine again at φ_b. It
-  follows the sine to φ_a + π, where the opposite half period begins. The gain is the Fourier
-  integral over a half period.
+- ρ >= 1: The follower equals the target, and the gain is 1.
+- ρ <= 2/√(π² + 4): The follower is a triangle wave of slope ±ρ. The gain of its fundamental is
+  4ρ/π. The triangle has its peak πρ/2 where it meets the sine. If the triangle lags by ψ, the peak
+  lies at φ = π/2 + ψ, so that cos ψ = πρ/2.
+- Otherwise: The follower leaves the sine at φ_a = π − arccos ρ, where the slope of the sine falls
+  below −ρ. The follower moves along the line sin φ_a − ρ(φ − φ_a) until it meets the sine again at
+  φ_b. Then it follows the sine to φ_a + π, where the opposite half period begins. The gain is the
+  Fourier integral over a half period.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def _gain(ratio: float) -> complex:
 def rate_limited_gain(ratio: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
     """Return the complex gain of the fundamental of a follower with a speed limit.
 
-    ``ratio``, of any shape, is ρ = R/(aω) for the speed limit R and the target a sin ωt. The result
-    has the same shape. Raises `ParameterError` unless all ratios are positive.
+    ``ratio`` is ρ = R/(aω) for the speed limit R and the target a sin ωt. The result has the shape
+    of ``ratio``, which is arbitrary. Raises `ParameterError` unless all ratios are positive.
     """
     ratios = np.asarray(ratio, dtype=float)
     return np.array([_gain(float(r)) for r in ratios.ravel()]).reshape(ratios.shape)
@@ -74,8 +75,8 @@ def rate_limited_gain(ratio: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[
 def rate_limit_bandwidth_hz(speed_limit: float, amplitude: float) -> float:
     """Return 0.28656 R/a, the frequency in Hz at which a follower with speed limit has gain 1/√2.
 
-    ``speed_limit`` R and ``amplitude`` a of the sine have the same unit of length, such as m/s and
-    m. Raises `ParameterError` unless both are finite and positive.
+    The ``speed_limit`` R and the ``amplitude`` a of the sine must have the same unit of length,
+    such as m/s and m. Raises `ParameterError` unless R and a are finite and positive.
     """
     for name, value in (("speed_limit", speed_limit), ("amplitude", amplitude)):
         if not 0.0 < value < math.inf:
@@ -89,8 +90,8 @@ def rate_limit_bandwidth_hz(speed_limit: float, amplitude: float) -> float:
 def rate_limited_follower(time_s: Array, target: Array, speed_limit: float) -> Array:
     """Return the positions (n,) of a follower whose speed is at most ``speed_limit``.
 
-    ``target`` (n,) are the positions to track at ``time_s`` (n,). The follower starts on the
-    target. It moves towards each sample of the target with constant speed.
+    ``target`` (n,) are the positions to track at ``time_s`` (n,). The follower starts at the first
+    sample of the target. It moves towards each next sample with constant speed.
     """
     follower = np.empty_like(target)
     position = follower[0] = target[0]

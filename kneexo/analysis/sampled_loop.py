@@ -39,10 +39,11 @@ if TYPE_CHECKING:
 
 _STATE_STEP = 1e-12
 _JERK_STEP_RAD_S3 = 1e-3
-"""Relative step of the states, and step of the reference's jerk, to both sides of the equilibrium.
+"""Relative step of the states, and step of the reference's jerk in rad/s³.
 
-There the control law has a kink. The steps exceed the rounding errors of the estimates and are
-negligible beside the boundary layer.
+The control law has a kink at the equilibrium. So gradients are computed these steps away from the
+equilibrium, on its two sides. The steps exceed the rounding errors of the estimates and are
+negligible relative to the width of the boundary layer.
 """
 
 
@@ -52,8 +53,8 @@ class SampledLoop(Result):
 
     Between samples dx/dt = A x + B u with a constant motor speed command u. At a sample the
     controller updates its state z to z⁺ = G_z z + G_x x + G_r r, from the state x of the plant and
-    the reference r (θ_d and three derivatives). Until the next sample u = C_u z⁺. Units are those
-    of the Contexts. C is the gradient of the port ``output`` in x. T is ``sample_time_s``.
+    the reference r (θ_d and three derivatives). Until the next sample u = C_u z⁺. All values have
+    the units of the Contexts. C is the gradient of the port ``output`` in x. T is the sample time.
     """
 
     a: Array
@@ -87,8 +88,8 @@ class SampledLoop(Result):
         """Eigenvalues of `monodromy` by falling magnitude.
 
         The loop is stable if all magnitudes are below 1. In a conjugate pair, the eigenvalue with
-        positive imaginary part comes first. States that never change, such as the integral of a PID
-        without integral action, have no eigenvalue here.
+        positive imaginary part comes first. A state that never changes, such as the integral of a
+        PID without integral action, adds no eigenvalue.
         """
         values = np.linalg.eigvals(self.monodromy).astype(complex)
         return values[np.argsort(-np.abs(values), kind="stable")]
@@ -118,10 +119,10 @@ class SampledLoop(Result):
         return a, b, c
 
     def to_control(self) -> Any:
-        """Return the loop transfer L(z) as `control.StateSpace` with dt = T, for negative feedback.
+        """Return the loop transfer L(z), for negative feedback, as a `control.StateSpace`.
 
-        The input is ``motor_speed_command_rad_s``, the output ``returned_command_rad_s``. The
-        states are ``plant[i]`` and ``controller[i]``.
+        Its sample time ``dt`` is T. The input is ``motor_speed_command_rad_s``, and the output is
+        ``returned_command_rad_s``. The states are ``plant[i]`` and ``controller[i]``.
         """
         import control
 
@@ -138,7 +139,7 @@ class SampledLoop(Result):
         )
 
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return the loop transfer L(e^{j2πfT}) at frequencies f in Hz, (n,); its period is 1/T."""
+        """Return the loop transfer L(e^{j2πfT}), (n,), at f in Hz, over which it has the period 1/T."""
         a, b, c = self.loop_matrices
         z = np.exp(2j * np.pi * frequency_array(frequencies_hz) * self.sample_time_s)
         shifted = z[:, None, None] * np.eye(a.shape[0]) - a
@@ -164,9 +165,10 @@ class SampledLoop(Result):
         """Return the response of the output to a sine in θ_d, at frequencies in Hz, (n,).
 
         The continuous output has components at ω + 2πk/T for all integers k. The result is the
-        component at ω, and it is exact also above the Nyquist frequency. The samples U e^{jωkT}
-        of the command, each held for T, have the component U (1 − e^{−jωT})/(jωT) at ω, to which
-        the plant responds with G(jω). Raises `LinearizationError` unless frequencies are positive.
+        component at ω. It is exact, also above the Nyquist frequency. The samples U e^{jωkT} of the
+        command are held for T. The held command has the component U (1 − e^{−jωT})/(jωT) at ω, and
+        the plant responds to it with G(jω). Raises `LinearizationError` unless all frequencies are
+        positive.
         """
         f = frequency_array(frequencies_hz)
         if np.any(f <= 0.0):
@@ -185,26 +187,27 @@ class SampledLoop(Result):
         return np.asarray(plant * hold, dtype=complex)[:, 0, 0]
 
     def bandwidth_hz(self) -> float:
-        """Small-signal −3 dB bandwidth in Hz of `output_response`, the output over its reference.
+        """Return the −3 dB bandwidth in Hz of `output_response`, for small signals.
 
-        Returns the lowest frequency up to the Nyquist frequency at which the gain falls below 1/√2
-        times the gain at 0.01 Hz, or nan if the gain stays above. The response contains the exact
-        feedforward of the reference and its derivatives. So the gain can rise again at higher
-        frequencies, or never fall. `complementary_sensitivity_bandwidth_hz` is the bandwidth of
-        the feedback alone. Raises `LinearizationError` for an unstable loop.
+        The bandwidth is the lowest frequency, up to the Nyquist frequency, at which the gain falls
+        below 1/√2 times the gain at 0.01 Hz. It is nan if the gain does not fall below this value.
+        The response contains the exact feedforward of the reference and its derivatives. So the
+        gain can rise again at higher frequencies, or never fall.
+        `complementary_sensitivity_bandwidth_hz` is the bandwidth of the feedback alone. Raises
+        `LinearizationError` for an unstable loop.
         """
         return self._first_fall_hz(self.output_response)
 
     def complementary_sensitivity_bandwidth_hz(self) -> float:
-        """−3 dB bandwidth in Hz of `complementary_sensitivity`, L/(1 + L).
+        """Return the −3 dB bandwidth in Hz of `complementary_sensitivity`, L/(1 + L).
 
-        The feedback alone, without feedforward, acts up to about this frequency. Threshold, range
-        and errors are those of `bandwidth_hz`.
+        The feedback alone, without feedforward, acts up to about this frequency. `bandwidth_hz`
+        describes the definition, the range and the errors.
         """
         return self._first_fall_hz(self.complementary_sensitivity)
 
     def _first_fall_hz(self, response: Callable[[ArrayLike], Complex]) -> float:
-        """Return the −3 dB frequency in Hz of ``response``, or nan, as by `bandwidth_hz`."""
+        """Return the −3 dB frequency in Hz of ``response``, or nan, as `bandwidth_hz` describes."""
         self._require_stable("bandwidth")
         grid = np.geomspace(1e-2, 0.5 / self.sample_time_s, 2000)
         gain = np.abs(response(grid))
@@ -227,10 +230,10 @@ class SampledLoop(Result):
             )
 
     def loop_on_grid(self, frequencies_hz: Array) -> Complex:
-        """Return the loop transfer L at many frequencies in Hz, (n,), to a relative error of 1e-9.
+        """Return the loop transfer L at frequencies in Hz, (n,), with a relative error below 1e-9.
 
-        1 + L = det(zI − A + b c)/det(zI − A), where each determinant is the product of
-        (z − eigenvalue).
+        1 + L = det(zI − A + b c)/det(zI − A). Each determinant is the product of z − λ over the
+        eigenvalues λ of its matrix.
         """
         a, _, _ = self.loop_matrices
         z = np.exp(2j * np.pi * frequencies_hz * self.sample_time_s)
@@ -275,7 +278,7 @@ class SampledLoop(Result):
         )
 
     def _in_hz(self, bandwidth: float) -> str:
-        """Return a bandwidth as text in Hz; for nan, the text says that none is below Nyquist."""
+        """Return a bandwidth in Hz as text; for nan, "none below" and the Nyquist frequency."""
         if math.isnan(bandwidth):
             return f"none below {0.5 / self.sample_time_s:g} Hz"
         return f"{bandwidth:.4g} Hz"
@@ -283,7 +286,8 @@ class SampledLoop(Result):
     def plot(self, ax: Any = None) -> Any:
         """Plot magnitude and phase of L up to the Nyquist frequency; return two Matplotlib axes.
 
-        The phase is unwrapped and starts in −270…90°. The plot of a stable loop shows its margins.
+        The phase is unwrapped and starts between −270° and 90°. For a stable loop the plot also
+        shows gain and phase margin.
         """
         ax = axes_or_new(ax, 2, 1, sharex=True, figsize=(7, 6))
         nyquist = 0.5 / self.sample_time_s
@@ -318,7 +322,7 @@ class SampledLoop(Result):
         return ax
 
     def _plot_grid(self, nyquist: float) -> Array:
-        """Return frequencies in Hz, with a dense grid around each lightly damped pole."""
+        """Return frequencies in Hz for a plot, dense around each lightly damped resonance."""
         values = self.eigenvalues
         values = np.append(values, np.linalg.eigvals(self.loop_matrices[0]))
         modes = np.abs(np.angle(values[np.abs(values) > 0.5])) * nyquist / math.pi
@@ -329,10 +333,10 @@ class SampledLoop(Result):
     def plot_nyquist(self, ax: Axes | None = None) -> Axes:
         """Plot the Nyquist curve of the loop around −1, with the unit circle and the margin disk.
 
-        The curve touches the disk of the balanced disk margin, which covers −γ … −1/γ on the real
-        axis with γ = ``disk_gain_margin``. The loop f L stays stable for any complex factor f
-        inside the disk with the diameter 1/γ … γ. There is no disk if the loop is unstable or the
-        disk margin is 2 or more.
+        The curve touches the disk of the balanced disk margin. The diameter of this disk is the
+        interval −γ … −1/γ of the real axis, where γ = ``disk_gain_margin``. The loop stays stable
+        if L is multiplied by any complex factor inside the disk with the diameter 1/γ … γ. No disk
+        is drawn if the loop is unstable or the disk margin is 2 or more.
         """
         ax = axes_or_new(ax, figsize=(5.5, 5.5))
         loop = self.loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
@@ -396,18 +400,19 @@ def linearize_loop(
     knee_angle_deg
         The constant reference in deg.
     output
-        Output port, with one element, whose response to the reference is computed.
+        Name of an output port with one element. Its response to the reference is computed.
     diagram
-        A closed loop of the user in place of that of the scenario. It must have no quantizer, have
-        the ports of `make_closed_loop` with ``external_reference=True``, and start near the knee
-        angle. The scenario then gives limit of the command and width of the boundary layer.
+        A closed loop of the user, which replaces the closed loop of the scenario. It must have no
+        quantizer, have the ports of `make_closed_loop` with ``external_reference=True``, and start
+        near the knee angle. The scenario then only gives the limit of the command and the width of
+        the boundary layer.
 
     Raises
     ------
     LinearizationError
-        The loop has no equilibrium, or the equilibrium lies outside the boundary layer or at the
-        speed limit; the controller is continuous or switches by signum; or a derivative is not
-        finite.
+        The loop has no equilibrium. At the equilibrium the command is at its limit, or the sliding
+        variable is outside the boundary layer. The controller is continuous or switches by signum.
+        A derivative is not finite.
     """
     equilibrium = find_equilibrium(scenario, knee_angle_deg, diagram)
     n, m = equilibrium.continuous_states, equilibrium.point.size - equilibrium.continuous_states

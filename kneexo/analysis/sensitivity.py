@@ -1,8 +1,8 @@
 """Derivatives of tracking error and stability margins of one scenario by AutoDiff.
 
-The values of the plant vary; the controller keeps its nominal plant. The quantizers of encoder and
-bus, whose derivatives are zero, are bypassed. The root mean square of the error is differentiated,
-because the largest error has no derivative where it jumps from one peak to another.
+The values of the plant vary, and the controller keeps its nominal plant. The quantizers of encoder
+and bus are bypassed, because their derivatives are zero. The root mean square of the error is
+differentiated, because the largest error has no derivative where it jumps from one peak to another.
 """
 
 from __future__ import annotations
@@ -46,23 +46,29 @@ _STATE_STEP = 3e-7
 
 @dataclass(frozen=True, repr=False)
 class Sensitivities(Result):
-    """Metrics of a scenario by name and their gradients in its values at ``paths``."""
+    """Metrics of a scenario and their gradients with respect to its values at ``paths``.
+
+    ``metrics`` and ``gradients`` map the name of a metric to its value and its gradient.
+    """
 
     paths: tuple[str, ...]
     metrics: dict[str, float]
     gradients: dict[str, Array]
 
     def of(self, metric: str) -> dict[str, float]:
-        """Return a metric's derivatives by path, in the metric's unit per unit of the value."""
+        """Return a dictionary from the path of a value to the derivative of a metric.
+
+        The unit of a derivative is the unit of the metric per unit of the value.
+        """
         return dict(zip(self.paths, self.gradients[metric].tolist(), strict=True))
 
 
 def differentiable(scenario: Scenario, path: str) -> bool:
     """Whether AutoDiff can differentiate with respect to the scenario's value at ``path``.
 
-    It can for real numbers of pump, cylinder (also of full order) and load and for the mounting
-    error of the encoder. It cannot for choices, whole numbers, or the linkage, which enters by a
-    fit.
+    True for real numbers of pump, cylinder (also of full order) and load, and for the mounting
+    error of the encoder. False for choices, for whole numbers and for the linkage. The linkage
+    enters the equations by a fit, which AutoDiff cannot differentiate.
     """
     return path.startswith(_DIFFERENTIABLE) and isinstance(value_at(scenario, path), float)
 
@@ -70,17 +76,17 @@ def differentiable(scenario: Scenario, path: str) -> bool:
 def _fixed(scenario: Scenario) -> Scenario:
     """Return the scenario without quantizers and with an explicit nominal plant.
 
-    So the nominal plant of the controller does not change when the plant varies.
+    An explicit nominal plant of the controller does not change when the plant varies.
     """
     nominal = {"nominal": scenario.believed_plant}
     return scenario.without_quantizers().model_copy(update=nominal)
 
 
 def _seeded(scenario: Scenario, paths: Sequence[str], columns: int, first: int) -> Scenario:
-    """Return the scenario with AutoDiffXd values at ``paths``, from which gradients follow.
+    """Return the scenario with AutoDiffXd numbers as values at ``paths``.
 
-    A gradient has ``columns`` elements. The gradient of the value at path i is 1 at the index
-    ``first`` + i and 0 elsewhere. The result is not validated. Raises `ParameterError` when
+    The gradient of each number has ``columns`` elements. For path i it is 1 at the index
+    ``first`` + i and 0 elsewhere. The scenario is not validated. Raises `ParameterError` when
     ``paths`` is empty or a value is not `differentiable`.
     """
     if not paths:
@@ -100,7 +106,7 @@ def _seeded(scenario: Scenario, paths: Sequence[str], columns: int, first: int) 
 
 
 def _with(holder: Any, names: Sequence[str], value: Any) -> Any:
-    """Return a copy of nested parameters with ``value`` at the path ``names``, not validated."""
+    """Return a copy of nested parameters with ``value`` at the path ``names``; skip validation."""
     if not names:
         return value
     inner = _with(getattr(holder, names[0]), names[1:], value)
@@ -109,7 +115,7 @@ def _with(holder: Any, names: Sequence[str], value: Any) -> Any:
 
 
 def _gradients(values: Iterable[Any], columns: int) -> Array:
-    """Return the gradients (n, columns) of n values; a float has the gradient zero."""
+    """Return the gradients (n, columns) of n AutoDiffXd numbers or floats; zero for floats."""
     zero = AutoDiffXd(0.0, np.zeros(columns))
     return np.asarray(ExtractGradient(np.array([[zero + value] for value in values])))
 
@@ -123,8 +129,8 @@ def tracking_sensitivities(
 ) -> Sensitivities:
     """Return the RMS tracking error ``rms_error_deg`` and its gradient, by a run with AutoDiffXd.
 
-    The first period of a sinusoidal reference does not count, unless the run is shorter. One
-    simulated second takes 1.5 s of computation, in full order 25 s.
+    The first period of a sinusoidal reference is left out, unless the run is shorter. The
+    computation of one simulated second takes 1.5 s, or 25 s for a plant of full order.
 
     Parameters
     ----------
@@ -136,8 +142,8 @@ def tracking_sensitivities(
         Duration of the run; None: that of the scenario.
     step_s
         Step of the third-order Runge-Kutta method, for which the gradient is exact. None: 0.5 ms,
-        or 0.05 ms for the stiff valves of the full order. (Newton's method in Drake's implicit
-        integrators loses the derivatives.)
+        or 0.05 ms in full order, because the valves are stiff. Drake's implicit integrators cannot
+        be used, because their Newton's method loses the derivatives.
 
     Raises
     ------
@@ -191,17 +197,19 @@ def tracking_sensitivities(
 def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivities:
     """Return margins of the sampled loop and their gradients in the values at ``paths``.
 
-    Metrics are the magnitude ``largest_eigenvalue`` and, for a stable loop, `MARGIN_METRICS`. The
-    gradient of a margin that does not exist is nan. The knee is in the middle of the reference's
-    range.
+    The metrics are ``largest_eigenvalue``, the largest magnitude of an eigenvalue, and, for a
+    stable loop, `MARGIN_METRICS`. The gradient of a margin that does not exist is nan. The loop is
+    linearized in the middle of the reference's range.
 
-    By the implicit function theorem, AutoDiff gives the shift of the equilibrium with the values.
-    Gradients of dx/dt and of the controller's update in the values are computed on both sides of
-    the equilibrium, along this shift. Their differences are the derivatives of the loop's
-    Jacobian. The chain rule then gives the derivatives of the zero-order hold (by the derivative of
-    the matrix exponential) and of each margin at its frequency.
+    The values at ``paths`` shift the equilibrium. AutoDiff and the implicit function theorem give
+    this shift. AutoDiff then gives the gradients of dx/dt and of the controller's update with
+    respect to the values, along this shift, at points on each side of the equilibrium. Differences
+    between these gradients are the derivatives of the loop's Jacobian. Finally the chain rule gives
+    the derivatives of the zero-order hold (by the derivative of the matrix exponential) and of each
+    margin at its frequency.
 
-    Raises `ParameterError` for a path that has no derivative, and the errors of `linearize_loop`.
+    Raises `ParameterError` for a path that has no derivative. Also raises the errors of
+    `linearize_loop`.
     """
     fixed = _fixed(scenario)
     knee_angle_deg = scenario.reference.middle_deg
@@ -210,7 +218,7 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
     reference = equilibrium.reference
 
     def rates(point: Array, columns: int, gradient: Array, seeded: Scenario) -> Array:
-        """Return the gradients of dx/dt and z⁺ at a point whose own gradient is ``gradient``."""
+        """Return the gradients of dx/dt and z⁺ at ``point``, whose own gradient is ``gradient``."""
         state = InitializeAutoDiff(point.reshape(-1, 1), gradient).reshape(-1)
         context = equilibrium.autodiff_context(state, reference)
         set_loop_parameters(equilibrium.diagram, context, seeded)
@@ -250,8 +258,9 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
 def _metric_changes(loop: SampledLoop, change: Array, index: int, live: Any) -> dict[str, float]:
     """Return the derivatives of the loop's metrics with respect to one value of the scenario.
 
-    ``change``: derivative with respect to this value of the Jacobian of (dx/dt, z⁺) in (x, z).
-    ``index``: place of the command in z. ``live``: mask of the states z that an update can change.
+    ``change`` is the derivative of the Jacobian with respect to this value. The Jacobian is the
+    gradient of (dx/dt, z⁺) in (x, z). ``index`` is the index of the command in z. ``live`` is a
+    mask of the states z that an update can change.
     """
     n = loop.a.shape[0]
     block, change_of_block = np.zeros((2, n + 1, n + 1))

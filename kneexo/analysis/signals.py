@@ -12,7 +12,7 @@ from kneexo.result import Array
 
 
 def period_s(scenario: Scenario) -> float:
-    """Return the period of a sinusoidal reference in s; zero for other references."""
+    """Return the period in s of a sinusoidal reference, or zero for another reference."""
     reference = scenario.reference
     return 1.0 / reference.frequency_hz if reference.kind == "sine" else 0.0
 

@@ -65,14 +65,14 @@ class SineEstimateSettings(Parameters):
 
 @dataclass(frozen=True, repr=False)
 class SineEstimate(Result):
-    """Complex response θ_p/θ_d of the knee angle to a sine in its reference, over last cycles.
+    """Complex response θ_p/θ_d of the knee angle to a sine in its reference.
 
-    ``uncertainty`` is the absolute error of the complex response (`response_uncertainty`). It does
-    not include errors that are equal in all cycles. ``settled`` is True if neighbours among
-    the averaged cycles agree within the tolerance. If the response has not settled, the
-    averaged cycles are the second half of the run. ``speed_limited_share`` and
-    ``acceleration_limited_share`` are the shares of the averaged samples in which the motor is
-    within 1 % of its limit of speed or acceleration.
+    The response is an average over the last cycles of a run. ``uncertainty`` is the absolute error
+    of the complex response (`response_uncertainty`), without errors that are equal in all cycles.
+    ``settled`` is True if each averaged cycle agrees with the next within the tolerance. If
+    the response has not settled, the averaged cycles are the second half of the run.
+    ``speed_limited_share`` is the share of the averaged samples in which the motor is within 1 % of
+    its speed limit, and ``acceleration_limited_share`` is the same for the acceleration limit.
     """
 
     frequency_hz: float
@@ -84,8 +84,8 @@ class SineEstimate(Result):
     cycles: int
     """Number of simulated cycles after the ramp."""
     mean_deg: float
-    """Mean knee angle of the averaged cycles; limits of the motor can shift it from the mean of
-    the reference."""
+    """Mean knee angle of the averaged cycles. Limits of the motor can make it differ from the mean
+    of the reference."""
     speed_limited_share: float
     acceleration_limited_share: float
 
@@ -96,7 +96,10 @@ class SineEstimate(Result):
 
 
 def motor_limits(scenario: Scenario) -> tuple[float, float]:
-    """Return the largest motor speed in rad/s and acceleration in rad/s² (inf for ideal motors)."""
+    """Return the largest speed in rad/s and the largest acceleration in rad/s² of the motor.
+
+    The acceleration of an ideal motor is inf.
+    """
     pump, command = scenario.plant.pump, scenario.command_limit_rad_s
     if scenario.plant.ideal_motor:
         return command, math.inf
@@ -106,8 +109,8 @@ def motor_limits(scenario: Scenario) -> tuple[float, float]:
 _HARMONICS = 3
 """Number of harmonics fitted to a cycle.
 
-If a cycle is no whole number of samples, second and third harmonics that are not fitted would
-change the fundamental.
+If a cycle is no whole number of samples, the fitted fundamental would be wrong if second and third
+harmonics were not fitted too.
 """
 
 
@@ -122,11 +125,12 @@ def cycle_responses(
 ) -> tuple[Any, Array]:
     """Return the response and the mean of the output in each cycle of a run.
 
-    The response is the ratio of the fundamentals of the columns ``output`` and ``reference``,
-    complex (cycles,). The means of ``output`` are (cycles,). At least three cycles are required;
-    the first cycle begins at ``start_s``. A cycle need not contain a whole number of samples.
-    The mean of the output can drift while the motor is at its limits; a linear drift,
-    estimated from the means of neighbouring cycles, is removed.
+    The response is complex with the shape (cycles,). It is the fundamental of the column
+    ``output``, divided by the fundamental of the column ``reference``. The means of ``output``
+    have the shape (cycles,). The run must contain at least three cycles, and the first cycle begins
+    at ``start_s``. A cycle need not contain a whole number of samples. The mean of the output can
+    drift while the motor is at its limits. So the function estimates a linear drift from the means
+    of neighbouring cycles and removes it.
     """
     means, amplitudes = np.empty((cycles, 3)), np.empty((cycles, 3), complex)
     for cycle in range(cycles):
@@ -149,9 +153,10 @@ def cycle_responses(
 
 
 def settled_cycles(responses: Any, tolerance: float) -> int:
-    """Return how many responses at the end of ``responses`` (n,) agree, each with the next one.
+    """Return how many responses at the end of ``responses`` (n,) agree.
 
-    Two responses agree if their difference is at most ``tolerance``, relative to the later one.
+    In this last part each response agrees with the next response. Two responses agree if their
+    difference is at most ``tolerance`` times the magnitude of the later response.
     """
     change = np.abs(np.diff(responses)) > tolerance * np.abs(responses[1:])
     return len(responses) - (int(np.flatnonzero(change)[-1]) + 1 if change.any() else 0)
@@ -160,8 +165,8 @@ def settled_cycles(responses: Any, tolerance: float) -> int:
 def response_uncertainty(responses: Any) -> float:
     """Return the uncertainty of the mean of ``responses``, complex (n >= 2,).
 
-    The uncertainty is the standard error of the mean plus the distance between the means of the
-    first and the last half.
+    The uncertainty is the standard error of the mean, plus the distance between the mean of the
+    first half and the mean of the last half.
     """
     n = len(responses)
     scatter = math.sqrt(float(np.sum(np.abs(responses - np.mean(responses)) ** 2)) / (n - 1))
@@ -181,7 +186,7 @@ async def estimate_sine(
     ``settings.largest_cycles`` are reached. Ramp and duration of the scenario are replaced.
 
     Raises `ParameterError` when the reference is no sine, does not move, or has fewer than ten
-    samples a period, and the errors of `kneexo.simulation.simulate`.
+    samples a period. Also raises the errors of `kneexo.simulation.simulate`.
     """
     reference = require_sine(scenario)
     frequency = reference.frequency_hz

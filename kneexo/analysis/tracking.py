@@ -27,7 +27,7 @@ TRACKING_SIGNALS = (
     "shaft_power",
     "hydraulic_power",
 )
-"""Signals that `TrackingMetrics` requires."""
+"""Names of the signals from which `TrackingMetrics` are computed."""
 
 TRACKING_METRICS = (
     "max_error_deg",
@@ -36,19 +36,19 @@ TRACKING_METRICS = (
     "saturated_share",
     "peak_pressure_mpa",
 )
-"""Fields of `TrackingMetrics` that require only the first four `TRACKING_SIGNALS`."""
+"""Names of the fields of `TrackingMetrics` that require only the first four `TRACKING_SIGNALS`."""
 
 
 @dataclass(frozen=True, repr=False)
 class TrackingMetrics(Result):
     """Metrics of a tracking run.
 
-    Errors and commands hardly depend on the solver's step. Pressure, power and energy depend on it
-    when the 447 Hz mode of the oil dominates them, as without load. Check such values with half
-    the step.
+    Errors and commands hardly depend on the solver's step. Pressure, power and energy depend on the
+    step when the 447 Hz mode of the oil dominates them, for example without load. Check such values
+    with half the step.
 
-    Metrics "after the first period" exclude the first period of a sinusoidal reference; for other
-    references they include the whole run. They are nan for a run that ends within that period.
+    Metrics "after the first period" exclude the first period of a sinusoidal reference. If the run
+    ends within this period, they are nan. For other references they include the whole run.
     """
 
     max_error_deg: float
@@ -58,20 +58,20 @@ class TrackingMetrics(Result):
     max_error_overall_deg: float
     rms_error_overall_deg: float
     mean_command_change_rpm: float
-    """Chattering index: mean absolute change of the command per sample, after the first period."""
+    """Chattering index: mean |change of the command| per sample, after the first period."""
     saturated_share: float
-    """Share of samples with the command at its limit, after the first period."""
+    """Share of the samples in which the command is at its limit, after the first period."""
     peak_command_rpm: float
     peak_pressure_mpa: float
     pressure_over_rating_share: float
-    """Share of all samples with |P_L| above the cylinder's rating."""
+    """Share of all samples in which the load pressure |P_L| exceeds the cylinder's rating."""
     peak_shaft_power_w: float
     power_over_rating_share: float
-    """Share of all samples with a shaft power above the motor's rating."""
+    """Share of all samples in which the shaft power exceeds the motor's rating."""
     shaft_energy_j: float
-    """Work of the motor on the pump over the run; power from pump to motor is negative."""
+    """Work of the motor on the pump over the run. Power from pump to motor counts as negative."""
     shaft_energy_delivered_j: float
-    """Work of the motor on the pump over the run, without the negative power."""
+    """Work of the motor on the pump over the run. Power from pump to motor does not count."""
     hydraulic_energy_j: float
     """Work of the pump on the cylinder over the run."""
 
@@ -106,7 +106,7 @@ def basic_tracking_metrics(
     settled_s: float,
     command_limit_rad_s: float,
 ) -> dict[str, float]:
-    """Return the `TRACKING_METRICS` of uniformly sampled signals, each (n,), by name.
+    """Return a dictionary of the `TRACKING_METRICS` of uniformly sampled signals, each (n,).
 
     `tracking_metrics` describes the arguments. Raises `ParameterError` for fewer than two samples.
     """
@@ -174,7 +174,7 @@ def run_metrics(
 ) -> TrackingMetrics:
     """Return `tracking_metrics` for the columns of a run, with the limits of ``scenario``.
 
-    ``signals``: the columns of `TRACKING_SIGNALS` by name, each (n,).
+    ``signals`` maps the name of each column of `TRACKING_SIGNALS` to its values (n,).
     """
     return tracking_metrics(
         time_s,
@@ -206,7 +206,7 @@ async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
 
 @dataclass(frozen=True, repr=False)
 class TrackingResult(Result):
-    """A tracking run: the scenario, its signals and its metrics."""
+    """A simulated run: the scenario, its signals and its tracking metrics."""
 
     scenario: Scenario
     run: Run
@@ -251,7 +251,7 @@ class TrackingResult(Result):
     def plot(self, ax: Any = None) -> Any:
         """Plot angle, error and motor speed command below each other; return three axes.
 
-        ``ax``: three Matplotlib axes; None: those of a new figure.
+        ``ax`` contains three Matplotlib axes. If it is None, a new figure is made.
         """
         ax = axes_or_new(ax, 3, 1, sharex=True, figsize=(7, 7))
         self.plot_angle(ax[0])
@@ -280,9 +280,9 @@ async def track(
 ) -> TrackingResult:
     """Simulate a scenario and compute its tracking metrics.
 
-    With ``all_signals`` the run logs all available signals, otherwise those that the metrics
-    require. `kneexo.simulation.simulate` describes ``progress`` and ``diagram``, and raises the
-    same errors. With a ``diagram`` the scenario still gives period, limits and ratings.
+    If ``all_signals`` is True, the run logs all available signals, otherwise only the signals that
+    the metrics require. `kneexo.simulation.simulate` describes ``progress``, ``diagram`` and the
+    errors. Period, limits and ratings come from the scenario, also if there is a ``diagram``.
     """
     signals = None if all_signals else TRACKING_SIGNALS
     run = await awaitable(simulate, scenario, signals=signals, progress=progress, diagram=diagram)

@@ -1,8 +1,9 @@
 """Walking with a measured gait: requirements on the actuator and tracking of the closed loop.
 
-`walking_demand` computes what the motor must do from the motion of the knee, by inverse dynamics
-without a controller. `walking_metrics` simulates the closed loop. The load is that of the
-scenario, the shank's weight and a constant torque of the wearer, without ground reaction forces.
+`walking_demand` computes the required speed and power of the motor from the motion of the knee, by
+inverse dynamics without a controller. `walking_metrics` simulates the closed loop. The scenario
+defines the load: the shank's weight and a constant torque of the wearer. There are no ground
+reaction forces.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ WALKING_METRICS = (
     "delivered_energy_j",
     "net_energy_j",
 )
-"""Names of the numbers that `walking_metrics` returns; energies are per stride."""
+"""Names of the numbers that `walking_metrics` returns. Energies are per stride."""
 
 _SAMPLES = 1000  # samples of a stride
 _HARMONICS = 40  # harmonics of a stride; higher ones are rounding errors of the gait data
@@ -49,8 +50,8 @@ _ANGLE_STEP = 1e-5  # rad, step of a central difference; relative error 1e-10 of
 class WalkingDemand(Result):
     """Signals that the actuator must provide from one heel contact to the next, each (n,).
 
-    Pump and motor have neither limits nor lag. With ``segment_inertia`` the inertia is that of the
-    shank as a point mass; without, it is the constant mass of Eq. 16 (see `walking_demand`).
+    Limits and lag of pump and motor are neglected. If ``segment_inertia`` is True, the inertia is
+    the shank's as a point mass, otherwise the constant mass of Eq. 16 (see `walking_demand`).
     """
 
     frequency_hz: float
@@ -78,8 +79,8 @@ class WalkingDemand(Result):
     def peaks(self) -> dict[str, float]:
         """Return the largest |value| of each signal, the mean |motor acceleration| and energies.
 
-        ``delivered_energy_j`` and ``net_energy_j`` are the work of the motor on the pump in one
-        stride, without and with negative power.
+        The energies are work of the motor on the pump in one stride. ``net_energy_j`` includes
+        negative power, from pump to motor. ``delivered_energy_j`` leaves it out.
         """
         time = self.cycle_percent / (100.0 * self.frequency_hz)
         peaks = {
@@ -96,7 +97,10 @@ class WalkingDemand(Result):
 
 
 def _energies(time_s: Array, power_w: Array, cycles: int) -> dict[str, float]:
-    """Return the work of the motor on the pump per cycle, without and with negative power."""
+    """Return the work of the motor on the pump per cycle.
+
+    ``net_energy_j`` includes negative power, and ``delivered_energy_j`` leaves it out.
+    """
     return {
         "delivered_energy_j": float(np.trapezoid(np.maximum(power_w, 0.0), time_s)) / cycles,
         "net_energy_j": float(np.trapezoid(power_w, time_s)) / cycles,
@@ -108,12 +112,13 @@ def walking_demand(
 ) -> WalkingDemand:
     """Compute motor speed, pressure and power for the measured gait by inverse dynamics.
 
-    Eq. 16, 15 and 13 of Lee et al. 2020, whose symbols are used, are solved in this order:
+    The function solves Eq. 16, 15 and 13 of Lee et al. 2020, with their symbols, in this order:
 
     P_L = (m a + B v + K x + F_L)/Ā, Q_L = Ā v + C_L P_L + V_t/(4β_e) dP_L/dt,
     ω_m = gear (Q_L + (C_im + C_em/2) P_L)/D_m. A scenario of full order is treated as reduced
-    order. With ``segment_inertia`` the inertial force m a is −m_s l² d²θ_p/dt²/r, for a point mass
-    m_s at the distance l from the knee (mass and centre of mass of the load) and moment arm r.
+    order. If ``segment_inertia`` is True, the inertial force m a is −m_s l² d²θ_p/dt²/r. Here m_s
+    is the mass of the load, l the distance of its centre of mass from the knee, and r the moment
+    arm.
 
     Raises `ParameterError` when the frequency is out of range, the gait leaves the range of
     motion, or ``segment_inertia`` is True and the scenario's load has no segment.
@@ -171,11 +176,12 @@ def walking_demand(
 
 
 def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
-    """Return the knee error in deg, (n,), over a stride by the linear loop, without motor limits.
+    """Return the knee error in deg, (n,), that the linear loop predicts over a stride.
 
-    The loop is linearized in the middle of the stride's range. Its response is applied to each
-    harmonic of the rod's motion, because the response of the rod depends on the posture only by the
-    load. Raises `LinearizationError` when there is no linear loop.
+    The loop is linearized in the middle of the stride's range of angles. Limits of the motor are
+    neglected. The response of the linear loop is applied to each harmonic of the rod's motion,
+    because only the load makes the rod's response depend on the posture. Raises
+    `LinearizationError` when the loop cannot be linearized.
     """
     angle = np.radians(demand.knee_angle_deg)
     middle = 0.5 * float(demand.knee_angle_deg.min() + demand.knee_angle_deg.max())
@@ -190,7 +196,7 @@ def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
 
 
 def moment_arm_m(scenario: Scenario, knee_angle_rad: Array) -> Array:
-    """Return the moment arm −dx/dθ_p in m at knee angles in rad, from `rod_of`."""
+    """Return the moment arm −dx/dθ_p in m at knee angles in rad, as a difference of `rod_of`."""
     before, after = (rod_of(scenario, knee_angle_rad + h) for h in (-_ANGLE_STEP, _ANGLE_STEP))
     return (before - after) / (2.0 * _ANGLE_STEP)
 
@@ -202,7 +208,7 @@ def _rate(time: Array, periodic: Array) -> Array:
 
 
 def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Array:
-    """Return the load force F_L in N, (n,), computed by `KneeLoad`; zero without a load."""
+    """Return the load force F_L in N, (n,), that `KneeLoad` computes; zero without a load."""
     if not isinstance(scenario.plant.load, KneeLoadParameters):
         return np.zeros_like(time)
     load = systems.KneeLoad(scenario.plant.load)
@@ -224,7 +230,8 @@ async def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -
     """Simulate ``cycles`` strides; return ``time_s`` and signal columns after the first stride.
 
     The closed loop follows the measured gait with ``frequency_hz`` strides a second. Raises
-    `ParameterError` for fewer than two ``cycles``, and the errors of `kneexo.simulation.simulate`.
+    `ParameterError` for fewer than two ``cycles``. Also raises the errors of
+    `kneexo.simulation.simulate`.
     """
     if cycles < 2:
         raise ParameterError(f"cycles = {cycles}: must be >= 2, the first of which is discarded")
@@ -239,10 +246,10 @@ async def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -
 async def walking_metrics(
     scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3
 ) -> dict[str, Any]:
-    """Simulate walking by `walk` and return `WALKING_METRICS` and ``failure`` by name.
+    """Simulate walking by `walk` and return a dictionary of `WALKING_METRICS` and ``failure``.
 
-    ``failure`` is an empty text. If the run fails, it is the error message and the metrics
-    are nan.
+    If the run fails, ``failure`` is the error message, and the metrics are nan. Otherwise
+    ``failure`` is an empty text.
     """
     try:
         signals = await awaitable(walk, scenario, frequency_hz, cycles)

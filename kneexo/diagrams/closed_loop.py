@@ -1,4 +1,4 @@
-"""The closed loop: plant, encoder, estimator, controller, reference and logging (Fig. 8)."""
+"""Builds the closed loop of plant, encoder, controller, reference and logging (Fig. 8)."""
 
 from __future__ import annotations
 
@@ -56,27 +56,28 @@ def make_closed_loop(
     - ``controller``: see `make_controller`.
     - ``drive``: `Cia402Drive`, only with a bus of this kind.
     - ``can_bus``: `DiscreteTimeDelay`, only for a bus with latency.
-    - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink` at the control period with the
-      columns ``columns(signals)``; absent for ``signals=()``.
+    - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
+      ``columns(signals)`` at the control period. They are absent for ``signals=()``.
 
-    Inputs: ``disturbance_force`` and, with a load, ``knee_torque``; unconnected they are zero.
-    Outputs: each of `available_signals`. Drake's updates and publishes at t both use the state
-    before the update, so that the logged command at t is the one held until t. The paper's ideal
-    case (Fig. 9) is `kneexo.studies.paper.IDEAL_SMC`.
+    Inputs: ``disturbance_force`` and, with a load, ``knee_torque``. An unconnected input is zero.
+    Outputs: each of `available_signals`. Drake logs the state before an update, so that the logged
+    command at t was held until t. The paper's ideal case (Fig. 9) is
+    `kneexo.studies.paper.IDEAL_SMC`.
 
     Parameters
     ----------
     scenario
-        The closed loop. If ``controller`` is given, only sample time of the log and command limit
-        of the scenario's controller are used.
+        The closed loop. If ``controller`` is not None, the scenario's controller only gives the
+        sample time of the log and the command limit.
     controller
-        A system in place of the scenario's controller, with its own sample time. Its input ports
-        are some of those of `make_controller`; ``motor_speed_command`` is one of its output ports.
+        A system that replaces the scenario's controller and has its own sample time. It may have
+        any of the input ports of `make_controller`. It must have the output port
+        ``motor_speed_command``.
     reference
-        A system in place of the scenario's reference. Its only output port (4,) contains θ_d and
+        A system that replaces the scenario's reference. Its only output port (4,) contains θ_d and
         three derivatives. The scenario's reference then only decides where the plant starts.
     signals
-        Signals to log, names of `SIGNALS`; None: all available ones.
+        Names in `SIGNALS` of the signals to log. None: all available signals.
     external_reference
         True: an input port ``knee_reference`` replaces the subsystem ``reference``.
 
@@ -168,7 +169,8 @@ def available_signals(
 ) -> tuple[str, ...]:
     """Return the names of the `SIGNALS` that the closed loop of a scenario has.
 
-    ``outputs``: sizes by name of the output ports of a controller that replaces the scenario's.
+    ``outputs`` belongs to a controller that replaces the controller of the scenario. It maps the
+    name of each output port to the size of the port.
     """
     missing = set()
     if outputs is None and scenario.controller.kind == "custom":
@@ -204,7 +206,7 @@ def chosen_signals(
 def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield path and Context parameters of each leaf system of `make_closed_loop`.
 
-    Drake's systems without parameters and the systems of a custom controller are left out.
+    Drake's systems without parameters are left out, and so are the systems of a custom controller.
     """
     for part in _plant_parts(scenario):
         yield f"plant/{part.name}", part.values()
@@ -222,9 +224,9 @@ def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
 
 
 def plant_states(scenario: Scenario) -> dict[str, StateVariable]:
-    """Return the continuous states of the plant by name, in the order of the Context.
+    """Return a dictionary from name to continuous state of the plant, in the order of the Context.
 
-    The names are those of the compiled closed loop, such as ``plant/motor.x[0]``.
+    A state has the same name as in the compiled closed loop, such as ``plant/motor.x[0]``.
     """
     return {
         name: state
@@ -234,9 +236,10 @@ def plant_states(scenario: Scenario) -> dict[str, StateVariable]:
 
 
 def plant_start(scenario: Scenario) -> dict[str, float]:
-    """Return the initial values of `plant_states` by name, in the units of the Context.
+    """Return a dictionary from the name of each of the `plant_states` to its initial value.
 
-    Raises `ParameterError` and `LinkageError` as `make_plant`.
+    The values are in the units of the Context. Raises `ParameterError` and `LinkageError` as
+    `make_plant` does.
     """
     return {
         name: value
@@ -266,7 +269,7 @@ def _start_arguments(scenario: Scenario) -> dict[str, Any]:
 def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
     """Add the encoder to a DiagramBuilder and return the system that outputs its reading.
 
-    The encoder measures the value of the port ``angle`` (θ_4) minus the encoder's phase.
+    The encoder measures the value of the port ``angle`` (θ_4), shifted by the phase of the encoder.
     """
     from pydrake.systems.sensors import RotaryEncoders  # this import takes 0.05 s
 

@@ -1,4 +1,4 @@
-"""The controller as one diagram: all that runs on the embedded target."""
+"""Builds the controller, all that runs on the embedded target, as one diagram."""
 
 from __future__ import annotations
 
@@ -41,20 +41,21 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     motor_speed_command  1     rad/s                 motor side, held for a sample
     ===================  ====  ====================  ==============================================
 
-    Subsystems: ``coordinates`` (`KneeCoordinates`), ``rod_reference`` (`RodReference`), ``law``
-    and, if the law has the input ``estimated_state`` and the estimator is not exact, ``estimator``.
-    More outputs: ``measured_knee_angle``, ``measured_rod_extension``, ``rod_reference``, with an
-    estimator ``estimated_state``, and with the sliding-mode law ``sliding_variable``.
+    Subsystems: ``coordinates`` (`KneeCoordinates`), ``rod_reference`` (`RodReference`) and ``law``.
+    There is also an ``estimator`` if the law has the input ``estimated_state`` and the estimator is
+    not ``exact``. More outputs: ``measured_knee_angle``, ``measured_rod_extension`` and
+    ``rod_reference``. An estimator adds ``estimated_state``, and the sliding-mode law adds
+    ``sliding_variable``.
 
     Parameters
     ----------
     scenario
-        Nominal plant, polynomial, encoder, estimator and controller. With
-        ``controller.kind: custom`` the function ``controller.make`` returns the whole controller,
-        a system with at least the output port ``motor_speed_command``. The argument of this
-        function is `known_to_controller`.
+        Nominal plant, polynomial, encoder, estimator and controller. If ``controller.kind`` is
+        ``custom``, the function ``controller.make`` returns the whole controller, a system with at
+        least the output port ``motor_speed_command``. The argument of this function is the result
+        of `known_to_controller`.
     law
-        A system in place of the scenario's control law. It has the output ``motor_speed_command``
+        A system that replaces the scenario's control law. It has the output ``motor_speed_command``
         and any of the inputs ``rod_extension`` (m), ``rod_reference`` (4), ``estimated_state`` (3),
         ``knee_angle`` (rad) and ``knee_reference`` (4).
 
@@ -168,7 +169,7 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
 def encoder_offset_rad(scenario: Scenario) -> float:
     """Return the offset in rad that the controller adds to an encoder reading.
 
-    The offset is the encoder's phase plus half a count, minus the mounting error.
+    The offset is the encoder's phase, plus half a count, minus the mounting error.
     """
     encoder = scenario.encoder
     phase = encoder.phase_rad if encoder.quantized else 0.0
@@ -179,9 +180,10 @@ def encoder_offset_rad(scenario: Scenario) -> float:
 
 
 def known_to_controller(scenario: Scenario) -> Scenario:
-    """Return a scenario with all that its controller knows of ``scenario``; the rest is default.
+    """Return a scenario that contains only what the controller knows of ``scenario``.
 
-    A controller knows the nominal plant (as plant), polynomial, encoder, estimator and controller.
+    A controller knows the nominal plant (which becomes the plant), polynomial, encoder, estimator
+    and its own parameters. All other values of the result are defaults.
     """
     return Scenario(
         plant=scenario.believed_plant,
@@ -248,7 +250,7 @@ def _function(name: str, subject: str) -> Any:
 
 
 def controller_outputs(scenario: Scenario) -> dict[str, int]:
-    """Return the sizes of the output ports of a custom controller by name."""
+    """Return a dictionary from the name of each output port of a custom controller to its size."""
     key = known_to_controller(scenario).model_dump_json()
     if key not in _outputs:
         _outputs[key] = port_sizes(make_controller(scenario))
@@ -256,7 +258,10 @@ def controller_outputs(scenario: Scenario) -> dict[str, int]:
 
 
 def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
-    """Return the sizes of all output ports, or with ``inputs`` of all input ports, by name."""
+    """Return a dictionary from the name of each output port to its size.
+
+    If ``inputs`` is True, return such a dictionary of the input ports.
+    """
     if inputs:
         ports = map(system.get_input_port, range(system.num_input_ports()))
     else:
@@ -267,7 +272,7 @@ def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
 _outputs: dict[str, dict[str, int]] = {}
 
 _running: ContextVar[frozenset[str]] = ContextVar("running", default=frozenset())
-"""Names of the users' functions that are running; used to detect recursion."""
+"""Names of the users' functions that are running, by which recursion is detected."""
 
 _INPUTS = {"encoder_reading": 1, "knee_reference": 4, "rod_state": 3}
 _LAW_INPUTS = {

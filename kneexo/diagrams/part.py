@@ -1,6 +1,6 @@
-"""The leaf systems of a diagram as a list of parts, with Context parameters and states.
+"""Describes the leaf systems of a diagram as a list of parts.
 
-The builder of the diagram, compiled runs, the linear analysis and the export as FMU read the list.
+The list is used by the builder of the diagram, compiled runs, linear analysis and export as FMU.
 """
 
 from __future__ import annotations
@@ -12,18 +12,21 @@ from kneexo.systems import StateVariable
 
 
 class Part(NamedTuple):
-    """A leaf system of a diagram: how to make it, its Context parameters and its states."""
+    """Description of a leaf system: name, factory, Context parameters and continuous states."""
 
     name: str
-    """Name of the system in the diagram."""
+    """Name of the leaf system in the diagram."""
     make: Callable[[], Any]
-    """Returns a new system; compiled runs do not call it."""
+    """Function that returns a new system; compiled runs do not call it."""
     values: Callable[[], dict[str, float]]
-    """Returns the Context parameters by name; those of further vectors by ``vector[index]``."""
+    """Function that returns a dictionary from the name of a Context parameter to its value.
+
+    A parameter without a name, in a further vector, is called ``vector[index]``.
+    """
     states: tuple[StateVariable, ...] = ()
-    """The continuous states in the order of the Context."""
+    """Continuous states of the system, in the order of the Context."""
     start: Callable[[], Sequence[float]] | None = None
-    """Returns the initial values of ``states`` in the units of their columns; None: all zero."""
+    """Function that returns the initial ``states`` in the units of their columns; None: zeros."""
 
     def start_state(self) -> list[float]:
         """Return the initial values of ``states`` in the units of the Context."""
@@ -34,13 +37,13 @@ class Part(NamedTuple):
 def state_names(part: Part, path: str) -> list[str]:
     """Return the names that a compiled model gives the continuous states of a part.
 
-    ``path``: subsystem that contains the part, such as ``plant``.
+    ``path`` is the path of the subsystem that contains the part, such as ``plant``.
     """
     return [f"{path}/{part.name}.x[{index}]" for index in range(len(part.states))]
 
 
 def add_parts(builder: Any, parts: Iterable[Part]) -> dict[str, Any]:
-    """Make the systems of ``parts``, add them to a DiagramBuilder and return them by name."""
+    """Add the systems of ``parts`` to a DiagramBuilder; return a dictionary from name to system."""
     return {part.name: builder.AddNamedSystem(part.name, part.make()) for part in parts}
 
 

@@ -1,4 +1,4 @@
-"""The plant: motor and pump, cylinder, knee and load, wired as one continuous diagram."""
+"""Builds the plant of motor and pump, cylinder, knee and load, as one continuous diagram."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def make_plant(
     torque is zero. Outputs: `PLANT_OUTPUTS`, in full order also `FULL_ORDER_OUTPUTS`.
 
     The plant starts at rest with zero motor speed, and the pressures hold load and spring. In full
-    order the lower of both pressures is that of the reservoir.
+    order the lower of the two chamber pressures equals the pressure of the reservoir.
 
     Parameters
     ----------
@@ -61,7 +61,8 @@ def make_plant(
     initial_offset_m
         Offset of the rod extension at the start.
     table_1
-        Polynomials between knee angle and rod extension for ``rod_map = "polynomial"``.
+        Polynomials between knee angle and rod extension, which the plant uses if its ``rod_map`` is
+        ``"polynomial"``.
 
     Raises
     ------
@@ -104,9 +105,9 @@ def plant_parts(
     initial_offset_m: float = 0.0,
     table_1: RodPolynomialParameters = RodPolynomialParameters(),
 ) -> list[Part]:
-    """Return the leaf systems of `make_plant`, which describes the arguments.
+    """Return the leaf systems of the plant; `make_plant` describes the arguments.
 
-    The functions of a part raise `ParameterError` for a start outside the range of motion or the
+    The functions in a part raise `ParameterError` for a start outside the range of motion or the
     stroke, and `LinkageError` when the linkage cannot be assembled.
     """
     cylinder, full_order, load = parameters.cylinder, parameters.full_order, parameters.load
@@ -167,7 +168,7 @@ def plant_parts(
 
 @lru_cache(maxsize=64)
 def _polynomial_values(fit: RodInverse) -> dict[str, float]:
-    """Return the Context parameters of `FourBarKnee` after its first vector, by name."""
+    """Return a dictionary of the Context parameters of `FourBarKnee` after its first vector."""
     vectors = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
     return {
         f"{group}[{i}]": value
@@ -193,7 +194,7 @@ def _start_extension_and_force(
     initial_offset_m: float,
     table_1: RodPolynomialParameters,
 ) -> tuple[float, float]:
-    """Return the initial rod extension in m and the force of load and spring there in N."""
+    """Return the initial rod extension in m, and the force in N of load and spring on the rod."""
     low, high = parameters.knee.flexion_min_deg, parameters.knee.flexion_max_deg
     if not low - 1e-9 <= math.degrees(initial_knee_angle_rad) <= high + 1e-9:
         raise ParameterError(
@@ -220,7 +221,10 @@ def _start_extension_and_force(
 
 
 def _holding_pressures_pa(parameters: PlantParameters, force: float) -> tuple[float, ...]:
-    """Return the pressures in Pa that hold ``force`` in N: P_L, or P_1 and P_2 in full order."""
+    """Return the pressures in Pa that hold ``force`` in N.
+
+    The result contains the load pressure P_L, or in full order the chamber pressures P_1 and P_2.
+    """
     cylinder, full_order = parameters.cylinder, parameters.full_order
     if full_order is None:
         return (force / cylinder.mean_area_m2,)

@@ -1,4 +1,4 @@
-"""The signals of the closed loop: the ports that provide them and their columns in a run.
+"""Tables of the signals of the closed loop, with their output ports and columns in a run.
 
 A new signal needs an output port of a leaf system and an entry in these tables.
 """
@@ -47,25 +47,28 @@ SIGNALS = {
     "makeup_flow": ("cap_makeup_flow_m3_s", "rod_side_makeup_flow_m3_s"),
     "relief_flow": ("cap_relief_flow_m3_s", "rod_side_relief_flow_m3_s"),
 }
-"""Every signal of the closed loop and the names of its columns, which end in the unit."""
+"""For each signal of the closed loop, the names of its columns, which end with the unit."""
 
 PLANT_OUTPUTS = {
     "knee": ("knee_angle", "encoder_angle", "moment_arm", "icr"),
     "cylinder": ("rod_extension", "rod_velocity", "rod_state", "load_pressure", "rod_force"),
     "motor": ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power"),
 }
-"""Output ports of the plant, by the subsystem that provides them under the same names."""
+"""For each subsystem of the plant, the names of its output ports that the plant exports.
+
+The plant's ports have the same names.
+"""
 
 FULL_ORDER_OUTPUTS = ("chamber_pressures", "makeup_flow", "relief_flow")
-"""Further output ports of a plant of full order, provided by its ``cylinder``."""
+"""Names of further output ports of a plant of full order, which its ``cylinder`` provides."""
 
 LAW_OUTPUTS = ("sliding_variable",)
-"""Output ports that the controller exports if its control law has them."""
+"""Names of output ports of a control law that the controller exports if they exist."""
 
 CONTROLLER_SIGNALS = frozenset(
     ("measured_knee_angle", "measured_rod_extension", "rod_reference", "estimated_state")
 ).union(LAW_OUTPUTS)
-"""The `SIGNALS` that are output ports of the controller."""
+"""Names of the `SIGNALS` that are output ports of the controller."""
 
 
 def columns(signals: Sequence[str]) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Runs of closed loops, by compiled equations or by Drake's Simulator.
+"""Simulates closed loops by compiled equations or by Drake's Simulator.
 
 `compiled` runs a scenario with `kneexo.compiler`, `drake` runs a diagram with Drake's Simulator.
 `engines` chooses between these two engines. `run` holds the result of a run. `coroutines` lets

@@ -1,9 +1,9 @@
-"""Runs of compiled closed loops.
+"""Compiles and runs the closed loop of a scenario.
 
-The *structure* of a scenario decides the form of the equations. Scenarios of one structure share
-one compiled model, whose machine code is cached on disk. All other numbers of a scenario become
-parameters and initial states of the model. The lists of parts in `kneexo.diagrams` give these
-numbers, so that a run builds no diagram.
+The *structure* of a scenario is the part that decides the form of the equations. Scenarios of the
+same structure share one compiled model, whose machine code is cached on disk. All other numbers of
+a scenario become parameters and initial states of the model. The lists of parts in
+`kneexo.diagrams` give these numbers, so that a run builds no diagram.
 """
 
 from __future__ import annotations
@@ -70,8 +70,9 @@ _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into consta
 def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
     """Return names and values of the fields that decide the form of a scenario's equations.
 
-    These are all fields but floats and tuples: choices, whole numbers (counts, delays) and nested
-    structures. A sample time belongs to them too, because leaf systems turn it into a constant.
+    These fields are choices, whole numbers (counts, delays), the structures of nested parameters,
+    and sample times. Other floats and tuples do not belong to the structure. A sample time does,
+    because leaf systems turn it into a constant of the equations.
     """
     fields: list[tuple[str, Any]] = []
     values = vars(parameters)
@@ -86,7 +87,7 @@ def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
 
 @cache
 def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
-    """Return names of the fields that `structure` reads, each with True for nested parameters."""
+    """Return the name of each field that `structure` reads, and True for nested parameters."""
 
     def structural(annotation: Any) -> bool:
         if isinstance(annotation, type) and issubclass(annotation, Parameters):
@@ -101,9 +102,10 @@ def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
 
 
 def structure_key(scenario: Scenario) -> str:
-    """Return a text that is equal for scenarios that can share a compiled model.
+    """Return a text by which scenarios that can share a compiled model are recognized.
 
-    The text contains the structure, and a digest of the source files that make the equations.
+    Such scenarios have the same text. The text contains the structure and a digest of the source
+    files that make the equations.
     """
     fields = dict(structure(scenario))
     if scenario.nominal is None:
@@ -124,7 +126,7 @@ def _key(fields: tuple[Any, ...]) -> str:
 
 @cache
 def _fingerprint() -> str:
-    """Return a digest of Drake's version and of all sources that make equations of a scenario."""
+    """Return a digest of Drake's version and of all source files that make the equations."""
     digest = hashlib.sha256(version("drake").encode())
     for pattern in _SOURCES:
         for path in sorted(_PACKAGE.glob(pattern)):
@@ -133,7 +135,7 @@ def _fingerprint() -> str:
 
 
 def scenario_diagram(scenario: Scenario) -> Any:
-    """Build the closed loop to compile; an input port replaces a sampled reference."""
+    """Build the diagram of the closed loop; an input port replaces a reference with samples."""
     external = isinstance(scenario.reference, SampledReference)
     return make_closed_loop(scenario, signals=(), external_reference=external)
 
@@ -141,8 +143,8 @@ def scenario_diagram(scenario: Scenario) -> Any:
 def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
     """Compile the closed loop of a scenario.
 
-    All scenarios of the same structure get the same model. `scenario_run` returns parameters,
-    state and inputs of a scenario for this model.
+    All scenarios that differ only in numbers get the same model. `scenario_run` returns the
+    parameters, the state and the inputs of a scenario for this model.
     """
     return _model(structure_key(scenario), scenario)
 
@@ -166,7 +168,10 @@ _diagrams: dict[str, Any] = {}
 
 
 def _diagram(key: str, scenario: Scenario) -> Any:
-    """Return the `scenario_diagram` of a structure, built once: Python 3.11 never frees it."""
+    """Return the `scenario_diagram` that scenarios with the structure ``key`` share.
+
+    The diagram is built once, because Python 3.11 never frees it.
+    """
     with _lock:
         if key not in _diagrams:
             _diagrams[key] = scenario_diagram(scenario)
@@ -174,14 +179,14 @@ def _diagram(key: str, scenario: Scenario) -> Any:
 
 
 class _Custom(NamedTuple):
-    """A custom controller: key of its equations, its parameters and its initial states."""
+    """Key of the equations of a custom controller, and its parameters and initial states."""
 
     key: str
-    """Digest of the equations."""
+    """Digest of the controller's equations."""
     values: dict[str, float]
-    """Default Context parameters by their names in the closed loop."""
+    """Dictionary from a parameter's name in the closed loop to its value in the default Context."""
     state: dict[str, float]
-    """Default continuous and discrete states by their names in the closed loop."""
+    """Dictionary from a state's name in the closed loop to its value in the default Context."""
 
 
 _customs: dict[str, _Custom] = {}
@@ -213,7 +218,7 @@ def _custom(scenario: Scenario) -> _Custom:
 
 
 def scenario_values(scenario: Scenario) -> dict[str, float]:
-    """Return all Context parameters of the closed loop by their names in the compiled model."""
+    """Return a dictionary from the name of a parameter in the compiled model to its value."""
     values = {
         f"{path}.{name}": value
         for path, values in loop_values(scenario)
@@ -225,7 +230,7 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
 
 
 def _parameters(scenario: Scenario, model: CompiledModel) -> Array:
-    """Return the numbers of `scenario_values` in the order of the model's parameters."""
+    """Return the values of `scenario_values` in the order of the model's parameters."""
     groups = [values.values() for _, values in loop_values(scenario)]
     if isinstance(scenario.controller, CustomControllerParameters):
         groups.append(_custom(scenario).values.values())
@@ -240,9 +245,10 @@ _orders: WeakKeyDictionary[CompiledModel, NDArray[np.intp]] = WeakKeyDictionary(
 
 
 def scenario_start(scenario: Scenario) -> dict[str, float]:
-    """Return the initial states of the plant and of a custom controller by name.
+    """Return a dictionary from the name of a state in the compiled model to its initial value.
 
-    All other states start at zero. Raises `ParameterError` and `LinkageError` as `make_plant`.
+    The dictionary contains the states of the plant and of a custom controller. All other states
+    start at zero. Raises `ParameterError` and `LinkageError` as `make_plant` does.
     """
     start = plant_start(scenario)
     if isinstance(scenario.controller, CustomControllerParameters):
@@ -255,7 +261,7 @@ _NO_INPUTS = InputTable()
 
 @lru_cache(maxsize=64)
 def reference_table(reference: SampledReference) -> InputTable:
-    """Return a sampled reference and its three derivatives as the table of a model's input.
+    """Return the input table of a model for a reference with samples and its three derivatives.
 
     The reference is constant before the first and after the last sample.
     """
@@ -269,7 +275,8 @@ def _require_reference_in_range(scenario: Scenario) -> None:
 def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:
     """Return parameters, initialized state and input table of a scenario for its compiled model.
 
-    Raises `ParameterError` and `LinkageError` as `make_closed_loop` does.
+    The input table is empty unless the reference has samples. Raises `ParameterError` and
+    `LinkageError` as `make_closed_loop` does.
     """
     reference = scenario.reference
     _require_reference_in_range(scenario)
@@ -292,24 +299,24 @@ def simulate_compiled(
 ) -> Run:
     """Run the closed loop of ``scenario`` as machine code.
 
-    Of ``scenario.simulation`` only the duration is used. The first run of a structure compiles the
-    loop, which takes some seconds; the machine code is cached on disk.
+    Only the duration of ``scenario.simulation`` is used. The first run of a structure compiles the
+    loop, which takes some seconds. The machine code is cached on disk.
 
     Parameters
     ----------
     scenario
         The closed loop and the duration of the run.
     signals
-        Signals to log, names of `kneexo.diagrams.SIGNALS`; None: all available ones.
+        Names in `kneexo.diagrams.SIGNALS` of the signals to log. None: all available signals.
     integrator, step_s, tolerance
         See `CompiledModel.simulate`.
 
     Raises
     ------
     SimulationError
-        A run diverged or left its range.
+        The run diverged or left its range.
     ParameterError, LinkageError
-        As `kneexo.diagrams.make_closed_loop`.
+        For the same reasons as in `kneexo.diagrams.make_closed_loop`.
     """
     (result,) = simulate_together([scenario], signals, integrator, step_s, tolerance)
     if isinstance(result, KneexoError):
@@ -324,7 +331,7 @@ def simulate_together(
     step_s: float = STEP_S,
     tolerance: float = TOLERANCE,
 ) -> list[Run | KneexoError]:
-    """Run scenarios of one structure in one batch; return a run or an error for each scenario.
+    """Run scenarios that differ only in numbers in one batch; return a run or an error for each.
 
     `simulate_compiled` describes the arguments.
     """

@@ -1,9 +1,9 @@
 """Async functions that share batches of requests, such as simulation runs.
 
 A function that needs runs is an ``async def`` that awaits a `Request` for each run. The decorator
-`synchronous` makes it a plain function for its callers; async callers await the same function by
-`awaitable`. `run_concurrently` advances many coroutines and serves their pending requests in one
-batch.
+`synchronous` turns it into a plain function for its callers. An async caller awaits the same
+function by `awaitable`. `run_concurrently` advances many coroutines and serves their pending
+requests in one batch.
 """
 
 from __future__ import annotations
@@ -26,21 +26,22 @@ class Request(Generic[Answer]):
 
 
 Server = Callable[[Mapping[int, Any]], Iterator[tuple[int, Any]]]
-"""Type of a function that takes requests by index and yields index and answer, in any order.
+"""Type of a function that answers requests.
 
-An answer that is an `Exception` is raised in the coroutine that awaits it.
+Its argument maps the index of each request to the request. It yields pairs of index and answer in
+any order. If an answer is an `Exception`, it is raised in the coroutine that awaits the request.
 """
 
 
 def run_concurrently(
     coroutines: Sequence[Coroutine[Any, Any, Result]], server: Server
 ) -> Iterator[tuple[int, Result]]:
-    """Yield index and result of each coroutine as soon as it ends.
+    """Yield index and result of each coroutine as soon as the coroutine ends.
 
-    The coroutines advance in rounds. Each round passes the pending requests of all of them to
-    ``server``. When a coroutine raises an `Exception`, the coroutines before it in the
-    sequence run to their end and the coroutines behind it stop. Then its exception is raised. If
-    several coroutines raise exceptions, the exception of the first of these coroutines is raised.
+    The coroutines advance in rounds. Each round passes the pending requests of all coroutines to
+    ``server``. When a coroutine raises an `Exception`, the coroutines behind it in the sequence
+    stop, and the coroutines before it run to their end. Then the exception is raised. If several
+    coroutines raise exceptions, only the exception of the first in the sequence is raised.
     """
     requests: dict[int, Any] = {}
     error, failed = None, len(coroutines)
@@ -78,7 +79,7 @@ def synchronous(
 ) -> Callable[[Callable[Arguments, Coroutine[Any, Any, Result]]], Callable[Arguments, Result]]:
     """Return a decorator that turns an async function into a plain function.
 
-    A call of the plain function runs the coroutine and serves its requests by ``server``.
+    A call of the plain function runs the coroutine, and ``server`` answers its requests.
     """
 
     def decorate(
@@ -98,10 +99,10 @@ def synchronous(
 async def awaitable(
     function: Callable[Arguments, Result], *arguments: Arguments.args, **named: Arguments.kwargs
 ) -> Result:
-    """Call ``function`` from an async function: ``await awaitable(function, ...)``.
+    """Call ``function`` from an async function by ``await awaitable(function, ...)``.
 
-    The requests of a `synchronous` function, or of a `functools.partial` of such a function, reach
-    the server of the outer coroutine. Any other function is called when the coroutine is awaited.
+    ``function`` can be made by `synchronous`, or be a `functools.partial` of such a function. The
+    server of the outer coroutine then answers its requests. Any other function is called plainly.
     """
     call: Any = partial(function, *arguments, **named)
     if is_synchronous(function):
@@ -110,14 +111,14 @@ async def awaitable(
 
 
 def is_synchronous(function: Callable[..., Any]) -> bool:
-    """Whether ``function``, or that of a `functools.partial`, was made by `synchronous`."""
+    """Whether `synchronous` made ``function``, or the function in a `functools.partial`."""
     return hasattr(partial(function).func, "async_function")
 
 
 def map_concurrently(
     function: Callable[[Item], Result], items: Iterable[Item]
 ) -> Iterator[tuple[int, Result]]:
-    """Yield index and ``function(item)`` of each item, as soon as its call ends.
+    """Yield the index of each item and ``function(item)``, as soon as the call ends.
 
     Calls of a `synchronous` function share batches of requests.
     """
@@ -126,17 +127,18 @@ def map_concurrently(
 
 
 class _UnknownValueError(Exception):
-    """Raised in `search_async` for an argument without a known value; carries the argument."""
+    """Raised in `search_async` for an argument whose value is unknown; contains the argument."""
 
 
 async def search_async(
     search: Callable[[Callable[[float], float]], Result],
     function: Callable[[float], Coroutine[Any, Any, float]],
 ) -> Result:
-    """Return ``search(f)``, where ``await function(x)`` gives the values of f.
+    """Return ``search(f)`` for the function f whose value at x is ``await function(x)``.
 
-    This lets a plain root finder search an async function. ``search`` must be deterministic: it
-    starts again after each new value and gets the known values from a table.
+    So a plain root finder can search an async function. When ``search`` asks for an unknown value
+    of f, the value is computed and put into a table, and ``search`` starts again. Therefore
+    ``search`` must be deterministic.
     """
     values: dict[float, float] = {}
 

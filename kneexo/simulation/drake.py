@@ -1,4 +1,4 @@
-"""Runs of diagrams by Drake's Simulator."""
+"""Runs diagrams by Drake's Simulator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def simulate_diagram(
     settings: SimulationParameters,
     progress: Callable[[float], Any] | None = None,
 ) -> Run:
-    """Run a diagram by Drake's Simulator and return what its log recorded.
+    """Run a diagram by Drake's Simulator and return the logged signals.
 
     Parameters
     ----------

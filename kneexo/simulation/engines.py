@@ -1,4 +1,4 @@
-"""Runs of closed loops by the compiled engine or Drake's Simulator, alone or in batches."""
+"""Runs closed loops by the compiled engine or by Drake's Simulator, alone or in batches."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kneexo.simulation.run import Run
 
 @dataclass(frozen=True)
 class RunRequest(Request[Run]):
-    """A request for the `Run` of a scenario; `simulate` describes the fields."""
+    """A request to simulate a scenario; the answer is a `Run`. `simulate` describes the fields."""
 
     scenario: Scenario
     signals: Sequence[str] | None = None
@@ -42,11 +42,11 @@ MOST_STEPS = 1_000_000_000
 
 
 def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
-    """Yield the index of each request with its run or its error, as soon as the run ends.
+    """Yield the index of each request and its run or its error, as soon as the run ends.
 
-    The compiled engine simulates scenarios of one structure in batches. A run in which the exact
-    hold fails is repeated by RK4 with steps of 20 µs. The result of a run does not depend on the
-    other runs in its batch.
+    The compiled engine simulates scenarios that differ only in numbers in batches. If the
+    integrator ``exact_hold`` fails in a run, RK4 with steps of 20 µs repeats the run. The result of
+    a run does not depend on the other runs in its batch.
     """
     ways: dict[Any, list[int]] = {}
     for index, request in requests.items():
@@ -73,7 +73,7 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
 
 
 def _too_large(request: RunRequest) -> ParameterError | None:
-    """Return the error of a run that would take too much memory or time; otherwise None."""
+    """Return an error if the run would require too much memory or time, otherwise None."""
     settings = request.scenario.simulation
     duration = f"simulation.duration_s = {settings.duration_s:g} s"
     samples, width = _records(request), _width(request)
@@ -123,8 +123,8 @@ def _drake_run(request: RunRequest) -> Run | KneexoError:
 def _diagram_run(request: RunRequest, diagram: Diagram) -> Run | KneexoError:
     """Compile and run a user's closed loop; return the run or its error.
 
-    If the request names no signals, the run logs all `SIGNALS` that the diagram has as output
-    ports.
+    If the request names no signals, the run logs all `SIGNALS` for which the diagram has an output
+    port.
     """
     settings, names = request.scenario.simulation, request.signals
     if names is None:
@@ -181,7 +181,10 @@ def _compiled_runs(
 
 
 def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterator[list[int]]:
-    """Yield batches of requests of similar duration whose logged signals fit into memory."""
+    """Divide requests into batches of similar duration and yield the indices of each batch.
+
+    The logged signals of a batch fit into memory.
+    """
     width = _width(requests[group[0]])
     waiting = sorted(group, key=lambda index: _records(requests[index]), reverse=True)
     while waiting:
@@ -194,8 +197,8 @@ def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterat
 needs_runs = synchronous(serve_runs)
 """Decorator that turns an async function that awaits runs into a plain function.
 
-In the async function ``await awaitable(simulate, scenario)`` returns a `Run`. Concurrent calls, as
-by `kneexo.sweeps.parallel_map`, share batches of runs.
+In the async function, ``await awaitable(simulate, scenario)`` returns a `Run`. Concurrent calls
+share batches of runs, for example when `kneexo.sweeps.parallel_map` makes the calls.
 """
 
 
@@ -210,28 +213,29 @@ async def simulate(
     """Run the closed loop of ``scenario`` and return the logged signals.
 
     ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator.
-    If the exact hold fails because the valves make the equations too stiff, RK4 with steps of
-    20 µs repeats the run; ``settings`` of the run then name RK4.
+    If the integrator ``exact_hold`` fails because the valves make the equations too stiff, RK4 with
+    steps of 20 µs repeats the run. The ``settings`` of the returned run then name RK4.
 
     Parameters
     ----------
     scenario
         The closed loop, its duration and its solver.
     signals
-        Signals to log, names of `kneexo.diagrams.SIGNALS`; None: all available ones.
+        Names in `kneexo.diagrams.SIGNALS` of the signals to log. None: all available signals.
     progress
         Function that is called with the simulated time in s. The compiled engine calls it once, at
-        the end of the run, and with a ``diagram`` not at all.
+        the end of the run. If there is a ``diagram``, it is not called.
     diagram
         A closed loop of the user with output ports of `kneexo.diagrams.SIGNALS`. It replaces the
-        closed loop of ``scenario``, which then only gives duration, solver and sample time of the
-        log.
+        closed loop of ``scenario``. The scenario then only gives the duration, the solver and the
+        sample time of the log.
 
     Raises
     ------
     SimulationError
         The run diverges or leaves its range.
     ParameterError, LinkageError
-        As `kneexo.diagrams.make_closed_loop`, and for a run that is too large.
+        For the same reasons as in `kneexo.diagrams.make_closed_loop`. `ParameterError` also if the
+        run would require too much memory or time.
     """
     return await RunRequest(scenario, signals, progress, diagram)

@@ -1,4 +1,4 @@
-"""The result of one run, by the compiled engine or by Drake's Simulator."""
+"""The result of one run of the compiled engine or of Drake's Simulator."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ class Run(Result):
     """Logged signals of one run: ``time_s`` (n,) and ``data`` by column name, each (n,).
 
     The logged output of a controller at time t is the value that was held until the update at t.
-    ``settings`` name the solver that ran, also if the run was repeated. All values are finite.
+    ``settings`` names the solver of this run. If the run was repeated, it is the solver of the last
+    attempt. All values are finite.
     """
 
     time_s: Array
@@ -27,7 +28,7 @@ class Run(Result):
 
     @property
     def columns(self) -> dict[str, Array]:
-        """``time_s`` and ``data`` in one dictionary."""
+        """Dictionary of ``time_s`` and all columns of ``data``."""
         return {"time_s": self.time_s, **self.data}
 
     def to_dataframe(self) -> Any:

@@ -1,4 +1,4 @@
-"""Sweeps of many runs: worker processes, checkpoints and progress bars."""
+"""Makes many runs in parallel, with worker processes, checkpoints and progress bars."""
 
 from kneexo.sweeps.checkpoint import Checkpoint as Checkpoint
 from kneexo.sweeps.parallel import (

@@ -1,4 +1,4 @@
-"""A file of finished results, by which an interrupted sweep continues where it stopped."""
+"""A file of finished results, from which an interrupted sweep continues."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ _MOST_BYTES = 4096 * MIB
 class Checkpoint:
     """A file with one JSON line for each finished piece of work.
 
-    A piece is identified by its function, its input and kneexo's version. So a sweep takes from the
-    file only results that it would compute itself. Results are plain JSON data; floats come back
-    bit by bit. Each line has a checksum: damaged lines are skipped, and a warning counts them.
+    A piece of work is one call of a function. Its key contains the function, the input and kneexo's
+    version. So a sweep reads from the file only results that it would compute itself. Results are
+    plain JSON data, and floats are restored bit by bit. Each line has a checksum. Damaged lines are
+    skipped, and a warning says how many.
 
     Parameters
     ----------
     path
         The file. It is locked until `close` or `remove`, until this process ends, or until this
-        process opens it again. None: the pieces stay in memory only.
+        process opens the file again. None: results stay in memory only.
     resume
-        Whether to use the pieces that are in the file; False deletes them.
+        True: use the pieces of work in the file. False: delete these pieces.
 
     Raises
     ------
@@ -65,7 +66,7 @@ class Checkpoint:
             raise _output_error(path, error) from None
 
     def _read(self, path: Path, file: LockedFile) -> None:
-        """Read the undamaged pieces of the file into ``_results``; warn of damaged lines."""
+        """Read the undamaged lines of the file into ``_results``; warn of damaged lines."""
         data = file.read(_MOST_BYTES)
         if _HEADER.startswith(data):  # empty, or the first write was cut short
             file.clear()
@@ -91,7 +92,7 @@ class Checkpoint:
             )
 
     def __len__(self) -> int:
-        """Return the number of finished pieces of work, read from the file or new."""
+        """Return the number of finished pieces of work, both read from the file and new."""
         return len(self._results)
 
     def __contains__(self, key: str) -> bool:
@@ -103,7 +104,10 @@ class Checkpoint:
         return result
 
     def keep(self, key: str, result: Any) -> Any:
-        """Store the result of the piece ``key`` and return this result as read back from JSON."""
+        """Store the result of the piece of work with the key ``key``.
+
+        Returns the result after conversion to JSON and back.
+        """
         payload = json.dumps([key, result])
         if self.path is not None and self._file is not None:
             try:
@@ -120,15 +124,15 @@ class Checkpoint:
         self._torn = False
 
     def close(self) -> None:
-        """Release the lock on the file; delete an empty file."""
+        """Release the lock on the file. Delete the file if it is empty."""
         if self._file is not None:
             self._file.close()
 
     def remove(self) -> int:
         """Delete the file after a complete sweep and return the number of unused pieces.
 
-        An unused piece is a piece that this sweep did not read, such as one with other settings. If
-        there are unused pieces, the file is only closed.
+        An unused piece is a piece of work whose result this sweep did not use, such as a run with
+        other settings. If there are unused pieces, the file is closed but not deleted.
         """
         unused = len(self._results.keys() - self._used)
         if self._file is not None and not unused:
@@ -138,7 +142,7 @@ class Checkpoint:
 
 
 def _sealed(payload: bytes) -> bytes:
-    """Return a line of the file: ``payload``, the JSON of a key and its result, with a checksum."""
+    """Return a line of the file, made of a checksum and ``payload``, the JSON of key and result."""
     seal = hashlib.sha256(payload).hexdigest().encode()
     return b'{"sha256": "' + seal + b'", "piece": ' + payload + b"}"
 
@@ -165,7 +169,7 @@ def _text(value: Any) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """Return data that JSON can write in place of a value that JSON cannot write."""
+    """Return JSON-compatible data that stands for a value that JSON cannot write."""
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]
     if isinstance(value, partial):
@@ -183,7 +187,7 @@ _ENCODER = json.JSONEncoder(sort_keys=True, default=_plain)
 
 
 def _output_error(path: Path, error: OSError) -> OutputError:
-    """Return the `OutputError` for an `OSError` on opening, reading or writing a checkpoint."""
+    """Return the `OutputError` for an `OSError` in opening, reading or writing a checkpoint."""
     if isinstance(error, OutputError):
         return error
     if isinstance(error, BlockingIOError):

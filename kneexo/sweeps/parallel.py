@@ -34,16 +34,19 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 UNIT_S = 0.5
-"""Time in s after which a worker returns results, the target duration of a unit of work.
+"""Target duration in s of a unit of work, after which a worker returns its results.
 
-A unit contains as many calls of the mapped function as take about this time.
+A unit contains as many calls of the mapped function as a worker finishes in about this time.
 """
 
 CONNECT_S = 10.0
 """Largest time in s to wait for a Dask scheduler, and then for its first worker."""
 
 LARGEST_LOT = 512
-"""Largest number of calls that share batches of runs (`kneexo.simulation.engines.needs_runs`)."""
+"""Largest number of concurrent calls that share batches of runs.
+
+`kneexo.simulation.engines.needs_runs` describes such calls.
+"""
 
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # NumPy reads it when it is imported
 _UNITS_PER_WORKER = 4  # units submitted per worker, so that no worker runs out of work
@@ -57,10 +60,10 @@ def process_pool(
 ) -> Iterator[Executor | None]:
     """Context manager: yield an executor of spawned processes, or None for a single worker.
 
-    ``workers`` is the number of processes; None: one for each core that this process can use. With
-    one worker, `parallel_map` computes in this process. An ``executor`` is yielded unchanged, and
-    ``workers`` then has no effect. The spawned processes are killed when the body raises an
-    exception, also KeyboardInterrupt.
+    ``workers`` is the number of processes. None means one process for each core that this process
+    can use. If the number is 1, `parallel_map` computes in this process. An ``executor`` is yielded
+    unchanged, and ``workers`` then has no effect. The spawned processes are killed when the body
+    raises an exception, also KeyboardInterrupt.
     """
     if executor is not None:
         yield executor
@@ -86,9 +89,9 @@ def process_pool(
 def _single_threaded_blas() -> Iterator[None]:
     """Context manager: processes started in its body use one BLAS thread each.
 
-    If the environment sets the number of threads, that number is kept. The matrices are so small
-    that several threads of OpenBLAS wait for each other: on busy cores a least-squares fit of a
-    cycle takes 13 ms with two threads and 0.2 ms with one.
+    If the environment sets the number of threads, this number is kept. One thread is faster,
+    because the matrices are small and several threads wait for each other. On busy cores the
+    least-squares fit of a cycle takes 13 ms with two threads and 0.2 ms with one thread.
     """
     before = os.environ.get(_BLAS_THREADS)
     os.environ[_BLAS_THREADS] = before or "1"
@@ -103,12 +106,12 @@ def _single_threaded_blas() -> Iterator[None]:
 def dask_cluster(address: str) -> Iterator[Executor]:
     """Context manager: yield an executor of the workers of a running Dask cluster.
 
-    ``address`` is that of the scheduler, such as ``tcp://host:8786``. If a worker is lost, other
-    workers repeat its work; if all workers are lost, Dask waits for new ones.
+    ``address`` is the address of the scheduler, such as ``tcp://host:8786``. If a worker is lost,
+    other workers repeat its work. If all workers are lost, Dask waits for new workers.
 
     Raises `WorkerError` when the package ``distributed`` is missing, when no scheduler or no worker
-    is found within 10 s, when a worker has another version of kneexo, when a piece of work kills
-    one worker after another, and when the connection to the scheduler is lost.
+    is found within 10 s, when a worker has another version of kneexo, when the same work kills
+    several workers, and when the connection to the scheduler is lost.
     """
     try:
         distributed: Any = import_module("distributed")
@@ -147,7 +150,7 @@ def dask_cluster(address: str) -> Iterator[Executor]:
 
 
 def _require_this_version(client: Any, address: str) -> None:
-    """Raise `WorkerError` for a worker with another version, and for a cluster without workers."""
+    """Raise `WorkerError` if a worker has another version or the cluster has no workers."""
 
     def version() -> str:  # sent as code, because a worker may not have kneexo
         from kneexo.version import __version__
@@ -202,18 +205,19 @@ def parallel_map(
     function, items
         Function and items; with more than one worker both must be picklable.
     workers
-        Number of processes, as in `process_pool`. Processes are spawned, so that a script needs
-        ``if __name__ == "__main__":`` for more than one.
+        Number of processes, as in `process_pool`. Processes are spawned. So a script needs
+        ``if __name__ == "__main__":`` if there is more than one process.
     executor
-        A `concurrent.futures.Executor` in place of ``workers``, such as that of `dask_cluster`.
+        A `concurrent.futures.Executor` to use instead of ``workers``. `dask_cluster` yields such an
+        executor.
     description
-        Text of a progress bar; None: no bar.
+        Text of a progress bar. None: no progress bar.
     weight
         Cost of an item in any unit. The items with the largest weights are computed first, and the
         progress bar advances by the weights.
     checkpoint
-        Stores each result as soon as it is computed. Results that are in the checkpoint are not
-        computed again. The function must then return plain JSON data.
+        `Checkpoint` that stores each result as soon as it is computed. Results in the checkpoint
+        are not computed again. The function must then return plain JSON data.
 
     Raises
     ------
@@ -259,7 +263,7 @@ def parallel_map(
 
 
 class _Units:
-    """A queue of item indices, taken in units whose size adapts to the time limit `UNIT_S`."""
+    """Queue of item indices, split into units of work whose size adapts to the limit `UNIT_S`."""
 
     def __init__(self, order: Iterable[int], size: int) -> None:
         self._waiting = deque(order)
@@ -269,28 +273,28 @@ class _Units:
         return bool(self._waiting)
 
     def take(self, most: int = sys.maxsize) -> list[int]:
-        """Remove the next unit, at most ``most`` indices, from the front of the queue; return it.
+        """Remove the next unit of work from the front of the queue and return its indices.
 
-        The other indices stay in the queue. An empty queue gives an empty list.
+        The unit has at most ``most`` indices. An empty queue gives an empty list.
         """
         size = min(self._size, most, len(self._waiting))
         return [self._waiting.popleft() for _ in range(size)]
 
     def give_back(self, unfinished: Sequence[int], finished: int, in_time: bool) -> None:
-        """Return unfinished indices of a unit to the front of the queue; adapt the size of units.
+        """Put the unfinished indices of a unit back at the front of the queue; adapt the size.
 
-        ``finished`` is the number of finished indices. If the unit ended within the time limit,
-        the size becomes at least twice this number; otherwise it becomes this number.
+        ``finished`` is the number of finished indices. If the unit ended within the time limit, the
+        size of the next units becomes at least twice this number. Otherwise it becomes this number.
         """
         self._waiting.extendleft(reversed(unfinished))
         self._size = max(self._size, 2 * finished) if in_time else finished
 
 
 def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
-    """Return the size of the first units of ``count`` items in all.
+    """Return the size of the first units of work, if there are ``count`` items in total.
 
-    The size is more than 1 only if calls of ``function`` share batches and there are at least
-    8 items for each worker.
+    The size is 1 unless calls of ``function`` share batches and there are at least 8 items for
+    each worker.
     """
     if not is_synchronous(function):
         return 1
@@ -298,10 +302,10 @@ def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
 
 
 def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], bool]:
-    """Call ``function`` for ``items``, in a worker process, until `UNIT_S` has elapsed.
+    """Call ``function`` for ``items`` until `UNIT_S` has elapsed; run in a worker process.
 
-    Return the results of all items begun before the end of `UNIT_S`, in order, and whether the
-    last of these items also ended before it.
+    Calls that have begun before this time are finished. Returns the results of the finished calls
+    in the order of ``items``, and True if all calls ended within `UNIT_S`, otherwise False.
     """
     end = time.perf_counter() + UNIT_S
     lot = LARGEST_LOT if is_synchronous(function) else 1
@@ -321,10 +325,10 @@ def _by_executor(
     executor: Executor,
     keep: Callable[[int, Result], None],
 ) -> None:
-    """Compute ``function`` of the items with the indices ``order`` by an executor.
+    """Let an executor compute ``function(items[index])`` for the indices in ``order``.
 
-    This process calls ``keep`` with index and result of each item as the units of work end. Raises
-    `WorkerError` when a worker process dies.
+    When a unit of work ends, this process calls ``keep`` with the index and the result of each of
+    its items. Raises `WorkerError` when a worker process dies.
     """
     workers = getattr(executor, "_max_workers", _WORKERS)
     most = _UNITS_PER_WORKER * workers

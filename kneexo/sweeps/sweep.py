@@ -17,11 +17,11 @@ class SweepOptions(TypedDict, total=False):
 
     workers: int | None
     """Number of processes. 1 (default): work in this process. None: one process for each core.
-    Processes are spawned, so that a script needs ``if __name__ == "__main__":`` for them."""
+    Processes are spawned. So a script needs ``if __name__ == "__main__":`` unless this is 1."""
     executor: Executor | None
-    """A `concurrent.futures.Executor` in place of ``workers``, such as that of `dask_cluster`."""
+    """A `concurrent.futures.Executor` to use instead of ``workers``; `dask_cluster` yields one."""
     checkpoint: Checkpoint | None
-    """Stores each result as soon as it is computed; stored results are not computed again."""
+    """`Checkpoint` that stores each result at once; stored results are not computed again."""
     progress: bool
     """Whether progress bars are shown; False by default."""
 
