@@ -139,7 +139,7 @@ class SampledLoop(Result):
         )
 
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return the loop transfer L(e^{j2πfT}), (n,), at f in Hz, over which it has the period 1/T."""
+        """Return the loop transfer L(e^{j2πfT}) at frequencies f in Hz, (n,)."""
         a, b, c = self.loop_matrices
         z = np.exp(2j * np.pi * frequency_array(frequencies_hz) * self.sample_time_s)
         shifted = z[:, None, None] * np.eye(a.shape[0]) - a

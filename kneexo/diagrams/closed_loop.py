@@ -269,7 +269,7 @@ def _start_arguments(scenario: Scenario) -> dict[str, Any]:
 def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
     """Add the encoder to a DiagramBuilder and return the system that outputs its reading.
 
-    The encoder measures the value of the port ``angle`` (θ_4), shifted by the phase of the encoder.
+    The encoder measures θ_4, the value of the port ``angle``, minus the phase of the encoder.
     """
     from pydrake.systems.sensors import RotaryEncoders  # this import takes 0.05 s
 

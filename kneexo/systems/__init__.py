@@ -1,9 +1,9 @@
 """Leaf systems of the polycentric knee exoskeleton, one component of the paper in each file.
 
-Every system has the paper's configuration as its default, named ports in SI units and numeric
-Context parameters, and converts to AutoDiffXd and to symbolic Expression. ``BldcPump(…)`` is a
-system of floats, and ``BldcPump_[T](…)`` a system of the scalar type T, as in Drake. The encoder is
-Drake's own `RotaryEncoders`.
+The paper's configuration is the default of every system. Every system has named ports in SI units
+and numeric Context parameters, and converts to AutoDiffXd and to symbolic Expression.
+``BldcPump(…)`` is a system of floats, and ``BldcPump_[T](…)`` is a system of the scalar type T, as
+in Drake. The encoder is Drake's own `RotaryEncoders`.
 """
 
 from kneexo.systems.bldc_pump import BldcPump as BldcPump, BldcPump_ as BldcPump_

@@ -24,12 +24,12 @@ else:  # `leaf_template` adds Drake's class of the scalar
 
 
 def clip(value: Any, lower: Any, upper: Any) -> Any:
-    """Limit a float, AutoDiffXd or Expression to lower…upper; within, its derivative is kept."""
+    """Limit a float, AutoDiffXd or Expression to lower…upper; keep its derivative in between."""
     return _min(_max(value, lower), upper)
 
 
 def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
-    """Return ``positive`` if ``condition`` > 0, else ``otherwise``; for any scalar of Drake."""
+    """Return ``positive`` if ``condition`` > 0, else ``otherwise``; any scalar type of Drake."""
     if isinstance(condition, Expression):
         branches = (
             v if isinstance(v, Expression) else Expression(v) for v in (positive, otherwise)
@@ -39,7 +39,7 @@ def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
 
 
 def values_of(source: Any, *names: str) -> dict[str, float]:
-    """Return the attributes ``names`` of the parameter object ``source``, by name."""
+    """Return a dictionary of the attributes ``names`` of the parameter object ``source``."""
     return {name: getattr(source, name) for name in names}
 
 
@@ -56,9 +56,10 @@ def _named_values(names: Sequence[str]) -> Any:
 class NamedLeaf(LeafSystem):
     """Base of a component: a leaf system for all scalars of Drake, with named Context parameters.
 
-    A subclass declares ports, state and Context parameters in ``__init__``. ``Component(…)`` makes
-    a system of floats, which converts to AutoDiffXd and Expression. `leaf_template` makes the class
-    for each scalar; the systems of all scalars are instances of ``Component``.
+    A subclass declares ports, state and Context parameters in ``__init__``. For a subclass
+    ``Component``, ``Component(…)`` makes a system of floats, which converts to AutoDiffXd and
+    Expression. `leaf_template` makes a class for each scalar type. The systems of all scalar types
+    are instances of ``Component``.
     """
 
     _scalar: Any = None
@@ -72,7 +73,7 @@ class NamedLeaf(LeafSystem):
         return names
 
     def __new__(cls, *_: Any, **__: Any) -> Self:
-        """Create a system of the scalar type of ``cls``; a system of floats if ``cls`` has none."""
+        """Create a system of the scalar type of ``cls``, or of floats if ``cls`` has none."""
         system: Any = cls
         if cls._scalar is None:
             system = leaf_template(system)[None]
@@ -90,7 +91,8 @@ class NamedLeaf(LeafSystem):
     ) -> Any:
         """Declare an output port with the value ``calc(context)``.
 
-        ``sources`` are the ports and tickets that ``calc`` reads besides the Context parameters.
+        ``sources`` are the ports and dependency tickets that ``calc`` reads, except the Context
+        parameters.
         """
         tickets = {s.ticket() if hasattr(s, "ticket") else s for s in sources}
         return self.DeclareVectorOutputPort(
@@ -103,7 +105,7 @@ class NamedLeaf(LeafSystem):
     def _declare_update(
         self, period: float, size: int, update: Callable[[Any], Sequence[Any]]
     ) -> None:
-        """Declare a discrete state of ``size`` with x⁺ = ``update(context)`` every ``period`` s."""
+        """Declare a discrete state (size,) that becomes ``update(context)`` every ``period`` s."""
         self.DeclareDiscreteState(size)
         self.DeclarePeriodicDiscreteUpdateEvent(
             period, 0.0, lambda context, state: fill(state.get_mutable_vector(0), update(context))
@@ -118,8 +120,8 @@ class NamedLeaf(LeafSystem):
     def _declare_check(self, check: Callable[[Any], None]) -> None:
         """Declare ``check(context)``, which raises an error outside the limits of the system.
 
-        Drake's Simulator of floats calls ``check`` after each step. A compiled run that ends
-        outside the limits calls it too, by the attribute ``check``, for the error message.
+        Drake's Simulator calls ``check`` after each step of a system of floats. If a compiled run
+        ends outside the limits, it calls the attribute ``check`` to get the error message.
         """
         self.check = check
         if self._scalar is float:
@@ -148,8 +150,8 @@ class NamedLeaf(LeafSystem):
 def leaf_template(component: type[NamedLeaf]) -> Any:
     """Return Drake's template of a component: a table of its classes by scalar type.
 
-    The template is made at the first call, because Drake needs some milliseconds for a template,
-    and compiled runs need none. An explicit scope avoids 40 ms of stack inspection.
+    The template is made at the first call, because it costs some milliseconds and compiled runs
+    need no template. An explicit scope avoids 40 ms of stack inspection.
     """
 
     @TemplateSystem.define(f"{component.__name__}_", scope=sys.modules[component.__module__])
@@ -174,7 +176,7 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
 
 
 def require_finite(system: Any, context: Any, **values: Any) -> None:
-    """Raise `SimulationError` for the first of the floats ``values`` that is not finite.
+    """Raise `SimulationError` if a float among ``values`` is not finite; name the first.
 
     A NaN derivative would hang Drake's error-controlled integrators, and Drake's other integrators
     would ignore the NaN. Values of AutoDiffXd and Expression are not checked.

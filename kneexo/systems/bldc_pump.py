@@ -17,7 +17,7 @@ from kneexo.systems._leaf import (
 from kneexo.systems.state_variable import StateVariable
 
 RAD_S_PER_KRAD_S = 1e3
-"""Rad/s per krad/s: the motor speed is a state in krad/s and an output in rad/s."""
+"""Number of rad/s in a krad/s. The motor speed is a state in krad/s and an output in rad/s."""
 
 
 def motor_acceleration(
@@ -34,13 +34,13 @@ def motor_acceleration(
 def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, leakage: Any) -> Any:
     """Return the load flow Q_L = D_m ω/gear − C P_L in m³/s (Eq. 13).
 
-    ``leakage`` is C = C_im + C_em/2, the internal and half the external leakage coefficient.
+    ``leakage`` is C = C_im + C_em/2, where C_im is internal and C_em external leakage coefficient.
     """
     return displacement * speed / gear_ratio - leakage * pressure
 
 
 def context_values(parameters: BldcPumpParameters) -> dict[str, float]:
-    """Return the Context parameters of `BldcPump` by name."""
+    """Return a dictionary {name: value} of the Context parameters of `BldcPump`."""
     return values_of(
         parameters,
         "speed_limit_rad_s",
@@ -76,8 +76,8 @@ class BldcPump(NamedLeaf):
     hydraulic_power      1     W        Q_L P_L, after leakage
     ===================  ====  =======  ==============================================
 
-    The state is the motor speed in krad/s, a number of order one. With ``ideal=True`` there is no
-    state: the speed equals the command, without a limit, as in Eq. 17. Context parameters by name:
+    The state is the motor speed in krad/s, a number of order one. If ``ideal`` is True, there is no
+    state, and the speed equals the unlimited command, as in Eq. 17. Context parameters by name:
     ``speed_limit_rad_s, lag_s, acceleration_limit_rad_s2, gear_ratio, displacement_m3_per_rad,
     leakage_m3_per_s_pa`` (C_im + C_em/2). Raises `SimulationError` when the acceleration is not
     finite. Source: Lee et al. 2020, Eq. 12, 13; lag and acceleration limit are assumptions.

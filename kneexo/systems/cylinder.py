@@ -1,4 +1,4 @@
-"""Base class of the single-rod cylinders of reduced and full order: rod, moving mass and stroke."""
+"""Base class of the single-rod cylinders of reduced and of full order."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from kneexo.systems._leaf import (
 from kneexo.systems.state_variable import StateVariable
 
 PA_PER_MPA = 1e6
-"""Pa per MPa: pressures are states in MPa and outputs in Pa."""
+"""Number of Pa in a MPa. Pressures are states in MPa and outputs in Pa."""
 
 
 def start_extension(parameters: CylinderParameters, initial_extension_m: float | None) -> float:
-    """Return the initial rod extension in m; half the stroke for None.
+    """Return the initial rod extension in m; None means half the stroke.
 
     Raises `ParameterError` when the extension lies outside the stroke.
     """
@@ -39,10 +39,9 @@ def start_extension(parameters: CylinderParameters, initial_extension_m: float |
 
 
 def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, float]:
-    """Return the Context parameters of a `Cylinder` by name.
+    """Return a dictionary {name: value} of the Context parameters of a `Cylinder`.
 
-    ``others`` are the names of parameters that only the cylinder of reduced or of full order has.
-    They come first.
+    ``others`` are the names of parameters that only one kind of cylinder has. They come first.
     """
     return values_of(
         parameters,
@@ -57,7 +56,7 @@ def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, f
 
 
 def cylinder_states(*pressures: str) -> tuple[StateVariable, ...]:
-    """Return the continuous states of a `Cylinder` in order; ``pressures``: columns in Pa."""
+    """Return the states of a `Cylinder` in order; ``pressures`` are names of columns in Pa."""
     rod = (StateVariable("rod_extension_m"), StateVariable("rod_velocity_m_s"))
     return (*rod, *(StateVariable(column, PA_PER_MPA) for column in pressures))
 
@@ -66,12 +65,12 @@ class Cylinder(NamedLeaf):
     """Base of the cylinders of reduced and full order, with common ports: m dv/dt = F_rod − F_L.
 
     State: x in m, v in m/s and the pressures in MPa, all of order one. A subclass defines load
-    pressure, rod force and pressure rates. Raises `SimulationError` at the end of a step that
-    leaves the stroke, and when a derivative is not finite.
+    pressure, rod force and pressure rates. Raises `SimulationError` if the rod is outside the
+    stroke at the end of a step, and if a derivative is not finite.
     """
 
     def _declare_rod(self, extension: float, pressures_pa: Sequence[float]) -> None:
-        """Declare the common ports and the initial state, at rest with an extension in m."""
+        """Declare the common ports and the initial state: the rod at rest at an extension in m."""
         self._flow = self.DeclareVectorInputPort("load_flow", 1)
         self._force = self.DeclareVectorInputPort("load_force", 1)
         pressures = [pressure / PA_PER_MPA for pressure in pressures_pa]
@@ -93,7 +92,7 @@ class Cylinder(NamedLeaf):
         raise NotImplementedError
 
     def _pressure_rates(self, p: Any, state: list[Any], flow: Any) -> dict[str, Any]:
-        """Return the rates of the pressures in Pa/s, by name and in the order of the state."""
+        """Return a dictionary from pressure name to its rate in Pa/s, in the order of the state."""
         raise NotImplementedError
 
     def _state(self, context: Any) -> list[Any]:
@@ -102,7 +101,7 @@ class Cylinder(NamedLeaf):
         return [x, v, *[PA_PER_MPA * pressure for pressure in pressures]]
 
     def _numbers(self, context: Any) -> tuple[Any, list[Any]]:
-        """Return the Context parameters and the state in SI units, to read both only once."""
+        """Return the Context parameters and the state in SI units, to read each only once."""
         return self.parameters(context), self._state(context)
 
     def _motion(self, context: Any, p: Any, state: list[Any]) -> list[Any]:

@@ -12,7 +12,7 @@ from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, values_of, wher
 
 
 def nearest_integer(value: Any) -> Any:
-    """Return the nearest integer; halves round away from zero, as by C's ``lround``.
+    """Return the nearest integer; round halves away from zero, as C's ``lround`` does.
 
     ``floor(|value| + 0.5)`` would round 0.49999999999999994 to 1.
     """
@@ -23,7 +23,7 @@ def nearest_integer(value: Any) -> Any:
 
 
 def context_values(parameters: Cia402Parameters) -> dict[str, float]:
-    """Return the Context parameters of `Cia402Drive` by name."""
+    """Return a dictionary {name: value} of the Context parameters of `Cia402Drive`."""
     return values_of(parameters, "velocity_unit_rad_s")
 
 
@@ -44,7 +44,7 @@ class Cia402Drive(NamedLeaf):
 
     Stateless. The latency of the bus is not part of this system: `make_closed_loop` adds Drake's
     `DiscreteTimeDelay`. Context parameter by name: ``velocity_unit_rad_s`` (q). The derivative is
-    zero, as that of Drake's `RotaryEncoders`, so linear analysis bypasses the system. Source:
+    zero, as with Drake's `RotaryEncoders`, so that linear analysis bypasses the system. Source:
     CiA 402 (IEC 61800-7-201), cyclic synchronous velocity mode; rounding to the nearest integer is
     an assumption.
     """

@@ -20,8 +20,8 @@ from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[Any]:
     """Return knee angle θ_p, encoder angle θ_4 and moment arm r at a rod extension, in rad and m.
 
-    ``polynomials`` are those of a `RodInverse` for these three. ``p`` has the dead centre and the
-    scaling of the `RodInverse` as attributes.
+    ``polynomials`` are the polynomials of a `RodInverse` for θ_p, θ_4 and r. ``p`` has the dead
+    centre and the scaling of the `RodInverse` as attributes.
     """
     # No knee angle has an extension beyond the dead centre; the check of the system reports it.
     root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 0.0))
@@ -32,7 +32,7 @@ def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[
 def context_values(
     parameters: LinkageParameters, knee: KneeParameters, fit: RodInverse
 ) -> dict[str, float]:
-    """Return the first vector of Context parameters of `FourBarKnee` by name."""
+    """Return a dictionary of the first vector of Context parameters of `FourBarKnee`."""
     return {
         **values_of(
             parameters,
@@ -71,8 +71,8 @@ class FourBarKnee(NamedLeaf):
     follows the linkage.
 
     Raises `LinkageError` on construction when the linkage cannot be assembled. Raises
-    `SimulationError` at the end of a step that leaves the range of motion by more than
-    ``overshoot_deg``, because the model has no end stops. Source: Lee et al. 2020, Eq. 1–9.
+    `SimulationError` if the knee is more than ``overshoot_deg`` outside the range of motion at the
+    end of a step, because the model has no end stops. Source: Lee et al. 2020, Eq. 1–9.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class FourBarKnee(NamedLeaf):
         return icr(p, theta_p - p.phi_rad, theta_4, xp=drake_math)
 
     def margin(self, context: Any) -> Any:
-        """Return the knee angle's distance in rad to its nearer limit, overshoot included.
+        """Return the distance in rad from the knee angle to the nearer limit plus overshoot.
 
         A compiled run stops when this distance falls below zero.
         """

@@ -26,7 +26,7 @@ _LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus is constant below this pressure
 
 
 def opening(excess: Any, band: Any) -> Any:
-    """Return max(excess, 0) whose corner is rounded by a parabola over 0…``band``.
+    """Return max(excess, 0), with its corner rounded by a parabola over 0…``band``.
 
     The opening is exactly zero where ``excess`` ≤ 0.
     """
@@ -88,8 +88,8 @@ def holding_pressures(
 ) -> tuple[float, float]:
     """Return the pressures P_1 and P_2 in Pa that hold ``force`` (N, positive opposes extension).
 
-    Above the switching force P_r (A_1 − A_2) the cap side carries the load, below it the rod side.
-    The other chamber is at the pressure P_r of the reservoir.
+    If ``force`` exceeds P_r (A_1 − A_2), the cap side carries the load, otherwise the rod side. The
+    other chamber is at the pressure P_r of the reservoir.
     """
     if force > reservoir * (cap_area - rod_side_area):
         return (force + reservoir * rod_side_area) / cap_area, reservoir
@@ -101,7 +101,7 @@ def context_values(
     full_order: FullCylinderParameters,
     pump_external_leakage_m3_per_s_pa: float,
 ) -> dict[str, float]:
-    """Return the Context parameters of `FullCylinder` by name."""
+    """Return a dictionary {name: value} of the Context parameters of `FullCylinder`."""
     return {
         **cylinder_values(parameters, "cap_area_m2", "rod_side_area_m2"),
         "pump_external_leakage_m3_per_s_pa": pump_external_leakage_m3_per_s_pa,

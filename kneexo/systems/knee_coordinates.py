@@ -35,14 +35,14 @@ _COEFFICIENTS = ("p_1", "p_2", "p_3", "p_4", "p_5", "p_6")
 
 @lru_cache(maxsize=64)
 def rod_polynomial_values(table_1: RodPolynomialParameters) -> dict[str, float]:
-    """Return the Context parameters of `RodReference`: the coefficients of Eq. 10 in SI units."""
+    """Return a dictionary of the parameters of `RodReference`, p_1 … p_6 of Eq. 10 in SI units."""
     return dict(zip(_COEFFICIENTS, table_1.p_si, strict=True))
 
 
 def context_values(
     parameters: LinkageParameters, table_1: RodPolynomialParameters, offset_rad: float
 ) -> dict[str, float]:
-    """Return the Context parameters of `KneeCoordinates` by name.
+    """Return a dictionary {name: value} of the Context parameters of `KneeCoordinates`.
 
     Raises `LinkageError` when the linkage is not one-to-one.
     """
@@ -60,8 +60,8 @@ def context_values(
 class KneeCoordinates(NamedLeaf):
     """Computes the measured knee angle and rod extension from the reading of the encoder.
 
-    θ_4 = reading + offset; θ_p by Eq. 3–7; x = p_1 θ_p⁵ + … + p_6 (Eq. 10, Table 1). In the real
-    device this runs on the microcontroller.
+    θ_4 = reading + offset. θ_p follows from Eq. 3–7. x = p_1 θ_p⁵ + … + p_6 (Eq. 10, Table 1). In
+    the real device this runs on the microcontroller.
 
     ===============  ====  ====  =========================================================
     input port       size  unit

@@ -14,7 +14,7 @@ from kneexo.systems._leaf import NamedLeaf, leaf_template, value_or_zero
 def weight_torque(
     knee_angle: Any, *, mass: Any, centre_of_mass: Any, thigh_inclination: Any, gravity: Any
 ) -> Any:
-    """Return the torque m g l sin(α − θ_p) of the shank's weight in N·m; positive flexes the knee.
+    """Return the torque m g l sin(α − θ_p) of the shank's weight in N·m, positive in flexion.
 
     θ_p is ``knee_angle``, l ``centre_of_mass`` and α ``thigh_inclination``.
     """
@@ -52,7 +52,7 @@ def load_force(
 
 
 def context_values(parameters: KneeLoadParameters) -> dict[str, float]:
-    """Return the Context parameters of `KneeLoad` by name."""
+    """Return a dictionary {name: value} of the Context parameters of `KneeLoad`."""
     return {name: value for name, value in parameters if name != "kind"}
 
 

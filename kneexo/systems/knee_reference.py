@@ -2,9 +2,9 @@
 
 Each system has one output port, ``knee_reference``: θ_d, dθ_d/dt, d²θ_d/dt², d³θ_d/dt³ in rad and
 s. `make_knee_reference` makes the system for a parameter class. Samples become Drake's
-`TrajectorySource`, with the same output at its port ``y0``. A `TrajectorySource` has no Context
-parameters and no value at a symbolic time. For a loop that requires them,
-``make_closed_loop(external_reference=True)`` has an input port in place of the reference.
+`TrajectorySource`, whose port ``y0`` has the same output. A `TrajectorySource` has no Context
+parameters and no value at a symbolic time. If a loop requires these,
+``make_closed_loop(external_reference=True)`` replaces the reference by an input port.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _ramp(time: Any, ramp_s: Any) -> list[Any]:
 
 
 def _product_derivatives(u: list[Any], v: list[Any]) -> list[Any]:
-    """Return u·v and its derivatives; ``u`` and ``v`` hold a factor and its derivatives."""
+    """Return the product u·v and its derivatives; ``u`` and ``v`` hold a factor and derivatives."""
     return [sum(math.comb(n, k) * u[k] * v[n - k] for k in range(n + 1)) for n in range(len(u))]
 
 
@@ -94,7 +94,7 @@ def sine(time: Any, p: Any) -> list[Any]:
 
 
 def step(time: Any, p: Any) -> list[Any]:
-    """Return θ_d, which jumps just after ``p.time_s``, and its three time derivatives.
+    """Return a θ_d that jumps just after ``p.time_s``, and its three time derivatives.
 
     ``p`` has the `context_values` as attributes.
     """
@@ -102,7 +102,7 @@ def step(time: Any, p: Any) -> list[Any]:
 
 
 def ramp(time: Any, p: Any) -> list[Any]:
-    """Return θ_d, which moves from start to end at a constant rate, and its three derivatives.
+    """Return a θ_d that moves from start to end at a constant rate, and its three derivatives.
 
     ``p`` has the `context_values` as attributes.
     """
@@ -116,7 +116,7 @@ def ramp(time: Any, p: Any) -> list[Any]:
 
 
 def context_values(parameters: SineReference | StepReference | RampReference) -> dict[str, float]:
-    """Return the Context parameters of a reference system by name, with angles in rad."""
+    """Return a dictionary of the Context parameters of a reference system, with angles in rad."""
     return {
         name.replace("_deg", "_rad"): math.radians(value) if "_deg" in name else value
         for name, value in parameters

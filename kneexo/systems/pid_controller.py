@@ -11,7 +11,7 @@ from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template,
 
 
 def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[str, float]:
-    """Return the Context parameters of `PidController` by name."""
+    """Return a dictionary {name: value} of the Context parameters of `PidController`."""
     speed_gain = plant.pump.gear_ratio * plant.cylinder.mean_area_m2
     return {
         **values_of(

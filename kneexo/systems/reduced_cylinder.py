@@ -36,7 +36,7 @@ def rod_force(
 
 
 def context_values(parameters: CylinderParameters) -> dict[str, float]:
-    """Return the Context parameters of `ReducedCylinder` by name."""
+    """Return a dictionary {name: value} of the Context parameters of `ReducedCylinder`."""
     return cylinder_values(parameters, "mean_area_m2", "total_volume_m3")
 
 

@@ -70,7 +70,7 @@ def sliding_mode_command(state: Any, reference: Any, p: Any, signum: bool = Fals
 
 
 def context_values(parameters: SlidingModeParameters, plant: PlantParameters) -> dict[str, float]:
-    """Return the Context parameters of `SlidingModeController` by name."""
+    """Return a dictionary {name: value} of the Context parameters of `SlidingModeController`."""
     return {
         **values_of(
             parameters,

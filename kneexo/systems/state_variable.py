@@ -1,4 +1,4 @@
-"""Continuous states of the leaf systems by name."""
+"""Names and units of the continuous states of the leaf systems."""
 
 from __future__ import annotations
 
