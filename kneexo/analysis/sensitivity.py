@@ -139,7 +139,7 @@ def tracking_sensitivities(
     paths
         Dotted names of values of the plant, for which `differentiable` holds.
     duration_s
-        Duration of the run; None: that of the scenario.
+        Duration of the run. None: the duration in the scenario.
     step_s
         Step of the third-order Runge-Kutta method, for which the gradient is exact. None: 0.5 ms,
         or 0.05 ms in full order, because the valves are stiff. Drake's implicit integrators cannot

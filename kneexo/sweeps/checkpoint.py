@@ -92,7 +92,7 @@ class Checkpoint:
             )
 
     def __len__(self) -> int:
-        """Return the number of finished pieces of work, both read from the file and new."""
+        """Return the number of finished pieces of work, including pieces read from the file."""
         return len(self._results)
 
     def __contains__(self, key: str) -> bool:

@@ -1,8 +1,9 @@
 """Full-order single-rod cylinder with the valves of its closed circuit (Lee et al. 2020, Eq. 14).
 
-Three signs of Eq. 14 are corrected, because Eq. 15 does not follow from the printed ones: A_2 dx/dt
-and C_im' in its second line, and A_2 x in V_2. The paper does not say how the closed circuit of the
-pump exchanges the oil that the rod displaces. The make-up and relief valves are the usual solution.
+Eq. 15 does not follow from Eq. 14 as printed. Therefore three signs of Eq. 14 are corrected:
+A_2 dx/dt and C_im' in the second line, and A_2 x in V_2. The paper does not say how the closed
+circuit of the pump exchanges the oil that the rod displaces. The make-up and relief valves are the
+usual solution.
 """
 
 from __future__ import annotations
@@ -148,8 +149,8 @@ class FullCylinder(Cylinder):
 
     State: x in m, v in m/s, P_1 and P_2 in MPa, all of order one. The cylinder starts at rest; by
     default the initial pressures hold the spring and no load. Context parameters by name:
-    ``cap_area_m2`` and ``rod_side_area_m2``; those of `ReducedCylinder` except ``mean_area_m2`` and
-    ``total_volume_m3``; those of `FullCylinderParameters`; and
+    ``cap_area_m2`` and ``rod_side_area_m2``; all names of `ReducedCylinder` except ``mean_area_m2``
+    and ``total_volume_m3``; all names of `FullCylinderParameters`; and
     ``pump_external_leakage_m3_per_s_pa``, C_em of the pump. ``leakage_m3_per_s_pa`` is C_im'.
 
     Raises `ParameterError` when the rod would start outside the stroke. Raises `SimulationError` at

@@ -15,8 +15,8 @@ from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 def rod_derivatives(coefficients: Any, knee: Any) -> list[Any]:
     """Return rod extension x and its three time derivatives in m and s, by Eq. 10.
 
-    ``coefficients`` are those of Eq. 10 in SI units, highest power first. ``knee`` has θ_p and its
-    three time derivatives in rad and s.
+    ``coefficients`` are p_1 … p_6 of Eq. 10 in SI units. ``knee`` has θ_p and its three time
+    derivatives in rad and s.
     """
     angle, rate, acceleration, jerk = knee
     x_1, x_2, x_3 = (
