@@ -95,8 +95,9 @@ class BackwardDifference(NamedLeaf):
     v_k = (y_k − y_{k−1})/T, a_k = (v_k − v_{k−1})/T.
 
     The system has the ports of `TrackingObserver`. The discrete state, updated every
-    ``sample_time_s``, is y_{k−1}, v_{k−1}. ``Simulator.Initialize()`` sets it to the present y, at rest. There are no
-    Context parameters. Raises `ParameterError` for a sample time that is not positive.
+    ``sample_time_s``, is y_{k−1}, v_{k−1}. ``Simulator.Initialize()`` sets it to the present y, at
+    rest. There are no Context parameters. Raises `ParameterError` for a sample time that is not
+    positive.
     """
 
     def __init__(self, sample_time_s: float = _SAMPLE_TIME_S) -> None:
