@@ -73,9 +73,9 @@ class KneeLoad(NamedLeaf):
     =================  ====  ====  ======================================================
 
     Stateless. Context parameters by name: all numbers of `KneeLoadParameters`. A torque that flexes
-    the knee pushes the rod in: −F_L dx/dt = τ dθ_p/dt gives F_L = τ/r. While the thigh hangs (α =
-    0), the weight of the shank helps extension. Source: F_L is that of Lee et al. 2020, Eq. 16; the
-    paper does not specify it.
+    the knee pushes the rod in: −F_L dx/dt = τ dθ_p/dt gives F_L = τ/r. While the thigh hangs
+    (α = 0), the weight of the shank helps extension. Source: Lee et al. 2020, Eq. 16 contains F_L,
+    but the paper does not specify F_L.
     """
 
     def __init__(self, parameters: KneeLoadParameters = KneeLoadParameters()) -> None:
