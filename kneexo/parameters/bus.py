@@ -24,7 +24,7 @@ class NoBus(Parameters):
 
     @property
     def velocity_unit_rad_s(self) -> float:
-        """Zero in place of a velocity unit, because this bus does not round the command."""
+        """Zero instead of a velocity unit, because this bus does not round the command."""
         return 0.0
 
 

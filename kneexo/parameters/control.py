@@ -60,7 +60,7 @@ class DifferenceParameters(Parameters):
 class ExactParameters(Parameters):
     """No estimator: the controller receives the plant's exact rod position, velocity, acceleration.
 
-    The paper's simulation does the same.
+    The paper's simulation has no estimator either.
     """
 
     kind: Literal["exact"] = "exact"
@@ -186,12 +186,12 @@ class PidParameters(Parameters):
 
 
 class CustomControllerParameters(Parameters):
-    """A controller of the user: a Drake system in place of kneexo's controller.
+    """A controller of the user: a Drake system that replaces kneexo's controller.
 
-    ``make`` is the name of a function as ``module:function``, or the function itself. The function
-    receives a scenario that has only what a controller may know (its nominal plant, for example).
-    It returns a system with the ports of `kneexo.diagrams.make_controller`. ``values`` are numbers
-    for the function, with paths ``controller.values.NAME`` for ``--set`` and uncertainty sets.
+    ``make`` is a function, or its name as ``module:function``. The function receives a scenario
+    with only the parts that a controller may know, such as its nominal plant. It returns a system
+    with the ports of `kneexo.diagrams.make_controller`. ``values`` maps names to numbers for the
+    function. ``--set`` and uncertainty sets reach a number by the path ``controller.values.NAME``.
     """
 
     kind: Literal["custom"] = "custom"
@@ -209,14 +209,14 @@ class CustomControllerParameters(Parameters):
     )
 
     def __hash__(self) -> int:
-        """Return a hash of all fields, with the mapping ``values`` as a sorted tuple."""
+        """Return a hash of all fields. The mapping ``values`` is hashed as a sorted tuple."""
         values = tuple(sorted(self.values.items()))
         return hash((self.make, values, self.sample_time_s, self.command_limit_rad_s))
 
     @field_validator("make", mode="before")
     @classmethod
     def _named(cls, make: Any) -> Any:
-        """Replace a function by its name ``module:function``; return other values unchanged."""
+        """Replace a function by its name ``module:function``. Return any other value unchanged."""
         return f"{make.__module__}:{make.__qualname__}" if callable(make) else make
 
     @field_validator("make")

@@ -42,29 +42,32 @@ class LinkageParameters(Parameters):
     a_3_m: float = _length(17.0e-3)
     a_4_m: float = _length(18.2289e-3)
     phi_rad: float = _angle(-167.0801)
-    """Knee angle minus coupler angle, φ of Eq. 7."""
+    """φ of Eq. 7, the knee angle minus the coupler angle."""
     rod_pin_radius_m: float = _length(265.8651e-3)
-    """|P'B| of Eq. 8, the distance of the coupler's joint B and the pin of the rod."""
+    """|P'B| of Eq. 8, the distance from the coupler's joint B to the pin of the rod."""
     rod_pin_angle_rad: float = _angle(-62.9916)
-    """φ' of Eq. 8, the angle of the line from B to the rod's pin minus the coupler's angle θ_3."""
+    """φ' of Eq. 8, the direction from B to the rod's pin, relative to the coupler's angle θ_3."""
     rod_anchor_radius_m: float = _length(118.1887e-3)
-    """|P_rod O| of Eq. 9, the distance of the origin and the pin of the cylinder."""
+    """|P_rod O| of Eq. 9, the distance from the origin to the pin of the cylinder."""
     rod_anchor_angle_rad: float = _angle(-97.3807)
-    """θ_rod of Eq. 9, the direction of the cylinder's pin from the origin."""
+    """θ_rod of Eq. 9, the direction from the origin to the cylinder's pin."""
     rod_length_m: float = _length(231.3769e-3)
-    """L_0, the distance of the pins of rod and cylinder at x = 0, not printed in the paper."""
+    """L_0, the distance between the pins of rod and cylinder at x = 0 (the paper prints none)."""
     branch: Literal[-1, 1] = choice(
         -1, "assembly branch, the sign of sin(θ_4 − θ_2); the paper never states it"
     )
 
     def __repr__(self) -> str:
-        """Return the name of a linkage in `LINKAGES`, else code with the values unlike `G1`."""
+        """Return the linkage's name in `LINKAGES`, or code with the values that differ from G1."""
         names = (name for name, linkage in LINKAGES.items() if linkage == self)
         return next(names, None) or super().__repr__()
 
 
 G1 = LinkageParameters()
-"""Default linkage. The shank is the ground, the coupler is the shortest link (double rocker)."""
+"""Default linkage. The shank is the ground, and the coupler is the shortest link.
+
+Such a linkage is a double rocker.
+"""
 
 G2 = LinkageParameters(
     o_a_x_m=-24.3737e-3,
@@ -102,7 +105,7 @@ G3 = LinkageParameters(
     rod_length_m=230.0e-3,
     branch=1,
 )
-"""The thigh is the ground and the shortest link (drag link). Mechanically the best conditioned."""
+"""The thigh is the ground and the shortest link (drag link). The best conditioned linkage."""
 
 G4 = LinkageParameters(
     o_a_x_m=-1.52785e-3,
@@ -122,9 +125,9 @@ G4 = LinkageParameters(
 )
 """The thigh is the ground and the shortest link (drag link).
 
-The linkage is identified from both polynomials of Table 1 over 5…90°. Their refits to the linkage
-have the errors that the paper prints.
+The linkage is identified from the two polynomials of Table 1 over 5…90°. Polynomials that are
+fitted to this linkage have the errors that the paper prints.
 """
 
 LINKAGES = {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
-"""Linkages that reproduce Table 1, by the names that a scenario file accepts for ``linkage``."""
+"""Linkages that reproduce Table 1. A scenario file accepts these names for ``linkage``."""

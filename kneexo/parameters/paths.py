@@ -24,10 +24,11 @@ def value_at(parameters: Parameters, path: str) -> Any:
 
 
 def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
-    """Return a copy of a scenario, or of other parameters, with new ``values`` by dotted path.
+    """Return a copy of a scenario, or of other parameters, with changed values.
 
-    A value can be a mapping, as in a scenario file. Raises `ParameterError` for a path that the
-    parameters do not have, and for a value out of range.
+    ``values`` maps a dotted path to the new value, which can be a mapping as in a scenario file.
+    Raises `ParameterError` for a path that the parameters do not have, and for a value out of
+    range.
     """
     data = dict(vars(scenario))
     for path, value in values.items():
@@ -52,7 +53,7 @@ def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
 
 
 def has_path(scenario: Scenario, path: str) -> bool:
-    """Return whether ``scenario``, with the parts that it has now, has a value at a dotted path."""
+    """Return True if ``scenario``, with its present parts, has a value at a dotted path."""
     holder: Any = scenario
     for name in path.split("."):
         if not isinstance(holder, Parameters) or name not in type(holder).model_fields:
@@ -62,7 +63,7 @@ def has_path(scenario: Scenario, path: str) -> bool:
 
 
 def known_path(path: str) -> bool:
-    """Return whether some scenario, with any choice of its parts, has a value at a dotted path."""
+    """Return True if some scenario, with any choice of its parts, has a value at a dotted path."""
     holders: tuple[type[BaseModel], ...] = (Scenario,)
     for name in path.split("."):
         fields = [holder.model_fields[name] for holder in holders if name in holder.model_fields]

@@ -129,10 +129,11 @@ class CylinderParameters(Parameters):
 
 
 class FullCylinderParameters(Parameters):
-    """Chambers, valves and seals of the full-order cylinder (Eq. 14), beside `CylinderParameters`.
+    """Chambers, valves and seals of the full-order cylinder (Eq. 14).
 
-    C_im' of Eq. 14 is ``leakage_m3_per_s_pa`` of `CylinderParameters`. A reduced-order cylinder
-    that leaks as much has C_L = C_im' + C_em'/2. Pressures are relative to the atmosphere.
+    They complete `CylinderParameters`, whose ``leakage_m3_per_s_pa`` is C_im' of Eq. 14. A
+    reduced-order cylinder with the same leakage has C_L = C_im' + C_em'/2. Pressures are relative
+    to the atmosphere.
     """
 
     dead_volume_m3: float = quantity(
@@ -212,7 +213,7 @@ class FullCylinderParameters(Parameters):
 
 
 class KneeParameters(Parameters):
-    """Range of motion of the knee. There are no end stops: a run that leaves the range fails."""
+    """Range of motion of the knee. There are no end stops, so a run that leaves the range fails."""
 
     flexion_min_deg: float = quantity(0.0, "deg", "Section 2: 0…90°", ge=-2, le=90)
     flexion_max_deg: float = quantity(90.0, "deg", "Section 2: 0…90°", ge=0, le=91)
@@ -228,7 +229,7 @@ class KneeParameters(Parameters):
     _ordered = ordered_limits(strict=True)
 
     def require_in_range(self, low_deg: float, high_deg: float) -> None:
-        """Raise `ParameterError` if a reference with this range leaves the knee's own range."""
+        """Raise `ParameterError` if a reference with this range leaves the range of motion."""
         if low_deg < self.flexion_min_deg or high_deg > self.flexion_max_deg:
             raise ParameterError(
                 f"reference = {low_deg:.4g} … {high_deg:.4g} deg leaves the range of motion "
@@ -244,9 +245,10 @@ def _coefficients(default: _Six, unit: str, source: str) -> Any:
 
 
 class RodPolynomialParameters(Parameters):
-    """Coefficients (Table 1) of the polynomials by which the controller converts knee and rod.
+    """Coefficients (Table 1) of the polynomials that convert between knee angle and rod extension.
 
-    Eq. 10 (p) gives the rod extension in mm from the knee angle in deg, Eq. 11 (q) the inverse.
+    The controller uses them. Eq. 10 (p) gives the rod extension in mm from the knee angle in deg.
+    Eq. 11 (q) gives the knee angle from the rod extension.
     """
 
     p_mm_deg: _Six = _coefficients(
@@ -262,7 +264,7 @@ class RodPolynomialParameters(Parameters):
 
     @property
     def p_si(self) -> tuple[float, ...]:
-        """Coefficients of Eq. 10, highest power first, for θ_p in rad and x in m."""
+        """Coefficients of Eq. 10 for θ_p in rad and x in m. The highest power comes first."""
         degree = len(self.p_mm_deg) - 1
         return tuple(
             1e-3 * p * math.degrees(1.0) ** (degree - n) for n, p in enumerate(self.p_mm_deg)
@@ -270,7 +272,7 @@ class RodPolynomialParameters(Parameters):
 
 
 class NoLoad(Parameters):
-    """No load, as in the paper's simulation: only the disturbance input acts on the rod."""
+    """No load, as in the paper's simulation. Only the disturbance input acts on the rod."""
 
     kind: Literal["none"] = "none"
 

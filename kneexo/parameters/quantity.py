@@ -53,7 +53,7 @@ def quantities(
 ) -> Any:
     """Make a pydantic field for a tuple of numbers, with unit, range and provenance.
 
-    ``ge`` and ``le`` bound each number of the tuple. ``min_length`` is None where the annotation
+    ``ge`` and ``le`` bound each number of the tuple. ``min_length`` is None if the annotation
     fixes the length.
     """
     field: Any = Field(
@@ -65,7 +65,7 @@ def quantities(
 
 @dataclass(frozen=True)
 class _ElementRange:
-    """Bounds of each number in a tuple field; pydantic's own bounds apply to the whole tuple."""
+    """Bounds for each number in a tuple field. Pydantic's own bounds are for the whole tuple."""
 
     ge: float | None
     le: float | None
@@ -78,7 +78,7 @@ class _ElementRange:
 
 
 def choice(default: Any, source: str) -> Any:
-    """Make a pydantic field with provenance for a value without unit, such as a switch or name."""
+    """Make a pydantic field for a value without unit, such as a switch or name, with provenance."""
     return Field(default=default, json_schema_extra={"unit": "", "source": source})
 
 
@@ -88,17 +88,17 @@ def positive_values(default: tuple[float, ...], unit: str, source: str) -> Any:
 
 
 def require_increasing(values: tuple[float, ...]) -> tuple[float, ...]:
-    """Return ``values`` unchanged. Raises `ValueError` unless each value exceeds the previous."""
+    """Return ``values`` unchanged. Raise `ValueError` unless each value exceeds the one before."""
     if any(b <= a for a, b in pairwise(values)):
         raise ValueError("must increase")
     return values
 
 
 def ordered_limits(*, strict: bool = False) -> Any:
-    """Make a validator of a parameter class for its pairs of fields ``…_min_…`` and ``…_max_…``.
+    """Make a validator for the pairs of fields ``…_min_…`` and ``…_max_…`` of a parameter class.
 
     The validator raises `ValueError` if a minimum exceeds its maximum. If ``strict``, it also
-    raises when minimum and maximum are equal.
+    raises `ValueError` if a minimum equals its maximum.
     """
 
     def check(parameters: Parameters) -> Parameters:
@@ -116,7 +116,10 @@ def ordered_limits(*, strict: bool = False) -> Any:
 
 
 def allowed_range(field: FieldInfo) -> str:
-    """Return the range of a field, or of its elements, as text such as ``>= 0 and <= 150``."""
+    """Return a field's range as text, such as ``>= 0 and <= 150``.
+
+    If the field is a tuple, the range is for each element.
+    """
     bounds = [
         f"{sign} {getattr(bound, key):g}"
         for key, sign in (("ge", ">="), ("gt", ">"), ("le", "<="))
@@ -127,9 +130,9 @@ def allowed_range(field: FieldInfo) -> str:
 
 
 def limits_of(field: FieldInfo) -> tuple[float, float]:
-    """Return the lowest and the highest value of a field made by `quantity`.
+    """Return the lowest and the highest allowed value of a field made by `quantity`.
 
-    A missing bound is infinite. For a lower bound ``gt``, which is excluded, the lowest value is
+    A missing bound is infinite. The bound ``gt`` excludes the bound itself, so the lowest value is
     the next larger double.
     """
     low, high = -math.inf, math.inf
@@ -153,10 +156,11 @@ def source_of(field: FieldInfo) -> str:
 
 
 def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:
-    """Return the location (a path of keys) of the fault to report, and a message of one line.
+    """Return the location (a path of keys) of a fault, and a message of one line about this fault.
 
-    Of several faults in a validation ``error`` of ``model``, the first unknown name is reported,
-    or else the first fault. The message ends with the number of the other faults.
+    ``error`` is pydantic's report on ``model``. If it has several faults, the first unknown name is
+    chosen, or the first fault if no name is unknown. The message ends with the number of the
+    other faults.
     """
     faults = error.errors()
     # A misspelt name also makes a required value missing: report the name.
@@ -216,8 +220,8 @@ def _without_tags(
 ) -> tuple[tuple[str | int, ...], tuple[type[BaseModel], ...]]:
     """Return ``location`` without the values of ``kind`` that pydantic inserts for unions.
 
-    Also returns the parameter classes, one or the members of a union, to whose fields the last key
-    refers.
+    The second result is a tuple of the parameter classes to whose fields the last key refers. For a
+    union without a value of ``kind`` in ``location``, these are all members of the union.
     """
     keys: list[str | int] = []
     holders: tuple[type[BaseModel], ...] = ()
@@ -238,7 +242,7 @@ def _kind(model: type[BaseModel]) -> object:
 
 
 def models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
-    """Return all parameter classes in a field's annotation; none for ``field=None``."""
+    """Return all parameter classes in a field's annotation. Without a field there are none."""
     models: list[type[BaseModel]] = []
     pending: list[Any] = [] if field is None else [field.annotation]
     while pending:
@@ -264,7 +268,7 @@ def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldI
 
 @cache
 def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
-    """Return the name of each union field with a default, and the ``kind`` of this default."""
+    """Return the name of each union field that has a default, with the default's ``kind``."""
     return tuple(
         (name, field.default.kind)
         for name, field in model.model_fields.items()
@@ -274,7 +278,7 @@ def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
 
 @cache
 def _tuple_fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
-    """Return the name of each field for a tuple, and True if the tuple can have any length."""
+    """Return the name of each tuple field, with True if the tuple can have any length."""
     return tuple(
         (name, get_args(field.annotation)[-1] is ...)
         for name, field in model.model_fields.items()
@@ -283,10 +287,10 @@ def _tuple_fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
 
 
 def _as_tuple(value: Any, *, any_length: bool) -> Any:
-    """Return a list, a NumPy array or a pandas column as a tuple.
+    """Convert a list, a NumPy array or a pandas column to a tuple.
 
-    With ``any_length`` a single number becomes a tuple of one number. Values of other types are
-    returned unchanged, so that pydantic reports them.
+    With ``any_length`` a single number becomes a tuple of one number. A value of another type is
+    returned unchanged, so that pydantic reports the wrong type.
     """
     if hasattr(value, "tolist"):  # NumPy and pandas
         value = value.tolist()
@@ -298,7 +302,7 @@ def _as_tuple(value: Any, *, any_length: bool) -> Any:
 
 
 class _Short:
-    """Wrapper of a long tuple whose `repr` shows the first two values, the last and the length."""
+    """Wrapper of a long tuple. The `repr` shows the first two values, the last and the length."""
 
     def __init__(self, values: tuple[Any, ...]) -> None:
         self._values = values
@@ -309,7 +313,7 @@ class _Short:
 
 
 class Parameters(BaseModel):
-    """Base of all parameter classes. Objects are frozen; unknown names and wrong types are errors.
+    """Base of all parameter classes. Objects are frozen. Unknown names and wrong types are errors.
 
     A field for a tuple of numbers also accepts a list, a NumPy array or a pandas column. A field
     for a tuple of any length also accepts a single number.
@@ -320,7 +324,7 @@ class Parameters(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _completed(cls, data: Any) -> Any:
-        """Turn arrays into tuples; insert the default ``kind`` into mappings without ``kind``."""
+        """Convert arrays to tuples. Insert the default ``kind`` into mappings without ``kind``."""
         if not isinstance(data, dict):
             return data
         tuples = {
@@ -339,7 +343,7 @@ class Parameters(BaseModel):
     def __repr_args__(self) -> Iterator[tuple[str, Any]]:
         """Yield name and value of each field that differs from its default, for a short `repr`.
 
-        Unless a tuple has more than 8 values, `repr` is code that makes an equal object.
+        `repr` is code that makes an equal object, unless a tuple has more than 8 values.
         """
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)

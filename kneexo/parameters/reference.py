@@ -23,7 +23,7 @@ def _flexion(default: float, source: str) -> Any:
 _SHORTEST_RAMP_S = 1e-3  # the jerk of the reference is divided by the third power of ``ramp_s``
 _SHORTEST_SAMPLE_S = 1e-6
 LONGEST_TIME_S = 1e5
-"""Largest magnitude of a sample's time in s; times can be negative."""
+"""Largest absolute value of a sample's time in s. Times can be negative."""
 
 
 class _KneeReference(Parameters):
@@ -34,12 +34,12 @@ class _KneeReference(Parameters):
 
     @property
     def middle_deg(self) -> float:
-        """Middle of the range in deg, the knee angle at which analyses linearize the loop."""
+        """Middle of the range in deg. Analyses linearize the loop at this knee angle."""
         return 0.5 * sum(self.range_deg)
 
 
 class SineReference(_KneeReference):
-    """Knee angle mean − amplitude·cos(2πft), which starts at rest at its smallest value.
+    """Knee angle mean − amplitude·cos(2πft). It starts at rest, at its smallest value.
 
     With ``ramp_s`` > 0 the angle starts at the mean, and the amplitude grows smoothly from zero
     during ``ramp_s``.
@@ -83,7 +83,10 @@ class StepReference(_KneeReference):
 
 
 class RampReference(_KneeReference):
-    """Knee angle that goes from ``start_deg`` to ``end_deg`` at a constant rate from ``time_s``."""
+    """Knee angle that moves from ``start_deg`` to ``end_deg`` at a constant rate.
+
+    The motion starts at ``time_s``.
+    """
 
     kind: Literal["ramp"] = "ramp"
     start_deg: float = _flexion(20.0, "assumption: an example")
@@ -108,9 +111,10 @@ _INTERPOLATION = (
 
 
 class SampledReference(_KneeReference):
-    """Knee angle through samples, by default as a cubic spline with continuous acceleration.
+    """Knee angle that passes through samples.
 
-    Times and angles may be tuples, lists, NumPy arrays or pandas columns.
+    The default curve is a cubic spline with continuous acceleration. Times and angles can be
+    tuples, lists, NumPy arrays or pandas columns.
     """
 
     kind: Literal["samples"] = "samples"
@@ -144,7 +148,7 @@ class SampledReference(_KneeReference):
 
 
 class CsvReference(Parameters):
-    """A CSV file with a header line that holds the samples of a reference.
+    """A CSV file with the samples of a reference. The file starts with a header line.
 
     `samples` reads the file. A scenario made with a CSV file stores the samples, not the file name.
     """
@@ -163,11 +167,11 @@ class CsvReference(Parameters):
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
 
     def samples(self, directory: str | os.PathLike[str] = ".") -> SampledReference:
-        """Read the samples from the file, whose relative path starts at ``directory``.
+        """Read the samples from the file. A relative file path starts at ``directory``.
 
         Empty lines and lines that start with ``#`` are skipped. Raises `ScenarioError`, a subclass
-        of `ParameterError`, if the file cannot be read, lacks a column, or if a number is missing,
-        is no number, or is out of range.
+        of `ParameterError`, if the file cannot be read or lacks a column, or if an entry is
+        missing, is no number, or is out of range.
         """
         path = Path(directory, self.file)
         table = read_table(path, (self.time, self.angle))
@@ -195,10 +199,11 @@ class GaitReference(Parameters):
 def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReference:
     """Return the measured knee flexion of a stride, repeated ``cycles`` times, as a reference.
 
-    The reference starts at t = 0 and ends at the least flexion, where the knee is at rest
-    (`gait_start_percent`). A straight line is subtracted from the measured stride, so that its end
-    equals its start. This changes no sample by more than 0.03°, a twentieth of the measurement's
-    standard deviation. A closed loop settles during the first stride.
+    The first and the last sample are at the least flexion (`gait_start_percent`), where the knee is
+    at rest. The first sample is at t = 0. The measured stride does not end at exactly the angle at
+    which it starts, so a straight line is subtracted to close the gap. This changes no sample by
+    more than 0.03°, a twentieth of the measurement's standard deviation. A closed loop settles
+    during the first stride.
 
     Parameters
     ----------
@@ -228,9 +233,9 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
 def read_reference(value: Any, directory: Any) -> Any:
     """Return the samples of a gait or CSV reference. Return any other reference unchanged.
 
-    ``value`` is a scenario's reference: an object, a mapping, or the text ``gait``. A relative path
-    of a CSV file starts at ``directory``. Raises `ParameterError` for a faulty file or value, and
-    `ValueError` for another text.
+    ``value`` is a scenario's reference: an object, a mapping, or the text ``gait``. The relative
+    path of a CSV file starts at ``directory``. Raises `ParameterError` for a faulty file or value,
+    and `ValueError` for any text but ``gait``.
     """
     if isinstance(value, str):
         if value != "gait":

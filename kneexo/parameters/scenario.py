@@ -23,7 +23,7 @@ from kneexo.parameters.reference import Reference, SineReference, read_reference
 
 
 class SimulationParameters(Parameters):
-    """Settings of a simulation, by the compiled engine or by Drake's Simulator."""
+    """Settings of a simulation. ``integrator`` also selects the compiled engine or Drake's."""
 
     duration_s: float = quantity(
         30.0, "s", "three periods of 0.1 Hz, as in Fig. 12", ge=1e-3, le=1e5
@@ -54,11 +54,11 @@ class SimulationParameters(Parameters):
 
     @property
     def compiled(self) -> bool:
-        """Whether the compiled engine runs the simulation."""
+        """True if the compiled engine runs the simulation, False if Drake's Simulator runs it."""
         return self.integrator in ("exact_hold", "rk4")
 
     def with_drake(self) -> SimulationParameters:
-        """Return the settings for Drake's Simulator; radau3 replaces exact_hold and rk4."""
+        """Return the settings for Drake's Simulator, where radau3 replaces exact_hold and rk4."""
         return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
 
 
@@ -89,7 +89,7 @@ class Scenario(Parameters):
     def with_engine(self, engine: Literal["compiled", "drake"] | None) -> Scenario:
         """Return the scenario with an integrator of the compiled engine or of Drake's Simulator.
 
-        For None, or if the scenario uses this engine already, the scenario is returned unchanged.
+        The scenario is returned unchanged if the engine is None or if the scenario already uses it.
         """
         if engine is None or (engine == "compiled") == self.simulation.compiled:
             return self
@@ -100,14 +100,14 @@ class Scenario(Parameters):
     def with_steps(self, step_s: float) -> Scenario:
         """Return the scenario with explicit Runge–Kutta steps of fixed length ``step_s`` in s.
 
-        The integrator is rk4 with the compiled engine, and runge_kutta3 with Drake's Simulator.
+        The integrator is rk4 for the compiled engine, and runge_kutta3 for Drake's Simulator.
         """
         integrator = "rk4" if self.simulation.compiled else "runge_kutta3"
         steps = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
         return self.model_copy(update={"simulation": self.simulation.model_copy(update=steps)})
 
     def without_quantizers(self) -> Scenario:
-        """Return the scenario for linear analysis: encoder and bus round nothing.
+        """Return the scenario for linear analysis, in which encoder and bus do not round.
 
         The latency of the bus remains.
         """
@@ -117,15 +117,15 @@ class Scenario(Parameters):
 
     @property
     def quantized(self) -> bool:
-        """Whether the encoder rounds angles to counts or the bus rounds the command."""
+        """True if the encoder rounds angles to counts or the bus rounds the command."""
         return self.encoder.quantized or self.bus.velocity_unit_rad_s > 0.0
 
     @property
     def command_limit_rad_s(self) -> float:
-        """Limit of the speed command in rad/s: the lower of the controller's and the motor's limit.
+        """Limit of the speed command in rad/s, the lower of the controller's and the motor's limit.
 
-        The motor's limit is that of the plant that the controller is designed for (an ideal motor
-        has none). A bus that rounds lowers the limit to a whole number of its velocity units, at
+        The motor is part of the nominal plant, for which the controller is designed. An ideal motor
+        has no limit. A bus that rounds lowers the limit to a whole number of its velocity units, at
         most 2³¹ − 1 units.
         """
         limit, plant = self.controller.command_limit_rad_s, self.believed_plant
@@ -139,7 +139,7 @@ class Scenario(Parameters):
 
     @property
     def believed_plant(self) -> PlantParameters:
-        """The plant that the controller is designed for."""
+        """The plant for which the controller is designed: ``nominal``, or ``plant`` without it."""
         return self.plant if self.nominal is None else self.nominal
 
     @field_validator("reference", mode="before")

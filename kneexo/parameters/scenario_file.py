@@ -1,11 +1,11 @@
 """Read and write scenario files in YAML, and read files of uncertain values.
 
-A file contains only the values that differ from the defaults. Each error of a file is a
-`ScenarioError`, whose message is one line with file, line, path, value, unit and range.
+A file contains only the values that differ from the defaults. A faulty file raises `ScenarioError`,
+whose message is one line with file, line, path, value, unit and range.
 
-The files follow YAML 1.2 with fewer forms of scalars: no dates, no octal or hexadecimal numbers, no
-tags, no merge keys. Depth of nesting and number of values are limited. PyYAML parses the files;
-``_Loader`` adds these rules and the line of each path.
+The files follow YAML 1.2 without some forms: no dates, no octal or hexadecimal numbers, no tags, no
+merge keys. Depth of nesting and number of values are limited. PyYAML parses the files. ``_Loader``
+adds these rules and finds the line of each path.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _DEEPEST = 20
 
 
 def load_scenario(path: str | os.PathLike[str]) -> Scenario:
-    """Read a scenario from a YAML file; values that the file lacks have their defaults.
+    """Read a scenario from a YAML file. Values that the file lacks have their defaults.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
 def load_uncertainty(
     path: str | os.PathLike[str], scenario: Scenario = UNCERTAIN_KNEE
 ) -> UncertaintySet:
-    """Read uncertain values from a YAML file, a mapping from dotted paths to `Uncertainty`.
+    """Read uncertain values from a YAML file that maps a dotted path to an `Uncertainty`.
 
     .. code-block:: yaml
 
@@ -70,8 +70,8 @@ def load_uncertainty(
         plant.pump.lag_s: {low: 0.005, high: 0.02, scale: log}
         plant.linkage: {options: [G1, G2, G3], known: true}
 
-    The result also has paths that ``scenario`` lacks but another scenario can have. `applicable`
-    leaves these paths out.
+    The result can have paths that ``scenario`` lacks but another scenario has. `applicable`
+    removes these paths.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def load_uncertainty(
 
 
 def dump_scenario(scenario: Scenario) -> str:
-    """Return all values of a scenario as YAML, with unit and range, or choices, as comments.
+    """Return all values of a scenario as YAML text. Comments have unit and range, or the choices.
 
     Floats have all their digits, so `load_scenario` reads an equal scenario from the text.
     """
@@ -109,10 +109,10 @@ def dump_scenario(scenario: Scenario) -> str:
 
 
 def read_value(name: str, text: str) -> Any:
-    """Return the value that a YAML text holds: a scalar, a list (as tuple) or a mapping.
+    """Return the value of a YAML text: a scalar, a tuple (from a list) or a mapping.
 
-    Raises `ScenarioError`, whose message calls the text ``name``, if the text is not YAML or has
-    more than one value.
+    Raises `ScenarioError` if the text is not YAML or has more than one value. The message calls
+    the text ``name``.
     """
     data, _ = _read(name, f"value: {text}")
     if list(data) != ["value"]:
@@ -139,7 +139,7 @@ class _Loader(yaml.SafeLoader):
         self._composed, self._depth = 0, 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Compose a node of the YAML tree; raises `ScenarioError` for too many nodes or levels."""
+        """Compose a node of the YAML tree. Raise `ScenarioError` for too many nodes or levels."""
         self._composed += 1
         self._depth += 1
         if self._depth > _DEEPEST + 1 or self._composed > 2 * _MOST_VALUES:
@@ -156,7 +156,7 @@ class _Loader(yaml.SafeLoader):
         return file_error(self.name, node.start_mark.line + 1, where + message)
 
     def plain(self, node: yaml.Node, path: _Path) -> Any:
-        """Return a node as dictionaries, tuples and scalars.
+        """Convert a YAML node to dictionaries, tuples and scalars.
 
         Stores the line of each path in ``lines``. Raises `ScenarioError` for a YAML tag, for a
         mapping's key that is not text, for a duplicate key, and for too many levels or values.
@@ -199,16 +199,17 @@ for _kind, _pattern in {
 
 
 def _line(lines: Mapping[_Path, int], location: _Path) -> int:
-    """Return the line of a path; if the file lacks the path, the line of its nearest parent."""
+    """Return the line of a path. If the file lacks the path, return its nearest parent's line."""
     while location not in lines:
         location = location[:-1]
     return lines[location]
 
 
 def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
-    """Return the top-level mapping of a YAML text (empty without content), and each path's line.
+    """Return the top-level mapping of a YAML text, and the line of each path.
 
-    Raises `ScenarioError`, which calls the text ``name``, if it is not YAML or is no mapping.
+    A text without content gives an empty mapping. Raises `ScenarioError` if the text is not YAML
+    or its top level is no mapping. The message calls the text ``name``.
     """
     try:
         loader = _Loader(name, text)
@@ -238,7 +239,7 @@ def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
 
 
 def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
-    """Yield ``parameters`` as lines of YAML; nested parameters follow, indented by two more."""
+    """Yield the YAML lines of ``parameters``. Nested parameters are indented by two more spaces."""
     for name, field in type(parameters).model_fields.items():
         value = getattr(parameters, name)
         comment = f"  # {note}" if (note := _note(field)) else ""
@@ -250,7 +251,7 @@ def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
 
 
 def _text_of(value: Any) -> str:
-    """Return a value as YAML text; floats such as 1.0e-8 get the point that YAML 1.1 requires."""
+    """Return a value as YAML text. A float such as 1e-8 becomes 1.0e-8, as YAML 1.1 requires."""
     if isinstance(value, dict):
         return f"{{{', '.join(f'{json.dumps(k)}: {_text_of(v)}' for k, v in value.items())}}}"
     if isinstance(value, str):
@@ -259,7 +260,10 @@ def _text_of(value: Any) -> str:
 
 
 def _note(field: FieldInfo) -> str:
-    """Return a comment on a field: its kinds, else its choices, else its unit and range."""
+    """Return the text of a comment on a field.
+
+    The text lists the kinds of a union or the choices of a literal, else it has unit and range.
+    """
     options = get_args(field.annotation)
     if field.discriminator:
         return "kind: " + ", ".join(member.model_fields["kind"].default for member in options)

@@ -22,7 +22,7 @@ def json_schema() -> dict[str, Any]:
 
     Each value has ``unit``, ``source`` and a ``description`` with unit, range and source. The
     schema checks each value alone. Only `load_scenario` also checks conditions on several values,
-    such as a reference that leaves the range of motion.
+    for example that a reference stays in the range of motion.
     """
     models: Any = [(model, "validation") for model in (Scenario, CsvReference, GaitReference)]
     classes = models_json_schema(models)[1]["$defs"]
@@ -46,9 +46,10 @@ def json_schema() -> dict[str, Any]:
 
 
 def _require_kinds(value: dict[str, Any], classes: dict[str, Any]) -> None:
-    """Change ``classes`` so that all members of a union but its default member require ``kind``.
+    """Mark ``kind`` as required in all members of a union except the default member.
 
-    ``value`` is the schema of a field; if its type is no union, nothing changes.
+    ``value`` is the schema of a field. ``classes`` has the schemas of the members, which this
+    function changes. If the field's type is no union, nothing changes.
     """
     if value.pop("discriminator", None) is None:
         return
@@ -66,14 +67,20 @@ def _parts(value: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _without_prefix_items(value: dict[str, Any]) -> None:
-    """Change the schema of a tuple of equal items, if it is one, to an array as in draft 7."""
+    """If the schema is a tuple whose items are equal, rewrite it as an array.
+
+    The reason is that draft 7 has no ``prefixItems``.
+    """
     items = value.pop("prefixItems", None)
     if items is not None:
         value["items"] = items[0]
 
 
 def _description(value: dict[str, Any]) -> str:
-    """Return unit, range and source of a value on one line, or "" for a value without source."""
+    """Return unit, range and source of a value on one line.
+
+    The text is empty for a value without source.
+    """
     if "source" not in value:
         return ""
     bounds = [

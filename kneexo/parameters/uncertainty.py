@@ -1,4 +1,4 @@
-"""Uncertain values of a scenario, and random scenarios drawn from their ranges."""
+"""Uncertain values of a scenario, and scenarios with random values from their ranges."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from kneexo.parameters.scenario import Scenario
 class Uncertainty(Parameters):
     """The range of one value of a scenario: an interval ``low`` … ``high``, or ``options``.
 
-    An interval has the unit of its value. Draws from an interval are uniform; with ``scale: log``
-    the logarithm of the draws is uniform (for a value known by its order of magnitude). Each option
-    is equally likely. With ``known`` the controller knows the value: its nominal plant changes too.
-    ``source`` says where the range comes from.
+    An interval has the unit of its value. Random values from an interval are uniform. With
+    ``scale: log`` their logarithm is uniform, which suits a value of which only the order of
+    magnitude is known. All options are equally likely. With ``known`` the controller knows the
+    value, so its nominal plant changes too. ``source`` says where the range comes from.
     """
 
     low: float | None = None
@@ -46,13 +46,13 @@ class Uncertainty(Parameters):
 
     @property
     def levels(self) -> tuple[Any, ...]:
-        """Both ends of the interval, or all options."""
+        """The two ends of the interval, or all options."""
         return self.options or (self.low, self.high)
 
     def at(self, share: float) -> Any:
         """Return the value at ``share`` (0 … 1) of the way from ``low`` to ``high``, or an option.
 
-        With ``scale: log`` the way is that of the logarithm. The k-th of n options covers the
+        With ``scale: log`` the way is between the logarithms. The k-th of n options belongs to the
         shares from (k − 1)/n to k/n.
         """
         if self.low is None or self.high is None:
@@ -65,12 +65,15 @@ class Uncertainty(Parameters):
 
 
 class UncertaintySet(Parameters):
-    """Uncertain values of a scenario, by dotted path (``plant.cylinder.mass_kg``)."""
+    """Uncertain values of a scenario.
+
+    ``values`` maps a dotted path such as ``plant.cylinder.mass_kg`` to an `Uncertainty`.
+    """
 
     values: dict[str, Uncertainty] = Field(min_length=1)
 
     def __repr__(self) -> str:
-        """Return a short text with the number of uncertain values only."""
+        """Return a short text that has only the number of uncertain values."""
         return f"UncertaintySet({len(self.values)} values)"
 
 
@@ -119,15 +122,15 @@ UNCERTAINTY = UncertaintySet(
 """Uncertain values that ``kneexo robustness`` and ``kneexo study contest`` use by default."""
 
 UNCERTAIN_KNEE = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
-"""The paper's setup under the weight of the shank: the scenario that `UNCERTAINTY` varies."""
+"""The scenario that `UNCERTAINTY` varies: the paper's setup under the weight of the shank."""
 
 
 def applicable(
     scenario: Scenario, uncertainty: UncertaintySet
 ) -> tuple[UncertaintySet, tuple[str, ...]]:
-    """Return the part of a set that the scenario has, and the paths of the other values.
+    """Return the uncertain values that the scenario has, and the paths of the other values.
 
-    Raises `ParameterError` when the scenario has none of the values, and the errors of
+    Raises `ParameterError` if the scenario has none of the values, and the errors of
     `require_applicable`.
     """
     values = uncertainty.values
@@ -146,7 +149,7 @@ def applicable(
 def require_applicable(
     scenario: Scenario, path: str, uncertainty: Uncertainty, paths: Iterable[str]
 ) -> bool:
-    """Check one uncertain value of a set, and return whether the scenario has this value.
+    """Check one uncertain value of a set. Return True if the scenario has this value.
 
     ``paths`` are all paths of the set. Raises `ParameterError` for a path that no scenario has, for
     a path that lies within another path of the set, for a range beyond the limits of its field, and
@@ -167,9 +170,10 @@ def require_applicable(
 
 
 def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, Any]]:
-    """Draw ``count`` times from the set, with a seed. Return the values by path for each draw.
+    """Sample the uncertain values ``count`` times at random, independently.
 
-    The draws are independent. A larger count with the same seed begins with the same draws.
+    Returns one dictionary per sample, from dotted path to value. A larger ``count`` with the same
+    ``seed`` begins with the same samples.
     """
     entries = uncertainty.values.items()
     shares = np.random.default_rng(seed).random((count, len(entries)))
@@ -180,10 +184,10 @@ def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, A
 
 
 def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Mapping[str, Any]) -> Scenario:
-    """Return the scenario with drawn ``values`` at their paths.
+    """Return the scenario with sampled ``values``, a dictionary from dotted path to value.
 
     The controller keeps its nominal plant, except for the values that ``uncertainty`` marks as
-    ``known``. Raises `ParameterError` when the values contradict each other.
+    ``known``. Raises `ParameterError` if the values contradict each other.
     """
     nominal = {
         f"nominal.{path.removeprefix('plant.')}": value

@@ -1,7 +1,7 @@
 """The studies of the command line, one row for each.
 
 A study NAME is a package ``kneexo.studies.NAME`` with ``NAMESettings`` and
-``NAME_study(scenario, …)``. Its template ``report.md``, filled by its module ``report``, describes
+``NAME_study(scenario, …)``. Its module ``report`` fills the template ``report.md``, which describes
 a result in Markdown. Its module ``figures`` draws the result. The command line and the tests read
 this catalogue.
 """
@@ -32,25 +32,25 @@ _UNDER_LOAD = "the paper's setup under the weight of the shank"
 
 @dataclass(frozen=True)
 class Study:
-    """One study of the command line. The study's own modules are imported when first needed."""
+    """One study of the command line. The study's own modules are imported at their first use."""
 
     name: str
     command: str
-    """Words of the study's command after ``kneexo``, such as ``study order``."""
+    """Words that follow ``kneexo`` to run the study, such as ``study order``."""
     summary: str
     detail: str = ""
     setup: str = _UNDER_LOAD
-    """Description of the default scenario. Empty if the study's command takes no scenario."""
+    """Description of the default scenario, or an empty text if the command has no scenario."""
     uncertain: bool = False
-    """Whether the study varies the values of an uncertainty set."""
+    """True if the study varies the values of an uncertainty set."""
     resumable: bool = True
-    """Whether an interrupted study can continue from a checkpoint of its finished runs."""
+    """True if an interrupted study can continue from a checkpoint of its finished runs."""
     moving: bool = False
-    """Whether the 3D view can show runs of the study (``motions`` in the module ``figures``)."""
+    """True if the module ``figures`` has a function ``motions``. The 3D view can show its runs."""
     files: tuple[str, str] = ("", "")
-    """File names of results and report. An empty name means NAME.json or NAME.md."""
+    """File names of results and report. An empty name stands for NAME.json or NAME.md."""
     label: str = ""
-    """Heading of the study's settings in ``kneexo params``. An empty label means ``command``."""
+    """Heading of the study's settings in ``kneexo params``, or an empty text for ``command``."""
 
     @property
     def settings(self) -> type[Parameters]:
@@ -62,9 +62,9 @@ class Study:
     def compute(self) -> Callable[..., Any]:
         """The function that runs the study and returns its result.
 
-        Arguments: the scenario, ``settings``, ``workers``, ``executor``, ``progress``; for a
-        `resumable` study also ``checkpoint``, for an `uncertain` study also ``uncertainty``. The
-        result has a method ``results()``, which returns plain data.
+        Its arguments are the scenario, ``settings``, ``workers``, ``executor`` and ``progress``. A
+        `resumable` study also accepts ``checkpoint``. An `uncertain` study also accepts
+        ``uncertainty``. The result has a method ``results()``, which returns plain data.
         """
         function: Callable[..., Any] = self._part("", f"{self.name}_study")
         return function
@@ -93,7 +93,7 @@ class Study:
         return pictures
 
     def motions(self, result: Any) -> dict[str, Motion]:
-        """Return the runs of a result that the 3D view shows, by title. Empty if not `moving`."""
+        """Return a dictionary from title to run, for the 3D view. It is empty if not `moving`."""
         if not self.moving:
             return {}
         runs: dict[str, Motion] = self._part(".figures", "motions")(result)
@@ -163,4 +163,4 @@ STUDIES = {
         ),
     )
 }
-"""All studies by name."""
+"""Dictionary from the name of a study to its `Study`."""

@@ -7,38 +7,39 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 Cell = str | tuple[str, str] | Callable[[Any], str]
-"""Rule that makes the text of a table cell from an item, which is a mapping or an object.
+"""Rule for the text of a table cell, which describes an item (a mapping or an object).
 
-A name prints the item's value at this key or attribute. A pair (name, format) prints this value as
-a number. A function receives the item and returns the text."""
+If the rule is a name, the text is the item's value at this key or attribute. If it is a pair (name,
+format), the value is printed as a number. If it is a function, it returns the text for the item.
+"""
 
 
 def number(value: float, form: str = ".3g") -> str:
-    """Format a number; return a dash for nan, and ∞ or −∞ for an infinite number."""
+    """Format a number as text. The text is a dash for nan, and ∞ or −∞ for an infinite number."""
     if math.isnan(value):
         return "–"
     return f"{value:{form}}" if math.isfinite(value) else "∞" if value > 0.0 else "−∞"
 
 
 def percent(share: float) -> str:
-    """Format a share (0 … 1) in whole percent; return a dash for nan."""
+    """Format a share (0 … 1) in whole percent. The text is a dash for nan."""
     return "–" if math.isnan(share) else f"{100 * share:.0f} %"
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a Markdown table with headings ``head`` and the cells of ``rows``."""
+    """Return the lines of a Markdown table from the headings ``head`` and the texts in ``rows``."""
     return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
 
 
 def row_table(rows: Iterable[Any], columns: Mapping[str, Cell]) -> list[str]:
-    """Return a table with one line for each item in ``rows``. ``columns``: a `Cell` by heading."""
+    """Return a table with one line for each item. ``columns`` maps a heading to a `Cell` rule."""
     return markdown_table(
         list(columns), [[_text(row, cell) for cell in columns.values()] for row in rows]
     )
 
 
 def column_table(heads: Sequence[str], items: Iterable[Any], rows: Mapping[str, Cell]) -> list[str]:
-    """Return a table with one column for each of ``items``. ``rows``: a `Cell` by line label."""
+    """Return a table with one column for each item. ``rows`` maps a line label to a `Cell` rule."""
     columns = list(items)
     return markdown_table(
         ["", *heads],
@@ -55,6 +56,6 @@ def _text(row: Any, cell: Cell) -> str:
 
 
 def document(*blocks: str | Iterable[str]) -> str:
-    """Join paragraphs and lists of lines by empty lines; skip empty paragraphs and lists."""
+    """Join paragraphs and lists of lines, with an empty line between them. Skip empty ones."""
     texts = [block if isinstance(block, str) else "\n".join(block) for block in blocks]
     return "\n\n".join(filter(None, texts)) + "\n"

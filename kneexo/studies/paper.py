@@ -1,4 +1,4 @@
-"""Scenarios with the setups of the paper's figures."""
+"""Scenarios that reproduce the paper's figures."""
 
 from __future__ import annotations
 
@@ -31,13 +31,16 @@ IDEAL_SMC = Scenario(
         duration_s=10.0, tolerance=1e-13, error_controlled=True, accuracy=1e-6
     ),
 )
-"""Fig. 9: continuous sliding mode, exact states, no speed limit or leakage, 89 mm initial error."""
+"""Scenario of Fig. 9: continuous sliding mode, exact states, and 89 mm initial error of the rod.
+
+The motor has no speed limit and the cylinder no leakage.
+"""
 
 PID_PAPER = PidParameters()
-"""A PID with as large an error as in Fig. 12: proportional action alone, 5 1/s."""
+"""A PID whose error is as large as in Fig. 12: proportional action alone, 5 1/s."""
 
 PID_TUNED = PidParameters(proportional_per_s=14.0, integral_per_s2=400.0, filter_s=0.015)
-"""The PID with the least error in Fig. 12 among those that chatter no more than the SMC.
+"""The PID with the least error in Fig. 12 among all PIDs that chatter no more than the SMC.
 
 ``benchmarks/tune_pid.py`` finds the gains. The largest error depends on single counts of the
 encoder, so the errors of neighbouring gains differ irregularly by some hundredths of a degree.
@@ -50,7 +53,10 @@ PID_FEEDFORWARD = PidParameters(
     filter_s=0.010,
     velocity_feedforward=1.0,
 )
-"""As `PID_TUNED`, with the reference's velocity fed forward (``tune_pid.py --feedforward``)."""
+"""A PID tuned like `PID_TUNED`, with feedforward of the reference's velocity.
+
+``benchmarks/tune_pid.py --feedforward`` finds the gains.
+"""
 
 FIG_12 = {
     "smc": Scenario(),
@@ -58,7 +64,10 @@ FIG_12 = {
     "pid_tuned": Scenario(controller=PID_TUNED),
     "pid_feedforward": Scenario(controller=PID_FEEDFORWARD),
 }
-"""Fig. 12, by controller: 10…70° at 0.1 Hz with the sliding-mode controller and three PIDs."""
+"""Scenarios of Fig. 12 by name of the controller: the sliding-mode controller and three PIDs.
+
+The reference covers 10…70° at 0.1 Hz.
+"""
 
 _BASE_HZ = (0.20, 0.21, 0.22, 0.23, 0.24)
 
@@ -73,9 +82,9 @@ FIG_13_SCALING = {
         SinestreamSettings(frequencies_hz=tuple(2.0 * f for f in _BASE_HZ)),
     ),
 }
-"""Scenarios and frequencies to check how the bandwidth of Fig. 13 scales, by name.
+"""Scenarios and frequencies that show how the bandwidth of Fig. 13 scales, by name.
 
-Twice the flow (gear ratio 3) and half the amplitude should each double the nominal bandwidth.
+Twice the flow (gear ratio 3) should double the nominal bandwidth, and so should half the amplitude.
 """
 
 
@@ -96,11 +105,12 @@ EQ_27_EXACT_STATES = {
     )
     for slope in (1.0e4, 1.3e4)
 }
-"""Eq. 27 sampled at 2 ms with exact states, by k/Φ in 1/s.
+"""Scenarios of Eq. 27 sampled at 2 ms with exact states. The keys are k/Φ in 1/s.
 
-One k/Φ lies below the stability boundary of the sampled hydraulic mode, the other above. At this
-step rk4 damps the mode correctly to 2e-4 1/s. Drake's radau3 adds a damping of 0.06 1/s, Drake's
-RK3 0.17 1/s. At a step of 0.2 ms, RK3 adds more damping than the oil has."""
+One k/Φ lies below the stability boundary of the sampled hydraulic mode, the other above. With the
+scenarios' step, rk4 damps the mode correctly to 2e-4 1/s. Drake's radau3 adds a damping of 0.06 1/s
+and Drake's RK3 adds 0.17 1/s. With a step of 0.2 ms, RK3 adds more damping than the oil has.
+"""
 
 EQ_27_DIFFERENCES = {
     f"{slope:g}": Scenario(
@@ -110,7 +120,10 @@ EQ_27_DIFFERENCES = {
     )
     for slope in (1.0e4, 4.0e4)
 }
-"""Eq. 27 sampled at 2 ms with backward differences of the quantized encoder, by k/Φ in 1/s."""
+"""Scenarios of Eq. 27 sampled at 2 ms, with backward differences of the quantized encoder.
+
+The keys are k/Φ in 1/s.
+"""
 
 PAPER_BANDWIDTH_HZ = 0.21
-"""The paper's measured −3 dB bandwidth (Section 5, Fig. 13)."""
+"""−3 dB bandwidth in Hz that the paper measured (Section 5, Fig. 13)."""

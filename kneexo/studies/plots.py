@@ -1,4 +1,4 @@
-"""Parts of figures that several studies share: heat maps, distributions, ticks, legends."""
+"""Parts of figures that several studies use: heat maps, distributions, ticks, legends."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 from kneexo.result import Array
 
 CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
-"""Keyword arguments for a Matplotlib text that is centred at its point."""
+"""Keyword arguments that centre a Matplotlib text at its point."""
 
 _CLOSEST = 0.065  # smallest distance of two tick labels, as a share of the axis
 
 
 def legend_below(figure: Figure, axes: Iterable[Axes], ncols: int, **style: Any) -> None:
-    """Draw one legend below the figure, with each label of the Matplotlib ``axes`` once."""
+    """Draw one legend below the figure. Each label in the Matplotlib ``axes`` occurs once."""
     entries = {
         label: handle
         for ax in axes
@@ -32,16 +32,16 @@ def legend_below(figure: Figure, axes: Iterable[Axes], ncols: int, **style: Any)
 
 
 def cell_borders(values: ArrayLike) -> Array:
-    """Return the borders (n + 1,) of map cells around ``values`` (n,) on a logarithmic axis."""
+    """Return the n + 1 borders of map cells around n ``values`` on a logarithmic axis."""
     logs = np.log(np.asarray(values, dtype=float))
     half = 0.5 * np.diff(logs) if logs.size > 1 else np.array([0.5])
     return np.exp(np.concatenate([[logs[0] - half[0]], logs[:-1] + half, [logs[-1] + half[-1]]]))
 
 
 def plain_ticks(axis: Any, values: Any) -> None:
-    """Label a logarithmic axis at ``values`` (n,) only, with plain numbers.
+    """Label a logarithmic axis with plain numbers, only at ``values`` (n,).
 
-    A value too close to the last labelled one gets no tick, so that no two labels overlap.
+    A value too close to the last labelled value gets no tick, so that labels do not overlap.
     """
     logs = np.log(np.asarray(values, dtype=float))
     gap = _CLOSEST * float(np.ptp(logs))
@@ -55,9 +55,10 @@ def plain_ticks(axis: Any, values: Any) -> None:
 
 
 def decimal_ticks(axis: Any) -> None:
-    """Label a logarithmic axis in each decade at 1, 2 and 5, at 1 and 3, or at 1, as plain numbers.
+    """Label a logarithmic axis with plain numbers, at up to three positions in each decade.
 
-    The more decades the axis shows at the time of the call, the fewer labels each decade gets.
+    The positions are 1, 2 and 5 if the axis shows less than 1.5 decades at the time of the call,
+    1 and 3 below 3 decades, and 1 otherwise.
     """
     low, high = sorted(axis.get_view_interval())
     decades = math.log10(high / low) if low > 0.0 else 1.0
@@ -98,7 +99,7 @@ def heat_map_panels(
 ) -> None:
     """Draw one `heat_map` in each of the Matplotlib ``axes``, all over the same x and y.
 
-    ``panels`` has values, colour norm and label of each map.
+    ``panels`` has the values, the colour norm and the label of each map.
     """
     for ax, (values, norm, label) in zip(axes, panels, strict=True):
         heat_map(ax, x, y, values, norm=norm, label=label)
@@ -107,8 +108,8 @@ def heat_map_panels(
 def ecdf(ax: Axes, values: ArrayLike, **style: Any) -> None:
     """Draw the empirical distribution of ``values`` (n,): the share of values up to each value.
 
-    Infinite values count but are not drawn. So the curve ends below one with inf among the values,
-    and begins above zero with −inf.
+    Infinite values count but are not drawn. With inf among the values the curve ends below one.
+    With −inf among the values the curve begins above zero.
     """
     ordered = np.sort(np.asarray(values, dtype=float))
     share = np.arange(1, ordered.size + 1) / ordered.size

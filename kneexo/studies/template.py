@@ -12,7 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from kneexo.studies.markdown import column_table, markdown_table, number, percent, row_table
 
 _WRAPPED = re.compile(r"(?<=[^\n])\n *(?=[^\s|>#-])")
-"""Pattern of a line break inside a paragraph."""
+"""Pattern of a line break inside a paragraph, which `filled` replaces by a space."""
 
 
 def _lines(table: Callable[..., list[str]]) -> Callable[..., str]:
@@ -43,10 +43,11 @@ _ENVIRONMENT = _environment()
 def filled(template: str, **data: Any) -> str:
     """Fill a template of a study with ``data`` and return its text.
 
-    ``template`` is a path such as ``order/report.md``. The lines of a paragraph are joined to one
-    line. Several empty lines become one. A template can use the filters ``number``, ``percent``
-    and, for a sequence, ``numbers``, the filter ``form`` for a format specification, and the tables
-    of `kneexo.studies.markdown`. Raises `jinja2.UndefinedError` for a name that ``data`` lacks.
+    ``template`` is a path such as ``order/report.md``. Each paragraph becomes one line, and several
+    empty lines become one. A template can use the tables of `kneexo.studies.markdown` and four
+    filters: ``number`` and ``percent`` format a number, ``numbers`` formats a sequence, and
+    ``form`` applies a format specification. Raises `jinja2.UndefinedError` for a name that
+    ``data`` lacks.
     """
     text = _ENVIRONMENT.get_template(template).render(data)
     return _WRAPPED.sub(" ", re.sub(r"\n{3,}", "\n\n", text)).strip() + "\n"

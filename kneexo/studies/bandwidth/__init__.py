@@ -1,4 +1,4 @@
-"""Study `bandwidth`: frequency response from small to large amplitude."""
+"""Study `bandwidth`: frequency response of the knee at small and at large amplitudes."""
 
 from kneexo.studies.bandwidth.study import (
     BandwidthResult as BandwidthResult,

@@ -25,7 +25,7 @@ _TICKS_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
 def figures(result: BandwidthResult) -> dict[str, Figure]:
-    """Draw the amplitude map, the Bode plots and the rate-limited sine; return them by name."""
+    """Draw the amplitude map, the Bode plots and the rate-limited sine. Return figures by name."""
     return {
         "amplitude_map": plot_map(result),
         "bode_by_amplitude": plot_bode(result),
@@ -34,7 +34,10 @@ def figures(result: BandwidthResult) -> dict[str, Figure]:
 
 
 def plot_map(result: BandwidthResult) -> Figure:
-    """Draw gain, phase and shares of time at the motor's limits over frequency and amplitude."""
+    """Draw four maps over frequency and amplitude.
+
+    They show gain, phase, and the shares of time at the motor's speed and acceleration limits.
+    """
     figure, axes = plt.subplots(
         2, 2, figsize=(11, 7.5), sharex=True, sharey=True, layout="constrained"
     )
@@ -68,7 +71,7 @@ def plot_map(result: BandwidthResult) -> Figure:
 
 
 def _plot_bandwidths(result: BandwidthResult, axis: Axes) -> None:
-    """Draw into a map of frequency and amplitude the −3 dB frequencies, measured and predicted."""
+    """Add the measured and the predicted −3 dB frequencies to a map of frequency and amplitude."""
     if result.amplitudes_deg.size > 1:
         axis.contour(
             result.frequencies_hz,
@@ -92,7 +95,11 @@ def _plot_bandwidths(result: BandwidthResult, axis: Axes) -> None:
 
 
 def plot_bode(result: BandwidthResult) -> Figure:
-    """Draw a Bode plot for each amplitude, with the linear loop and the rate-limited follower."""
+    """Draw a Bode plot with a measured curve for each amplitude.
+
+    The plot also shows the linear loop and, for each amplitude, an ideal follower that is limited
+    only in speed.
+    """
     figure, axes = plt.subplots(2, 1, sharex=True, figsize=(7.5, 7.5), layout="constrained")
     colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, result.amplitudes_deg.size))
     relative = result.relative_uncertainty
@@ -129,7 +136,7 @@ def plot_bode(result: BandwidthResult) -> Figure:
 def plot_rate_limit(result: BandwidthResult) -> Figure:
     """Draw rate-limited sines over time, and all gains over aω/R beside their closed form.
 
-    aω is the rod's speed amplitude that the reference requires, R the rod's speed limit.
+    The reference requires a rod speed of amplitude aω. R is the rod's speed limit.
     """
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     time = np.linspace(0.0, 4.0, 4001)

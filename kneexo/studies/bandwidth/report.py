@@ -13,11 +13,11 @@ from kneexo.studies.bandwidth.study import BandwidthResult
 from kneexo.studies.template import filled
 
 _DRIFT_DEG = 1.0
-"""Difference in deg between the mean angles of knee and reference above which it is reported."""
+"""Limit in deg. The report mentions a larger difference between the means of knee and reference."""
 
 
 def report(result: BandwidthResult) -> str:
-    """Return the report on the frequency response over amplitude in Markdown."""
+    """Return the Markdown report on the frequency response at all amplitudes."""
     limits: dict[str, list[str]] = {}
     rows = []
     for i, amplitude in enumerate(result.amplitudes_deg):
@@ -49,9 +49,10 @@ def report(result: BandwidthResult) -> str:
 
 
 def _drift(result: BandwidthResult) -> dict[str, Any]:
-    """Return the largest difference between the mean angles of knee and reference, with its place.
+    """Return the largest difference between the mean angles of knee and reference.
 
-    The result is empty if no difference exceeds ``_DRIFT_DEG``.
+    The dictionary also has the amplitude and frequency at which this difference occurs, and the
+    number of map cells above ``_DRIFT_DEG``. Without such a cell the dictionary is empty.
     """
     distance = np.abs(result.cells["mean_deg"] - require_sine(result.scenario).mean_deg)
     count = int(np.sum(distance > _DRIFT_DEG))

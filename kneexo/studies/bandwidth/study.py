@@ -37,7 +37,7 @@ from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class BandwidthSettings(Parameters):
-    """Settings of ``kneexo bandwidth``: the sines of the reference, and their measurement."""
+    """Settings of ``kneexo bandwidth``: the reference's sines, and how to measure the response."""
 
     amplitudes_deg: tuple[float, ...] = quantities(
         (0.1, 0.3, 1.0, 3.0, 10.0, 30.0),
@@ -77,25 +77,26 @@ CELL = {
     "speed_limited_share": math.nan,
     "acceleration_limited_share": math.nan,
 }
-"""Values of a map cell whose run failed, by their names in `SineEstimate`, without the response."""
+"""Values that a map cell gets if its run fails. Each name is an attribute of `SineEstimate`."""
 
 
 @dataclass(frozen=True, repr=False)
 class BandwidthResult(Result):
-    """Response θ_p/θ_d of the fundamental over m amplitudes and n frequencies, by sinestream.
+    """Frequency response θ_p/θ_d over m amplitudes and n frequencies of a sine reference.
 
-    ``response`` is complex (m, n). ``cells`` has an array (m, n) for each name of `CELL`. Numbers
-    of a failed run are nan, and ``failures`` has a line with the reason.
+    θ_p is the fundamental of the knee angle and θ_d the reference. ``response`` is complex (m, n).
+    ``cells`` has an array (m, n) for each name of `CELL`. If a run fails, its numbers are nan, and
+    ``failures`` has a line with the reason.
 
-    ``bandwidths`` has −3 dB frequencies (m,) in Hz by name. ``measured_hz`` is measured
-    (`large_signal_bandwidth_hz`). The next are predicted from one limit alone: ``linear_loop_hz``,
-    ``acceleration_bound_hz``, ``follower_hz`` (speed limit, through x(θ)) and ``rate_limit_hz``
-    (speed limit, closed form for a sine of the rod). Above ``speed_limit_reached_hz``, which is no
-    −3 dB frequency, the reference requires more than the speed limit.
+    ``bandwidths`` maps a name to frequencies (m,) in Hz. ``measured_hz`` is the measured −3 dB
+    frequency (`large_signal_bandwidth_hz`). Four −3 dB frequencies are predicted from one limit
+    each: ``linear_loop_hz``, ``acceleration_bound_hz``, ``follower_hz`` (speed limit, through x(θ))
+    and ``rate_limit_hz`` (speed limit, closed form for a sine of the rod).
+    ``speed_limit_reached_hz`` is the frequency above which the reference exceeds the speed limit.
 
-    ``linear`` (n,) is the response of the linear loop, ``follower`` (m, n) that of an ideal rod
-    with speed limit. ``unquantized`` (n,) is measured at the smallest amplitude without quantizers.
-    ``unlimited`` (n,) is True for the frequencies at which the motor then stays off its limits.
+    ``linear`` (n,) is the response of the linear loop. ``follower`` (m, n) is the response of a rod
+    that is limited only in speed. ``unquantized`` (n,) is the response at the smallest amplitude
+    without quantizers. ``unlimited`` (n,) is True where the motor then stays off its limits.
     """
 
     amplitudes_deg: Array
@@ -105,7 +106,7 @@ class BandwidthResult(Result):
     bandwidths: dict[str, Array]
     linear: Complex
     linear_failure: str
-    """Reason why the loop could not be linearized (``linear`` is then nan), else empty."""
+    """The reason why the loop could not be linearized, or an empty text. ``linear`` is then nan."""
     follower: Complex
     unquantized: Complex
     unlimited: Any
@@ -125,24 +126,24 @@ class BandwidthResult(Result):
 
     @property
     def relative_uncertainty(self) -> Array:
-        """Uncertainty of the response as a share of its gain, (m, n)."""
+        """Uncertainty of the response divided by its gain, (m, n)."""
         return self.cells["uncertainty"] / np.maximum(np.abs(self.response), _LEAST_GAIN)
 
     def linear_deviation(self, *, quantized: bool) -> float:
-        """Return the largest |G − G_linear|/|G_linear| over frequency, at the smallest amplitude.
+        """Return the largest |G − G_linear|/|G_linear| at the smallest amplitude.
 
-        G is the measured response, with quantizers if ``quantized``, and G_linear that of the
-        linear loop. Only frequencies at which the motor stays off its limits count. If there is no
-        such frequency or no linear loop, the result is nan.
+        G is the response measured with quantizers (``quantized=True``) or without. G_linear is the
+        response of the linear loop. Only frequencies at which the motor stays off its limits count.
+        The result is nan if there is no such frequency or no linear loop.
         """
         measured = self.response[0] if quantized else self.unquantized
         deviation = np.abs(measured / self.linear - 1.0)[self.unlimited]
         return float(np.max(deviation)) if deviation.size else math.nan
 
     def decided_by(self, index: int) -> tuple[str, float]:
-        """Return the limit with the lowest predicted bandwidth, and this bandwidth in Hz.
+        """Return the name of the limit that predicts the lowest bandwidth, and the bandwidth in Hz.
 
-        ``index`` is that of the amplitude.
+        ``index`` selects the amplitude.
         """
         predicted = {_LIMITS[name]: float(self.bandwidths[name][index]) for name in _LIMITS}
         name = min(predicted, key=lambda n: np.nan_to_num(predicted[n], nan=math.inf))
@@ -151,8 +152,8 @@ class BandwidthResult(Result):
     def to_dataframe(self) -> Any:
         """Return a `pandas.DataFrame` with a row for each cell of the map.
 
-        Columns: ``amplitude_deg``, ``frequency_hz``, ``gain``, ``phase_deg`` and those of `CELL`.
-        Raises `PackageError` without pandas.
+        The columns are ``amplitude_deg``, ``frequency_hz``, ``gain``, ``phase_deg`` and the names
+        in `CELL`. Raises `PackageError` without pandas.
         """
         amplitude, frequency = np.meshgrid(self.amplitudes_deg, self.frequencies_hz, indexing="ij")
         table = {
@@ -165,7 +166,7 @@ class BandwidthResult(Result):
         return data_frame({name: np.ravel(values) for name, values in table.items()})
 
     def results(self) -> dict[str, Any]:
-        """Return plain data: the linear loop, then the map by amplitude, and the failures."""
+        """Return plain data: the linear loop, the map by amplitude, and the reasons of failures."""
         gain, phase = np.abs(self.response), self.phase_deg
         return {
             "frequencies_hz": self.frequencies_hz.tolist(),
@@ -207,16 +208,20 @@ def decibel(response: Any) -> Any:
 # ---------------------------------------------------------------------------------- measurement
 
 _Item = tuple[float, float | None, bool]
-"""A measurement: amplitude in deg, frequency in Hz (None: search −3 dB), with quantizers or not."""
+"""A measurement: amplitude in deg, frequency in Hz, and whether encoder and bus round.
+
+Frequency None asks for the −3 dB frequency instead of the response at one frequency.
+"""
 
 
 @needs_runs
 async def _measure(
     scenario: Scenario, settings: SineEstimateSettings, item: _Item
 ) -> dict[str, Any]:
-    """Measure the response to one sine, or search one −3 dB frequency; return plain data.
+    """Measure the response to one sine, or search for the −3 dB frequency. Return plain data.
 
-    Numbers of a failed run are nan; ``failure`` has the reason, or is empty.
+    If a run fails, the numbers are nan and ``failure`` has the reason. Otherwise ``failure`` is
+    empty.
     """
     amplitude, frequency, quantized = item
     values = {"reference.amplitude_deg": amplitude}
@@ -250,11 +255,11 @@ def bandwidth_study(
 ) -> BandwidthResult:
     """Measure the closed loop's frequency response at several amplitudes of the knee's sine.
 
-    The reference of ``scenario`` must be a sine, whose amplitude and frequency are replaced. The
-    cell of a failed run is nan, and ``failures`` has the reason. ``options``: see
+    The reference of ``scenario`` must be a sine. The study replaces its amplitude and frequency. If
+    a run fails, its cell is nan, and ``failures`` has the reason. ``options``: see
     `kneexo.sweeps.SweepOptions`.
 
-    Raises `ParameterError` when the reference is no sine, leaves the range of motion, or has fewer
+    Raises `ParameterError` if the reference is no sine, leaves the range of motion, or has fewer
     than ten samples a period.
     """
     amplitudes, frequencies = settings.amplitudes_deg, np.array(settings.frequencies_hz)

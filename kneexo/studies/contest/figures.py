@@ -13,7 +13,10 @@ from kneexo.studies.plots import decimal_ticks, ecdf, legend_below
 
 
 def outcome(result: ContestResult) -> Figure:
-    """Draw the distribution of the largest error at each reference, and disk margin over error."""
+    """Draw the distribution of the controllers' errors, and disk margin over error.
+
+    Two panels show the largest errors on the test plants, one for each of the two references.
+    """
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
     for index, name in enumerate(result.entrants):
         tuned = name in result.settings.contestants
@@ -55,9 +58,9 @@ def outcome(result: ContestResult) -> Figure:
 
 
 def search(result: ContestResult) -> Figure:
-    """Draw the best objective so far of each search over the number of evaluations.
+    """Draw, for each search, the best objective so far over the number of evaluations.
 
-    Searches with the first seed are solid, the others dashed.
+    Searches with the first seed have solid lines, the others dashed lines.
     """
     figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
     names = list(result.settings.contestants)

@@ -47,6 +47,6 @@ def _objective(tuning: Tuning) -> str:
 
 
 def _at_bound(gain: Uncertainty, value: float) -> str:
-    """Return a remark if a gain lies within 2 % of an end of its range, else an empty text."""
+    """Return a remark if a gain lies within 2 % of an end of its range, otherwise an empty text."""
     ends = (gain.at(0.02), gain.at(0.98))
     return "" if ends[0] < value < ends[1] else " (at its bound)"

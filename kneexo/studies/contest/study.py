@@ -1,9 +1,10 @@
-"""SMC against PID, fairly: one optimizer, one budget, one set of measurements, many plants.
+"""Compare SMC with PID, tuned alike: the same optimizer, budget, measurements and plants.
 
 Lee et al. 2020 compare their sliding-mode controller with one PID on one plant. Here the same
 search tunes each contestant, with the same budget of evaluations, encoder, sample time, speed limit
-and chattering. Each must keep a margin on every training plant, because a search for the smallest
-error alone gives up margin. Test plants that no contestant was tuned on then decide.
+and chattering. Each contestant must keep a stability margin on every training plant, because a
+search for the smallest error alone gives up margin. The contest is decided on test plants that were
+not used for tuning.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def _gain(low: float, high: float, source: str = _WIDE) -> Uncertainty:
 
 
 class Contestant(Parameters):
-    """A controller to tune, and the range of each gain that the optimizer sets, by dotted path."""
+    """A controller to tune. ``gains`` maps a gain's dotted path to the range that is searched."""
 
     controller: Annotated[SlidingModeParameters | PidParameters, Field(discriminator="kind")]
     gains: dict[str, Uncertainty] = Field(min_length=1)
@@ -84,12 +85,14 @@ UNTUNED = {
     "PID, error only": PID_TUNED,
     "PID with reference velocity, error only": PID_FEEDFORWARD,
 }
-"""Controllers that are tested without tuning: the default SMC, the paper's PID, and two PIDs tuned
-for the error of Fig. 12 alone (``benchmarks/tune_pid.py``)."""
+"""Controllers that are tested without tuning: the default SMC, the paper's PID, and two other PIDs.
+
+``benchmarks/tune_pid.py`` tuned the two other PIDs for the error of Fig. 12 alone.
+"""
 
 
 class ContestSettings(Parameters):
-    """Settings of the tuning, whose budget is equal for all contestants, and of the test."""
+    """Settings of the tuning and of the test. All contestants have the same tuning budget."""
 
     contestants: dict[str, Contestant] = Field(default=CONTESTANTS, min_length=1)
     training_samples: int = quantity(
@@ -131,23 +134,25 @@ class ContestSettings(Parameters):
         20.0, "s", "assumption: two periods of 0.1 Hz, of which the second counts", ge=1e-3, le=1e5
     )
     other_reference: SineReference = SineReference(amplitude_deg=2.5, frequency_hz=1.0)
-    """A reference that no contestant is tuned for, slow enough for the motor's speed limit."""
+    """A reference that was not used for tuning, slow enough for the motor's speed limit."""
     other_duration_s: float = quantity(5.0, "s", "assumption: five of its periods", ge=0.01, le=1e5)
 
 
 INFEASIBLE_DEG = 90.0
-"""Least objective in deg of candidate gains that break a constraint.
+"""Least objective in deg of gains that violate a constraint of the tuning.
 
-No run inside the range of motion has so large an error."""
+The largest error of a run inside the range of motion is always smaller.
+"""
 
 
 @dataclass(frozen=True)
 class Tuning:
     """The best gains that one search found for a contestant, and whether the search converged.
 
-    ``objective_deg``: mean over the training plants of the largest error in deg; above
-    `INFEASIBLE_DEG` if the gains break a constraint. ``history_deg``: the best objective of each
-    generation. ``spread``: standard deviation of the last population's objectives over their mean.
+    ``objective_deg`` is the largest error of a run in deg, averaged over the training plants. It
+    exceeds `INFEASIBLE_DEG` if the gains violate a constraint. ``history_deg`` has the best
+    objective of each generation. ``spread`` is the standard deviation of the last population's
+    objectives divided by their mean.
     """
 
     contestant: str
@@ -161,19 +166,19 @@ class Tuning:
 
     @property
     def feasible(self) -> bool:
-        """Whether the best gains fulfil all constraints (no failure, chattering, disk margin)."""
+        """True if the best gains violate no constraint (no failed run, chattering, disk margin)."""
         return self.objective_deg < INFEASIBLE_DEG
 
 
 @dataclass(frozen=True, repr=False)
 class ContestResult(Result):
-    """Tuned and untuned controllers on the test plants.
+    """Metrics of tuned and untuned controllers on the test plants.
 
-    ``entrants``: by name, the values by path that each tuned or untuned controller sets in the
-    scenario. ``tested``: by entrant, the metrics of each test plant from `assess` at the scenario's
-    reference. ``other_reference``: the same metrics, without margins, at the reference that no
-    contestant was tuned for. ``budget_rpm``: largest chattering allowed in the tuning, which is the
-    default SMC's mean change of command in rpm per sample over the training plants.
+    ``entrants`` maps a controller's name to the values, by dotted path, that put this controller
+    into the scenario. ``tested`` maps the name to the metrics of each test plant from `assess`, at
+    the scenario's reference. ``other_reference`` has the same metrics, without margins, at a
+    reference that was not used for tuning. ``budget_rpm`` is the largest chattering that the tuning
+    allows: the default SMC's mean change of command in rpm per sample over the training plants.
     """
 
     scenario: Scenario
@@ -188,7 +193,7 @@ class ContestResult(Result):
     other_reference: Mapping[str, Sequence[Values]]
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return the metrics of `COLUMNS` over all test plants, for each entrant by name."""
+        """Return the metrics of `COLUMNS` over all test plants, by name of the controller."""
         return {
             name: _summary(self.tested[name], self.other_reference[name]) for name in self.entrants
         }
@@ -198,7 +203,7 @@ class ContestResult(Result):
         return float(np.mean(errors_of(self.tested[name]) < errors_of(self.tested[other])))
 
     def winners(self) -> dict[str, list[str]]:
-        """Return, for each metric of `summary`, the names of the tuned contestants that lead."""
+        """Return by metric of `summary` the names of the tuned contestants with the best value."""
         summary, tuned = self.summary(), self.settings.contestants
         best = {
             figure: (max if "margin" in figure else min)(summary[name][figure] for name in tuned)
@@ -237,15 +242,15 @@ def contest_study(
     settings: ContestSettings = ContestSettings(),
     **options: Unpack[SweepOptions],
 ) -> ContestResult:
-    """Tune every contestant, then test the tuned and the untuned controllers on other plants.
+    """Tune every contestant. Then test the tuned and the untuned controllers on other plants.
 
-    The contest replaces the controller of ``scenario``, and leaves out uncertain values that the
-    scenario lacks. ``options``: see `kneexo.sweeps.SweepOptions`; a resumed search starts again and
-    reads finished runs from the checkpoint. A search that does not converge raises no error; see
-    ``Tuning.converged``.
+    The contest replaces the controller of ``scenario``, and ignores uncertain values that the
+    scenario lacks. ``options``: see `kneexo.sweeps.SweepOptions`. A resumed contest repeats its
+    searches but reads finished runs from the checkpoint. If a search does not converge, no error is
+    raised, and ``Tuning.converged`` is False.
 
     Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, and
-    if the scenario has none of the values. Raises `SimulationError` when the default SMC fails on a
+    if the scenario has none of the values. Raises `SimulationError` if the default SMC fails on a
     training plant, because its chattering is the budget of the tuning.
     """
     with open_sweep(**options) as sweep:
@@ -343,8 +348,9 @@ def search(
     """Minimize an objective over the unit cube by differential evolution.
 
     ``objective`` maps n candidates (n, dimensions) to their objectives (n,). Returns SciPy's result
-    and the best objective of each generation. The search has converged (``success``) when the
-    standard deviation of the population's objectives is below ``settings.tolerance`` of their mean.
+    and the best objective of each generation. SciPy's ``success`` is True if the search converged:
+    the standard deviation of the last population's objectives, divided by their mean, is below
+    ``settings.tolerance``.
     """
     history: list[float] = []
 
@@ -371,11 +377,12 @@ def search(
 async def objective_deg(
     budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]
 ) -> float:
-    """Return the objective in deg of one candidate: the mean over ``plants`` of the largest error.
+    """Return the objective of one candidate: its largest error in deg, averaged over ``plants``.
 
-    If a run fails, the objective exceeds 3·`INFEASIBLE_DEG`; with too much chattering,
-    2·`INFEASIBLE_DEG`; with too little margin on any plant, `INFEASIBLE_DEG`. The objective grows
-    with the violation. The margin of an unstable loop counts as zero.
+    A candidate that violates a constraint gets a larger objective, which grows with the violation.
+    The objective exceeds 3·`INFEASIBLE_DEG` if a run fails, 2·`INFEASIBLE_DEG` with too much
+    chattering, and `INFEASIBLE_DEG` with too little margin on any plant. The margin of an unstable
+    loop counts as zero.
     """
     tracked = [await awaitable(assess, plant, margins=False) for plant in plants]
     failed = np.mean([bool(values["tracking_failure"]) for values in tracked])
@@ -393,7 +400,7 @@ async def objective_deg(
 
 
 def _gains(contestant: Contestant, unit: Array) -> dict[str, float]:
-    """Return the gains by path at ``unit`` (gains,), a point of the unit cube of their ranges."""
+    """Convert ``unit`` (gains,), shares from 0 to 1 of each range, to gains by dotted path."""
     return {
         path: float(span.at(float(x)))
         for (path, span), x in zip(contestant.gains.items(), unit, strict=True)
@@ -408,12 +415,12 @@ def _entrant(contestant: Contestant, gains: Values) -> dict[str, Any]:
 
 
 def errors_of(metrics: Sequence[Values], name: str = "max_error_deg") -> Array:
-    """Return the metric ``name`` of each of n plants, (n,); inf if the plant's run failed."""
+    """Return the metric ``name`` on each of n plants, (n,). It is inf if the plant's run failed."""
     return np.array([math.inf if math.isnan(v[name]) else v[name] for v in metrics])
 
 
 def _level(values: Array, share: float) -> float:
-    """Return the smallest of ``values`` (n,) that at least ``share`` of them do not exceed."""
+    """Return the smallest of ``values`` (n,) with at least ``share`` of all values up to it."""
     return float(np.quantile(values, share, method="inverted_cdf"))
 
 
@@ -451,4 +458,4 @@ COLUMNS = {
     "median_error_other_reference_deg": "median error, other reference (deg)",
     "error_of_95_percent_other_reference_deg": "95 % error, other reference (deg)",
 }
-"""Names of the metrics of `ContestResult.summary`, with their labels in the report."""
+"""Labels of the metrics in the report. The keys are the names in `ContestResult.summary`."""

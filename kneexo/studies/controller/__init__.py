@@ -1,4 +1,4 @@
-"""Study `controller`: effects of λ, Φ and η of the sliding-mode controller."""
+"""Study `controller`: effects of the sliding-mode controller's parameters λ, Φ and η."""
 
 from kneexo.studies.controller.result import Claim as Claim, ControllerResult as ControllerResult
 from kneexo.studies.controller.settings import ControllerSettings as ControllerSettings

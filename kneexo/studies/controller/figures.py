@@ -26,7 +26,7 @@ _STAR: dict[str, Any] = {"marker": "*", "color": "C3", "ms": 13, "mec": "w", "ls
 def _maps(
     axes: Sequence[Axes], x: Any, y: Any, panels: Any, stable: Array, default: tuple[Any, Any]
 ) -> None:
-    """Draw `heat_map_panels` with a cross at each unstable loop and a star at the ``default``."""
+    """Draw `heat_map_panels`. A cross marks each unstable loop, a star the ``default``."""
     heat_map_panels(axes, x, y, panels)
     column, row = np.nonzero(stable == 0.0)
     for ax in axes:
@@ -38,7 +38,7 @@ def _maps(
 def lambda_and_slope(result: ControllerResult) -> Figure:
     """Draw error, chattering, settling time and disk margin over λ and k/Φ.
 
-    η is that of the grid's centre.
+    η has its value at the centre of the grid.
     """
     lambda_, phi, eta = result.centre
     lambdas, slope = result.settings.lambdas_per_s, result.slope_per_s[::-1, eta]
@@ -73,7 +73,7 @@ def lambda_and_slope(result: ControllerResult) -> Figure:
 def phi_and_eta(result: ControllerResult) -> Figure:
     """Draw error, chattering, saturation and disk margin over Φ and η.
 
-    λ is that of the grid's centre.
+    λ has its value at the centre of the grid.
     """
     lambda_, phi, eta = result.centre
     phis, etas = result.settings.phis_m_s2, result.settings.etas_m_s3
@@ -107,12 +107,12 @@ def phi_and_eta(result: ControllerResult) -> Figure:
 
 
 def _spread(count: int, centre: int) -> list[int]:
-    """Return up to five indices spread over 0 … count − 1, among them ``centre``."""
+    """Return up to five indices, spread from 0 to count − 1, and ``centre`` among them."""
     return sorted({0, centre // 2, centre, (centre + count) // 2, count - 1})
 
 
 def claims(result: ControllerResult) -> Figure:
-    """Draw the metrics of the paper's three statements on λ, Φ and η, and the error over k/Φ."""
+    """Draw the metrics for the paper's three statements on λ, Φ and η, and the error over k/Φ."""
     lambda_, phi, eta = result.centre
     grid, values = result.settings, result.values
     lambdas, phis, etas = grid.lambdas_per_s, grid.phis_m_s2, grid.etas_m_s3
@@ -154,7 +154,7 @@ def claims(result: ControllerResult) -> Figure:
 
 
 def limit_cycle(result: ControllerResult) -> Figure:
-    """Draw the error of the limit cycle over time, and its place on the map of T_f and k/Φ."""
+    """Draw the error of the limit cycle over time, and mark its place on the map of T_f and k/Φ."""
     grid = result.settings
     law, observer = observed_smc(result.scenario)
     figure, axes = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
@@ -194,7 +194,7 @@ def limit_cycle(result: ControllerResult) -> Figure:
 
 
 def figures(result: ControllerResult) -> dict[str, Figure]:
-    """Draw all figures of the study. Return them by name; the caller closes the figures."""
+    """Draw all figures of the study. Return the figures by name; the caller closes the figures."""
     return {
         "study_lambda_slope": lambda_and_slope(result),
         "study_phi_eta": phi_and_eta(result),

@@ -39,9 +39,9 @@ def report(result: ControllerResult) -> str:
 
 
 def _lines(result: ControllerResult) -> Iterator[dict[str, Any]]:
-    """Yield a table for each of λ, Φ and η: metrics along this axis through the grid's centre.
+    """Yield a table for each of λ, Φ and η, which varies while the other two keep their values.
 
-    ``fixed`` has the values of the other two axes.
+    The table has the metrics. ``fixed`` names the two constant values, from the grid's centre.
     """
     grid, centre = result.settings, result.centre
     axes = {
@@ -64,7 +64,7 @@ def _lines(result: ControllerResult) -> Iterator[dict[str, Any]]:
 
 
 def _largest_error_of_a_stable_loop(result: ControllerResult) -> dict[str, float]:
-    """Return the largest error of a stable loop on the map of T_f and k/Φ, and its place."""
+    """Return the largest error among the stable loops of the map, with T_f and k/Φ of this loop."""
     grid, error = result.settings, result.map_values["max_error_deg"]
     stable = np.where(result.map_values["stable"] == 1.0, error, -np.inf)
     time, slope = np.unravel_index(np.argmax(np.nan_to_num(stable, nan=-np.inf)), error.shape)

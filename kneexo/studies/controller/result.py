@@ -1,4 +1,4 @@
-"""The result of the controller study, and the paper's claims counted over its grid."""
+"""The result of the controller study, and how often the paper's claims hold on its grid."""
 
 from __future__ import annotations
 
@@ -30,15 +30,16 @@ METRICS = (
     "disk_margin",
     "phase_margin_deg",
 )
-"""Quantities that are measured at each point of the grid.
+"""Names of the quantities that are measured at each point of the grid.
 
-The margins of an unstable loop are nan, and so are the results of a failed run. ``settling_s`` and
-``large_settling_s`` are the times after which the error of the small and of the large step stays
-within ± ``settling_band_deg``. They are inf for a step that does not settle in its run."""
+The margins of an unstable loop and the results of a failed run are nan. ``settling_s`` and
+``large_settling_s`` belong to the small and to the large step. They are the times after which the
+error stays within ± ``settling_band_deg``, and inf if the error does not settle during the run.
+"""
 
 
 MAP_METRICS = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margin")
-"""Metrics on the map over the observer's time constant T_f and the slope k/Φ."""
+"""Names of the metrics on the map over the observer's time constant T_f and the slope k/Φ."""
 
 
 _SATURATED = 0.01  # share of the samples from which on a run counts as saturated
@@ -49,8 +50,8 @@ class Claim:
     """A statement of the paper, and the share of cases on the grid in which the statement holds.
 
     ``case`` says in words which points form a case and when the statement holds. ``sound_cases``
-    and ``sound_share`` count only the cases in which each loop has a sound disk margin. ``finding``
-    is the result in words.
+    and ``sound_share`` count only the cases in which every loop has a sound disk margin.
+    ``finding`` is the result in words.
     """
 
     quote: str
@@ -63,9 +64,9 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """``true`` (holds in all cases), ``true in part`` (in half or more) or ``false``.
+        """``true`` if the claim holds in all cases, ``true in part`` if it holds in at least half.
 
-        Without any case, the verdict is ``not decided``.
+        Otherwise the verdict is ``false``. Without any case, the verdict is ``not decided``.
         """
         if self.cases == 0:
             return "not decided"
@@ -76,10 +77,11 @@ class Claim:
 
 @dataclass(frozen=True)
 class LimitCycleCase:
-    """One variant of the loop with a limit cycle of some degrees; ``time_s``, ``error_deg`` (n,).
+    """One variant of the loop with a limit cycle of some degrees.
 
-    ``oscillation_at_rest_deg``: error from peak to peak while the reference rests at its upper end.
-    If a run fails, ``failure`` has the reason, numbers are nan and arrays empty.
+    ``time_s`` and ``error_deg`` have shape (n,). ``oscillation_at_rest_deg`` is the error from peak
+    to peak while the reference rests at its upper end. If a run fails, ``failure`` has the reason,
+    numbers are nan and arrays are empty.
     """
 
     lambda_per_s: float
@@ -96,11 +98,11 @@ class LimitCycleCase:
 
 @dataclass(frozen=True, repr=False)
 class ControllerResult(Result):
-    """Metrics over the grid and the map, and the limit cycle.
+    """Metrics over the grid of λ, Φ and η and over the map of T_f and k/Φ, and the limit cycle.
 
-    ``values``: an array (λ, Φ, η) for each of `METRICS`. ``map_values``: an array (T_f, k/Φ) for
-    each of `MAP_METRICS`, at the scenario's λ and η. ``failures``: reasons of failed runs, by
-    (λ, Φ, η).
+    ``values`` maps each name of `METRICS` to an array (λ, Φ, η). ``map_values`` maps each name of
+    `MAP_METRICS` to an array (T_f, k/Φ), with the scenario's λ and η. ``failures`` maps the
+    (λ, Φ, η) of a failed run to the reason.
     """
 
     scenario: Scenario
@@ -112,14 +114,17 @@ class ControllerResult(Result):
 
     @property
     def slope_per_s(self) -> Array:
-        """Slope k/Φ = βη/Φ in 1/s of the law inside the boundary layer, at rest; (Φ, η)."""
+        """Slope k/Φ = βη/Φ in 1/s of the control law inside the boundary layer |s| ≤ Φ.
+
+        The knee is at rest. The array has the axes (Φ, η).
+        """
         law = observed_smc(self.scenario)[0]
         inverse = 1.0 / np.array(self.settings.phis_m_s2)
         return law.gain_ratio * np.outer(inverse, self.settings.etas_m_s3)
 
     @property
     def centre(self) -> tuple[int, int, int]:
-        """The indices of the grid's λ, Φ and η that are closest to the scenario's."""
+        """Indices of the grid's λ, Φ and η that are closest to the values of the scenario."""
         grid, law = self.settings, observed_smc(self.scenario)[0]
         return (
             _nearest(grid.lambdas_per_s, law.lambda_per_s),
@@ -128,11 +133,11 @@ class ControllerResult(Result):
         )
 
     def claims(self) -> tuple[Claim, Claim, Claim]:
-        """Return the paper's statements about λ, Φ and η, each counted over the grid."""
+        """Return the paper's statements about λ, Φ and η, with the share of cases that agree."""
         return _faster(self), _chattering(self), _adherence(self)
 
     def results(self) -> dict[str, Any]:
-        """Return plain data; the axes of the grid's arrays are λ, Φ and η."""
+        """Return plain data. The axes of the grid's arrays are λ, Φ and η."""
         grid = self.settings
         return {
             "lambdas_per_s": grid.lambdas_per_s,
@@ -158,9 +163,9 @@ class ControllerResult(Result):
 
 
 def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
-    """Return the time in s in which the error e falls to ``share`` of its initial value if s = 0.
+    """Return the time in s after which an ideal sliding error is ``share`` of its initial value.
 
-    e solves (d/dt + λ)² e = 0 with ė = 0 at the start. The result has the shape of λ.
+    The error e solves (d/dt + λ)² e = 0, and ė = 0 at the start. The result has the shape of λ.
     """
     return (
         float(scipy.optimize.brentq(lambda y: (1.0 + y) * math.exp(-y) - share, 0.0, 100.0))
@@ -171,7 +176,7 @@ def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
 def observed_smc(scenario: Scenario) -> tuple[SlidingModeParameters, ObserverParameters]:
     """Return the sliding-mode controller and the observer of a scenario.
 
-    Raises `ParameterError` for other kinds, which have no λ, Φ, η or T_f to vary.
+    Raises `ParameterError` for another controller or estimator, because it lacks λ, Φ, η or T_f.
     """
     law, estimator = scenario.controller, scenario.estimator
     if law.kind != "smc" or law.continuous or law.switching == "signum":
@@ -288,7 +293,7 @@ def _adherence(study: ControllerResult) -> Claim:
 
 
 def _at_slope(slopes: Array, error: Array, slope: float) -> float:
-    """Return the error at a k/Φ, interpolated in log-log between ``slopes``; nan outside."""
+    """Interpolate the error at one k/Φ, on logarithmic axes. Return nan outside ``slopes``."""
     order = np.argsort(slopes)
     x, y = np.log(slopes[order]), np.log(error[order])
     rounding = 0.02  # of the grid's values
@@ -298,7 +303,7 @@ def _at_slope(slopes: Array, error: Array, slope: float) -> float:
 
 
 def _finding(symbol: str, **data: Any) -> str:
-    """Return the finding on λ, Φ or η in words, from its template filled with ``data``."""
+    """Fill the text template for λ, Φ or η with ``data``, and return the finding in words."""
     from kneexo.studies.template import filled  # not needed by the list of parameters
 
     return filled(f"controller/finding_{symbol}.md", **data).rstrip("\n")

@@ -13,7 +13,7 @@ from kneexo.parameters.quantity import (
 
 
 class ControllerSettings(Parameters):
-    """Grid over λ, Φ and η, and the experiments at each point: ``kneexo study controller``."""
+    """Settings of ``kneexo study controller``: the grid over λ, Φ and η, and the simulated runs."""
 
     lambdas_per_s: tuple[float, ...] = positive_values(
         (5.0, 7.1, 10.0, 14.1, 20.0, 28.3, 40.0, 56.6, 80.0),

@@ -1,8 +1,8 @@
 """Effects of λ, Φ and η of the sliding-mode controller, counted over a grid.
 
-Every point of a grid over λ, Φ and η gets the scenario's own reference, a faster sine, a small and
-a large step, and the margins of its sampled loop. Inside the boundary layer the law depends on
-Φ and η only through the slope k/Φ = βη/Φ.
+At every point of a grid over λ, Φ and η the study simulates the scenario's own reference, a faster
+sine, a small step and a large step, and computes the margins of the sampled loop. Inside the
+boundary layer |s| ≤ Φ the control law depends on Φ and η only through the slope k/Φ = βη/Φ.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from kneexo.studies.controller.settings import ControllerSettings
 from kneexo.sweeps import SweepOptions, open_sweep
 
 LIMIT_CYCLE_VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
-"""Variants of a loop with a limit cycle. Comparing them shows the cause of the limit cycle."""
+"""Names of the variants of a loop with a limit cycle, whose comparison shows the cycle's cause."""
 
 
 # ------------------------------------------------------------------------------------- runs
@@ -48,11 +48,11 @@ def controller_study(
     settings: ControllerSettings = ControllerSettings(),
     **options: Unpack[SweepOptions],
 ) -> ControllerResult:
-    """Measure the grid over λ, Φ, η, the limit cycle, and the map over T_f and k/Φ.
+    """Measure the grid over λ, Φ and η, the limit cycle, and the map over T_f and k/Φ.
 
-    Metrics of a failed run of the grid are nan, and ``failures`` has the reason. ``options``: see
-    `kneexo.sweeps.SweepOptions`. Raises `ParameterError` when ``scenario`` has no sampled
-    sliding-mode controller behind an observer, or when a step or the faster sine leaves the range
+    If a run of the grid fails, its metrics are nan, and ``failures`` has the reason. ``options``:
+    see `kneexo.sweeps.SweepOptions`. Raises `ParameterError` if ``scenario`` has no sampled
+    sliding-mode controller behind an observer, or if a step or the faster sine leaves the range
     of motion.
     """
     law = observed_smc(scenario)[0]
@@ -100,7 +100,10 @@ def controller_study(
 
 
 def experiments(scenario: Scenario, settings: ControllerSettings) -> dict[str, Scenario]:
-    """Return the scenario with other references by name: faster sine, both steps, hold at rest."""
+    """Return a dictionary from name to a copy of the scenario with another reference.
+
+    The references are a faster sine, a small step, a large step, and a hold at the upper end.
+    """
     high, middle = scenario.reference.range_deg[1], scenario.reference.middle_deg
 
     def step(start: float, end: float, duration: float) -> Scenario:
@@ -129,7 +132,7 @@ def settling_time_s(time_s: Array, error: Array, band: float) -> float:
     """Return the last time of ``time_s`` (n,) at which |error| (n,) exceeds ``band``.
 
     The result is inf if the last sample exceeds the band, and 0 if no sample exceeds the band. The
-    first sample, the start of the step, does not count.
+    first sample does not count, because the step starts there.
     """
     outside = np.flatnonzero(np.abs(error[1:]) > band)
     if outside.size == 0:
@@ -140,7 +143,7 @@ def settling_time_s(time_s: Array, error: Array, band: float) -> float:
 
 @needs_runs
 async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
-    """Return the `METRICS` of one point of the grid; ``failure`` has the first failure's reason."""
+    """Return the `METRICS` of one point of the grid. ``failure`` has the first failure's reason."""
     cases = experiments(scenario, settings)
     at_reference = await awaitable(assess, scenario)
     fast = await awaitable(assess, cases["fast"], margins=False)
@@ -165,7 +168,7 @@ async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str
 
 @needs_runs
 async def _limit_cycle(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
-    """Return the fields of a `LimitCycleCase` except λ and variant, as plain data."""
+    """Return, as plain data, all fields of a `LimitCycleCase` except λ and variant."""
     linear = assess(scenario, tracking=False)
     margins = {name: linear[name] for name in ("stable", "disk_margin")}
     try:
@@ -208,7 +211,10 @@ def _with_law(scenario: Scenario, lambda_: float, phi: float, eta: float) -> Sce
 def _arrays(
     figures: list[dict[str, Any]], names: tuple[str, ...], axes: tuple[tuple[float, ...], ...]
 ) -> dict[str, Array]:
-    """Return, by name, the metrics of all points as an array over ``axes``; None becomes nan."""
+    """Return a dictionary from a metric's name to its values at all points.
+
+    The values form an array with one dimension for each of ``axes``. None becomes nan.
+    """
     shape = [len(axis) for axis in axes]
     return {
         name: np.array([values[name] for values in figures], dtype=float).reshape(shape)

@@ -1,4 +1,4 @@
-"""Study `order`: full against reduced order of the cylinder."""
+"""Study `order`: the full-order against the reduced-order model of the cylinder."""
 
 from kneexo.studies.order.study import (
     OrderResult as OrderResult,

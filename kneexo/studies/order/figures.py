@@ -15,11 +15,11 @@ _PRESSURES = {
     "rod_side": ("P_2, full", "C2"),
 }
 _STYLES = (("-", 5.0, 0.3), ("--", 2.2, 0.6), (":", 1.6, 1.0), ("-.", 0.8, 1.0))
-"""Line style, line width and opacity of the curves for each load."""
+"""Line style, line width and opacity of the curves. Each load has its own style."""
 
 
 def tracking(result: OrderResult) -> Figure:
-    """Draw tracking errors (left) and pressures (right) over time, a row of panels by load."""
+    """Draw tracking errors (left) and pressures (right) over time. Each load has its own row."""
     loads = result.settings.disturbances_n
     figure, ax = plt.subplots(
         len(loads),
@@ -49,7 +49,7 @@ def tracking(result: OrderResult) -> Figure:
 
 
 def switching(result: OrderResult) -> Figure:
-    """Draw the rod velocity's oscillation, peak to peak, over the constant force on the rod."""
+    """Draw the peak-to-peak oscillation of the rod's velocity over a constant force on the rod."""
     figure, ax = plt.subplots(figsize=(6, 4), layout="constrained")
     for direction, color, words in (("in", "C3", "retracting"), ("out", "C0", "extending")):
         rows = [row for row in result.switching if row["direction"] == direction]
@@ -67,8 +67,8 @@ def switching(result: OrderResult) -> Figure:
 def frequency(result: OrderResult) -> Figure:
     """Draw the plant's gain from motor speed command to rod velocity over frequency.
 
-    The posture is the middle one of the settings. The lines become narrower from load to load, so
-    that lines that coincide are all visible.
+    The posture is the middle one of the settings. Each load has a narrower line than the load
+    before, so that coinciding lines are all visible.
     """
     figure, ax = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
     postures = result.settings.postures_deg

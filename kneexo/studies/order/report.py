@@ -13,7 +13,7 @@ from kneexo.studies.template import filled
 
 
 def report(result: OrderResult) -> str:
-    """Return the report that compares the full and the reduced order of the cylinder."""
+    """Return the Markdown report that compares the full and the reduced order of the cylinder."""
     oscillating = [row for row in result.switching if row["oscillates"]]
     calm = [r for r in result.switching if not r["oscillates"] and r["direction"] == "in"]
     return filled(
@@ -30,7 +30,10 @@ def report(result: OrderResult) -> str:
 
 
 def _ranges(rows: Rows, name: str, form: str) -> str:
-    """Return, as text for each order, the range of the column ``name`` without its nan."""
+    """Return a text with the smallest and largest value of the column ``name`` for each order.
+
+    Values that are nan do not count.
+    """
     texts = []
     for order in ORDERS:
         values = [row[name] for row in rows if row["order"] == order]
@@ -41,13 +44,19 @@ def _ranges(rows: Rows, name: str, form: str) -> str:
 
 
 def _largest(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Return by name the largest swings and error over rows of ``switching``, {} without rows."""
+    """Return the largest velocity swing, pressure swing and error among rows of ``switching``.
+
+    The result is a dictionary by column, or empty without rows.
+    """
     names = ("velocity_swing_mm_s", "load_pressure_swing_mpa", "max_error_deg")
     return {name: max(row[name] for row in rows) for name in names} if rows else {}
 
 
 def _small_signal(name: str) -> Callable[[Mapping[str, Any]], str]:
-    """Return a function that prints a row's −3 dB frequency ``name``, or why it is missing."""
+    """Return a function that prints a row's −3 dB frequency from the column ``name``.
+
+    If the row has no such frequency, the function returns the reason.
+    """
 
     def text(row: Mapping[str, Any]) -> str:
         if row["failure"] or not row["stable"]:
@@ -59,9 +68,9 @@ def _small_signal(name: str) -> Callable[[Mapping[str, Any]], str]:
 
 
 def _pressures(name: str) -> Callable[[Mapping[str, Any]], str]:
-    """Return a function that prints the range of the pressure ``name`` (MPa) in a row's run.
+    """Return a function that prints the range in MPa of the pressure ``name`` in a tracking run.
 
-    The text is empty if the row's order of the cylinder has no such pressure.
+    The function returns an empty text if the run's model of the cylinder has no such pressure.
     """
 
     def text(row: Mapping[str, Any]) -> str:

@@ -1,9 +1,9 @@
-"""Error of the reduction of the cylinder to Eq. 15: full against reduced order.
+"""Error of the reduced-order model of the cylinder (Eq. 15), relative to the full-order model.
 
-In time, the study compares tracking, the rod's speed at the limit, and the motion near the
+In time, the study compares tracking, the rod's speed at the motor's limit, and the motion near the
 switching force P_r (A_1 − A_2), where the loaded chamber changes back and forth. In frequency, it
-compares the oil's mode, the margins and the small-signal bandwidth of the sampled loop by posture
-and load, and the large-signal bandwidth by load.
+compares the oil's mode, the margins and the small-signal bandwidth of the sampled loop for each
+posture and load, and the large-signal bandwidth for each load.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class OrderSettings(Parameters):
-    """Loads, postures and motions at which both orders are compared."""
+    """Settings of the study `order`: loads, postures and motions."""
 
     disturbances_n: tuple[float, ...] = quantities(
         (0.0, 60.0, -60.0),
@@ -82,20 +82,20 @@ class OrderSettings(Parameters):
 
 
 ORDERS = ("reduced", "full")
-"""The models of the cylinder that are compared, Eq. 15 (reduced) and Eq. 14 (full)."""
+"""Names of the compared models of the cylinder: reduced (Eq. 15) and full (Eq. 14)."""
 
 _LOOP_BANDWIDTHS = ("bandwidth_hz", "complementary_sensitivity_bandwidth_hz")
-"""Columns of a frequency row, named as the methods of `SampledLoop` that compute them."""
+"""Columns of a frequency row. Each column has the name of the `SampledLoop` method behind it."""
 
 _TRACE_POINTS = 800
 _START_S = 0.5
-"""Time in s at the start of a ramp that the measurements leave out."""
+"""Time in s after the start of a ramp during which nothing is measured."""
 
 
 def in_order(scenario: Scenario, order: str, disturbance_n: float = 0.0) -> Scenario:
-    """Return the scenario with one of the `ORDERS`, and a constant force added to its load.
+    """Return the scenario with one of the `ORDERS` and an additional constant force on the rod.
 
-    A scenario without load gets a load without weight.
+    If the scenario has no load, it gets a load without weight.
     """
     plant = scenario.plant
     load = plant.load if plant.load.kind == "knee" else KneeLoadParameters(segment_mass_kg=0.0)
@@ -108,7 +108,7 @@ def in_order(scenario: Scenario, order: str, disturbance_n: float = 0.0) -> Scen
 
 
 def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
-    """Return the scenario with one of the `ORDERS`, and a constant force as its only load."""
+    """Return the scenario with one of the `ORDERS`, and a constant force as the rod's only load."""
     load = KneeLoadParameters(segment_mass_kg=0.0)
     return in_order(changed(scenario, {"plant.load": dict(load)}), order, force_n)
 
@@ -118,9 +118,10 @@ def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
 
 @needs_runs
 async def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
-    """Return metrics and trace of a tracking run; ``case`` is the order and the load's force in N.
+    """Return metrics and trace of a tracking run.
 
-    The trace has time, error and pressures at up to about 800 samples.
+    ``case`` is the order and the constant force in N added to the load. The trace has time, error
+    and pressures at up to about 800 samples.
     """
     order, force = case
     tracked = await awaitable(track, in_order(scenario, order, force), all_signals=True)
@@ -160,7 +161,7 @@ async def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str,
 def _ramp(
     scenario: Scenario, order: str, force: float, flexing: bool, rate_deg_s: float
 ) -> Scenario:
-    """Return the scenario with a ramp reference and a constant force as its only load.
+    """Return the scenario with a ramp reference. Its only load is a constant force on the rod.
 
     The ramp covers the range of the scenario's reference, upwards if ``flexing``.
     """
@@ -174,7 +175,7 @@ def _ramp(
 async def speed_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[str, float, bool]
 ) -> dict[str, Any]:
-    """Return the rod's mean speed in a ramp that asks for more than the motor's speed limit.
+    """Return the rod's mean speed in a ramp that requires more than the motor's speed limit.
 
     ``case`` is the order, the constant force in N, and True for flexion.
     """
@@ -197,7 +198,7 @@ async def speed_row(
 async def switching_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[float, bool]
 ) -> dict[str, Any]:
-    """Return the oscillation of the rod about a slow ramp, with the full-order cylinder.
+    """Return how far the rod oscillates during a slow ramp, with the full-order cylinder.
 
     ``case`` is the constant force on the rod in N, and True for flexion.
     """
@@ -236,8 +237,8 @@ async def switching_row(
 def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[str, Any]:
     """Return the oil's mode and the loop's margins of one linearization.
 
-    ``case`` is the order, the load's force in N, and the knee angle in deg. If linearization fails,
-    numbers are nan and ``failure`` has the reason.
+    ``case`` is the order, the constant force in N added to the load, and the knee angle in deg. If
+    linearization fails, numbers are nan and ``failure`` has the reason.
     """
     order, force, posture = case
     at = in_order(scenario, order, force)
@@ -273,9 +274,10 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
 
 @needs_runs
 async def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
-    """Return the large-signal bandwidth; ``case`` is the order and the load's force in N.
+    """Return the large-signal bandwidth for one order and load.
 
-    If the search fails, the bandwidth is nan and ``failure`` has the reason.
+    ``case`` is the order and the constant force in N added to the load. If the search fails, the
+    bandwidth is nan and ``failure`` has the reason.
     """
     order, force = case
     row = {"order": order, "disturbance_n": force, "bandwidth_hz": math.nan, "failure": ""}
@@ -291,15 +293,16 @@ async def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> dict[str
 
 
 Rows = tuple[Mapping[str, Any], ...]
-"""Rows of a result table. Each row maps names of columns to values."""
+"""Rows of a result table. Each row maps the name of a column to the value."""
 
 
 @dataclass(frozen=True, repr=False)
 class OrderResult(Result):
-    """Tables of the comparison, with a row for each order, load and, where it matters, posture.
+    """Tables of the comparison, with a row for each order and load.
 
-    The functions ``tracking_row``, ``speed_row``, ``switching_row``, ``frequency_row`` and
-    ``bandwidth_row`` make the rows.
+    A table that depends on the posture has a row for each posture too. The functions
+    ``tracking_row``, ``speed_row``, ``switching_row``, ``frequency_row`` and ``bandwidth_row``
+    make the rows.
     """
 
     tracking: Rows
@@ -311,7 +314,7 @@ class OrderResult(Result):
     settings: OrderSettings
 
     def results(self) -> dict[str, Any]:
-        """Return all tables without traces as plain data, with units in the names."""
+        """Return all tables, without the traces, as plain data with units in the names."""
         parts = ("tracking", "speeds", "switching", "frequency", "bandwidth")
         return {
             part: [
@@ -322,7 +325,10 @@ class OrderResult(Result):
         }
 
     def oscillating_n(self, direction: str) -> list[float]:
-        """Return the forces in N at which the rod oscillates when it moves ``in`` or ``out``."""
+        """Return the forces in N at which the rod oscillates when it moves in ``direction``.
+
+        ``direction`` is ``in`` or ``out``.
+        """
         return [
             row["force_n"]
             for row in self.switching
@@ -331,9 +337,9 @@ class OrderResult(Result):
 
 
 def switching_force_n(scenario: Scenario) -> float:
-    """Return the force P_r (A_1 − A_2) in N on the rod at which the load changes the chamber.
+    """Return the force P_r (A_1 − A_2) in N on the rod, at which the loaded chamber changes.
 
-    P_r is the reservoir's pressure, A_1 and A_2 are the areas of the piston.
+    P_r is the reservoir's pressure. A_1 and A_2 are the piston areas of the two chambers.
     """
     full, oil = scenario.plant.full_order or FullCylinderParameters(), scenario.plant.cylinder
     return full.reservoir_pressure_pa * (oil.cap_area_m2 - oil.rod_side_area_m2)
@@ -344,13 +350,13 @@ def order_study(
     settings: OrderSettings = OrderSettings(),
     **options: Unpack[SweepOptions],
 ) -> OrderResult:
-    """Compare both orders of the cylinder under the loads of ``settings``, in time and frequency.
+    """Compare the two orders of the cylinder under the loads of ``settings``.
 
     The reference of ``scenario`` must be a sine. The full order has the scenario's valves and
-    seals, or default ones. Numbers of a linearization or bandwidth that fails are nan, and
-    ``failure`` in their row has the reason. ``options``: see `kneexo.sweeps.SweepOptions`.
+    seals, or default ones. If a linearization or a bandwidth search fails, its numbers are nan and
+    ``failure`` in the row has the reason. ``options``: see `kneexo.sweeps.SweepOptions`.
 
-    Raises `ParameterError` when the reference is no sine, and the errors of failed simulations.
+    Raises `ParameterError` if the reference is no sine, and the errors of failed simulations.
     """
     require_sine(scenario)
     loads, forces = settings.disturbances_n, settings.switching_forces_n

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def figures(reproduction: ReproduceResult) -> dict[str, Figure]:
-    """Draw figures in the layout of the paper. Return them by name; the caller closes them."""
+    """Draw figures in the paper's layout. Return the figures by name; the caller closes them."""
     return {
         "fig05_polynomial_fit": reproduction.fit.plot()[0].figure,
         "fig09_ideal_smc": _plot_fig9(reproduction.fig9),
@@ -29,7 +29,7 @@ def figures(reproduction: ReproduceResult) -> dict[str, Figure]:
 
 
 def motions(reproduction: ReproduceResult) -> dict[str, Motion]:
-    """Return the runs of Fig. 12 with sliding mode and with the paper's PID, by title."""
+    """Return a dictionary from title to run of Fig. 12, for sliding mode and the paper's PID."""
     return {
         f"Fig. 12, {FIG_12_TITLES[name]}": (tracked.scenario.plant.linkage, tracked.run.columns)
         for name, tracked in reproduction.fig12.items()

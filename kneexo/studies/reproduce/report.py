@@ -30,12 +30,15 @@ def report(result: ReproduceResult) -> str:
 
 
 def _compared(printed: float | None, computed: float, form: str) -> str:
-    """Return the cells of a printed number (or None), a computed number, and their difference."""
+    """Return table cells with the paper's number, the computed number, and their difference.
+
+    ``printed`` is None if the paper does not print the number.
+    """
     paper = "not printed" if printed is None else f"{printed:g}"
     difference = "" if printed is None else f"{computed - printed:+.3g}"
     return f"{paper} | {computed:{form}} | {difference}"
 
 
 def _named(cases: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the values of ``cases`` as rows of a table, with each key in the column ``name``."""
+    """Return a list of table rows. Each value of ``cases`` is a row, with its key as ``name``."""
     return [{"name": name} | case for name, case in cases.items()]

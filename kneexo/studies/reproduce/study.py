@@ -42,12 +42,12 @@ ReproduceSettings = SinestreamSettings
 """Settings of the sinestream that measures Fig. 13, the only settings of this study."""
 
 FIG_5_POINTS = 204
-"""Number of points fitted in Fig. 5: the printed SSE/RMSE² = 198, plus the six coefficients."""
+"""Number of points fitted in Fig. 5: SSE/RMSE² = 198 as printed, plus the six coefficients."""
 
 
 @dataclass(frozen=True, repr=False)
 class ReproduceResult(Result):
-    """Fits, runs and frequency responses behind the figures of the paper, by case."""
+    """Fits, runs and frequency responses behind the paper's figures, by name of the case."""
 
     fit: PolynomialFit
     fig9: Run
@@ -157,7 +157,7 @@ async def _call(task: partial[Any]) -> Any:
 
 
 def _cost(task: partial[Any]) -> float:
-    """Return the approximate number of solver steps of a run, to balance the workers."""
+    """Estimate a run's number of solver steps, so that the workers get equal amounts of work."""
     simulation = task.args[0].simulation
     return simulation.duration_s / simulation.step_s
 
@@ -172,10 +172,10 @@ def reproduce_study(
 ) -> ReproduceResult:
     """Run every case of the paper's figures.
 
-    ``scenario`` is that of Fig. 13. The other cases are those of `kneexo.studies.paper`, run by the
-    engine of ``scenario``. With Drake's Simulator, ``workers`` processes share the runs (see
-    `kneexo.sweeps.SweepOptions`); the compiled engine needs a second and ignores ``workers``. With
-    either engine an ``executor``, if present, gets all runs.
+    ``scenario`` is the scenario of Fig. 13. The other scenarios come from `kneexo.studies.paper`,
+    and run with the same engine as ``scenario``. With Drake's Simulator, ``workers`` processes
+    share the runs (see `kneexo.sweeps.SweepOptions`). The compiled engine ignores ``workers``,
+    because it needs only a second. An ``executor`` gets all runs of the simulation engine in use.
     """
     engine: Literal["compiled", "drake"] = "compiled" if scenario.simulation.compiled else "drake"
     tasks = {
@@ -214,15 +214,15 @@ def reproduce_study(
 
 
 def rod_error_mm(run: Run) -> Array:
-    """Return the error e = x − x_d of the rod in mm, (n,)."""
+    """Return the rod's position error e = x − x_d in mm, (n,)."""
     return np.asarray(1e3 * (run["rod_extension_m"] - run["rod_reference_m"]))
 
 
 def speed_demand() -> tuple[float, float]:
     """Return the peak motor speed in rpm that the paper's reference requires, and a frequency.
 
-    At this frequency in Hz of the reference, the peak reaches the motor's speed limit. Eq. 10
-    relates knee and rod.
+    The frequency, in Hz, is the reference's frequency at which its peak motor speed equals the
+    motor's speed limit. Eq. 10 relates knee and rod.
     """
     scenario = changed(Scenario(), {"plant.rod_map": "polynomial"})
     reached_hz = speed_limit_reached_hz(scenario)
@@ -231,7 +231,10 @@ def speed_demand() -> tuple[float, float]:
 
 
 def growth_rate(run: Run) -> float:
-    """Return the exponential growth rate in 1/s of the load pressure over the run's second half."""
+    """Return the exponential growth rate in 1/s of the load pressure's oscillation.
+
+    Only the second half of the run counts.
+    """
     half = run.time_s >= 0.5 * run.time_s[-1]
     time, pressure = run.time_s[half], run["load_pressure_pa"][half]
     blocks = np.array_split(np.arange(time.size), 10)
@@ -245,4 +248,4 @@ FIG_12_TITLES = {
     "pid": "PID as in the paper (P, 5 1/s)",
     "pid_tuned": "PID, tuned",
 }
-"""Titles of the runs of `FIG_12` that the figure shows."""
+"""Titles in the figure for the runs of `FIG_12` that it shows, by name of the controller."""

@@ -1,4 +1,4 @@
-"""Study `robustness`: effects of uncertainty on a closed loop."""
+"""Study `robustness`: effects of uncertain values on a closed loop."""
 
 from kneexo.studies.robustness.study import (
     RobustnessResult as RobustnessResult,

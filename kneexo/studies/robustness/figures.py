@@ -32,10 +32,10 @@ _SHOWN = ("max_error_deg", "bandwidth_hz", "disk_margin")
 
 
 def distribution(result: RobustnessResult) -> Figure:
-    """Draw the distribution of each figure of merit, with the nominal plant and the worst corner.
+    """Draw how each figure of merit is distributed, with the nominal plant and the worst corner.
 
-    Failed samples count but are not drawn: the curve ends below one if larger is worse, else it
-    begins above zero.
+    Failed samples count but are not drawn. So the curve ends below one if larger values are worse,
+    and begins above zero if smaller values are worse.
     """
     names = [merit for merit in result.merits if merit != "rms_error_deg"]
     columns = min(3, len(names))
@@ -79,9 +79,9 @@ def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
 
 
 def tornado(result: RobustnessResult) -> Figure:
-    """Draw the effect of each uncertain value alone on error, bandwidth and disk margin.
+    """Draw how error, bandwidth and disk margin change when one uncertain value varies alone.
 
-    The value with the largest effect is on top.
+    The uncertain value with the largest effect is on top.
     """
     merits = [merit for merit in _SHOWN if merit in result.merits]
     names = short_names(result.uncertainty.values)
@@ -135,7 +135,7 @@ def _plot_tornado(ax: Axes, result: RobustnessResult, merit: str, names: dict[st
 
 
 def importance(result: RobustnessResult) -> Figure:
-    """Draw two tables of uncertain values by figure of merit.
+    """Draw two tables with a row for each uncertain value and a column for each figure of merit.
 
     The left table has rank correlations over the samples. The right table has the linear effect of
     each value's whole interval, in % of the nominal figure of merit.
@@ -173,16 +173,17 @@ def importance(result: RobustnessResult) -> Figure:
 
 
 def _cell(value: float) -> str:
-    """Return a number as the text of a cell, without the sign of a value that rounds to zero."""
+    """Return a number as text for a table cell. A value that rounds to zero has no sign."""
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{round(value, 2) + 0.0:.2f}"
 
 
 def _plot_table(
     ax: Axes, values: Any, merits: list[str], labels: list[str], unsigned: Any, limit: float = 1.0
 ) -> None:
-    """Draw numbers in coloured cells, red if a larger uncertain value is worse, blue if better.
+    """Draw a table of numbers in coloured cells.
 
-    Rows that are ``unsigned`` are grey. The columns are ``merits``, labelled without units because
+    A cell is red if a larger uncertain value makes the figure of merit worse, and blue if better.
+    Rows marked in ``unsigned`` are grey. The columns are ``merits``, labelled without units because
     the numbers are relative. Colours saturate at ``limit``.
     """
     signs = np.array([MERITS[merit].sign_of_worse for merit in merits])
@@ -214,10 +215,10 @@ def _plot_table(
 
 
 def nyquist(result: RobustnessResult) -> Figure:
-    """Draw the Nyquist plots of the first ``nyquist_loops`` samples, the unstable ones in red.
+    """Draw the Nyquist plots of the first ``nyquist_loops`` samples, unstable loops in red.
 
-    The loop with the smallest disk margin of all stable plants is drawn with the disk that it
-    touches. The title counts the unstable plants.
+    The stable loop with the smallest disk margin is drawn together with the disk that it touches.
+    The title counts the unstable plants.
     """
     figure, ax = plt.subplots(figsize=(6.0, 6.0), layout="constrained")
     assessments = [*result.samples, *result.corners, *result.one_at_a_time, result.nominal]
@@ -248,7 +249,7 @@ def nyquist(result: RobustnessResult) -> Figure:
 
 
 def _loop(result: RobustnessResult, assessment: Assessment) -> SampledLoop | None:
-    """Return the linear loop of an assessed plant, at the posture of `assess`; None if it fails."""
+    """Linearize an assessed plant's loop at the posture of `assess`. Return None if this fails."""
     try:
         plant = realize(result.scenario, result.uncertainty, assessment.values)
         return linearize_loop(plant, plant.reference.middle_deg)

@@ -25,7 +25,7 @@ from kneexo.studies.robustness.study import (
 from kneexo.studies.template import filled
 
 _COMPARED = ("max_error_deg", "bandwidth_hz", "disk_margin")
-"""Figures of merit for which the report shows the worst corner."""
+"""Figures of merit whose worst corner the report shows."""
 
 
 def report(result: RobustnessResult) -> str:
@@ -53,7 +53,10 @@ def report(result: RobustnessResult) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a metric, an uncertain value or an option as short text; ``fails`` if not finite."""
+    """Return a metric, an uncertain value or an option as short text.
+
+    A number that is not finite becomes ``fails``.
+    """
     if isinstance(value, float):
         return f"{value:.4g}" if math.isfinite(value) else "fails"
     if isinstance(value, Mapping):
@@ -62,10 +65,10 @@ def shown(value: Any) -> str:
 
 
 def _distribution(result: RobustnessResult) -> Iterator[list[str]]:
-    """Yield for each figure of merit a table row: label, nominal, quantiles, worst values.
+    """Yield a table row for each figure of merit.
 
-    The quantiles are median, 5 % and 95 % of the samples. The worst values are those of the samples
-    and of the corners.
+    The cells are label, nominal value, median, 5 % and 95 % quantiles of the samples, the worst
+    value of the samples, and the worst value of the corners.
     """
     for merit in result.merits:
         values = [merit_value(result.nominal, merit)]
@@ -77,7 +80,7 @@ def _distribution(result: RobustnessResult) -> Iterator[list[str]]:
 
 
 def _failures(name: str, assessments: Sequence[Assessment]) -> dict[str, Any]:
-    """Return, for a set of plants, counts of failures, and the largest errors of unstable loops."""
+    """Return failure counts for a set of plants, and the largest error on each unstable plant."""
     unstable = [assessment for assessment in assessments if assessment.metrics["stable"] is False]
     errors = merit_values(unstable, "max_error_deg")
     return {
@@ -93,7 +96,7 @@ def _failures(name: str, assessments: Sequence[Assessment]) -> dict[str, Any]:
 def _corners(
     result: RobustnessResult, merits: Sequence[str], names: Mapping[str, str]
 ) -> Iterator[list[str]]:
-    """Yield the rows of a table with one column for the worst corner of each figure of merit.
+    """Yield table rows. The columns are the worst corners, one for each figure of merit.
 
     Each row has one uncertain value at these corners. The last row has the figures of merit there.
     """
@@ -107,7 +110,7 @@ def _corners(
 
 
 def _sample_is_worst(result: RobustnessResult, merit: str) -> bool:
-    """Return whether a figure of merit is worse at some sample than at all corners."""
+    """Return True if a figure of merit is worse at some sample than at all corners."""
     sample, corner = (
         worst_value(assessments, merit) for assessments in (result.samples, result.corners)
     )
@@ -117,9 +120,10 @@ def _sample_is_worst(result: RobustnessResult, merit: str) -> bool:
 def _importance(
     result: RobustnessResult, merits: Sequence[str], names: Mapping[str, str]
 ) -> Iterator[dict[str, Any]]:
-    """Yield for each figure of merit a table of the uncertain values, by falling correlation.
+    """Yield a table for each figure of merit. Its rows are the uncertain values.
 
-    ``idle`` names the values whose correlation can be due to `chance`.
+    The value with the strongest correlation comes first. ``idle`` names the values whose
+    correlation is not larger than `chance`.
     """
     correlations = result.correlations()
     for merit in merits:

@@ -1,8 +1,7 @@
 """Effects of uncertainty on a closed loop: samples, corners, one value at a time, sensitivities.
 
 The plant and its measurement vary. The controller keeps its nominal plant, except for the values
-that are ``known`` in `Uncertainty`. Failures count: a run that stops and an unstable loop are worse
-than any number.
+that are ``known`` in `Uncertainty`. Failed runs and unstable loops are worse than any number.
 """
 
 from __future__ import annotations
@@ -59,14 +58,14 @@ class RobustnessSettings(Parameters):
 
 
 Values = Mapping[str, Any]
-"""Values of a scenario's uncertain quantities, by dotted path."""
+"""Dictionary from the dotted path of an uncertain quantity to a value of this quantity."""
 Corner = tuple[int, ...]
-"""A corner: for each uncertain value the index of its level (end of the interval, or option)."""
+"""A corner: an index for each uncertain value. It selects an end of the interval, or an option."""
 
 CONFIDENCE = 0.95
 """Confidence level of the statistical bounds in the report."""
 UNSTABLE = "the sampled loop, linearized in the middle of the reference, is unstable"
-"""The reason that is reported for a plant whose linearized loop is unstable."""
+"""Text that is reported as the failure of a plant whose linearized loop is unstable."""
 
 
 class Merit(NamedTuple):
@@ -85,7 +84,7 @@ MERITS = {
     "delay_margin_s": Merit("delay margin (s)", -1.0),
     "disk_margin": Merit("disk margin", -1.0),
 }
-"""The figures of merit: those metrics of `assess` for which worst cases are sought."""
+"""The figures of merit, which are the metrics of `assess` whose worst cases are sought."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ class Assessment:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """The reasons why metrics are missing, and `UNSTABLE` for an unstable loop."""
+        """The reasons of missing metrics. An unstable loop adds the text `UNSTABLE`."""
         texts = [text for name, text in self.metrics.items() if name.endswith("_failure") and text]
         return (*texts, UNSTABLE) if self.metrics["stable"] is False else tuple(texts)
 
@@ -112,7 +111,7 @@ async def assess_plant(
     """Make the plant with these uncertain ``values``, and return its metrics from ``judge``.
 
     The sweep calls this function in the worker process. If the values contradict each other, the
-    result has no metrics but the reason as ``tracking_failure``.
+    only metric is ``tracking_failure`` with the reason, and ``stable`` is None.
     """
     try:
         plant = realize(scenario, uncertainty, values)
@@ -122,14 +121,14 @@ async def assess_plant(
 
 
 def merit_value(assessment: Assessment, merit: str) -> float:
-    """Return a figure of merit of an assessed plant; infinitely bad (±inf) if missing or nan."""
+    """Return a figure of merit of an assessed plant, or the worst infinity if missing or nan."""
     value = assessment.metrics[merit]
     failed = value is None or math.isnan(value)
     return MERITS[merit].sign_of_worse * math.inf if failed else float(value)
 
 
 def merit_values(assessments: Iterable[Assessment], merit: str) -> Array:
-    """Return `merit_value` of each of n assessments, (n,)."""
+    """Return the `merit_value` of each of n assessments, (n,)."""
     return np.array([merit_value(assessment, merit) for assessment in assessments], dtype=float)
 
 
@@ -146,17 +145,17 @@ def worst_value(assessments: Sequence[Assessment], merit: str) -> float:
 
 
 def quantile(assessments: Sequence[Assessment], merit: str, share: float) -> float:
-    """Return the value up to which a ``share`` (0 … 1) of the assessments' figures of merit lie.
+    """Return the lowest figure of merit that a ``share`` (0 … 1) of the plants do not exceed.
 
-    The result is one of the figures, infinite if it is that of a failed assessment.
+    The result is infinite if it belongs to a failed assessment.
     """
     return float(np.quantile(merit_values(assessments, merit), share, method="inverted_cdf"))
 
 
 def failures(assessments: Sequence[Assessment]) -> list[dict[str, Any]]:
-    """Group the failures whose texts differ only in numbers; return the largest group first.
+    """Group the failures whose texts differ only in numbers. Return the largest group first.
 
-    Each group has its ``count``, the text of its first failure and that plant's ``values``.
+    Each group has its ``count``, its first failure's text, and this failed plant's ``values``.
     """
     kinds: dict[str, dict[str, Any]] = {}
     for assessment in assessments:
@@ -175,9 +174,8 @@ def rank_correlation(
     """Return how strongly each uncertain value acts on a figure of merit, (values,).
 
     For an interval the strength is Spearman's rank correlation over ``assessments``. For options it
-    is the correlation ratio η of the ranks, the square root of the share of the ranks' variance
-    that lies between the options; η has no sign. Failures have the worst rank. If the figure of
-    merit is constant, all strengths are nan.
+    is the correlation ratio η ≥ 0: η² is the share of the ranks' variance between the options.
+    Failures have the worst rank. If the figure of merit is constant, all strengths are nan.
     """
     ranks = scipy.stats.rankdata(merit_values(assessments, merit)) - 0.5 * (len(assessments) + 1)
     size = math.sqrt(ranks @ ranks)
@@ -197,9 +195,9 @@ def rank_correlation(
 
 
 def chance(span: Uncertainty, count: int) -> float:
-    """Return the `rank_correlation` over ``count`` plants that chance exceeds in 5 % of cases.
+    """Return the `rank_correlation` that a value without effect exceeds in 5 % of cases.
 
-    ``span`` is the range of a value without any effect.
+    The value has the range ``span`` and is sampled on ``count`` plants.
     """
     freedom = max(len(span.options), 2) - 1
     return math.sqrt(scipy.stats.chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
@@ -210,10 +208,9 @@ class RobustnessResult(Result):
     """Assessments of the nominal plant, of one value at a time, of samples and of corners.
 
     ``uncertainty`` has the uncertain values that the scenario has, ``left_out`` the other paths.
-    ``local`` has derivatives at the nominal plant by metric and path, ``local_failures`` the
-    reasons for missing derivatives. ``corners_possible`` is the number of all corners.
-    ``corners_settled`` is None when all corners were visited. Otherwise it is True if the search
-    ended with corners that no change of a single value makes worse.
+    ``local`` maps metric and path to a derivative at the nominal plant. ``local_failures`` has the
+    reasons of missing derivatives. ``corners_possible`` counts all corners. ``corners_settled`` is
+    None if all corners were visited, else True if no neighbour of the worst corners is worse.
     """
 
     scenario: Scenario
@@ -231,11 +228,11 @@ class RobustnessResult(Result):
 
     @property
     def merits(self) -> tuple[str, ...]:
-        """Names of the figures of merit that the study computed; the bandwidth can be missing."""
+        """Names of the figures of merit that the study computed. The bandwidth can be missing."""
         return tuple(name for name in MERITS if name in self.nominal.metrics)
 
     def effects(self, merit: str) -> dict[str, list[float]]:
-        """Return by path the figure of merit at each level of one value, all others nominal."""
+        """Return by path a list with the figure of merit at each level of this value alone."""
         values = iter(merit_values(self.one_at_a_time, merit).tolist())
         return {
             path: list(islice(values, len(span.levels)))
@@ -243,14 +240,15 @@ class RobustnessResult(Result):
         }
 
     def spread(self, merit: str, path: str) -> float:
-        """Return the range of a figure of merit over the levels of one value; inf if one fails."""
+        """Return the range of a figure of merit over the levels of one value, or inf on failure."""
         values = [*self.effects(merit)[path], merit_value(self.nominal, merit)]
         return float(np.max(values) - np.min(values)) if np.isfinite(values).all() else math.inf
 
     def linear_effect(self, merit: str, path: str) -> float:
-        """Return local sensitivity times length of the interval, of logarithms for ``scale: log``.
+        """Return the sensitivity of a figure of merit times the length of the value's interval.
 
-        The result is nan for a missing sensitivity and for options.
+        With ``scale: log`` the two factors are about the value's logarithm. The result is nan for a
+        missing sensitivity and for options.
         """
         slope = self.local.get(merit, {}).get(path, math.nan)
         span = self.uncertainty.values[path]
@@ -261,7 +259,7 @@ class RobustnessResult(Result):
         return slope * (span.high - span.low)
 
     def correlations(self) -> dict[str, dict[str, float]]:
-        """Return `rank_correlation` over the samples, by figure of merit and path."""
+        """Return the `rank_correlation` over the samples, by figure of merit and path."""
         return {
             merit: dict(
                 zip(
@@ -279,7 +277,7 @@ class RobustnessResult(Result):
         return float((1.0 - CONFIDENCE) ** (1.0 / len(self.samples)))
 
     def results(self) -> dict[str, Any]:
-        """Return all numbers of the study as plain data; metrics missing by a failure are nan."""
+        """Return all numbers of the study as plain data. Failed computations give nan."""
 
         def listed(assessments: Sequence[Assessment]) -> list[dict[str, Any]]:
             return [{"values": dict(v.values), **v.metrics} for v in assessments]
@@ -339,9 +337,9 @@ def robustness_study(
 ) -> RobustnessResult:
     """Assess the closed loop of ``scenario`` on plants with the values of ``uncertainty``.
 
-    The study leaves out, and reports, uncertain values that the scenario lacks, such as those of a
-    load in a scenario without load. The bandwidth is measured only if the reference is a sine that
-    moves. ``options``: see `kneexo.sweeps.SweepOptions`.
+    The study ignores uncertain values that the scenario lacks, such as the values of a load in a
+    scenario without load, and reports their paths. The bandwidth is measured only if the reference
+    is a sine that moves. ``options``: see `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, and
     if the scenario has none of the values.
@@ -405,8 +403,8 @@ def _local(
 ) -> dict[str, Any]:
     """Return the derivatives of metrics with respect to uncertain values, by metric and path.
 
-    ``task`` selects the metrics, margins or tracking. If the task fails, the result has only
-    ``failure``, the reason.
+    ``task`` is ``margins`` or ``tracking``, and selects the metrics. If the computation fails, the
+    result has only the key ``failure`` with the reason.
     """
     try:
         if task == "margins":
@@ -425,12 +423,11 @@ def _corners(
     settings: RobustnessSettings,
     assessment: Callable[[Sequence[Values]], tuple[Assessment, ...]],
 ) -> tuple[tuple[Assessment, ...], bool | None]:
-    """Assess all corners, or ``corners_max`` of them; return assessments and ``corners_settled``.
+    """Assess all corners, or ``corners_max`` of them. Return assessments and ``corners_settled``.
 
-    If there are more than ``corners_max`` corners, the search visits (1) for each figure of merit
-    and each combination of options, the corner with the ends of intervals that are worse one at a
-    time; (2) all neighbours, which differ in one value, of the worst corner of each figure of
-    merit, repeated until all are visited; (3) random corners.
+    If there are more than ``corners_max`` corners, the search visits first the corners of
+    ``_pointed_at``. Then it visits all neighbours of each figure of merit's worst corner, until the
+    worst corners have no new neighbour. Random corners follow. Neighbours differ in one value.
     """
     entries = uncertainty.values
     sizes = [len(span.levels) for span in entries.values()]
@@ -464,9 +461,10 @@ def _corners(
 def _pointed_at(
     uncertainty: UncertaintySet, merits: Sequence[str], singly: Sequence[Assessment]
 ) -> Iterator[Corner]:
-    """Yield for each merit and combination of options the corner of ends that are worse singly.
+    """Yield a promising corner for each figure of merit and each combination of options.
 
-    ``singly`` has the assessments with one uncertain value changed at a time.
+    Each interval is at the end that is worse when this value alone changes. ``singly`` has the
+    assessments with one uncertain value changed at a time.
     """
     one_by_one = iter(singly)
     groups = [list(islice(one_by_one, len(span.levels))) for span in uncertainty.values.values()]
@@ -495,7 +493,7 @@ def _neighbours(corner: Corner, sizes: Sequence[int]) -> Iterator[Corner]:
 
 
 def short_names(paths: Iterable[str]) -> dict[str, str]:
-    """Return the last part of each path, or the whole path where last parts coincide."""
+    """Return a dictionary from each path to its last part, or to itself if last parts coincide."""
     last = {path: path.rpartition(".")[2] for path in paths}
     names = list(last.values())
     return {path: name if names.count(name) == 1 else path for path, name in last.items()}

@@ -1,4 +1,4 @@
-"""Study `size`: hardware that a task needs."""
+"""Study `size`: the smallest hardware with which the knee walks."""
 
 from kneexo.studies.size.result import SizeResult as SizeResult, WalkingDesign as WalkingDesign
 from kneexo.studies.size.settings import SizeSettings as SizeSettings

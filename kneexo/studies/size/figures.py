@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from kneexo.studies.catalogue import Motion
 
 HARDWARE_LABELS = {"nominal": "hardware as it is", "sized": "sized hardware"}
-"""Labels of the hardware whose walking runs are in the traces of `SizeResult`."""
+"""Labels of the two sets of hardware whose walking runs are in the traces of `SizeResult`."""
 
 _STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
 
 
 def figures(result: SizeResult) -> dict[str, Figure]:
-    """Draw the figures of a sizing, and return them by name.
+    """Draw the figures of a sizing. Return the figures by name.
 
     They show sweeps and maps of the hardware, the gains, and tracking and demand over a gait cycle.
     """
@@ -117,7 +117,8 @@ def _maps(result: SizeResult) -> Figure:
 def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) -> None:
     """Draw a heat map with a number in each cell.
 
-    The rows of ``values`` are acceleration limits in rad/s², the columns rod speed limits in mm/s.
+    The rows of ``values`` are acceleration limits in rad/s², the columns are rod speed limits in
+    mm/s.
     """
     norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
     heat_map(axis, speed, limit, values.T, norm=norm, label=label)
@@ -129,10 +130,11 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) ->
 
 
 def _regimes(axis: Axes, result: SizeResult) -> None:
-    """Draw the lines A a/R² = ``ONE_PERCENT_RATIO`` and ``ACCELERATION_ALONE_RATIO`` on a map.
+    """Draw two lines on a map, at the limits of the ratio A a/R².
 
     A (m/s²) and R (m/s) are the rod's acceleration and speed limits, a (m) is its amplitude. Below
-    the first line A reduces the bandwidth by over 1 %, below the second R has no effect on it.
+    ``ONE_PERCENT_RATIO`` the limit A reduces the bandwidth by over 1 %. Below
+    ``ACCELERATION_ALONE_RATIO`` the limit R has no effect on the bandwidth.
     """
     speed = np.array(axis.get_xlim())
     motor = result.scenario.plant.pump.speed_limit_rad_s
@@ -240,7 +242,7 @@ def _tracking(result: SizeResult) -> Figure:
 
 
 def motions(result: SizeResult) -> dict[str, Motion]:
-    """Return the walking runs with the scenario's and the sized hardware, without a failed run."""
+    """Return the walking runs with the scenario's and with the sized hardware. Skip failed runs."""
     linkage = result.scenario.plant.linkage
     return {
         label: (linkage, {**trace, "time_s": trace["time_s"] - trace["time_s"][0]})
@@ -252,7 +254,7 @@ def motions(result: SizeResult) -> dict[str, Motion]:
 def last_stride(
     trace: Mapping[str, Array], frequency_hz: float
 ) -> tuple[Array, Mapping[str, Array]]:
-    """Return the gait cycle in %, increasing from heel contact, and the last stride's signals."""
+    """Return the gait cycle in % and the signals of the last stride, from heel contact on."""
     last = trace["time_s"] > trace["time_s"][-1] - 1.0 / frequency_hz + 1e-9
     cycle = (100.0 * frequency_hz * trace["time_s"][last] + gait_start_percent()) % 100.0
     order = np.argsort(cycle)

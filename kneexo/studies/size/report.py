@@ -80,9 +80,10 @@ def report(result: SizeResult) -> str:
 
 
 def _measured(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield rows with bandwidth and error: of the scenario's hardware, then with one value changed.
+    """Yield rows with bandwidth and error.
 
-    Of each sweep's factors, the rows show both ends and the two next to 1.
+    The first row has the scenario's hardware. In every other row one hardware value is changed by a
+    factor: the smallest, the largest, or a factor next to 1.
     """
     below = sorted(factor for factor in result.settings.factors if factor < 1.0)
     above = sorted(factor for factor in result.settings.factors if factor > 1.0)
@@ -96,14 +97,17 @@ def _measured(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[dict[s
 
 
 def _walked(numbers: Mapping[str, Any], names: Sequence[str]) -> list[str]:
-    """Return cells with the metrics ``names`` of walking; for a failed run, reason and dashes."""
+    """Return table cells with the metrics ``names`` of a walking run.
+
+    If the run failed, the first cell has the reason and the others have dashes.
+    """
     if numbers["failure"]:
         return [f"fails: {numbers['failure'].split(';')[0]}", *["–"] * (len(names) - 1)]
     return [number(numbers[name], _WALKING[name][1]) for name in names]
 
 
 def _changes(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a text for each gain: the scenario's value and, if different, that for walking."""
+    """Yield a text for each gain: the scenario's value and, if different, the value for walking."""
     best, law = numbers["best_gains"], sliding_mode(result.scenario)
     observer = value_at(result.scenario, "estimator.time_constant_s")
     for name, unit, old, new in (
@@ -116,9 +120,9 @@ def _changes(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _searched(search: Mapping[str, Any], bound_deg: float) -> str:
-    """Return the value that a search found, as text.
+    """Return the result of a search as text.
 
-    If no value keeps the error's bound, the text says so and has the value of least error.
+    If no value keeps the error within the bound, the text says so and has the value of least error.
     """
     if search["reached"]:
         return f"{search['value']:.4g}"
@@ -129,16 +133,16 @@ def _searched(search: Mapping[str, Any], bound_deg: float) -> str:
 
 
 def _design_cell(name: str, form: str) -> Cell:
-    """Return a function that prints a walking metric of a design.
+    """Return a function that prints the walking metric ``name`` of a design.
 
-    Metrics in `CHECKED` are those at half the check step, the others those of the design's solver.
+    A metric in `CHECKED` is from the run at half the check step, others from the scenario's solver.
     """
     run = "halved_step" if name in CHECKED else "walking"
     return lambda design: number(design[run][name], form)
 
 
 def _good_factors(numbers: Mapping[str, Any], bound_deg: float) -> Iterator[list[str]]:
-    """Yield for each hardware value a row with the range of factors that keep the error's bound."""
+    """Yield a row for each hardware value: the range of factors with an error within the bound."""
     for path, sweep in numbers["walking_sweeps"].items():
         good = [row["factor"] for row in sweep if row["max_error_deg"] <= bound_deg]
         yield [HARDWARE[path][0], f"{min(good):g} … {max(good):g}" if good else "none"]

@@ -34,10 +34,10 @@ from kneexo.studies.size.settings import SizeSettings
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search in ``low`` … ``high`` for the smallest value that keeps the error's bound.
+    """Result of a search in ``low`` … ``high`` for the smallest value with an error within a bound.
 
-    If no value keeps the bound, ``reached`` is False and ``value`` has the least error of those
-    tried.
+    If no value keeps the error within the bound, ``reached`` is False and ``value`` is the tried
+    value with the least error.
     """
 
     value: float
@@ -49,13 +49,13 @@ class Search:
 
 @dataclass(frozen=True)
 class WalkingDesign:
-    """Hardware sized for one stride frequency, and how it walks.
+    """Hardware sized for one stride frequency, and metrics of walking with this hardware.
 
-    ``flow`` is the search for the smallest factor on the scenario's flow per motor revolution,
-    ``acceleration`` the search for the smallest acceleration limit of the motor in rad/s².
-    ``scenario`` has ``margin`` times both values. ``walking`` has `walking_metrics` with the
-    scenario's own solver. ``checked`` and ``halved`` have the same metrics with RK4 at the check
-    step and at half the check step.
+    ``flow`` is the search for the smallest factor on the scenario's flow per motor revolution.
+    ``acceleration`` is the search for the smallest acceleration limit of the motor in rad/s².
+    ``scenario`` has the two values that were found, times ``margin``. ``walking`` has the
+    `walking_metrics` with the scenario's own solver. ``checked`` and ``halved`` have the same
+    metrics with RK4, at the check step and at half the check step.
     """
 
     frequency_hz: float
@@ -69,36 +69,42 @@ class WalkingDesign:
 
 @dataclass(frozen=True, repr=False)
 class SizeResult(Result):
-    """Bandwidth and error by hardware, demands of walking, gains and designs of `size_study`."""
+    """Result of `size_study`: measurements of the hardware, demands of walking, gains, designs."""
 
     scenario: Scenario
     settings: SizeSettings
     nominal: Mapping[str, Any]
     """Bandwidth and error with the scenario's own hardware, controller and sine."""
     sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
-    """By path of a hardware value: ``nominal`` with this value times each of the factors."""
+    """Dictionary from a hardware value's path to a list with a dictionary for each factor.
+
+    The dictionary has the numbers of ``nominal`` after the hardware value was multiplied.
+    """
     bandwidth_map_hz: Array
-    """Bandwidth over the factors of the acceleration limit (rows) and of the flow (columns)."""
+    """Bandwidth in Hz over factors on the acceleration limit (rows) and the flow (columns)."""
     demands: Sequence[WalkingDemand]
-    """What walking requires at each stride frequency, with the moving mass of Eq. 16."""
+    """Motion and load that walking requires at each stride frequency, with the mass of Eq. 16."""
     segment_demands: Sequence[WalkingDemand]
-    """As ``demands``, with the shank's inertia instead of that mass; empty without a load."""
+    """Like ``demands``, with the shank's inertia in place of the mass. Empty without a load."""
     torque_demands: Mapping[float, WalkingDemand]
-    """As ``segment_demands``, at the first stride frequency, by the wearer's torque in N·m."""
+    """Dictionary from the wearer's torque in N·m to a demand like the first ``segment_demands``."""
     gains: Sequence[Mapping[str, Any]]
-    """All tried gains, with margins and metrics of walking at the highest stride frequency."""
+    """All tried gains, each with margins and metrics of walking at the highest stride frequency."""
     best_gains: Mapping[str, Any]
     steps: Mapping[str, Sequence[Mapping[str, Any]]]
-    """Stages from the scenario to a loop that walks: `walking_metrics` by stride frequency."""
+    """Dictionary from a stage to its `walking_metrics` for each stride frequency.
+
+    The stages lead from the scenario to a loop that walks.
+    """
     designs: Sequence[WalkingDesign]
-    """The design for each stride frequency. The fields below are about the first design."""
+    """The design for each stride frequency. The fields below belong to the first design."""
     design_at_reference: Mapping[str, Any]
     variations: Mapping[str, Mapping[str, Any]]
     walking_sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
     walking_map_deg: Array
-    """Largest error over factors of the acceleration limit (rows) and of the flow (columns)."""
+    """Largest error in deg over factors on the acceleration limit (rows) and the flow (columns)."""
     traces: Mapping[str, Mapping[str, Array]]
-    """Signals of walking with ``nominal`` and with ``sized`` hardware; empty for a failed run."""
+    """Signals of walking with ``nominal`` and with ``sized`` hardware, empty if the run failed."""
 
     def results(self) -> dict[str, Any]:
         """Return the sizing as plain data, with units in the names."""
@@ -106,7 +112,7 @@ class SizeResult(Result):
 
 
 CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
-"""Metrics of walking that are compared between the check step and half of it."""
+"""Metrics of walking that are compared between the check step and half the check step."""
 
 
 def _results(result: SizeResult) -> dict[str, Any]:
@@ -172,12 +178,15 @@ def _limits(scenario: Scenario) -> dict[str, float]:
 
 
 def _shown(scenario: Scenario, path: str, factor: float) -> float:
-    """Return the hardware value at ``path`` times ``factor``, in the unit shown by `HARDWARE`."""
+    """Return the hardware value at ``path`` times ``factor``, in the unit that `HARDWARE` names."""
     return float(value_at(scaled(scenario, {path: factor}), path)) * HARDWARE[path][2]
 
 
 def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
-    """Return the peaks that walking requires, and the flow and motor acceleration for them."""
+    """Return the peaks of motion and load that walking requires.
+
+    The dictionary also has the flow and the motor acceleration that these peaks require.
+    """
     peaks = demand.peaks()
     limit = scenario.plant.pump.speed_limit_rad_s
     needed = peaks["peak_motor_speed_rad_s"] / limit
@@ -199,10 +208,10 @@ def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
 
 
 def _controller(result: SizeResult) -> dict[str, float]:
-    """Return the controller's authority βη, the βη that walking requires, k/Φ, and linear errors.
+    """Return the controller's authority βη, the βη that walking requires, k/Φ, and two errors.
 
-    The errors in deg are those that the linear loop predicts with ample flow at the first stride
-    frequency, with the scenario's and with the tuned gains.
+    The linear loop predicts the two errors, in deg, with ample flow at the first stride frequency.
+    The first error is with the scenario's gains, the second is with the tuned gains.
     """
     demand = result.demands[0]
     ample = scaled(result.scenario, {DISPLACEMENT: result.settings.largest_flow_factor})

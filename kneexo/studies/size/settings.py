@@ -16,7 +16,7 @@ from kneexo.parameters.quantity import (
 
 
 class SizeSettings(Parameters):
-    """Hardware and gains that the sizing tries, and the error that walking must keep."""
+    """Settings of the study `size`: hardware and gains to try, and the largest allowed error."""
 
     factors: tuple[float, ...] = positive_values(
         (0.125, 0.25, 0.5, 0.707, 1.0, 1.414, 2.0, 4.0, 8.0),

@@ -1,7 +1,7 @@
-"""Sizing: bandwidth and error by hardware, and the smallest hardware that walks.
+"""Sizing: bandwidth and error for different hardware, and the smallest hardware that walks.
 
-The closed forms are in `kneexo.analysis.hardware`. This study simulates: sweeps around a scenario's
-hardware, and a search for the smallest hardware with which the closed loop walks.
+The closed forms are in `kneexo.analysis.hardware`. This study simulates: it varies a scenario's
+hardware, and searches for the smallest hardware with which the closed loop walks.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _IMPLICIT_STEP_S = 1e-3
 async def _at_reference(scenario: Scenario) -> dict[str, Any]:
     """Return bandwidths and errors at the scenario's sine, by name.
 
-    The numbers of a part that fails are nan, and ``failure`` has the reasons.
+    If a computation fails, its numbers are nan, and ``failure`` has the reason.
     """
     failures = []
 
@@ -100,11 +100,12 @@ def smallest(
     bound_deg: float,
     tolerance: float,
 ) -> Search:
-    """Search the smallest value in ``low`` … ``high`` (> 0) whose error is within the bound.
+    """Search for the smallest value in ``low`` … ``high`` (> 0) with an error up to ``bound_deg``.
 
-    The search bisects the logarithm down to a relative ``tolerance``. It assumes that the error
-    never increases with the value. An error of nan is beyond every bound. If the error at ``high``
-    exceeds the bound, the result is the value of least error among nine from ``low`` to ``high``.
+    The search bisects the value's logarithm until the relative interval is below ``tolerance``. It
+    assumes that the error does not increase with the value. A nan error exceeds every bound. If
+    the error at ``high`` exceeds the bound, the search tries nine values from ``low`` to ``high``
+    and returns the value of least error.
     """
     at_low, at_high = error_deg(low), error_deg(high)
     if at_low <= bound_deg:
@@ -136,19 +137,21 @@ def size_study(
 ) -> SizeResult:
     """Vary the hardware of a scenario, then size the hardware for walking.
 
-    1. Vary one hardware value at a time, and flow with acceleration limit. Measure bandwidth and
-       error with the scenario's own sine.
-    2. Compute what the measured gait requires (`walking_demand`).
-    3. Choose λ, k/Φ and T_f for walking: the gains of least error at the highest stride frequency,
-       with ample flow and acceleration, that keep the disk margin and do not chatter.
-    4. For each stride frequency, search the smallest flow (by the pump's displacement) with ample
-       acceleration, then, with margin on this flow, the smallest acceleration limit.
+    1. Vary one hardware value at a time, then flow and acceleration limit together. Measure
+       bandwidth and error with the scenario's own sine.
+    2. Compute the motion and load that the measured gait requires (`walking_demand`).
+    3. Choose λ, k/Φ and T_f for walking at the highest stride frequency, with ample flow and
+       acceleration. Among the gains that keep the disk margin and do not chatter, choose those of
+       least error.
+    4. For each stride frequency, search for the smallest flow (by the pump's displacement) with
+       ample acceleration. Then, with a margin on this flow, search for the smallest acceleration
+       limit.
     5. Measure pressure and power of these designs at a small step. Let the first design walk on
        other plants, and with its hardware values varied.
 
     ``options``: see `kneexo.sweeps.SweepOptions`.
 
-    Raises `ParameterError` when the scenario's reference is no sine that moves, the controller is
+    Raises `ParameterError` if the scenario's reference is no sine that moves, the controller is
     no sliding mode with an observer, the motor has no limits, or no gains let the knee walk.
     """
     require_sine(scenario)
@@ -280,7 +283,10 @@ def _one_at_a_time(factors: Sequence[float]) -> list[dict[str, float]]:
 
 
 def _by_path(results: Sequence[Any], factors: Sequence[float]) -> dict[str, Sequence[Any]]:
-    """Group results, in the order of the items of ``_one_at_a_time``, by path of the hardware."""
+    """Return a dictionary from a hardware value's path to its results.
+
+    ``results`` has the order of ``_one_at_a_time``.
+    """
     count = len(factors)
     return {path: results[n * count : (n + 1) * count] for n, path in enumerate(HARDWARE)}
 
@@ -290,7 +296,7 @@ def _pairs(factors: Sequence[float]) -> list[dict[str, float]]:
 
 
 def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: float) -> bool:
-    """Return whether gains have the required disk margin and let the knee walk without chattering.
+    """Return True if the gains keep the required disk margin and the knee walks without chattering.
 
     ``asked_change_rpm`` is the mean change of command per sample that the motion itself requires.
     """
@@ -302,9 +308,10 @@ def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: 
 
 
 def _best(gains: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
-    """Return the gains of least error among those that meet the demands, else among all that walk.
+    """Return the gains of least error among the gains whose row has ``meets``.
 
-    Raises `ParameterError` if no gains let the knee walk.
+    If there are none, return the gains of least error among all that let the knee walk. Raises
+    `ParameterError` if no gains let the knee walk.
     """
     walk_at_all = [row for row in gains if not math.isnan(row["max_error_deg"])]
     if not walk_at_all:
@@ -347,7 +354,10 @@ def _design(
 def _variations(
     design: Scenario, flow_factor: float, settings: SizeSettings
 ) -> dict[str, Scenario]:
-    """Return scenarios by name: the design on plants unlike the nominal plant of its controller."""
+    """Return a dictionary from name to scenario, for walking with the design on other plants.
+
+    The controller keeps the nominal plant, from which these plants differ.
+    """
     valves = FullCylinderParameters()
     full_order = {
         name: getattr(valves, name) * flow_factor

@@ -1,4 +1,4 @@
-"""Study `sliding`: sliding condition and bound on the error."""
+"""Study `sliding`: the sliding condition, and bounds on the tracking error."""
 
 from kneexo.studies.sliding.settings import (
     SLIDING_LAW as SLIDING_LAW,

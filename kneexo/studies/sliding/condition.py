@@ -54,9 +54,9 @@ _SHORTEST = 20
 
 
 def plant_state_columns(plant: PlantParameters) -> tuple[tuple[str, float], ...]:
-    """Return the run column of each continuous state of the plant, in the Context's order.
+    """Return a pair for each continuous state of the plant, in the Context's order.
 
-    Each column comes with the factor from its unit to the unit in the Context.
+    The pair has the name of the run's column and the factor from its unit to the Context's unit.
     """
     states = (state for part in plant_parts(plant) for state in part.states)
     return tuple((state.column, 1.0 / state.factor) for state in states)
@@ -76,8 +76,8 @@ def sliding_rates(
 ) -> tuple[Array, Array]:
     """Return the true s in m/s² and ds/dt in m/s³, each (n,), at n ``rows`` of a run.
 
-    ``commands_rad_s`` (n,) are the motor speed commands in force at these rows. The run must have
-    the signals of `sliding_signals`. Raises `ParameterError` if the controller is no sliding mode.
+    ``commands_rad_s`` (n,) are the motor speed commands at these rows. The run must have the
+    signals of `sliding_signals`. Raises `ParameterError` if the controller is no sliding mode.
     """
     lambda_ = sliding_mode(scenario).lambda_per_s
     plant: Any = make_plant(scenario.plant, table_1=scenario.polynomial)
@@ -117,9 +117,9 @@ def error_bounds(
     """Return bounds on |e| in m and on |ė| in m/s at ``time_s``, each (n,), while |s| ≤ Φ.
 
     ``error_m`` and ``rate_m_s`` are e and ė at the first time. The bounds follow from
-    (d/dt + λ)² e = s. They add the free motion and Φ times the integral over the absolute impulse
-    response. The second part tends to Φ/λ² for e and to 2Φ/(exp(1)·λ) for ė. Slotine's bound on ė
-    is 2Φ/λ.
+    (d/dt + λ)² e = s. Each bound is the free motion plus Φ times the integral of the absolute
+    impulse response. This integral part tends to Φ/λ² for e and to 2Φ/(exp(1)·λ) for ė. For
+    comparison, Slotine's bound on ė is 2Φ/λ.
     """
     z = lambda_per_s * (time_s - time_s[0])
     decay, slope = np.exp(-z), rate_m_s / lambda_per_s + error_m
@@ -137,25 +137,25 @@ def error_bounds(
 async def check_sliding(
     settings: SlidingSettings, scenario: Scenario = SLIDING_LAW
 ) -> dict[str, Any]:
-    """Run a scenario and return, as plain numbers by name, how far it keeps the sliding condition.
+    """Run a scenario and measure how well it meets the sliding condition. Return numbers by name.
 
     - ``outside_share``: share of the samples with |s| > Φ. Of these samples, ``holding_share``
-      fulfil s·ds/dt ≤ −η|s| and ``attracting_share`` fulfil s·ds/dt < 0. ``worst_rate_m_s3``:
-      largest sgn(s)·ds/dt among them.
-    - ``reaching_s``: time at which |s| ≤ Φ for the first time. The condition promises it after
-      ``promised_s`` at the latest.
-    - ``left_share``: share of the later samples that are outside again; ``largest_s``: largest
-      |s|/Φ among the later samples.
+      fulfil s·ds/dt ≤ −η|s| and ``attracting_share`` fulfil s·ds/dt < 0. ``worst_rate_m_s3`` is
+      the largest sgn(s)·ds/dt among them.
+    - ``reaching_s``: time at which |s| ≤ Φ for the first time. The sliding condition guarantees it
+      after ``promised_s`` at the latest.
+    - ``left_share``: share of the later samples that are outside again. ``largest_s`` is the
+      largest |s|/Φ among the later samples.
     - ``error_share``, ``rate_share``, ``acceleration_share``: largest |e|, |ė| and |ë| after the
       initial transient, relative to Slotine's bounds Φ/λ², 2Φ/λ and 4Φ.
     - ``bounded_share``: share of the samples with |e| within `error_bounds`, from the first time in
-      the layer until s leaves it.
+      the boundary layer |s| ≤ Φ until s leaves the layer.
 
     With a sampled law the shares above use ds/dt just after an update of the command.
-    ``held_share`` is ``holding_share`` with ds/dt just before the next update, ``mean_share`` with
-    the mean of ds/dt between both. A run that fails is repeated over half the time until it does
-    not fail; ``failure`` has the first reason (else empty), ``duration_s`` the last duration.
-    Missing numbers are nan. ``trace`` has signals for figures.
+    ``held_share`` is ``holding_share`` with ds/dt just before the next update. ``mean_share`` is
+    ``holding_share`` with the mean of the two ds/dt. A run that fails is repeated over half the
+    time until no run fails. ``failure`` has the first reason (else empty), ``duration_s`` the last
+    duration. Missing numbers are nan. ``trace`` has signals for figures.
     """
     law = sliding_mode(scenario)
     measured: dict[str, Any] = dict.fromkeys(
@@ -238,7 +238,10 @@ async def check_sliding(
 
 
 async def _longest_run(scenario: Scenario) -> tuple[Run, str]:
-    """Halve a run's duration until it does not fail; return the run and the first failure."""
+    """Halve a run's duration until the run does not fail. Return the run and the first failure.
+
+    The failure is an empty text if the first run succeeds.
+    """
     failure, duration = "", scenario.simulation.duration_s
     while True:
         shortened = changed(scenario, {"simulation.duration_s": duration})
@@ -253,13 +256,19 @@ async def _longest_run(scenario: Scenario) -> tuple[Run, str]:
 
 
 def _reaching_rate(scenario: Scenario, run: Run, rows: Array, command: Array) -> Array:
-    """Return sgn(s)·ds/dt at rows outside the layer; the sliding condition bounds it by −η."""
+    """Return sgn(s)·ds/dt at rows outside the boundary layer |s| ≤ Φ.
+
+    The sliding condition requires a value of at most −η.
+    """
     s, s_rate = sliding_rates(scenario, run, rows, command)
     return np.asarray(np.sign(s) * s_rate)
 
 
 def _thinned(rows: Any, largest: int) -> Any:
-    """Return at most ``largest`` rows: half of them the first rows, the rest evenly spread."""
+    """Return at most ``largest`` of the rows.
+
+    Half of the result are the first rows. The other half is spread evenly over the other rows.
+    """
     if rows.size <= largest:
         return rows
     half = largest // 2

@@ -12,13 +12,14 @@ from kneexo.studies.plots import legend_below
 from kneexo.studies.sliding.study import LAWS, SlidingResult
 
 _OFF = 40.0
-"""Value of |s|/Φ at which the figure marks a run that left the range of motion."""
+"""Value of |s|/Φ at which a figure draws the mark of a run that left the range of motion."""
 
 
 def _shown_eta(result: SlidingResult) -> float:
-    """Return the η for the figures over time: the smallest at which the paper's k completes a run.
+    """Return the η that the figures over time show.
 
-    If the paper's k completes no run, the result is the first η of the settings.
+    It is the smallest η at which the run with the paper's gain k does not fail. If all these runs
+    fail, it is the first η of the settings.
     """
     load = result.settings.loads_n[0]
     complete = [
@@ -30,9 +31,10 @@ def _shown_eta(result: SlidingResult) -> float:
 
 
 def condition(result: SlidingResult) -> Figure:
-    """Draw sgn(s)·ds/dt of the samples outside the boundary layer over time.
+    """Draw sgn(s)·ds/dt over time at the samples outside the boundary layer |s| ≤ Φ.
 
-    The left panel starts outside the layer, the right panel follows the reference.
+    The run in the left panel starts outside the layer. The runs in the right panel follow the
+    reference.
     """
     figure, ax = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     load = result.settings.loads_n[0]
@@ -60,9 +62,9 @@ def condition(result: SlidingResult) -> Figure:
 
 
 def error_bound(result: SlidingResult) -> Figure:
-    """Draw the rod's error |e| over time and its bound Φ/λ², with a panel for each load.
+    """Draw the rod's error |e| over time and its bound Φ/λ². Each load has its own panel.
 
-    A cross ends a run that left the range of motion.
+    A cross marks the end of a run that left the range of motion.
     """
     loads, law = result.settings.loads_n, result.law
     figure, ax = plt.subplots(
@@ -85,7 +87,7 @@ def error_bound(result: SlidingResult) -> Figure:
 
 
 def boundary_layer(result: SlidingResult) -> Figure:
-    """Draw the largest |s|/Φ along the reference over η.
+    """Draw the largest |s|/Φ in runs along the reference, over η.
 
     Marks at the top stand for runs that left the range of motion.
     """

@@ -47,7 +47,7 @@ def report(result: SlidingResult) -> str:
 
 
 def _measured(name: str, factor: float = 1.0) -> Cell:
-    """Return a function that prints a case's `check_sliding` number ``name`` times ``factor``."""
+    """Return a function that prints the number ``name`` from `check_sliding` times ``factor``."""
 
     def text(case: SlidingCase) -> str:
         return number(factor * case.measured[name])
@@ -56,16 +56,17 @@ def _measured(name: str, factor: float = 1.0) -> Cell:
 
 
 def _keeps_its_promise(case: SlidingCase) -> bool:
-    """Return whether s stays in the layer, and all samples outside meet the sliding condition."""
+    """Return True if s stays in the boundary layer and all samples outside meet the condition."""
     outside, holding = case.measured["outside_share"], case.measured["holding_share"]
     return case.stays and (not outside or holding == 1.0)
 
 
 def _shares(result: SlidingResult) -> Iterator[dict[str, Any]]:
-    """Yield for each law the least and largest share in % of samples that meet the condition.
+    """Yield for each law the least and the largest share, in % over the runs, of good samples.
 
-    The share counts a run's samples outside the layer. The runs are those of the full-order plant
-    with a continuous law and such samples.
+    The share counts the samples of a run outside the boundary layer that meet the sliding
+    condition. Only runs of the full-order plant with such a continuous law and samples outside
+    the layer count.
     """
     for name, label in LAWS.items():
         shares = [

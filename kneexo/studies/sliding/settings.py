@@ -15,7 +15,7 @@ from kneexo.parameters.quantity import Parameters, quantities, quantity
 
 
 class SlidingSettings(Parameters):
-    """η, loads and start of the runs that check the sliding condition."""
+    """Settings of the study `sliding`: η, loads and initial states of the runs."""
 
     etas_m_s3: tuple[float, ...] = quantities(
         (1e3, 1e4, 3e4, 3.6e4, 7e4, 9e4, 2.8e5),
@@ -89,7 +89,8 @@ SLIDING_LAW = Scenario(
     ),
     simulation=SimulationParameters(duration_s=10.0),
 )
-"""The scenario of the sliding condition: continuous time, exact states, an ideal motor.
+"""Default scenario of the study: continuous time, exact states, an ideal motor.
 
-The sample time is that of the log. Eq. 27 neglects the leakage, which changes the load by
-4 β_e C_t/V_t = 33 N/s per newton. Here the bound on dF_L/dt covers the leakage of 75 N."""
+The sample time is the interval of the log. Eq. 27 neglects the leakage, which acts like a load that
+changes by 4 β_e C_t/V_t = 33 N/s per newton. Here the bound on dF_L/dt covers the leakage of 75 N.
+"""

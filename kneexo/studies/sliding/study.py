@@ -30,17 +30,17 @@ from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.knee_coordinates import rod_derivatives
 
 LAWS = {"paper": "Eq. 27", "area": "Eq. 27 + area", "area_gain": "Eq. 27 + area, gain"}
-"""The formulas for the gain k that are compared: Eq. 27, and Eq. 27 with further terms."""
+"""Labels of the compared formulas for the gain k: Eq. 27, and Eq. 27 with further terms."""
 
 
 # -------------------------------------------------------------------------------- study
 
 
 def effective_masses_kg(scenario: Scenario) -> tuple[float, float]:
-    """Return mass bounds in kg that cover the gain b of both chambers over the reference's range.
+    """Return mass bounds in kg that cover the gain b of each chamber over the reference's range.
 
-    For a full-order plant they are the law's own bounds times (Ā/A_i)(4V_i/V_t), the factor by
-    which the reduced order is too stiff. For a reduced-order plant they are the law's own bounds.
+    For a reduced-order plant they are the control law's own bounds. For a full-order plant these
+    bounds are multiplied by (Ā/A_i)(4V_i/V_t), the factor by which the reduced order is too stiff.
     """
     law, oil, full = sliding_mode(scenario), scenario.plant.cylinder, scenario.plant.full_order
     if full is None:
@@ -58,7 +58,7 @@ def effective_masses_kg(scenario: Scenario) -> tuple[float, float]:
 
 
 def _with_law(scenario: Scenario, law: str) -> Scenario:
-    """Return the scenario with the parameters of the controller that give one of the `LAWS`."""
+    """Return the scenario with the controller's parameters for one of the `LAWS`."""
     oil, values = scenario.plant.cylinder, {}
     if law != "paper":
         values["controller.area_uncertainty"] = oil.cap_area_m2 / oil.mean_area_m2 - 1.0
@@ -72,10 +72,14 @@ def _with_law(scenario: Scenario, law: str) -> Scenario:
 
 @dataclass(frozen=True)
 class SlidingCase:
-    """One run of the study, with its labels and its numbers from `check_sliding`."""
+    """One run of the study: its labels, and its numbers from `check_sliding`."""
 
     part: str
-    """``motion`` (along the reference), ``start`` (outside the layer) or ``sampled`` (at 2 ms)."""
+    """Part of the study: ``motion``, ``start`` or ``sampled``.
+
+    A ``motion`` run follows the reference, a ``start`` run begins outside the boundary layer, and a
+    ``sampled`` run has a controller sampled at 2 ms.
+    """
     plant: str
     law: str
     load_n: float
@@ -84,12 +88,12 @@ class SlidingCase:
 
     @property
     def stays(self) -> bool:
-        """Whether s never left the layer after reaching the layer, and the run completed."""
+        """True if the run completed and s, once in the boundary layer |s| ≤ Φ, never left it."""
         return not self.measured["failure"] and self.measured["left_share"] == 0.0
 
 
 def full_order(scenario: Scenario) -> Scenario:
-    """Return the scenario with the cylinder in full order."""
+    """Return the scenario with the full-order model of the cylinder."""
     full = scenario.plant.full_order or FullCylinderParameters()
     return changed(scenario, {"plant.full_order": dict(full)})
 
@@ -165,16 +169,19 @@ def _cases(
 
 @dataclass(frozen=True)
 class NeededEta:
-    """Least η in m/s³ with which Eq. 27 should keep s in the layer on the full-order plant."""
+    """Least η in m/s³ with which Eq. 27 should keep |s| ≤ Φ on the full-order plant."""
 
     speed: float
-    """At this η, βη equals ω̂²(A_1/Ā − 1)|ẋ_d| at the reference's peak speed."""
+    """The η at which βη equals ω̂²(A_1/Ā − 1)|ẋ_d| at the reference's peak speed."""
     stability: float
-    """At this η, 2λβη/Φ equals ω̂²(1 − A_2/Ā). Below, a load on chamber 2 drives s outwards."""
+    """The η at which 2λβη/Φ equals ω̂²(1 − A_2/Ā).
+
+    With a smaller η, a load on chamber 2 drives s outwards.
+    """
 
 
 def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
-    """Return the η that the closed forms require along the scenario's sinusoidal reference."""
+    """Return the η that closed formulas require along the scenario's sinusoidal reference."""
     law, oil = sliding_mode(scenario), scenario.plant.cylinder
     reference = require_sine(scenario)
     phase = np.linspace(0.0, 2.0 * np.pi, 2001)
@@ -193,7 +200,7 @@ def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
 
 @dataclass(frozen=True, repr=False)
 class SlidingResult(Result):
-    """Runs of `sliding_study`; ``needed`` is the η that the closed forms require."""
+    """Runs of `sliding_study`. ``needed`` is the η that closed formulas require."""
 
     cases: tuple[SlidingCase, ...]
     needed: NeededEta
@@ -206,7 +213,7 @@ class SlidingResult(Result):
         return sliding_mode(self.scenario)
 
     def of(self, part: str, **labels: Any) -> list[SlidingCase]:
-        """Return the cases of a part whose fields equal ``labels``, in the order of the runs."""
+        """Return the cases of a part that have the values ``labels``, in the order of the runs."""
         return [
             case
             for case in self.cases
@@ -214,9 +221,11 @@ class SlidingResult(Result):
         ]
 
     def smallest_eta(self, law: str, load_n: float) -> float:
-        """Return the smallest η in m/s³ at and above which s stays in the layer, or inf.
+        """Return the least η in m/s³ such that s stays in the boundary layer at this η and above.
 
-        Only runs of the full-order plant along the reference count."""
+        The result is inf if s leaves the layer at the largest η. Only runs of the full-order plant
+        along the reference count.
+        """
         cases = self.of("motion", plant="full", law=law, load_n=load_n)
         smallest = math.inf
         for case in sorted(cases, key=lambda c: -c.eta_m_s3):
@@ -226,7 +235,7 @@ class SlidingResult(Result):
         return smallest
 
     def results(self) -> dict[str, Any]:
-        """Return the study as plain data without traces, with units in the names."""
+        """Return the study as plain data with units in the names. The traces are left out."""
         return {
             "needed_eta_m_s3": asdict(self.needed),
             "smallest_eta_m_s3": {
@@ -247,11 +256,11 @@ def sliding_study(
     settings: SlidingSettings = SlidingSettings(),
     **options: Unpack[SweepOptions],
 ) -> SlidingResult:
-    """Check the sliding condition on the reduced- and the full-order plant, with each of `LAWS`.
+    """Check the sliding condition on the reduced- and on the full-order plant, for each of `LAWS`.
 
     ``scenario`` must have the continuous law, exact states, a knee load and a sinusoidal reference.
-    The study simulates both orders of its cylinder under the loads of ``settings``. ``options``:
-    see `kneexo.sweeps.SweepOptions`. Raises `ParameterError` for a scenario of another kind.
+    The study simulates the two orders of its cylinder under the loads of ``settings``. ``options``:
+    see `kneexo.sweeps.SweepOptions`. Raises `ParameterError` for any other scenario.
     """
     law = sliding_mode(scenario)
     if not law.continuous or scenario.plant.load.kind != "knee":
