@@ -52,7 +52,7 @@ class ObserverParameters(Parameters):
 
 
 class DifferenceParameters(Parameters):
-    """Estimator of rod velocity and acceleration by backward differences of the position."""
+    """Estimator that computes rod velocity and acceleration from differences of past positions."""
 
     kind: Literal["difference"] = "difference"
 

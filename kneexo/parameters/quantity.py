@@ -132,7 +132,7 @@ def allowed_range(field: FieldInfo) -> str:
 def limits_of(field: FieldInfo) -> tuple[float, float]:
     """Return the lowest and the highest allowed value of a field made by `quantity`.
 
-    A missing bound is infinite. The bound ``gt`` excludes the bound itself, so the lowest value is
+    A missing bound is infinite. A bound ``gt`` excludes the number itself, so the lowest value is
     the next larger double.
     """
     low, high = -math.inf, math.inf

@@ -39,7 +39,7 @@ class _KneeReference(Parameters):
 
 
 class SineReference(_KneeReference):
-    """Knee angle mean − amplitude·cos(2πft). It starts at rest, at its smallest value.
+    """Knee angle mean − amplitude·cos(2πft). The knee starts at rest, at the smallest angle.
 
     With ``ramp_s`` > 0 the angle starts at the mean, and the amplitude grows smoothly from zero
     during ``ramp_s``.

@@ -23,7 +23,7 @@ from kneexo.parameters.reference import Reference, SineReference, read_reference
 
 
 class SimulationParameters(Parameters):
-    """Settings of a simulation. ``integrator`` also selects the compiled engine or Drake's."""
+    """Settings of a simulation. ``integrator`` selects the compiled engine or Drake's Simulator."""
 
     duration_s: float = quantity(
         30.0, "s", "three periods of 0.1 Hz, as in Fig. 12", ge=1e-3, le=1e5

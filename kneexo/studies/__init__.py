@@ -1,1 +1,1 @@
-"""Studies, one package each. A study compares many scenarios and reports its findings."""
+"""The studies. Each study is a package that compares many scenarios and reports its findings."""

@@ -88,7 +88,7 @@ class Study:
         return text
 
     def figures(self, result: Any) -> dict[str, Figure]:
-        """Draw the figures of a result, and return the figures by name."""
+        """Draw the figures of a result. Return a dictionary from name to figure."""
         pictures: dict[str, Figure] = self._part(".figures", "figures")(result)
         return pictures
 

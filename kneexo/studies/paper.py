@@ -64,7 +64,7 @@ FIG_12 = {
     "pid_tuned": Scenario(controller=PID_TUNED),
     "pid_feedforward": Scenario(controller=PID_FEEDFORWARD),
 }
-"""Scenarios of Fig. 12 by name of the controller: the sliding-mode controller and three PIDs.
+"""Dictionary from a controller's name to its scenario in Fig. 12: sliding mode and three PIDs.
 
 The reference covers 10…70° at 0.1 Hz.
 """
@@ -82,9 +82,10 @@ FIG_13_SCALING = {
         SinestreamSettings(frequencies_hz=tuple(2.0 * f for f in _BASE_HZ)),
     ),
 }
-"""Scenarios and frequencies that show how the bandwidth of Fig. 13 scales, by name.
+"""Dictionary from a name to the scenario and frequencies of a sinestream as in Fig. 13.
 
-Twice the flow (gear ratio 3) should double the nominal bandwidth, and so should half the amplitude.
+The results show how the bandwidth scales. Twice the flow (gear ratio 3) should double the nominal
+bandwidth, and so should half the amplitude.
 """
 
 

@@ -25,7 +25,7 @@ _TICKS_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
 def figures(result: BandwidthResult) -> dict[str, Figure]:
-    """Draw the amplitude map, the Bode plots and the rate-limited sine. Return figures by name."""
+    """Draw amplitude map, Bode plots and rate-limited sine. Return a dictionary of figures."""
     return {
         "amplitude_map": plot_map(result),
         "bode_by_amplitude": plot_bode(result),

@@ -116,17 +116,17 @@ class BandwidthResult(Result):
 
     @property
     def gain_db(self) -> Array:
-        """Gain |θ_p/θ_d| in dB, (m, n)."""
+        """Gain |θ_p/θ_d| in dB, an array (m, n) over amplitude and frequency."""
         return np.asarray(20.0 * np.log10(np.maximum(np.abs(self.response), _LEAST_GAIN)))
 
     @property
     def phase_deg(self) -> Array:
-        """Phase of θ_p/θ_d in deg, unwrapped over frequency, (m, n)."""
+        """Phase of θ_p/θ_d in deg, an array (m, n), unwrapped along the frequency."""
         return np.array([unwrapped_deg(row) for row in self.response])
 
     @property
     def relative_uncertainty(self) -> Array:
-        """Uncertainty of the response divided by its gain, (m, n)."""
+        """Uncertainty of the response divided by the gain, an array (m, n)."""
         return self.cells["uncertainty"] / np.maximum(np.abs(self.response), _LEAST_GAIN)
 
     def linear_deviation(self, *, quantized: bool) -> float:

@@ -83,5 +83,5 @@ def search(result: ContestResult) -> Figure:
 
 
 def figures(result: ContestResult) -> dict[str, Figure]:
-    """Draw all figures of a contest. Return the figures by name; the caller closes the figures."""
+    """Draw all figures of a contest. Return a dictionary of figures, which the caller closes."""
     return {"contest": outcome(result), "contest_search": search(result)}

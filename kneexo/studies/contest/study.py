@@ -77,7 +77,7 @@ CONTESTANTS = {
         controller=PidParameters(velocity_feedforward=1.0), gains=_PID_GAINS
     ),
 }
-"""The controllers that are tuned by default; each has four gains."""
+"""The controllers that are tuned by default. Each controller has four gains."""
 
 UNTUNED = {
     "SMC, default": SlidingModeParameters(),
@@ -174,11 +174,12 @@ class Tuning:
 class ContestResult(Result):
     """Metrics of tuned and untuned controllers on the test plants.
 
-    ``entrants`` maps a controller's name to the values, by dotted path, that put this controller
-    into the scenario. ``tested`` maps the name to the metrics of each test plant from `assess`, at
-    the scenario's reference. ``other_reference`` has the same metrics, without margins, at a
-    reference that was not used for tuning. ``budget_rpm`` is the largest chattering that the tuning
-    allows: the default SMC's mean change of command in rpm per sample over the training plants.
+    ``entrants`` maps a controller's name to a dictionary of the values, with dotted paths, that
+    put this controller into the scenario. ``tested`` maps the name to the metrics of each test
+    plant from `assess`, at the scenario's reference. ``other_reference`` has the same metrics,
+    without margins, at a reference that was not used for tuning. ``budget_rpm`` is the largest
+    chattering that the tuning allows: the default SMC's mean change of command in rpm per sample
+    over the training plants.
     """
 
     scenario: Scenario
@@ -193,7 +194,10 @@ class ContestResult(Result):
     other_reference: Mapping[str, Sequence[Values]]
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return the metrics of `COLUMNS` over all test plants, by name of the controller."""
+        """Return a dictionary from each controller's name to its metrics over all test plants.
+
+        `COLUMNS` lists the metrics.
+        """
         return {
             name: _summary(self.tested[name], self.other_reference[name]) for name in self.entrants
         }
@@ -203,7 +207,7 @@ class ContestResult(Result):
         return float(np.mean(errors_of(self.tested[name]) < errors_of(self.tested[other])))
 
     def winners(self) -> dict[str, list[str]]:
-        """Return by metric of `summary` the names of the tuned contestants with the best value."""
+        """Return a dictionary from each metric of `summary` to the tuned contestants that lead."""
         summary, tuned = self.summary(), self.settings.contestants
         best = {
             figure: (max if "margin" in figure else min)(summary[name][figure] for name in tuned)
@@ -400,7 +404,10 @@ async def objective_deg(
 
 
 def _gains(contestant: Contestant, unit: Array) -> dict[str, float]:
-    """Convert ``unit`` (gains,), shares from 0 to 1 of each range, to gains by dotted path."""
+    """Convert ``unit`` (gains,) to gains. Return a dictionary from dotted path to gain.
+
+    Each number in ``unit`` lies between 0 and 1, the ends of the gain's range.
+    """
     return {
         path: float(span.at(float(x)))
         for (path, span), x in zip(contestant.gains.items(), unit, strict=True)

@@ -194,7 +194,7 @@ def limit_cycle(result: ControllerResult) -> Figure:
 
 
 def figures(result: ControllerResult) -> dict[str, Figure]:
-    """Draw all figures of the study. Return the figures by name; the caller closes the figures."""
+    """Draw all figures of the study. Return a dictionary of figures, which the caller closes."""
     return {
         "study_lambda_slope": lambda_and_slope(result),
         "study_phi_eta": phi_and_eta(result),

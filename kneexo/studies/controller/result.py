@@ -32,9 +32,9 @@ METRICS = (
 )
 """Names of the quantities that are measured at each point of the grid.
 
-The margins of an unstable loop and the results of a failed run are nan. ``settling_s`` and
-``large_settling_s`` belong to the small and to the large step. They are the times after which the
-error stays within ± ``settling_band_deg``, and inf if the error does not settle during the run.
+The margins of an unstable loop and the results of a failed run are nan. ``settling_s`` is the time
+after which the error of the small step stays within ± ``settling_band_deg``. ``large_settling_s``
+is this time for the large step. A time is inf if the error does not settle during the run.
 """
 
 

@@ -44,9 +44,9 @@ def _ranges(rows: Rows, name: str, form: str) -> str:
 
 
 def _largest(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Return the largest velocity swing, pressure swing and error among rows of ``switching``.
+    """Return a dictionary with the largest velocity swing, pressure swing and error.
 
-    The result is a dictionary by column, or empty without rows.
+    The rows are from the table ``switching``. The dictionary is empty without rows.
     """
     names = ("velocity_swing_mm_s", "load_pressure_swing_mpa", "max_error_deg")
     return {name: max(row[name] for row in rows) for name in names} if rows else {}

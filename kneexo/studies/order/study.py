@@ -161,7 +161,7 @@ async def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str,
 def _ramp(
     scenario: Scenario, order: str, force: float, flexing: bool, rate_deg_s: float
 ) -> Scenario:
-    """Return the scenario with a ramp reference. Its only load is a constant force on the rod.
+    """Return the scenario with a ramp reference, and a constant force as the rod's only load.
 
     The ramp covers the range of the scenario's reference, upwards if ``flexing``.
     """

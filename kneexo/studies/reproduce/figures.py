@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def figures(reproduction: ReproduceResult) -> dict[str, Figure]:
-    """Draw figures in the paper's layout. Return the figures by name; the caller closes them."""
+    """Draw figures in the paper's layout. Return a dictionary of figures. The caller closes all."""
     return {
         "fig05_polynomial_fit": reproduction.fit.plot()[0].figure,
         "fig09_ideal_smc": _plot_fig9(reproduction.fig9),

@@ -1,4 +1,4 @@
-"""The report of ``kneexo reproduce``: the paper's numbers beside those that kneexo computes."""
+"""The report of ``kneexo reproduce``: the paper's numbers beside the numbers from kneexo."""
 
 from __future__ import annotations
 

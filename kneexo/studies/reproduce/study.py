@@ -1,4 +1,4 @@
-"""The paper's figures and numbers, computed by kneexo (``kneexo reproduce``)."""
+"""Compute the paper's figures and numbers with kneexo (``kneexo reproduce``)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ FIG_5_POINTS = 204
 
 @dataclass(frozen=True, repr=False)
 class ReproduceResult(Result):
-    """Fits, runs and frequency responses behind the paper's figures, by name of the case."""
+    """Fits, runs and frequency responses behind the paper's figures."""
 
     fit: PolynomialFit
     fig9: Run
@@ -248,4 +248,7 @@ FIG_12_TITLES = {
     "pid": "PID as in the paper (P, 5 1/s)",
     "pid_tuned": "PID, tuned",
 }
-"""Titles in the figure for the runs of `FIG_12` that it shows, by name of the controller."""
+"""Dictionary from a controller's name in `FIG_12` to its title in the figure.
+
+The figure shows only these controllers.
+"""

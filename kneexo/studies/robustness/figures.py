@@ -173,7 +173,7 @@ def importance(result: RobustnessResult) -> Figure:
 
 
 def _cell(value: float) -> str:
-    """Return a number as text for a table cell. A value that rounds to zero has no sign."""
+    """Return a number as text for a table cell. A value that rounds to zero has no minus sign."""
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{round(value, 2) + 0.0:.2f}"
 
 
@@ -258,7 +258,7 @@ def _loop(result: RobustnessResult, assessment: Assessment) -> SampledLoop | Non
 
 
 def figures(result: RobustnessResult) -> dict[str, Figure]:
-    """Draw distribution, tornado, importance and Nyquist plots, and return the figures by name."""
+    """Draw distribution, tornado, importance and Nyquist plots. Return a dictionary of figures."""
     return {
         "robustness_distribution": distribution(result),
         "robustness_tornado": tornado(result),

@@ -120,10 +120,10 @@ def _sample_is_worst(result: RobustnessResult, merit: str) -> bool:
 def _importance(
     result: RobustnessResult, merits: Sequence[str], names: Mapping[str, str]
 ) -> Iterator[dict[str, Any]]:
-    """Yield a table for each figure of merit. Its rows are the uncertain values.
+    """Yield a table for each figure of merit. Each row describes an uncertain value.
 
     The value with the strongest correlation comes first. ``idle`` names the values whose
-    correlation is not larger than `chance`.
+    correlation does not exceed `chance` in magnitude.
     """
     correlations = result.correlations()
     for merit in merits:

@@ -60,7 +60,7 @@ class RobustnessSettings(Parameters):
 Values = Mapping[str, Any]
 """Dictionary from the dotted path of an uncertain quantity to a value of this quantity."""
 Corner = tuple[int, ...]
-"""A corner: an index for each uncertain value. It selects an end of the interval, or an option."""
+"""A corner of the uncertainty set: for each uncertain value, an index into `Uncertainty.levels`."""
 
 CONFIDENCE = 0.95
 """Confidence level of the statistical bounds in the report."""
@@ -111,7 +111,7 @@ async def assess_plant(
     """Make the plant with these uncertain ``values``, and return its metrics from ``judge``.
 
     The sweep calls this function in the worker process. If the values contradict each other, the
-    only metric is ``tracking_failure`` with the reason, and ``stable`` is None.
+    metrics are only ``stable``, which is None, and the reason as ``tracking_failure``.
     """
     try:
         plant = realize(scenario, uncertainty, values)
@@ -121,7 +121,7 @@ async def assess_plant(
 
 
 def merit_value(assessment: Assessment, merit: str) -> float:
-    """Return a figure of merit of an assessed plant, or the worst infinity if missing or nan."""
+    """Return a figure of merit of an assessed plant, infinitely bad (±inf) if missing or nan."""
     value = assessment.metrics[merit]
     failed = value is None or math.isnan(value)
     return MERITS[merit].sign_of_worse * math.inf if failed else float(value)
@@ -195,9 +195,9 @@ def rank_correlation(
 
 
 def chance(span: Uncertainty, count: int) -> float:
-    """Return the `rank_correlation` that a value without effect exceeds in 5 % of cases.
+    """Return the limit that chance lets a `rank_correlation` exceed in 5 % of cases.
 
-    The value has the range ``span`` and is sampled on ``count`` plants.
+    The value has no effect, has the range ``span``, and is sampled on ``count`` plants.
     """
     freedom = max(len(span.options), 2) - 1
     return math.sqrt(scipy.stats.chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
@@ -232,7 +232,7 @@ class RobustnessResult(Result):
         return tuple(name for name in MERITS if name in self.nominal.metrics)
 
     def effects(self, merit: str) -> dict[str, list[float]]:
-        """Return by path a list with the figure of merit at each level of this value alone."""
+        """Return a dictionary from path to the figures of merit at the levels of this value."""
         values = iter(merit_values(self.one_at_a_time, merit).tolist())
         return {
             path: list(islice(values, len(span.levels)))
@@ -259,7 +259,7 @@ class RobustnessResult(Result):
         return slope * (span.high - span.low)
 
     def correlations(self) -> dict[str, dict[str, float]]:
-        """Return the `rank_correlation` over the samples, by figure of merit and path."""
+        """Return a dictionary from merit to path to the `rank_correlation` over the samples."""
         return {
             merit: dict(
                 zip(
@@ -401,10 +401,10 @@ def _explore(
 def _local(
     scenario: Scenario, paths: Sequence[str], duration_s: float, task: str
 ) -> dict[str, Any]:
-    """Return the derivatives of metrics with respect to uncertain values, by metric and path.
+    """Return the derivatives of metrics with respect to uncertain values.
 
-    ``task`` is ``margins`` or ``tracking``, and selects the metrics. If the computation fails, the
-    result has only the key ``failure`` with the reason.
+    The keys are the metric, then the path. ``task`` (``margins`` or ``tracking``) selects metrics.
+    If the computation fails, the result has only the key ``failure`` with the reason.
     """
     try:
         if task == "margins":
@@ -493,7 +493,7 @@ def _neighbours(corner: Corner, sizes: Sequence[int]) -> Iterator[Corner]:
 
 
 def short_names(paths: Iterable[str]) -> dict[str, str]:
-    """Return a dictionary from each path to its last part, or to itself if last parts coincide."""
+    """Return a dictionary from path to the last part, or to the path if last parts coincide."""
     last = {path: path.rpartition(".")[2] for path in paths}
     names = list(last.values())
     return {path: name if names.count(name) == 1 else path for path, name in last.items()}

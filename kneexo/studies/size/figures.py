@@ -38,7 +38,7 @@ _STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
 
 
 def figures(result: SizeResult) -> dict[str, Figure]:
-    """Draw the figures of a sizing. Return the figures by name.
+    """Draw the figures of a sizing. Return a dictionary from name to figure.
 
     They show sweeps and maps of the hardware, the gains, and tracking and demand over a gait cycle.
     """

@@ -53,7 +53,7 @@ class WalkingDesign:
 
     ``flow`` is the search for the smallest factor on the scenario's flow per motor revolution.
     ``acceleration`` is the search for the smallest acceleration limit of the motor in rad/s².
-    ``scenario`` has the two values that were found, times ``margin``. ``walking`` has the
+    ``scenario`` has the results of the two searches, times ``margin``. ``walking`` has the
     `walking_metrics` with the scenario's own solver. ``checked`` and ``halved`` have the same
     metrics with RK4, at the check step and at half the check step.
     """
@@ -76,10 +76,7 @@ class SizeResult(Result):
     nominal: Mapping[str, Any]
     """Bandwidth and error with the scenario's own hardware, controller and sine."""
     sweeps: Mapping[str, Sequence[Mapping[str, Any]]]
-    """Dictionary from a hardware value's path to a list with a dictionary for each factor.
-
-    The dictionary has the numbers of ``nominal`` after the hardware value was multiplied.
-    """
+    """Dictionary from a hardware value's path to results as in ``nominal`` for each factor."""
     bandwidth_map_hz: Array
     """Bandwidth in Hz over factors on the acceleration limit (rows) and the flow (columns)."""
     demands: Sequence[WalkingDemand]
@@ -92,10 +89,7 @@ class SizeResult(Result):
     """All tried gains, each with margins and metrics of walking at the highest stride frequency."""
     best_gains: Mapping[str, Any]
     steps: Mapping[str, Sequence[Mapping[str, Any]]]
-    """Dictionary from a stage to its `walking_metrics` for each stride frequency.
-
-    The stages lead from the scenario to a loop that walks.
-    """
+    """Dictionary from a stage of the tuning to its `walking_metrics` at each stride frequency."""
     designs: Sequence[WalkingDesign]
     """The design for each stride frequency. The fields below belong to the first design."""
     design_at_reference: Mapping[str, Any]

@@ -56,7 +56,7 @@ _IMPLICIT_STEP_S = 1e-3
 
 @needs_runs
 async def _at_reference(scenario: Scenario) -> dict[str, Any]:
-    """Return bandwidths and errors at the scenario's sine, by name.
+    """Return a dictionary with bandwidths and errors at the scenario's sine.
 
     If a computation fails, its numbers are nan, and ``failure`` has the reason.
     """
@@ -102,10 +102,10 @@ def smallest(
 ) -> Search:
     """Search for the smallest value in ``low`` … ``high`` (> 0) with an error up to ``bound_deg``.
 
-    The search bisects the value's logarithm until the relative interval is below ``tolerance``. It
-    assumes that the error does not increase with the value. A nan error exceeds every bound. If
-    the error at ``high`` exceeds the bound, the search tries nine values from ``low`` to ``high``
-    and returns the value of least error.
+    The search bisects the value's logarithm until the result is known to the relative
+    ``tolerance``. It assumes that the error does not increase with the value. A nan error exceeds
+    every bound. If the error at ``high`` exceeds the bound, the search tries nine values from
+    ``low`` to ``high`` and returns the value of least error.
     """
     at_low, at_high = error_deg(low), error_deg(high)
     if at_low <= bound_deg:

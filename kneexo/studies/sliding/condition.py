@@ -137,15 +137,17 @@ def error_bounds(
 async def check_sliding(
     settings: SlidingSettings, scenario: Scenario = SLIDING_LAW
 ) -> dict[str, Any]:
-    """Run a scenario and measure how well it meets the sliding condition. Return numbers by name.
+    """Run a scenario and measure how well it meets the sliding condition.
+
+    Returns a dictionary:
 
     - ``outside_share``: share of the samples with |s| > Φ. Of these samples, ``holding_share``
       fulfil s·ds/dt ≤ −η|s| and ``attracting_share`` fulfil s·ds/dt < 0. ``worst_rate_m_s3`` is
       the largest sgn(s)·ds/dt among them.
-    - ``reaching_s``: time at which |s| ≤ Φ for the first time. The sliding condition guarantees it
-      after ``promised_s`` at the latest.
-    - ``left_share``: share of the later samples that are outside again. ``largest_s`` is the
-      largest |s|/Φ among the later samples.
+    - ``reaching_s``: time at which |s| ≤ Φ for the first time. The sliding condition guarantees
+      |s| ≤ Φ after ``promised_s`` at the latest.
+    - ``left_share``: share of the samples after ``reaching_s`` that are outside again.
+      ``largest_s`` is the largest |s|/Φ among the samples after ``reaching_s``.
     - ``error_share``, ``rate_share``, ``acceleration_share``: largest |e|, |ė| and |ë| after the
       initial transient, relative to Slotine's bounds Φ/λ², 2Φ/λ and 4Φ.
     - ``bounded_share``: share of the samples with |e| within `error_bounds`, from the first time in
@@ -153,9 +155,10 @@ async def check_sliding(
 
     With a sampled law the shares above use ds/dt just after an update of the command.
     ``held_share`` is ``holding_share`` with ds/dt just before the next update. ``mean_share`` is
-    ``holding_share`` with the mean of the two ds/dt. A run that fails is repeated over half the
-    time until no run fails. ``failure`` has the first reason (else empty), ``duration_s`` the last
-    duration. Missing numbers are nan. ``trace`` has signals for figures.
+    ``holding_share`` with the mean of ds/dt from an update to the next update. If a run fails, it
+    is repeated over half the time until a run succeeds. ``failure`` has the first reason, or is
+    empty. ``duration_s`` is the last duration. Missing numbers are nan. ``trace`` has signals for
+    figures.
     """
     law = sliding_mode(scenario)
     measured: dict[str, Any] = dict.fromkeys(

@@ -18,8 +18,8 @@ _OFF = 40.0
 def _shown_eta(result: SlidingResult) -> float:
     """Return the η that the figures over time show.
 
-    It is the smallest η at which the run with the paper's gain k does not fail. If all these runs
-    fail, it is the first η of the settings.
+    This is the smallest η at which the run with the paper's gain k does not fail. If all these runs
+    fail, the result is the first η of the settings.
     """
     load = result.settings.loads_n[0]
     complete = [

@@ -62,11 +62,10 @@ def _keeps_its_promise(case: SlidingCase) -> bool:
 
 
 def _shares(result: SlidingResult) -> Iterator[dict[str, Any]]:
-    """Yield for each law the least and the largest share, in % over the runs, of good samples.
+    """Yield for each law the range, over its runs, of the share of samples that meet the condition.
 
-    The share counts the samples of a run outside the boundary layer that meet the sliding
-    condition. Only runs of the full-order plant with such a continuous law and samples outside
-    the layer count.
+    The share, in %, refers to the samples outside the boundary layer. Only runs of the full-order
+    plant with a continuous law and with such samples count.
     """
     for name, label in LAWS.items():
         shares = [
