@@ -20,9 +20,10 @@ class Uncertainty(Parameters):
     """The range of one value of a scenario: an interval ``low`` … ``high``, or ``options``.
 
     An interval has the unit of its value. Random values from an interval are uniform. With
-    ``scale: log`` their logarithm is uniform, which suits a value of which only the order of
-    magnitude is known. All options are equally likely. With ``known`` the controller knows the
-    value, so its nominal plant changes too. ``source`` says where the range comes from.
+    ``scale: log`` the logarithm of the random values is uniform, which suits a value known only by
+    its order of magnitude. All options are equally likely. With ``known`` the controller knows the
+    value, so the controller's nominal plant changes too. ``source`` says where the range comes
+    from.
     """
 
     low: float | None = None
@@ -170,7 +171,7 @@ def require_applicable(
 
 
 def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, Any]]:
-    """Sample the uncertain values ``count`` times at random, independently.
+    """Sample the uncertain values ``count`` times at random. The samples are independent.
 
     Returns one dictionary per sample, from dotted path to value. A larger ``count`` with the same
     ``seed`` begins with the same samples.

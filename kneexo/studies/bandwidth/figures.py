@@ -136,7 +136,7 @@ def plot_bode(result: BandwidthResult) -> Figure:
 def plot_rate_limit(result: BandwidthResult) -> Figure:
     """Draw rate-limited sines over time, and all gains over aω/R beside their closed form.
 
-    The reference requires a rod speed of amplitude aω. R is the rod's speed limit.
+    aω is the amplitude of the rod speed that the reference requires. R is the rod's speed limit.
     """
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     time = np.linspace(0.0, 4.0, 4001)

@@ -91,12 +91,13 @@ class BandwidthResult(Result):
     ``bandwidths`` maps a name to frequencies (m,) in Hz. ``measured_hz`` is the measured −3 dB
     frequency (`large_signal_bandwidth_hz`). Four −3 dB frequencies are predicted from one limit
     each: ``linear_loop_hz``, ``acceleration_bound_hz``, ``follower_hz`` (speed limit, through x(θ))
-    and ``rate_limit_hz`` (speed limit, closed form for a sine of the rod).
-    ``speed_limit_reached_hz`` is the frequency above which the reference exceeds the speed limit.
+    and ``rate_limit_hz`` (speed limit, closed form for a sine of the rod). Above
+    ``speed_limit_reached_hz`` the reference requires more than the speed limit.
 
     ``linear`` (n,) is the response of the linear loop. ``follower`` (m, n) is the response of a rod
-    that is limited only in speed. ``unquantized`` (n,) is the response at the smallest amplitude
-    without quantizers. ``unlimited`` (n,) is True where the motor then stays off its limits.
+    that is limited only in speed. ``unquantized`` (n,) is the response without quantizers at the
+    smallest amplitude. ``unlimited`` (n,) is True for the frequencies at which the motor stays off
+    its limits in this measurement without quantizers.
     """
 
     amplitudes_deg: Array
@@ -106,7 +107,7 @@ class BandwidthResult(Result):
     bandwidths: dict[str, Array]
     linear: Complex
     linear_failure: str
-    """The reason why the loop could not be linearized, or an empty text. ``linear`` is then nan."""
+    """Empty, or the reason why the loop could not be linearized, so that ``linear`` is nan."""
     follower: Complex
     unquantized: Complex
     unlimited: Any

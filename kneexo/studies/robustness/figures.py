@@ -79,7 +79,7 @@ def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
 
 
 def tornado(result: RobustnessResult) -> Figure:
-    """Draw how error, bandwidth and disk margin change when one uncertain value varies alone.
+    """Draw how error, bandwidth and disk margin change when a single uncertain value varies.
 
     The uncertain value with the largest effect is on top.
     """
