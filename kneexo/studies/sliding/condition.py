@@ -23,7 +23,9 @@ includes the initial transient.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Self
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
@@ -51,6 +53,81 @@ _TRACE_POINTS = 600
 
 _SHORTEST = 20
 """Number of samples of the shortest run that is evaluated."""
+
+
+@dataclass(frozen=True)
+class SlidingTrace:
+    """Signals of a run for figures, thinned to at most 600 samples each."""
+
+    time_s: Sequence[float]
+    """Times in s of ``s_m_s2``, ``error_m`` and ``bound_m``."""
+    s_m_s2: Sequence[float]
+    """The sliding variable s in m/s²."""
+    error_m: Sequence[float]
+    """The rod's error e in m."""
+    bound_m: Sequence[float]
+    """The bound on |e| in m by `error_bounds`; nan where ``bounded_share`` does not count."""
+    outside_time_s: Sequence[float]
+    """Times in s of ``reaching_rate_m_s3``; empty if no sample is outside the layer."""
+    reaching_rate_m_s3: Sequence[float]
+    """sgn(s)·ds/dt in m/s³ of the samples outside the layer."""
+
+
+@dataclass(frozen=True)
+class SlidingMeasurement:
+    """How far one run keeps the sliding condition and the bounds on the error.
+
+    With a sampled law ds/dt is that just after an update of the command, if a field does not say
+    otherwise.
+    """
+
+    outside_share: float
+    """Share of the samples outside the layer, |s| > Φ."""
+    holding_share: float
+    """Share of the samples outside that fulfil s·ds/dt ≤ −η|s|; nan without such samples."""
+    attracting_share: float
+    """Share of the samples outside that fulfil s·ds/dt < 0; nan without such samples."""
+    worst_rate_m_s3: float
+    """Largest sgn(s)·ds/dt in m/s³ of the samples outside; nan without such samples."""
+    held_share: float
+    """``holding_share`` with ds/dt just before the next update; nan also for a continuous law."""
+    mean_share: float
+    """``holding_share`` with the mean of ds/dt up to the next update.
+
+    It is nan also for a continuous law.
+    """
+    reaching_s: float
+    """Time in s at which |s| ≤ Φ for the first time; nan if s does not reach the layer."""
+    left_share: float
+    """Share of samples outside from ``reaching_s`` on; nan if s does not reach the layer."""
+    largest_s: float
+    """Largest |s|/Φ from ``reaching_s`` on; nan if s does not reach the layer."""
+    error_share: float
+    """Largest |e| after the initial transient, relative to Φ/λ²; nan if the run ends before."""
+    rate_share: float
+    """Largest |ė| after the initial transient, relative to 2Φ/λ; nan if the run ends before."""
+    acceleration_share: float
+    """Largest |ë| after the initial transient, relative to 4Φ; nan if the run ends before."""
+    bounded_share: float
+    """Share of the samples with |e| within `error_bounds`, from ``reaching_s`` until s leaves.
+
+    It is nan if s does not reach the layer.
+    """
+    largest_error_mm: float
+    """Largest |e| in mm after the initial transient; nan if the run ends before."""
+    failure: str
+    """Reason why the run failed over its whole duration; empty if the run did not fail."""
+    duration_s: float
+    """Duration in s of the measured run: the scenario's, halved until the run does not fail."""
+    promised_s: float
+    """Time in s until s reaches the layer at the latest if the condition holds; 0 for η = 0."""
+    trace: SlidingTrace
+    """Signals for figures."""
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> Self:
+        """Return the measurement whose `dataclasses.asdict` is ``data``."""
+        return cls(**{**data, "trace": SlidingTrace(**data["trace"])})
 
 
 def plant_state_columns(plant: PlantParameters) -> tuple[tuple[str, float], ...]:
@@ -137,41 +214,12 @@ def error_bounds(
 async def check_sliding(
     settings: SlidingSettings, scenario: Scenario = SLIDING_LAW
 ) -> dict[str, Any]:
-    """Run a scenario and measure how well it meets the sliding condition.
+    """Run a scenario; return its `SlidingMeasurement` as plain data, which a checkpoint can store.
 
-    Returns a dictionary:
-
-    - ``outside_share``: share of the samples with |s| > Φ. Of these samples, ``holding_share``
-      fulfil s·ds/dt ≤ −η|s| and ``attracting_share`` fulfil s·ds/dt < 0. ``worst_rate_m_s3`` is
-      the largest sgn(s)·ds/dt among them.
-    - ``reaching_s``: time at which |s| ≤ Φ for the first time. The sliding condition guarantees
-      |s| ≤ Φ after ``promised_s`` at the latest.
-    - ``left_share``: share of the samples after ``reaching_s`` that are outside again.
-      ``largest_s`` is the largest |s|/Φ among the samples after ``reaching_s``.
-    - ``error_share``, ``rate_share``, ``acceleration_share``: largest |e|, |ė| and |ë| after the
-      initial transient, relative to Slotine's bounds Φ/λ², 2Φ/λ and 4Φ.
-    - ``bounded_share``: share of the samples with |e| within `error_bounds`, from the first time in
-      the boundary layer |s| ≤ Φ until s leaves the layer.
-
-    With a sampled law the shares above use ds/dt just after an update of the command.
-    ``held_share`` is ``holding_share`` with ds/dt just before the next update. ``mean_share`` is
-    ``holding_share`` with the mean of ds/dt from an update to the next update. If a run fails, it
-    is repeated over half the time until a run succeeds. ``failure`` has the first reason, or is
-    empty. ``duration_s`` is the last duration. Missing numbers are nan. ``trace`` has signals for
-    figures.
+    A run that fails is repeated over half the time until it does not fail.
     """
     law = sliding_mode(scenario)
-    measured: dict[str, Any] = dict.fromkeys(
-        (
-            *("outside_share", "holding_share", "attracting_share", "worst_rate_m_s3"),
-            *("held_share", "mean_share", "reaching_s", "left_share", "largest_s"),
-            *("error_share", "rate_share", "acceleration_share", "bounded_share"),
-            "largest_error_mm",
-        ),
-        math.nan,
-    )
-    run, measured["failure"] = await _longest_run(scenario)
-    measured["duration_s"] = float(run.time_s[-1])
+    run, failure = await _longest_run(scenario)
     command = run["motor_speed_command_rad_s"]
     if not law.continuous:
         command = command[1:]  # a sample's log has the command that was held before the sample
@@ -184,33 +232,22 @@ async def check_sliding(
     rate = (run["rod_velocity_m_s"] - run["rod_reference_velocity_m_s"])[rows]
     time, phi, lambda_ = run.time_s[rows], law.phi_m_s2, law.lambda_per_s
     outside = np.abs(s) > phi
-    measured["outside_share"] = float(np.mean(outside))
-    measured["promised_s"] = (
-        max(0.0, float(abs(s[0]) - phi)) / law.eta_m_s3 if law.eta_m_s3 else 0.0
-    )
 
     chosen = _thinned(np.flatnonzero(outside), settings.rated_samples)
-    reaching_rate = np.empty(0)
-    if chosen.size:
-        eta = law.eta_m_s3 * (1.0 - _ROUNDING)
-        reaching_rate = _reaching_rate(scenario, run, chosen, command[chosen])
-        measured["holding_share"] = float(np.mean(reaching_rate <= -eta))
-        measured["attracting_share"] = float(np.mean(reaching_rate < 0.0))
-        measured["worst_rate_m_s3"] = float(np.max(reaching_rate))
-        if not law.continuous:
-            inner = chosen[chosen < rows.size - 1]
-            late = _reaching_rate(scenario, run, inner + 1, command[inner])
-            mean = np.sign(s[inner]) * (s[inner + 1] - s[inner]) / law.sample_time_s
-            measured["held_share"] = float(np.mean(late <= -eta))
-            measured["mean_share"] = float(np.mean(mean <= -eta))
-    bound = np.full(time.size, math.nan)
-    if not outside.all():
-        reached = int(np.argmin(outside))
-        measured["reaching_s"] = float(time[reached])
-        measured["left_share"] = float(np.mean(outside[reached:]))
-        measured["largest_s"] = float(np.max(np.abs(s[reached:]))) / phi
-        left = reached + int(np.argmax(outside[reached:])) if outside[reached:].any() else time.size
-        inside = slice(reached, left)
+    eta = law.eta_m_s3 * (1.0 - _ROUNDING)
+    reaching_rate = _reaching_rate(scenario, run, chosen, command[chosen])
+    # Only a sampled law has updates, thus a rate before the next update.
+    inner = chosen[:0] if law.continuous else chosen[chosen < rows.size - 1]
+    held_rate = _reaching_rate(scenario, run, inner + 1, command[inner])
+    mean_rate = np.sign(s[inner]) * (s[inner + 1] - s[inner]) / law.sample_time_s
+
+    reached = time.size if outside.all() else int(np.argmin(outside))
+    again = outside[reached:]
+    left = reached + int(np.argmax(again)) if again.any() else time.size
+    inside = slice(reached, left)
+    reaching_s, bound = math.nan, np.full(time.size, math.nan)
+    if reached < time.size:
+        reaching_s = float(time[reached])
         bound[inside], _ = error_bounds(
             time[inside],
             float(error[reached]),
@@ -218,26 +255,40 @@ async def check_sliding(
             lambda_per_s=lambda_,
             phi_m_s2=phi,
         )
-        within = np.abs(error[inside]) <= bound[inside] * (1.0 + _ROUNDING)
-        measured["bounded_share"] = float(np.mean(within))
-        late = time >= time[reached] + settings.settling_factor / lambda_
-        if late.any():
-            acceleration = s[late] - 2.0 * lambda_ * rate[late] - lambda_**2 * error[late]
-            measured["largest_error_mm"] = 1e3 * float(np.max(np.abs(error[late])))
-            measured["error_share"] = float(np.max(np.abs(error[late]))) * lambda_**2 / phi
-            measured["rate_share"] = float(np.max(np.abs(rate[late]))) * lambda_ / (2.0 * phi)
-            measured["acceleration_share"] = float(np.max(np.abs(acceleration))) / (4.0 * phi)
+    late = time >= reaching_s + settings.settling_factor / lambda_
+    acceleration = s[late] - 2.0 * lambda_ * rate[late] - lambda_**2 * error[late]
+    largest_error = _largest(np.abs(error[late]))
+
     points = _thinned(rows, _TRACE_POINTS)
     shown = np.linspace(0, chosen.size - 1, min(chosen.size, _TRACE_POINTS)).astype(int)
-    measured["trace"] = {
-        "time_s": time[points].tolist(),
-        "s_m_s2": s[points].tolist(),
-        "error_m": error[points].tolist(),
-        "bound_m": bound[points].tolist(),
-        "outside_time_s": time[chosen[shown]].tolist(),
-        "reaching_rate_m_s3": reaching_rate[shown].tolist(),
-    }
-    return measured
+    measurement = SlidingMeasurement(
+        outside_share=_share(outside),
+        holding_share=_share(reaching_rate <= -eta),
+        attracting_share=_share(reaching_rate < 0.0),
+        worst_rate_m_s3=_largest(reaching_rate),
+        held_share=_share(held_rate <= -eta),
+        mean_share=_share(mean_rate <= -eta),
+        reaching_s=reaching_s,
+        left_share=_share(again),
+        largest_s=_largest(np.abs(s[reached:])) / phi,
+        error_share=largest_error * lambda_**2 / phi,
+        rate_share=_largest(np.abs(rate[late])) * lambda_ / (2.0 * phi),
+        acceleration_share=_largest(np.abs(acceleration)) / (4.0 * phi),
+        bounded_share=_share(np.abs(error[inside]) <= bound[inside] * (1.0 + _ROUNDING)),
+        largest_error_mm=1e3 * largest_error,
+        failure=failure,
+        duration_s=float(run.time_s[-1]),
+        promised_s=max(0.0, float(abs(s[0]) - phi)) / law.eta_m_s3 if law.eta_m_s3 else 0.0,
+        trace=SlidingTrace(
+            time_s=time[points].tolist(),
+            s_m_s2=s[points].tolist(),
+            error_m=error[points].tolist(),
+            bound_m=bound[points].tolist(),
+            outside_time_s=time[chosen[shown]].tolist(),
+            reaching_rate_m_s3=reaching_rate[shown].tolist(),
+        ),
+    )
+    return asdict(measurement)
 
 
 async def _longest_run(scenario: Scenario) -> tuple[Run, str]:
@@ -265,6 +316,16 @@ def _reaching_rate(scenario: Scenario, run: Run, rows: Array, command: Array) ->
     """
     s, s_rate = sliding_rates(scenario, run, rows, command)
     return np.asarray(np.sign(s) * s_rate)
+
+
+def _share(fulfilled: Any) -> float:
+    """Return the share of the true samples; nan without samples."""
+    return float(np.mean(fulfilled)) if fulfilled.size else math.nan
+
+
+def _largest(values: Array) -> float:
+    """Return the largest value; nan without values."""
+    return float(np.max(values)) if values.size else math.nan
 
 
 def _thinned(rows: Any, largest: int) -> Any:

@@ -25,7 +25,7 @@ def _shown_eta(result: SlidingResult) -> float:
     complete = [
         case.eta_m_s3
         for case in result.of("motion", plant="full", law="paper", load_n=load)
-        if not case.measured["failure"]
+        if not case.measured.failure
     ]
     return min(complete, default=result.settings.etas_m_s3[0])
 
@@ -43,11 +43,11 @@ def condition(result: SlidingResult) -> Figure:
         (ax[1], "motion", _shown_eta(result), 1.0),
     ):
         for case in result.of(part, plant="full", load_n=load, eta_m_s3=eta):
-            trace = case.measured["trace"]
-            if trace["outside_time_s"]:
+            trace = case.measured.trace
+            if trace.outside_time_s:
                 axis.plot(
-                    scale * np.array(trace["outside_time_s"]),
-                    trace["reaching_rate_m_s3"],
+                    scale * np.array(trace.outside_time_s),
+                    trace.reaching_rate_m_s3,
                     f"C{list(LAWS).index(case.law)}.",
                     ms=3,
                     label=LAWS[case.law],
@@ -73,12 +73,12 @@ def error_bound(result: SlidingResult) -> Figure:
     eta, bound = _shown_eta(result), 1e3 * law.phi_m_s2 / law.lambda_per_s**2
     for axis, load in zip(ax[0], loads, strict=True):
         for case in result.of("motion", plant="full", load_n=load, eta_m_s3=eta):
-            trace, color = case.measured["trace"], f"C{list(LAWS).index(case.law)}"
-            error = 1e3 * np.abs(np.array(trace["error_m"]))
-            axis.semilogy(trace["time_s"], error, color, lw=1.2, label=LAWS[case.law])
-            if case.measured["failure"]:
+            trace, color = case.measured.trace, f"C{list(LAWS).index(case.law)}"
+            error = 1e3 * np.abs(np.array(trace.error_m))
+            axis.semilogy(trace.time_s, error, color, lw=1.2, label=LAWS[case.law])
+            if case.measured.failure:
                 label = f"{LAWS[case.law]}: leaves the range of motion"
-                axis.plot(trace["time_s"][-1], error[-1], f"{color}x", ms=8, label=label)
+                axis.plot(trace.time_s[-1], error[-1], f"{color}x", ms=8, label=label)
         axis.axhline(bound, color="k", ls="--", lw=1, label=f"Φ/λ² = {bound:g} mm")
         axis.set(xlabel="time (s)", ylabel="|e| (mm)", title=f"{load:g} N, η = {eta:g} m/s³")
         axis.set_ylim(bottom=1e-3)
@@ -97,12 +97,12 @@ def boundary_layer(result: SlidingResult) -> Figure:
             cases = result.of("motion", plant="full", law=name, load_n=load)
             ax.loglog(
                 [case.eta_m_s3 for case in cases],
-                [math.nan if c.measured["failure"] else c.measured["largest_s"] for c in cases],
+                [math.nan if c.measured.failure else c.measured.largest_s for c in cases],
                 f"C{index}{style}o",
                 ms=3,
                 label=f"{label}, {load:g} N",
             )
-            off = [case.eta_m_s3 for case in cases if case.measured["failure"]]
+            off = [case.eta_m_s3 for case in cases if case.measured.failure]
             text = f"{label}, {load:g} N: left the range" if off else None
             marker = "x" if load < 0.0 else "+"
             ax.plot(off, [_OFF] * len(off), f"C{index}{marker}", ms=9, label=text)

@@ -28,7 +28,7 @@ def report(result: SlidingResult) -> str:
         law=law,
         law_label=lambda case: LAWS[case.law],
         measured=_measured,
-        outcome=lambda case: "left the range of motion" if case.measured["failure"] else "complete",
+        outcome=lambda case: "left the range of motion" if case.measured.failure else "complete",
         promise_kept=sum(map(_keeps_its_promise, derived)),
         promise_cases=len(derived),
         loads=[
@@ -47,17 +47,17 @@ def report(result: SlidingResult) -> str:
 
 
 def _measured(name: str, factor: float = 1.0) -> Cell:
-    """Return a function that prints the number ``name`` from `check_sliding` times ``factor``."""
+    """Return a function that prints a case's measured number ``name`` times ``factor``."""
 
     def text(case: SlidingCase) -> str:
-        return number(factor * case.measured[name])
+        return number(factor * getattr(case.measured, name))
 
     return text
 
 
 def _keeps_its_promise(case: SlidingCase) -> bool:
     """Return True if s stays in the boundary layer and all samples outside meet the condition."""
-    outside, holding = case.measured["outside_share"], case.measured["holding_share"]
+    outside, holding = case.measured.outside_share, case.measured.holding_share
     return case.stays and (not outside or holding == 1.0)
 
 
@@ -69,9 +69,9 @@ def _shares(result: SlidingResult) -> Iterator[dict[str, Any]]:
     """
     for name, label in LAWS.items():
         shares = [
-            case.measured["holding_share"]
+            case.measured.holding_share
             for case in result.cases
-            if case.plant == "full" and case.law == name and case.measured["outside_share"] > 0.0
+            if case.plant == "full" and case.law == name and case.measured.outside_share > 0.0
         ]
         if shares:
             yield {"law": label, "low": 100.0 * min(shares), "high": 100.0 * max(shares)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Unpack
@@ -24,7 +23,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.result import Result
-from kneexo.studies.sliding.condition import check_sliding
+from kneexo.studies.sliding.condition import SlidingMeasurement, check_sliding
 from kneexo.studies.sliding.settings import SLIDING_LAW, SlidingSettings
 from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.knee_coordinates import rod_derivatives
@@ -84,12 +83,19 @@ class SlidingCase:
     law: str
     load_n: float
     eta_m_s3: float
-    measured: Mapping[str, Any]
+    measured: SlidingMeasurement
 
     @property
     def stays(self) -> bool:
         """True if the run completed and s, once in the boundary layer |s| ≤ Φ, never left it."""
-        return not self.measured["failure"] and self.measured["left_share"] == 0.0
+        return not self.measured.failure and self.measured.left_share == 0.0
+
+    def results(self) -> dict[str, Any]:
+        """Return the labels, then the measured numbers without the trace, as plain data."""
+        labels = asdict(self)
+        numbers = labels.pop("measured")
+        del numbers["trace"]
+        return labels | numbers
 
 
 def full_order(scenario: Scenario) -> Scenario:
@@ -243,11 +249,7 @@ class SlidingResult(Result):
                 for law in LAWS
             },
             "effective_mass_kg": effective_masses_kg(full_order(self.scenario)),
-            "cases": [
-                {name: value for name, value in asdict(case).items() if name != "measured"}
-                | {name: value for name, value in case.measured.items() if name != "trace"}
-                for case in self.cases
-            ],
+            "cases": [case.results() for case in self.cases],
         }
 
 
@@ -277,8 +279,8 @@ def sliding_study(
         )
     return SlidingResult(
         cases=tuple(
-            SlidingCase(*labels, outcome)
-            for (labels, _), outcome in zip(labelled, outcomes, strict=True)
+            SlidingCase(*labels, SlidingMeasurement.from_data(data))
+            for (labels, _), data in zip(labelled, outcomes, strict=True)
         ),
         needed=needed_eta(scenario),
         scenario=scenario,

@@ -21,6 +21,7 @@ from kneexo.parameters import PidParameters, Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
 from kneexo.simulation.run import Run
 from kneexo.studies.sliding.condition import (
+    SlidingMeasurement,
     check_sliding,
     error_bounds,
     sliding_rates,
@@ -39,6 +40,11 @@ def short(duration, log, **values):
     """The ideal law over a short time, logged finely."""
     times = {"simulation.duration_s": duration, "controller.sample_time_s": log}
     return changed(SLIDING_LAW, times | values)
+
+
+def checked(scenario):
+    """The measurement of a scenario."""
+    return SlidingMeasurement.from_data(check_sliding(SETTINGS, scenario))
 
 
 def test_rate_is_that_of_the_equations_by_hand():
@@ -143,16 +149,16 @@ FULL = {"plant.full_order": {}, "plant.load.disturbance_n": 60.0}
 @pytest.mark.parametrize("mass", [1.4, 1.8])
 def test_reduced_order_keeps_the_promise_with_every_mass(mass):
     values = START | {"plant.cylinder.mass_kg": mass, "plant.load.disturbance_n": 60.0}
-    measured = check_sliding(SETTINGS, short(0.002, 2e-5, **values))
-    assert (measured["failure"], measured["holding_share"], measured["left_share"]) == (
+    measured = checked(short(0.002, 2e-5, **values))
+    assert (measured.failure, measured.holding_share, measured.left_share) == (
         "",
         1.0,
         0.0,
     )
-    assert 0.0 < measured["reaching_s"] <= measured["promised_s"] + 2e-5
-    assert measured["promised_s"] == pytest.approx(0.8 / 1e3, rel=0.02)  # s starts at about −4 m/s²
-    assert measured["worst_rate_m_s3"] < -1e3
-    assert measured["bounded_share"] == 1.0
+    assert 0.0 < measured.reaching_s <= measured.promised_s + 2e-5
+    assert measured.promised_s == pytest.approx(0.8 / 1e3, rel=0.02)  # s starts at about −4 m/s²
+    assert measured.worst_rate_m_s3 < -1e3
+    assert measured.bounded_share == 1.0
 
 
 @pytest.mark.parametrize(
@@ -161,12 +167,12 @@ def test_reduced_order_keeps_the_promise_with_every_mass(mass):
     ids=list(LAWS),
 )
 def test_full_order_needs_the_area_to_attract_and_the_gain_to_hold(law, attracts, holds):
-    measured = check_sliding(SETTINGS, short(0.006, 2e-5, **START, **FULL, **law))
-    assert (measured["attracting_share"] == 1.0) is attracts
-    assert (measured["holding_share"] == 1.0) is holds
-    assert (measured["left_share"] == 0.0) is attracts
-    assert measured["holding_share"] < 0.1 or holds
-    assert measured["bounded_share"] == 1.0
+    measured = checked(short(0.006, 2e-5, **START, **FULL, **law))
+    assert (measured.attracting_share == 1.0) is attracts
+    assert (measured.holding_share == 1.0) is holds
+    assert (measured.left_share == 0.0) is attracts
+    assert measured.holding_share < 0.1 or holds
+    assert measured.bounded_share == 1.0
 
 
 def test_worst_rate_is_the_closed_form():

@@ -20,15 +20,15 @@ def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
     first = study.settings.loads_n[0]
     # Over time the smallest η with which the paper's k ends its run; the first load alone.
     same_law = study.of("motion", plant="full", law="paper", load_n=first)
-    smallest = min(case.eta_m_s3 for case in same_law if not case.measured["failure"])
+    smallest = min(case.eta_m_s3 for case in same_law if not case.measured.failure)
     panels = ("start", study.settings.start_eta_m_s3, 1e3), ("motion", smallest, 1.0)
     for ax, (part, eta, scale) in zip(drawn["sliding_condition"].axes, panels, strict=True):
         lines = curves(ax)
         for case in study.of(part, plant="full", load_n=first, eta_m_s3=eta):
-            trace = case.measured["trace"]
-            if len(trace["outside_time_s"]):
-                times = [scale * t for t in trace["outside_time_s"]]
-                assert_line(lines.pop(LAWS[case.law]), times, trace["reaching_rate_m_s3"])
+            trace = case.measured.trace
+            if len(trace.outside_time_s):
+                times = [scale * t for t in trace.outside_time_s]
+                assert_line(lines.pop(LAWS[case.law]), times, trace.reaching_rate_m_s3)
         assert lines.pop(f"−η, η = {eta:g} m/s³")[1] == pytest.approx([-eta, -eta])
         assert lines == {}
         assert [list(line.get_ydata()) for line in ax.lines if line.get_label()[0] == "_"] == [
@@ -41,12 +41,12 @@ def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
     for ax, load in zip(drawn["error_bound"].axes, study.settings.loads_n, strict=True):
         lines = curves(ax)
         for case in study.of("motion", plant="full", load_n=load, eta_m_s3=smallest):
-            trace = case.measured["trace"]
-            error = [1e3 * abs(e) for e in trace["error_m"]]
-            assert_line(lines.pop(LAWS[case.law]), trace["time_s"], error)
-            if case.measured["failure"]:
+            trace = case.measured.trace
+            error = [1e3 * abs(e) for e in trace.error_m]
+            assert_line(lines.pop(LAWS[case.law]), trace.time_s, error)
+            if case.measured.failure:
                 cross = lines.pop(f"{LAWS[case.law]}: leaves the range of motion")
-                assert_line(cross, trace["time_s"][-1:], error[-1:])
+                assert_line(cross, trace.time_s[-1:], error[-1:])
         assert lines.pop("Φ/λ² = 8 mm")[1] == pytest.approx([8.0, 8.0])
         assert lines == {}
         assert ax.get_title() == f"{load:g} N, η = {smallest:g} m/s³"
@@ -56,10 +56,9 @@ def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
     for law, label in LAWS.items():
         for load in study.settings.loads_n:
             same_law = study.of("motion", plant="full", law=law, load_n=load)
-            failed = [case.eta_m_s3 for case in same_law if case.measured["failure"]]
+            failed = [case.eta_m_s3 for case in same_law if case.measured.failure]
             largest = [
-                math.nan if case.measured["failure"] else case.measured["largest_s"]
-                for case in same_law
+                math.nan if case.measured.failure else case.measured.largest_s for case in same_law
             ]
             etas = [case.eta_m_s3 for case in same_law]
             assert_line(lines.pop(f"{label}, {load:g} N"), etas, largest)

@@ -21,13 +21,13 @@ def test_every_cell_of_the_report_is_in_its_case(study, tables, check_cells):
         }
 
     def percent(case, **names):
-        return {title: 100.0 * case.measured[name] for name, title in names.items()}
+        return {title: 100.0 * getattr(case.measured, name) for name, title in names.items()}
 
     def reaching(case):
         return {
-            "reached after (ms)": 1e3 * case.measured["reaching_s"],
-            "promised (ms)": 1e3 * case.measured["promised_s"],
-            "outside again (%)": 100.0 * case.measured["left_share"],
+            "reached after (ms)": 1e3 * case.measured.reaching_s,
+            "promised (ms)": 1e3 * case.measured.promised_s,
+            "outside again (%)": 100.0 * case.measured.left_share,
         }
 
     holds = "s·ds/dt ≤ −η¦s¦"
@@ -42,9 +42,9 @@ def test_every_cell_of_the_report_is_in_its_case(study, tables, check_cells):
                 attracting_share="there s·ds/dt < 0 (%)",
             )
             | {
-                "largest ¦s¦/Φ": case.measured["largest_s"],
-                "largest error (mm)": case.measured["largest_error_mm"],
-                "run": "left the range of motion" if case.measured["failure"] else "complete",
+                "largest ¦s¦/Φ": case.measured.largest_s,
+                "largest error (mm)": case.measured.largest_error_mm,
+                "run": "left the range of motion" if case.measured.failure else "complete",
             }
             for case in study.of("motion")
         ],
@@ -54,7 +54,7 @@ def test_every_cell_of_the_report_is_in_its_case(study, tables, check_cells):
         [
             labels(case)
             | percent(case, holding_share=f"outside: {holds} (%)")
-            | {"largest sgn(s)·ds/dt (m/s³)": case.measured["worst_rate_m_s3"]}
+            | {"largest sgn(s)·ds/dt (m/s³)": case.measured.worst_rate_m_s3}
             | reaching(case)
             for case in study.of("start")
         ],
@@ -70,7 +70,7 @@ def test_every_cell_of_the_report_is_in_its_case(study, tables, check_cells):
                 mean_share="on the mean",
             )
             | reaching(case)
-            | {"largest error (mm)": case.measured["largest_error_mm"]}
+            | {"largest error (mm)": case.measured.largest_error_mm}
             for case in study.of("sampled")
         ],
     )
@@ -80,7 +80,7 @@ def test_the_findings_have_the_numbers_of_the_results(by_hand):
     text = report(by_hand)
     full = [c for c in by_hand.cases if c.plant == "full"]
     shares = {
-        name: [100.0 * c.measured["holding_share"] for c in full if c.law == name] for name in LAWS
+        name: [100.0 * c.measured.holding_share for c in full if c.law == name] for name in LAWS
     }
     for said in (
         "λ = 20 1/s, Φ = 3.2 m/s²",

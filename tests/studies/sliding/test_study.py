@@ -1,6 +1,7 @@
 """The sliding condition: ds/dt against two oracles, the bounds on the error, and the verdicts."""
 
 import math
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -198,7 +199,7 @@ def test_every_case_is_measured_in_its_own_run(small_study, flat):
     for case, (labels, scenario) in zip(study.cases, expected, strict=True):
         assert (case.part, case.plant, case.law, case.load_n, case.eta_m_s3) == labels
         by_numpy = measured(scenario)
-        assert flat(case.measured) == pytest.approx(flat(by_numpy), nan_ok=True), labels
+        assert flat(asdict(case.measured)) == pytest.approx(flat(by_numpy), nan_ok=True), labels
         for name, value in by_numpy.items():
             shares.setdefault(name, set()).add(value if name != "trace" else "")
     # Each share has a chance to be wrong, but for that of the bounds, which always hold.
@@ -229,7 +230,7 @@ def test_results_are_the_cases_without_their_traces(by_hand, flat, check_rules):
         "cases": [
             {"part": c.part, "plant": c.plant, "law": c.law, "load_n": c.load_n}
             | {"eta_m_s3": c.eta_m_s3}
-            | {name: value for name, value in c.measured.items() if name != "trace"}
+            | {name: value for name, value in asdict(c.measured).items() if name != "trace"}
             for c in by_hand.cases
         ],
     }
@@ -248,11 +249,11 @@ def test_paper_s_k_suffices_from_the_closed_forms_on():
         assert study.smallest_eta(law, 60.0) == study.smallest_eta(law, -60.0) == 3e4
     for case in study.of("motion", plant="reduced, 1.8 kg"):
         assert case.stays
-        assert case.measured["error_share"] < 0.05
+        assert case.measured.error_share < 0.05
     # At 2 ms no mean rate keeps the promise, and the layer is reached by speed alone.
     for case in study.of("sampled"):
-        assert case.measured["mean_share"] == 0.0
-        assert case.measured["reaching_s"] > 50.0 * case.measured["promised_s"]
+        assert case.measured.mean_share == 0.0
+        assert case.measured.reaching_s > 50.0 * case.measured.promised_s
     default = study.of("sampled", plant="full, motor, encoder, observer")
     assert all(case.stays for case in default)
     for figure in figures(study).values():
