@@ -68,8 +68,8 @@ class SineEstimate(Result):
     """Complex response θ_p/θ_d of the knee angle to a sine in its reference.
 
     The response is an average over the last cycles of a run. ``uncertainty`` is the absolute error
-    of the complex response (`response_uncertainty`), without errors that are equal in all cycles.
-    ``settled`` is True if each averaged cycle agrees with the next within the tolerance. If
+    of the complex response (`response_uncertainty`); errors that are equal in all cycles do not
+    count. ``settled`` is True if each averaged cycle agrees with the next within the tolerance. If
     the response has not settled, the averaged cycles are the second half of the run.
     ``speed_limited_share`` is the share of the averaged samples in which the motor is within 1 % of
     its speed limit, and ``acceleration_limited_share`` is the same for the acceleration limit.

@@ -196,7 +196,7 @@ def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
 
 
 def moment_arm_m(scenario: Scenario, knee_angle_rad: Array) -> Array:
-    """Return the moment arm −dx/dθ_p in m at knee angles in rad, as a difference of `rod_of`."""
+    """Return the moment arm −dx/dθ_p in m at knee angles in rad: a central difference quotient."""
     before, after = (rod_of(scenario, knee_angle_rad + h) for h in (-_ANGLE_STEP, _ANGLE_STEP))
     return (before - after) / (2.0 * _ANGLE_STEP)
 

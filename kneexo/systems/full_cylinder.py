@@ -123,13 +123,13 @@ class FullCylinder(Cylinder):
     V_1 = V_d + A_1 x, V_2 = V_d + A_2 (stroke − x), P_L = P_1 − P_2.
 
     Eq. 12 gives Q_1, Q_2 = Q_L ∓ C_em/2 ((P_1 − P_r) + (P_2 − P_r)), because the external leakage
-    of the pump returns to the reservoir. Q_m connects the line with the lower pressure to the
-    reservoir (`makeup_flow`), and Q_r relieves both lines (`relief_flow`). The rod speed therefore
+    of the pump returns to the reservoir. Q_m flows from the reservoir into the line with the lower
+    pressure (`makeup_flow`), and Q_r relieves both lines (`relief_flow`). The rod speed therefore
     depends on the loaded chamber, not on the direction: it is Q/A_1 where
-    F_L > P_r (A_1 − A_2), which loads the cap side, and Q/A_2 otherwise. Within a few newtons of
-    this switching force a retracting rod oscillates between both speeds, by default at 12…23 N.
-    Coulomb friction shifts these forces by its own amount. Runs by Drake's ``radau3`` then take ten
-    times as long.
+    F_L > P_r (A_1 − A_2), which loads the cap side, and Q/A_2 otherwise. At load forces within a
+    few newtons of P_r (A_1 − A_2), by default 12…23 N, a retracting rod oscillates between both
+    speeds. Coulomb friction shifts this range of forces by its own amount. While the rod
+    oscillates, Drake's ``radau3`` takes ten times as long.
 
     =================  ====  ===========  ===============================================
     input port         size  unit

@@ -25,8 +25,8 @@ HEAD = 0.9
 """Length of the drawn cylinder, divided by the length of the drawn rod.
 
 The length of the rod is the distance between the pin of the cylinder and the pin of the rod at the
-rod extension x = 0. So the rod stays in the cylinder while x is below 0.9 of this length, and a
-stub of the rod is visible at x = 0.
+rod extension x = 0. The inner end of the rod stays in the cylinder while x is below 0.9 of the
+length of the rod. A stub of 0.1 of the length is visible at x = 0.
 """
 
 

@@ -1,4 +1,4 @@
-"""Memory for the records of runs, which later runs use again."""
+"""Memory for the records of runs. Later runs reuse the memory."""
 
 from __future__ import annotations
 

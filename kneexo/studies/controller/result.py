@@ -77,7 +77,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class LimitCycleCase:
-    """One variant of the loop with a limit cycle of some degrees.
+    """One variant of the loop whose limit cycle has an amplitude of several degrees.
 
     ``time_s`` and ``error_deg`` have shape (n,). ``oscillation_at_rest_deg`` is the error from peak
     to peak while the reference rests at its upper end. If a run fails, ``failure`` has the reason,

@@ -229,8 +229,8 @@ class SlidingResult(Result):
     def smallest_eta(self, law: str, load_n: float) -> float:
         """Return the least η in m/s³ such that s stays in the boundary layer at this η and above.
 
-        The result is inf if s leaves the layer at the largest η. Only runs of the full-order plant
-        along the reference count.
+        The result is inf if s leaves the layer at the largest η. The runs are those of the
+        full-order plant that follow the reference.
         """
         cases = self.of("motion", plant="full", law=law, load_n=load_n)
         smallest = math.inf
