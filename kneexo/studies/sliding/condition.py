@@ -126,7 +126,7 @@ class SlidingMeasurement:
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> Self:
-        """Return the measurement whose `dataclasses.asdict` is ``data``."""
+        """Return the measurement whose ``dataclasses.asdict`` is ``data``."""
         return cls(**{**data, "trace": SlidingTrace(**data["trace"])})
 
 
