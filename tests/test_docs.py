@@ -378,11 +378,11 @@ def test_the_error_model_has_the_numbers_of_the_order_study():
     def values(part, name, case, **at):
         order, force = case
         return [
-            row[name]
+            getattr(row, name)
             for row in getattr(study, part)
-            if row["order"] == order
-            and force in (None, row.get("disturbance_n", row.get("force_n")))
-            and all(row[key] == value for key, value in at.items())
+            if row.order == order
+            and force in (None, row.force_n if part == "speeds" else row.disturbance_n)
+            and all(getattr(row, key) == value for key, value in at.items())
         ]
 
     def line(label, *cells):
@@ -399,8 +399,8 @@ def test_the_error_model_has_the_numbers_of_the_order_study():
         sorted({f"{v:.0f}" for v in m}) if n == 0 else [f"{v:.0f}" for v in m]
         for n, m in enumerate(modes)
     ]
-    inside = [r for r in study.switching if r["oscillates"]]
-    beside = [r for r in study.switching if not r["oscillates"] and r["direction"] == "in"]
+    inside = [r for r in study.switching if r.oscillates]
+    beside = [r for r in study.switching if not r.oscillates and r.direction == "in"]
     forces = study.oscillating_n("in")
     texts = [
         row("rod speed at 5000 rpm (mm/s)", "speeds", "rod_speed_mm_s", ".1f"),
@@ -418,10 +418,10 @@ def test_the_error_model_has_the_numbers_of_the_order_study():
             ),
         ),
         f"those of {min(forces):g}…{max(forces):g} N do this. The oscillation has "
-        f"{max(r['velocity_swing_mm_s'] for r in inside):.0f} mm/s of rod velocity and "
-        f"{max(r['load_pressure_swing_mpa'] for r in inside):.2f} MPa",
-        f"{max(r['max_error_deg'] for r in inside):.2f}° in place of "
-        f"{max(r['max_error_deg'] for r in beside):.2f}°",
+        f"{max(r.velocity_swing_mm_s for r in inside):.0f} mm/s of rod velocity and "
+        f"{max(r.load_pressure_swing_mpa for r in inside):.2f} MPa",
+        f"{max(r.max_error_deg for r in inside):.2f}° in place of "
+        f"{max(r.max_error_deg for r in beside):.2f}°",
     ]
     assert unsaid("model_error.md", *texts) == []
 

@@ -20,7 +20,7 @@ BRIEF = changed(
 
 
 def rows(part, **labels):
-    return [row for row in part if all(row[k] == v for k, v in labels.items())]
+    return [row for row in part if all(getattr(row, k) == v for k, v in labels.items())]
 
 
 NAMES = {

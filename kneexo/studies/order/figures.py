@@ -30,12 +30,12 @@ def tracking(result: OrderResult) -> Figure:
         squeeze=False,
     )
     for row, force in zip(ax, loads, strict=True):
-        for case in (case for case in result.tracking if case["disturbance_n"] == force):
-            trace, order = case["trace"], case["order"]
-            row[0].plot(trace["time_s"], trace["error_deg"], _COLORS[order], lw=1.2, label=order)
-            for name, values in trace["pressures_mpa"].items():
+        for case in (case for case in result.tracking if case.disturbance_n == force):
+            trace, order = case.trace, case.order
+            row[0].plot(trace.time_s, trace.error_deg, _COLORS[order], lw=1.2, label=order)
+            for name, values in trace.pressures_mpa.items():
                 label, color = _PRESSURES[name]
-                row[1].plot(trace["time_s"], values, color, lw=1.0, label=label)
+                row[1].plot(trace.time_s, values, color, lw=1.0, label=label)
         row[0].axhline(0.0, color="0.7", lw=0.8, zorder=0)
         row[0].set(ylabel="error (deg)", title=f"disturbance {force:g} N")
         row[1].set(ylabel="pressure (MPa)")
@@ -52,10 +52,10 @@ def switching(result: OrderResult) -> Figure:
     """Draw the peak-to-peak oscillation of the rod's velocity over a constant force on the rod."""
     figure, ax = plt.subplots(figsize=(6, 4), layout="constrained")
     for direction, color, words in (("in", "C3", "retracting"), ("out", "C0", "extending")):
-        rows = [row for row in result.switching if row["direction"] == direction]
-        forces = [row["force_n"] for row in rows]
+        rows = [row for row in result.switching if row.direction == direction]
+        forces = [row.force_n for row in rows]
         ax.semilogy(
-            forces, [row["velocity_swing_mm_s"] for row in rows], f"{color}o-", ms=4, label=words
+            forces, [row.velocity_swing_mm_s for row in rows], f"{color}o-", ms=4, label=words
         )
     force = switching_force_n(result.scenario)
     ax.axvline(force, color="0.4", ls=":", label=f"P_r(A_1 − A_2) = {force:.1f} N")
@@ -75,12 +75,12 @@ def frequency(result: OrderResult) -> Figure:
     posture = postures[len(postures) // 2]
     styles = dict(zip(result.settings.disturbances_n, _STYLES, strict=False))
     for row in result.frequency:
-        if row["posture_deg"] == posture and "trace" in row:
-            order, force, trace = row["order"], row["disturbance_n"], row["trace"]
+        if row.posture_deg == posture and row.trace is not None:
+            order, force, trace = row.order, row.disturbance_n, row.trace
             ls, lw, alpha = styles.get(force, _STYLES[0])
             ax.loglog(
-                trace["frequencies_hz"],
-                1e3 * np.array(trace["plant_gain_m"]),
+                trace.frequencies_hz,
+                1e3 * np.array(trace.plant_gain_m),
                 color=_COLORS[order],
                 ls=ls,
                 lw=lw,

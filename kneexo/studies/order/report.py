@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from kneexo.studies.markdown import number
-from kneexo.studies.order.study import ORDERS, OrderResult, Rows
+from kneexo.studies.order.rows import FrequencyRow, SwitchingRow
+from kneexo.studies.order.study import ORDERS, OrderResult
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
 from kneexo.studies.template import filled
 
 
 def report(result: OrderResult) -> str:
     """Return the Markdown report that compares the full and the reduced order of the cylinder."""
-    oscillating = [row for row in result.switching if row["oscillates"]]
-    calm = [r for r in result.switching if not r["oscillates"] and r["direction"] == "in"]
+    oscillating = [row for row in result.switching if row.oscillates]
+    calm = [r for r in result.switching if not r.oscillates and r.direction == "in"]
     return filled(
         "order/report.md",
         result=result,
-        pressures=_pressures,
-        saturated=lambda row: f"{100.0 * row['saturated_share']:.0f}",
-        small_signal=_small_signal,
+        load_pressure=lambda row: _limits(row.load_pressure_min_mpa, row.load_pressure_max_mpa),
+        cap_pressure=lambda row: _limits(row.cap_min_mpa, row.cap_max_mpa),
+        rod_side_pressure=lambda row: _limits(row.rod_side_min_mpa, row.rod_side_max_mpa),
+        saturated=lambda row: f"{100.0 * row.saturated_share:.0f}",
+        bandwidth=lambda row: _small_signal(row, row.bandwidth_hz),
+        complementary_sensitivity_bandwidth=lambda row: _small_signal(
+            row, row.complementary_sensitivity_bandwidth_hz
+        ),
         ranges=_ranges,
         paper_bandwidth_hz=PAPER_BANDWIDTH_HZ,
         inside=_largest(oscillating),
@@ -29,53 +35,42 @@ def report(result: OrderResult) -> str:
     )
 
 
-def _ranges(rows: Rows, name: str, form: str) -> str:
+def _ranges(rows: Sequence[Any], name: str, form: str) -> str:
     """Return a text with the smallest and largest value of the column ``name`` for each order.
 
     Values that are nan do not count.
     """
     texts = []
     for order in ORDERS:
-        values = [row[name] for row in rows if row["order"] == order]
+        values = [getattr(row, name) for row in rows if row.order == order]
         values = [value for value in values if not math.isnan(value)] or [math.nan]
         low, high = number(min(values), form), number(max(values), form)
         texts.append(f"{order} {low if low == high else f'{low}…{high}'}")
     return ", ".join(texts)
 
 
-def _largest(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+def _largest(rows: Sequence[SwitchingRow]) -> dict[str, float]:
     """Return a dictionary with the largest velocity swing, pressure swing and error.
 
-    The rows are from the table ``switching``. The dictionary is empty without rows.
+    The dictionary is empty without rows.
     """
     names = ("velocity_swing_mm_s", "load_pressure_swing_mpa", "max_error_deg")
-    return {name: max(row[name] for row in rows) for name in names} if rows else {}
+    return {name: max(getattr(row, name) for row in rows) for name in names} if rows else {}
 
 
-def _small_signal(name: str) -> Callable[[Mapping[str, Any]], str]:
-    """Return a function that prints a row's −3 dB frequency from the column ``name``.
+def _small_signal(row: FrequencyRow, hz: float) -> str:
+    """Return the −3 dB frequency ``hz`` of a row as text.
 
-    If the row has no such frequency, the function returns the reason.
+    If the row has no such frequency, the text is the reason.
     """
-
-    def text(row: Mapping[str, Any]) -> str:
-        if row["failure"] or not row["stable"]:
-            return row["failure"] or "unstable"
-        hz = row[name]
-        return "none below Nyquist" if math.isnan(hz) else number(hz)
-
-    return text
+    if row.failure or not row.stable:
+        return row.failure or "unstable"
+    return "none below Nyquist" if math.isnan(hz) else number(hz)
 
 
-def _pressures(name: str) -> Callable[[Mapping[str, Any]], str]:
-    """Return a function that prints the range in MPa of the pressure ``name`` in a tracking run.
+def _limits(low: float | None, high: float | None) -> str:
+    """Return the range of a pressure in MPa as text.
 
-    The function returns an empty text if the run's model of the cylinder has no such pressure.
+    The text is empty if the run's model of the cylinder has no such pressure.
     """
-
-    def text(row: Mapping[str, Any]) -> str:
-        if f"{name}_min_mpa" not in row:
-            return ""
-        return f"{row[f'{name}_min_mpa']:.3f}…{row[f'{name}_max_mpa']:.3f}"
-
-    return text
+    return "" if low is None else f"{low:.3f}…{high:.3f}"

@@ -9,12 +9,13 @@ posture and load, and the large-signal bandwidth for each load.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.frequency_response import require_sine
@@ -34,6 +35,15 @@ from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
 from kneexo.simulation import awaitable, needs_runs, simulate
+from kneexo.studies.order.rows import (
+    BandwidthRow,
+    FrequencyRow,
+    FrequencyTrace,
+    SpeedRow,
+    SwitchingRow,
+    TrackingRow,
+    TrackingTrace,
+)
 from kneexo.sweeps import SweepOptions, open_sweep
 
 
@@ -84,8 +94,7 @@ class OrderSettings(Parameters):
 ORDERS = ("reduced", "full")
 """Names of the compared models of the cylinder: reduced (Eq. 15) and full (Eq. 14)."""
 
-_LOOP_BANDWIDTHS = ("bandwidth_hz", "complementary_sensitivity_bandwidth_hz")
-"""Columns of a frequency row. Each column has the name of the `SampledLoop` method behind it."""
+Row = TypeVar("Row")
 
 _TRACE_POINTS = 800
 _START_S = 0.5
@@ -114,48 +123,48 @@ def _without_weight(scenario: Scenario, order: str, force_n: float) -> Scenario:
 
 
 # -------------------------------------------------------------------- pieces of the work
+# Each returns a row as plain data, which a checkpoint can store.
 
 
 @needs_runs
 async def tracking_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
-    """Return metrics and trace of a tracking run.
+    """Return the `TrackingRow` of a run.
 
-    ``case`` is the order and the constant force in N added to the load. The trace has time, error
-    and pressures at up to about 800 samples.
+    ``case`` is the order and the constant force in N added to the load.
     """
     order, force = case
     tracked = await awaitable(track, in_order(scenario, order, force), all_signals=True)
     run, metrics = tracked.run, tracked.metrics
-    pressures = {"load_pressure": run["load_pressure_pa"]}
     if order == "full":
-        pressures = {name: run[f"{name}_pressure_pa"] for name in ("cap", "rod_side")}
-    every = max(1, run.time_s.size // _TRACE_POINTS)
-    row: dict[str, Any] = {
-        "order": order,
-        "disturbance_n": force,
-        "max_error_deg": metrics.max_error_deg,
-        "rms_error_deg": metrics.rms_error_deg,
-        "mean_command_change_rpm": metrics.mean_command_change_rpm,
-        "saturated_share": metrics.saturated_share,
-    }
-    for name, values in pressures.items():
-        row |= {
-            f"{name}_min_mpa": 1e-6 * float(values.min()),
-            f"{name}_max_mpa": 1e-6 * float(values.max()),
-        }
-    if order == "full":
+        pressures = {name: 1e-6 * run[f"{name}_pressure_pa"] for name in ("cap", "rod_side")}
         relief = run["cap_relief_flow_m3_s"] + run["rod_side_relief_flow_m3_s"]
-        row["relief_share"] = float(np.mean(relief > 0.0))
         makeup = np.abs(run["cap_makeup_flow_m3_s"] + run["rod_side_makeup_flow_m3_s"])
-        row["peak_makeup_cm3_s"] = 1e6 * float(makeup.max())
-    row["trace"] = {
-        "time_s": run.time_s[::every].tolist(),
-        "error_deg": tracked.error_deg[::every].tolist(),
-        "pressures_mpa": {
-            name: (1e-6 * values[::every]).tolist() for name, values in pressures.items()
-        },
-    }
-    return row
+        numbers = {
+            "relief_share": float(np.mean(relief > 0.0)),
+            "peak_makeup_cm3_s": 1e6 * float(makeup.max()),
+        }
+    else:
+        pressures, numbers = {"load_pressure": 1e-6 * run["load_pressure_pa"]}, {}
+    for name, values in pressures.items():
+        numbers[f"{name}_min_mpa"] = float(values.min())
+        numbers[f"{name}_max_mpa"] = float(values.max())
+    every = max(1, run.time_s.size // _TRACE_POINTS)
+    trace = TrackingTrace(
+        time_s=tuple(run.time_s[::every].tolist()),
+        error_deg=tuple(tracked.error_deg[::every].tolist()),
+        pressures_mpa={name: tuple(values[::every].tolist()) for name, values in pressures.items()},
+    )
+    row = TrackingRow(
+        order=order,
+        disturbance_n=force,
+        max_error_deg=metrics.max_error_deg,
+        rms_error_deg=metrics.rms_error_deg,
+        mean_command_change_rpm=metrics.mean_command_change_rpm,
+        saturated_share=metrics.saturated_share,
+        trace=trace,
+        **numbers,
+    )
+    return asdict(row)
 
 
 def _ramp(
@@ -175,7 +184,7 @@ def _ramp(
 async def speed_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[str, float, bool]
 ) -> dict[str, Any]:
-    """Return the rod's mean speed in a ramp that requires more than the motor's speed limit.
+    """Return the `SpeedRow` of a run.
 
     ``case`` is the order, the constant force in N, and True for flexion.
     """
@@ -185,20 +194,21 @@ async def speed_row(
     run = await awaitable(simulate, fast, signals=("rod_velocity", "motor_speed_command"))
     late = run.time_s >= _START_S
     command = run["motor_speed_command_rad_s"][late]
-    return {
-        "order": order,
-        "force_n": force,
-        "direction": "in" if flexing else "out",
-        "saturated_share": saturated_share(command, fast.command_limit_rad_s),
-        "rod_speed_mm_s": 1e3 * float(np.mean(np.abs(run["rod_velocity_m_s"][late]))),
-    }
+    row = SpeedRow(
+        order=order,
+        force_n=force,
+        direction="in" if flexing else "out",
+        saturated_share=saturated_share(command, fast.command_limit_rad_s),
+        rod_speed_mm_s=1e3 * float(np.mean(np.abs(run["rod_velocity_m_s"][late]))),
+    )
+    return asdict(row)
 
 
 @needs_runs
 async def switching_row(
     scenario: Scenario, settings: OrderSettings, case: tuple[float, bool]
 ) -> dict[str, Any]:
-    """Return how far the rod oscillates during a slow ramp, with the full-order cylinder.
+    """Return the `SwitchingRow` of a run.
 
     ``case`` is the constant force on the rod in N, and True for flexion.
     """
@@ -223,106 +233,110 @@ async def switching_row(
     velocity = (run["rod_velocity_m_s"] - run["rod_reference_velocity_m_s"])[late]
     error = (run["knee_angle_rad"] - run["knee_reference_rad"])[late]
     across = (run["cap_pressure_pa"] - run["rod_side_pressure_pa"])[late]
-    return {
-        "force_n": force,
-        "direction": "in" if flexing else "out",
-        "velocity_swing_mm_s": 1e3 * float(np.ptp(velocity)),
-        "velocity_rms_mm_s": 1e3 * rms(velocity - velocity.mean()),
-        "load_pressure_swing_mpa": 1e-6 * float(np.ptp(across)),
-        "max_error_deg": math.degrees(float(np.max(np.abs(error)))),
-        "oscillates": bool(np.ptp(velocity) > settings.oscillation_m_s),
-    }
+    row = SwitchingRow(
+        force_n=force,
+        direction="in" if flexing else "out",
+        velocity_swing_mm_s=1e3 * float(np.ptp(velocity)),
+        velocity_rms_mm_s=1e3 * rms(velocity - velocity.mean()),
+        load_pressure_swing_mpa=1e-6 * float(np.ptp(across)),
+        max_error_deg=math.degrees(float(np.max(np.abs(error)))),
+        oscillates=bool(np.ptp(velocity) > settings.oscillation_m_s),
+    )
+    return asdict(row)
 
 
 def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[str, Any]:
-    """Return the oil's mode and the loop's margins of one linearization.
+    """Return the `FrequencyRow` of one posture.
 
     ``case`` is the order, the constant force in N added to the load, and the knee angle in deg. If
-    linearization fails, numbers are nan and ``failure`` has the reason.
+    a linearization fails, its numbers are nan and ``failure`` has the reason.
     """
     order, force, posture = case
     at = in_order(scenario, order, force)
-    row: dict[str, Any] = {"order": order, "disturbance_n": force, "posture_deg": posture}
-    names = ("mode_hz", "mode_damping", "rod_force_n", "phase_margin_deg", "gain_margin")
-    row |= dict.fromkeys((*names, "delay_margin_ms", "disk_margin", *_LOOP_BANDWIDTHS), math.nan)
-    row |= {"stable": None, "failure": ""}
+    row = FrequencyRow(order=order, disturbance_n=force, posture_deg=posture)
     try:
         plant = linearize_plant(at.plant, posture, outputs=("rod_velocity",))
-        row["rod_force_n"] = plant.operating_point.rod_force_n
         mode = plant.poles[np.argmax(plant.poles.imag)]
-        if mode.imag > 0.0:
-            row["mode_hz"] = float(abs(mode) / (2.0 * math.pi))
-            row["mode_damping"] = float(-mode.real / abs(mode))
+        oscillates = mode.imag > 0.0
         grid = np.geomspace(1.0, 1000.0, 400)
-        row["trace"] = {
-            "frequencies_hz": grid.tolist(),
-            "plant_gain_m": np.abs(plant.response(grid)).tolist(),
-        }
+        row = replace(
+            row,
+            mode_hz=float(abs(mode) / (2.0 * math.pi)) if oscillates else math.nan,
+            mode_damping=float(-mode.real / abs(mode)) if oscillates else math.nan,
+            rod_force_n=plant.operating_point.rod_force_n,
+            trace=FrequencyTrace(
+                tuple(grid.tolist()), tuple(np.abs(plant.response(grid)).tolist())
+            ),
+        )
         loop = linearize_loop(at, posture)
-        row["stable"] = loop.stable
+        row = replace(row, stable=loop.stable)
         if loop.stable:
             margins = loop.margins()
-            row["phase_margin_deg"] = margins.phase_margin_deg
-            row["gain_margin"] = margins.gain_margin
-            row["delay_margin_ms"] = 1e3 * margins.delay_margin_s
-            row["disk_margin"] = margins.disk_margin
-            row |= {name: getattr(loop, name)() for name in _LOOP_BANDWIDTHS}
+            row = replace(
+                row,
+                phase_margin_deg=margins.phase_margin_deg,
+                gain_margin=margins.gain_margin,
+                delay_margin_ms=1e3 * margins.delay_margin_s,
+                disk_margin=margins.disk_margin,
+                bandwidth_hz=loop.bandwidth_hz(),
+                complementary_sensitivity_bandwidth_hz=(
+                    loop.complementary_sensitivity_bandwidth_hz()
+                ),
+            )
     except LinearizationError as error:
-        row["failure"] = str(error)
-    return row
+        row = replace(row, failure=str(error))
+    return asdict(row)
 
 
 @needs_runs
 async def bandwidth_row(scenario: Scenario, case: tuple[str, float]) -> dict[str, Any]:
-    """Return the large-signal bandwidth for one order and load.
+    """Return the `BandwidthRow` for one order and load.
 
     ``case`` is the order and the constant force in N added to the load. If the search fails, the
     bandwidth is nan and ``failure`` has the reason.
     """
     order, force = case
-    row = {"order": order, "disturbance_n": force, "bandwidth_hz": math.nan, "failure": ""}
-    at = in_order(scenario, order, force)
+    bandwidth, failure = math.nan, ""
     try:
-        row["bandwidth_hz"] = await awaitable(large_signal_bandwidth_hz, at)
+        bandwidth = await awaitable(large_signal_bandwidth_hz, in_order(scenario, order, force))
     except KneexoError as error:
-        row["failure"] = str(error)
-    return row
+        failure = str(error)
+    row = BandwidthRow(order=order, disturbance_n=force, bandwidth_hz=bandwidth, failure=failure)
+    return asdict(row)
 
 
 # -------------------------------------------------------------------------------- result
-
-
-Rows = tuple[Mapping[str, Any], ...]
-"""Rows of a result table. Each row maps the name of a column to the value."""
 
 
 @dataclass(frozen=True, repr=False)
 class OrderResult(Result):
     """Tables of the comparison, with a row for each order and load.
 
-    A table that depends on the posture has a row for each posture too. The functions
-    ``tracking_row``, ``speed_row``, ``switching_row``, ``frequency_row`` and ``bandwidth_row``
-    make the rows.
+    A table that depends on the posture has a row for each posture too.
     """
 
-    tracking: Rows
-    speeds: Rows
-    switching: Rows
-    frequency: Rows
-    bandwidth: Rows
+    tracking: tuple[TrackingRow, ...]
+    speeds: tuple[SpeedRow, ...]
+    switching: tuple[SwitchingRow, ...]
+    frequency: tuple[FrequencyRow, ...]
+    bandwidth: tuple[BandwidthRow, ...]
     scenario: Scenario
     settings: OrderSettings
 
     def results(self) -> dict[str, Any]:
-        """Return all tables, without the traces, as plain data with units in the names."""
+        """Return all tables, without the traces, as plain data with units in the names.
+
+        Rows of ``tracking`` have only the numbers of their order.
+        """
         parts = ("tracking", "speeds", "switching", "frequency", "bandwidth")
-        return {
-            part: [
-                {name: value for name, value in row.items() if name != "trace"}
-                for row in getattr(self, part)
-            ]
-            for part in parts
-        }
+        tables = {part: [asdict(row) for row in getattr(self, part)] for part in parts}
+        for row in (*tables["tracking"], *tables["frequency"]):
+            del row["trace"]
+        tables["tracking"] = [
+            {name: value for name, value in row.items() if value is not None}
+            for row in tables["tracking"]
+        ]
+        return tables
 
     def oscillating_n(self, direction: str) -> list[float]:
         """Return the forces in N at which the rod oscillates when it moves in ``direction``.
@@ -330,9 +344,7 @@ class OrderResult(Result):
         ``direction`` is ``in`` or ``out``.
         """
         return [
-            row["force_n"]
-            for row in self.switching
-            if row["oscillates"] and row["direction"] == direction
+            row.force_n for row in self.switching if row.oscillates and row.direction == direction
         ]
 
 
@@ -369,16 +381,27 @@ def order_study(
     ]
     switching = [(force, flexing) for flexing in (True, False) for force in forces]
     frequency = [(*case, posture) for case in orders_and_loads for posture in settings.postures_deg]
-    parts: dict[str, tuple[Callable[[Any], dict[str, Any]], list[Any]]] = {
-        "tracking": (partial(tracking_row, scenario), orders_and_loads),
-        "speeds": (partial(speed_row, scenario, settings), speeds),
-        "switching": (partial(switching_row, scenario, settings), switching),
-        "frequency": (partial(frequency_row, scenario), frequency),
-        "bandwidth": (partial(bandwidth_row, scenario), orders_and_loads),
-    }
     with open_sweep(**options) as sweep:
-        rows: dict[str, Rows] = {
-            name: tuple(sweep.map(piece, items, f"orders: {name}"))
-            for name, (piece, items) in parts.items()
-        }
-    return OrderResult(scenario=scenario, settings=settings, **rows)
+
+        def rows(
+            name: str, kind: type[Row], piece: Callable[[Any], dict[str, Any]], items: Sequence[Any]
+        ) -> tuple[Row, ...]:
+            """Return a row of class ``kind`` for each item, made by ``piece`` as plain data."""
+            made = sweep.map(piece, items, f"orders: {name}")
+            return tuple(map(TypeAdapter(kind).validate_python, made))
+
+        return OrderResult(
+            tracking=rows(
+                "tracking", TrackingRow, partial(tracking_row, scenario), orders_and_loads
+            ),
+            speeds=rows("speeds", SpeedRow, partial(speed_row, scenario, settings), speeds),
+            switching=rows(
+                "switching", SwitchingRow, partial(switching_row, scenario, settings), switching
+            ),
+            frequency=rows("frequency", FrequencyRow, partial(frequency_row, scenario), frequency),
+            bandwidth=rows(
+                "bandwidth", BandwidthRow, partial(bandwidth_row, scenario), orders_and_loads
+            ),
+            scenario=scenario,
+            settings=settings,
+        )

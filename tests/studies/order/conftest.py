@@ -12,6 +12,15 @@ from order_cases import (
 )
 
 from kneexo.parameters import UNCERTAIN_KNEE
+from kneexo.studies.order.rows import (
+    BandwidthRow,
+    FrequencyRow,
+    FrequencyTrace,
+    SpeedRow,
+    SwitchingRow,
+    TrackingRow,
+    TrackingTrace,
+)
 from kneexo.studies.order.study import (
     OrderResult,
     OrderSettings,
@@ -32,7 +41,7 @@ def small():
 def by_hand():
     counter = itertools.count(1)
 
-    def row(part, **labels):
+    def numbers(part, **labels):
         values = {name: round(0.00617 * next(counter), 5) for name in NAMES[part]}
         values |= {name: value / 5.0 for name, value in values.items() if "share" in name}
         if labels.get("order") == "full":
@@ -43,42 +52,52 @@ def by_hand():
 
     loads, postures = (0.0, 60.0, -60.0), (10.0, 40.0, 70.0)
     both = [(order, load) for load in loads for order in ("reduced", "full")]
-    tracking = [row("tracking", order=o, disturbance_n=f) for o, f in both]
-    for n, tracked in enumerate(tracking):
-        names = ("load_pressure",) if tracked["order"] == "reduced" else ("cap", "rod_side")
-        tracked["trace"] = {
-            "time_s": [0.0, 1.0, 2.0],
-            "error_deg": [0.1 + n, 0.2 + n, 0.3 + n],
-            "pressures_mpa": {name: [n + 0.5, n + 0.6, len(name)] for name in names},
-        }
+    pressures = {"reduced": ("load_pressure",), "full": ("cap", "rod_side")}
+    tracking = tuple(
+        TrackingRow(
+            **numbers("tracking", order=order, disturbance_n=load),
+            trace=TrackingTrace(
+                time_s=(0.0, 1.0, 2.0),
+                error_deg=(0.1 + n, 0.2 + n, 0.3 + n),
+                pressures_mpa={
+                    name: (n + 0.5, n + 0.6, float(len(name))) for name in pressures[order]
+                },
+            ),
+        )
+        for n, (order, load) in enumerate(both)
+    )
     frequency = [
-        row("frequency", order=o, disturbance_n=f, posture_deg=p, stable=True, failure="")
+        numbers("frequency", order=o, disturbance_n=f, posture_deg=p, stable=True, failure="")
         for o, f in both
         for p in postures
     ]
-    for n, linear in enumerate(frequency):
-        linear["trace"] = {
-            "frequencies_hz": [1.0, 10.0],
-            "plant_gain_m": [1e-3 * (n + 1), 2e-5 * n],
-        }
     lost = dict.fromkeys(NAMES["frequency"][3:], math.nan)
     frequency[0] |= dict.fromkeys(NAMES["frequency"][-2:], math.nan)
     frequency[1] |= lost | {"stable": False}
     frequency[2] |= lost | {"stable": None, "failure": "no rest"}
     return OrderResult(
-        tracking=tuple(tracking),
+        tracking=tracking,
         speeds=tuple(
-            row("speeds", order=o, force_n=60.0, direction=d)
+            SpeedRow(**numbers("speeds", order=o, force_n=60.0, direction=d))
             for o in ("reduced", "full")
             for d in ("in", "out")
         ),
         switching=tuple(
-            row("switching", force_n=f, direction=d, oscillates=d == "in" and f == 16.0)
+            SwitchingRow(
+                **numbers("switching", force_n=f, direction=d),
+                oscillates=d == "in" and f == 16.0,
+            )
             for d in ("in", "out")
             for f in (6.0, 16.0)
         ),
-        frequency=tuple(frequency),
-        bandwidth=tuple(row("bandwidth", order=o, disturbance_n=f, failure="") for o, f in both),
+        frequency=tuple(
+            FrequencyRow(**values, trace=FrequencyTrace((1.0, 10.0), (1e-3 * (n + 1), 2e-5 * n)))
+            for n, values in enumerate(frequency)
+        ),
+        bandwidth=tuple(
+            BandwidthRow(**numbers("bandwidth", order=o, disturbance_n=f), failure="")
+            for o, f in both
+        ),
         scenario=UNCERTAIN_KNEE,
         settings=OrderSettings(disturbances_n=loads, postures_deg=postures),
     )

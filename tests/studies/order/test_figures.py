@@ -27,14 +27,14 @@ def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
         assert (error.get_ylabel(), pressure.get_ylabel()) == ("error (deg)", "pressure (MPa)")
         lines, shown = curves(error), curves(pressure)
         cases = rows(study.tracking, disturbance_n=load)
-        assert set(lines) == {row["order"] for row in cases} == {"reduced", "full"}
+        assert set(lines) == {row.order for row in cases} == {"reduced", "full"}
         assert set(shown) == set(pressures)
         for row in cases:
-            trace = row["trace"]
-            assert_line(lines[row["order"]], trace["time_s"], trace["error_deg"])
+            trace = row.trace
+            assert_line(lines[row.order], trace.time_s, trace.error_deg)
             for label, name in pressures.items():
-                if name in trace["pressures_mpa"]:
-                    assert_line(shown[label], trace["time_s"], trace["pressures_mpa"][name])
+                if name in trace.pressures_mpa:
+                    assert_line(shown[label], trace.time_s, trace.pressures_mpa[name])
         (zero,) = (line for line in error.lines if line.get_label().startswith("_"))
         assert list(zero.get_ydata()) == [0.0, 0.0]
     assert [ax.get_xlabel() for ax in panels[-1]] == ["time (s)", "time (s)"]
@@ -44,8 +44,8 @@ def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
     lines = curves(ax)
     for label, direction in (("retracting", "in"), ("extending", "out")):
         cases = rows(study.switching, direction=direction)
-        swings = [row["velocity_swing_mm_s"] for row in cases]
-        assert_line(lines[label], [row["force_n"] for row in cases], swings)
+        swings = [row.velocity_swing_mm_s for row in cases]
+        assert_line(lines[label], [row.force_n for row in cases], swings)
     (label,) = (label for label in lines if label.startswith("P_r"))
     force = switching_force_n(study.scenario)
     assert lines[label][0] == pytest.approx([force, force])
@@ -61,10 +61,10 @@ def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
     )
     cases = rows(study.frequency, posture_deg=40.0)
     for row in cases:
-        trace = row["trace"]
-        gain = [1e3 * value for value in trace["plant_gain_m"]]
-        line = lines.pop(f"{row['order']}, {row['disturbance_n']:g} N")
-        assert_line(line, trace["frequencies_hz"], gain)
+        trace = row.trace
+        gain = [1e3 * value for value in trace.plant_gain_m]
+        line = lines.pop(f"{row.order}, {row.disturbance_n:g} N")
+        assert_line(line, trace.frequencies_hz, gain)
     assert lines.pop("Nyquist, 250 Hz")[0] == pytest.approx([250.0, 250.0])
     assert lines == {}
     # An order has a colour, a load a dash: lines of two loads may coincide.
