@@ -1,4 +1,4 @@
-# The README's commands for the paper and the tests on a slim Debian; then any kneexo command:
+# The commands of docs/install.md and README.md on a slim Debian; then any kneexo command:
 #   docker build -t kneexo .
 #   docker run --rm -v "$PWD/results:/results" kneexo reproduce --out /results
 FROM debian:bookworm-slim

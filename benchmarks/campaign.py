@@ -47,10 +47,16 @@ from pathlib import Path
 SCENARIO = "simulation: {duration_s: 2.0}\n"
 FEW = ["--set", "frequencies_hz=[2, 3, 5, 8]"]
 COMMANDS = {
-    "bandwidth": ["bandwidth", "--workers", "2", *FEW, "--set", "amplitudes_deg=[0.5, 1, 2, 4]"],
-    "bandwidth, 1 worker": ["bandwidth", "--workers", "1", *FEW, "--set", "amplitudes_deg=[1, 3]"],
+    "bandwidth": [
+        *("study", "bandwidth", "--workers", "2", *FEW),
+        *("--set", "amplitudes_deg=[0.5, 1, 2, 4]"),
+    ],
+    "bandwidth, 1 worker": [
+        *("study", "bandwidth", "--workers", "1", *FEW, "--set", "amplitudes_deg=[1, 3]"),
+    ],
     "robustness": [
-        *("robustness", "--workers", "2", "--set", "samples=20", "--set", "corners_max=10"),
+        *("study", "robustness", "--workers", "2", "--set", "samples=20"),
+        *("--set", "corners_max=10"),
         *("--set", "bandwidth=false", "--set", "sensitivity_duration_s=0"),
     ],
     "contest": [

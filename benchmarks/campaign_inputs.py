@@ -388,7 +388,7 @@ PLACES: dict[str, tuple[str, list[str]]] = {
     "scenario of a run": ("s.yaml", ["view", "s.yaml", "--out", "k.html"]),
     "uncertainty": (
         "u.yaml",
-        ["robustness", "--uncertainty", "u.yaml", "--out", "o"],
+        ["study", "robustness", "--uncertainty", "u.yaml", "--out", "o"],
     ),
     "CSV": ("r.csv", ["params", "csv.yaml", "--yaml"]),
     "signals": ("run/signals.csv", ["view", "run", "--out", "k.html"]),
@@ -396,7 +396,10 @@ PLACES: dict[str, tuple[str, list[str]]] = {
     "page": ("k.html", ["view", "run", "--out", "k.html"]),
     "FMU": ("k.fmu", ["export", "fmu", "--out", "k.fmu"]),
     "results": ("o", ["linearize", "--out", "o", "--knee-angle", "1000"]),
-    "checkpoint": ("o/bandwidth.checkpoint.jsonl", ["bandwidth", "--out", "o", "--workers", "1"]),
+    "checkpoint": (
+        "o/bandwidth.checkpoint.jsonl",
+        ["study", "bandwidth", "--out", "o", "--workers", "1"],
+    ),
     "report": ("o/linearize.html", ["linearize", "--html", "--out", "o"]),
 }
 
@@ -451,7 +454,7 @@ COMMANDS: tuple[list[str], ...] = (
     ["view", "NAME", "--out", "k.html"],
     ["view", "run", "NAME", "--out", "k.html"],
     ["simulate", "NAME", "--out", "o"],
-    ["robustness", "--uncertainty", "NAME", "--out", "o"],
+    ["study", "robustness", "--uncertainty", "NAME", "--out", "o"],
     ["view", "--set", "NAME", "--out", "k.html"],
     ["view", "--set", "NAME=1", "--out", "k.html"],
     ["view", "--set", "plant.pump.lag_s=NAME", "--out", "k.html"],
@@ -469,8 +472,8 @@ COMMANDS: tuple[list[str], ...] = (
         "--out=o",
     ],
     ["export", "c", "--step-s", "NUMBER", "--what", "loop", "--set", "reference=gait", "--out=o"],
-    ["bandwidth", "--workers", "NUMBER", "--set", "nothing=1", "--out", "o"],
-    ["bandwidth", "--set", "amplitudes_deg=[NUMBER]", "--set", "nothing=1", "--out", "o"],
+    ["study", "bandwidth", "--workers", "NUMBER", "--set", "nothing=1", "--out", "o"],
+    ["study", "bandwidth", "--set", "amplitudes_deg=[NUMBER]", "--set", "nothing=1", "--out", "o"],
     ["NAME"],
     ["view", "--NAME", "--out", "k.html"],
     ["export", "NAME"],

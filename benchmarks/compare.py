@@ -12,7 +12,7 @@ the reference is RK4 at 2 µs, its own error the change from 4 µs. Errors and d
 without quantizer: a count that flips would hide the error of the integrator. A slow way runs for a
 shorter time, as its row says, and its time is scaled to 30 s.
 
-The other tools come with ``pip install kneexo[peers]``; what is not there is said in its row.
+The other tools come with ``pip install ".[peers]"``; what is not there is said in its row.
 """
 
 from __future__ import annotations

@@ -323,8 +323,9 @@ static inline double pid(Pid *c, const Parameters *p, double t, double angle)
                   + p->controller_derivative * (error - c->filtered) * c->per_filter;
     double command = clip(c->per_rate * rate, p->controller_command_limit_rad_s);
     double excess = command / c->per_rate - rate;
-    c->integral += p->sample_time_s
-                   * (p->controller_integral_per_s2 * error + excess * c->per_anti_windup);
+    if (p->controller_integral_per_s2 > 0.0)
+        c->integral += p->sample_time_s
+                       * (p->controller_integral_per_s2 * error + excess * c->per_anti_windup);
     return command;
 }
 

@@ -62,7 +62,7 @@ def run(scenario: Scenario, **options: Any) -> tuple[NDArray[np.float64], float]
     result = model.simulate(
         parameters,
         state,
-        scenario.simulation.duration_s,
+        scenario.duration_s,
         inputs=inputs,
         outputs=outputs,
         **options,

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kneexo.parameters import Scenario
+from kneexo.rod_polynomial import controller_polynomial
 from kneexo.simulation.compiled import scenario_start, scenario_values
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ def parameters_of(scenario: Scenario) -> Parameters:
         "cylinder_start_m": start["plant/cylinder.x[0]"],
         "cylinder_start_pa": 1e6 * start["plant/cylinder.x[2]"],
         "encoder_resolution_rad": scenario.encoder.resolution_rad,
-        "table_1": np.array(scenario.polynomial.p_si),
+        "table_1": np.array(controller_polynomial(scenario).p_si),
     }
     for group, name in enumerate(("knee_angle", "knee_encoder", "knee_arm"), 1):
         count = sum(key.startswith(f"plant/knee.{group}[") for key in context)

@@ -182,8 +182,9 @@ def closed_loop(p: Any, pid: bool, loaded: bool, steps: int, samples: int, recor
             rate = p.controller_proportional_per_s * filtered + integral
             rate += p.controller_derivative * (error - filtered) / p.controller_filter_s
             command = clip(per_rate * rate, p.controller_command_limit_rad_s)
-            excess = (command / per_rate - rate) / p.controller_anti_windup_s
-            integral += dt * (p.controller_integral_per_s2 * error + excess)
+            if p.controller_integral_per_s2 > 0.0:
+                excess = (command / per_rate - rate) / p.controller_anti_windup_s
+                integral += dt * (p.controller_integral_per_s2 * error + excess)
         else:
             innovation = polynomial(p.table_1, angle) - predicted_x
             rod = predicted_x + gain_x * innovation

@@ -41,7 +41,6 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 TESTS: dict[str, tuple[str, ...]] = {
-    "__init__": ("test_compile",),
     "command_line/export": (
         "command_line/test_export",
         "export/test_firmware",

@@ -35,10 +35,10 @@ COMMANDS: dict[str, list[str]] = {
     "linearize": ["linearize"],
     "linearize, scenario": ["linearize", "{scenario}", "--knee-angle", "55"],
     "bandwidth": [
-        *("bandwidth", "--set", "amplitudes_deg=[0.3, 3, 30]"),
+        *("study", "bandwidth", "--set", "amplitudes_deg=[0.3, 3, 30]"),
         *("--set", "frequencies_hz=[0.2, 2, 8]"),
     ],
-    "robustness": ["robustness", *FEW],
+    "robustness": ["study", "robustness", *FEW],
     "controller": [
         *("study", "controller", "--set", "lambdas_per_s=[10, 20]", "--set", "phis_m_s2=[3.2, 10]"),
         *("--set", "etas_m_s3=[8.9e4, 2.8e5]", "--set", "map_slopes_per_s=[1e4, 1e5]"),

@@ -26,6 +26,7 @@ from kneexo.analysis.sine_estimate import cycle_responses, estimate_sine
 from kneexo.linkage import polynomial
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.parameters.paths import changed
+from kneexo.rod_polynomial import controller_polynomial
 
 STIFFER_PER_S = 40.0
 """Twice the default λ: the sliding surface is met later, and nearer to where the follower does."""
@@ -43,10 +44,9 @@ def row(what: str, required: str, found: object) -> None:
 def rod_sine(scenario: Scenario, frequency_hz: float, cycles: int) -> SampledReference:
     """Knee reference whose rod, by Table 1, is a cosine between the ends of the scenario's."""
     angles = np.radians(np.linspace(5.0, 75.0, 20_001))
-    table = polynomial(scenario.polynomial.p_si, angles)
-    high, low = (
-        polynomial(scenario.polynomial.p_si, math.radians(a)) for a in scenario.reference.range_deg
-    )
+    p_si = controller_polynomial(scenario).p_si
+    table = polynomial(p_si, angles)
+    high, low = (polynomial(p_si, math.radians(a)) for a in scenario.reference.range_deg)
     phase = np.linspace(0.0, 2.0 * math.pi * cycles, 400 * cycles + 1)
     rod = 0.5 * (high + low) + 0.5 * (high - low) * np.cos(phase)
     knee = np.degrees(np.interp(rod, table[::-1], angles[::-1]))
@@ -71,7 +71,8 @@ def rod_sine_gain(scenario: Scenario, frequency_hz: float) -> float:
 
 def rod_sine_bandwidths_hz(scenario: Scenario) -> tuple[float, float]:
     """−3 dB frequency of a sine in the rod between the reference's ends: measured, closed form."""
-    ends = polynomial(scenario.polynomial.p_si, np.radians(scenario.reference.range_deg))
+    p_si = controller_polynomial(scenario).p_si
+    ends = polynomial(p_si, np.radians(scenario.reference.range_deg))
     closed = rate_limit_bandwidth_hz(rod_limits(scenario)[0], 0.5 * abs(ends[1] - ends[0]))
 
     def excess(log_frequency: float) -> float:
@@ -91,7 +92,7 @@ def linear_deviation(frequency_hz: float, amplitude_deg: float, *, quantized: bo
             "encoder.quantized": quantized,
         },
     )
-    predicted = linearize_loop(scenario, 40.0).output_response(frequency_hz)[0]
+    predicted = linearize_loop(scenario, knee_angle_deg=40.0).output_response(frequency_hz)[0]
     return float(abs(estimate_sine(scenario).response / predicted - 1.0))
 
 

@@ -111,7 +111,7 @@ def pole_error() -> float:
             stiffness * h * c_t,
         ]
         expected = [*np.roots(polynomial), -1.0 / lag]
-        poles = linearize_plant(plant, MID_DEG).poles
+        poles = linearize_plant(plant, knee_angle_deg=MID_DEG).poles
         # The slow pole, −K C_t/Ā², drowns in the rounding of the fast ones: of these alone.
         worst = max(worst, *(abs(nearest(poles, p) / p - 1.0) for p in expected if abs(p) > 0.1))
     return worst
@@ -186,7 +186,7 @@ def response_ratio(item: tuple[str, float]) -> complex:
     """Simulated over predicted response of the knee angle to a small sine."""
     name, frequency = item
     scenario = SCENARIOS[name]
-    loop = linearize_loop(scenario, MID_DEG)
+    loop = linearize_loop(scenario, knee_angle_deg=MID_DEG)
     settle, window = times(item)
     # Inside the boundary layer, whose s grows with f², and the motor's acceleration limit.
     amplitude = min(1e-2, 1e-3 * (20.0 / frequency) ** 2)
@@ -220,7 +220,7 @@ def response_ratio(item: tuple[str, float]) -> complex:
 def times(item: tuple[str, float]) -> tuple[float, float]:
     """Time to settle, and a window of at least two whole periods of sine and sampling, in s."""
     name, frequency = item
-    loop = linearize_loop(SCENARIOS[name], MID_DEG)
+    loop = linearize_loop(SCENARIOS[name], knee_angle_deg=MID_DEG)
     rate = -math.log(abs(loop.eigenvalues[0])) / loop.sample_time_s
     return math.ceil(120.0 / rate) / 10.0, max(0.4, 2.0 / frequency)
 
@@ -228,7 +228,7 @@ def times(item: tuple[str, float]) -> tuple[float, float]:
 def growth_error() -> float:
     """Relative error of the growth rate of the unstable loop with exact states at 40 deg."""
     scenario = EQ_27_EXACT_STATES["13000"]
-    value = linearize_loop(scenario, MID_DEG).eigenvalues[0]
+    value = linearize_loop(scenario, knee_angle_deg=MID_DEG).eigenvalues[0]
     inner = make_closed_loop(at_rest(scenario), signals=())
     builder = DiagramBuilder()
     builder.AddSystem(inner)
@@ -290,7 +290,11 @@ def stability_boundary() -> float:
         scenario = Scenario(
             estimator=ExactParameters(), controller=SlidingModeParameters(phi_m_s2=phi)
         )
-        low, high = (middle, high) if linearize_loop(scenario, MID_DEG).stable else (low, middle)
+        low, high = (
+            (middle, high)
+            if linearize_loop(scenario, knee_angle_deg=MID_DEG).stable
+            else (low, middle)
+        )
     return low
 
 
@@ -301,7 +305,7 @@ def main() -> None:
     for name, scenario in SCENARIOS.items():
         if scenario.plant.load.kind == "knee":
             continue  # its start is not its rest
-        loop, simulated_map = linearize_loop(scenario, MID_DEG), monodromy(scenario)
+        loop, simulated_map = linearize_loop(scenario, knee_angle_deg=MID_DEG), monodromy(scenario)
         scale = np.abs(simulated_map).max(axis=1, keepdims=True)
         row(
             f"{name}: map of one sample against Drake's Simulator, each row by its largest",

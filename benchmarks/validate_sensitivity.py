@@ -83,7 +83,7 @@ def extrapolated(function: Callable[[float], Any], step: float) -> tuple[Any, An
 
 def margins(scenario: Scenario) -> Any:
     """Largest eigenvalue and margins, in the order of `loop_sensitivities`."""
-    loop = linearize_loop(scenario, 0.5 * sum(scenario.reference.range_deg))
+    loop = linearize_loop(scenario, knee_angle_deg=0.5 * sum(scenario.reference.range_deg))
     m = loop.margins()
     values = (m.phase_margin_deg, m.delay_margin_s, m.gain_margin, m.disk_margin)
     return np.array([abs(loop.eigenvalues[0]), *values])

@@ -29,13 +29,9 @@ from sphinx.util.nodes import make_refnode
 
 import kneexo
 from kneexo.command_line.main import main
-from kneexo.parameters.quantity import (
-    Parameters,
-    allowed_range,
-    shortened,
-    source_of,
-    unit_of,
-)
+from kneexo.errors import shortened
+from kneexo.parameters.fields import allowed_range, source_of, unit_of
+from kneexo.parameters.quantity import Parameters
 from kneexo.systems._leaf import NamedLeaf
 
 project = "kneexo"
@@ -123,22 +119,16 @@ EXTERNAL = {
 }
 
 
-def public_names() -> dict[str, list[str]]:
-    """Of each package, what it imports from its own modules for its users, relative to it."""
-    names = {}
-    for package in (info.name for info in pkgutil.iter_modules(kneexo.__path__) if info.ispkg):
-        module = importlib.import_module(f"kneexo.{package}")
-        values = {name: getattr(module, name) for name in dir(module) if name[0] != "_"}
-        names[module.__name__] = [
-            f"{value.__module__}.{name}".removeprefix(f"{module.__name__}.")
-            for name, value in sorted(values.items())
-            if getattr(value, "__name__", None) == name
-            and str(getattr(value, "__module__", "")).startswith("kneexo.")
-        ]
-    return names
+def list_public_names(_app: Sphinx, document: str, content: list[str]) -> None:
+    """Append to the page ``reference`` a table of names for each package that users import."""
+    if document != "reference":
+        return
+    from public_names import public_names
 
-
-autosummary_context = {"public_names": public_names()}
+    for module, names in public_names().items():
+        summary = (importlib.import_module(module).__doc__ or "").split("\n\n")[0]
+        lines = [module, "-" * len(module), "", summary, "", ".. autosummary::", ""]
+        content[0] += "\n".join(["", *lines, *(f"   ~{name}" for name in names), ""])
 
 
 _attributes: dict[str, list[str]] = {}
@@ -256,7 +246,7 @@ def place_knee(_app: Sphinx, _document: str, content: list[str]) -> None:
 def write_knee(app: Sphinx, failure: Exception | None) -> None:
     """The page of `kneexo view`, beside those of the site that show it."""
     wanted = failure is None and app.builder.format == "html"
-    if wanted and main(["view", "--out", str(app.outdir / "knee.html")]):
+    if wanted and main(["view", "--preset", "leg", "--out", str(app.outdir / "knee.html")]):
         raise ExtensionError("kneexo view has failed")
 
 
@@ -295,6 +285,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", list_quantities)
     app.connect("missing-reference", resolve)
     app.connect("builder-inited", drop_old_pages, priority=400)  # autosummary has 500
+    app.connect("source-read", list_public_names)
     app.connect("source-read", source_links)
     app.connect("source-read", place_knee)
     app.connect("build-finished", write_knee)

@@ -8,9 +8,10 @@ from pydrake.math import max, min
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
+import kneexo as kx
+from kneexo.analysis import large_signal_bandwidth_hz
 from kneexo.diagrams import make_controller
-from kneexo.parameters import CustomControllerParameters, Scenario
+from kneexo.parameters import CustomControllerParameters
 from kneexo.studies.robustness import RobustnessSettings, robustness_study, worst
 
 
@@ -57,15 +58,15 @@ def make(scenario):
     return make_controller(scenario, law=Backstepping_[None](g, *numbers, *limits))
 
 
-BACKSTEPPING = Scenario(
+BACKSTEPPING = kx.Scenario(
     controller=CustomControllerParameters(
         make=make, values={"k_1": 20.0, "k_2": 60.0}, sample_time_s=0.001
     )
 )
 
 if __name__ == "__main__":
-    print(track(BACKSTEPPING).metrics)
-    print(linearize_loop(BACKSTEPPING))
+    print(kx.track(BACKSTEPPING).metrics)
+    print(kx.linearize(BACKSTEPPING))
     print(f"-3 dB at {large_signal_bandwidth_hz(BACKSTEPPING):.3f} Hz")
     few = RobustnessSettings(samples=20, corners_max=20, sensitivity_duration_s=0, bandwidth=False)
     study = robustness_study(BACKSTEPPING, settings=few, workers=None)

@@ -1,13 +1,15 @@
-"""Linearize the sampled closed loop at a knee angle of 40°, and plot its Bode diagram."""
+"""Linearize the closed loop at a knee angle of 40°, print its margins, and plot Bode diagrams."""
 
 import matplotlib.pyplot as plt
 
-from kneexo.analysis import linearize_loop
-from kneexo.parameters import Scenario, SlidingModeParameters
+import kneexo as kx
+from kneexo.parameters import SlidingModeParameters
 
-loop = linearize_loop(Scenario(controller=SlidingModeParameters(lambda_per_s=40.0)), 40.0)
+scenario = kx.Scenario(controller=SlidingModeParameters(lambda_per_s=40.0))
+loop = kx.linearize(scenario, knee_angle_deg=40.0)
 print(loop)
-margins = loop.margins()
-print(f"the phase margin is {margins.phase_margin_deg:.1f} deg")
-loop.plot()
+print(f"the phase margin is {loop.margins().phase_margin_deg:.1f} deg")
+figure, axes = plt.subplots(2, 2, sharex=True, figsize=(13, 6), layout="constrained")
+loop.plot(axes[:, 0])  # the open loop, with its margins
+kx.bode(scenario, knee_angle_deg=40.0).plot(axes[:, 1])  # from the reference to the knee angle
 plt.savefig("bode.png")

@@ -4,9 +4,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from pydrake.examples import PendulumPlant
 
-import kneexo
+import kneexo as kx
 
-model = kneexo.compile(PendulumPlant(), inputs=["tau"])  # no torque: an open input is zero
+model = kx.compile(PendulumPlant(), inputs=["tau"])  # no torque: an open input is zero
 parameters = model.parameters()
 print("parameters:", dict(zip(model.parameter_names, parameters.tolist(), strict=True)))
 for angle_deg in (30.0, 90.0, 170.0):

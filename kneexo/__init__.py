@@ -1,72 +1,65 @@
 """kneexo: a polycentric knee exoskeleton with electro-hydraulic actuator, on Drake.
 
+The short names for users, as in ``import kneexo as kx``:
+
+- `kneexo.parameters.Scenario`: a knee with its controller, reference and simulation settings
+- `kneexo.analysis.track`: simulate it, with metrics, verdict and plots
+- `kneexo.responses.linearize`: poles and margins of its sampled closed loop
+- `kneexo.responses.bode`, `kneexo.responses.step`: frequency response and step response
+- `kneexo.batches.batch`: simulate many variants of it
+- `kneexo.simulation.compile`: machine code of a scenario, or of any Drake diagram
+
+Each accepts a scenario or the path of a scenario file.
+
 Each subpackage of this list imports only those before it: ``kneexo.compiler`` (Drake diagrams as
 machine code, C and FMU), ``kneexo.parameters`` (every physical number), ``kneexo.linkage``
 (four-bar mathematics as plain functions), ``kneexo.systems`` (leaf systems), ``kneexo.diagrams``
 (systems wired to plant, controller and loop), ``kneexo.simulation`` (one run), ``kneexo.sweeps``
 (many runs), ``kneexo.export`` (C and FMU of a scenario), ``kneexo.analysis`` (measures of one
-scenario), ``kneexo.studies`` (comparisons of many scenarios), ``kneexo.view`` (the knee in three
-dimensions) and ``kneexo.command_line``.
+scenario), ``kneexo.responses`` and ``kneexo.batches`` (the short names), ``kneexo.studies``
+(comparisons of many scenarios), ``kneexo.view`` (the knee in three dimensions) and
+``kneexo.command_line``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from os import PathLike
-from typing import TYPE_CHECKING, overload
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from kneexo.version import __version__ as __version__
 
-if TYPE_CHECKING:
-    from pydrake.systems.framework import System
+__all__ = ["Scenario", "batch", "bode", "compile", "linearize", "step", "track"]
 
-    from kneexo.compiler import CompiledModel, DiagramModel
-    from kneexo.parameters import Scenario
+if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
+    from kneexo.analysis import track as track
+    from kneexo.batches import batch as batch
+    from kneexo.parameters import Scenario as Scenario
+    from kneexo.responses import bode as bode, linearize as linearize, step as step
+    from kneexo.simulation import compile as compile
+else:
+    _MODULES = {
+        "Scenario": "kneexo.parameters",
+        "batch": "kneexo.batches",
+        "bode": "kneexo.responses",
+        "compile": "kneexo.simulation",
+        "linearize": "kneexo.responses",
+        "step": "kneexo.responses",
+        "track": "kneexo.analysis",
+    }
+    """Module of each name. It is imported at the first use, so that kneexo alone loads no Drake."""
 
+    def __getattr__(name: str) -> Any:
+        """Import and return a public name of this package."""
+        if name not in _MODULES:
+            raise AttributeError(
+                f"module 'kneexo' has no attribute {name!r}; it has {', '.join(__all__)}",
+                name=name,
+                obj=import_module("kneexo"),
+            )
+        value = globals()[name] = getattr(import_module(_MODULES[name]), name)
+        return value
 
-@overload
-def compile(system: Scenario | str | PathLike[str]) -> CompiledModel: ...
-
-
-@overload
-def compile(system: System, *, inputs: Iterable[str] = ()) -> DiagramModel: ...
-
-
-def compile(
-    system: Scenario | str | PathLike[str] | System, *, inputs: Iterable[str] = ()
-) -> CompiledModel:
-    """Compile a Drake diagram, or the closed loop of a scenario or scenario file.
-
-    See `kneexo.simulation.compile_scenario` and `kneexo.compiler.compile_diagram`.
-
-    Parameters
-    ----------
-    system
-        A scenario, the path of a scenario file, or a Diagram or leaf system of floats.
-    inputs
-        Names of the input ports of a diagram that become inputs of the model.
-
-    Raises
-    ------
-    ScenarioError
-        The file is faulty.
-    CompilationError
-        ``system`` has another type, or a subsystem cannot be converted. Also raised if ``inputs``
-        are given for a scenario, because the reference of the scenario determines its inputs.
-    """
-    # Importing kneexo alone loads neither LLVM nor Drake.
-    from kneexo.compiler import compile_diagram
-    from kneexo.errors import CompilationError
-    from kneexo.parameters import Scenario
-    from kneexo.parameters.scenario_file import load_scenario
-    from kneexo.simulation import compile_scenario
-
-    if isinstance(system, str | PathLike):
-        system = load_scenario(system)
-    if not isinstance(system, Scenario):
-        return compile_diagram(system, inputs=inputs)
-    if isinstance(inputs, str) or tuple(inputs):
-        raise CompilationError(
-            "inputs: must be left out for a scenario; compile a diagram to choose them"
-        )
-    return compile_scenario(system)
+    def __dir__() -> list[str]:
+        """Return the public names, without the subpackages that are loaded."""
+        special = [name for name in globals() if name[:2] == name[-2:] == "__"]
+        return sorted([*__all__, *special])

@@ -5,11 +5,15 @@ The module ``kneexo.compiler.errors`` defines the errors of the compiler, which 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 from kneexo.compiler import (
     CompilationError as CompilationError,
     Error,
     OutputError as OutputError,
     ParameterError as ParameterError,
+    ResultError as ResultError,
     SimulationError as SimulationError,
     StiffnessError as StiffnessError,
     escaped as escaped,
@@ -39,3 +43,29 @@ class PackageError(KneexoError, ImportError):
 
 class WorkerError(KneexoError, RuntimeError):
     """A worker process died, or no workers can be started or reached."""
+
+
+def close_names(name: str, names: Iterable[str], cutoff: float = 0.6, most: int = 4) -> list[str]:
+    """Return at most ``most`` names that are similar to ``name``, the most similar first.
+
+    A name is also similar if ``name`` is one of its words, as ``mass`` is in ``segment_mass_kg``.
+    ``cutoff`` is the least similarity of other names, between 0 and 1.
+    """
+    folded = {other.casefold(): other for other in names}
+    searched = name.casefold()
+    alike = get_close_matches(searched, folded, n=most, cutoff=cutoff)
+    begins = [other for other in folded if other.startswith(f"{searched}_")]
+    has = [other for other in folded if len(searched) > 2 and f"_{searched}_" in f"_{other}_"]
+    return [folded[other] for other in dict.fromkeys([*alike[:1], *begins, *has, *alike])][:most]
+
+
+def question(names: Iterable[str]) -> str:
+    """Return ``; did you mean a, b or c?``. The text is empty without names."""
+    listed = listed_names(names)
+    return f"; did you mean {listed}?" if listed else ""
+
+
+def listed_names(names: Iterable[str]) -> str:
+    """Return ``a, b or c``. The text is empty without names."""
+    *others, last = [*names] or [""]
+    return f"{', '.join(others)} or {last}" if others else last

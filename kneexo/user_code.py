@@ -7,7 +7,9 @@ import sysconfig
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from kneexo.errors import KneexoError, ParameterError, shortened, shown
 
@@ -31,8 +33,38 @@ def user_code(failure: str) -> Iterator[None]:
         raise
     except BaseException as error:
         raise ParameterError(
-            f"{failure}: {cause_of(error)}; correct that code, or name another module:function"
+            f"{failure}: {cause_of(error)}; correct that code, or name another function"
         ) from error
+
+
+def function_at(name: str, subject: str) -> Any:
+    """Import and return a function by its name ``module:function``.
+
+    ``subject`` begins the message of every `ParameterError`.
+    """
+    module, _, path = name.partition(":")
+    try:
+        with user_code(f"{subject}: the module cannot be imported"):
+            make: Any = import_module(module)
+    except ParameterError as error:
+        cause = error.__cause__
+        missing = cause.name if isinstance(cause, ModuleNotFoundError) else None
+        if missing is None or not f"{module}.".startswith(f"{missing}."):
+            raise
+        raise ParameterError(
+            f"{subject}: no module named {shortened(missing)!r}; must be module:function on the "
+            f"Python path"
+        ) from None
+    with user_code(f"{subject}: the module fails"):
+        for attribute in path.split("."):
+            try:
+                make = getattr(make, attribute)
+            except AttributeError as error:
+                raise ParameterError(
+                    f"{subject}: {shortened(str(error), 300)}; must be module:function on the "
+                    f"Python path"
+                ) from None
+    return make
 
 
 def cause_of(error: BaseException) -> str:

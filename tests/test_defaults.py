@@ -12,7 +12,8 @@ from pydantic.fields import FieldInfo
 
 from kneexo import parameters
 from kneexo.parameters import UNCERTAINTY, Scenario
-from kneexo.parameters.quantity import Parameters, models_of, unit_of
+from kneexo.parameters.fields import models_of, unit_of
+from kneexo.parameters.quantity import Parameters
 from kneexo.studies import paper
 from kneexo.studies.catalogue import STUDIES
 

@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 from kneexo import errors
-from kneexo.errors import KneexoError, escaped, shortened, shown
+from kneexo.errors import KneexoError, close_names, escaped, question, shortened, shown
 
 ERRORS = {e for e in vars(errors).values() if isinstance(e, type) and issubclass(e, KneexoError)}
 
@@ -23,3 +23,25 @@ def test_text_for_a_message():
     assert shortened("x" * 120) == "x" * 120
     assert shortened("a" * 100 + "b" * 100) == "a" * 60 + " … " + "b" * 57
     assert len(shown("\n" * 5000)) == 300
+
+
+@pytest.mark.parametrize(
+    ("name", "names", "close"),
+    [
+        ("mas_kg", ["bore_m", "mass_kg"], ["mass_kg"]),
+        ("MASS_KG", ["bore_m", "mass_kg"], ["mass_kg"]),
+        ("mass", ["segment_mass_kg", "mass_kg"], ["mass_kg", "segment_mass_kg"]),
+        ("g1", ["G1", "G2"], ["G1"]),
+        ("leakage", ["leakage_m3_per_s_pa"], ["leakage_m3_per_s_pa"]),  # most of it is the unit
+        ("colour", ["bore_m", "mass_kg"], []),
+        ("a", ["b_a_c"], []),
+    ],
+)
+def test_close_names_differ_by_letters_case_or_words(name, names, close):
+    assert close_names(name, names)[: len(close) or 1] == close
+
+
+def test_a_question_lists_names():
+    assert question([]) == ""
+    assert question(["a"]) == "; did you mean a?"
+    assert question(["a", "b", "c"]) == "; did you mean a, b or c?"

@@ -1,7 +1,6 @@
 """The examples run, print what they should, and stay short enough to be copied."""
 
 import csv
-import importlib.util
 import re
 import runpy
 from pathlib import Path
@@ -14,7 +13,8 @@ from kneexo.analysis import track
 from kneexo.parameters import CylinderParameters, KneeLoadParameters, PlantParameters, Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-SHORT = ("own_law", "bode", "thousand_runs", "pendulum")
+MASS, BULK_MODULUS = "plant.cylinder.mass_kg", "plant.cylinder.bulk_modulus_pa"
+SHORT = ("own_law", "drake_loop", "bode", "thousand_runs", "pendulum")
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_an_example_has_at_most_40_lines(name):
 
 
 def test_the_law_of_the_example_moves_the_knee_to_its_target(run_example):
-    (line,), (ax,) = run_example("own_law")
+    (line,), (ax,) = run_example("drake_loop")
     angle = float(re.fullmatch(r"knee angle after 1 s: (.*) deg", line)[1])
     # After 1 s the error has fallen below 0.1 deg, monotonically.
     assert angle == pytest.approx(20.0, abs=0.1)
@@ -48,31 +48,46 @@ def test_the_law_of_the_example_moves_the_knee_to_its_target(run_example):
     assert ax.get_ylabel() == "knee angle (deg)"
 
 
+def test_the_own_law_example_prints_metrics_and_margins(capsys):
+    runpy.run_path(str(EXAMPLES / "own_law.py"), run_name="__main__")
+    text = capsys.readouterr().out
+    error = float(re.search(r"max_error_deg=([\d.]+)", text)[1])
+    # A proportional law lags: the error is the rod's largest speed over the loop gain, as an angle.
+    assert 1.0 < error < 3.0
+    assert "phase margin" in text
+
+
 def test_the_bode_example_shows_the_phase_margin_that_it_prints(run_example):
-    lines, (_, phase) = run_example("bode")
+    lines, (_, closed, phase, _) = run_example("bode")
     margin = float(re.fullmatch(r"the phase margin is (.*) deg", lines[-1])[1])
     assert 0.0 < margin < 90.0
     (vertical,) = [line for line in phase.lines if "phase margin" in str(line.get_label())]
     assert np.ptp(vertical.get_ydata()) == pytest.approx(margin, abs=0.06)
+    labels = [line.get_label() for line in closed.lines]
+    assert labels[:2] == ["knee angle / reference", "L/(1 + L), feedback alone"]
 
 
-def test_the_table_of_many_runs_has_a_line_for_each(tmp_path):
-    spec = importlib.util.spec_from_file_location("thousand_runs", EXAMPLES / "thousand_runs.py")
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
-    example.write_table(tmp_path / "table.csv", runs=3, workers=1)
-    with open(tmp_path / "table.csv", newline="", encoding="utf-8") as file:
-        rows = [{name: float(text) for name, text in row.items()} for row in csv.DictReader(file)]
-    assert len(rows) == 3
-    assert len({row["mass_kg"] for row in rows}) == 3
+def test_the_table_of_many_runs_has_a_line_for_each(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    source = (EXAMPLES / "thousand_runs.py").read_text(encoding="utf-8")
+    assert "\nRUNS = 1000\n" in source
+    names = {}
+    exec(source.replace("RUNS = 1000", "RUNS = 3"), names)
+    with open("thousand_runs.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len({row[MASS] for row in rows}) == 3
+    errors = [float(row["max_error_deg"]) for row in rows]
+    assert f"largest max_error_deg {max(errors):.4g} at" in capsys.readouterr().out
+    assert names["worst"].metrics.max_error_deg == max(errors)
     last = rows[-1]
     plant = PlantParameters(
         cylinder=CylinderParameters(
-            mass_kg=last["mass_kg"], bulk_modulus_pa=last["bulk_modulus_pa"]
+            mass_kg=float(last[MASS]), bulk_modulus_pa=float(last[BULK_MODULUS])
         ),
-        load=KneeLoadParameters(segment_mass_kg=last["shank_kg"]),
+        load=KneeLoadParameters(segment_mass_kg=float(last["plant.load.segment_mass_kg"])),
     )
-    assert last["max_error_deg"] == track(Scenario(plant=plant)).metrics.max_error_deg
+    again = track(Scenario(plant=plant, nominal=PlantParameters()))
+    assert errors[-1] == again.metrics.max_error_deg
 
 
 def test_the_pendulum_of_the_example_loses_its_energy(run_example):

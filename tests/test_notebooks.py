@@ -54,7 +54,7 @@ def cpu_seconds_of_children():
 @pytest.mark.slow
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_notebook_runs_from_the_wheel(page, notebooks, wheel, tmp_path):
-    nbclient = pytest.importorskip("nbclient", reason="needs pip install 'kneexo[docs]'")
+    nbclient = pytest.importorskip("nbclient", reason="needs pip install '.[docs]'")
     nbformat = pytest.importorskip("nbformat")
     read = pytest.importorskip("myst_nb.core.read").read_myst_markdown_notebook
     pytest.importorskip("ipykernel")

@@ -3,6 +3,7 @@
 import io
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -39,6 +40,91 @@ def test_no_bar_without_a_description(monkeypatch):
     assert shown(monkeypatch, Terminal(), None) == ""
 
 
+STAGES = (
+    progress.Stage("runs", 6.0),
+    progress.Stage("searches", 2.0, repeats=True),
+    progress.Stage("figures", 2.0),
+)
+
+
+class Bar:
+    """Stands in for a bar of tqdm: notes its positions."""
+
+    def __init__(self):
+        self.n = 0.0
+        self.positions = []
+
+    def update(self, amount):
+        self.n += amount
+        self.positions.append(round(self.n, 9))
+
+
+def test_bars_of_the_stages_advance_the_bar_of_the_whole_by_their_shares():
+    bar = Bar()
+    whole = progress._Whole(bar, STAGES)
+    with whole.part(4.0, "runs") as runs:
+        runs.update(1.0)
+        assert runs.n == 1.0
+        runs.update(3.0)
+    assert bar.positions == [1.5, 6.0]
+    for _ in range(2):  # half of what is left, then half of the rest
+        with whole.part(1.0, "searches") as search:
+            search.update(1.0)
+    with whole.part(5.0, "of no stage") as unknown:
+        unknown.update(5.0)
+    with whole.part(4.0, "figures") as figures:
+        figures.update(2.0)
+        figures.update(5.0)  # more than the total
+    assert bar.positions == [1.5, 6.0, 7.0, 7.5, 8.0, 9.0, 10.0]
+
+
+def test_a_stage_without_work_ends_at_once():
+    bar = Bar()
+    with progress._Whole(bar, STAGES).part(0.0, "runs") as runs:
+        runs.update(0.0)
+    assert bar.positions == [6.0]
+
+
+def test_a_command_shows_one_bar_and_lines_above_it(monkeypatch):
+    monkeypatch.setattr(progress, "_REFRESH_S", 0.01)
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with progress.whole_bar("study", STAGES):
+        with progress.progress_bar(4.0, "runs") as runs:
+            runs.update(2.0)
+        count = stream.getvalue().count("study:")
+        deadline = time.monotonic() + 10.0
+        while stream.getvalue().count("study:") < count + 2:  # it goes on without an update
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        print("a warning", file=sys.stderr)
+    text = stream.getvalue()
+    assert "study:   0%|" in text
+    assert "study:  60%|" in text
+    assert "runs:" not in text
+    assert "\ra warning\n" in text
+    assert text.endswith("\r")  # the bar disappears
+    assert sys.stderr is stream
+    with progress.progress_bar(1.0, "alone") as alone:
+        alone.update(1.0)
+    assert "alone: 100%|" in stream.getvalue()
+
+
+def test_an_error_ends_the_bar(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with pytest.raises(KeyboardInterrupt), progress.whole_bar("study", STAGES):
+        raise KeyboardInterrupt
+    assert progress._whole is None
+
+
+def test_the_whole_shows_nothing_where_stderr_is_no_terminal(monkeypatch):
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with progress.whole_bar("study", STAGES), progress.progress_bar(4.0, "runs") as runs:
+        runs.update(4.0)
+    assert stream.getvalue() == ""
+
+
 CODE = """
 from kneexo.progress import progress_bar
 with progress_bar(4.0, "runs") as bar:
@@ -52,7 +138,7 @@ def test_a_notebook_gets_a_widget_or_nothing(widgets, tmp_path, monkeypatch):
     pytest.importorskip("ipykernel")
     if widgets:
         pytest.importorskip("ipywidgets")
-    nbclient = pytest.importorskip("nbclient", reason="needs pip install 'kneexo[docs]'")
+    nbclient = pytest.importorskip("nbclient", reason="needs pip install '.[docs]'")
     nbformat = pytest.importorskip("nbformat")
     hidden = (
         "import importlib.util as u\nreal = u.find_spec\n"

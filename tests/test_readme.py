@@ -36,16 +36,16 @@ def test_every_command_of_the_table_has_help(command, capsys):
     assert f"usage: kneexo {command}" in capsys.readouterr().out
 
 
-def test_every_linked_file_exists():
-    targets = [t for t in re.findall(r"\]\(([^)]+)\)", README) if "://" not in t]
-    assert targets
-    assert [t for t in targets if not (ROOT / t).exists()] == []
+def test_the_readme_is_short():
+    assert len(README.split()) <= 600
 
 
 @pytest.mark.slow
-def test_the_python_example_runs_in_an_empty_directory(tmp_path):
+def test_the_python_example_prints_the_verdict_of_the_readme_in_an_empty_directory(tmp_path):
     code = "import matplotlib; matplotlib.use('Agg')\n" + block("python")
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True)
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
+    assert done.stdout == block("text")
     assert (tmp_path / "tracking.png").stat().st_size > 10_000
 
 

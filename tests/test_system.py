@@ -51,7 +51,7 @@ def test_a_missing_library_is_one_line_and_nothing_is_written(
 
 @pytest.mark.usefixtures("bare")
 def test_what_needs_no_drake_works_without_its_library(capsys):
-    for arguments in (["params", "--yaml"], ["params", "--schema"], ["cache"]):
+    for arguments in (["params", "--yaml"], ["params", "--schema"], ["setup", "cache"]):
         assert main(arguments) == 0
     assert capsys.readouterr().err == ""
 
@@ -82,9 +82,11 @@ def test_another_import_error_is_raised(monkeypatch):
         main(["params"])
 
 
-def test_readme_and_dockerfile_say_the_same():
-    readme, dockerfile = ((ROOT / name).read_text() for name in ("README.md", "Dockerfile"))
-    commands = re.findall(r"^(?:python3|apt-get) .*$", readme, re.MULTILINE)
+def test_the_dockerfile_runs_the_commands_of_the_readme_and_of_the_install_page():
+    pages = ("docs/install.md", "README.md", "Dockerfile")
+    install, readme, dockerfile = ((ROOT / name).read_text("utf-8") for name in pages)
+    commands = re.findall(r"^apt-get .*$", install, re.MULTILINE)
+    commands += re.findall(r"^python3 .*$", readme, re.MULTILINE)
     commands = [c for c in commands if not re.search("sphinx-build|kneexo view", c)]
     assert re.findall(r"^RUN (.*)$", dockerfile, re.MULTILINE) == commands
     assert commands[0].split() == [*REMEDY.split()[4:], "python3-venv", *system.LIBRARIES.values()]

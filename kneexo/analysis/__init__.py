@@ -4,41 +4,65 @@ Most functions return a frozen result object, which holds data and has a method 
 `kneexo.simulation` runs scenarios, and `kneexo.studies` compares many scenarios.
 """
 
-from kneexo.analysis.bandwidth import large_signal_bandwidth_hz as large_signal_bandwidth_hz
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.frequency_response import (
-    FrequencyResponse as FrequencyResponse,
-    crossing as crossing,
-    draw_trials as draw_trials,
-    fundamental as fundamental,
-    sinestream as sinestream,
+    FrequencyResponse,
+    crossing,
+    draw_trials,
+    fundamental,
+    sinestream,
 )
-from kneexo.analysis.margins import Margins as Margins
+from kneexo.analysis.margins import Margins
 from kneexo.analysis.plant_linearization import (
-    OperatingPoint as OperatingPoint,
-    PlantLinearization as PlantLinearization,
-    find_operating_point as find_operating_point,
-    linearize_plant as linearize_plant,
+    OperatingPoint,
+    PlantLinearization,
+    find_operating_point,
+    linearize_plant,
 )
-from kneexo.analysis.polynomial_fit import (
-    PolynomialFit as PolynomialFit,
-    fit_polynomials as fit_polynomials,
-)
-from kneexo.analysis.rate_limit import (
-    rate_limit_bandwidth_hz as rate_limit_bandwidth_hz,
-    rate_limited_gain as rate_limited_gain,
-)
-from kneexo.analysis.sampled_loop import (
-    SampledLoop as SampledLoop,
-    linearize_loop as linearize_loop,
-)
-from kneexo.analysis.sine_estimate import (
-    SineEstimate as SineEstimate,
-    estimate_sine as estimate_sine,
-)
+from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
+from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
+from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
+from kneexo.analysis.sine_estimate import SineEstimate, estimate_sine
 from kneexo.analysis.tracking import (
-    TrackingMetrics as TrackingMetrics,
-    TrackingResult as TrackingResult,
-    track as track,
-    tracking_metrics as tracking_metrics,
+    StepMetrics,
+    TrackingMetrics,
+    TrackingResult,
+    step_metrics,
+    track,
+    tracking_metrics,
 )
-from kneexo.simulation import Run as Run, simulate as simulate, simulate_diagram as simulate_diagram
+from kneexo.analysis.verdict import Stability, Verdict
+from kneexo.simulation import Run, simulate, simulate_diagram
+
+__all__ = [
+    "FrequencyResponse",
+    "Margins",
+    "OperatingPoint",
+    "PlantLinearization",
+    "PolynomialFit",
+    "Run",
+    "SampledLoop",
+    "SineEstimate",
+    "Stability",
+    "StepMetrics",
+    "TrackingMetrics",
+    "TrackingResult",
+    "Verdict",
+    "crossing",
+    "draw_trials",
+    "estimate_sine",
+    "find_operating_point",
+    "fit_polynomials",
+    "fundamental",
+    "large_signal_bandwidth_hz",
+    "linearize_loop",
+    "linearize_plant",
+    "rate_limit_bandwidth_hz",
+    "rate_limited_gain",
+    "simulate",
+    "simulate_diagram",
+    "sinestream",
+    "step_metrics",
+    "track",
+    "tracking_metrics",
+]

@@ -44,7 +44,7 @@ async def assess(
         metrics |= dict.fromkeys(MARGIN_METRICS, math.nan)
         metrics |= {"stable": None, "margins_failure": ""}
         try:
-            loop = linearize_loop(scenario, scenario.reference.middle_deg)
+            loop = linearize_loop(scenario, knee_angle_deg=scenario.reference.middle_deg)
             metrics["stable"] = loop.stable
             if loop.stable:
                 values = loop.margins()

@@ -33,6 +33,7 @@ from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.result import Array
+from kneexo.rod_polynomial import controller_polynomial
 from kneexo.simulation import awaitable, needs_runs, search_async
 
 LOWEST_HZ = 0.02
@@ -71,7 +72,7 @@ def acceleration_bound_hz(acceleration_limit: float, amplitude: float) -> float:
 def rod_of(scenario: Scenario, knee_angle_rad: Array) -> Array:
     """Compute the rod extension in m at knee angles in rad, using the plant's rod map."""
     if scenario.plant.rod_map == "polynomial":
-        return np.asarray(linkage.polynomial(scenario.polynomial.p_si, knee_angle_rad))
+        return np.asarray(linkage.polynomial(controller_polynomial(scenario).p_si, knee_angle_rad))
     return linkage.rod_extension(scenario.plant.linkage, knee_angle_rad)
 
 
@@ -202,6 +203,8 @@ def _linear_bandwidth_hz(scenario: Scenario) -> float:
     The result is nan if the loop cannot be linearized or its gain does not fall below 1/√2.
     """
     try:
-        return linearize_loop(scenario, require_sine(scenario).mean_deg).bandwidth_hz()
+        return linearize_loop(
+            scenario, knee_angle_deg=require_sine(scenario).mean_deg
+        ).bandwidth_hz()
     except LinearizationError:
         return math.nan

@@ -20,11 +20,12 @@ from kneexo.analysis.newton import failure, newton
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
-from kneexo.diagrams.controller import known_to_controller
-from kneexo.errors import LinearizationError
-from kneexo.parameters import Scenario, StepReference
+from kneexo.diagrams.controller import has_unknown_parts, known_to_controller
+from kneexo.errors import LinearizationError, shortened
+from kneexo.parameters import LawParameters, Scenario, StepReference
 from kneexo.result import Array
 from kneexo.simulation.compiled import structure_key
+from kneexo.systems.function_law import hides_state
 
 
 @dataclass(frozen=True)
@@ -82,12 +83,27 @@ def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
     Scenarios that differ only in numbers share these two diagrams.
     """
     key = structure_key(scenario)
-    if scenario.controller.kind == "custom":  # whose Context parameters cannot be set by name
+    law = scenario.controller
+    if has_unknown_parts(scenario):  # whose Context parameters cannot be set by name
         key += known_to_controller(scenario).model_dump_json()
+    elif isinstance(law, LawParameters):  # laws that run as Python share one structure
+        key += law.function.identity()
     if key not in _built:
         diagram = make_closed_loop(scenario, signals=(), external_reference=True)
-        _built[key] = diagram, diagram.ToAutoDiffXd()
+        _built[key] = diagram, _autodiff(diagram)
     return _built[key]
+
+
+def _autodiff(diagram: Any) -> Any:
+    """Return a diagram as AutoDiffXd. Raise `LinearizationError` if a system does not convert."""
+    try:
+        return diagram.ToAutoDiffXd()
+    except RuntimeError as error:
+        raise LinearizationError(
+            f"{diagram.get_name()}: does not convert to AutoDiffXd "
+            f"({shortened(str(error), 120)}); write the law as a function, "
+            f"track(scenario, law=law), or as Drake's TemplateSystem"
+        ) from None
 
 
 def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
@@ -145,7 +161,7 @@ def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -
 
 
 def find_equilibrium(
-    scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG, diagram: Any = None
+    scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DEG, diagram: Any = None
 ) -> Equilibrium:
     """Find the equilibrium of the sampled loop of a scenario by Newton's method.
 
@@ -160,13 +176,20 @@ def find_equilibrium(
     if controller.kind == "smc" and (controller.continuous or controller.switching == "signum"):
         what = "continuous = true" if controller.continuous else "switching = signum"
         raise LinearizationError(f"controller.{what}: there is no linear sampled-data loop")
+    if isinstance(controller, LawParameters) and not controller.function.is_system:
+        law = controller.function
+        if hides_state(law, len(controller.initial_state)):
+            raise LinearizationError(
+                f"law {law.short_name}: the object hides state, which no linear loop would have; "
+                f"write the law as a function with the argument state"
+            )
+    scenario.plant.knee.require_posture(knee_angle_deg)
     fixed = scenario.without_quantizers().model_copy(
         update={
             "reference": StepReference(start_deg=knee_angle_deg, end_deg=knee_angle_deg),
             "initial_offset_m": 0.0,
         }
     )
-    fixed.plant.knee.require_in_range(*fixed.reference.range_deg)
     reference = np.array([math.radians(knee_angle_deg), 0.0, 0.0, 0.0])
     if diagram is None:
         diagram, automatic = _diagrams(fixed)
@@ -178,7 +201,7 @@ def find_equilibrium(
             raise LinearizationError(
                 f"{diagram.get_name()}: has no input port knee_reference; leave the reference open"
             )
-        automatic, context = diagram.ToAutoDiffXd(), diagram.CreateDefaultContext()
+        automatic, context = _autodiff(diagram), diagram.CreateDefaultContext()
     period_s = _sample_time_s(diagram)
     x = context.get_continuous_state_vector().CopyToVector()
     diagram.GetInputPort("knee_reference").FixValue(context, reference)
@@ -198,9 +221,12 @@ def find_equilibrium(
 
     point, residual = newton(changes, point, rank_tolerance=1e-14, relative=True)
     if not residual < 1e-6:
+        remedy = "reduce the load"
+        if isinstance(controller, LawParameters):
+            remedy += ", or let the law act on the error without rounding"
         raise LinearizationError(
             f"the loop does not rest at knee angle {knee_angle_deg:g} deg: "
-            f"{failure(residual, 'residual')}; reduce the load"
+            f"{failure(residual, 'residual')}; {remedy}"
         )
     _set_point(diagram, context, point, reference, n)
     _require_linear(diagram, context, fixed)
@@ -253,6 +279,9 @@ def command_and_live(gradient: Array, n: int) -> tuple[int, Array, Any]:
     command = int(np.argmax(np.max(np.abs(influence), axis=0)))
     row = int(np.argmax(np.abs(influence[:, command])))
     identity = np.eye(m, gradient.shape[1], k=n)
-    # The tolerance covers rounding of 1e-16 in the integral of a PID without K_i.
-    live = np.any(np.abs(gradient[n:] - identity) > 1e-12, axis=1)
+    # A state that keeps its value, or a constant one such as the integral of a PID without K_i, is
+    # not live. The tolerance covers rounding of 1e-16.
+    still = (gradient[n:] - identity, gradient[n:])
+    live = np.all([np.any(np.abs(change) > 1e-12, axis=1) for change in still], axis=0)
+    live[command] = True  # also of a law whose command is constant
     return command, influence[row] / influence[row, command], live

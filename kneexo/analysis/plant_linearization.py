@@ -90,8 +90,8 @@ def _plant_gradients(
 
 def find_operating_point(
     plant: PlantParameters | Diagram = PlantParameters(),
-    knee_angle_deg: float = MID_RANGE_DEG,
     *,
+    knee_angle_deg: float = MID_RANGE_DEG,
     knee_torque_n_m: float = 0.0,
     disturbance_n: float = 0.0,
 ) -> OperatingPoint:
@@ -145,6 +145,7 @@ def find_operating_point(
 def _plant(plant: PlantParameters | Diagram, knee_angle_deg: float) -> Any:
     """Return ``plant`` if it is a diagram, else a new plant that starts at ``knee_angle_deg``."""
     if isinstance(plant, PlantParameters):
+        plant.knee.require_posture(knee_angle_deg)
         return make_plant(plant, initial_knee_angle_rad=math.radians(knee_angle_deg))
     return plant
 
@@ -249,8 +250,8 @@ class PlantLinearization(Result):
 
 def linearize_plant(
     plant: PlantParameters | Diagram = PlantParameters(),
-    knee_angle_deg: float = MID_RANGE_DEG,
     *,
+    knee_angle_deg: float = MID_RANGE_DEG,
     outputs: tuple[str, ...] = ("knee_angle",),
     knee_torque_n_m: float = 0.0,
     disturbance_n: float = 0.0,
@@ -262,7 +263,10 @@ def linearize_plant(
     """
     diagram = _plant(plant, knee_angle_deg)
     point = find_operating_point(
-        diagram, knee_angle_deg, knee_torque_n_m=knee_torque_n_m, disturbance_n=disturbance_n
+        diagram,
+        knee_angle_deg=knee_angle_deg,
+        knee_torque_n_m=knee_torque_n_m,
+        disturbance_n=disturbance_n,
     )
     n = point.state.size
     _, gradient = _plant_gradients(

@@ -6,17 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
-from kneexo import linkage
 from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
 from kneexo.result import Array, Result, axes_or_new, data_frame
+from kneexo.rod_polynomial import SAMPLES, quintic, rod_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-SAMPLES = 901
-"""Number of points of the default fit, one every 0.1° from 0° to 90°."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -95,10 +91,8 @@ def fit_polynomials(
     The ``samples`` points have equal distances in knee angle from ``start_deg`` to 90°. Raises
     `LinkageError` when the linkage cannot be assembled.
     """
-    angle = np.linspace(start_deg, 90.0, samples)
-    extension = 1e3 * linkage.rod_extension(link, np.radians(angle))
-    p = _quintic(angle, extension)
-    q = _quintic(extension, angle)
+    angle, extension = rod_points(link, start_deg=start_deg, samples=samples)
+    p, q = quintic(angle, extension), quintic(extension, angle)
     return PolynomialFit(
         table=table,
         angle_deg=angle,
@@ -110,8 +104,3 @@ def fit_polynomials(
         table_p_error_mm=extension - np.polyval(table.p_mm_deg, angle),
         table_q_error_deg=angle - np.polyval(table.q_deg_mm, extension),
     )
-
-
-def _quintic(argument: Array, value: Array) -> Array:
-    """Fit a quintic polynomial value(argument); return its 6 coefficients, highest power first."""
-    return np.asarray(Polynomial.fit(argument, value, 5).convert().coef[::-1], dtype=float)

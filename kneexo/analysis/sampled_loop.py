@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -208,7 +208,7 @@ class SampledLoop(Result):
 
     def _first_fall_hz(self, response: Callable[[ArrayLike], Complex]) -> float:
         """Return the −3 dB frequency in Hz of ``response``, or nan, as `bandwidth_hz` describes."""
-        self._require_stable("bandwidth")
+        self.require_stable("bandwidth")
         grid = np.geomspace(1e-2, 0.5 / self.sample_time_s, 2000)
         gain = np.abs(response(grid))
         threshold = MINUS_3_DB * gain[0]
@@ -222,7 +222,8 @@ class SampledLoop(Result):
 
         return float(scipy.optimize.brentq(excess, grid[index - 1], grid[index]))
 
-    def _require_stable(self, what: str) -> None:
+    def require_stable(self, what: str) -> None:
+        """Raise `LinearizationError` for an unstable loop, which has no ``what``."""
         if not self.stable:
             raise LinearizationError(
                 f"the sampled loop is unstable (largest eigenvalue "
@@ -291,7 +292,7 @@ class SampledLoop(Result):
         """
         ax = axes_or_new(ax, 2, 1, sharex=True, figsize=(7, 6))
         nyquist = 0.5 / self.sample_time_s
-        f = self._plot_grid(nyquist)
+        f = self.frequency_grid()
         loop, margins = self.loop_response(f), self.margins()
         with np.errstate(divide="ignore"):  # a loop without gain gives −inf dB
             decibel = 20.0 * np.log10(np.abs(loop))
@@ -321,8 +322,12 @@ class SampledLoop(Result):
             axis.legend(loc="lower left")
         return ax
 
-    def _plot_grid(self, nyquist: float) -> Array:
-        """Return frequencies in Hz for a plot, dense around each lightly damped resonance."""
+    def frequency_grid(self) -> Array:
+        """Return frequencies in Hz for a plot, from 0.02 Hz to the Nyquist frequency.
+
+        The frequencies (n,) ascend, and are dense around each lightly damped resonance.
+        """
+        nyquist = 0.5 / self.sample_time_s
         values = self.eigenvalues
         values = np.append(values, np.linalg.eigvals(self.loop_matrices[0]))
         modes = np.abs(np.angle(values[np.abs(values) > 0.5])) * nyquist / math.pi
@@ -339,7 +344,7 @@ class SampledLoop(Result):
         is drawn if the loop is unstable or the disk margin is 2 or more.
         """
         ax = axes_or_new(ax, figsize=(5.5, 5.5))
-        loop = self.loop_on_grid(self._plot_grid(0.5 / self.sample_time_s))
+        loop = self.loop_on_grid(self.frequency_grid())
         ax.plot(loop.real, loop.imag, "C0", lw=1.2, label="L, f > 0")
         ax.plot(loop.real, -loop.imag, "C0:", lw=0.8, label="L, f < 0")
         circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
@@ -384,10 +389,12 @@ class SampledLoop(Result):
 
 def linearize_loop(
     scenario: Scenario = Scenario(),
-    knee_angle_deg: float = MID_RANGE_DEG,
     *,
+    knee_angle_deg: float = MID_RANGE_DEG,
     output: str = "knee_angle",
     diagram: Diagram | None = None,
+    law: Any = None,
+    initial_state: Sequence[float] = (),
 ) -> SampledLoop:
     """Linearize the sampled-data loop of a scenario at its equilibrium for a constant reference.
 
@@ -414,7 +421,9 @@ def linearize_loop(
         variable is outside the boundary layer. The controller is continuous or switches by signum.
         A derivative is not finite.
     """
-    equilibrium = find_equilibrium(scenario, knee_angle_deg, diagram)
+    if law is not None:
+        scenario = scenario.with_law(law, initial_state=initial_state)
+    equilibrium = find_equilibrium(scenario, knee_angle_deg=knee_angle_deg, diagram=diagram)
     n, m = equilibrium.continuous_states, equilibrium.point.size - equilibrium.continuous_states
     # The absolute values of Eq. 27 have a kink at the equilibrium. A small motion sees the mean of
     # the slopes on both sides; at the equilibrium itself rounding would choose one of them.

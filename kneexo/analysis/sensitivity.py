@@ -168,7 +168,7 @@ def tracking_sensitivities(
         ),
         simulator,
     )
-    end = scenario.simulation.duration_s if duration_s is None else duration_s
+    end = scenario.duration_s if duration_s is None else duration_s
     for time in np.append(np.arange(0.25, end, 0.25), end):
         simulator.AdvanceTo(AutoDiffXd(time))
     data = diagram.GetSubsystemByName("log").FindLog(context).data()
@@ -213,7 +213,7 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
     """
     fixed = _fixed(scenario)
     knee_angle_deg = scenario.reference.middle_deg
-    equilibrium = find_equilibrium(fixed, knee_angle_deg)
+    equilibrium = find_equilibrium(fixed, knee_angle_deg=knee_angle_deg)
     n, size, count = equilibrium.continuous_states, equilibrium.point.size, len(paths)
     reference = equilibrium.reference
 
@@ -239,7 +239,7 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
             ends = (equilibrium.point + sign * steps * aside for sign in (1.0, -1.0))
             above, below = (rates(end, count, moves, seeded) for end in ends)
             change[:, index] += weight * (above - below) / (2.0 * steps * step)
-    loop = linearize_loop(fixed, knee_angle_deg)
+    loop = linearize_loop(fixed, knee_angle_deg=knee_angle_deg)
     index, command, live = command_and_live(joint[:, :size], n)
     if np.count_nonzero(command) > 1:
         raise LinearizationError("controller: must hold its command in one discrete state")

@@ -1,4 +1,4 @@
-"""Period, root mean square and unit of signals."""
+"""Period, root mean square, shares and unit of signals."""
 
 from __future__ import annotations
 
@@ -25,3 +25,13 @@ def rms(values: Array) -> float:
 def to_rpm(speed: Any) -> Any:
     """Convert a speed from rad/s to rpm."""
     return speed * 30.0 / math.pi
+
+
+def saturated_share(command: Array, limit: float) -> float:
+    """Return the share of ``command`` (n,) whose magnitude is at least (1 − 1e-6) ``limit``."""
+    return int(np.count_nonzero(np.abs(command) >= limit * (1.0 - 1e-6))) / command.size
+
+
+def share_above(values: Array, bound: float) -> float:
+    """Return the share of ``values`` (n,) whose absolute value exceeds ``bound``."""
+    return int(np.count_nonzero(np.abs(values) > bound)) / values.size

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from kneexo.analysis.signals import period_s, rms, to_rpm
+from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
+from kneexo.analysis.verdict import Verdict, verdict_of
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
+from kneexo.parameters.scenario_file import as_scenario
 from kneexo.result import Array, Result, axes_or_new, data_frame
 from kneexo.simulation import Run, awaitable, needs_runs, simulate
 
@@ -85,16 +89,6 @@ def mean_change(values: Array) -> float:
     """Return the mean absolute difference of neighbouring samples of ``values`` (n,)."""
     change = values[1:] - values[:-1]
     return float(np.mean(np.abs(change, out=change)))
-
-
-def saturated_share(command: Array, limit: float) -> float:
-    """Return the share of ``command`` (n,) whose magnitude is at least (1 − 1e-6) ``limit``."""
-    return int(np.count_nonzero(np.abs(command) >= limit * (1.0 - 1e-6))) / command.size
-
-
-def share_above(values: Array, bound: float) -> float:
-    """Return the share of ``values`` (n,) whose absolute value exceeds ``bound``."""
-    return int(np.count_nonzero(np.abs(values) > bound)) / values.size
 
 
 def basic_tracking_metrics(
@@ -204,13 +198,120 @@ async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
     )
 
 
+SETTLING_BAND = 0.02
+"""Share of a step within which its response is settled: 2 %, as usual (``stepinfo``)."""
+
+
+@dataclass(frozen=True, repr=False)
+class StepMetrics(Result):
+    """Metrics of the response to a step of the reference, with the definitions of ``stepinfo``.
+
+    Times count from the step. The final value is the end of the step, not the last sample, so an
+    error that remains keeps a response from settling.
+    """
+
+    step_deg: float
+    """Size of the step, negative if the knee extends."""
+    rise_time_s: float
+    """Time from 10 % to 90 % of the step; nan if the response does not reach 90 %."""
+    overshoot_percent: float
+    """Largest excess over the end of the step in % of the step, at least 0."""
+    settling_time_s: float
+    """First sample after which the response stays within `SETTLING_BAND`; nan if it leaves last."""
+
+    @property
+    def settles(self) -> bool:
+        """Whether the response is within `SETTLING_BAND` at the end of the run."""
+        return math.isfinite(self.settling_time_s)
+
+    @property
+    def line(self) -> str:
+        """One line with the metrics."""
+        band = f"within {100.0 * SETTLING_BAND:g} % of the step of {abs(self.step_deg):.3g}°"
+        rise = "does not reach 90 %"
+        if math.isfinite(self.rise_time_s):
+            rise = f"rise time {self.rise_time_s:.3g} s"
+        rest = f"{rise}, overshoot {self.overshoot_percent:.2g} %."
+        if self.settles:
+            return f"Tracks: {band} from {self.settling_time_s:.3g} s after it; {rest}"
+        return f"Does not track: not {band} at the end; {rest}"
+
+
+def step_metrics(
+    time_s: Array, angle_deg: Array, *, start_deg: float, end_deg: float, step_s: float
+) -> StepMetrics | None:
+    """Return the `StepMetrics` of a knee angle ``angle_deg`` (n,) at ``time_s`` (n,).
+
+    The reference jumps from ``start_deg`` to ``end_deg`` at ``step_s``. The result is None if it
+    does not jump, or if the samples end before ``step_s``.
+    """
+    first = int(np.searchsorted(time_s, step_s - 1e-9))
+    if start_deg == end_deg or first >= time_s.size:
+        return None
+    time = time_s[first:] - step_s
+    response = (angle_deg[first:] - start_deg) / (end_deg - start_deg)
+    low, high = (np.flatnonzero(response >= level) for level in (0.1, 0.9))
+    outside = np.flatnonzero(np.abs(response - 1.0) >= SETTLING_BAND)
+    settled = int(outside[-1]) + 1 if outside.size else 0
+    return StepMetrics(
+        step_deg=end_deg - start_deg,
+        rise_time_s=float(time[high[0]] - time[low[0]]) if high.size else math.nan,
+        overshoot_percent=100.0 * max(0.0, float(np.max(response)) - 1.0),
+        settling_time_s=float(time[settled]) if settled < time.size else math.nan,
+    )
+
+
 @dataclass(frozen=True, repr=False)
 class TrackingResult(Result):
-    """A simulated run: the scenario, its signals and its tracking metrics."""
+    """A simulated run: the scenario, its signals and its tracking metrics.
+
+    ``print`` shows the verdict on the run.
+    """
 
     scenario: Scenario
     run: Run
     metrics: TrackingMetrics
+    user_diagram: bool = False
+    """Whether the run is of a diagram of the user, in place of the scenario's closed loop."""
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether the run tracks, what saturates, and the margins of the loop, in three lines.
+
+        The loop of the scenario is linearized when the verdict is first asked for.
+        """
+        step = self.step
+        return verdict_of(
+            self.scenario,
+            self.run,
+            step=None if step is None else (step.settles, step.line),
+            user_diagram=self.user_diagram,
+        )
+
+    @property
+    def step(self) -> StepMetrics | None:
+        """Rise time, overshoot and settling time, or None if the reference has no step."""
+        reference = self.scenario.reference
+        if reference.kind != "step":
+            return None
+        return step_metrics(
+            self.run.time_s,
+            np.degrees(self.run["knee_angle_rad"]),
+            start_deg=reference.start_deg,
+            end_deg=reference.end_deg,
+            step_s=reference.time_s,
+        )
+
+    def __str__(self) -> str:
+        """Return the lines of the verdict."""
+        return self.verdict.text
+
+    def __getitem__(self, column: str) -> Array:
+        """Return the values of a column of the run, (n,), as `Run` does.
+
+        Raises `ResultError` if the run has no such column.
+        """
+        return self.run[column]
 
     @property
     def error_deg(self) -> Array:
@@ -272,19 +373,30 @@ class TrackingResult(Result):
 
 @needs_runs
 async def track(
-    scenario: Scenario = Scenario(),
+    scenario: Scenario | str | PathLike[str] = Scenario(),
     *,
     all_signals: bool = False,
     progress: Callable[[float], Any] | None = None,
     diagram: Diagram | None = None,
+    law: Any = None,
+    initial_state: Sequence[float] = (),
 ) -> TrackingResult:
-    """Simulate a scenario and compute its tracking metrics.
+    """Simulate a scenario, or the scenario of a file, and compute its tracking metrics.
 
     If ``all_signals`` is True, the run logs all available signals, otherwise only the signals that
     the metrics require. `kneexo.simulation.simulate` describes ``progress``, ``diagram`` and the
     errors. Period, limits and ratings come from the scenario, also if there is a ``diagram``.
+
+    ``law`` is a control law of the user: a function such as
+    ``lambda rod_extension, rod_reference: 1.3e5 * (rod_reference[0] - rod_extension)``, a Drake
+    system, or ``FILE.py:NAME``. `kneexo.parameters.LawParameters` describes its arguments, and
+    ``initial_state`` is the first value of its argument ``state``.
     """
-    signals = None if all_signals else TRACKING_SIGNALS
+    scenario = as_scenario(scenario, law, initial_state)
+    signals: tuple[str, ...] | None = None
+    if not all_signals:
+        with_chambers = scenario.plant.full_order is not None and diagram is None
+        signals = TRACKING_SIGNALS + (("chamber_pressures",) if with_chambers else ())
     run = await awaitable(simulate, scenario, signals=signals, progress=progress, diagram=diagram)
     metrics = run_metrics(scenario, run.time_s, run.data, settled_s=period_s(scenario))
-    return TrackingResult(scenario, run, metrics)
+    return TrackingResult(scenario, run, metrics, user_diagram=diagram is not None)

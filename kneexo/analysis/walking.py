@@ -185,7 +185,7 @@ def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
     """
     angle = np.radians(demand.knee_angle_deg)
     middle = 0.5 * float(demand.knee_angle_deg.min() + demand.knee_angle_deg.max())
-    loop = linearize_loop(scenario, middle)
+    loop = linearize_loop(scenario, knee_angle_deg=middle)
     harmonics = np.fft.rfft(rod_of(scenario, angle)[:-1])
     harmonics[_HARMONICS + 1 :] = 0.0
     orders = np.arange(1, _HARMONICS + 1)

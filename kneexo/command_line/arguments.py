@@ -6,7 +6,9 @@ import argparse
 import inspect
 import math
 import re
-from collections.abc import Callable, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from kneexo.command_line.html_page import ReportPage
 from kneexo.command_line.outcome import Outcome, Request
-from kneexo.errors import ParameterError, shown
+from kneexo.command_line.plain_text import COLUMNS
+from kneexo.errors import ParameterError, close_names, shortened, shown
 from kneexo.files.table import NUMBER
 from kneexo.studies.catalogue import PAPER
 from kneexo.version import __version__
@@ -27,7 +30,14 @@ _P = TypeVar("_P", bound="Parameters")
 
 
 class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
-    """Adds the default value to each help text, except the values None, False and empty list."""
+    """Adds the default value to each help text, except the values None, False and empty list.
+
+    A line has at most `COLUMNS` characters, in a wider terminal too.
+    """
+
+    def __init__(self, prog: str, **options: Any) -> None:
+        width = min(shutil.get_terminal_size().columns, COLUMNS)
+        super().__init__(prog, **{"width": width} | options)
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         if action.default in (None, False, []):
@@ -44,6 +54,7 @@ def add_command(
     command: Callable[..., Outcome],
     summary: str,
     detail: str = "",
+    duration_s: float = 1.0,
     **attributes: Any,
 ) -> argparse.ArgumentParser:
     """Add a command to a group of subparsers.
@@ -51,16 +62,42 @@ def add_command(
     Each parameter of ``command`` gets the parsed argument of the same name. ``choice`` gets a
     `ScenarioChoice`, and ``page`` a `ReportPage` or None. ``attributes`` are attributes of the
     `Request`. An attribute can be a function that computes the value from all parsed arguments.
+    The help names ``duration_s``, the typical duration in s on two cores.
     """
+    duration = f"Takes about {_rounded(duration_s)} on two cores."
     parser: argparse.ArgumentParser = group.add_parser(
         name,
         help=summary,
-        description=f"{summary[0].upper()}{summary[1:]}. {detail}".strip(),
+        description=" ".join(
+            filter(None, (f"{summary[0].upper()}{summary[1:]}.", detail, duration))
+        ),
         formatter_class=HelpFormatter,
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.set_defaults(request=partial(_request, parser.prog, command, attributes))
+    parser.set_defaults(request=partial(_request, parser.prog, command, attributes), parser=parser)
     return parser
+
+
+def _rounded(duration_s: float) -> str:
+    """Return a duration as text: seconds below 1.5 minutes, minutes below 1.5 hours, else hours."""
+    for unit_s, unit in ((1.0, "s"), (60.0, "min")):
+        if duration_s < 90.0 * unit_s:
+            return f"{max(duration_s / unit_s, 1.0):.0f} {unit}"
+    return f"{duration_s / 3600.0:.0f} h"
+
+
+def add_group(subparsers: Any, name: str, summary: str, metavar: str) -> Any:
+    """Add a group of commands, such as ``export``, and return the subparsers of its commands.
+
+    ``metavar`` stands for the name of a command in the usage line of the group.
+    """
+    parser = subparsers.add_parser(
+        name,
+        help=summary,
+        description=f"{summary[0].upper()}{summary[1:]}.",
+        formatter_class=HelpFormatter,
+    )
+    return parser.add_subparsers(title="commands", required=True, metavar=metavar)
 
 
 def _request(
@@ -75,10 +112,13 @@ def _request(
     """
     values = vars(options)
     path, texts = values.get("scenario"), values.get("values", ())
-    choice = ScenarioChoice(path, texts, values.get("engine"))
+    preset, law = values.get("preset"), values.get("law")
+    choice = ScenarioChoice(path, texts, values.get("engine"), preset, law)
     page = None
     if values.get("html"):
-        changes = [f"--set={text}" for text in (*texts, *values.get("settings", ()))]
+        changes = [f"--preset={preset}"] if preset else []
+        changes += [f"--law={law}"] if law else []
+        changes += [f"--set={text}" for text in (*texts, *values.get("settings", ()))]
         words = program.split()
         name = f"{words[-1]}.html"
         page = ReportPage([*words, *([path] if path else []), *changes], options.out, name)
@@ -104,6 +144,29 @@ def add_scenario(parser: argparse.ArgumentParser, default: str = PAPER) -> None:
         nargs="?",
         metavar="SCENARIO.yaml",
         help=f"scenario file; left out: {default}",
+    )
+    add_preset(parser)
+    add_law(parser)
+
+
+def add_law(parser: argparse.ArgumentParser) -> None:
+    """Add ``--law``, which replaces the control law of the scenario."""
+    parser.add_argument(
+        "--law",
+        metavar="FILE.py:NAME",
+        help="a control law of yours in place of that of the scenario: a Python function such as "
+        "def law(rod_extension, rod_reference), or a Drake system (docs/your_controller.md)",
+    )
+
+
+def add_preset(parser: argparse.ArgumentParser) -> None:
+    """Add ``--preset``, which chooses the scenario that a scenario file and ``--set`` change."""
+    parser.add_argument(
+        "--preset",
+        metavar="NAME",
+        help="scenario to start from, which the values of the scenario file and of --set change: "
+        "paper (no gravity, reduced order), bench (weight of the shank, drive on its bus) or leg "
+        "(bench, and the full order of the cylinder with friction)",
     )
 
 
@@ -140,7 +203,7 @@ def add_out(parser: argparse.ArgumentParser, files: str) -> None:
     parser.add_argument(
         "--out",
         metavar="DIR",
-        type=Path,
+        type=place,
         required=True,
         help=f"directory for {files}; made when missing, files of the same name are replaced",
     )
@@ -155,11 +218,20 @@ def add_html(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def place(text: str) -> Path:
+    """Parse the path of a file or directory. Refuse the empty text, which ``Path`` accepts."""
+    if text:
+        return Path(text)
+    raise argparse.ArgumentTypeError("is empty; must be a path, such as results")
+
+
 def decimal(text: str) -> float:
     """Parse a finite decimal number. Refuse ``nan`` and ``1_0``, which `float` accepts."""
     if NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
         return value
-    raise argparse.ArgumentTypeError(f"{shown(text)!r} must be a finite number in the digits 0-9")
+    raise argparse.ArgumentTypeError(
+        f"{shown(text)!r} must be a finite number in the digits 0-9, without unit"
+    )
 
 
 def integer(text: str) -> int:
@@ -174,36 +246,125 @@ def integer(text: str) -> int:
 
 @dataclass(frozen=True)
 class ScenarioChoice:
-    """The scenario of a command, from a file or the default, with ``--set`` and ``--engine``."""
+    """The scenario of a command: a file, a preset or the default, changed by other arguments."""
 
     path: str | None = None
     values: Sequence[str] = ()
     engine: Literal["compiled", "drake"] | None = None
+    preset: str | None = None
+    law: str | None = None
 
     def load(self, default: Scenario | None = None) -> Scenario:
-        """Return the scenario. Without a file, start from ``default`` (None: the paper's setup)."""
+        """Return the scenario.
+
+        Without a file and a preset, start from ``default`` (None: the paper's setup).
+        """
         from kneexo.parameters import Scenario
+        from kneexo.parameters.presets import with_preset
         from kneexo.parameters.scenario_file import load_scenario
 
-        scenario = (default or Scenario()) if self.path is None else load_scenario(self.path)
-        return with_values(scenario, self.values).with_engine(self.engine)
+        if self.preset is not None:
+            with _argument():
+                with_preset(self.preset, {})
+        if self.path is not None:
+            scenario = load_scenario(self.path, self.preset)
+        elif self.preset is not None:
+            scenario = Scenario.preset(self.preset)
+        else:
+            scenario = default or Scenario()
+        if self.law is not None:
+            with _argument():
+                scenario = scenario.with_law(self.law)
+        scenario = with_values(scenario, self.values)
+        if self.law is not None and scenario.controller.kind != "law":
+            raise ParameterError(
+                f"--law: --set replaces the law by controller.kind = {scenario.controller.kind}; "
+                f"leave out one of them"
+            )
+        return scenario.with_engine(self.engine)
+
+
+@contextmanager
+def _argument() -> Iterator[None]:
+    """Context manager: put ``--`` before an error that begins with the name of an argument."""
+    try:
+        yield
+    except ParameterError as error:
+        line = str(error).removeprefix("Scenario: ").removeprefix("controller: ")
+        raise ParameterError(f"--{line}") from None
 
 
 def with_values(parameters: _P, texts: Sequence[str]) -> _P:
     """Return changed parameters. ``texts`` are the arguments NAME=VALUE of ``--set``."""
-    from kneexo.parameters.paths import changed
     from kneexo.parameters.scenario_file import read_value
 
     values = {}
     for text in texts:
         name, separator, value = text.partition("=")
-        if not separator:
+        if not separator or not name:
             raise ParameterError(f"--set {shown(text)}: must be NAME=VALUE")
         values[name] = read_value(f"--set {name}", value)
-    return changed(parameters, values)
+    if not values:
+        return parameters
+    try:
+        return parameters.changed(values)
+    except ParameterError as error:
+        line = str(error).removeprefix(f"{type(parameters).__name__}: ")
+        raise ParameterError(_blamed(parameters, list(values), line)) from None
+
+
+def _blamed(parameters: Parameters, names: Sequence[str], line: str) -> str:
+    """Return a message that begins with ``--set`` and the faulty one of its ``names``.
+
+    ``line`` is the message about the changed ``parameters``.
+    """
+    for name in names:
+        if other := _elsewhere(parameters, name):
+            return f"--set {shown(name)}: {other}"
+    place = re.split("[ =:]", line, maxsplit=1)[0]
+    if any(f"{place}.".startswith(f"{name}.") for name in names):
+        return f"--set {line}"
+    blamed = [name for name in names if name.startswith(f"{place}.")] or names
+    return f"--set {shown(', '.join(blamed))}: {line}"
+
+
+def _elsewhere(parameters: Parameters, name: str) -> str:
+    """Return a remedy if ``name`` is a setting in place of a value of a scenario, or vice versa.
+
+    The text is empty if ``parameters`` have the first part of the name, or if ``name`` is unknown
+    everywhere.
+    """
+    from kneexo.parameters import Scenario
+    from kneexo.parameters.names import paths_ending
+    from kneexo.studies.catalogue import STUDIES
+
+    if name.partition(".")[0] in type(parameters).model_fields:
+        return ""
+    if isinstance(parameters, Scenario):
+        if name in ("preset", "engine", "law", "out", "html"):
+            return f"is an argument of its own, not a value of the scenario: --{name}"
+        if paths_ending(Scenario, name):
+            return ""
+        commands = [s.command for s in STUDIES.values() if paths_ending(s.settings, name)]
+        listed = " and of ".join(f"kneexo {command}" for command in commands)
+        return (commands and f"is a setting of {listed}, not a value of the scenario") or ""
+    paths, settings = paths_ending(Scenario, name), type(parameters)
+    if not paths or paths_ending(settings, name) or close_names(name, settings.model_fields):
+        return ""
+    (study,) = (s for s in STUDIES.values() if s.settings is settings)
+    file = f"kneexo {study.command} SCENARIO.yaml" if study.setup else "kneexo simulate"
+    known = shortened(", ".join(settings.model_fields), 80)
+    return (
+        f"is no setting of this study ({known}); change {paths[0]} in the scenario file of {file}"
+    )
 
 
 def origin_of(scenario: Scenario, settings: Parameters | None = None) -> dict[str, Any]:
-    """Return the items that begin every JSON result: version of kneexo, scenario, settings."""
-    origin = {"kneexo": __version__, "scenario": scenario.model_dump(mode="json")}
+    """Return the items that begin every JSON result: version of kneexo, scenario, settings.
+
+    The scenario has explicit duration and polynomials, also where its user left them out.
+    """
+    from kneexo.rod_polynomial import completed
+
+    origin = {"kneexo": __version__, "scenario": completed(scenario).model_dump(mode="json")}
     return origin if settings is None else origin | {"settings": settings.model_dump(mode="json")}

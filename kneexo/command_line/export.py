@@ -5,19 +5,20 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from kneexo.command_line import arguments
 from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.outcome import Outcome
+from kneexo.command_line.plain_text import COLUMNS
 from kneexo.errors import shown
 
 
 def add_exports(subparsers: Any) -> None:
     """Add the commands ``export c`` and ``export fmu`` to the parser."""
     summary = "write the controller, the plant or the closed loop for use outside Python"
-    group = subparsers.add_parser("export", help=summary, formatter_class=arguments.HelpFormatter)
-    forms = group.add_subparsers(title="forms", required=True, metavar="FORM")
+    forms = arguments.add_group(subparsers, "export", summary, "FORM")
     parser = arguments.add_command(
         forms,
         "c",
@@ -25,6 +26,7 @@ def add_exports(subparsers: Any) -> None:
         "write C99 for a microcontroller",
         "With the parameters as one struct, test vectors from the compiled closed loop, a harness "
         "that replays them, Makefile, CMakeLists.txt and a README that shows how to call it.",
+        duration_s=2.0,
     )
     _add_target(parser, "encoder count")
     parser.add_argument(
@@ -51,6 +53,7 @@ def add_exports(subparsers: Any) -> None:
         "write a functional mock-up unit for co-simulation in other simulators",
         "With C sources and, where there is a C compiler, the binary of this machine. Numbers of "
         "the scenario are parameters of the FMU.",
+        duration_s=3.0,
     )
     _add_target(parser, "encoder reading (rad)")
     parser.add_argument(
@@ -63,7 +66,7 @@ def add_exports(subparsers: Any) -> None:
     parser.add_argument(
         "--out",
         metavar="FILE.fmu",
-        type=Path,
+        type=arguments.place,
         required=True,
         help="file, or directory for knee_controller.fmu, knee_plant.fmu or knee_loop.fmu; an "
         "FMU that kneexo made is replaced",
@@ -159,8 +162,8 @@ def export_fmu(
     file = fmu.export_fmu(scenario, out, target, fmi=fmi, step_s=step_s)
     lines = [
         f"{target} as FMU by FMI {fmi}: {shown(file.path)}",
-        f"  inputs: {', '.join(file.inputs)}",
-        f"  outputs: {', '.join(file.outputs)}",
+        *wrap(f"  inputs: {', '.join(file.inputs)}", COLUMNS, subsequent_indent="    "),
+        *wrap(f"  outputs: {', '.join(file.outputs)}", COLUMNS, subsequent_indent="    "),
         f"  parameters: {file.parameters}, of which {len(file.scenario_parameters)} have names of "
         f"the scenario",
         f"  communication step: {file.sample_time_s:g} s or a whole multiple",

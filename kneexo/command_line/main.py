@@ -24,6 +24,7 @@ kneexo simulates a polycentric knee exoskeleton with electro-hydraulic actuator.
 
   kneexo view --out knee.html          a knee that moves, in a browser
   kneexo simulate --out run            how well it follows its reference
+  kneexo new my.yaml                   a knee of your own to change
   kneexo reproduce --out results       every figure and number of the paper
 
 kneexo --help lists all commands.

@@ -5,13 +5,22 @@ from __future__ import annotations
 import sys
 import webbrowser
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kneexo.errors import KneexoError, shown
+from kneexo.errors import (
+    KneexoError,
+    OutputError,
+    PackageError,
+    ScenarioError,
+    WorkerError,
+    shown,
+)
 from kneexo.files.writing import output_directory, write_file
+from kneexo.progress import progress_bar
+from kneexo.studies.catalogue import FILES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,6 +70,8 @@ class Request:
     """Whether to delete the finished pieces of an earlier run before the command runs."""
     uses_drake: bool = True
     """Whether the command imports Drake."""
+    progress: Callable[[], AbstractContextManager[None]] = nullcontext
+    """Function that returns a context manager, which shows the progress of the whole command."""
     uses_workers: bool = False
     """Whether the command has ``--workers``, so that a message about memory suggests fewer."""
 
@@ -80,8 +91,10 @@ class Delivery:
         if request.directory is not None:
             with output_directory(request.directory, self._note_written) as directory:
                 try:
-                    outcome = self._outcome()
-                    _write(outcome, directory)
+                    with request.progress():
+                        outcome = self._outcome()
+                        alone = request.progress is nullcontext
+                        _write(outcome, directory, None if alone else FILES)
                 except BaseException:  # KeyboardInterrupt too: another process may want the file
                     if self._checkpoint is not None:
                         self._checkpoint.close()
@@ -160,19 +173,36 @@ def file_names(files: Iterable[str], figures: Iterable[str] = ()) -> list[str]:
     return sorted([*files, *(f"{name}.{kind}" for name in figures for kind in ("pdf", "png"))])
 
 
+def files_line(directory: Path, files: Iterable[str], figures: Iterable[str] = ()) -> str:
+    """Return the line that says where files and figures are. It counts the figures."""
+    names = sorted(files)
+    if count := len(list(figures)):
+        names.append(f"{count} figure{'s' if count > 1 else ''} (PDF, PNG)")
+    return f"In {shown(directory)}: {', '.join(names)}\n"
+
+
 @contextmanager
 def named_in_errors(path: str | None) -> Iterator[None]:
-    """Context manager: put ``path`` before the message of an error that does not name the file."""
+    """Context manager: put ``path``, the scenario file, before the message of an error.
+
+    The message stays as it is if it begins with an argument such as ``--set``, or if the scenario
+    cannot be the cause, as of an output that cannot be written.
+    """
     try:
         yield
     except KneexoError as error:
-        if path and shown(path) not in str(error):
+        elsewhere = isinstance(error, ScenarioError | OutputError | PackageError | WorkerError)
+        named = shown(path) in str(error) or str(error).startswith("--")
+        if path and not elsewhere and not named:
             error.args = (f"{shown(path)}: {error}",)
         raise
 
 
-def _write(outcome: Outcome, directory: Path) -> None:
-    """Write the files and figures of an outcome to ``directory``, and close the figures."""
+def _write(outcome: Outcome, directory: Path, description: str | None) -> None:
+    """Write the files and figures of an outcome to ``directory``, and close the figures.
+
+    ``description`` is that of a progress bar, or None for no bar.
+    """
     for name, content in outcome.files.items():
         if callable(content):
             content(directory / name)
@@ -184,6 +214,8 @@ def _write(outcome: Outcome, directory: Path) -> None:
 
         from kneexo.command_line.output import save_figure
 
-        for name, figure in outcome.figures.items():
-            save_figure(directory, name, figure)
-            plt.close(figure)
+        with progress_bar(len(outcome.figures), description) as bar:
+            for name, figure in outcome.figures.items():
+                save_figure(directory, name, figure)
+                plt.close(figure)
+                bar.update(1)

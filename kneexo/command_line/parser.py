@@ -9,12 +9,13 @@ from typing import Any, NoReturn
 
 from kneexo.command_line import arguments
 from kneexo.command_line.export import add_exports
+from kneexo.command_line.new import add_new
 from kneexo.command_line.outcome import Outcome, Request
 from kneexo.command_line.single_runs import add_single_runs
 from kneexo.command_line.studies import add_studies
 from kneexo.command_line.utilities import add_utilities
 from kneexo.command_line.view import add_view
-from kneexo.errors import escaped, shortened
+from kneexo.errors import close_names, escaped, question, shortened, shown
 from kneexo.studies.catalogue import STUDIES
 from kneexo.version import __version__
 
@@ -26,10 +27,10 @@ examples:
   kneexo reproduce --out results       every figure and number of the paper
   kneexo simulate --out run            the paper's default scenario
   kneexo simulate my.yaml --out run    a scenario of your own
-  kneexo params --yaml > my.yaml       a complete scenario file to edit
+  kneexo new my.yaml                   a short scenario file to change
   kneexo linearize --out margins       stability margins of the sampled loop
-  kneexo bandwidth --out response      frequency response, small to large signal
-  kneexo robustness --out robust       worst cases over an uncertainty set
+  kneexo study bandwidth --out speed   frequency response, small to large signal
+  kneexo study robustness --out worst  worst cases over an uncertainty set
   kneexo study contest --out contest   sliding mode against PID, tuned alike
   kneexo size --out size               what a faster knee would take
   kneexo diagram --out pictures        the block diagram
@@ -40,54 +41,104 @@ Exit codes: 0 success, 2 wrong input or a run that failed (one line says why),
 """
 """The examples below ``kneexo --help``."""
 
+RENAMED = {
+    "bandwidth": "study bandwidth",
+    "robustness": "study robustness",
+    "cache": "setup cache",
+    "completion": "setup completion",
+}
+"""Old names of commands, with the names that replace them."""
+
+
+class _FirstHelpFormatter(argparse.RawDescriptionHelpFormatter, arguments.HelpFormatter):
+    """Keeps the lines of description and examples."""
+
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose error messages quote arguments escaped and shortened."""
+    """A parser whose error messages are one line."""
+
+    _words: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse as argparse does. Keep the words for the message about a missing argument."""
+        self._words = args or ()
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
-        """Print usage and message, and exit with code 2."""
-        super().error(shortened(escaped(message), LONGEST_LINE))
+        """Print a message on one line, which names the help, and exit with code 2.
+
+        A misspelt argument is reported in place of the required argument that is missing then.
+        """
+        if "are required" in message:
+            for word in self._words:
+                if word[:2] == "--" and not self._get_option_tuples(word) and word != "--":
+                    message = _unknown_argument(word, self)
+                    break
+        line = shortened(escaped(message), LONGEST_LINE)
+        self.exit(2, f"kneexo: {line}; see {self.prog} --help\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a command or choice that ``action`` does not have, and suggest the nearest."""
+        if action.choices is not None and value not in action.choices:
+            names = [str(choice) for choice in action.choices]
+            line = f"{shown(value)!r} is unknown{question(close_names(str(value), names, most=1))}"
+            raise argparse.ArgumentError(action, f"{line}; known: {', '.join(names)}")
 
 
 def parsed(arguments: Sequence[str]) -> Request:
     """Return the request for the words after ``kneexo``. Exit with code 2 if a word is wrong."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    if arguments and (name := RENAMED.get(arguments[0])):
+        parser.error(f"'kneexo {arguments[0]}' is now 'kneexo {name}'")
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        options.parser.error(_unknown_argument(unknown[0], options.parser))
     request: Request = options.request(options)
     return request
+
+
+def _unknown_argument(text: str, parser: argparse.ArgumentParser) -> str:
+    """Return the message about an argument that the parser of a command does not know."""
+    word = text.partition("=")[0]
+    if word == "--resume":
+        return "--resume is gone: a study always goes on from finished pieces without --restart"
+    close = close_names(word, parser._option_string_actions, most=1)
+    return f"{shown(word)}: unknown argument{question(close)}"
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="kneexo",
-        description="Polycentric knee exoskeleton with electro-hydraulic actuator, on Drake: "
+        description="Polycentric knee exoskeleton with electro-hydraulic actuator, on Drake:\n"
         "reproduces Lee et al. 2020 and simulates designs of your own.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=_FirstHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"kneexo {__version__}")
     subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     reproduction, *studies = STUDIES.values()
     add_studies(subparsers, [reproduction])
+    add_new(subparsers)
     add_single_runs(subparsers)
     add_studies(subparsers, studies)
     add_view(subparsers)
     add_exports(subparsers)
-    add_utilities(subparsers)
-    _add_completion(subparsers)
+    _add_completion(add_utilities(subparsers))
     return parser
 
 
-def _add_completion(subparsers: Any) -> None:
+def _add_completion(setup: Any) -> None:
     summary = "print what completes commands, options and files in a shell"
-    parser = subparsers.add_parser(
+    parser = setup.add_parser(
         "completion",
         help=summary,
-        description=f'{summary.capitalize()}: eval "$(kneexo completion bash)" in ~/.bashrc.',
+        description=f'{summary.capitalize()}: eval "$(kneexo setup completion bash)" in ~/.bashrc.',
         formatter_class=arguments.HelpFormatter,
     )
     parser.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="the shell")
     parser.set_defaults(
-        request=lambda options: Request(partial(completion, options.shell), uses_drake=False)
+        request=lambda options: Request(partial(completion, options.shell), uses_drake=False),
+        parser=parser,
     )
 
 

@@ -22,7 +22,13 @@ if TYPE_CHECKING:
 def add_single_runs(subparsers: Any) -> None:
     """Add the commands ``simulate`` and ``linearize`` to the parser."""
     parser = arguments.add_command(
-        subparsers, "simulate", simulate, "run one scenario", directory=arguments.out
+        subparsers,
+        "simulate",
+        simulate,
+        "run one scenario",
+        "With --engine drake a simulated second takes up to a second.",
+        directory=arguments.out,
+        duration_s=2.0,
     )
     arguments.add_scenario(parser)
     arguments.add_engine(parser)
@@ -37,15 +43,15 @@ def add_single_runs(subparsers: Any) -> None:
         "poles, margins and small-signal bandwidths of plant and sampled loop",
         "At a posture; the quantizer is bypassed.",
         directory=arguments.out,
+        duration_s=2.0,
     )
     arguments.add_scenario(parser)
     arguments.add_values(parser)
     parser.add_argument(
         "--knee-angle",
         type=arguments.decimal,
-        default=40.0,
         metavar="DEG",
-        help="posture, knee angle in deg",
+        help="posture, knee angle in deg; left out: the middle of the reference",
     )
     arguments.add_out(parser, "linearization.json; loop, nyquist and poles as PNG and PDF")
     arguments.add_html(parser)
@@ -55,9 +61,11 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     """Run a scenario; return signals, metrics and plot. If ``page`` is given, add an HTML page."""
     scenario = choice.load()
     from kneexo.analysis import track
+    from kneexo.analysis.notices import wrapped
     from kneexo.command_line.output import to_json, write_csv
     from kneexo.parameters.scenario_file import dump_scenario
-    from kneexo.studies.markdown import markdown_table, number
+    from kneexo.rod_polynomial import completed
+    from kneexo.studies.markdown import document, markdown_table, number
 
     if page is not None:
         page.require_replaceable()
@@ -65,23 +73,37 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
         result = track(scenario, all_signals=True)
     else:
         result = _track_with_bar(scenario)
-    metrics = asdict(result.metrics)
-    document = to_json(arguments.origin_of(scenario) | metrics)
+    verdict, metrics = result.verdict, asdict(result.metrics)
+    origin = arguments.origin_of(scenario)
+    step = {} if result.step is None else {"step": asdict(result.step)}
+    results = to_json(origin | {"verdict": verdict.results()} | metrics | step)
     files: dict[str, Any] = {
         "signals.csv": lambda path: write_csv(path, result.run),
-        "metrics.json": document,
-        "scenario.yaml": dump_scenario(scenario),
+        "metrics.json": results,
+        "scenario.yaml": dump_scenario(completed(scenario)),
     }
     figures = {"tracking": result.plot()[0].figure}
-    rows = [(name, number(value, ".6g")) for name, value in metrics.items()]
     if page is not None:
-        report = "\n".join(markdown_table(("metric", "value"), rows))
-        (name,) = run_names([choice.path] if choice.path else [])
+        rows = [(name, number(value, ".6g")) for name, value in metrics.items()]
+        report = document(
+            _bullets(*verdict.lines, *verdict.model_lines),
+            "## Metrics",
+            markdown_table(("metric", "value"), rows),
+        )
+        (name,) = run_names([choice.path] if choice.path else [], choice.preset)
         motions = {name: (scenario.plant.linkage, result.run.columns)}
-        files |= page.file(report, figures, arguments.origin_of(scenario), motions)
-    lines = [f"{name:28s} {value}" for name, value in rows]
-    lines.append(f"In {shown(out)}: {', '.join(file_names(files, figures))}")
-    return Outcome("\n".join(lines) + "\n", document, files=files, figures=figures)
+        files |= page.file(report, figures, origin, motions)
+    m = result.metrics
+    lines = [
+        *verdict.model_lines,
+        f"  error (root mean square)  {number(m.rms_error_deg, '.3g')} deg",
+        f"  change of the command     {number(m.mean_command_change_rpm, '.3g')} rpm per sample",
+        f"  work of the motor         {m.shaft_energy_delivered_j:.3g} J, of which "
+        f"{m.shaft_energy_delivered_j - m.shaft_energy_j:.3g} J flows back",
+        *map(wrapped, verdict.lines),
+        wrapped(f"In {shown(out)}: {', '.join(file_names(files, figures))}"),
+    ]
+    return Outcome("\n".join(lines) + "\n", results, files=files, figures=figures)
 
 
 def _track_with_bar(scenario: Scenario) -> TrackingResult:
@@ -91,31 +113,41 @@ def _track_with_bar(scenario: Scenario) -> TrackingResult:
     from kneexo.progress import progress_bar
 
     make_closed_loop(scenario)  # so that its errors come before the bar
-    with progress_bar(scenario.simulation.duration_s, "simulated time") as bar:
+    with progress_bar(scenario.duration_s, "simulated time") as bar:
         return track(scenario, all_signals=True, progress=lambda time: bar.update(time - bar.n))
 
 
 def linearize(
-    choice: ScenarioChoice, knee_angle: float, out: Path, page: ReportPage | None = None
+    choice: ScenarioChoice, knee_angle: float | None, out: Path, page: ReportPage | None = None
 ) -> Outcome:
-    """Linearize plant and sampled loop at a knee angle in deg; return poles, margins and plots."""
+    """Linearize plant and sampled loop at a knee angle in deg; return poles, margins and plots.
+
+    ``knee_angle`` None: the middle of the range of the scenario's reference.
+    """
     scenario = choice.load()
+    if knee_angle is None:
+        knee_angle = scenario.reference.middle_deg
     from kneexo.analysis import linearize_loop, linearize_plant
+    from kneexo.analysis.notices import model_lines, model_notices, wrapped
+    from kneexo.analysis.verdict import loop_lines
     from kneexo.command_line.output import to_json
     from kneexo.studies.markdown import document, markdown_table, number
 
     if page is not None:
         page.require_replaceable()
-    plant = linearize_plant(scenario.plant, knee_angle)
-    loop = linearize_loop(scenario, knee_angle)
+    scenario.plant.knee.require_posture(knee_angle, "--knee-angle")
+    plant = linearize_plant(scenario.plant, knee_angle_deg=knee_angle)
+    loop = linearize_loop(scenario, knee_angle_deg=knee_angle)
     frequency, damping = plant.damping
     margins = asdict(loop.margins())
     if not loop.stable:  # the margins of an unstable loop are not defined
         margins = dict.fromkeys(margins, math.nan) | {"stable": False}
     origin = arguments.origin_of(scenario) | {"settings": {"knee_angle_deg": knee_angle}}
+    lines, model = loop_lines(loop), model_lines(scenario, model_notices(scenario))
     results = to_json(
         {
             **origin,
+            "verdict": {"lines": lines, "stable": loop.stable},
             "operating_point": asdict(plant.operating_point),
             "plant_poles_per_s": [[p.real, p.imag] for p in plant.poles],
             "plant_frequencies_rad_s": frequency,
@@ -133,19 +165,30 @@ def linearize(
     figures = {name: ax.figure for name, ax in axes.items()}
     files = {"linearization.json": results}
     if page is not None:
-        rows = [(name, number(value, ".6g")) for name, value in margins.items()]
+        numbers = {name: value for name, value in margins.items() if name != "stable"}
+        rows = [(name, number(value, ".6g")) for name, value in numbers.items()]
         report = document(
+            _bullets(*lines, *model),
             *_section("Plant", str(plant)),
             *_section("Loop", str(loop)),
             markdown_table(("margin", "value"), rows),
         )
         files |= page.file(report, figures, origin)
-    names = ", ".join(file_names(files, figures))
-    text = f"plant: {plant}\nloop: {loop}\nIn {shown(out)}: {names}\n"
-    return Outcome(text, results, files=files, figures=figures)
+    text = [
+        *model,
+        f"Plant: {plant}",
+        *map(wrapped, lines),
+        wrapped(f"In {shown(out)}: {', '.join(file_names(files, figures))}"),
+    ]
+    return Outcome("\n".join(text) + "\n", results, files=files, figures=figures)
+
+
+def _bullets(*lines: str) -> list[str]:
+    """Return a list in Markdown."""
+    return [f"- {line}" for line in lines]
 
 
 def _section(title: str, text: str) -> list[str | list[str]]:
     """Return a section for `document`: heading, first line of ``text``, other lines as a list."""
     first, *others = text.splitlines()
-    return [f"## {title}", first, [f"- {line.strip()}" for line in others]]
+    return [f"## {title}", first, _bullets(*(line.strip() for line in others))]

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 from kneexo.command_line import arguments
 from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.html_page import ReportPage
-from kneexo.command_line.outcome import Outcome, file_names
-from kneexo.errors import ParameterError, shown
-from kneexo.studies.catalogue import Study
+from kneexo.command_line.outcome import Outcome, files_line
+from kneexo.command_line.plain_text import head_of, plain_text
+from kneexo.errors import ParameterError
+from kneexo.progress import progress_bar, whole_bar
+from kneexo.studies.catalogue import FIGURES, Study
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -32,11 +34,8 @@ def add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
     for study in studies:
         group, _, name = study.command.rpartition(" ")
         if group not in groups:
-            summary = "compare controllers, or the full order with the reduced one"
-            parser = subparsers.add_parser(
-                group, help=summary, formatter_class=arguments.HelpFormatter
-            )
-            groups[group] = parser.add_subparsers(title="studies", required=True, metavar="STUDY")
+            summary = "answer a question by many runs: speed, robustness, controllers, plant order"
+            groups[group] = arguments.add_group(subparsers, group, summary, "STUDY")
         _add_study(groups[group], name, study)
 
 
@@ -54,6 +53,8 @@ def _add_study(group: Any, name: str, study: Study) -> None:
         checkpoint_path=checkpoint_path if study.resumable else None,
         restart=lambda options: study.resumable and options.restart,
         uses_workers=True,
+        progress=lambda options: partial(whole_bar, study.name, study.stages),
+        duration_s=study.duration_s,
     )
     if study.setup:
         arguments.add_scenario(parser, study.setup)
@@ -81,20 +82,14 @@ def _add_study(group: Any, name: str, study: Study) -> None:
         "--dask",
         metavar="tcp://HOST:PORT",
         help="run on the workers of this Dask cluster instead; they need the same version of "
-        "kneexo (pip install 'kneexo[cluster]')",
+        "kneexo (pip install distributed)",
     )
     if study.resumable:
-        earlier = parser.add_mutually_exclusive_group()
-        earlier.add_argument(
-            "--resume",
-            action="store_true",
-            help="go on from the finished pieces that an interrupted run left in the directory; "
-            "always so without --restart",
-        )
-        earlier.add_argument(
+        parser.add_argument(
             "--restart",
             action="store_true",
-            help="delete these finished pieces and begin anew",
+            help="begin anew; left out: go on from the finished pieces that an interrupted run "
+            "left in the directory",
         )
 
 
@@ -111,6 +106,7 @@ def run_study(
 ) -> Outcome:
     """Run a study; return results, report and figures. If ``page`` is given, add an HTML page.
 
+    The text of the outcome has the findings, with which the report begins, and where the files are.
     ``choice`` selects the scenario. ``settings`` changes settings of the study, each by NAME=VALUE.
     ``workers`` is the number of processes, by default the number of cores. If ``dask`` is the
     address of a Dask cluster, the cluster replaces the processes. If the study is `uncertain`,
@@ -144,11 +140,11 @@ def run_study(
         results_file or f"{study.name}.json": document,
         report_file or f"{study.name}.md": report,
     }
-    figures = study.figures(result)
+    with progress_bar(1.0, FIGURES):
+        figures = study.figures(result)
     if page is not None:
         files |= page.file(report, figures, origin, study.motions(result))
-    names = ", ".join(file_names(files, figures))
-    text = f"{report}\nIn {shown(out)}: {names}\n"
+    text = f"{plain_text(head_of(report))}\n{files_line(out, files, figures)}"
     return Outcome(text, document, files=files, figures=figures)
 
 

@@ -1,4 +1,4 @@
-"""The commands ``params``, ``diagram`` and ``cache``."""
+"""The commands ``params``, ``diagram`` and ``setup cache``."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from kneexo.errors import shown
 from kneexo.version import __version__
 
 
-def add_utilities(subparsers: Any) -> None:
-    """Add the commands ``params``, ``diagram`` and ``cache`` to the parser."""
+def add_utilities(subparsers: Any) -> Any:
+    """Add the commands ``params``, ``diagram`` and ``setup cache``; return the group ``setup``."""
     parser = arguments.add_command(
         subparsers,
         "params",
@@ -30,6 +30,12 @@ def add_utilities(subparsers: Any) -> None:
     )
     arguments.add_scenario(parser)
     form = parser.add_mutually_exclusive_group()
+    form.add_argument(
+        "--find",
+        metavar="TEXT",
+        help="list only parameters with this text in name, unit or provenance: mass, Table 3; "
+        "'yours' for the values of the scenario file that differ from the default",
+    )
     form.add_argument("--yaml", action="store_true", help="print a complete scenario file instead")
     form.add_argument(
         "--schema", action="store_true", help="print the JSON schema of scenario files instead"
@@ -46,8 +52,11 @@ def add_utilities(subparsers: Any) -> None:
     arguments.add_scenario(parser)
     arguments.add_out(parser, "closed_loop.dot, .svg and .png")
 
+    setup = arguments.add_group(
+        subparsers, "setup", "compiled models on disk, and completion in shells", "PART"
+    )
     parser = arguments.add_command(
-        subparsers,
+        setup,
         "cache",
         cache,
         "show or delete the compiled models that are kept on disk",
@@ -56,13 +65,14 @@ def add_utilities(subparsers: Any) -> None:
         uses_drake=False,
     )
     parser.add_argument("--clear", action="store_true", help="delete all of them")
+    return setup
 
 
-def params(choice: ScenarioChoice, yaml: bool, schema: bool) -> Outcome:
+def params(choice: ScenarioChoice, yaml: bool, schema: bool, find: str | None = None) -> Outcome:
     """Return the list of all parameters, or a scenario file (``yaml``) or its schema (``schema``).
 
-    If no scenario file is given, the list also has the settings of all studies and the uncertain
-    values.
+    If no scenario is given, the list also has all kinds of parts, the settings of all studies and
+    the uncertain values. If ``find`` is given, the list has only the parameters with this text.
     """
     scenario = choice.load()
     if yaml:
@@ -73,19 +83,26 @@ def params(choice: ScenarioChoice, yaml: bool, schema: bool) -> Outcome:
         from kneexo.parameters.schema import json_schema
 
         return Outcome(json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n")
-    from kneexo.command_line.parameter_list import parameter_rows, setting_rows, uncertainty_rows
+    from kneexo.command_line.parameter_list import (
+        listing,
+        mark_changes,
+        matching,
+        parameter_rows,
+        setting_rows,
+        uncertainty_rows,
+    )
+    from kneexo.rod_polynomial import completed
 
-    rows = list(parameter_rows(scenario, all_kinds=choice.path is None))
-    if choice.path is None:
+    everything = choice.path is None and choice.preset is None
+    rows = list(parameter_rows(completed(scenario), all_kinds=everything))
+    mark_changes(rows, scenario)
+    if everything:
         rows += [*setting_rows(), *uncertainty_rows()]
-    lines = []
-    for row in rows:
-        bounds = f"  [{row['range']}]" if row["range"] else ""
-        unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
-        value = f"{row['value']:.10g}" if isinstance(row["value"], float) else row["value"]
-        lines.append(f"{row['parameter']} = {value}{unit}{bounds}\n    {row['provenance']}\n")
+    if find is not None:
+        rows = matching(rows, find)
     document = {**arguments.origin_of(scenario), "parameters": rows}
-    return Outcome("".join(lines), json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+    text = listing(rows, grouped=find is None)
+    return Outcome(text, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
 def diagram(choice: ScenarioChoice, out: Path) -> Outcome:

@@ -33,11 +33,12 @@ def add_view(subparsers: Any) -> None:
         help=f"scenario files to run, or directories that `kneexo simulate` wrote; left out: "
         f"{PAPER}",
     )
+    arguments.add_preset(parser)
     arguments.add_values(parser)
     parser.add_argument(
         "--out",
         metavar="FILE.html",
-        type=Path,
+        type=arguments.place,
         required=True,
         help="the page; replaces a page of an earlier view",
     )
@@ -46,12 +47,19 @@ def add_view(subparsers: Any) -> None:
     )
 
 
-def view(runs: Sequence[str], values: Sequence[str], out: Path, browser: bool) -> Outcome:
+def view(
+    runs: Sequence[str],
+    values: Sequence[str],
+    out: Path,
+    browser: bool,
+    preset: str | None = None,
+) -> Outcome:
     """Return an HTML page that shows runs in three dimensions.
 
     Each of ``runs`` is a scenario file, or a directory that ``kneexo simulate`` wrote. ``values``
-    (each NAME=VALUE) change the scenarios of files. Without runs the page shows the paper's setup.
-    If ``browser`` is True, the browser opens the page.
+    (each NAME=VALUE) change the scenarios of files, which start from ``preset`` if it is given.
+    Without runs the page shows the preset, by default the paper's setup. If ``browser`` is True,
+    the browser opens the page.
     """
     from kneexo.command_line.output import to_json
     from kneexo.parameters.scenario_file import load_scenario
@@ -61,19 +69,26 @@ def view(runs: Sequence[str], values: Sequence[str], out: Path, browser: bool) -
     require_page(out)
     if len(runs) > MOST_LEGS:
         raise ParameterError(f"{len(runs)} runs: a page shows {MOST_LEGS} at most")
-    if values and (results := [run for run in runs if Path(run).is_dir()]):
+    if (values or preset) and (results := [run for run in runs if Path(run).is_dir()]):
         raise ParameterError(
-            f"--set: {shown(results[0])} holds a finished run; its values are fixed"
+            f"{'--set' if values else '--preset'}: {shown(results[0])} holds a finished run; its "
+            f"values are fixed"
         )
     legs, notices = [], []
-    for name, run in zip(run_names(runs), runs or (None,), strict=True):
+    for name, run in zip(run_names(runs, preset), runs or (None,), strict=True):
         if run is not None and Path(run).is_dir():
+            if not Path(run, "scenario.yaml").exists():
+                raise ParameterError(
+                    f"{shown(run)}: has no scenario.yaml; must be a directory of kneexo simulate"
+                )
             scenario = load_scenario(Path(run, "scenario.yaml"))
             legs.append(leg_of_results(name, Path(run), scenario))
             continue
-        caption = ", ".join([name, *values])
+        start = [f"preset {preset}"] if run and preset else []
+        caption = ", ".join([name, *start, *values])
         with named_in_errors(run):
-            leg, failure = leg_of_scenario(caption, ScenarioChoice(run, values).load())
+            choice = ScenarioChoice(run, values, preset=preset)
+            leg, failure = leg_of_scenario(caption, choice.load())
         if failure:
             notices.append(f"kneexo: {shown(caption)}: {failure}; shown up to there")
         legs.append(leg)
@@ -89,15 +104,15 @@ def view(runs: Sequence[str], values: Sequence[str], out: Path, browser: bool) -
     )
 
 
-def run_names(runs: Sequence[str]) -> list[str]:
-    """Return a unique name for each run. Without runs, return the name of the paper's setup.
+def run_names(runs: Sequence[str], preset: str | None = None) -> list[str]:
+    """Return a unique name for each run. Without runs, return the name of the preset.
 
     The name of a run is the name of its file or directory. If two names are equal, the name of the
     parent directory precedes each of the two names. If the names are still equal, the arguments
     themselves are the names. Equal arguments get numbers from the second on.
     """
     if not runs:
-        return ["the paper's setup"]
+        return [f"preset {preset}" if preset else "the paper's setup"]
     paths = [Path(os.path.realpath(run)) for run in runs]
     names = [path.name if path.is_dir() else path.stem for path in paths]
     in_parent = [f"{path.parent.name}/{name}" for path, name in zip(paths, names, strict=True)]

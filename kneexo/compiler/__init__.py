@@ -39,12 +39,14 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         Error as Error,
         OutputError as OutputError,
         ParameterError as ParameterError,
+        ResultError as ResultError,
         SimulationError as SimulationError,
         StiffnessError as StiffnessError,
         escaped as escaped,
         shortened as shortened,
         shown as shown,
     )
+    from .feedback import simulate_with_feedback as simulate_with_feedback
     from .fmu.description import generation_tool as generation_tool
     from .fmu.fmu import FMI_VERSIONS as FMI_VERSIONS, Fmu as Fmu
     from .fmu.variables import FmuParameter as FmuParameter
@@ -81,9 +83,10 @@ else:
         "compiled_system": ("CompiledSystem",),
         "diagram_equations": ("DiagramEquations", "read_diagram"),
         "errors": (
-            *("CompilationError", "Error", "OutputError", "ParameterError", "SimulationError"),
-            *("StiffnessError", "escaped", "shortened", "shown"),
+            *("CompilationError", "Error", "OutputError", "ParameterError", "ResultError"),
+            *("SimulationError", "StiffnessError", "escaped", "shortened", "shown"),
         ),
+        "feedback": ("simulate_with_feedback",),
         "fmu.description": ("generation_tool",),
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.variables": ("FmuParameter",),

@@ -45,5 +45,11 @@ class OutputError(Error, OSError):
     """A result cannot be written, or a cache entry cannot be deleted."""
 
 
+class ResultError(Error, KeyError):
+    """A result has nothing of the requested name. The message gives the names that it has."""
+
+    __str__ = Exception.__str__  # a KeyError shows its message in quotation marks
+
+
 class CompilationError(Error, TypeError):
     """A diagram cannot be compiled. The message names the subsystem and the port."""

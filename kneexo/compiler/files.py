@@ -145,7 +145,9 @@ def write_folder(folder: Path, files: Mapping[str, str], *, keep: str) -> None:
                 file.unlink()
     except OSError as error:
         reason = error.strerror or error
-        raise OutputError(f"directory {shown(folder)}: cannot write there ({reason})") from None
+        raise OutputError(
+            f"directory {shown(folder)}: cannot write there ({reason}); choose another directory"
+        ) from None
 
 
 def _write_texts(folder: Path, files: Mapping[str, str]) -> None:

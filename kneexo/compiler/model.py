@@ -17,7 +17,7 @@ from .diagram_equations import DiagramEquations, read_diagram
 from .equations.contexts import set_parameters
 from .equations.equations import Equations
 from .equations.tree import Node
-from .errors import Error, SimulationError
+from .errors import Error, ResultError, SimulationError
 from .model_base import ModelBase, not_finite
 from .native.arguments import NOT_FINITE, OK, OUTPUT_NOT_FINITE
 from .native.buffers import RECORDS
@@ -37,7 +37,15 @@ class Simulation:
     final: State
 
     def __getitem__(self, output: str) -> Array:
-        """Return the records of the output port ``output``, (n, size)."""
+        """Return the records of the output port ``output``, (n, size).
+
+        Raises `ResultError` if the run has not recorded this port.
+        """
+        if output not in self.outputs:
+            raise ResultError(
+                f"output {output!r}: was not recorded; recorded outputs: "
+                f"{', '.join(self.outputs) or 'none'}"
+            )
         return self.outputs[output]
 
     def __repr__(self) -> str:

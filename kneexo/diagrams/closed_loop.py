@@ -25,15 +25,22 @@ from kneexo.diagrams.controller import (
 )
 from kneexo.diagrams.part import Part, state_names
 from kneexo.diagrams.plant import make_plant, plant_parts
-from kneexo.diagrams.signals import CONTROLLER_SIGNALS, FULL_ORDER_OUTPUTS, LAW_OUTPUTS, SIGNALS
-from kneexo.errors import ParameterError
+from kneexo.diagrams.signals import (
+    CONTROLLER_SIGNALS,
+    FULL_ORDER_OUTPUTS,
+    LAW_OUTPUTS,
+    NEEDED_SETTINGS,
+    SIGNALS,
+)
+from kneexo.errors import ParameterError, close_names, question
 from kneexo.parameters import (
     Cia402Parameters,
-    CustomControllerParameters,
     SampledReference,
     Scenario,
 )
+from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems import StateVariable, drive, knee_reference
+from kneexo.systems.function_law import LAW_COMMAND
 from kneexo.systems.knee_reference import require_reference_in_range
 
 
@@ -114,6 +121,9 @@ def make_closed_loop(
     }
     for index in range(controller.num_input_ports()):
         port = controller.get_input_port(index)
+        if port.get_name() == LAW_COMMAND:
+            builder.ExportInput(port, LAW_COMMAND)
+            continue
         signal = ports.get(port.get_name()) or plant.GetOutputPort(port.get_name())
         builder.Connect(signal, port)
     available = available_signals(scenario, outputs)
@@ -173,10 +183,12 @@ def available_signals(
     name of each output port to the size of the port.
     """
     missing = set()
-    if outputs is None and scenario.controller.kind == "custom":
+    if outputs is None and scenario.controller.kind in ("custom", "law"):
         outputs = controller_outputs(scenario)
     if outputs is not None:
         missing |= {name for name in CONTROLLER_SIGNALS if outputs.get(name) != len(SIGNALS[name])}
+        if scenario.controller.kind == "law" and scenario.estimator.kind == "exact":
+            missing.discard("estimated_state")  # the law reads the state of the plant
     elif scenario.controller.kind != "smc":
         missing |= {"estimated_state", *LAW_OUTPUTS}
     if scenario.bus.kind != "cia402":
@@ -199,14 +211,19 @@ def chosen_signals(
     names = available if signals is None else tuple(signals)
     for name in names:
         if name not in available:
-            raise ParameterError(f"signal {name!r} is unknown; known: {', '.join(available)}")
+            if name in SIGNALS:
+                needed = NEEDED_SETTINGS.get(name, "another controller")
+                raise ParameterError(f"signal {name!r} is not in this scenario; needs {needed}")
+            advice = question(close_names(name, available)) or f"; known: {', '.join(available)}"
+            raise ParameterError(f"signal {name!r} is unknown{advice}")
     return names
 
 
 def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield path and Context parameters of each leaf system of `make_closed_loop`.
 
-    Drake's systems without parameters are left out, and so are the systems of a custom controller.
+    Drake's systems without parameters are left out, and so is a controller that
+    `has_unknown_parts`.
     """
     for part in _plant_parts(scenario):
         yield f"plant/{part.name}", part.values()
@@ -216,9 +233,8 @@ def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
         yield "encoder", {"0[0]": 0.0}
     if not isinstance(scenario.reference, SampledReference):
         yield "reference", knee_reference.context_values(scenario.reference)
-    if not isinstance(scenario.controller, CustomControllerParameters):
-        for part in controller_parts(scenario):
-            yield f"controller/{part.name}", part.values()
+    for part in controller_parts(scenario):
+        yield f"controller/{part.name}", part.values()
     if isinstance(scenario.bus, Cia402Parameters):
         yield "drive", drive.context_values(scenario.bus)
 
@@ -262,7 +278,7 @@ def _start_arguments(scenario: Scenario) -> dict[str, Any]:
     return {
         "initial_knee_angle_rad": knee_reference.start_angle_rad(scenario.reference),
         "initial_offset_m": scenario.initial_offset_m,
-        "table_1": scenario.polynomial,
+        "table_1": controller_polynomial(scenario),
     }
 
 

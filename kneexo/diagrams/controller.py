@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
-from importlib import import_module
 from typing import Any
 
 from pydrake.systems.framework import DiagramBuilder, System
+from pydrake.systems.primitives import Saturation, ZeroOrderHold
 
 from kneexo import systems
+from kneexo.diagrams.law import held_command, port_sizes as port_sizes, require_ports
 from kneexo.diagrams.part import Part, add_parts
 from kneexo.diagrams.signals import LAW_OUTPUTS
 from kneexo.errors import ParameterError, shortened
 from kneexo.parameters import (
+    LAW_INPUTS,
     CustomControllerParameters,
+    LawParameters,
     ObserverParameters,
     PidParameters,
     Scenario,
     SlidingModeParameters,
 )
+from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems import (
+    function_law,
     knee_coordinates,
     pid_controller,
     sliding_mode_controller,
 )
-from kneexo.user_code import user_code
+from kneexo.systems.function_law import LAW_COMMAND
+from kneexo.user_code import function_at, user_code
 
 
 def make_controller(scenario: Scenario = Scenario(), law: System | None = None) -> System:
@@ -66,6 +72,7 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     """
     if law is None and isinstance(scenario.controller, CustomControllerParameters):
         return _custom_controller(scenario, scenario.controller)
+    unknown_law = law is None and has_unknown_parts(scenario)
     builder = DiagramBuilder()
     part = add_parts(builder, _parts(scenario, law))
     coordinates, rod_reference = part["coordinates"], part["rod_reference"]
@@ -77,8 +84,11 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
         "knee_angle": coordinates.GetOutputPort("knee_angle"),
         "rod_reference": rod_reference.get_output_port(),
     }
+    command = law.GetOutputPort("motor_speed_command")
+    if unknown_law:
+        command = _limited_and_held(builder, scenario, law, command)
     outputs = {
-        "motor_speed_command": law.GetOutputPort("motor_speed_command"),
+        "motor_speed_command": command,
         "measured_knee_angle": sources["knee_angle"],
         "measured_rod_extension": sources["rod_extension"],
         "rod_reference": sources["rod_reference"],
@@ -94,7 +104,7 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
         elif name == "knee_reference":
             builder.ConnectInput(knee_reference, port)
         else:
-            builder.ExportInput(port, "rod_state")
+            builder.ExportInput(port, name if name == LAW_COMMAND else "rod_state")
     for name in LAW_OUTPUTS:
         if law.HasOutputPort(name):
             outputs[name] = law.GetOutputPort(name)
@@ -105,14 +115,45 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     return controller
 
 
+def _limited_and_held(builder: Any, scenario: Scenario, law: System, command: Any) -> Any:
+    """Limit the output port ``command`` of a user's system; return the port of the result.
+
+    The command of a system without discrete state is held for a sample too.
+    """
+    limit = scenario.command_limit_rad_s
+    saturation = builder.AddNamedSystem("limit", Saturation([-limit], [limit]))
+    builder.Connect(command, saturation.get_input_port())
+    if holds_its_command(law):
+        return saturation.get_output_port()
+    hold = builder.AddNamedSystem("hold", ZeroOrderHold(scenario.controller.sample_time_s, 1))
+    builder.Connect(saturation.get_output_port(), hold.get_input_port())
+    return hold.get_output_port()
+
+
+def holds_its_command(law: System) -> bool:
+    """Return True if a system has discrete states, which then hold its command."""
+    return law.CreateDefaultContext().num_discrete_state_groups() > 0
+
+
 def controller_parts(scenario: Scenario) -> list[Part]:
-    """Return the leaf systems of `make_controller`; an empty list for a custom controller."""
-    return _parts(scenario) if scenario.controller.kind != "custom" else []
+    """Return the leaf systems of `make_controller`; an empty list if it `has_unknown_parts`."""
+    return [] if has_unknown_parts(scenario) else _parts(scenario)
+
+
+def has_unknown_parts(scenario: Scenario) -> bool:
+    """Return True if the controller of a scenario is or contains a Drake system of the user.
+
+    The values of the Context parameters of such a system are read from the system.
+    """
+    law = scenario.controller
+    if isinstance(law, LawParameters):
+        return law.function.is_system
+    return isinstance(law, CustomControllerParameters)
 
 
 def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
     """Return the leaf systems of a controller; ``custom_law`` replaces the scenario's law."""
-    believed, polynomial = scenario.believed_plant, scenario.polynomial
+    believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
     law, offset = scenario.controller, encoder_offset_rad(scenario)
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
         law = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
@@ -129,10 +170,17 @@ def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
         ),
     ]
     if custom_law is not None:
-        _require_ports(custom_law, _LAW_INPUTS, "law")
+        if not isinstance(custom_law, System) and callable(custom_law):
+            raise ParameterError(
+                "law: a function must be given as track(scenario, law=law), or here as "
+                "make_controller(scenario.with_law(law))"
+            )
+        require_ports(custom_law, {**LAW_INPUTS, LAW_COMMAND: 1}, "law")
         parts.append(Part("law", lambda: custom_law, dict))
         if custom_law.HasInputPort("estimated_state"):
             parts += _estimator_parts(scenario)
+    elif isinstance(law, LawParameters):
+        parts += _law_parts(scenario, law)
     elif isinstance(law, SlidingModeParameters):
         parts.append(
             Part(
@@ -151,6 +199,26 @@ def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
             )
         )
     return parts
+
+
+def _law_parts(scenario: Scenario, law: LawParameters) -> Iterator[Part]:
+    """Yield a control law of the user, and the estimator if the law reads its output."""
+    if law.function.is_system:
+        system = law.function.make_system()
+        subject = f"law {law.function.short_name}"
+        require_ports(system, LAW_INPUTS, subject)
+        _require_period(system, law.sample_time_s, subject)
+        yield Part("law", lambda: system, dict)
+        inputs: Iterable[str] = port_sizes(system, inputs=True)
+    else:
+        yield Part(
+            "law",
+            lambda: systems.FunctionLaw(law),
+            lambda: function_law.context_values(law),
+        )
+        inputs = law.function.arguments.inputs
+    if "estimated_state" in inputs:
+        yield from _estimator_parts(scenario)
 
 
 def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
@@ -187,7 +255,7 @@ def known_to_controller(scenario: Scenario) -> Scenario:
     """
     return Scenario(
         plant=scenario.believed_plant,
-        polynomial=scenario.polynomial,
+        polynomial=controller_polynomial(scenario),
         encoder=scenario.encoder,
         estimator=scenario.estimator,
         controller=scenario.controller,
@@ -196,7 +264,7 @@ def known_to_controller(scenario: Scenario) -> Scenario:
 
 def _custom_controller(scenario: Scenario, parameters: CustomControllerParameters) -> System:
     subject = f"controller.make = {shortened(parameters.make)!r}"
-    make = _function(parameters.make, subject)
+    make = function_at(parameters.make, subject)
     if parameters.make in _running.get():
         raise ParameterError(
             f"{subject}: the function asks for its own controller; must build it, or ask for "
@@ -209,64 +277,27 @@ def _custom_controller(scenario: Scenario, parameters: CustomControllerParameter
     finally:
         _running.reset(token)
     require_controller(controller, subject)
-    timing = controller.GetUniquePeriodicDiscreteUpdateAttribute()
-    if timing is not None and timing.period_sec() != parameters.sample_time_s:
-        raise ParameterError(
-            f"controller.sample_time_s = {parameters.sample_time_s:g} s: must be "
-            f"{timing.period_sec():g} s, at which the controller updates"
-        )
+    _require_period(controller, parameters.sample_time_s, "the controller")
     controller.set_name("controller")
     return controller
 
 
-def _function(name: str, subject: str) -> Any:
-    """Import and return a function by its name ``module:function``.
-
-    ``subject`` begins the message of every `ParameterError`.
-    """
-    module, _, path = name.partition(":")
-    try:
-        with user_code(f"{subject}: the module cannot be imported"):
-            make: Any = import_module(module)
-    except ParameterError as error:
-        cause = error.__cause__
-        missing = cause.name if isinstance(cause, ModuleNotFoundError) else None
-        if missing is None or not f"{module}.".startswith(f"{missing}."):
-            raise
+def _require_period(system: System, sample_time_s: float, subject: str) -> None:
+    """Raise `ParameterError` if a system updates its discrete state at another period."""
+    timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+    if timing is not None and timing.period_sec() != sample_time_s:
         raise ParameterError(
-            f"{subject}: no module named {shortened(missing)!r}; must be module:function on the "
-            f"Python path"
-        ) from None
-    with user_code(f"{subject}: the module fails"):
-        for attribute in path.split("."):
-            try:
-                make = getattr(make, attribute)
-            except AttributeError as error:
-                raise ParameterError(
-                    f"{subject}: {shortened(str(error), 300)}; must be module:function on the "
-                    f"Python path"
-                ) from None
-    return make
+            f"controller.sample_time_s = {sample_time_s:g} s: must be {timing.period_sec():g} s, "
+            f"at which {subject} updates"
+        )
 
 
 def controller_outputs(scenario: Scenario) -> dict[str, int]:
-    """Return a dictionary from the name of each output port of a custom controller to its size."""
+    """Return a dictionary from the name of each output port of a user's controller to its size."""
     key = known_to_controller(scenario).model_dump_json()
     if key not in _outputs:
-        _outputs[key] = port_sizes(make_controller(scenario))
+        _outputs[key] = port_sizes(make_controller(scenario, held_command(scenario)))
     return _outputs[key]
-
-
-def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
-    """Return a dictionary from the name of each output port to its size.
-
-    If ``inputs`` is True, return such a dictionary of the input ports.
-    """
-    if inputs:
-        ports = map(system.get_input_port, range(system.num_input_ports()))
-    else:
-        ports = map(system.get_output_port, range(system.num_output_ports()))
-    return {port.get_name(): port.size() for port in ports}
 
 
 _outputs: dict[str, dict[str, int]] = {}
@@ -274,14 +305,7 @@ _outputs: dict[str, dict[str, int]] = {}
 _running: ContextVar[frozenset[str]] = ContextVar("running", default=frozenset())
 """Names of the users' functions that are running, by which recursion is detected."""
 
-_INPUTS = {"encoder_reading": 1, "knee_reference": 4, "rod_state": 3}
-_LAW_INPUTS = {
-    "rod_extension": 1,
-    "rod_reference": 4,
-    "estimated_state": 3,
-    "knee_angle": 1,
-    "knee_reference": 4,
-}
+_INPUTS = {"encoder_reading": 1, "knee_reference": 4, "rod_state": 3, LAW_COMMAND: 1}
 
 
 def require_controller(controller: Any, subject: str = "controller") -> None:
@@ -289,17 +313,4 @@ def require_controller(controller: Any, subject: str = "controller") -> None:
 
     ``subject`` begins the message.
     """
-    _require_ports(controller, _INPUTS, subject)
-
-
-def _require_ports(system: Any, inputs: dict[str, int], subject: str) -> None:
-    if not isinstance(system, System):
-        raise ParameterError(f"{subject}: {type(system).__name__} is not a Drake system")
-    for name, size in port_sizes(system, inputs=True).items():
-        if inputs.get(name) != size:
-            expected = ", ".join(f"{name} ({size})" for name, size in inputs.items())
-            raise ParameterError(
-                f"{subject}: has an input port {name} of size {size}; must be of {expected}"
-            )
-    if port_sizes(system).get("motor_speed_command") != 1:
-        raise ParameterError(f"{subject}: must have an output port motor_speed_command of size 1")
+    require_ports(controller, _INPUTS, subject)

@@ -210,7 +210,8 @@ def _start_extension_and_force(
     if not 0.0 <= extension <= parameters.cylinder.stroke_m:
         raise ParameterError(
             f"the rod starts at {extension:.6g} m (initial offset {initial_offset_m:g} m), outside "
-            f"the stroke 0 … {parameters.cylinder.stroke_m:g} m; change the offset or the posture"
+            f"the stroke 0 … {parameters.cylinder.stroke_m:g} m; change the start of the "
+            f"reference, initial_offset_m, plant.linkage.rod_length_m or plant.cylinder.stroke_m"
         )
     force = parameters.cylinder.stiffness_n_per_m * extension
     if isinstance(parameters.load, KneeLoadParameters):

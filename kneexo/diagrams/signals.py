@@ -62,6 +62,12 @@ The plant's ports have the same names.
 FULL_ORDER_OUTPUTS = ("chamber_pressures", "makeup_flow", "relief_flow")
 """Names of further output ports of a plant of full order, which its ``cylinder`` provides."""
 
+NEEDED_SETTINGS = {
+    **dict.fromkeys(FULL_ORDER_OUTPUTS, "plant.full_order = true"),
+    "target_velocity": "bus.kind = cia402",
+}
+"""The setting of a scenario that a signal needs, by the name of the signal."""
+
 LAW_OUTPUTS = ("sliding_variable",)
 """Names of output ports of a control law that the controller exports if they exist."""
 

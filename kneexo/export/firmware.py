@@ -78,7 +78,7 @@ def make_firmware(
             f"reference.kind = {scenario.reference.kind!r}: a loop in C computes its reference, "
             f"which must not be sampled; export plant and controller, or the loop as FMU"
         )
-    duration_s = scenario.simulation.duration_s
+    duration_s = scenario.duration_s
     if vectors_s is None:
         vectors_s = min(VECTORS_S, duration_s)
     sample_time_s = scenario.controller.sample_time_s

@@ -20,13 +20,16 @@ from kneexo.compiler import (
     source_of,
 )
 from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
+from kneexo.diagrams.controller import has_unknown_parts
 from kneexo.errors import KneexoError, OutputError, ParameterError, shown
 from kneexo.export.target import Target, make_target, require_step
 from kneexo.files.reading import MIB, read_bytes
 from kneexo.files.writing import write_file
-from kneexo.parameters import CustomControllerParameters, Scenario, SlidingModeParameters
+from kneexo.parameters import Scenario, SlidingModeParameters
+from kneexo.parameters.fields import limits_of, source_of as provenance_of
 from kneexo.parameters.paths import changed, value_at
-from kneexo.parameters.quantity import Parameters, limits_of, source_of as provenance_of
+from kneexo.parameters.quantity import Parameters
+from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
 from kneexo.version import __version__
@@ -131,6 +134,7 @@ def make_fmu(
     if fmi not in FMI_VERSIONS:
         raise ParameterError(f"fmi = {fmi!r}: must be one of {', '.join(map(str, FMI_VERSIONS))}")
     require_step(step_s)
+    scenario = completed(scenario)
     target = make_target(scenario, what)
     source = source_of(
         read_diagram(target.diagram, inputs=target.inputs),
@@ -148,7 +152,7 @@ def make_fmu(
         f"{TOOL} {__version__}",
         f"{_DESCRIPTIONS[target.what]} of a polycentric knee exoskeleton",
         _starts(scenario, target, source),
-        scenario.simulation.duration_s,
+        scenario.duration_s,
     )
 
 
@@ -169,8 +173,7 @@ def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[Fm
     values = dict(zip(names, source.parameters.tolist(), strict=True))
     if target.what == "plant":  # no controller reaches it
         scenario = scenario.model_copy(update={"controller": SlidingModeParameters()})
-    custom = isinstance(scenario.controller, CustomControllerParameters)
-    effects = {} if custom else parameter_effects(scenario, names)
+    effects = {} if has_unknown_parts(scenario) else parameter_effects(scenario, names)
     at_rest = _AT_REST if any(_initial(scenario, source)) else ""
     same = {path: effect.same for path, effect in effects.items() if effect.same}
     claims = [name for group in same.values() for name in group]

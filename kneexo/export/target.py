@@ -14,10 +14,11 @@ from kneexo import linkage
 from kneexo.compiler import Interface, read_diagram, rk4_step_s
 from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
+from kneexo.diagrams.law import why_python
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import SampledReference, Scenario, SimulationParameters
-from kneexo.parameters.quantity import limits_of
+from kneexo.parameters.fields import limits_of
 
 What = Literal["controller", "plant", "loop"]
 """Name of a part of a scenario that can be exported."""
@@ -64,10 +65,16 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
         `make_closed_loop`. Inputs: external forces. The knee reference is an input too if it is
         sampled. Outputs: all available signals.
 
-    Raises `ParameterError` for another ``what``, and the errors of `make_closed_loop`.
+    Raises `ParameterError` for another ``what`` and for a law that is called as Python, and the
+    errors of `make_closed_loop`.
     """
     if what not in WHAT:
         raise ParameterError(f"what = {what!r}: must be one of {', '.join(WHAT)}")
+    if what != "plant" and (reason := why_python(scenario)):
+        raise ParameterError(
+            f"controller: the law cannot be exported, because it is called as Python: {reason}; "
+            f"docs/your_controller.md says how to get it compiled"
+        )
     if what == "controller":
         return _controller(scenario, counts)
     return _plant(scenario) if what == "plant" else _loop(scenario)

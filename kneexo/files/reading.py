@@ -6,7 +6,7 @@ import codecs
 import os
 import stat
 
-from kneexo.errors import ScenarioError, shortened, shown
+from kneexo.errors import ScenarioError, close_names, question, shortened, shown
 
 MIB = 2**20
 """Number of bytes in one MiB."""
@@ -60,11 +60,30 @@ def read_text(path: str | os.PathLike[str], most_bytes: int) -> str:
         line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
         message = f"is not UTF-8: byte 0x{byte:02x}; save it as UTF-8"
         raise file_error(path, line, message) from None
+    except FileNotFoundError as error:
+        similar = question(_similar(path))
+        raise file_error(path, None, f"cannot be read: {error.strerror}{similar}") from error
     except OSError as error:
         raise file_error(path, None, f"cannot be read: {error.strerror or error}") from error
     except MemoryError:
         message = "cannot be read: is too large for the free memory"
         raise file_error(path, None, message) from None
+
+
+def _similar(path: str | os.PathLike[str]) -> list[str]:
+    """Return the path of the file in the same directory whose name is most like that of ``path``.
+
+    The list is empty if no name is similar, or if the directory is missing or cannot be read.
+    """
+    directory, name = os.path.split(os.fspath(path))
+    try:
+        with os.scandir(directory or ".") as entries:
+            files = [entry.name for entry, _ in zip(entries, range(1000), strict=False)]
+    except OSError:
+        return []
+    return [
+        shown(os.path.join(directory, close)) for close in close_names(name, files, 0.8, most=1)
+    ]
 
 
 def file_error(path: str | os.PathLike[str], line: int | None, message: str) -> ScenarioError:

@@ -56,10 +56,11 @@ class Table:
                 raise file_error(self.path, line, message)
 
 
-def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
+def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str = "") -> Table:
     """Read columns of a CSV file. The first record of the file has the names of the columns.
 
-    Lines between records are ignored if they are empty or start with ``#``.
+    Lines between records are ignored if they are empty or start with ``#``. If the first record has
+    no comma, semicolons or else tabs separate the values, and numbers can have a decimal comma.
 
     Parameters
     ----------
@@ -67,6 +68,8 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
         A regular file of at most 256 MiB in UTF-8.
     names
         Names of the columns to read. Spaces around a name in the file are ignored.
+    remedy
+        End of the message about a missing column.
 
     Raises
     ------
@@ -75,12 +78,14 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
         twice, or a value is no finite number in decimal digits.
     """
     try:
-        records = _records(path, read_text(path, MOST_BYTES_OF_TABLE))
+        text = read_text(path, MOST_BYTES_OF_TABLE)
+        separator = _separator(text)
+        records = _records(path, text, separator)
         _, header = next(records, (0, None))
         if header is None:
             raise file_error(path, None, "is empty; must have a line with the names of columns")
         header = [name.strip() for name in header]
-        places = [_place(path, header, name) for name in names]
+        places = [_place(path, header, name, remedy) for name in names]
         lines: list[int] = []
         values: list[list[float]] = [[] for _ in names]
         for line, row in records:
@@ -88,6 +93,8 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
                 message = f"has {len(row)} values; must have {len(header)}, one of each column"
                 raise file_error(path, line, message)
             lines.append(line)
+            if separator != ",":
+                row = [field.replace(",", ".") for field in row]
             for name, place, column in zip(names, places, values, strict=True):
                 column.append(_number(path, line, name, row[place] if place < len(row) else ""))
     except MemoryError:
@@ -96,7 +103,20 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str]) -> Table:
     return Table(path, lines, dict(zip(names, values, strict=True)))
 
 
-def _records(path: str | os.PathLike[str], text: str) -> Iterator[tuple[int, list[str]]]:
+def _separator(text: str) -> str:
+    """Return the first of comma, semicolon and tab that the first record has; else a comma."""
+    lines = (match[0] for match in _LINE.finditer(text))
+    header = next((line for line in lines if not _ignored(line)), "")
+    return next((separator for separator in ",;\t" if separator in header), ",")
+
+
+def _ignored(line: str) -> bool:
+    return not line.strip() or line.startswith("#")
+
+
+def _records(
+    path: str | os.PathLike[str], text: str, separator: str
+) -> Iterator[tuple[int, list[str]]]:
     """Yield each record with the number of its first line. A quoted field may span lines."""
     count = 0
 
@@ -108,11 +128,14 @@ def _records(path: str | os.PathLike[str], text: str) -> Iterator[tuple[int, lis
 
     lines = next_lines()
     for line in lines:
-        if not line.strip() or line.startswith("#"):
+        if _ignored(line):
             continue
-        first = count
+        first, rest = count, chain([line], lines)
         try:
-            yield first, next(csv.reader(chain([line], lines), skipinitialspace=True, strict=True))
+            yield (
+                first,
+                next(csv.reader(rest, delimiter=separator, skipinitialspace=True, strict=True)),
+            )
         except csv.Error as error:
             if "unexpected end" in str(error):
                 reason = "a quotation mark opens a field that does not end"
@@ -123,12 +146,12 @@ def _records(path: str | os.PathLike[str], text: str) -> Iterator[tuple[int, lis
             raise file_error(path, first, f"{reason}; must be a record of CSV") from None
 
 
-def _place(path: str | os.PathLike[str], header: list[str], name: str) -> int:
+def _place(path: str | os.PathLike[str], header: list[str], name: str, remedy: str) -> int:
     places = [place for place, other in enumerate(header) if other == name]
     quoted = repr(shortened(name))
     if not places:
         listed = shortened(", ".join(header), 300)
-        raise file_error(path, None, f"has no column {quoted}; it has {listed}")
+        raise file_error(path, None, f"has no column {quoted}; it has {listed}{remedy}")
     if len(places) > 1:
         message = f"has {len(places)} columns {quoted}; must have one column of this name"
         raise file_error(path, None, message)

@@ -11,7 +11,7 @@ import fcntl
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -48,6 +48,28 @@ def write_file(path: Path, content: bytes) -> None:
     """
     with _replacement(path.parent, f"--out {shown(path)}", "") as directory:
         (directory / path.name).write_bytes(content)
+
+
+def create_files(texts: Mapping[Path, str]) -> None:
+    """Write texts to new files: all, or none if a file exists or cannot be written.
+
+    Raises `OutputError`; files that exist stay as they are.
+    """
+    created = []
+    try:
+        for path, text in texts.items():
+            with path.open("x", encoding="utf-8") as file:
+                created.append(path)
+                file.write(text)
+    except BaseException as error:
+        for file_path in created:
+            file_path.unlink(missing_ok=True)
+        if isinstance(error, FileExistsError):
+            raise OutputError(f"{shown(path)} exists already; choose another name") from None
+        if isinstance(error, OSError):
+            reason = error.strerror or str(error)
+            raise OutputError(f"{shown(path)}: cannot be written ({reason})") from None
+        raise
 
 
 @contextmanager

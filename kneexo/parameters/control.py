@@ -8,8 +8,15 @@ from typing import Any, Literal
 from pydantic import field_validator, model_validator
 
 from kneexo.errors import shortened
+from kneexo.parameters.law import Law
 from kneexo.parameters.plant import RPM
-from kneexo.parameters.quantity import Parameters, choice, ordered_limits, quantity
+from kneexo.parameters.quantity import (
+    Parameters,
+    choice,
+    ordered_limits,
+    quantities,
+    quantity,
+)
 
 
 class EncoderParameters(Parameters):
@@ -185,6 +192,28 @@ class PidParameters(Parameters):
         return self
 
 
+def _users_sample_time() -> Any:
+    return quantity(
+        0.002, "s", "given by the user: the controller's period, that of the log", ge=1e-5, le=1
+    )
+
+
+def _users_command_limit() -> Any:
+    return quantity(
+        5000.0 * RPM,
+        "rad/s",
+        "given by the user; the default is that of the other controllers",
+        ge=1e-3,
+        le=1e12,
+    )
+
+
+def _hash_with_mappings(parameters: Parameters) -> int:
+    """Return a hash of all fields. A mapping is hashed as a sorted tuple."""
+    values = (getattr(parameters, name) for name in type(parameters).model_fields)
+    return hash(tuple(tuple(sorted(v.items())) if isinstance(v, dict) else v for v in values))
+
+
 class CustomControllerParameters(Parameters):
     """A controller of the user: a Drake system that replaces kneexo's controller.
 
@@ -197,21 +226,12 @@ class CustomControllerParameters(Parameters):
     kind: Literal["custom"] = "custom"
     make: str = choice(..., "given by the user: module:function that makes the controller")
     values: dict[str, float] = choice({}, "given by the user: numbers for the controller, by name")
-    sample_time_s: float = quantity(
-        0.002, "s", "given by the user: the controller's period, that of the log", ge=1e-5, le=1
-    )
-    command_limit_rad_s: float = quantity(
-        5000.0 * RPM,
-        "rad/s",
-        "given by the user; the default is that of the other controllers",
-        ge=1e-3,
-        le=1e12,
-    )
+    sample_time_s: float = _users_sample_time()
+    command_limit_rad_s: float = _users_command_limit()
 
     def __hash__(self) -> int:
-        """Return a hash of all fields. The mapping ``values`` is hashed as a sorted tuple."""
-        values = tuple(sorted(self.values.items()))
-        return hash((self.make, values, self.sample_time_s, self.command_limit_rad_s))
+        """Return a hash of all fields."""
+        return _hash_with_mappings(self)
 
     @field_validator("make", mode="before")
     @classmethod
@@ -229,3 +249,69 @@ class CustomControllerParameters(Parameters):
                 f"{shortened(make)!r}: must be module:function, by the absolute name of the module"
             )
         return make
+
+
+class LawParameters(Parameters):
+    """A control law of the user between kneexo's coordinates, observer and reference.
+
+    ``function`` is a function, a Drake system, a class or function that makes one, or their name
+    ``FILE.py:NAME``. In a scenario file, a relative path starts at the directory of the file. The
+    names of a function's arguments choose its inputs: those of `kneexo.parameters.law.LAW_INPUTS`,
+    ``time_s`` and ``state``. An argument with a number as default is a gain. ``values`` contains
+    all gains; ``--set`` and uncertainty sets reach a gain by the path ``controller.values.NAME``.
+
+    A function returns the motor speed in rad/s, where a positive speed drives the rod out, so that
+    the knee angle falls. With the argument ``state`` the function returns the motor speed and the
+    next state. The default of this argument is the initial state, unless ``initial_state`` is
+    given. The function is called once a sample. The command is limited to
+    ``command_limit_rad_s`` and held.
+    """
+
+    kind: Literal["law"] = "law"
+    function: Law = choice(..., "given by the user: FILE.py:NAME of a function or Drake system")
+    initial_state: tuple[float, ...] = quantities(
+        (),
+        "",
+        "given by the user: `state` of the law at the start",
+        min_length=None,
+    )
+    values: dict[str, float] = choice({}, "given by the user: gains of the law, by argument")
+    sample_time_s: float = _users_sample_time()
+    command_limit_rad_s: float = _users_command_limit()
+
+    def __hash__(self) -> int:
+        """Return a hash of all fields."""
+        return _hash_with_mappings(self)
+
+    @model_validator(mode="after")
+    def _suits_the_function(self) -> LawParameters:
+        law = self.function
+        if law.is_system:
+            if self.initial_state or self.values:
+                raise ValueError(
+                    f"law {law.short_name} is a Drake system: initial_state and values must be "
+                    f"left out; the system has its states and parameters"
+                )
+            return self
+        arguments = law.arguments
+        if not self.initial_state:
+            object.__setattr__(self, "initial_state", arguments.initial_state)
+        if arguments.state and not self.initial_state:
+            raise ValueError(
+                f"law {law.short_name} has the argument state: initial_state is missing, such as "
+                f"[0.0]; or give the argument a default, state=(0.0,)"
+            )
+        if self.initial_state and not arguments.state:
+            raise ValueError(
+                f"initial_state = {list(self.initial_state)}: law {law.short_name} has no argument "
+                f"state; add the argument, or leave out initial_state"
+            )
+        for name in self.values:
+            if name not in arguments.gains:
+                known = ", ".join(arguments.gains) or "none"
+                raise ValueError(
+                    f"values.{shortened(name)}: law {law.short_name} has no argument of this name "
+                    f"with a number as default; known: {known}"
+                )
+        self.values.update(arguments.gains | self.values)
+        return self

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import deepcopy
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from kneexo.errors import ParameterError
-from kneexo.parameters.quantity import Parameters, models_of
+from kneexo.parameters.fields import models_of
+from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.scenario import Scenario
 
 _Changed = TypeVar("_Changed", bound=Parameters)
@@ -26,39 +25,19 @@ def value_at(parameters: Parameters, path: str) -> Any:
 def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
     """Return a copy of a scenario, or of other parameters, with changed values.
 
-    ``values`` maps a dotted path to the new value, which can be a mapping as in a scenario file.
-    Raises `ParameterError` for a path that the parameters do not have, and for a value out of
-    range.
+    The function calls the method `Parameters.changed`, which describes ``values``.
     """
-    data = dict(vars(scenario))
-    for path, value in values.items():
-        *parents, name = path.split(".")
-        holder: Any = data
-        for parent in parents:
-            part = holder.get(parent)
-            if isinstance(part, Parameters):  # parts without a change are not validated again
-                part = holder[parent] = dict(vars(part))
-            elif isinstance(part, dict):
-                part = holder[parent] = dict(part)
-            holder = part
-            if not isinstance(holder, dict):
-                break
-        # The validation below reports a wrong name in an existing mapping.
-        if not isinstance(holder, dict):
-            what = "this scenario has" if isinstance(scenario, Scenario) else "there is"
-            raise ParameterError(f"{path}: {what} no {path.rpartition('.')[0]}")
-        # A later path may reach into a mapping.
-        holder[name] = deepcopy(value) if isinstance(value, dict) else value
-    return type(scenario)(**data)
+    return scenario.changed(values)
 
 
 def has_path(scenario: Scenario, path: str) -> bool:
     """Return True if ``scenario``, with its present parts, has a value at a dotted path."""
     holder: Any = scenario
     for name in path.split("."):
-        if not isinstance(holder, Parameters) or name not in type(holder).model_fields:
+        values = vars(holder) if isinstance(holder, Parameters) else holder
+        if not isinstance(values, dict) or name not in values:
             return False
-        holder = getattr(holder, name)
+        holder = values[name]
     return True
 
 

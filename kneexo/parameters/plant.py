@@ -5,11 +5,18 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.parameters.linkages import G1, LINKAGES, LinkageParameters
-from kneexo.parameters.quantity import Parameters, choice, ordered_limits, quantities, quantity
+from kneexo.parameters.quantity import (
+    Parameters,
+    choice,
+    named,
+    ordered_limits,
+    quantities,
+    quantity,
+)
 
 RPM = 2.0 * math.pi / 60.0
 """One revolution per minute in rad/s."""
@@ -22,6 +29,13 @@ AIR_EXPONENT = 1.4
 """Polytropic exponent of entrained air.
 
 Assumption: the air is adiabatic, because the oscillation of the oil column is fast.
+"""
+
+SEAL_FRICTION_N = 40.0
+"""Coulomb friction of the cylinder's seals in N, where a scenario has friction.
+
+Assumption: the seals take 0.146 MPa on the mean area, 4 % of the rated pressure. The model of the
+paper has no friction.
 """
 
 
@@ -89,7 +103,13 @@ class CylinderParameters(Parameters):
     bulk_modulus_pa: float = quantity(
         17_200e5, "Pa", "Tables 2 and 3: 17 200 bar (ISO VG 46)", ge=1e6, le=1e11
     )
-    mass_kg: float = quantity(1.6, "kg", "Tables 2 and 3: shank", ge=0.01, le=1000)
+    mass_kg: float = quantity(
+        1.6,
+        "kg",
+        "Table 2: mass m of Eq. 16, which moves with the rod and has no weight; Table 3: shank",
+        ge=0.01,
+        le=1000,
+    )
     damping_n_s_per_m: float = quantity(0.05, "N/(m/s)", "Table 2: B", ge=0, le=1e6)
     stiffness_n_per_m: float = quantity(
         0.0, "N/m", "assumption: K of Eq. 16 is not printed", ge=0, le=1e7
@@ -228,6 +248,14 @@ class KneeParameters(Parameters):
 
     _ordered = ordered_limits(strict=True)
 
+    def require_posture(self, knee_angle_deg: float, name: str = "knee_angle_deg") -> None:
+        """Raise `ParameterError` if a knee angle, the argument ``name``, is no posture."""
+        if not self.flexion_min_deg <= knee_angle_deg <= self.flexion_max_deg:
+            raise ParameterError(
+                f"{name} = {knee_angle_deg:g} deg is out of range: must be >= "
+                f"{self.flexion_min_deg:g} and <= {self.flexion_max_deg:g} deg"
+            )
+
     def require_in_range(self, low_deg: float, high_deg: float) -> None:
         """Raise `ParameterError` if a reference with this range leaves the range of motion."""
         if low_deg < self.flexion_min_deg or high_deg > self.flexion_max_deg:
@@ -240,8 +268,8 @@ class KneeParameters(Parameters):
 _Six = tuple[float, float, float, float, float, float]
 
 
-def _coefficients(default: _Six, unit: str, source: str) -> Any:
-    return quantities(default, unit, source, ge=-1e4, le=1e4, min_length=None)
+def _coefficients(default: _Six, unit: str, source: str, largest: float) -> Any:
+    return quantities(default, unit, source, ge=-largest, le=largest, min_length=None)
 
 
 class RodPolynomialParameters(Parameters):
@@ -255,11 +283,13 @@ class RodPolynomialParameters(Parameters):
         (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0),
         "mm/deg^n",
         "Table 1: p_1 … p_6 of Eq. 10",
+        1e4,
     )
     q_deg_mm: _Six = _coefficients(
         (-1.807e-9, 5.788e-7, -7.285e-5, 0.004161, -0.6389, 91.73),
         "deg/mm^n",
         "Table 1: q_1 … q_6 of Eq. 11",
+        1e12,
     )
 
     @property
@@ -282,7 +312,11 @@ class KneeLoadParameters(Parameters):
 
     kind: Literal["knee"] = "knee"
     segment_mass_kg: float = quantity(
-        1.6, "kg", "Table 3: shank; 0 switches the weight off", ge=0, le=200
+        1.6,
+        "kg",
+        "Table 3: shank, whose weight turns the knee; 0 switches the weight off",
+        ge=0,
+        le=200,
     )
     centre_of_mass_m: float = quantity(
         0.20, "m", "assumption: knee axis to the centre of mass of shank and foot", ge=0, le=2
@@ -310,7 +344,7 @@ class PlantParameters(Parameters):
 
     pump: BldcPumpParameters = BldcPumpParameters()
     cylinder: CylinderParameters = CylinderParameters()
-    linkage: LinkageParameters = G1
+    linkage: LinkageParameters = named(Field(default=G1), LINKAGES)
     knee: KneeParameters = KneeParameters()
     load: Annotated[NoLoad | KneeLoadParameters, Field(discriminator="kind")] = NoLoad()
     rod_map: Literal["linkage", "polynomial"] = choice(
@@ -321,14 +355,7 @@ class PlantParameters(Parameters):
         False, "Eq. 17: pump speed equals the command, without lag, acceleration or speed limit"
     )
     full_order: FullCylinderParameters | None = choice(
-        None, "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15"
+        None,
+        "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15",
+        words={True: {}, False: None},
     )
-
-    @field_validator("linkage", mode="before")
-    @classmethod
-    def _named_linkage(cls, linkage: Any) -> Any:
-        if not isinstance(linkage, str):
-            return linkage
-        if linkage not in LINKAGES:
-            raise ValueError(f"{linkage!r} must be one of {', '.join(LINKAGES)}, or a mapping")
-        return LINKAGES[linkage]

@@ -1,19 +1,19 @@
 """Fields of the parameter classes: numbers with unit, range and provenance.
 
-pydantic validates the values. This module adds unit and provenance to pydantic's fields, and turns
-pydantic's reports into messages of one line.
+pydantic validates the values. This module adds unit and provenance to pydantic's fields.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Self, get_args, get_origin
 
+import numpy as np
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -22,13 +22,15 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from pydantic.fields import FieldInfo
 
 from kneexo.errors import ParameterError, shortened
+from kneexo.parameters.faults import one_line, shown_value
+from kneexo.parameters.fields import Words, unit_of, words_of
+from kneexo.parameters.names import Place, frozen, missing_part, unknown_attribute, unnamed
 
 
 def quantity(
-    default: float,
+    default: float | None,
     unit: str,
     source: str,
     *,
@@ -77,9 +79,19 @@ class _ElementRange:
         return schema | {"items_schema": items}
 
 
-def choice(default: Any, source: str) -> Any:
-    """Make a pydantic field for a value without unit, such as a switch or name, with provenance."""
-    return Field(default=default, json_schema_extra={"unit": "", "source": source})
+def choice(default: Any, source: str, *, words: Mapping[Any, Any] | None = None) -> Any:
+    """Make a pydantic field for a value without unit, such as a switch or name, with provenance.
+
+    ``words`` maps words that the field accepts to the values for which they stand.
+    """
+    field: Any = Field(default=default, json_schema_extra={"unit": "", "source": source})
+    return named(field, words) if words else field
+
+
+def named(field: Any, words: Mapping[Any, Any]) -> Any:
+    """Return a pydantic field that accepts ``words`` for the values for which they stand."""
+    field.metadata.append(Words(words))
+    return field
 
 
 def positive_values(default: tuple[float, ...], unit: str, source: str) -> Any:
@@ -115,157 +127,6 @@ def ordered_limits(*, strict: bool = False) -> Any:
     return model_validator(mode="after")(check)
 
 
-def allowed_range(field: FieldInfo) -> str:
-    """Return a field's range as text, such as ``>= 0 and <= 150``.
-
-    If the field is a tuple, the range is for each element.
-    """
-    bounds = [
-        f"{sign} {getattr(bound, key):g}"
-        for key, sign in (("ge", ">="), ("gt", ">"), ("le", "<="))
-        for bound in field.metadata
-        if getattr(bound, key, None) is not None
-    ]
-    return " and ".join(bounds)
-
-
-def limits_of(field: FieldInfo) -> tuple[float, float]:
-    """Return the lowest and the highest allowed value of a field made by `quantity`.
-
-    A missing bound is infinite. A bound ``gt`` excludes the number itself, so the lowest value is
-    the next larger double.
-    """
-    low, high = -math.inf, math.inf
-    for bound in field.metadata:
-        low = max(low, float(getattr(bound, "ge", low)))
-        low = max(low, math.nextafter(getattr(bound, "gt", -math.inf), math.inf))
-        high = min(high, float(getattr(bound, "le", high)))
-    return low, high
-
-
-def unit_of(field: FieldInfo) -> str:
-    """Return the unit of a parameter field, or an empty string for a field without unit."""
-    extra = field.json_schema_extra
-    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-
-
-def source_of(field: FieldInfo) -> str:
-    """Return the provenance of a parameter field, or an empty string for a field without source."""
-    extra = field.json_schema_extra
-    return str(extra.get("source", "")) if isinstance(extra, dict) else ""
-
-
-def one_line(model: type[BaseModel], error: ValidationError) -> tuple[tuple[str | int, ...], str]:
-    """Return the location (a path of keys) of a fault, and a message of one line about this fault.
-
-    ``error`` is pydantic's report on ``model``. If it has several faults, the first unknown name is
-    chosen, or the first fault if no name is unknown. The message ends with the number of the
-    other faults.
-    """
-    faults = error.errors()
-    # A misspelt name also makes a required value missing: report the name.
-    fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
-    location, holders = _without_tags(model, fault["loc"])
-    path = shortened(".".join(str(key) for key in location))
-    value = fault["input"]
-    field = _field_at(model, location)
-    unit = unit_of(field) if field else ""
-    unit = "" if unit == "1" else unit
-    bounds = allowed_range(field) if field else ""
-    shown = repr(value)
-    if isinstance(value, float) and value == float(f"{value:g}"):
-        shown = f"{value:g}"
-    if len(shown) > 60:
-        shown = type(value).__name__ if not isinstance(value, str) else shortened(shown, 60)
-    shown_with_unit = f"{shown} {unit}".strip()
-    kind = fault["type"]
-    if kind == "extra_forbidden":
-        names = sorted({name for holder in holders for name in holder.model_fields})
-        line = f"{path}: unknown name; known here: {', '.join(names)}"
-        for close in get_close_matches(str(location[-1]), names, n=1):
-            line += f"; did you mean {close!r}?"
-    elif value is None:
-        line = f"{path} has no value"
-    elif kind in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
-        bounds = f"finite and {bounds}" if bounds else "finite"
-        if field is None or not allowed_range(field):
-            unit = ""  # "must be finite" has no unit
-        line = f"{path} = {shown_with_unit} is out of range: must be {bounds} {unit}".rstrip()
-    elif kind == "union_tag_invalid":
-        tag, expected = shortened(fault["ctx"]["tag"]), fault["ctx"]["expected_tags"]
-        line = f"{path}.kind = {tag!r}: must be {expected}"
-        location = (*location, "kind")
-    elif kind == "missing":
-        line = f"{path}: is missing"
-    elif kind in {"too_short", "too_long"}:
-        context = fault["ctx"]
-        bound = context.get("min_length", context.get("max_length"))
-        word = "at least" if kind == "too_short" else "at most"
-        line = f"{path} has {context['actual_length']} values: must have {word} {bound}"
-    elif kind == "value_error":
-        line = str(fault["ctx"]["error"])
-        line = f"{path}: {line}" if path else line
-    else:
-        expected = fault["msg"].removeprefix("Input should be ")
-        line = f"{path} = {shown_with_unit}: must be {expected}"
-        if bounds:
-            line += f", {bounds} {unit}".rstrip()
-    # A bad sample also makes its list too short, which does not count as a second fault.
-    more = sum(f is not fault and f["type"] != "too_short" for f in faults)
-    return location, line + (f" (and {more} more)" if more else "")
-
-
-def _without_tags(
-    model: type[BaseModel], location: tuple[str | int, ...]
-) -> tuple[tuple[str | int, ...], tuple[type[BaseModel], ...]]:
-    """Return ``location`` without the values of ``kind`` that pydantic inserts for unions.
-
-    The second result is a tuple of the parameter classes to whose fields the last key refers. For a
-    union without a value of ``kind`` in ``location``, these are all members of the union.
-    """
-    keys: list[str | int] = []
-    holders: tuple[type[BaseModel], ...] = ()
-    members: tuple[type[BaseModel], ...] = (model,)
-    for key in location:
-        if len(members) > 1 and any(_kind(member) == key for member in members):
-            members = tuple(member for member in members if _kind(member) == key)
-            continue
-        keys.append(key)
-        holders = members
-        members = models_of(members[0].model_fields.get(str(key))) if members else ()
-    return tuple(keys), holders
-
-
-def _kind(model: type[BaseModel]) -> object:
-    field = model.model_fields.get("kind")
-    return None if field is None else field.default
-
-
-def models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
-    """Return all parameter classes in a field's annotation. Without a field there are none."""
-    models: list[type[BaseModel]] = []
-    pending: list[Any] = [] if field is None else [field.annotation]
-    while pending:
-        annotation = pending.pop(0)
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            models.append(annotation)
-        else:
-            pending.extend(getattr(annotation, "__args__", ()))
-    return tuple(models)
-
-
-def _field_at(model: type[BaseModel], location: tuple[str | int, ...]) -> FieldInfo | None:
-    models: tuple[type[BaseModel], ...] = (model,)
-    field = None
-    for key in location:
-        fields = [m.model_fields[str(key)] for m in models if str(key) in m.model_fields]
-        if not fields:
-            return field
-        field = fields[0]
-        models = models_of(field)
-    return field
-
-
 @cache
 def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
     """Return the name of each union field that has a default, with the default's ``kind``."""
@@ -274,6 +135,13 @@ def _default_kinds(model: type[BaseModel]) -> tuple[tuple[str, str], ...]:
         for name, field in model.model_fields.items()
         if field.discriminator and not field.is_required()
     )
+
+
+@cache
+def _words(model: type[BaseModel]) -> tuple[tuple[str, dict[Any, Any]], ...]:
+    """Return the name of each field that accepts words, with the values of the words."""
+    fields = ((name, words_of(field)) for name, field in model.model_fields.items())
+    return tuple((name, words) for name, words in fields if words)
 
 
 @cache
@@ -316,7 +184,8 @@ class Parameters(BaseModel):
     """Base of all parameter classes. Objects are frozen. Unknown names and wrong types are errors.
 
     A field for a tuple of numbers also accepts a list, a NumPy array or a pandas column. A field
-    for a tuple of any length also accepts a single number.
+    for a tuple of any length also accepts a single number. A field for one of several classes also
+    accepts the ``kind`` of the class as a word: ``controller="pid"``.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -324,21 +193,70 @@ class Parameters(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _completed(cls, data: Any) -> Any:
-        """Convert arrays to tuples. Insert the default ``kind`` into mappings without ``kind``."""
+        """Replace words by values, NumPy's numbers by Python's and arrays by tuples.
+
+        Also insert the default ``kind`` into mappings without ``kind``.
+        """
         if not isinstance(data, dict):
             return data
-        tuples = {
-            name: _as_tuple(data[name], any_length=any_length)
-            for name, any_length in _tuple_fields(cls)
-            if name in data
+        data = {
+            name: value.item() if isinstance(value, np.generic) else value
+            for name, value in data.items()
         }
-        data = data | tuples if tuples else data
-        kinds = {
-            name: {"kind": kind} | data[name]
-            for name, kind in _default_kinds(cls)
-            if isinstance(data.get(name), dict)
-        }
-        return data | kinds if kinds else data
+        for name, words in _words(cls):
+            if isinstance(word := data.get(name), str | bool):
+                data[name] = words.get(word, word)
+        for name, any_length in _tuple_fields(cls):
+            if name in data:
+                data[name] = _as_tuple(data[name], any_length=any_length)
+        for name, kind in _default_kinds(cls):
+            if isinstance(part := data.get(name), dict):
+                data[name] = {"kind": kind} | part
+        return data
+
+    def changed(self, values: Mapping[str, Any]) -> Self:
+        """Return a copy with changed values.
+
+        ``values`` maps a dotted path, such as ``plant.cylinder.mass_kg``, to the new value. The
+        value can be a mapping or a word, as in a scenario file. A path that is part of another path
+        is applied first. A new ``kind`` replaces the part by the defaults of this kind. Raises
+        `ParameterError` for a path that the parameters do not have, and for a value out of range.
+        """
+        if not isinstance(values, Mapping) or not all(isinstance(path, str) for path in values):
+            raise ParameterError(
+                'changed: must have a mapping from paths to values, such as {"seed": 2}'
+            )
+        data = dict(vars(self))
+        for path in sorted(values, key=lambda path: (path.count("."), not path.endswith(".kind"))):
+            *parents, name = path.split(".")
+            holder = self._holder(data, path, parents)
+            value = values[path]
+            if name == "kind" and value != holder.get("kind"):
+                holder.clear()
+            # A later path may reach into a mapping.
+            holder[name] = deepcopy(value) if isinstance(value, dict) else value
+        return type(self)(**data)
+
+    def _holder(self, data: dict[str, Any], path: str, parents: list[str]) -> dict[str, Any]:
+        """Return the mapping in ``data`` at the path ``parents``, as a copy that may change.
+
+        Parts that are parameters or words become mappings. Raises `ParameterError` if there is no
+        such part. ``path`` is the whole path, for the message.
+        """
+        holder, place = data, Place((type(self),))
+        for parent in parents:
+            place = place.below(parent)
+            part = holder.get(parent)
+            if isinstance(part, str | bool):
+                part = words_of(place.field).get(part, part)
+            if isinstance(part, Parameters):  # parts without a change are not validated again
+                part = vars(part)
+            if not isinstance(part, dict):
+                raise ParameterError(missing_part(type(self), path, place, part))
+            place = place.of_kind(part.get("kind")) or place
+            holder[parent] = holder = dict(part)
+        # The validation reports a wrong name in an existing mapping.
+        return holder
 
     def __repr_args__(self) -> Iterator[tuple[str, Any]]:
         """Yield name and value of each field that differs from its default, for a short `repr`.
@@ -354,15 +272,62 @@ class Parameters(BaseModel):
         """Return `repr`."""
         return repr(self)
 
-    if not TYPE_CHECKING:  # the type checker keeps the signature that pydantic makes
+    if not TYPE_CHECKING:  # the type checker keeps pydantic's signatures
+
+        def __new__(cls, *values: Any, **_: Any) -> Self:
+            """Make an object. Raises `ParameterError` for values without name."""
+            if values:
+                raise ParameterError(unnamed(cls, values[0]))
+            return super().__new__(cls)
 
         def __init__(self, **data: Any) -> None:
             """Validate the values. Raises `ParameterError` with a message of one line."""
-            try:
+            with _one_line(type(self)):
                 super().__init__(**data)
-            except ValidationError as error:
-                line = one_line(type(self), error)[1]
-                raise ParameterError(f"{type(self).__name__}: {line}") from None
 
         # Nested parameters are validated by the outermost constructor, which knows their path.
         __init__.__pydantic_base_init__ = True
+
+        @classmethod
+        def model_validate(cls, data: Any, **options: Any) -> Self:
+            """Make an object from a mapping. Raises `ParameterError` as the constructor does."""
+            with _one_line(cls):
+                return super().model_validate(data, **options)
+
+        @classmethod
+        def model_validate_json(cls, data: Any, **options: Any) -> Self:
+            """Make an object from a JSON text. Raises `ParameterError` as the constructor does."""
+            with _one_line(cls):
+                return super().model_validate_json(data, **options)
+
+        def model_copy(self, *, update: Mapping[str, Any] | None = None, **options: Any) -> Self:
+            """Return a copy. The values of ``update`` are not checked, only their names."""
+            for name in (update or {}).keys() - type(self).model_fields.keys():
+                raise ParameterError(
+                    f"model_copy: {type(self).__name__} has no field {shortened(str(name))}; call "
+                    f"changed(), which also reaches into parts"
+                )
+            return super().model_copy(update=update, **options)
+
+        def __getattr__(self, name: str) -> Any:
+            """Raise `AttributeError` with names that are similar to ``name``."""
+            if name.startswith("_"):
+                return super().__getattr__(name)
+            raise AttributeError(unknown_attribute(type(self), name))
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            """Raise `ParameterError`, because parameters are frozen."""
+            raise ParameterError(frozen(type(self), name, shown_value(value)))
+
+        def __delattr__(self, name: str) -> None:
+            """Raise `ParameterError`, because parameters are frozen."""
+            raise ParameterError(frozen(type(self), name, "…"))
+
+
+@contextmanager
+def _one_line(model: type[Parameters]) -> Iterator[None]:
+    """Context manager: turn pydantic's report into a `ParameterError` with one line."""
+    try:
+        yield
+    except ValidationError as error:
+        raise ParameterError(f"{model.__name__}: {one_line(model, error)[1]}") from None

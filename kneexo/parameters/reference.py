@@ -13,6 +13,7 @@ from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error
 from kneexo.files.table import read_table
 from kneexo.gait import gait_knee_flexion
+from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantity
 
 
@@ -174,7 +175,7 @@ class CsvReference(Parameters):
         missing, is no number, or is out of range.
         """
         path = Path(directory, self.file)
-        table = read_table(path, (self.time, self.angle))
+        table = read_table(path, (self.time, self.angle), "; give its names as time: and angle:")
         table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, "s")
         table.require_increase(self.time, _SHORTEST_SAMPLE_S, "s")
         try:
@@ -233,14 +234,11 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
 def read_reference(value: Any, directory: Any) -> Any:
     """Return the samples of a gait or CSV reference. Return any other reference unchanged.
 
-    ``value`` is a scenario's reference: an object, a mapping, or the text ``gait``. The relative
-    path of a CSV file starts at ``directory``. Raises `ParameterError` for a faulty file or value,
-    and `ValueError` for any text but ``gait``.
+    ``value`` is a scenario's reference: an object, a mapping or the path of a CSV file. A relative
+    path starts at ``directory``. Raises `ParameterError` for a faulty file or value.
     """
-    if isinstance(value, str):
-        if value != "gait":
-            raise ValueError(f"{value!r} must be gait, or a mapping")
-        value = GaitReference()
+    if isinstance(value, str) and value.endswith(".csv"):
+        value = CsvReference(file=value)
     if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
         cls = CsvReference if value["kind"] == "csv" else GaitReference
         try:
@@ -255,6 +253,8 @@ def read_reference(value: Any, directory: Any) -> Any:
 
 
 Reference = Annotated[
-    SineReference | StepReference | RampReference | SampledReference, Field(discriminator="kind")
+    SineReference | StepReference | RampReference | SampledReference,
+    Field(discriminator="kind"),
+    Words(models=(GaitReference, CsvReference)),
 ]
 """Type of a scenario's reference. The field ``kind`` selects the class."""

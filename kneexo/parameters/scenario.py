@@ -3,30 +3,51 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from kneexo.errors import ParameterError
 from kneexo.parameters.bus import INT32_MAX, Cia402Parameters, NoBus
 from kneexo.parameters.control import (
     CustomControllerParameters,
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
+    LawParameters,
     ObserverParameters,
     PidParameters,
     SlidingModeParameters,
 )
+from kneexo.parameters.fields import Words
+from kneexo.parameters.names import searched_for_names
 from kneexo.parameters.plant import PlantParameters, RodPolynomialParameters
+from kneexo.parameters.presets import with_preset
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.reference import Reference, SineReference, read_reference
+from kneexo.parameters.reference import (
+    Reference,
+    SampledReference,
+    SineReference,
+    read_reference,
+)
+
+DEFAULT_DURATION_S = 30.0
+"""Duration of a run in s if neither the scenario nor a sampled reference has one: Fig. 12."""
+
+_SHORTEST_RUN_S = 1e-3
 
 
 class SimulationParameters(Parameters):
     """Settings of a simulation. ``integrator`` selects the compiled engine or Drake's Simulator."""
 
-    duration_s: float = quantity(
-        30.0, "s", "three periods of 0.1 Hz, as in Fig. 12", ge=1e-3, le=1e5
+    duration_s: float | None = quantity(
+        None,
+        "s",
+        f"left out: to the last sample of a sampled, CSV or gait reference, else "
+        f"{DEFAULT_DURATION_S:g} s, three periods of 0.1 Hz as in Fig. 12",
+        ge=_SHORTEST_RUN_S,
+        le=1e5,
     )
     integrator: Literal[
         "exact_hold", "rk4", "radau3", "radau1", "runge_kutta3", "implicit_euler"
@@ -62,6 +83,7 @@ class SimulationParameters(Parameters):
         return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
 
 
+@searched_for_names
 class Scenario(Parameters):
     """One closed-loop run: plant, measurement, controller, bus, reference and simulation.
 
@@ -70,21 +92,39 @@ class Scenario(Parameters):
 
     plant: PlantParameters = PlantParameters()
     nominal: PlantParameters | None = None
-    polynomial: RodPolynomialParameters = RodPolynomialParameters()
+    polynomial: RodPolynomialParameters | None = choice(
+        None,
+        "the controller's Eq. 10, 11; left out: Table 1 for the linkages G1…G4, which are "
+        "identified from it, and for another linkage a fit to it, as in Fig. 5",
+    )
     encoder: EncoderParameters = EncoderParameters()
     estimator: Annotated[
         ObserverParameters | DifferenceParameters | ExactParameters, Field(discriminator="kind")
     ] = ObserverParameters()
     controller: Annotated[
-        SlidingModeParameters | PidParameters | CustomControllerParameters,
+        SlidingModeParameters | PidParameters | CustomControllerParameters | LawParameters,
         Field(discriminator="kind"),
     ] = SlidingModeParameters()
-    bus: Annotated[NoBus | Cia402Parameters, Field(discriminator="kind")] = NoBus()
+    bus: Annotated[
+        NoBus | Cia402Parameters,
+        Field(discriminator="kind"),
+        Words({"can": {"kind": "cia402"}}),
+    ] = NoBus()
     reference: Reference = SineReference()
     initial_offset_m: float = quantity(
         0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15
     )
     simulation: SimulationParameters = SimulationParameters()
+
+    @classmethod
+    def preset(cls, name: str) -> Scenario:
+        """Return the scenario of this name in `kneexo.parameters.presets.PRESETS`.
+
+        ``paper`` is the default scenario. ``bench`` adds the weight of the shank and the drive on
+        its bus. ``leg`` also adds the full order of the cylinder, with friction. Raises
+        `ParameterError` for another name.
+        """
+        return cls(**with_preset(name, {}))
 
     def with_engine(self, engine: Literal["compiled", "drake"] | None) -> Scenario:
         """Return the scenario with an integrator of the compiled engine or of Drake's Simulator.
@@ -106,6 +146,33 @@ class Scenario(Parameters):
         steps = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
         return self.model_copy(update={"simulation": self.simulation.model_copy(update=steps)})
 
+    def with_law(
+        self,
+        law: Any,
+        *,
+        initial_state: Sequence[float] = (),
+        values: Mapping[str, float] = {},
+        sample_time_s: float | None = None,
+    ) -> Scenario:
+        """Return the scenario with a control law of the user, at the present command limit.
+
+        `LawParameters` describes the arguments. Without ``sample_time_s`` the law has the sample
+        time of the present controller. Raises `ParameterError` for a law that cannot be used.
+        """
+        states: Any = initial_state  # pydantic converts a list, an array or a number
+        try:
+            controller = LawParameters(
+                function=law,
+                initial_state=states,
+                values=dict(values),
+                sample_time_s=sample_time_s or self.controller.sample_time_s,
+                command_limit_rad_s=self.controller.command_limit_rad_s,
+            )
+        except ParameterError as error:
+            text = str(error).removeprefix("LawParameters: ").removeprefix("function: ")
+            raise ParameterError(text) from None
+        return self.model_copy(update={"controller": controller})
+
     def without_quantizers(self) -> Scenario:
         """Return the scenario for linear analysis, in which encoder and bus do not round.
 
@@ -114,6 +181,25 @@ class Scenario(Parameters):
         encoder = self.encoder.model_copy(update={"quantized": False})
         bus = NoBus(latency_samples=self.bus.latency_samples)
         return self.model_copy(update={"encoder": encoder, "bus": bus})
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the run in s: ``simulation.duration_s``, or a default if it is None.
+
+        By default a run ends at the last sample of a sampled reference. With another reference, or
+        if the last sample is earlier than 1 ms, the run lasts `DEFAULT_DURATION_S`.
+        """
+        if self.simulation.duration_s is not None:
+            return self.simulation.duration_s
+        reference = self.reference
+        if isinstance(reference, SampledReference) and reference.times_s[-1] >= _SHORTEST_RUN_S:
+            return reference.times_s[-1]
+        return DEFAULT_DURATION_S
+
+    def with_duration(self) -> Scenario:
+        """Return the scenario with `duration_s` as explicit value of ``simulation.duration_s``."""
+        simulation = self.simulation.model_copy(update={"duration_s": self.duration_s})
+        return self.model_copy(update={"simulation": simulation})
 
     @property
     def quantized(self) -> bool:

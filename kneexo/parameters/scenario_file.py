@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -24,8 +24,11 @@ from yaml.reader import ReaderError
 
 from kneexo.errors import ParameterError, ScenarioError, shortened, shown
 from kneexo.files.reading import MIB, file_error, read_text
-from kneexo.parameters import UNCERTAIN_KNEE, Scenario, Uncertainty, UncertaintySet
-from kneexo.parameters.quantity import Parameters, allowed_range, one_line, unit_of
+from kneexo.parameters import UNCERTAIN_KNEE, Law, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters.faults import one_line
+from kneexo.parameters.fields import allowed_range, source_of, unit_of
+from kneexo.parameters.presets import with_preset
+from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.uncertainty import require_applicable
 
 _Path = tuple[str | int, ...]
@@ -35,28 +38,65 @@ _MOST_VALUES = 100_000  # read in two seconds; aliases can multiply a short text
 _DEEPEST = 20
 
 
-def load_scenario(path: str | os.PathLike[str]) -> Scenario:
-    """Read a scenario from a YAML file. Values that the file lacks have their defaults.
+def load_scenario(path: str | os.PathLike[str], preset: str | None = None) -> Scenario:
+    """Read a scenario from a YAML file. Values that the file lacks are those of a preset.
 
     Parameters
     ----------
     path
         A regular file in UTF-8 of at most 1 MiB with at most 100 000 values. An empty file is the
-        default scenario.
+        scenario of the preset.
+    preset
+        Name of the preset (`kneexo.parameters.presets.PRESETS`). If it is None, the entry
+        ``preset`` of the file has the name; a file without this entry starts from the defaults.
 
     Raises
     ------
     ScenarioError
         The file cannot be read or is not YAML, or an entry is unknown, missing, wrong or
         duplicate.
+    ParameterError
+        ``preset`` is no name of a preset.
     """
     name = os.fspath(path)
     data, lines = _read(name, read_text(name, _MOST_BYTES))
+    entry = data.pop("preset", "paper")
+    if preset is None:
+        try:
+            data = with_preset(entry, data)
+        except ParameterError as error:
+            raise file_error(name, _line(lines, ("preset",)), str(error)) from None
+    else:
+        data = with_preset(preset, data)
     try:
-        return Scenario.model_validate(data, context={"directory": Path(name).parent})
+        validator = Scenario.__pydantic_validator__
+        scenario: Scenario = validator.validate_python(
+            data, context={"directory": Path(name).parent}
+        )
+        return scenario
     except ValidationError as error:
         location, message = one_line(Scenario, error)
     raise file_error(name, _line(lines, location), message)
+
+
+def as_scenario(
+    scenario: Scenario | str | os.PathLike[str],
+    law: Any = None,
+    initial_state: Sequence[float] = (),
+) -> Scenario:
+    """Return ``scenario``, or the scenario that `load_scenario` reads if it is the path of a file.
+
+    ``law`` replaces the control law of the scenario: see `Scenario.with_law`.
+    Raises `ParameterError` if ``scenario`` has another type, and the errors of `load_scenario`.
+    """
+    if isinstance(scenario, str | os.PathLike):
+        scenario = load_scenario(scenario)
+    if not isinstance(scenario, Scenario):
+        raise ParameterError(
+            f"scenario: must be a Scenario or the path of a scenario file, not a "
+            f"{type(scenario).__name__}"
+        )
+    return scenario if law is None else scenario.with_law(law, initial_state=initial_state)
 
 
 def load_uncertainty(
@@ -86,9 +126,13 @@ def load_uncertainty(
     values = {}
     for place, value in data.items():
         if not isinstance(value, dict):
-            raise file_error(name, lines[place,], f"{place}: must have low and high, or options")
+            message = f"{place}: must be {{low: …, high: …}} or {{options: […]}}"
+            raise file_error(name, lines[place,], message)
+        if any(isinstance(part, dict) for part in value.values()):
+            message = f"{place}: must be a dotted path, such as plant.cylinder.mass_kg"
+            raise file_error(name, lines[place,], message)
         try:
-            values[place] = Uncertainty.model_validate(value)
+            values[place] = Uncertainty.__pydantic_validator__.validate_python(value)
             require_applicable(scenario, place, values[place], data)
         except ValidationError as error:
             location, message = one_line(Uncertainty, error)
@@ -178,7 +222,9 @@ class _Loader(yaml.SafeLoader):
             key = key_node.value
             if not isinstance(key_node, yaml.ScalarNode) or key_node.tag != f"{_TAG}str":
                 kind = shortened(key or "null") if isinstance(key, str) else "a list or mapping"
-                raise self.error(key_node, path, f"a name must be text, not {kind}")
+                comma = key_node.tag == f"{_TAG}int" and not value_node.value
+                advice = "; write a decimal point in numbers" if comma else ""
+                raise self.error(key_node, path, f"a name must be text, not {kind}{advice}")
             at = (*path, key)
             if first := self.lines.get(at):
                 raise self.error(key_node, at, f"duplicate name, first on line {first}")
@@ -242,7 +288,8 @@ def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
     """Yield the YAML lines of ``parameters``. Nested parameters are indented by two more spaces."""
     for name, field in type(parameters).model_fields.items():
         value = getattr(parameters, name)
-        comment = f"  # {note}" if (note := _note(field)) else ""
+        notes = (_note(field), source_of(field) if value is None else "")
+        comment = f"  # {note}" if (note := "; ".join(filter(None, notes))) else ""
         if isinstance(value, Parameters):
             yield f"{indent}{name}:{comment}"
             yield from _dumped(value, indent + "  ")
@@ -256,6 +303,8 @@ def _text_of(value: Any) -> str:
         return f"{{{', '.join(f'{json.dumps(k)}: {_text_of(v)}' for k, v in value.items())}}}"
     if isinstance(value, str):
         return value
+    if isinstance(value, Law):
+        return json.dumps(str(value), ensure_ascii=False)  # a path may have spaces or colons
     return re.sub(r"(?<![.\d])(\d+)e", r"\1.0e", json.dumps(value))
 
 

@@ -1,7 +1,7 @@
 """The JSON schema of scenario files, for editors and other programs.
 
 pydantic creates the schema from the parameter classes. This module adds a description of each
-value, and the names that a file accepts in place of a mapping, such as ``linkage: G1``.
+value, and the words that a file accepts in place of a mapping, such as ``linkage: G1``.
 """
 
 from __future__ import annotations
@@ -9,9 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 from pydantic.json_schema import models_json_schema
 
-from kneexo.parameters import LINKAGES, CsvReference, GaitReference, Scenario
+from kneexo.parameters import Scenario
+from kneexo.parameters.fields import kind_of, models_of, more_models_of, words_of
+from kneexo.parameters.presets import PRESETS
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
 """URI of draft 7 of JSON schema, the newest draft that editors support."""
@@ -24,25 +28,52 @@ def json_schema() -> dict[str, Any]:
     schema checks each value alone. Only `load_scenario` also checks conditions on several values,
     for example that a reference stays in the range of motion.
     """
-    models: Any = [(model, "validation") for model in (Scenario, CsvReference, GaitReference)]
-    classes = models_json_schema(models)[1]["$defs"]
+    models = _models(Scenario)
+    requests: Any = [(model, "validation") for model in models]
+    classes = models_json_schema(requests)[1]["$defs"]
+    for model in models:
+        for name, field in model.model_fields.items():
+            _accept_words(classes[model.__name__]["properties"][name], field)
     scenario = classes.pop("Scenario")
-    references = scenario["properties"]["reference"]
-    references["oneOf"] += [
-        {"$ref": "#/$defs/CsvReference"},
-        {"$ref": "#/$defs/GaitReference"},
-        {"const": "gait"},
-    ]
-    linkages = classes["PlantParameters"]["properties"]["linkage"]
-    linkages["anyOf"] = [{"enum": list(LINKAGES)}, {"$ref": linkages.pop("$ref")}]
-    for model in (scenario, *classes.values()):
-        for value in model.get("properties", {}).values():
+    scenario["properties"]["reference"]["oneOf"].append({"type": "string", "pattern": r"\.csv$"})
+    summaries = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
+    scenario["properties"]["preset"] = {"enum": list(PRESETS), "description": summaries}
+    for schema in (scenario, *classes.values()):
+        for value in schema.get("properties", {}).values():
             _require_kinds(value, classes)
             for part in _parts(value):
                 _without_prefix_items(part)
             if text := _description(value):
                 value["description"] = text
     return {"$schema": DRAFT, **scenario, "$defs": classes}
+
+
+def _models(model: type[BaseModel]) -> list[type[BaseModel]]:
+    """Return a parameter class, and the classes of all parts that a scenario file accepts in it."""
+    models = [model]
+    for model in models:  # grows meanwhile
+        for field in model.model_fields.values():
+            parts = (*models_of(field), *more_models_of(field))
+            models += [part for part in parts if part not in models]
+    return models
+
+
+def _accept_words(value: dict[str, Any], field: FieldInfo) -> None:
+    """Add the words that a field accepts, and the classes that it does not keep.
+
+    ``value`` is the schema of the field. A kind that has values without default is no word.
+    """
+    more = more_models_of(field)
+    value.get("oneOf", []).extend({"$ref": f"#/$defs/{model.__name__}"} for model in more)
+    incomplete = {
+        kind_of(model)
+        for model in (*models_of(field), *more)
+        if any(part.is_required() for part in model.model_fields.values())
+    }
+    if words := [word for word in words_of(field) if word not in incomplete]:
+        if "$ref" in value:
+            value["anyOf"] = [{"$ref": value.pop("$ref")}]
+        value.get("oneOf", value.get("anyOf", [])).insert(0, {"enum": words})
 
 
 def _require_kinds(value: dict[str, Any], classes: dict[str, Any]) -> None:
@@ -84,9 +115,10 @@ def _description(value: dict[str, Any]) -> str:
     if "source" not in value:
         return ""
     bounds = [
-        f"{sign} {value[key]:g}"
+        f"{sign} {part[key]:g}"
+        for part in _parts(value)
         for key, sign in (("minimum", ">="), ("exclusiveMinimum", ">"), ("maximum", "<="))
-        if key in value
+        if key in part
     ]
     unit = "" if value["unit"] == "1" else value["unit"]
     return "; ".join(part for part in (unit, " and ".join(bounds), value["source"]) if part)

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from kneexo.errors import ParameterError
-from kneexo.parameters.paths import changed, has_path, known_path
-from kneexo.parameters.plant import KneeLoadParameters, PlantParameters
+from kneexo.parameters.paths import changed, has_path, known_path, value_at
+from kneexo.parameters.plant import SEAL_FRICTION_N, KneeLoadParameters, PlantParameters
 from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.scenario import Scenario
 
@@ -115,12 +115,12 @@ UNCERTAINTY = UncertaintySet(
             options=("G1", "G2", "G3"), known=True, source="three geometries reproduce Table 1"
         ),
         "plant.full_order": Uncertainty(
-            options=(None, {}, {"coulomb_friction_n": 40.0}),
+            options=(None, {}, {"coulomb_friction_n": SEAL_FRICTION_N}),
             source="the reduction of Eq. 14 to Eq. 15; assumption: 40 N of seal friction",
         ),
     }
 )
-"""Uncertain values that ``kneexo robustness`` and ``kneexo study contest`` use by default."""
+"""Uncertain values that ``kneexo study robustness`` and ``kneexo study contest`` use by default."""
 
 UNCERTAIN_KNEE = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
 """The scenario that `UNCERTAINTY` varies: the paper's setup under the weight of the shank."""
@@ -129,22 +129,33 @@ UNCERTAIN_KNEE = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
 def applicable(
     scenario: Scenario, uncertainty: UncertaintySet
 ) -> tuple[UncertaintySet, tuple[str, ...]]:
-    """Return the uncertain values that the scenario has, and the paths of the other values.
+    """Return the uncertain values that vary in the scenario, and the paths of the other values.
 
-    Raises `ParameterError` if the scenario has none of the values, and the errors of
-    `require_applicable`.
+    The scenario lacks the other values. The ranges of `UNCERTAINTY` are about the paper's knee, so
+    they do not vary a value of the scenario that lies outside them, such as a linkage of the user.
+    Raises `ParameterError` if no value is left, and the errors of `require_applicable`.
     """
-    values = uncertainty.values
+    values, is_default = uncertainty.values, uncertainty == UNCERTAINTY
     present = {
         path: value
         for path, value in values.items()
         if require_applicable(scenario, path, value, values)
+        and (not is_default or _includes(value, scenario, path))
     }
     if not present:
         raise ParameterError(
             f"none of the uncertain values is in this scenario: {', '.join(values)}"
         )
     return UncertaintySet(values=present), tuple(path for path in values if path not in present)
+
+
+def _includes(uncertainty: Uncertainty, scenario: Scenario, path: str) -> bool:
+    """Return True if the value of ``scenario`` at ``path`` is one of the uncertain values."""
+    value = value_at(scenario, path)
+    if uncertainty.low is not None and uncertainty.high is not None:
+        return bool(uncertainty.low <= value <= uncertainty.high)
+    options = (changed(scenario, {path: option}) for option in uncertainty.options)
+    return any(value_at(option, path) == value for option in options)
 
 
 def require_applicable(

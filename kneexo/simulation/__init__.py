@@ -5,12 +5,22 @@
 async functions share batches of runs.
 """
 
-from kneexo.simulation.compiled import (
-    compile_scenario as compile_scenario,
-    scenario_run as scenario_run,
-    simulate_compiled as simulate_compiled,
-)
-from kneexo.simulation.coroutines import awaitable as awaitable, search_async as search_async
-from kneexo.simulation.drake import simulate_diagram as simulate_diagram
-from kneexo.simulation.engines import needs_runs as needs_runs, simulate as simulate
-from kneexo.simulation.run import Run as Run
+from kneexo.simulation.compilation import compile
+from kneexo.simulation.compiled import compile_scenario, scenario_run, simulate_compiled
+from kneexo.simulation.coroutines import awaitable, search_async
+from kneexo.simulation.drake import simulate_diagram
+from kneexo.simulation.engines import needs_runs, simulate
+from kneexo.simulation.run import Run
+
+__all__ = [
+    "Run",
+    "awaitable",
+    "compile",
+    "compile_scenario",
+    "needs_runs",
+    "scenario_run",
+    "search_async",
+    "simulate",
+    "simulate_compiled",
+    "simulate_diagram",
+]

@@ -26,10 +26,13 @@ from kneexo.compiler import (
     TOLERANCE,
     CompiledModel,
     InputTable,
+    Simulation,
     State,
     compile_by_key,
     input_table,
     read_diagram,
+    simulate_with_feedback,
+    stack_tables,
 )
 from kneexo.diagrams.closed_loop import (
     chosen_signals,
@@ -37,20 +40,26 @@ from kneexo.diagrams.closed_loop import (
     make_closed_loop,
     plant_start,
 )
-from kneexo.diagrams.controller import known_to_controller, make_controller
+from kneexo.diagrams.controller import (
+    has_unknown_parts,
+    known_to_controller,
+    make_controller,
+)
+from kneexo.diagrams.law import held_command, law_inputs, runs_as_python
 from kneexo.diagrams.signals import SIGNALS, columns
-from kneexo.errors import KneexoError
+from kneexo.errors import CompilationError, KneexoError
 from kneexo.parameters import (
-    CustomControllerParameters,
+    LawParameters,
     SampledReference,
     Scenario,
 )
-from kneexo.parameters.quantity import Parameters, models_of
+from kneexo.parameters.fields import models_of
+from kneexo.parameters.quantity import Parameters
 from kneexo.result import Array
+from kneexo.simulation.python_law import PythonLaw
 from kneexo.simulation.run import Run
-from kneexo.systems import (
-    knee_reference,
-)
+from kneexo.systems import knee_reference
+from kneexo.systems.function_law import LAW_COMMAND
 
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (
@@ -60,6 +69,7 @@ _SOURCES = (
     ),
     "linkage.py",
     "rod_inverse.py",
+    "rod_polynomial.py",
 )
 _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into constants
 
@@ -111,11 +121,18 @@ def structure_key(scenario: Scenario) -> str:
     if scenario.nominal is None:
         fields["nominal"] = fields["plant"]
     fields.pop("simulation", None)  # decides how a loop is run, not its equations
+    fields.pop("polynomial", None)  # has only numbers, also where it is left out
     if isinstance(scenario.reference, SampledReference):
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
-    if isinstance(scenario.controller, CustomControllerParameters):
+    law = scenario.controller
+    if isinstance(law, LawParameters) and runs_as_python(scenario):
+        fields["controller"] = "python", law.sample_time_s, law_inputs(law.function)
+    elif has_unknown_parts(scenario):
         # Its numbers may be constants of its equations, so the key contains the equations.
-        fields["controller"] = scenario.controller.sample_time_s, _custom(scenario).key
+        fields["controller"] = law.sample_time_s, _custom(scenario).key
+    elif isinstance(law, LawParameters):
+        size = len(law.initial_state)
+        fields["controller"] = law.function.identity(), size, law.sample_time_s
     return _key(tuple(fields.items()))
 
 
@@ -135,16 +152,24 @@ def _fingerprint() -> str:
 
 
 def scenario_diagram(scenario: Scenario) -> Any:
-    """Build the diagram of the closed loop; an input port replaces a reference with samples."""
+    """Build the diagram of the closed loop; an input port replaces a reference with samples.
+
+    The input port ``law_command`` replaces a law that runs as Python.
+    """
     external = isinstance(scenario.reference, SampledReference)
-    return make_closed_loop(scenario, signals=(), external_reference=external)
+    held = held_command(scenario)
+    controller = None if held is None else make_controller(scenario, held)
+    return make_closed_loop(
+        scenario, controller=controller, signals=(), external_reference=external
+    )
 
 
 def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
     """Compile the closed loop of a scenario.
 
     All scenarios that differ only in numbers get the same model. `scenario_run` returns the
-    parameters, the state and the inputs of a scenario for this model.
+    parameters, the state and the inputs of a scenario for this model. A law that is called as
+    Python becomes the open input ``law_command`` of the model.
     """
     return _model(structure_key(scenario), scenario)
 
@@ -156,7 +181,8 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
             _require_reference_in_range(scenario)
             scenario_values(scenario)
             scenario_start(scenario)
-            inputs = ("knee_reference",) if scenario.reference.kind == "samples" else ()
+            inputs = [LAW_COMMAND] if runs_as_python(scenario) else []
+            inputs += ["knee_reference"] if scenario.reference.kind == "samples" else []
             make_diagram = partial(_diagram, key, scenario)
             _models[key] = compile_by_key(key, make_diagram, inputs=inputs)
         return _models[key]
@@ -196,9 +222,14 @@ def _custom(scenario: Scenario) -> _Custom:
     key = known_to_controller(scenario).model_dump_json()
     with _lock:
         if key not in _customs:
-            controller = make_controller(scenario)
+            controller = make_controller(scenario, held_command(scenario))
             ports = map(controller.get_input_port, range(controller.num_input_ports()))
-            read = read_diagram(controller, inputs=[port.get_name() for port in ports])
+            try:
+                read = read_diagram(controller, inputs=[port.get_name() for port in ports])
+            except CompilationError as error:
+                raise CompilationError(
+                    f"{error}; track(scenario, law=law) also runs a law that does not convert"
+                ) from None
 
             def named(names: Sequence[str], values: Array) -> dict[str, float]:
                 paths = (n if n.startswith(".") else f"/{n}" for n in names)  # a leaf has no path
@@ -224,7 +255,7 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
         for path, values in loop_values(scenario)
         for name, value in values.items()
     }
-    if isinstance(scenario.controller, CustomControllerParameters):
+    if has_unknown_parts(scenario):
         values |= _custom(scenario).values
     return values
 
@@ -232,7 +263,7 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
 def _parameters(scenario: Scenario, model: CompiledModel) -> Array:
     """Return the values of `scenario_values` in the order of the model's parameters."""
     groups = [values.values() for _, values in loop_values(scenario)]
-    if isinstance(scenario.controller, CustomControllerParameters):
+    if has_unknown_parts(scenario):
         groups.append(_custom(scenario).values.values())
     values = np.array([value for group in groups for value in group], dtype=float)
     if model not in _orders:  # scenarios of one structure have one order of the values
@@ -251,7 +282,7 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
     start at zero. Raises `ParameterError` and `LinkageError` as `make_plant` does.
     """
     start = plant_start(scenario)
-    if isinstance(scenario.controller, CustomControllerParameters):
+    if has_unknown_parts(scenario):
         start |= _custom(scenario).state
     return start
 
@@ -286,6 +317,8 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
         np.zeros(len(model.discrete_names)),
     )
     inputs = reference_table(reference) if isinstance(reference, SampledReference) else _NO_INPUTS
+    if runs_as_python(scenario) and inputs is not _NO_INPUTS:
+        inputs = stack_tables(_NO_INPUTS, inputs)  # the command comes first
     return parameters, model.initialized(parameters, state, inputs), inputs
 
 
@@ -350,10 +383,21 @@ def simulate_together(
     if model is None or not ready:
         return results
     parameters, states, inputs = zip(*ready.values(), strict=True)
+    how = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
+    if runs_as_python(scenarios[0]):
+        for index, run_data in ready.items():
+            options = {"integrator": integrator, "step_s": step_s, "tolerance": tolerance}
+            results[index] = _run_of(
+                _python_run(scenarios[index], model, run_data, names, options),
+                scenarios[index],
+                names,
+                how,
+            )
+        return results
     runs = model.simulate_batch(
         parameters,
         states,
-        [scenarios[index].simulation.duration_s for index in ready],
+        [scenarios[index].duration_s for index in ready],
         inputs=inputs,
         outputs=names,
         record_period_s=scenarios[0].controller.sample_time_s,
@@ -363,14 +407,50 @@ def simulate_together(
         failures="return",
         threads=1,
     )
-    how = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
-    labels = columns(names)
     for index, result in zip(ready, runs, strict=True):
-        if not isinstance(result, KneexoError):
-            data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
-            settings = scenarios[index].simulation
-            if any(getattr(settings, name) != value for name, value in how.items()):
-                settings = settings.model_copy(update=how)
-            result = Run(result.time_s, dict(zip(labels, data, strict=True)), settings)
-        results[index] = result
+        results[index] = _run_of(result, scenarios[index], names, how)
     return results
+
+
+def _run_of(
+    result: Simulation | KneexoError, scenario: Scenario, names: Sequence[str], how: dict[str, Any]
+) -> Run | KneexoError:
+    """Return the records ``names`` of a simulation as a run, whose settings contain ``how``.
+
+    An error is returned unchanged.
+    """
+    if isinstance(result, KneexoError):
+        return result
+    data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
+    settings = scenario.simulation
+    if any(getattr(settings, name) != value for name, value in how.items()):
+        settings = settings.model_copy(update=how)
+    return Run(result.time_s, dict(zip(columns(names), data, strict=True)), settings)
+
+
+def _python_run(
+    scenario: Scenario,
+    model: CompiledModel,
+    arguments: tuple[Array, State, InputTable],
+    names: Sequence[str],
+    options: dict[str, Any],
+) -> Simulation | KneexoError:
+    """Run a scenario whose law is called as Python; return the simulation or its error."""
+    parameters, state, inputs = arguments
+    try:
+        law = PythonLaw(scenario)
+        return simulate_with_feedback(
+            model,
+            parameters,
+            state,
+            scenario.duration_s,
+            law,
+            feedback_input=LAW_COMMAND,
+            feedback_outputs=law.signals,
+            sample_period_s=scenario.controller.sample_time_s,
+            outputs=names,
+            inputs=inputs,
+            **options,
+        )
+    except KneexoError as error:
+        return error

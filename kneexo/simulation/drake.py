@@ -10,7 +10,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import Context, Diagram
 
 from kneexo.errors import KneexoError, SimulationError
-from kneexo.parameters import SimulationParameters
+from kneexo.parameters import DEFAULT_DURATION_S, SimulationParameters
 from kneexo.simulation.run import Run
 from kneexo.user_code import cause_of, place_in_user_code
 
@@ -33,7 +33,8 @@ def simulate_diagram(
     names
         Names of the columns of the log.
     settings
-        Duration and integrator. Drake's ``radau3`` replaces an integrator of the compiled engine.
+        Duration (None: `DEFAULT_DURATION_S`) and integrator. Drake's ``radau3`` replaces an
+        integrator of the compiled engine.
     progress
         Function that is called with the simulated time in s after every 0.25 s of simulated time.
 
@@ -58,8 +59,9 @@ def simulate_diagram(
         simulator,
     )
     start = end = context.get_time()
-    while end < start + settings.duration_s:
-        end = min(end + 0.25, start + settings.duration_s)
+    duration_s = DEFAULT_DURATION_S if settings.duration_s is None else settings.duration_s
+    while end < start + duration_s:
+        end = min(end + 0.25, start + duration_s)
         try:
             simulator.AdvanceTo(end)  # the first call initializes the Context
         except (Exception, SystemExit) as error:

@@ -12,10 +12,17 @@ from pydrake.systems.framework import Diagram
 
 from kneexo.compiler import ROUGH_STEP_S, DiagramModel, compile_diagram
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
-from kneexo.errors import KneexoError, ParameterError, StiffnessError
+from kneexo.errors import (
+    CompilationError,
+    KneexoError,
+    ParameterError,
+    SimulationError,
+    StiffnessError,
+)
 from kneexo.parameters import Scenario
 from kneexo.simulation.coroutines import Request, synchronous
 from kneexo.simulation.drake import simulate_diagram
+from kneexo.simulation.python_law import sign_hint
 from kneexo.simulation.run import Run
 
 
@@ -74,8 +81,8 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
 
 def _too_large(request: RunRequest) -> ParameterError | None:
     """Return an error if the run would require too much memory or time, otherwise None."""
-    settings = request.scenario.simulation
-    duration = f"simulation.duration_s = {settings.duration_s:g} s"
+    settings, duration_s = request.scenario.simulation, request.scenario.duration_s
+    duration = f"simulation.duration_s = {duration_s:g} s"
     samples, width = _records(request), _width(request)
     size = 8.0 * samples * width
     if size > LARGEST_RUN_BYTES:
@@ -84,7 +91,7 @@ def _too_large(request: RunRequest) -> ParameterError | None:
             f"{samples:.0f} samples of {width} columns take {size / 2**30:.3g} GiB, must be at "
             f"most {LARGEST_RUN_BYTES / 2**30:g} GiB; reduce duration_s or log fewer signals"
         )
-    steps = settings.duration_s / settings.step_s
+    steps = duration_s / settings.step_s
     if settings.integrator != "exact_hold" and steps > MOST_STEPS:
         return ParameterError(
             f"{duration} at step_s = {settings.step_s:g} s: takes {steps:.3g} steps, must be at "
@@ -96,7 +103,7 @@ def _too_large(request: RunRequest) -> ParameterError | None:
 def _records(request: RunRequest) -> float:
     """Return the number of samples that a run logs."""
     scenario = request.scenario
-    return scenario.simulation.duration_s / scenario.controller.sample_time_s
+    return scenario.duration_s / scenario.controller.sample_time_s
 
 
 def _width(request: RunRequest) -> int:
@@ -113,9 +120,8 @@ def _drake_run(request: RunRequest) -> Run | KneexoError:
     try:
         diagram = make_closed_loop(scenario, signals=names)
         context = diagram.CreateDefaultContext()
-        return simulate_diagram(
-            diagram, context, columns(names), scenario.simulation, request.progress
-        )
+        settings = scenario.with_duration().simulation
+        return simulate_diagram(diagram, context, columns(names), settings, request.progress)
     except KneexoError as error:
         return error
 
@@ -136,7 +142,8 @@ def _diagram_run(request: RunRequest, diagram: Diagram) -> Run | KneexoError:
         if not settings.compiled:
             raise ParameterError(
                 f"simulation.integrator = {settings.integrator}: a diagram is run compiled, must "
-                f"be exact_hold or rk4; simulate_diagram runs it through Drake"
+                f"be exact_hold or rk4; simulate_diagram runs it through Drake, and "
+                f"track(scenario, law=law) runs a law with any integrator"
             )
         if diagram not in _models:
             _models[diagram] = compile_diagram(diagram)
@@ -145,7 +152,7 @@ def _diagram_run(request: RunRequest, diagram: Diagram) -> Run | KneexoError:
         run = model.simulate(
             parameters,
             model.initialized(parameters, model.state()),
-            settings.duration_s,
+            request.scenario.duration_s,
             outputs=names,
             record_period_s=request.scenario.controller.sample_time_s,
             integrator=settings.integrator,
@@ -155,6 +162,10 @@ def _diagram_run(request: RunRequest, diagram: Diagram) -> Run | KneexoError:
         values = np.column_stack([run[name] for name in names])
         data = dict(zip(columns(names), values.T, strict=True))
         return Run(run.time_s, data, settings)
+    except CompilationError as error:
+        return CompilationError(
+            f"{error}; track(scenario, law=law) also runs a law that does not convert"
+        )
     except KneexoError as error:
         return error
 
@@ -176,7 +187,7 @@ def _compiled_runs(
             runs = compiled.simulate_together(scenarios, signals, *way)
             for index, run in zip(batch, runs, strict=True):
                 if (progress := requests[index].progress) is not None and isinstance(run, Run):
-                    progress(requests[index].scenario.simulation.duration_s)
+                    progress(requests[index].scenario.duration_s)
                 yield index, run
 
 
@@ -209,6 +220,8 @@ async def simulate(
     signals: Sequence[str] | None = None,
     progress: Callable[[float], Any] | None = None,
     diagram: Diagram | None = None,
+    law: Any = None,
+    initial_state: Sequence[float] = (),
 ) -> Run:
     """Run the closed loop of ``scenario`` and return the logged signals.
 
@@ -229,13 +242,22 @@ async def simulate(
         A closed loop of the user with output ports of `kneexo.diagrams.SIGNALS`. It replaces the
         closed loop of ``scenario``. The scenario then only gives the duration, the solver and the
         sample time of the log.
+    law, initial_state
+        A control law that replaces the law of ``scenario``: see `Scenario.with_law`.
 
     Raises
     ------
     SimulationError
-        The run diverges or leaves its range.
+        The run diverges or leaves its range. The message says so if a ``law`` has the wrong sign.
     ParameterError, LinkageError
         For the same reasons as in `kneexo.diagrams.make_closed_loop`. `ParameterError` also if the
         run would require too much memory or time.
     """
-    return await RunRequest(scenario, signals, progress, diagram)
+    if law is not None:
+        scenario = scenario.with_law(law, initial_state=initial_state)
+    try:
+        return await RunRequest(scenario, signals, progress, diagram)
+    except SimulationError as error:
+        if diagram is None and (hint := sign_hint(scenario)):
+            raise type(error)(f"{error}; {hint}") from None
+        raise

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from kneexo.diagrams.signals import SIGNALS
+from kneexo.errors import ResultError, close_names, question
 from kneexo.parameters import SimulationParameters
 from kneexo.result import Array, Result, data_frame
 
@@ -23,8 +25,20 @@ class Run(Result):
     settings: SimulationParameters
 
     def __getitem__(self, column: str) -> Array:
-        """Return the values of the column of ``data`` with this name, (n,)."""
-        return self.data[column]
+        """Return the values of a column by its name, (n,): ``time_s`` or a column of ``data``.
+
+        Raises `ResultError` if the run has no such column.
+        """
+        if column in self.columns:
+            return self.columns[column]
+        if any(column in names for names in SIGNALS.values()):
+            raise ResultError(
+                f"column {column!r}: the run has not logged it; add all_signals=True to track, or "
+                f"its signal to the signals of simulate"
+            )
+        advice = question(close_names(str(column), sorted(self.columns, key=len)))
+        advice = advice or f"; the run has {', '.join(self.columns)}"
+        raise ResultError(f"column {column!r} is unknown{advice}")
 
     @property
     def columns(self) -> dict[str, Array]:

@@ -15,6 +15,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from kneexo.progress import Stage
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -27,6 +29,10 @@ if TYPE_CHECKING:
 
 PAPER = "the paper's setup (see `kneexo params`)"
 """Description of the default `Scenario` in the help of the commands and in reports."""
+FIGURES = "figures"
+"""Description of the progress bar of drawing a study's figures."""
+FILES = "files"
+"""Description of the progress bar of writing a study's files."""
 _UNDER_LOAD = "the paper's setup under the weight of the shank"
 
 
@@ -49,8 +55,15 @@ class Study:
     """True if the module ``figures`` has a function ``motions``. The 3D view can show its runs."""
     files: tuple[str, str] = ("", "")
     """File names of results and report. An empty name stands for NAME.json or NAME.md."""
+    stages: tuple[Stage, ...] = ()
+    """The progress bars of the study in their order, with their typical durations."""
     label: str = ""
     """Heading of the study's settings in ``kneexo params``, or an empty text for ``command``."""
+
+    @property
+    def duration_s(self) -> float:
+        """Typical duration in s of the command on two cores, with the default settings."""
+        return sum(stage.duration_s for stage in self.stages)
 
     @property
     def settings(self) -> type[Parameters]:
@@ -112,54 +125,115 @@ STUDIES = {
             "compute every figure and number of the paper",
             "Table 1 and Fig. 5 (linkage), Fig. 9 (ideal sliding mode), Fig. 12 (tracking with SMC "
             "and PID), Fig. 13 (frequency response), and Eq. 27 taken literally at 2 ms. "
-            "Takes some seconds; the first time some more, to compile the equations.",
+            "The first time takes some seconds more, to compile the equations.",
             setup="",
             resumable=False,
             moving=True,
             files=("results.json", "report.md"),
             label="reproduce, Fig. 13",
+            stages=(
+                Stage("Fig. 9, Fig. 12, Eq. 27 at 2 ms", 1.0),
+                Stage("frequency response", 0.5, repeats=True),
+                Stage(FIGURES, 0.2),
+                Stage(FILES, 2.3),
+            ),
         ),
         Study(
             "bandwidth",
-            "bandwidth",
+            "study bandwidth",
             "measure the frequency response from small to large amplitude",
             "Sinestream over frequencies and amplitudes, beside the linear prediction and the "
             "closed form of the speed limit.",
             setup=PAPER,
+            stages=(
+                Stage("amplitude map", 4.0),
+                Stage(FIGURES, 0.5),
+                Stage(FILES, 1.5),
+            ),
         ),
         Study(
             "robustness",
-            "robustness",
+            "study robustness",
             "worst case, spread and sensitivities over an uncertainty set",
             "Corners, seeded Monte Carlo and one value at a time: tracking error, bandwidth, "
             "margins.",
             uncertain=True,
+            stages=(
+                Stage("nominal", 0.5),
+                Stage("one at a time", 6.0),
+                Stage("samples", 165.0),
+                Stage("corners", 170.0, repeats=True),
+                Stage("sensitivities", 37.0),
+                Stage(FIGURES, 0.5),
+                Stage(FILES, 2.0),
+            ),
         ),
         Study(
             "controller",
             "study controller",
             "errors, chattering and margins over λ, Φ and η, and the paper's claims",
             setup=PAPER,
+            stages=(
+                Stage("grid of λ, Φ, η", 3.7),
+                Stage("limit cycle", 0.2),
+                Stage("map of T_f, k/Φ", 0.6),
+                Stage(FIGURES, 0.5),
+                Stage(FILES, 3.0),
+            ),
         ),
         Study(
             "contest",
             "study contest",
             "SMC and PID tuned alike, compared over the uncertainty set",
             uncertain=True,
+            stages=(
+                Stage("budget of chattering", 2.0),
+                Stage("tuning", 1300.0),
+                Stage("test", 100.0),
+                Stage("other reference", 6.0),
+                Stage(FIGURES, 0.2),
+                Stage(FILES, 0.8),
+            ),
         ),
         Study(
             "sliding",
             "study sliding",
             "the sliding condition and the bound on the error",
             setup="ideal motor and exact states in continuous time",
+            stages=(
+                Stage("sliding condition", 35.0),
+                Stage(FIGURES, 0.5),
+                Stage(FILES, 2.0),
+            ),
         ),
-        Study("order", "study order", "full against reduced order"),
+        Study(
+            "order",
+            "study order",
+            "full against reduced order",
+            stages=(
+                Stage("orders: tracking", 1.6),
+                Stage("orders: speeds", 1.7),
+                Stage("orders: switching", 2.0),
+                Stage("orders: frequency", 0.8),
+                Stage("orders: bandwidth", 0.6),
+                Stage(FIGURES, 0.3),
+                Stage(FILES, 1.3),
+            ),
+        ),
         Study(
             "size",
             "size",
             "find the motor, pump and encoder that a task needs",
             "Bandwidth and error over the hardware, and what walking takes.",
             moving=True,
+            stages=(
+                Stage("hardware: bandwidth and error", 4.0),
+                Stage("flow and acceleration: bandwidth", 2.0),
+                Stage("gains for walking", 7.0),
+                Stage("around the design", 3.5),
+                Stage(FIGURES, 0.3),
+                Stage(FILES, 2.0),
+            ),
         ),
     )
 }

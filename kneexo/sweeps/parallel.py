@@ -117,7 +117,7 @@ def dask_cluster(address: str) -> Iterator[Executor]:
         distributed: Any = import_module("distributed")
     except ModuleNotFoundError:
         raise WorkerError(
-            "a Dask cluster needs the package distributed: pip install 'kneexo[cluster]'"
+            "a Dask cluster needs the package distributed: pip install distributed"
         ) from None
     for name in ("distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # errors are raised, no need to log them
@@ -350,7 +350,10 @@ def _by_executor(
             for index, result in zip(unit, results, strict=False):
                 keep(index, result)
     except (BrokenExecutor, CancelledError):
-        raise WorkerError("a worker process died (out of memory?); use fewer workers") from None
+        raise WorkerError(
+            "a worker process died: out of memory (use fewer workers), or a script whose calls do "
+            'not stand below if __name__ == "__main__":'
+        ) from None
     finally:
         for future in under_way:  # empty, unless there was an error or an interrupt
             future.cancel()

@@ -7,7 +7,14 @@ from typing import Any
 import pydrake.math as drake_math
 
 from kneexo.parameters import PidParameters, PlantParameters
-from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template, values_of
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    clip,
+    discrete_state,
+    leaf_template,
+    values_of,
+    where_positive,
+)
 
 
 def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[str, float]:
@@ -37,8 +44,9 @@ class PidController(NamedLeaf):
     w = K_p z⁺ + I + K_d (e − z⁺)/T_d,  u = clip(G(−r_0 w + K_v dx_d/dt), ±u_max).
     T is the sample time, T_d ``filter_s``, T_t ``anti_windup_s`` and r_0 ``moment_arm_m``. w is the
     commanded knee rate, and w_u the knee rate that the limited command u gives. The rod retracts as
-    the knee flexes, hence the minus sign. The filter smooths the counts of the
-    encoder in P and D, as the observer does for the sliding-mode controller.
+    the knee flexes, hence the minus sign. The filter smooths the counts of the encoder in P and D,
+    as the observer does for the sliding-mode controller. Without integral action (K_i = 0) I stays
+    zero, because nothing would lead it back to zero after a limited command.
 
     ===================  ====  =====================  ===================================
     input port           size  unit
@@ -90,11 +98,10 @@ class PidController(NamedLeaf):
         )
         command = clip(per_rate * rate + feedforward, -p.command_limit_rad_s, p.command_limit_rad_s)
         excess = (command - feedforward) / per_rate - rate
-        return [
-            command,
-            integral + dt * (p.integral_per_s2 * error + excess / p.anti_windup_s),
-            filtered,
-        ]
+        growth = dt * (p.integral_per_s2 * error + excess / p.anti_windup_s)
+        # As a sum, the integral is compensated for rounding in exported C of single precision.
+        integral = integral + where_positive(p.integral_per_s2, growth, -integral)
+        return [command, integral, filtered]
 
 
 PidController_ = leaf_template(PidController)

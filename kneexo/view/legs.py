@@ -58,7 +58,7 @@ def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
     except SimulationError as error:
         failure = error
     sample = scenario.controller.sample_time_s
-    passing, failing = 0, int(scenario.simulation.duration_s / sample) + 1  # numbers of samples
+    passing, failing = 0, int(scenario.duration_s / sample) + 1  # numbers of samples
     run = None
     while failing - passing > 1:
         middle = (passing + failing) // 2

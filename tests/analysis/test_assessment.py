@@ -27,7 +27,7 @@ SHORT = changed(
 def test_metrics_are_those_of_their_analyses():
     assessment = assess(SHORT)
     metrics = track(SHORT).metrics
-    margins = linearize_loop(SHORT, 50.0).margins()
+    margins = linearize_loop(SHORT, knee_angle_deg=50.0).margins()
     assert assessment == {
         **{name: getattr(metrics, name) for name in TRACKING_METRICS},
         **{name: getattr(margins, name) for name in MARGIN_METRICS},

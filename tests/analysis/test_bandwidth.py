@@ -144,7 +144,7 @@ def test_the_first_of_two_crossings_counts(monkeypatch):
 
 def test_a_small_sine_has_the_bandwidth_of_the_linear_loop():
     scenario = sine(0.3, **{"encoder.quantized": False})
-    linear = linearize_loop(scenario, 40.0).bandwidth_hz()
+    linear = linearize_loop(scenario, knee_angle_deg=40.0).bandwidth_hz()
     # Tolerance of the search 0.1 %; cycles settled to 0.2 % of a gain that falls with f.
     assert large_signal_bandwidth_hz(scenario) == pytest.approx(linear, rel=4e-3)
 

@@ -61,7 +61,7 @@ AREA_SINE = LAG_SINE | {"amplitude_deg": 20.0, "frequency_hz": 0.01}  # beside w
 
 def response(scenario, frequency_hz):
     """Exact e/x_d of the linearized sampled loop at 40 deg."""
-    linear = linearize_loop(scenario, 40.0, output="rod_extension")
+    linear = linearize_loop(scenario, knee_angle_deg=40.0, output="rod_extension")
     at_rest = linear.output_response(1e-4)[0].real  # dx/dθ_d
     return linear.output_response(frequency_hz)[0] / at_rest - 1.0
 
@@ -183,7 +183,7 @@ def test_loaded_area_below_the_mean_is_negative_damping():
                 6.0 / 7.0,
                 **{"estimator.time_constant_s": time_constant},
             )
-            assert linearize_loop(scenario, 40.0).stable is stable
+            assert linearize_loop(scenario, knee_angle_deg=40.0).stable is stable
             if lambda_ < 20.0:
                 assert error_model(scenario).stable is stable
 

@@ -22,6 +22,7 @@ from kneexo.analysis import loop_equilibrium
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import LinearizationError
 from kneexo.parameters import (
+    BldcPumpParameters,
     DifferenceParameters,
     ExactParameters,
     KneeLoadParameters,
@@ -81,9 +82,9 @@ def test_one_diagram_serves_all_loops_of_a_structure(loops, monkeypatch):
     monkeypatch.setattr(loop_equilibrium, "_built", {})
     for name in ("smc", "other_plant", "weight", "exact", "pid", "pid_tuned", "can_2"):
         for scenario in (Scenario(plant=plant_parameters(LEAKY, load=WEIGHT)), SCENARIOS[name]):
-            linear_loop = linearize_loop(scenario, 52.0)
+            linear_loop = linearize_loop(scenario, knee_angle_deg=52.0)
         monkeypatch.setattr(loop_equilibrium, "_built", {})
-        fresh = linearize_loop(SCENARIOS[name], 52.0)
+        fresh = linearize_loop(SCENARIOS[name], knee_angle_deg=52.0)
         monkeypatch.setattr(loop_equilibrium, "_built", {})
         for matrix in ("a", "b", "c", "g_x", "g_z", "g_r", "c_u"):
             assert np.array_equal(getattr(linear_loop, matrix), getattr(fresh, matrix)), matrix
@@ -120,11 +121,25 @@ def test_a_command_limit_below_the_leakage_leaves_no_rest(share, kind):
         linearize_loop(Scenario(plant=plant, controller=controller))
 
 
+def test_a_proportional_controller_rests_beside_its_reference_by_what_feeds_the_leakage():
+    # u = −G r_0 K_p (θ_d − θ): the error is small, and the unused integral takes no part in it.
+    plant, speed = pushed(200.0)
+    loop = linearize_loop(Scenario(plant=plant, controller=PidParameters()))
+    gain = 5.0 * 0.1 * 6.0 * AREA / DISPLACEMENT
+    resting_rad = math.radians(40.0) + speed / gain
+    # The linkage and the controller's polynomial differ by 0.04 mm, or 4e-4 rad.
+    assert loop.knee_angle_rad == pytest.approx(resting_rad, abs=5e-4)
+    assert speed / gain > 3e-3
+
+
 def test_a_search_that_leaves_the_linkage_says_so():
-    plant = PlantParameters(load=KneeLoadParameters(disturbance_n=2000.0))
+    plant = PlantParameters(
+        load=KneeLoadParameters(disturbance_n=1e4),
+        pump=BldcPumpParameters(internal_leakage_m3_per_s_pa=2e-11),
+    )
     where = "Newton's method goes where the equations are not finite; reduce the load"
     with raises_one_line(LinearizationError, f"does not rest at knee angle 45 deg: {where}"):
-        linearize_loop(Scenario(plant=plant, controller=PidParameters()), 45.0)
+        linearize_loop(Scenario(plant=plant, controller=PidParameters()), knee_angle_deg=45.0)
 
 
 def test_a_rest_at_the_speed_limit_is_refused():

@@ -85,7 +85,7 @@ POSTURES = {
 @pytest.mark.parametrize("angle", [12.0, 67.0])
 def test_an_operating_point_is_an_equilibrium_of_the_plant(name, angle):
     parameters, forces = POSTURES[name]
-    point = find_operating_point(parameters, angle, **forces)
+    point = find_operating_point(parameters, knee_angle_deg=angle, **forces)
     plant = make_plant(parameters)
     context = plant.CreateDefaultContext()
     context.SetContinuousState(point.state)
@@ -122,7 +122,7 @@ def test_the_motor_makes_up_for_the_leakage(name, rod_of_knee):
         force += (weight + forces.get("knee_torque_n_m", 0.0)) / arm
     pressure = (force + n["stiffness"] * x) / AREA
     speed = n["gear"] / DISPLACEMENT * total_leakage(n) * pressure
-    point = find_operating_point(parameters, 33.0, **forces)
+    point = find_operating_point(parameters, knee_angle_deg=33.0, **forces)
     # The spline of the linkage is exact to 1e-9.
     assert point.load_pressure_pa == pytest.approx(pressure, rel=1e-8, abs=1e-6)
     assert point.rod_force_n == pytest.approx(force, rel=1e-8, abs=1e-7)
@@ -130,7 +130,9 @@ def test_the_motor_makes_up_for_the_leakage(name, rod_of_knee):
 
 
 def test_an_operating_point_prints_in_the_papers_units():
-    point = find_operating_point(plant_parameters(PAPER), 40.0, disturbance_n=1e7 * AREA)
+    point = find_operating_point(
+        plant_parameters(PAPER), knee_angle_deg=40.0, disturbance_n=1e7 * AREA
+    )
     rpm = 6.0 / DISPLACEMENT * 2e-13 * 1e7 * 30.0 / math.pi
     assert str(point) == (
         f"knee at 40 deg: motor {rpm:.4g} rpm, load pressure 10 MPa, rod force 2749 N"
@@ -143,7 +145,7 @@ def test_a_load_that_the_motor_cannot_hold_has_no_equilibrium(torque):
     with raises_one_line(LinearizationError, f"no equilibrium at knee angle 40 deg with {load}"):
         find_operating_point(
             plant_parameters(PAPER, load=KneeLoadParameters()),
-            40.0,
+            knee_angle_deg=40.0,
             knee_torque_n_m=torque,
             disturbance_n=7.0,
         )
@@ -152,7 +154,7 @@ def test_a_load_that_the_motor_cannot_hold_has_no_equilibrium(torque):
 @pytest.mark.parametrize("angle", [-30.0, 95.0, 400.0, math.nan, math.inf])
 def test_a_posture_beyond_the_knee_is_refused(angle):
     with raises_one_line(KneexoError, "") as caught:
-        find_operating_point(PlantParameters(), angle)
+        find_operating_point(PlantParameters(), knee_angle_deg=angle)
     assert isinstance(caught.value, ParameterError | LinkageError)
 
 
@@ -166,7 +168,7 @@ def test_a_linkage_that_does_not_close_is_refused():
 def test_poles_are_those_of_the_closed_form(name, angle):
     n = SETS[name]
     expected = np.append(roots(cubic(n)), -1.0 / n["lag"])
-    poles = linearize_plant(plant_parameters(n), angle).poles
+    poles = linearize_plant(plant_parameters(n), knee_angle_deg=angle).poles
     assert np.all(np.diff(np.abs(poles)) > -1e-6 * np.abs(poles[1:]))
     for pole in expected:
         # 1e-9 of each pole, and rounding of the largest for one that is zero or slow.
@@ -206,7 +208,9 @@ def test_the_papers_hydraulic_mode_lies_at_447_hz_and_is_nearly_undamped():
 def test_the_response_is_that_of_the_closed_form(name):
     n = SETS[name]
     plant = linearize_plant(
-        plant_parameters(n, rod_map="polynomial"), 52.0, outputs=("knee_angle", "rod_extension")
+        plant_parameters(n, rod_map="polynomial"),
+        knee_angle_deg=52.0,
+        outputs=("knee_angle", "rod_extension"),
     )
     f = np.array([0.02, 1.0, 30.0, 447.0, 2e3])
     s = 2j * math.pi * f
@@ -242,9 +246,9 @@ def test_velocity_gain_is_displacement_over_area_less_leakage(name):
     n = SETS[name]
     gain = DISPLACEMENT / n["gear"] * AREA / (AREA**2 + total_leakage(n) * n["damping"])
     plant = plant_parameters(n, rod_map="polynomial")
-    rod = linearize_plant(plant, 25.0, outputs=("rod_extension",)).velocity_gain
+    rod = linearize_plant(plant, knee_angle_deg=25.0, outputs=("rod_extension",)).velocity_gain
     assert rod == pytest.approx(gain, rel=1e-9)
-    knee = linearize_plant(plant, 25.0).velocity_gain
+    knee = linearize_plant(plant, knee_angle_deg=25.0).velocity_gain
     assert knee == pytest.approx(gain / slope_of_table_1(25.0), rel=1e-6)
 
 
@@ -270,7 +274,7 @@ def test_pairs_of_eigenvalues_begin_with_the_positive_imaginary_part():
 
 def test_a_strong_spring_leaves_no_velocity_gain():
     # Its pole, −K C_t/Ā² = −1.4 1/s, is no integrator next to the motor's −100 1/s.
-    plant = linearize_plant(plant_parameters(SPRING | {"c_em": 1e-11}), 85.0)
+    plant = linearize_plant(plant_parameters(SPRING | {"c_em": 1e-11}), knee_angle_deg=85.0)
     assert plant.velocity_gain == 0.0
 
 
@@ -295,7 +299,9 @@ def test_the_weight_acts_as_a_spring_in_the_slow_pole(angle, torque, rod_of_knee
     tau, tau_1 = moment * math.sin(0.4 - knee) + torque, -moment * math.cos(0.4 - knee)
     stiffness = -tau_1 / arm**2 + tau * arm_1 / arm**3
     n = LEAKY | {"c_im": 1e-11}  # so that the slow pole stands out of the rounding
-    plant = linearize_plant(plant_parameters(n, load=WEIGHT), angle, knee_torque_n_m=torque)
+    plant = linearize_plant(
+        plant_parameters(n, load=WEIGHT), knee_angle_deg=angle, knee_torque_n_m=torque
+    )
     expected = roots(cubic(n, stiffness))
     slow = expected[np.argmin(np.abs(expected))]
     assert abs(slow) > 0.01
@@ -305,8 +311,12 @@ def test_the_weight_acts_as_a_spring_in_the_slow_pole(angle, torque, rod_of_knee
 
 def test_a_diagram_may_take_the_place_of_the_parameters():
     parameters = plant_parameters(LEAKY, load=WEIGHT)
-    ours = linearize_plant(make_plant(parameters), 55.0, knee_torque_n_m=2.0, disturbance_n=9.0)
-    theirs = linearize_plant(parameters, 55.0, knee_torque_n_m=2.0, disturbance_n=9.0)
+    ours = linearize_plant(
+        make_plant(parameters), knee_angle_deg=55.0, knee_torque_n_m=2.0, disturbance_n=9.0
+    )
+    theirs = linearize_plant(
+        parameters, knee_angle_deg=55.0, knee_torque_n_m=2.0, disturbance_n=9.0
+    )
     for name in ("a", "b", "c", "d"):
         scale = np.abs(getattr(theirs, name)).max() + 1e-300
         assert np.abs(getattr(ours, name) - getattr(theirs, name)).max() <= 1e-9 * scale
@@ -321,4 +331,4 @@ def test_a_plant_prints_its_poles_and_gain():
 
 def test_a_torque_on_a_plant_without_load_is_refused():
     with raises_one_line(LinearizationError, "knee_torque = 5 N·m: the plant has no load"):
-        find_operating_point(PlantParameters(), 40.0, knee_torque_n_m=5.0)
+        find_operating_point(PlantParameters(), knee_angle_deg=40.0, knee_torque_n_m=5.0)

@@ -115,8 +115,8 @@ def compare_with_differences(loop, monodromy):
 )
 def test_monodromy_is_that_of_the_simulator(loops, name):
     monodromy = monodromy_by_differences(SCENARIOS[name])
-    if name == "pid":  # the unused integral, of which nothing depends
-        assert np.abs(monodromy[5] - np.eye(7)[5]).max() < 1e-7
+    if name == "pid":  # the unused integral, which stays zero
+        assert np.abs(monodromy[5]).max() == 0.0
         monodromy = np.delete(np.delete(monodromy, 5, axis=0), 5, axis=1)
     assert compare_with_differences(loops[name], monodromy) < 1e-6
     # Multiple eigenvalues near zero (delays) amplify the rounding of the differences.

@@ -98,7 +98,7 @@ LOOPS = {
 
 
 def loop_metrics(scenario, names):
-    loop = linearize_loop(scenario, 0.5 * sum(scenario.reference.range_deg))
+    loop = linearize_loop(scenario, knee_angle_deg=0.5 * sum(scenario.reference.range_deg))
     margins = loop.margins()
     return np.array([abs(loop.eigenvalues[0]), *(getattr(margins, name) for name in names[1:])])
 

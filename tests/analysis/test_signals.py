@@ -1,11 +1,11 @@
-"""Period, root mean square and unit of signals."""
+"""Period, root mean square, shares and unit of signals."""
 
 import math
 
 import numpy as np
 import pytest
 
-from kneexo.analysis.signals import period_s, rms, to_rpm
+from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
 from kneexo.parameters import Scenario
 
 
@@ -30,3 +30,11 @@ def test_rms_of_a_constant_has_no_sign():
 
 def test_a_turn_a_second_is_60_rpm():
     np.testing.assert_allclose(to_rpm(np.array([2.0 * math.pi, -math.pi])), [60.0, -30.0])
+
+
+def test_saturated_share_counts_both_limits():
+    assert saturated_share(np.array([100.0, -100.0, 99.0, 0.0]), 100.0) == 0.5
+
+
+def test_the_share_above_a_bound_counts_both_signs():
+    assert share_above(np.array([3.0, -5.0, 4.0, 4.1]), 4.0) == 0.5

@@ -152,7 +152,7 @@ def test_a_small_sine_without_counts_has_the_linear_response():
             "encoder.quantized": False,
         },
     )
-    predicted = linearize_loop(scenario, 40.0).output_response(13.7)[0]
+    predicted = linearize_loop(scenario, knee_angle_deg=40.0).output_response(13.7)[0]
     estimate = estimate_sine(scenario)
     assert estimate.settled
     assert (estimate.speed_limited_share, estimate.acceleration_limited_share) == (0.0, 0.0)

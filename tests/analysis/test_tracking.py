@@ -7,7 +7,7 @@ import pytest
 from kneexo.analysis.tracking import (
     TRACKING_METRICS,
     mean_change,
-    saturated_share,
+    step_metrics,
     track,
     track_basic_metrics,
     tracking_metrics,
@@ -73,10 +73,6 @@ def test_change_and_saturation_of_the_command_count_from_the_first_period_on():
     changes = np.count_nonzero(np.diff(after[500:])) / 1499
     assert m.mean_command_change_rpm == pytest.approx(3.0 * changes * 30.0 / math.pi)
     assert m.peak_command_rpm == pytest.approx(100.0 * 30.0 / math.pi)
-
-
-def test_saturated_share_counts_both_limits():
-    assert saturated_share(np.array([100.0, -100.0, 99.0, 0.0]), 100.0) == 0.5
 
 
 def test_energy_is_the_integral_of_power_and_delivered_energy_leaves_out_returns():
@@ -235,15 +231,75 @@ def test_the_basic_metrics_are_those_of_the_whole_result(brisk):
     assert basic == {name: getattr(metrics, name) for name in TRACKING_METRICS}
 
 
-def test_a_step_saturates_and_settles():
-    result = track(
+@pytest.fixture(scope="module")
+def settled():
+    return track(
         Scenario(
             reference=StepReference(start_deg=30.0, end_deg=40.0, time_s=0.2),
             simulation=SimulationParameters(duration_s=1.5),
         )
     )
-    assert result.metrics.saturated_share > 0.1
-    assert abs(result.error_deg[-1]) < 0.2
+
+
+def test_a_step_saturates_and_settles(settled):
+    assert settled.metrics.saturated_share > 0.1
+    assert abs(settled.error_deg[-1]) < 0.2
+
+
+def test_the_step_metrics_of_a_run_are_those_of_python_control(settled):
+    control = pytest.importorskip("control")
+    run = settled.run
+    response = (np.degrees(run["knee_angle_rad"][100:]) - 30.0) / 10.0
+    info = control.step_info(response, run.time_s[100:] - 0.2, yfinal=1.0)
+    step = settled.step
+    assert step.step_deg == 10.0
+    assert step.rise_time_s == pytest.approx(info["RiseTime"], rel=1e-9)
+    assert step.settling_time_s == pytest.approx(info["SettlingTime"], rel=1e-9)
+    assert step.overshoot_percent == pytest.approx(info["Overshoot"], rel=1e-9)
+    assert step.settles
+    # At the speed limit, 40.4 mm/s over a moment arm of 96 mm, 80 % of the step take 0.33 s.
+    assert step.rise_time_s == pytest.approx(8.0 / math.degrees(40.4 / 96.0), rel=0.1)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_step_metrics_of_a_second_order_response_are_those_of_the_textbook(sign):
+    damping, omega, time = 0.5, 10.0, np.arange(0.0, 3.0, 1e-4)
+    damped = omega * math.sqrt(1.0 - damping**2)
+    decay = np.exp(-damping * omega * time) / math.sqrt(1.0 - damping**2)
+    response = 1.0 - decay * np.sin(damped * time + math.acos(damping))
+    angle = np.concatenate([[30.0], 30.0 + sign * 8.0 * response])
+    step = step_metrics(
+        np.concatenate([[0.0], 0.5 + time]),
+        angle,
+        start_deg=30.0,
+        end_deg=30.0 + sign * 8.0,
+        step_s=0.5,
+    )
+    assert step.step_deg == sign * 8.0
+    overshoot = 100.0 * math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
+    assert step.overshoot_percent == pytest.approx(overshoot, rel=1e-4)
+    assert step.settling_time_s == pytest.approx(0.8076, abs=2e-4)  # last |y − 1| = 0.02, by hand
+    assert step.rise_time_s == pytest.approx(0.1638, abs=2e-4)  # from y = 0.1 to y = 0.9
+    assert "within 2 % of the step of 8° from 0.808 s" in step.line
+
+
+def test_a_response_that_does_not_settle_says_so():
+    time = np.arange(0.0, 1.0, 0.01)
+    slow = step_metrics(time, 10.0 * time, start_deg=0.0, end_deg=20.0, step_s=0.0)
+    assert not slow.settles
+    assert math.isnan(slow.rise_time_s)
+    assert slow.overshoot_percent == 0.0
+    assert slow.line == (
+        "Does not track: not within 2 % of the step of 20° at the end; does not reach 90 %, "
+        "overshoot 0 %."
+    )
+
+
+@pytest.mark.parametrize(("end_deg", "step_s"), [(5.0, 0.0), (20.0, 1.5)])
+def test_a_run_without_its_step_has_no_step_metrics(end_deg, step_s):
+    time = np.arange(0.0, 1.0, 0.01)
+    steps = {"start_deg": 5.0, "end_deg": end_deg, "step_s": step_s}
+    assert step_metrics(time, 5.0 + 0.0 * time, **steps) is None
 
 
 def test_a_ramp_is_followed():

@@ -231,7 +231,9 @@ def test_the_linear_error_is_that_of_forty_harmonics():
     demand = walking_demand(WALKS, 1.25)
     angle = np.radians(demand.knee_angle_deg[:-1])
     rod = linkage.rod_extension(G1, angle)
-    loop = linearize_loop(WALKS, 0.5 * (demand.knee_angle_deg.min() + demand.knee_angle_deg.max()))
+    loop = linearize_loop(
+        WALKS, knee_angle_deg=0.5 * (demand.knee_angle_deg.min() + demand.knee_angle_deg.max())
+    )
     turn = 2j * math.pi * np.arange(1000) / 1000.0
     error = np.zeros(1000)
     for order in range(1, 41):

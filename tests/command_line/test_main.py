@@ -43,14 +43,14 @@ def test_a_full_device_is_a_line(arguments, short, run_command):
 
 
 def test_a_closed_output_is_no_failure():
-    line = ["sh", "-c", 'exec "$0" -m kneexo cache >&-', sys.executable]
+    line = ["sh", "-c", 'exec "$0" -m kneexo setup cache >&-', sys.executable]
     process = subprocess.run(line, capture_output=True, text=True)
     assert (process.returncode, process.stderr) == (0, "")
 
 
 def test_an_unknown_matplotlib_backend_does_not_matter(monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "bogus")
-    assert main(["cache"]) == 0
+    assert main(["setup", "cache"]) == 0
     assert os.environ["MPLBACKEND"] == "Agg"  # before Matplotlib is imported
 
 
@@ -60,7 +60,7 @@ def test_no_home_directory_is_a_line(tmp_path):
         "def nowhere(): raise RuntimeError('Could not determine home directory.')\n"
         "pathlib.Path.home = nowhere\n"
         "from kneexo.command_line import main as cli\n"
-        "sys.exit(cli.main(['cache']))\n"
+        "sys.exit(cli.main(['setup', 'cache']))\n"
     )
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("KNEEXO", "XDG"))}
     line = [sys.executable, "-c", code]
@@ -87,7 +87,7 @@ def runs_without(arguments, *modules):
     except SystemExit as end:  # of the help
         assert not end.code
     assert not set(modules) & set(sys.modules), arguments
-runs_without(["cache"], "numpy", "pydrake", "matplotlib", "numba", "llvmlite", "pydantic")
+runs_without(["setup", "cache"], "numpy", "pydrake", "matplotlib", "numba", "llvmlite", "pydantic")
 runs_without(["--help"], "numpy", "pydrake", "matplotlib")
 for arguments in (["--yaml"], ["--schema"], [sys.argv[1]]):
     runs_without(["params", *arguments], "pydrake", "scipy", "matplotlib", "llvmlite")
@@ -99,7 +99,7 @@ runs_without(["params"], "scipy.optimize", "scipy.linalg", "matplotlib")
 def test_commands_import_no_more_than_they_need(short):
     line = [sys.executable, "-c", LIGHT, short]
     out = subprocess.run(line, capture_output=True, text=True, check=True).stdout
-    for command in ("reproduce", "simulate", "params", "diagram", "cache"):
+    for command in ("reproduce", "simulate", "params", "diagram", "setup"):
         assert command in out.partition("plant:")[0]
 
 
@@ -107,7 +107,7 @@ def test_no_command_shows_the_first_steps(capsys):
     assert main([]) == 0
     text = capsys.readouterr().out
     commands = [line.split()[1] for line in text.splitlines() if line.startswith("  kneexo")]
-    assert commands == ["view", "simulate", "reproduce"]
+    assert commands == ["view", "simulate", "new", "reproduce"]
 
 
 def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp_path):
@@ -131,7 +131,7 @@ def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp
         (["simulate", "x" * 5000, "--out", "o"], "kneexo: " + "x" * 150 + " … xxx"),
         (["simulate", "--out", "o/" + "x" * 5000], "kneexo: --out o/" + "x" * 148 + " … xxx"),
         (["simulate", "--set", "a\nb", "--out", "o"], "kneexo: --set a\\nb: must be NAME=VALUE"),
-        (["simulate", "--set", "x" * 5000 + "=1", "--out", "o"], "kneexo: Scenario: xxx"),
+        (["simulate", "--set", "x" * 5000 + "=1", "--out", "o"], "kneexo: --set xxx"),
         (["view", "--out", "k", "loop"], "kneexo: loop: cannot be read: Too many levels of symb"),
     ],
 )
@@ -215,7 +215,7 @@ def started(*arguments, **options):
         process.communicate()
 
 
-SWEEP = ["bandwidth", "--workers", "2"]
+SWEEP = ["study", "bandwidth", "--workers", "2"]
 
 
 @pytest.mark.parametrize(
@@ -249,7 +249,7 @@ def test_a_killed_sweep_leaves_no_process_and_its_pieces(tmp_path):
         wait_for(lambda: not alive(process.pid), 5.0)
     pieces = path.read_bytes()
     assert [file.name for file in tmp_path.glob(".*")] == [next(tmp_path.glob(".kneexo-*")).name]
-    with started("bandwidth", "--workers", "1", "--out", tmp_path) as process:
+    with started("study", "bandwidth", "--workers", "1", "--out", tmp_path) as process:
         wait_for(lambda: path.stat().st_size > len(pieces))  # it has gone on
         process.terminate()
         error = process.communicate(timeout=20)[1]
@@ -292,7 +292,7 @@ def test_an_interrupt_of_an_import_is_one_true_line(tmp_path, module, message):
     checkpoint = tmp_path / "bandwidth.checkpoint.jsonl"
     checkpoint.write_text("")
     process = subprocess.run(
-        [sys.executable, "-c", EARLY, module, "bandwidth", "--out", str(tmp_path)],
+        [sys.executable, "-c", EARLY, module, "study", "bandwidth", "--out", str(tmp_path)],
         capture_output=True,
         text=True,
     )

@@ -7,7 +7,13 @@ import pytest
 
 from kneexo.command_line.main import main
 from kneexo.command_line.outcome import Delivery, Outcome, Request, file_names, named_in_errors
-from kneexo.errors import ParameterError, WorkerError
+from kneexo.errors import (
+    OutputError,
+    PackageError,
+    ParameterError,
+    ScenarioError,
+    WorkerError,
+)
 from kneexo.interruption import Terminated
 
 
@@ -74,7 +80,7 @@ def test_an_interrupt_tells_how_many_pieces_are_kept(
     stand_in(interrupted)
     out = tmp_path / "deep" / "out"
     path = out / "bandwidth.checkpoint.jsonl"
-    assert main(["bandwidth", "--out", str(out)]) == code
+    assert main(["study", "bandwidth", "--out", str(out)]) == code
     fate = (
         f"{pieces} finished pieces are kept in {path}; the same command goes on from them"
         if pieces
@@ -87,7 +93,7 @@ def test_an_interrupt_tells_how_many_pieces_are_kept(
 
 def test_finished_pieces_go_only_when_asked(capsys, tmp_path, stand_in):
     path = tmp_path / "bandwidth.checkpoint.jsonl"
-    command = ["bandwidth", "--out", str(tmp_path)]
+    command = ["study", "bandwidth", "--out", str(tmp_path)]
 
     def interrupted(checkpoint):
         checkpoint.keep("a", 1)
@@ -97,8 +103,8 @@ def test_finished_pieces_go_only_when_asked(capsys, tmp_path, stand_in):
     assert main(command) == 130
     pieces_at_start = []
     stand_in(lambda checkpoint: pieces_at_start.append(len(checkpoint)))
-    for option in ([], ["--resume"]):
-        assert main([*command, *option]) == 0
+    for _ in range(2):
+        assert main(command) == 0
         message = (
             f"kneexo: 1 finished pieces of other settings stay in {path}; --restart deletes them"
         )
@@ -108,12 +114,12 @@ def test_finished_pieces_go_only_when_asked(capsys, tmp_path, stand_in):
     assert pieces_at_start == [1, 1, 0]
 
 
-@pytest.mark.parametrize("option", [[], ["--resume"], ["--restart"]])
+@pytest.mark.parametrize("option", [[], ["--restart"]])
 def test_a_file_that_is_no_checkpoint_is_refused(capsys, tmp_path, option, stand_in):
     stand_in(lambda checkpoint: pytest.fail("the study began"))
     path = tmp_path / "bandwidth.checkpoint.jsonl"
     path.write_text("my notes\n")
-    assert main(["bandwidth", "--out", str(tmp_path), *option]) == 2
+    assert main(["study", "bandwidth", "--out", str(tmp_path), *option]) == 2
     assert capsys.readouterr().err == (
         f"kneexo: checkpoint {path}: this is not a checkpoint of kneexo; move it away or choose "
         f"another directory\n"
@@ -127,7 +133,7 @@ def test_a_second_process_is_refused(capsys, tmp_path, stand_in):
     path = tmp_path / "bandwidth.checkpoint.jsonl"
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        assert main(["bandwidth", "--out", str(tmp_path), "--restart"]) == 2
+        assert main(["study", "bandwidth", "--out", str(tmp_path), "--restart"]) == 2
     assert capsys.readouterr().err == (
         f"kneexo: checkpoint {path}: another process is at work on it; wait until it has ended, or "
         f"choose another directory\n"
@@ -145,7 +151,7 @@ def test_damaged_lines_are_one_line_on_stderr(capsys, tmp_path, monkeypatch, sta
     monkeypatch.setattr(warnings, "showwarning", show)  # as Python does; pytest collects them
     path = tmp_path / "bandwidth.checkpoint.jsonl"
     path.write_text('{"kneexo checkpoint": 1}\ndamaged\ndamaged\n')
-    assert main(["bandwidth", "--out", str(tmp_path)]) == 2
+    assert main(["study", "bandwidth", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.splitlines() == [
         f"kneexo: checkpoint {path}: 2 damaged lines are skipped",
         "kneexo: no worker",
@@ -159,5 +165,23 @@ def test_an_interrupt_after_the_files_are_written_says_so(capsys, tmp_path, monk
         raise KeyboardInterrupt
 
     monkeypatch.setattr("kneexo.sweeps.checkpoint.Checkpoint.remove", interrupted)
-    assert main(["bandwidth", "--out", str(tmp_path)]) == 130
+    assert main(["study", "bandwidth", "--out", str(tmp_path)]) == 130
     assert capsys.readouterr().err == f"kneexo: interrupted; the results are in {tmp_path}\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (ParameterError("the knee stops"), "my.yaml: the knee stops"),
+        (ParameterError("my.yaml is empty"), "my.yaml is empty"),
+        (ParameterError("--workers = 0"), "--workers = 0"),
+        (ScenarioError("set.yaml: is empty"), "set.yaml: is empty"),
+        (WorkerError("Dask scheduler 'x'"), "Dask scheduler 'x'"),
+        (OutputError("directory x"), "directory x"),
+        (PackageError("distributed"), "distributed"),
+    ],
+)
+def test_only_what_a_scenario_can_cause_names_its_file(error, line):
+    with pytest.raises(type(error)) as caught, named_in_errors("my.yaml"):
+        raise error
+    assert str(caught.value) == line

@@ -1,15 +1,20 @@
 import csv
+import html
 import json
 import math
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from kneexo.analysis import TrackingMetrics
+from kneexo.analysis import TrackingMetrics, track
+from kneexo.analysis.tracking import StepMetrics
+from kneexo.analysis.verdict import loop_lines
 from kneexo.command_line.main import main
+from kneexo.command_line.output import to_json
 from kneexo.parameters import PlantParameters, Scenario
+from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
 
 
@@ -39,8 +44,69 @@ def test_a_run_shorter_than_a_period_has_dashes(capsys, scenario_file, tmp_path,
     assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     assert "nan" not in text
-    assert f"{'max_error_deg':28s} –" in text
+    assert "  error (root mean square)  – deg\n" in text
+    assert "Tracks: largest error" in text
     assert "nan" not in (tmp_path / "out" / "signals.csv").read_text()
+
+
+def test_a_csv_reference_runs_for_its_own_length(capsys, scenario_file, tmp_path, undrawn):
+    (tmp_path / "steps.csv").write_text("time_s,knee_angle_deg\n0,30\n0.2,31\n0.4,30\n")
+    path = scenario_file("reference: {kind: csv, file: steps.csv}")
+    command = ["simulate", path, "--out", str(tmp_path / "out"), "--json"]
+    assert main(command) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["scenario"]["simulation"]["duration_s"] == 0.4
+    assert "the reference ends" not in printed.out
+    assert load_scenario(tmp_path / "out" / "scenario.yaml").simulation.duration_s == 0.4
+    rows = (tmp_path / "out" / "signals.csv").read_text().splitlines()
+    assert rows[-1].startswith("0.4,")
+    assert main([*command, "--set", "simulation.duration_s=0.6"]) == 0
+    (notice,) = json.loads(capsys.readouterr().out)["verdict"]["notices"]
+    assert notice.startswith("the reference ends at 0.4 s")
+
+
+def test_terminal_json_and_page_have_the_verdict(capsys, short, tmp_path, undrawn):
+    command = ["simulate", short, "--preset", "leg", "--set", "plant.cylinder.mass_kg=3.2"]
+    assert main([*command, "--out", str(tmp_path), "--html"]) == 0
+    text = capsys.readouterr().out
+    printed = json.loads((tmp_path / "metrics.json").read_text())
+    verdict = track(load_scenario(tmp_path / "scenario.yaml")).verdict
+    assert printed["verdict"] == json.loads(to_json(verdict.results()))
+    assert printed["verdict"]["lines"] == list(verdict.lines)
+    page = (tmp_path / "simulate.html").read_text()
+    items = "".join(f"<li>{html.escape(line)}</li>\n" for line in verdict.lines)
+    assert page.index(f"</h1>\n<ul>\n{items}") < page.index("<table>")
+    # The terminal: what is left out, notices, three numbers, the verdict, the files.
+    lines = text.splitlines()
+    assert lines[: len(verdict.model_lines[0].splitlines())] == verdict.model_lines[0].splitlines()
+    assert all(note in text for note in verdict.model_lines)
+    assert "\n".join(verdict.lines) in text
+    after = text[text.index(verdict.lines[2]) :].splitlines()[1]
+    assert after.startswith(f"In {tmp_path}:")
+    assert 5 <= len(lines) <= 20
+    assert max(map(len, lines)) <= max(100, len(f"In {tmp_path}:") + 20)
+
+
+def test_numbers_of_the_terminal_have_words_and_units(capsys, short, tmp_path, undrawn):
+    assert main(["simulate", short, "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    m = track(load_scenario(short)).metrics
+    back_j = m.shaft_energy_delivered_j - m.shaft_energy_j
+    assert f"  error (root mean square)  {m.rms_error_deg:.3g} deg\n" in text
+    assert f"  change of the command     {m.mean_command_change_rpm:.3g} rpm per sample\n" in text
+    work = f"{m.shaft_energy_delivered_j:.3g} J, of which {back_j:.3g} J flows back"
+    assert f"  work of the motor         {work}\n" in text
+
+
+def test_a_step_has_rise_time_overshoot_and_settling_time(capsys, tmp_path, undrawn):
+    step = "reference={kind: step, start_deg: 30, end_deg: 40, time_s: 0.2}"
+    command = ["simulate", "--set", step, "--set", "simulation.duration_s=1.5"]
+    assert main([*command, "--out", str(tmp_path), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    expected = track(load_scenario(tmp_path / "scenario.yaml")).step
+    assert printed["step"] == asdict(expected)
+    assert printed["verdict"]["lines"][0] == expected.line
+    assert printed["verdict"]["tracks"] is True
 
 
 def test_the_reference_engine_can_be_asked_for(capsys, short, tmp_path, undrawn):
@@ -80,7 +146,7 @@ def test_a_run_that_would_not_fit_into_memory_is_refused(capsys, scenario_file, 
             "simulation: {duration_s: 1.2, integrator: runge_kutta3}",
             "left the stroke 0 … 0.15 m; reduce the motion, the load or the step",
         ),
-        ("initial_offset_m: -0.15", "outside the stroke 0 … 0.15 m; change the offset"),
+        ("initial_offset_m: -0.15", "outside the stroke 0 … 0.15 m; change the start"),
         ("controller: {kind: pid, anti_windup_s: 1e-3}", "must be at least sample_time_s"),
         (
             "reference: {kind: samples, times_s: [0, 1, 1e300], angles_deg: [1, 2, 3]}",
@@ -112,7 +178,9 @@ def test_bad_scenarios_are_one_line_exit_2_and_leave_nothing(
 
 def test_every_key_of_the_results_is_documented():
     text = (Path(__file__).parents[2] / "docs/results.md").read_text(encoding="utf-8")
-    for key in (*(field.name for field in fields(TrackingMetrics)), "kneexo", "scenario"):
+    keys = [field.name for cls in (TrackingMetrics, StepMetrics) for field in fields(cls)]
+    verdict = track(changed(Scenario(), {"simulation.duration_s": 0.1})).verdict.results()
+    for key in (*keys, *verdict, "kneexo", "scenario", "verdict", "step"):
         assert f"`{key}`" in text, key
 
 
@@ -154,7 +222,7 @@ def test_linearize_writes_what_it_finds_and_refuses_a_posture_out_of_range(capsy
     assert point["knee_angle_rad"] == pytest.approx(math.radians(30.0), abs=1e-9)
     for name in ("motor_speed_rad_s", "load_pressure_pa", "rod_force_n"):
         assert point[name] == pytest.approx(0.0, abs=1e-6)
-    loop = linearize_loop(Scenario(), 30.0)
+    loop = linearize_loop(Scenario(), knee_angle_deg=30.0)
     assert printed["loop_eigenvalues"] == [[z.real, z.imag] for z in loop.eigenvalues]
     assert abs(complex(*printed["loop_eigenvalues"][0])) == max(
         abs(complex(*z)) for z in printed["loop_eigenvalues"]
@@ -168,12 +236,34 @@ def test_linearize_writes_what_it_finds_and_refuses_a_posture_out_of_range(capsy
     feedback = loop.complementary_sensitivity_bandwidth_hz()
     assert printed["complementary_sensitivity_bandwidth_hz"] == feedback
     assert main(["linearize", "--knee-angle", "200", "--out", str(tmp_path / "no")]) == 2
-    assert "knee angle = 200 deg" in capsys.readouterr().err
+    line = "kneexo: --knee-angle = 200 deg is out of range: must be >= 0 and <= 90 deg\n"
+    assert capsys.readouterr().err == line
     assert not (tmp_path / "no").exists()
 
 
+def test_linearize_ends_with_stability_margins_and_bandwidths(capsys, tmp_path, undrawn):
+    from kneexo.analysis import linearize_loop
+
+    command = ["linearize", "--preset", "leg", "--set", "plant.cylinder.mass_kg=3.2", "--html"]
+    assert main([*command, "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    heavy = changed(Scenario.preset("leg"), {"plant.cylinder.mass_kg": 3.2})
+    lines = list(loop_lines(linearize_loop(heavy, knee_angle_deg=40.0)))
+    assert len(lines) == 3
+    first = printed.index(lines[0])
+    assert printed[first : first + 3] == lines
+    assert printed[first + 3].startswith(f"In {tmp_path}:")
+    assert printed[0] == "Left out: torque of the wearer, air in the oil."
+    assert printed[1].startswith("Note: plant.cylinder.mass_kg = 3.2 kg is outside")
+    assert len(printed) <= 20
+    document = json.loads((tmp_path / "linearization.json").read_text())
+    assert document["verdict"] == {"lines": lines, "stable": True}
+    items = "".join(f"<li>{html.escape(line)}</li>\n" for line in lines)
+    assert f"</h1>\n<ul>\n{items}" in (tmp_path / "linearize.html").read_text()
+
+
 def test_the_margins_and_bandwidths_of_an_unstable_loop_are_null(capsys, tmp_path, undrawn):
-    # Exact states at k/Φ = 1.3e4 1/s: docs/eq27_at_2ms.md.
+    # Exact states at k/Φ = 1.3e4 1/s: docs/controllers.md.
     command = ["linearize", "--set", "estimator={kind: exact}", "--set", "controller.phi_m_s2=24.4"]
     assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -181,6 +271,8 @@ def test_the_margins_and_bandwidths_of_an_unstable_loop_are_null(capsys, tmp_pat
     assert set(printed["margins"].values()) == {None}
     assert printed["bandwidth_hz"] is None
     assert printed["complementary_sensitivity_bandwidth_hz"] is None
+    (line,) = printed["verdict"]["lines"]
+    assert line.startswith("Not stable at 40°")
 
 
 def test_linearize_takes_values_of_the_scenario(capsys, tmp_path, undrawn):

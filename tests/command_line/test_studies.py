@@ -7,13 +7,16 @@ from kneexo.analysis.frequency_response import SinestreamSettings
 from kneexo.command_line.main import main
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
+from kneexo.rod_polynomial import completed
 from kneexo.studies.bandwidth import study as bandwidth
 from kneexo.studies.catalogue import STUDIES
 
 
 def test_bandwidth_measures_writes_and_leaves_no_checkpoint(capsys, tmp_path, small_map):
     out = tmp_path / "out"
-    assert main(["bandwidth", *small_map, "--workers", "1", "--out", str(out), "--json"]) == 0
+    assert (
+        main(["study", "bandwidth", *small_map, "--workers", "1", "--out", str(out), "--json"]) == 0
+    )
     printed = json.loads(capsys.readouterr().out)
     assert json.loads((out / "bandwidth.json").read_text()) == printed
     names = {file.name for file in out.iterdir()}
@@ -25,7 +28,7 @@ def test_an_interrupted_study_goes_on_with_identical_results(
     capsys, tmp_path, monkeypatch, undrawn, small_map
 ):
     whole, torn = tmp_path / "whole", tmp_path / "torn"
-    command = ["bandwidth", *small_map, "--workers", "1", "--out"]
+    command = ["study", "bandwidth", *small_map, "--workers", "1", "--out"]
     assert main([*command, str(whole)]) == 0
     measure, calls = bandwidth._measure, []
 
@@ -37,7 +40,11 @@ def test_an_interrupted_study_goes_on_with_identical_results(
 
     interrupted.__module__, interrupted.__qualname__ = measure.__module__, measure.__qualname__
     monkeypatch.setattr(bandwidth, "_measure", interrupted)
-    capsys.readouterr()
+    *findings, empty, files = capsys.readouterr().out.splitlines()
+    assert findings[0] == "Frequency response from small to large amplitudes"
+    assert findings[-1].startswith("Bandwidth (−3 dB): ")
+    assert max(map(len, findings)) <= 100
+    assert (empty, files) == ("", f"In {whole}: bandwidth.json, bandwidth.md")
     assert main([*command, str(torn)]) == 130
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("kneexo: interrupted; 3 finished pieces are kept in ")
@@ -76,11 +83,19 @@ def test_each_study_is_wired(capsys, tmp_path, study, replace_study):
 
 
 def test_json_of_a_sweep_says_version_scenario_and_settings(capsys, tmp_path, undrawn, small_map):
-    command = ["bandwidth", *small_map, "--set", "estimate.averaged_cycles=4", "--workers", "1"]
+    command = [
+        "study",
+        "bandwidth",
+        *small_map,
+        "--set",
+        "estimate.averaged_cycles=4",
+        "--workers",
+        "1",
+    ]
     assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["kneexo"] == kneexo.__version__
-    assert changed(Scenario(), printed["scenario"]) == Scenario()
+    assert changed(Scenario(), printed["scenario"]) == completed(Scenario())
     assert printed["settings"]["estimate"]["averaged_cycles"] == 4
 
 
@@ -97,7 +112,7 @@ def test_reproduce_takes_settings_of_fig_13(capsys, tmp_path, replace_study):
 
 
 def test_a_scalar_is_a_list_of_one(capsys, tmp_path, undrawn, small_map):
-    command = ["bandwidth", *small_map, "--set", "amplitudes_deg=1", "--workers", "1"]
+    command = ["study", "bandwidth", *small_map, "--set", "amplitudes_deg=1", "--workers", "1"]
     assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["settings"]["amplitudes_deg"] == [1.0]
 
@@ -126,7 +141,7 @@ def test_bad_settings_of_a_study_are_one_line_and_leave_nothing(
     capsys, tmp_path, arguments, message
 ):
     out = tmp_path / "out"
-    assert main(["bandwidth", *arguments, "--out", str(out)]) == 2
+    assert main(["study", "bandwidth", *arguments, "--out", str(out)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
     assert message in lines[0]
@@ -138,12 +153,15 @@ def test_bad_settings_of_a_study_are_one_line_and_leave_nothing(
     [
         ("estimate.tolerance=9", "estimate.tolerance = 9 is out of range"),
         ("estimate.tol=9", "estimate.tol: unknown name; known here: averaged_cycles"),
-        ("estimat.tolerance=9", "estimat.tolerance: there is no estimat"),
+        (
+            "estimat.tolerance=9",
+            "--set estimat.tolerance: unknown name estimat; did you mean estimate.tolerance?",
+        ),
         ("tol=9", "tol: unknown name; known here: amplitudes_deg"),
     ],
 )
 def test_faults_of_nested_settings_name_their_path(capsys, tmp_path, text, message):
-    assert main(["bandwidth", "--set", text, "--out", str(tmp_path / "out")]) == 2
+    assert main(["study", "bandwidth", "--set", text, "--out", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
 
 
@@ -151,7 +169,7 @@ def test_faults_of_nested_settings_name_their_path(capsys, tmp_path, text, messa
     ("text", "message"),
     [
         ("trials=0", "trials = 0 is out of range: must be finite and >= 1"),
-        ("trial=1", "trial: unknown name; known here: acceleration_limit_max_rad_s2"),
+        ("trial=1", "--set trial: unknown name; did you mean trials?"),
         ("frequencies_hz=[0.1, 0.2]", "frequencies_hz has 2 values: must have at least 3"),
         ("mass_min_kg=1.9", "mass_min_kg = 1.9 kg must not exceed mass_max_kg = 1.8 kg"),
     ],

@@ -16,7 +16,24 @@ def test_params_lists_every_number_with_unit_and_provenance(capsys):
     assert "Table" in mass["provenance"]
     assert all(row["provenance"] for row in rows.values())
     assert main(["params"]) == 0
-    assert "plant.pump.lag_s = 0.01 s" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert text.startswith(
+        "plant.pump:\n  speed_limit_rad_s = 523.5987756 rad/s  [0.1 … 5000]  Tab"
+    )
+    assert "\n\nuncertainty:\n  plant.cylinder.mass_kg = [1.4, 1.8]" in text
+
+
+def test_params_finds_what_the_scenario_changes(capsys, scenario_file):
+    path = scenario_file("plant: {cylinder: {mass_kg: 2}}")
+    assert main(["params", path, "--find", "yours"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("plant.cylinder.mass_kg = 2 kg  [0.01 … 1000]\n    yours (paper: 1.6; ")
+    assert text.count(" = ") == 1
+    assert main(["params", path, "--find", "yours", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["parameters"]
+    assert (row["value"], row["default"]) == (2.0, 1.6)
+    assert main(["params", path, "--find", "zzz"]) == 2
+    assert capsys.readouterr().err.startswith("kneexo: --find zzz: no parameter has this text")
 
 
 def test_params_prints_a_scenario_file_that_loads(capsys, tmp_path):
@@ -34,7 +51,7 @@ def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenar
         listed.append({row["parameter"] for row in rows})
     everything, of_file = listed
     assert "controller(pid).integral_per_s2" in everything
-    assert "bandwidth: amplitudes_deg" in everything
+    assert "study bandwidth: amplitudes_deg" in everything
     assert "reproduce, Fig. 13: trials" in everything
     assert "controller.integral_per_s2" in of_file
     assert not any("(" in name or ":" in name for name in of_file)
@@ -71,7 +88,7 @@ def test_diagram_draws_with_graphviz(capsys, tmp_path, monkeypatch):
 def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "7")
-    assert main(["cache"]) == 0
+    assert main(["setup", "cache"]) == 0
     assert "entries    0\n" in capsys.readouterr().out
     assert not (tmp_path / "cache").exists()
     for age_s in range(6):
@@ -79,14 +96,14 @@ def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
         used_last = cache.cache_entries()[0].path
         os.utime(used_last, (1e9 - age_s, 1e9 - age_s))
     newest, *_, oldest = cache.cache_entries()
-    assert main(["cache", "--json"]) == 0
+    assert main(["setup", "cache", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["directory"] == str(tmp_path / "cache")
     assert printed["limit_bytes"] == 7 * 2**20
     assert printed["size_bytes"] == sum(entry["size_bytes"] for entry in printed["entries"])
     assert [entry["last_use_s"] for entry in printed["entries"]] == [1e9 - age for age in range(6)]
     assert printed["entries"][0]["name"] == newest.path.name
-    assert main(["cache"]) == 0
+    assert main(["setup", "cache"]) == 0
     text = capsys.readouterr().out
     assert f"directory  {tmp_path / 'cache'}\nentries    6\n" in text
     assert "size       6.0 of at most 7 MiB" in text
@@ -94,11 +111,11 @@ def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
     assert "1024.0 KiB" in text
     assert newest.path.name in text
     assert oldest.path.name not in text
-    assert main(["cache", "--clear"]) == 0
+    assert main(["setup", "cache", "--clear"]) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'cache'}: 6 entries deleted\n"
     assert list((tmp_path / "cache").iterdir()) == []
     cache.store("key", b"code")
-    assert main(["cache", "--clear", "--json"]) == 0
+    assert main(["setup", "cache", "--clear", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == {
         "kneexo": kneexo.__version__,

@@ -23,6 +23,9 @@ def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):
     printed = capsys.readouterr()
     assert json.loads(printed.out)["runs"] == ["the paper's setup, simulation.duration_s=0.5"]
     assert all(line.startswith("compiling") for line in printed.err.splitlines())
+    assert main(["view", "--out", str(page), *short, "--preset", "bench", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["runs"] == ["preset bench, simulation.duration_s=0.5"]
     assert MARK in page.read_text()
     assert main(["view", "--out", str(page), *short]) == 0  # its own page may be replaced
     other = tmp_path / "other.html"
@@ -123,4 +126,4 @@ def test_a_fault_of_a_run_does_not_name_the_run_before(tmp_path, capsys, finishe
     good.write_text("simulation: {duration_s: 0.1}\n")
     empty.mkdir()
     assert main(["view", str(good), str(empty), "--out", str(tmp_path / "knee.html")]) == 2
-    assert capsys.readouterr().err.startswith(f"kneexo: {empty}/scenario.yaml: cannot be read")
+    assert capsys.readouterr().err.startswith(f"kneexo: {empty}: has no scenario.yaml; must be")

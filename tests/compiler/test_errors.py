@@ -18,6 +18,7 @@ def test_a_message_is_a_single_printable_line():
         (errors.SimulationError, RuntimeError),
         (errors.StiffnessError, errors.SimulationError),
         (errors.OutputError, OSError),
+        (errors.ResultError, KeyError),
         (errors.CompilationError, TypeError),
     ],
 )

@@ -29,7 +29,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo.compiler import InputTable, State, compile_by_key, compile_diagram
-from kneexo.compiler.errors import CompilationError, SimulationError
+from kneexo.compiler.errors import CompilationError, ResultError, SimulationError
 
 # ------------------------------------------------------------------- diagrams of the user
 
@@ -207,6 +207,8 @@ def test_a_run_may_record_nothing_but_time(servo):
     model, parameters, state = servo
     run = model.simulate(parameters, state, 0.01, record_period_s=0.002, outputs=())
     assert repr(run) == "Simulation(6 records of nothing)"
+    with pytest.raises(ResultError, match=r"^output 'x': was not recorded; recorded outputs: none"):
+        run["x"]
 
 
 def test_a_batch_over_references(multirate):

@@ -185,7 +185,7 @@ def test_ten_million_inputs_leave_no_trace(tmp_path, tool, precision):
 
 # ---------------------------------------------------------------------- what it may contain
 
-DEVIATIONS = Path(__file__).parents[2] / "docs" / "misra.md"
+DEVIATIONS = Path(__file__).parents[2] / "docs" / "firmware.md"
 FORBIDDEN = re.compile(
     r"\b(u?int8_t|char|sizeof|[mc]alloc|free|goto|while|do|union|volatile)\b|\b(mem|str)\w+\("
 )
@@ -223,7 +223,7 @@ def misra_rules(folder, cppcheck):
 
 
 def listed_rules(tables):
-    (table,) = tables(DEVIATIONS.read_text())
+    (table,) = (t for t in tables(DEVIATIONS.read_text()) if t[0][0] == "rule")
     return {row[0] for row in table[1:]}
 
 

@@ -127,7 +127,7 @@ def test_every_port_has_names_in_c_that_end_in_a_unit(what):
 )
 def test_a_step_follows_the_fastest_pole_at_the_start(plant):
     scenario = scenario_of(plant=plant)
-    fastest_per_s = np.abs(linearize_plant(scenario.plant, 10.0).poles).max()
+    fastest_per_s = np.abs(linearize_plant(scenario.plant, knee_angle_deg=10.0).poles).max()
     for what in ("plant", "loop"):
         assert largest_step_s(scenario, what) == pytest.approx(0.2 / fastest_per_s, rel=1e-3)
 

@@ -55,9 +55,9 @@ def test_units_are_rpm_outside_and_rad_s_inside():
         ),
         (
             {"velocity_unit_rpm": 1},
-            "bus.velocity_unit_rpm: unknown name; known here: kind, latency_samples",
+            "bus.velocity_unit_rpm: unknown name; needs bus.kind = cia402",
         ),
-        ({"kind": "can"}, "bus.kind = 'can': must be 'none', 'cia402'"),
+        ({"kind": "can"}, "bus.kind = 'can': must be 'none' or 'cia402'; did you mean cia402?"),
     ],
 )
 def test_a_fault_is_one_line(bus, line):

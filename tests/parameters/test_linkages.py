@@ -22,5 +22,5 @@ def test_linkage_may_be_named() -> None:
 
 
 def test_an_unknown_name_of_a_linkage_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ParameterError, match="linkage: 'G9' must be one of G1, G2, G3"):
+    with pytest.raises(ParameterError, match="linkage = 'G9': must be G1, G2, G3, G4 or a mapping"):
         PlantParameters(linkage="G9")

@@ -9,6 +9,7 @@ from kneexo.parameters import (
     G2,
     CylinderParameters,
     KneeLoadParameters,
+    PidParameters,
     PlantParameters,
     Scenario,
 )
@@ -70,11 +71,15 @@ def test_changed_leaves_its_argument_alone() -> None:
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("plant.pomp.lag_s", 0.01, "plant.pomp.lag_s: this scenario has no plant.pomp"),
-        ("plant.full_order.dead_volume_m3", 1e-6, "this scenario has no plant.full_order"),
+        (
+            "plant.pomp.lag_s",
+            0.01,
+            "plant.pomp.lag_s: unknown name plant.pomp; did you mean plant.pump.lag_s?",
+        ),
+        ("plant.full_order.dead_volume_m3", 1e-6, "set plant.full_order = true too"),
         ("plant.pump.lg_s", 0.01, "plant.pump.lg_s: unknown name"),
         ("plant.pump.lag_s", -1.0, "plant.pump.lag_s = -1 s is out of range"),
-        ("bus.latency_samples", 1.5, "bus.latency_samples = 1.5 samples: must be a valid integer"),
+        ("bus.latency_samples", 1.5, "bus.latency_samples = 1.5 samples: must be a whole number"),
         ("reference.mean_deg", 80.0, "leaves the range of motion"),
     ],
 )
@@ -110,3 +115,24 @@ def test_a_path_of_another_structure_is_known_but_absent(
 ) -> None:
     assert has_path(Scenario(), path) is exists
     assert known_path(path) is is_known
+
+
+def test_the_order_of_the_paths_does_not_matter() -> None:
+    values = {"controller.proportional_per_s": 3.0, "controller.kind": "pid"}
+    for items in (values.items(), reversed(values.items())):
+        assert changed(Scenario(), dict(items)).controller == PidParameters(proportional_per_s=3.0)
+    whole = {"plant.cylinder.mass_kg": 2.0, "plant": PlantParameters(ideal_motor=True)}
+    plant = changed(Scenario(), whole).plant
+    assert (plant.cylinder.mass_kg, plant.ideal_motor) == (2.0, True)
+
+
+def test_the_same_kind_keeps_the_values_of_a_part() -> None:
+    base = Scenario(controller=PidParameters(integral_per_s2=7.0))
+    assert changed(base, {"controller.kind": "pid"}) == base
+    assert changed(base, {"controller.kind": "smc"}).controller == Scenario().controller
+
+
+@pytest.mark.parametrize("values", [3, {3: 2}, "plant"])
+def test_values_that_are_no_mapping_are_refused(values) -> None:
+    with pytest.raises(ParameterError, match="must have a mapping from paths to values"):
+        changed(Scenario(), values)

@@ -13,6 +13,7 @@ from kneexo.parameters import (
     SineReference,
     gait_reference,
 )
+from kneexo.parameters.scenario_file import load_scenario
 
 
 def csv_file(directory: Path, text: str) -> CsvReference:
@@ -32,7 +33,10 @@ def test_csv_reference_reads_two_columns(tmp_path: Path) -> None:
     ("text", "line"),
     [
         ("", "gait.csv: is empty"),
-        ("t,hip\n0,1\n", "gait.csv: has no column 'knee'; it has t, hip"),
+        (
+            "t,hip\n0,1\n",
+            "gait.csv: has no column 'knee'; it has t, hip; give its names as time: and angle:",
+        ),
         ("t,knee\n0,1\n1,two\n", "gait.csv:3: knee: 'two'; must be a finite number"),
         ("t,knee\n0,1\n1\n", "gait.csv:3: knee: no value; must be a finite number"),
         ("t,knee\n0,1\n1,2\n", "gait.csv: times_s has 2 values: must have at least 3"),
@@ -52,6 +56,19 @@ def test_faults_of_a_csv_reference_name_file_and_line(tmp_path: Path, text: str,
     assert str(caught.value).startswith(f"{tmp_path}/{line}")
 
 
+def test_the_path_of_a_csv_file_is_a_reference(tmp_path, monkeypatch) -> None:
+    (tmp_path / "gait.csv").write_text("time_s,knee_angle_deg\n0,10\n1,20\n2,15\n")
+    samples = SampledReference(times_s=(0.0, 1.0, 2.0), angles_deg=(10.0, 20.0, 15.0))
+    monkeypatch.chdir(tmp_path)
+    assert Scenario(reference="gait.csv").reference == samples
+    with pytest.raises(ParameterError, match=r"none\.csv: cannot be read: No such file"):
+        Scenario(reference="none.csv")
+    file = tmp_path / "folder" / "knee.yaml"
+    file.parent.mkdir()
+    file.write_text("reference: ../gait.csv")
+    assert load_scenario(file).reference == samples
+
+
 def test_a_missing_csv_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"none\.csv: cannot be read: No such file"):
         CsvReference(file="none.csv").samples(tmp_path)
@@ -62,7 +79,9 @@ def test_the_gait_curve_has_a_name() -> None:
     assert named.reference == gait_reference(0.5, 2)
     assert Scenario(reference="gait").reference == gait_reference(1.0, 30)
     assert Scenario(reference=GaitReference(cycles=4)).reference == gait_reference(1.0, 4)
-    with pytest.raises(ParameterError, match="reference: 'walk' must be gait, or a mapping"):
+    with pytest.raises(
+        ParameterError, match=r"reference = 'walk': must be sine, .*, gait, csv or a mapping"
+    ):
         Scenario(reference="walk")
     with pytest.raises(ParameterError, match="reference: cycles = 0 is out of range"):
         Scenario(reference={"kind": "gait", "cycles": 0})

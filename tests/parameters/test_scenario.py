@@ -12,7 +12,10 @@ from kneexo.parameters import (
     PlantParameters,
     SampledReference,
     Scenario,
+    SimulationParameters,
 )
+from kneexo.parameters.paths import changed
+from kneexo.parameters.scenario_file import dump_scenario, load_scenario
 from kneexo.studies.paper import IDEAL_SMC
 
 
@@ -40,3 +43,36 @@ def test_scenario_is_hashable_and_picklable(scenario: Scenario) -> None:
     assert copy == scenario
     assert hash(copy) == hash(scenario)
     assert len({scenario, copy, Scenario(bus={"latency_samples": 3})}) == 2
+
+
+TEN_SECONDS = SampledReference(times_s=(-1.0, 0.0, 4.0, 10.0), angles_deg=(20, 20, 40, 30))
+
+
+@pytest.mark.parametrize(
+    ("reference", "duration_s"),
+    [
+        ({"kind": "sine", "frequency_hz": 2.0}, 30.0),
+        ({"kind": "step"}, 30.0),
+        (TEN_SECONDS, 10.0),
+        ({"kind": "gait", "frequency_hz": 0.8, "cycles": 3}, 3.75),
+        (SampledReference(times_s=(-3, -2, -1), angles_deg=(5, 6, 7)), 30.0),
+    ],
+    ids=["sine", "step", "samples", "gait", "past samples"],
+)
+def test_a_run_ends_with_the_samples_of_its_reference(reference, duration_s) -> None:
+    scenario = Scenario(reference=reference)
+    assert scenario.duration_s == pytest.approx(duration_s, rel=1e-15)
+    assert scenario.with_duration().simulation.duration_s == scenario.duration_s
+    longer = changed(scenario, {"simulation.duration_s": 12.0})
+    assert longer.duration_s == 12.0
+    assert longer.with_duration() == longer
+
+
+def test_a_change_keeps_the_duration_open(tmp_path) -> None:
+    scenario = Scenario(simulation=SimulationParameters(integrator="rk4"))
+    copy = changed(scenario, {"reference": TEN_SECONDS, "simulation.step_s": 1e-3})
+    assert copy.duration_s == 10.0
+    for case in (copy, copy.with_duration()):
+        path = tmp_path / "case.yaml"
+        path.write_text(dump_scenario(case), encoding="utf-8")
+        assert load_scenario(path) == case

@@ -43,12 +43,13 @@ def test_schema_is_valid_and_names_its_draft(schema):
 
 
 def test_schema_names_sections_units_and_ranges(schema):
-    assert set(schema["properties"]) == set(Scenario.model_fields)
+    assert set(schema["properties"]) == {*Scenario.model_fields, "preset"}
+    assert schema["properties"]["preset"]["enum"] == ["paper", "bench", "leg"]
     mass = schema["$defs"]["CylinderParameters"]["properties"]["mass_kg"]
     assert mass["unit"] == "kg"
     assert mass["minimum"] == 0.01
     assert mass["maximum"] == 1000
-    assert mass["description"] == "kg; >= 0.01 and <= 1000; Tables 2 and 3: shank"
+    assert mass["description"].startswith("kg; >= 0.01 and <= 1000; Table 2: mass m of Eq. 16")
 
 
 def test_every_value_has_a_description(schema):
@@ -66,8 +67,16 @@ VALID = [
     "plant: {full_order: {entrained_air: 0.01}}",
     "reference: {frequency_hz: 0.2}",
     "reference: gait",
+    "reference: gait.csv",
     "reference: {kind: gait, cycles: 3}",
     "reference: {kind: samples, times_s: [0, 1, 2], angles_deg: [3, 4, 5], interpolation: pchip}",
+    *(f"controller: {word}" for word in ("smc", "pid")),
+    *(f"estimator: {word}" for word in ("observer", "difference", "exact")),
+    *(f"bus: {word}" for word in ("none", "cia402", "can")),
+    *(f"reference: {word}" for word in ("sine", "step", "ramp")),
+    *(f"plant: {{load: {word}}}" for word in ("none", "knee")),
+    "plant: {full_order: true}",
+    "plant: {full_order: false}",
     "estimator: {}",
     "bus: {latency_samples: 2}",
     "bus: {kind: cia402, velocity_unit_rpm: 1, latency_samples: 1}",
@@ -79,6 +88,7 @@ VALID = [
 def test_schema_accepts_what_loads(schema, text, tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text(text, encoding="utf-8")
+    (tmp_path / "gait.csv").write_text("time_s,knee_angle_deg\n0,1\n1,2\n2,3\n")
     load_scenario(path)
     assert errors(schema, text) == []
 
@@ -95,6 +105,12 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
         "controller: {proportional_per_s: 10}",
         "controller: {kind: pid, lambda_per_s: 10}",
         "reference: walk",
+        "reference: samples",
+        "reference: csv",
+        "controller: custom",
+        "controller: lqr",
+        "bus: CAN",
+        "plant: {full_order: 1}",
         "reference: {kind: csv}",
         "reference: {kind: samples, times_s: [0, 1], angles_deg: [3, 4]}",
         "bus: {latency_samples: 11}",

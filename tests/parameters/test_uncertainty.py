@@ -18,7 +18,8 @@ from kneexo.parameters import (
     Uncertainty,
     UncertaintySet,
 )
-from kneexo.parameters.paths import changed
+from kneexo.parameters.paths import changed, has_path
+from kneexo.parameters.presets import PRESETS
 from kneexo.parameters.scenario_file import load_uncertainty
 from kneexo.parameters.uncertainty import applicable, draw, realize
 from kneexo.studies.paper import PID_TUNED
@@ -76,18 +77,53 @@ def test_the_default_set_applies_to_the_default_scenario():
     assert applicable(UNCERTAIN_KNEE, UNCERTAINTY) == (UNCERTAINTY, ())
 
 
+def test_the_default_set_keeps_the_values_of_another_knee():
+    """Its ranges are about the paper's knee: they would turn a larger knee into the paper's."""
+    values = {
+        "plant.linkage.a_2_m": 0.0335,
+        "plant.cylinder.bore_m": 0.025,
+        "plant.full_order": {"coulomb_friction_n": 60.0},
+    }
+    larger = changed(UNCERTAIN_KNEE, values)
+    present, absent = applicable(larger, UNCERTAINTY)
+    assert absent == ("plant.cylinder.bore_m", "plant.linkage", "plant.full_order")
+    assert {**present.values, **{path: UNCERTAINTY.values[path] for path in absent}} == dict(
+        UNCERTAINTY.values
+    )
+    for values in draw(present, 20, seed=1):
+        plant = realize(larger, present, values).plant
+        assert plant.linkage == larger.plant.linkage
+        assert plant.cylinder.bore_m == 0.025
+    # A set of the user's own means what it says.
+    chosen = UncertaintySet(values={"plant.linkage": UNCERTAINTY.values["plant.linkage"]})
+    assert applicable(larger, chosen) == (chosen, ())
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_default_set_varies_every_value_of_a_preset(preset):
+    scenario = Scenario.preset(preset)
+    _, absent = applicable(scenario, UNCERTAINTY)
+    assert all(not has_path(scenario, path) for path in absent)
+
+
 FAULTS = {
     "": (None, "has no uncertain values"),
     "# nothing\n": (None, "has no uncertain values"),
     "- 1": (1, "the top level must be a mapping, not a list"),
-    "plant.cylinder.mass_kg: 1.6": (1, "plant.cylinder.mass_kg: must have low and high"),
+    "plant.cylinder.mass_kg: 1.6": (
+        1,
+        r"plant.cylinder.mass_kg: must be {low: …, high: …} or {options: \[…\]}",
+    ),
     "\n\nplant.cylinder.mas_kg: {low: 1, high: 2}": (3, "plant.cylinder.mas_kg: unknown name"),
     "plant.cylinder.mass_kg: {low: 1, high: 2}\nfoo: {low: 1, high: 2}": (2, "foo: unknown name"),
-    "plant.cylinder.mass_kg.x: {low: 1, high: 2}": (1, "this scenario has no"),
-    "plant.cylinder.mass_kg:\n  low: 1.4\n  hihg: 1.8": (3, "mass_kg.hihg: unknown name; .*'high'"),
+    "plant.cylinder.mass_kg.x: {low: 1, high: 2}": (1, "mass_kg is a single value"),
+    "plant.cylinder.mass_kg:\n  low: 1.4\n  hihg: 1.8": (
+        3,
+        r"mass_kg\.hihg: unknown name; did you mean high\?",
+    ),
     "plant.cylinder.mass_kg:\n  low: a\n  high: 1": (
         2,
-        "mass_kg.low = 'a': must be a valid number",
+        "mass_kg.low = 'a': must be a number",
     ),
     "plant.cylinder.mass_kg: {low: 1.4}": (1, "mass_kg: must have either low and high, or options"),
     "plant.cylinder.mass_kg: {low: 2, high: 1}": (1, "mass_kg: low = 2 must be below high = 1"),
@@ -99,7 +135,7 @@ FAULTS = {
         "bus.latency_samples = 11 samples is out of range",
     ),
     "plant.pump.lag_s: {low: 0, high: 1, scale: log}": (1, "lag_s: low = 0 must be > 0"),
-    "plant.linkage: {options: [G1, G9]}": (1, "plant.linkage: 'G9' must be one of"),
+    "plant.linkage: {options: [G1, G9]}": (1, "plant.linkage = 'G9': must be G1, G2"),
     "plant.linkage: {options: []}": (1, "must have either low and high, or options"),
     "bus.latency_samples: {options: [0], known: true}": (1, "known is for values of the plant"),
     "plant.pump: {options: [{}]}\nplant.pump.lag_s: {low: 0.01, high: 0.02}": (2, "lies within"),

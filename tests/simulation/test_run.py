@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from kneexo.errors import KneexoError
 from kneexo.parameters import SimulationParameters
 from kneexo.simulation.run import Run
 
@@ -15,8 +16,33 @@ def run():
 
 def test_a_column_is_read_by_its_name(run):
     np.testing.assert_array_equal(run["rod_force_n"], [3.0, 4.0])
-    with pytest.raises(KeyError, match="time"):
-        run["time"]
+    np.testing.assert_array_equal(run["time_s"], [0.0, 0.002])
+
+
+@pytest.mark.parametrize(
+    ("column", "message"),
+    [
+        (
+            "knee",
+            "column 'knee' is unknown; did you mean knee_angle_rad?",
+        ),
+        (
+            "load_pressure_pa",
+            "column 'load_pressure_pa': the run has not logged it; add all_signals=True to track, "
+            "or its signal to the signals of simulate",
+        ),
+        (
+            "rod",
+            "column 'rod' is unknown; did you mean rod_force_n?",
+        ),
+        (3, "column 3 is unknown; the run has time_s, knee_angle_rad, rod_force_n"),
+    ],
+)
+def test_an_unknown_column_is_answered_in_one_line(run, column, message):
+    with pytest.raises(KeyError) as caught:
+        run[column]
+    assert isinstance(caught.value, KneexoError)
+    assert str(caught.value) == message
 
 
 def test_time_is_the_first_column(run):

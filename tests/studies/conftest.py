@@ -1,11 +1,13 @@
 """Shared by the tests of studies: what a row must hold, from runs and margins without a study."""
 
 import math
+from unicodedata import combining
 
 import numpy as np
 import pytest
 
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.command_line.plain_text import head_of, plain_text
 from kneexo.simulation.engines import simulate
 
 
@@ -26,7 +28,7 @@ def _in_numbers(scenario, period_s):
 
 
 def _margins(scenario, angle_deg):
-    loop = linearize_loop(scenario, angle_deg)
+    loop = linearize_loop(scenario, knee_angle_deg=angle_deg)
     names = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
     values = loop.margins() if loop.stable else None
     return {"stable": float(loop.stable)} | {
@@ -44,3 +46,18 @@ def in_numbers():
 def margins():
     """The function ``margins(scenario, angle_deg)``: of the sampled loop; nan if unstable."""
     return _margins
+
+
+@pytest.fixture(scope="session")
+def check_screen():
+    """The function ``check_screen(report)``: the lines that the command prints about a study."""
+
+    def check(report, most=18):
+        lines = plain_text(head_of(report)).splitlines()
+        assert 5 <= len(lines) <= most  # an empty line and the files follow
+        assert max(sum(not combining(letter) for letter in line) for line in lines) <= 100
+        assert lines[0] == report.splitlines()[0].removeprefix("# ")
+        assert "\x1b" not in "".join(lines)
+        return lines
+
+    return check

@@ -1,13 +1,16 @@
 """The catalogue: a study needs a template at least."""
 
 import importlib
+import inspect
 import sys
+from pathlib import Path
 
 import pytest
 
 import kneexo.studies
+from kneexo.analysis.frequency_response import sinestream
 from kneexo.studies import template
-from kneexo.studies.catalogue import STUDIES, Study
+from kneexo.studies.catalogue import FIGURES, FILES, STUDIES, Study
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -29,3 +32,14 @@ def test_a_study_without_a_module_for_its_report_fills_its_template(tmp_path, mo
         assert Study("smallest", "smallest", "").report({"title": "Small"}) == "# Small\n"
     finally:
         sys.modules.pop("kneexo.studies.smallest", None)
+
+
+@pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
+def test_each_stage_is_the_description_of_a_progress_bar(study):
+    sources = [*(Path(kneexo.studies.__path__[0]) / study.name).glob("*.py")]
+    sources.append(Path(inspect.getfile(sinestream)))
+    text = "".join(path.read_text(encoding="utf-8") for path in sources)
+    *bars, figures, files = [stage.name for stage in study.stages]
+    assert (figures, files) == (FIGURES, FILES)
+    assert [name for name in bars if f'"{name.removeprefix("orders: ")}"' not in text] == []
+    assert study.duration_s == sum(stage.duration_s for stage in study.stages)

@@ -279,6 +279,8 @@ def test_results_before_the_death_of_a_worker_are_stored(tmp_path, monkeypatch):
     with pytest.raises(WorkerError, match="a worker process died") as caught:
         parallel_map(square_or_die, items, workers=2, checkpoint=Checkpoint(path))
     assert "\n" not in str(caught.value)
+    assert "use fewer workers" in str(caught.value)
+    assert 'below if __name__ == "__main__":' in str(caught.value)
     stored = Checkpoint(path)
     assert 1 <= len(stored) < len(items)
     monkeypatch.delenv("KNEEXO_TEST_CHECKPOINT")

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
+from kneexo.compiler import read_diagram
+from kneexo.compiler.c.plan import compensated_sums
+from kneexo.compiler.c.printer import FLOAT
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     BldcPumpParameters,
@@ -200,6 +203,24 @@ def test_back_calculation_keeps_the_integral_of_a_saturated_error_bounded():
     assert state[1] == pytest.approx(limited_rate - k_p * error + k_i * t_t * error, rel=1e-6)
     without = 1000 * T * k_i * error
     assert abs(state[1]) < 0.1 * without
+
+
+def test_a_saturated_controller_without_integral_action_keeps_no_memory_of_its_limit():
+    system = PidController()  # K_p alone
+    state = np.zeros(3)
+    for _ in range(1000):
+        state = update(system, 0.5, 1.5, state=state)
+    assert state[0] == pytest.approx(-LIMIT)
+    assert state[1] == 0.0
+    for _ in range(1000):  # 100 time constants of the filter
+        state = update(system, 0.5, 0.5, state=state)
+    assert state[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_integral_is_a_sum_that_exported_c_compensates():
+    inputs = ("knee_angle", "knee_reference", "rod_reference")
+    equations = read_diagram(PidController(), inputs=inputs)
+    assert 1 in compensated_sums(equations.equations, FLOAT)
 
 
 def test_derivative_reads_the_slope_of_a_ramp_once_its_filter_has_settled():

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from functools import cache
 from multiprocessing import parent_process
 from pathlib import Path
-from threading import RLock, Timer
+from threading import Event, RLock, Timer
 
 from ..equations.equations import Equations
 from ..equations.passes import Layout, Program
@@ -26,6 +26,7 @@ ANNOUNCED_AFTER_S = 1.0
 
 _lock = RLock()  # two threads may ask for the same code
 _libraries: dict[str, Library] = {}
+_announcement = Event()  # set when this process has said that it compiles
 _layouts: dict[str, Layout] = {}
 
 
@@ -110,14 +111,19 @@ class MachineCode:
 def _announced() -> Iterator[None]:
     """Context manager: print a line on stderr if its body takes more than `ANNOUNCED_AFTER_S`.
 
-    Worker processes print nothing.
+    A process prints the line once. Worker processes print nothing.
     """
-    if parent_process() is not None:
+    if parent_process() is not None or _announcement.is_set():
         yield
         return
     line = f"compiling equations; machine code is kept in {entries.cache_directory()}"
-    # A wait without a word looks like a hang; there is no logger to say it.
-    timer = Timer(ANNOUNCED_AFTER_S, lambda: print(line, file=sys.stderr, flush=True))  # noqa: T201
+
+    def announce() -> None:
+        _announcement.set()
+        # A wait without a word looks like a hang; there is no logger to say it.
+        print(line, file=sys.stderr, flush=True)  # noqa: T201
+
+    timer = Timer(ANNOUNCED_AFTER_S, announce)
     timer.daemon = True
     timer.start()
     try:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -10,6 +13,7 @@ import numpy as np
 from kneexo.analysis.bandwidth import rod_limits
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.studies.bandwidth.study import BandwidthResult
+from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 
 _DRIFT_DEG = 1.0
@@ -18,11 +22,9 @@ _DRIFT_DEG = 1.0
 
 def report(result: BandwidthResult) -> str:
     """Return the Markdown report on the frequency response at all amplitudes."""
-    limits: dict[str, list[str]] = {}
     rows = []
     for i, amplitude in enumerate(result.amplitudes_deg):
         lowest, expected_hz = result.decided_by(i)
-        limits.setdefault(lowest, []).append(f"{amplitude:g}°")
         bandwidths = {name: values[i] for name, values in result.bandwidths.items()}
         ratio = bandwidths["measured_hz"] / expected_hz
         rows.append({"amplitude_deg": amplitude, "lowest": lowest, "ratio": ratio} | bandwidths)
@@ -32,7 +34,7 @@ def report(result: BandwidthResult) -> str:
         "bandwidth/report.md",
         result=result,
         rows=rows,
-        limits=limits,
+        limits=[_limit(name, list(group)) for name, group in groupby(rows, itemgetter("lowest"))],
         mean_deg=require_sine(result.scenario).mean_deg,
         smallest_deg=result.amplitudes_deg[0],
         unsettled=int(np.sum(~result.cells["settled"] & np.isfinite(result.gain_db))),
@@ -46,6 +48,24 @@ def report(result: BandwidthResult) -> str:
         ),
         drift=_drift(result),
     )
+
+
+def _limit(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """Return texts with the ranges of neighbouring amplitudes that the same limit decides.
+
+    Each range goes from the smallest to the largest amplitude.
+    """
+
+    def ends(key: str, form: str) -> str:
+        texts = [number(rows[n][key], form) for n in (0, -1)]
+        return "…".join(dict.fromkeys(texts))
+
+    return {
+        "name": name,
+        "range_deg": ends("amplitude_deg", "g"),
+        "measured_hz": ends("measured_hz", ".4g"),
+        "ratio": ends("ratio", ".3g"),
+    }
 
 
 def _drift(result: BandwidthResult) -> dict[str, Any]:

@@ -37,7 +37,7 @@ from kneexo.sweeps import SweepOptions, open_sweep
 
 
 class BandwidthSettings(Parameters):
-    """Settings of ``kneexo bandwidth``: the reference's sines, and how to measure the response."""
+    """Settings of ``kneexo study bandwidth``: sines of the reference, and their measurement."""
 
     amplitudes_deg: tuple[float, ...] = quantities(
         (0.1, 0.3, 1.0, 3.0, 10.0, 30.0),
@@ -290,7 +290,7 @@ def bandwidth_study(
         "",
     )
     try:
-        loop = linearize_loop(scenario, mean_deg)
+        loop = linearize_loop(scenario, knee_angle_deg=mean_deg)
         linear_hz, linear = loop.bandwidth_hz(), loop.output_response(frequencies)
     except LinearizationError as error:
         failure = str(error)

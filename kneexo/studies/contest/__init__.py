@@ -1,9 +1,11 @@
 """Study `contest`: SMC and PID, tuned alike, on uncertain plants."""
 
 from kneexo.studies.contest.study import (
-    Contestant as Contestant,
-    ContestResult as ContestResult,
-    ContestSettings as ContestSettings,
-    Tuning as Tuning,
-    contest_study as contest_study,
+    Contestant,
+    ContestResult,
+    ContestSettings,
+    Tuning,
+    contest_study,
 )
+
+__all__ = ["ContestResult", "ContestSettings", "Contestant", "Tuning", "contest_study"]

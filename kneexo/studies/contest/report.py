@@ -27,6 +27,8 @@ def report(result: ContestResult) -> str:
         other=result.settings.other_reference,
         summary=result.summary(),
         rows={label: (name, ".3g") for name, label in COLUMNS.items()},
+        decisive=[{"name": name} | metrics for name, metrics in result.summary().items()],
+        unconverged=sum(not (t.converged and t.feasible) for t in result.tunings),
         winners={
             COLUMNS[metric]: names
             for metric, names in result.winners().items()

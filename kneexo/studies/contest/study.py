@@ -20,7 +20,7 @@ import scipy
 from pydantic import Field
 
 from kneexo.analysis.assessment import assess
-from kneexo.errors import SimulationError
+from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
     UNCERTAINTY,
@@ -253,9 +253,10 @@ def contest_study(
     searches but reads finished runs from the checkpoint. If a search does not converge, no error is
     raised, and ``Tuning.converged`` is False.
 
-    Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, and
-    if the scenario has none of the values. Raises `SimulationError` if the default SMC fails on a
-    training plant, because its chattering is the budget of the tuning.
+    Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, if
+    the scenario has none of the values, and if its controller is one of the user. Raises
+    `SimulationError` if the default SMC fails on a training plant, because its chattering is the
+    budget of the tuning.
     """
     with open_sweep(**options) as sweep:
         return _contest(scenario, uncertainty, settings, sweep)
@@ -264,6 +265,11 @@ def contest_study(
 def _contest(
     scenario: Scenario, uncertainty: UncertaintySet, settings: ContestSettings, sweep: Sweep
 ) -> ContestResult:
+    if scenario.controller.kind in ("law", "custom"):
+        raise ParameterError(
+            f"controller.kind = {scenario.controller.kind}: the contest replaces the controller by "
+            f"SMC and PID; the tutorial 'A fair contest' tunes and compares a law of the user"
+        )
     uncertainty, left_out = applicable(scenario, uncertainty)
     base = changed(scenario, {"simulation.duration_s": settings.duration_s})
     training = [{}, *draw(uncertainty, settings.training_samples, settings.training_seed)]
@@ -284,17 +290,16 @@ def _contest(
     budget = float(np.mean([values["mean_command_change_rpm"] for values in changes]))
     judge = partial(objective_deg, budget, settings.least_disk_margin)
 
-    def tune(name: str, seed: int) -> Tuning:
+    def tune(name: str, seed: int, bar: Any) -> Tuning:
         contestant = settings.contestants[name]
-        size = settings.population * (settings.generations + 1)
-        with progress_bar(size, f"{name}, seed {seed}" if sweep.progress else None) as bar:
 
-            def objective(units: Array) -> Array:
-                items = [plants(_entrant(contestant, _gains(contestant, unit))) for unit in units]
-                bar.update(len(items))
-                return np.array(sweep.map(judge, items))
+        def objective(units: Array) -> Array:
+            items = [plants(_entrant(contestant, _gains(contestant, unit))) for unit in units]
+            energies = np.array(sweep.map(judge, items))
+            bar.update(len(items))
+            return energies
 
-            optimum, history = search(objective, len(contestant.gains), settings, seed)
+        optimum, history = search(objective, len(contestant.gains), settings, seed)
         energies = optimum.population_energies
         return Tuning(
             name,
@@ -307,9 +312,10 @@ def _contest(
             history_deg=tuple(history),
         )
 
-    tunings = tuple(
-        tune(name, seed) for name in settings.contestants for seed in settings.optimizer_seeds
-    )
+    searches = [(name, seed) for name in settings.contestants for seed in settings.optimizer_seeds]
+    evaluations = len(searches) * settings.population * (settings.generations + 1)
+    with progress_bar(evaluations, "tuning" if sweep.progress else None) as bar:
+        tunings = tuple(tune(name, seed, bar) for name, seed in searches)
     best = {
         name: min((t for t in tunings if t.contestant == name), key=lambda t: t.objective_deg)
         for name in settings.contestants
@@ -326,7 +332,7 @@ def _contest(
     test = [plant for entrant in entrants.values() for plant in plants(entrant, samples)]
     tested = sweep.map(assess, test, "test")
     at_task = [changed(plant, task) for plant in test]
-    other_reference = sweep.map(without_margins, at_task, "another task")
+    other_reference = sweep.map(without_margins, at_task, "other reference")
 
     def by_entrant(metrics: Sequence[Values]) -> dict[str, Sequence[Values]]:
         n = len(samples)

@@ -1,7 +1,5 @@
 """Study `order`: the full-order against the reduced-order model of the cylinder."""
 
-from kneexo.studies.order.study import (
-    OrderResult as OrderResult,
-    OrderSettings as OrderSettings,
-    order_study as order_study,
-)
+from kneexo.studies.order.study import OrderResult, OrderSettings, order_study
+
+__all__ = ["OrderResult", "OrderSettings", "order_study"]

@@ -21,8 +21,8 @@ from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.plant_linearization import linearize_plant
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.signals import rms
-from kneexo.analysis.tracking import saturated_share, track
+from kneexo.analysis.signals import rms, saturated_share
+from kneexo.analysis.tracking import track
 from kneexo.errors import KneexoError, LinearizationError, ParameterError
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
@@ -255,7 +255,7 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
     at = in_order(scenario, order, force)
     row = FrequencyRow(order=order, disturbance_n=force, posture_deg=posture)
     try:
-        plant = linearize_plant(at.plant, posture, outputs=("rod_velocity",))
+        plant = linearize_plant(at.plant, knee_angle_deg=posture, outputs=("rod_velocity",))
         mode = plant.poles[np.argmax(plant.poles.imag)]
         oscillates = mode.imag > 0.0
         grid = np.geomspace(1.0, 1000.0, 400)
@@ -268,7 +268,7 @@ def frequency_row(scenario: Scenario, case: tuple[str, float, float]) -> dict[st
                 tuple(grid.tolist()), tuple(np.abs(plant.response(grid)).tolist())
             ),
         )
-        loop = linearize_loop(at, posture)
+        loop = linearize_loop(at, knee_angle_deg=posture)
         row = replace(row, stable=loop.stable)
         if loop.stable:
             margins = loop.margins()

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 from kneexo.parameters import RodPolynomialParameters
-from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
+from kneexo.studies.reproduce.comparison import (
+    DOES_NOT_HOLD,
+    HOLDS,
+    HOLDS_AS_PRINTED,
+    NOT_PRINTED,
+    Comparison,
+    compared,
+)
 from kneexo.studies.reproduce.study import ReproduceResult
 from kneexo.studies.template import filled
 
@@ -15,28 +23,34 @@ def report(result: ReproduceResult) -> str:
     """Return the report in Markdown, with each number of the paper beside the computed number."""
     numbers, table = result.results(), RodPolynomialParameters()
     table1 = numbers["table1"]
+    comparison = list(compared(numbers))
+    failing: dict[str, list[Comparison]] = {}
+    for row in comparison:
+        if row.judgement == DOES_NOT_HOLD:
+            failing.setdefault(row.because, []).append(row)
+    counts = Counter(row.judgement for row in comparison if row.judgement != NOT_PRINTED)
     return filled(
         "reproduce/report.md",
-        **numbers,
-        compared=_compared,
+        **numbers | {"comparison": comparison},
+        failing=failing,
+        counts=counts,
+        HOLDS=HOLDS,
+        HOLDS_AS_PRINTED=HOLDS_AS_PRINTED,
+        DOES_NOT_HOLD=DOES_NOT_HOLD,
+        quantity=lambda row: row.number.quantity,
+        unit=lambda row: row.number.unit,
+        paper=lambda row: "not printed" if row.paper is None else f"{row.paper:g}",
+        computed=lambda row: f"{row.computed:{row.number.form}}",
+        difference=lambda row: "" if row.difference is None else f"{row.difference:+.3g}",
+        judgement=lambda row: row.judgement if row.paper is not None else "",
+        method=lambda row: row.number.method,
         named=_named,
-        paper_bandwidth_hz=PAPER_BANDWIDTH_HZ,
         quintics=zip(
             *(table.p_mm_deg, table1["refit_p_mm_deg"]),
             *(table.q_deg_mm, table1["refit_q_deg_mm"]),
             strict=True,
         ),
     )
-
-
-def _compared(printed: float | None, computed: float, form: str) -> str:
-    """Return table cells with the paper's number, the computed number, and their difference.
-
-    ``printed`` is None if the paper does not print the number.
-    """
-    paper = "not printed" if printed is None else f"{printed:g}"
-    difference = "" if printed is None else f"{computed - printed:+.3g}"
-    return f"{paper} | {computed:{form}} | {difference}"
 
 
 def _named(cases: Mapping[str, Any]) -> list[dict[str, Any]]:

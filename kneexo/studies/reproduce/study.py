@@ -36,6 +36,7 @@ from kneexo.studies.paper import (
     FIG_13_SCALING,
     IDEAL_SMC,
 )
+from kneexo.studies.reproduce.comparison import compared
 from kneexo.sweeps import open_sweep
 
 ReproduceSettings = SinestreamSettings
@@ -64,7 +65,7 @@ class ReproduceResult(Result):
         peak_rpm, saturation_hz = speed_demand()
         response = self.fig13
         g4 = fit_polynomials(G4, start_deg=5.0, samples=FIG_5_POINTS)
-        return {
+        numbers = {
             "table1": {
                 "x_at_10deg_mm": float(np.polyval(table.p_mm_deg, 10.0)),
                 "x_at_70deg_mm": float(np.polyval(table.p_mm_deg, 70.0)),
@@ -137,6 +138,7 @@ class ReproduceResult(Result):
                 for name, tracked in self.eq27_differences.items()
             },
         }
+        return numbers | {"comparison": [row.as_dict() for row in compared(numbers)]}
 
 
 _RUNS: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...] = (
@@ -158,8 +160,8 @@ async def _call(task: partial[Any]) -> Any:
 
 def _cost(task: partial[Any]) -> float:
     """Estimate a run's number of solver steps, so that the workers get equal amounts of work."""
-    simulation = task.args[0].simulation
-    return simulation.duration_s / simulation.step_s
+    scenario = task.args[0]
+    return scenario.duration_s / scenario.simulation.step_s
 
 
 def reproduce_study(

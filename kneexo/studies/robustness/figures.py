@@ -252,7 +252,7 @@ def _loop(result: RobustnessResult, assessment: Assessment) -> SampledLoop | Non
     """Linearize an assessed plant's loop at the posture of `assess`. Return None if this fails."""
     try:
         plant = realize(result.scenario, result.uncertainty, assessment.values)
-        return linearize_loop(plant, plant.reference.middle_deg)
+        return linearize_loop(plant, knee_angle_deg=plant.reference.middle_deg)
     except KneexoError:
         return None
 

@@ -26,12 +26,16 @@ from kneexo.studies.template import filled
 
 _COMPARED = ("max_error_deg", "bandwidth_hz", "disk_margin")
 """Figures of merit whose worst corner the report shows."""
+_DISTRIBUTION_HEAD = ("metric", "nominal", "median", "5 %", "95 %", "worst sample", "worst corner")
+_STRONGEST = 2
+"""Largest number of uncertain values that the findings name for a figure of merit."""
 
 
 def report(result: RobustnessResult) -> str:
     """Return the report on a robustness study in Markdown."""
     names = short_names(result.uncertainty.values)
     merits = [merit for merit in _COMPARED if merit in result.merits]
+    distribution = {merit: _distribution(result, merit) for merit in result.merits}
     return filled(
         "robustness/report.md",
         result=result,
@@ -39,7 +43,9 @@ def report(result: RobustnessResult) -> str:
         names=names,
         known=[names[path] for path, span in result.uncertainty.values.items() if span.known],
         confidence_percent=100.0 * CONFIDENCE,
-        distribution=list(_distribution(result)),
+        distribution_head=_DISTRIBUTION_HEAD,
+        distribution=list(distribution.values()),
+        compared=[distribution[merit] for merit in merits],
         failures=[
             _failures("samples", result.samples),
             _failures("corners", result.corners),
@@ -64,19 +70,15 @@ def shown(value: Any) -> str:
     return "none" if value is None else str(value)
 
 
-def _distribution(result: RobustnessResult) -> Iterator[list[str]]:
-    """Yield a table row for each figure of merit.
+def _distribution(result: RobustnessResult, merit: str) -> list[str]:
+    """Return the table row of a figure of merit, with the cells of `_DISTRIBUTION_HEAD`.
 
-    The cells are label, nominal value, median, 5 % and 95 % quantiles of the samples, the worst
-    value of the samples, and the worst value of the corners.
+    The quantiles are those of the samples.
     """
-    for merit in result.merits:
-        values = [merit_value(result.nominal, merit)]
-        values += [quantile(result.samples, merit, share) for share in (0.5, 0.05, 0.95)]
-        values += [
-            worst_value(assessments, merit) for assessments in (result.samples, result.corners)
-        ]
-        yield [MERITS[merit].label, *map(shown, values)]
+    values = [merit_value(result.nominal, merit)]
+    values += [quantile(result.samples, merit, share) for share in (0.5, 0.05, 0.95)]
+    values += [worst_value(assessments, merit) for assessments in (result.samples, result.corners)]
+    return [MERITS[merit].label, *map(shown, values)]
 
 
 def _failures(name: str, assessments: Sequence[Assessment]) -> dict[str, Any]:
@@ -123,7 +125,7 @@ def _importance(
     """Yield a table for each figure of merit. Each row describes an uncertain value.
 
     The value with the strongest correlation comes first. ``idle`` names the values whose
-    correlation does not exceed `chance` in magnitude.
+    correlation does not exceed `chance` in magnitude. ``strongest`` names the first values that do.
     """
     correlations = result.correlations()
     for merit in merits:
@@ -140,4 +142,10 @@ def _importance(
             rows.append([*row, "" if math.isnan(linear) else f"{linear:+.3g}"][: len(head)])
             if not abs(correlation[path]) > chance(span, len(result.samples)):
                 idle.append(names[path])
-        yield {"head": head, "rows": rows, "idle": idle}
+        strongest = [f"{name} {text.strip('*')}" for name, text, *_ in rows if name not in idle]
+        yield {
+            "head": head,
+            "rows": rows,
+            "idle": idle,
+            "strongest": ", ".join(strongest[:_STRONGEST]) or "none above chance",
+        }

@@ -30,7 +30,7 @@ from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 
 class RobustnessSettings(Parameters):
-    """Settings of ``kneexo robustness``: numbers of assessed plants, and parts of the study."""
+    """Settings of ``kneexo study robustness``: numbers of plants, and parts of the study."""
 
     samples: int = quantity(
         500,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import field_validator
 
 from kneexo.gait import GAIT_STRIDE_S
+from kneexo.parameters import SEAL_FRICTION_N
 from kneexo.parameters.quantity import (
     Parameters,
     ordered_limits,
@@ -85,7 +86,11 @@ class SizeSettings(Parameters):
         le=2e-3,
     )
     seal_friction_n: float = quantity(
-        40.0, "N", "assumption: as in UNCERTAINTY; a sized design must bear it", ge=0, le=1e5
+        SEAL_FRICTION_N,
+        "N",
+        "assumption: as in UNCERTAINTY; a sized design must bear it",
+        ge=0,
+        le=1e5,
     )
     wearer_torques_n_m: tuple[float, ...] = quantities(
         (-20.0, -10.0, 0.0, 10.0, 20.0),

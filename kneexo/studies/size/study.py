@@ -74,7 +74,7 @@ async def _at_reference(scenario: Scenario) -> dict[str, Any]:
         return [await awaitable(large_signal_bandwidth_hz, scenario)]
 
     async def small_signal() -> Sequence[float]:
-        loop = linearize_loop(scenario, require_sine(scenario).mean_deg)
+        loop = linearize_loop(scenario, knee_angle_deg=require_sine(scenario).mean_deg)
         return [loop.bandwidth_hz() if loop.stable else math.nan]
 
     async def tracking() -> Sequence[float]:

@@ -40,6 +40,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.result import Array
+from kneexo.rod_polynomial import controller_polynomial
 from kneexo.simulation import Run, awaitable, needs_runs, simulate
 from kneexo.studies.sliding.settings import SLIDING_LAW, SlidingSettings
 from kneexo.systems.sliding_mode_controller import sliding_variable
@@ -157,7 +158,7 @@ def sliding_rates(
     signals of `sliding_signals`. Raises `ParameterError` if the controller is no sliding mode.
     """
     lambda_ = sliding_mode(scenario).lambda_per_s
-    plant: Any = make_plant(scenario.plant, table_1=scenario.polynomial)
+    plant: Any = make_plant(scenario.plant, table_1=controller_polynomial(scenario))
     automatic = plant.ToAutoDiffXd()
     context, seeded = plant.CreateDefaultContext(), automatic.CreateDefaultContext()
     rod_state = automatic.GetOutputPort("rod_state")
@@ -296,7 +297,7 @@ async def _longest_run(scenario: Scenario) -> tuple[Run, str]:
 
     The failure is an empty text if the first run succeeds.
     """
-    failure, duration = "", scenario.simulation.duration_s
+    failure, duration = "", scenario.duration_s
     while True:
         shortened = changed(scenario, {"simulation.duration_s": duration})
         try:

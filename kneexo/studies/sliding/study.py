@@ -23,6 +23,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.result import Result
+from kneexo.rod_polynomial import controller_polynomial
 from kneexo.studies.sliding.condition import SlidingMeasurement, check_sliding
 from kneexo.studies.sliding.settings import SLIDING_LAW, SlidingSettings
 from kneexo.sweeps import SweepOptions, open_sweep
@@ -195,7 +196,8 @@ def needed_eta(scenario: Scenario = SLIDING_LAW) -> NeededEta:
     angle = math.radians(reference.mean_deg) - amplitude * np.cos(phase)
     rate = 2.0 * math.pi * reference.frequency_hz * amplitude * np.sin(phase)
     none = 0.0 * phase
-    speed = np.abs(rod_derivatives(scenario.polynomial.p_si, (angle, rate, none, none))[1])
+    p_si = controller_polynomial(scenario).p_si
+    speed = np.abs(rod_derivatives(p_si, (angle, rate, none, none))[1])
     area = error_model(changed(scenario, {"plant.full_order": None})).stiffness_per_s2
     area *= oil.cap_area_m2 / oil.mean_area_m2 - 1.0
     return NeededEta(
@@ -275,7 +277,7 @@ def sliding_study(
             partial(check_sliding, settings),
             [case for _, case in labelled],
             "sliding condition",
-            weight=lambda case: case.simulation.duration_s,
+            weight=lambda case: case.duration_s,
         )
     return SlidingResult(
         cases=tuple(

@@ -21,7 +21,7 @@ class FmuInstance:
     """An FMU in FMPy, by names of variables, in either version of the standard."""
 
     def __init__(self, path, guid=None, name="knee"):
-        fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+        fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install '.[fmu]'")
         from fmpy import fmi2, fmi3
 
         self.description = fmpy.read_model_description(path)
@@ -102,7 +102,7 @@ class FmuInstance:
 @pytest.fixture(scope="session")
 def fmu_instance():
     """The class of FMU instances; skips without FMPy."""
-    pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    pytest.importorskip("fmpy", reason="needs FMPy: pip install '.[fmu]'")
     return FmuInstance
 
 

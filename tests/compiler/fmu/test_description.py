@@ -16,14 +16,14 @@ from kneexo.compiler.fmu.variables import VariableTable
 
 
 def test_description_is_valid(path):
-    pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    pytest.importorskip("fmpy", reason="needs FMPy: pip install '.[fmu]'")
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(path)) == []
 
 
 def test_variables_and_dependencies(fmu, path):
-    fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install 'kneexo[fmu]'")
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install '.[fmu]'")
     description = fmpy.read_model_description(path)
     assert description.guid == fmu.token
     assert (description.modelName, description.description) == ("lag", "a lag")

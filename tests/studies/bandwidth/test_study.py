@@ -99,7 +99,7 @@ def test_every_row_of_the_map_is_that_of_its_own_run(mapped, tables, check_cells
             if i == 0:
                 response, _ = projected(amplitude, frequency, quantized=False)
                 assert result.unquantized[j] == pytest.approx(response, rel=0.01)
-    loop = linearize_loop(Scenario(), 40.0)
+    loop = linearize_loop(Scenario(), knee_angle_deg=40.0)
     assert result.linear == pytest.approx(loop.output_response(np.array([2.5, 5.0, 12.5])))
     expected = []
     for amplitude, name in ((0.3, "linear loop"), (3.0, "speed limit")):

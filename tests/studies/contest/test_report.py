@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 from contest_cases import (
@@ -7,6 +8,9 @@ from contest_cases import (
 from kneexo.studies.contest.report import report
 from kneexo.studies.contest.study import (
     COLUMNS,
+    CONTESTANTS,
+    UNTUNED,
+    ContestSettings,
 )
 
 
@@ -23,7 +27,16 @@ def said_gains(contest, tuning):
 
 def test_every_cell_of_the_report_is_in_the_summary(contest, tables, check_cells):
     text, summary = report(contest), contest.summary()
-    outcome, tunings = tables(text)
+    findings, outcome, tunings = tables(text)
+    names = ("median_error_deg", "error_of_95_percent_deg", "worst_error_deg")
+    names += ("worst_command_change_rpm", "least_disk_margin", "unstable", "failed_runs")
+    check_cells(
+        findings, [[entrant, *(row[name] for name in names)] for entrant, row in summary.items()]
+    )
+    assert findings[0][1:] == [
+        *("median", "95 %", "worst", "command", "margin"),
+        *("unstable", "failed"),
+    ]
     assert outcome[0] == ["", *contest.entrants]
     check_cells(
         outcome,
@@ -50,6 +63,8 @@ def test_every_cell_of_the_report_is_in_the_summary(contest, tables, check_cells
     )
     settings, task = contest.settings, contest.settings.other_reference
     for sentence in (
+        f"least disk margin on {len(contest.samples)} new plants:",
+        f"margin ≥ {settings.least_disk_margin:g}): {', '.join(settings.contestants)}.",
         f"{len(contest.samples)} test plants, none",
         f"the other reference is {task.amplitude_deg:g}° at {task.frequency_hz:g} Hz, which",
         f"at most {settings.population * settings.generations + settings.population} evaluations",
@@ -60,12 +75,35 @@ def test_every_cell_of_the_report_is_in_the_summary(contest, tables, check_cells
         assert sentence in text
 
 
+def test_the_screen_has_the_findings(contest, check_screen):
+    lines = check_screen(report(contest))
+    if len(contest.settings.contestants) > 1:
+        assert lines[-1] == "Smaller error: SMC than PID on 75 % of the plants."
+
+
+def test_the_screen_holds_all_contestants_of_the_default_settings(check_screen):
+    small = made_up()
+    names = [*CONTESTANTS, *UNTUNED]
+    tested = dict.fromkeys(names, small.tested["SMC"])
+    contest = dataclasses.replace(
+        small,
+        settings=ContestSettings(),
+        tunings=small.tunings[:1],
+        entrants={name: {} for name in names},
+        tested=tested,
+        other_reference=tested,
+    )
+    first_cells = [line.strip().partition("  ")[0] for line in check_screen(report(contest))]
+    assert [cell for cell in first_cells if cell in names] == names
+
+
 def test_the_report_says_what_did_not_converge_or_fit():
     text = report(made_up())
+    assert "2 of 4 tunings did not converge or found no feasible gains" in text
     assert "| SMC | 2 | 0.2 | 64 | **no** |" in text
     assert "| PID | 1 | no feasible gains found |" in text
-    assert "SMC errs less than PID on 75 % of the plants" in text
+    assert "Smaller error: SMC than PID on 75 % of the plants." in text
     assert "- unstable:" not in text  # nobody was better there
     assert "| worst error (deg) | 0.4 | ∞ |" in text
     assert "∞" in text
-    assert "The scenario lacks plant.load.knee_torque_n_m." in text
+    assert "and so left out: plant.load.knee_torque_n_m." in " ".join(text.split())

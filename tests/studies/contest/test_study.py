@@ -94,7 +94,10 @@ def metric_of(scenarios, name):
 
 
 def disk_margins(scenarios):
-    return [linearize_loop(scenario, 40.0).margins().disk_margin for scenario in scenarios]
+    return [
+        linearize_loop(scenario, knee_angle_deg=40.0).margins().disk_margin
+        for scenario in scenarios
+    ]
 
 
 def test_a_candidate_within_its_limits_has_its_mean_error():
@@ -120,7 +123,7 @@ def test_violations_are_counted_and_ordered():
     less = objective_deg(change, 2.0 * high, scenarios)
     assert less == pytest.approx(90.0 * (2.0 - (low + high) / (4.0 * high)))
     unstable = plants(PidParameters(proportional_per_s=200.0), (LAGS[0],))
-    assert not linearize_loop(unstable[0], 40.0).stable
+    assert not linearize_loop(unstable[0], knee_angle_deg=40.0).stable
     none = objective_deg(1e6, 0.5, unstable)
     assert none == pytest.approx(2.0 * 90.0)
     chattering, wild = (objective_deg(share * change, low, scenarios) for share in (0.99, 1e-3))
@@ -295,6 +298,12 @@ def test_values_that_no_scenario_has_are_one_line():
     with pytest.raises(ParameterError, match=r"colour") as caught:
         contest_study(BASE, wrong, SMALL)
     assert "\n" not in str(caught.value)
+
+
+def test_a_law_of_the_user_is_sent_to_the_tutorial():
+    scenario = BASE.with_law(lambda rod_extension: -1.0)
+    with pytest.raises(ParameterError, match=r"controller.kind = law: .* 'A fair contest'"):
+        contest_study(scenario, settings=SMALL)
 
 
 def test_a_default_that_fails_sets_no_budget():

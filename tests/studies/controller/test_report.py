@@ -69,12 +69,28 @@ def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
     )
 
 
+def test_the_screen_has_the_findings(by_hand, check_screen):
+    text = report(by_hand)
+    lines = check_screen(text)
+    verdicts = [f"on {s} {c.verdict}" for s, c in zip("λΦη", by_hand.claims(), strict=True)]
+    assert lines[-1] == f"The paper's claims: {', '.join(verdicts)}."
+    for claim in by_hand.claims():
+        share, sound = (
+            "–" if math.isnan(value) else f"{100 * value:.0f} %"
+            for value in (claim.share, claim.sound_share)
+        )
+        assert (
+            f"- “{claim.quote}”: holds in {share} of {claim.cases} cases; "
+            f"between loops of disk margin ≥ 0.5 in {sound} of {claim.sound_cases}."
+        ) in text
+
+
 def test_the_words_have_the_largest_error_of_a_stable_loop(by_hand):
     text = report(by_hand)
     limit = Scenario().plant.pump.acceleration_limit_rad_s2
     demand = 31.0 * math.pi / 30.0 / 0.002 / limit
     for said in (
-        "30 points; 1 of them have a run that failed",
+        "1 of 30 points have a run that failed",
         f"mean change is {demand:.2g} times",
         "## A limit cycle: T_f = 8 ms, k/Φ = 10000 1/s",
         "brings a step of 2° to within ±0.2° of its end sooner",

@@ -165,7 +165,7 @@ def test_a_run_that_fails_leaves_nan_and_its_reason(monkeypatch):
     assert study.values["max_error_deg"][0, 0, 0] > 0.0
     assert {case.failure for case in study.limit_cycle} == set(study.failures.values())
     assert all(math.isnan(case.max_error_deg) for case in study.limit_cycle)
-    assert "1 of them have a run that failed" in report(study)
+    assert " points have a run that failed" in report(study)
     for figure in figures(study).values():
         plt.close(figure)
 
@@ -204,7 +204,7 @@ def test_experiments_lie_about_the_middle_of_the_reference():
 
 @pytest.mark.slow
 def test_the_trap_is_stable_and_errs_by_degrees():
-    """Second program (docs/model.md, reference numbers): 3–5° at λ = 20, tens of them at λ = 10."""
+    """Second program: 3–5° at λ = 20, tens of degrees at λ = 10."""
     settings = ControllerSettings(
         lambdas_per_s=(20.0,),
         phis_m_s2=(3.2,),

@@ -122,6 +122,13 @@ def test_the_findings_have_the_extremes_of_each_order(study):
     assert "oscillates at none of the forces when it extends" in text
 
 
+def test_the_screen_has_the_findings(study, check_screen):
+    assert any(
+        line.startswith("Rms tracking error in deg: reduced ")
+        for line in check_screen(report(study))[-2:]
+    )
+
+
 def test_the_zone_of_oscillation_is_compared_with_what_lies_beside_it(by_hand):
     # Forces of 6 and 16 N, inward and outward; it oscillates at 16 N inward alone.
     beside, inside, *_ = by_hand.switching

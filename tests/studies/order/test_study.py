@@ -217,8 +217,8 @@ def switched(direction):
 
 def linear(order, force):
     scenario = changed(BRIEF, plant_of(order, force))
-    plant = linearize_plant(scenario.plant, POSTURE, outputs=("rod_velocity",))
-    loop = linearize_loop(scenario, POSTURE)
+    plant = linearize_plant(scenario.plant, knee_angle_deg=POSTURE, outputs=("rod_velocity",))
+    loop = linearize_loop(scenario, knee_angle_deg=POSTURE)
     margins, mode = loop.margins(), plant.poles[np.argmax(plant.poles.imag)]
     hertz = np.geomspace(1.0, 1000.0, 400)
     return {

@@ -1,8 +1,11 @@
+from collections import Counter
+from decimal import Decimal
 from functools import reduce
 
 import pytest
 from reproduce_cases import (
     METRICS,
+    PAPER,
 )
 
 from kneexo.parameters import RodPolynomialParameters
@@ -12,49 +15,54 @@ from kneexo.studies.reproduce.study import (
     speed_demand,
 )
 
-PAPER = {
-    # where our number is: what Lee et al. 2020 print
-    ("table1", "x_at_10deg_mm"): 139.05,
-    ("table1", "x_at_70deg_mm"): 38.98,
-    ("table1", "strokes_per_period_mm"): 200.14,
-    ("table1", "linkage_max_mm"): None,
-    ("table1", "refit_p_sse_mm2"): 0.1781,
-    ("table1", "refit_q_sse_deg2"): 1.241,
-    ("table1", "linkage_rmse_mm"): 0.03,
-    ("table1", "refit_q_rmse_deg"): 0.0792,
-    ("table1_g4", "refit_p_sse_mm2"): 0.1781,
-    ("table1_g4", "refit_q_sse_deg2"): 1.241,
-    ("table1_g4", "refit_p_rmse_mm"): 0.03,
-    ("table1_g4", "refit_q_rmse_deg"): 0.0792,
-    ("fig9", "error_after_1s_mm"): None,
-    ("fig9", "final_error_mm"): 0.0,
-    ("fig12", "smc", "max_error_deg"): 2.0,
-    ("fig12", "pid", "max_error_deg"): 4.0,
-    ("fig12", "pid_tuned", "max_error_deg"): None,
-    ("fig12", "pid_feedforward", "max_error_deg"): None,
-    ("fig13", "bandwidth_hz"): 0.21,
-    ("fig13", "phase_at_bandwidth_deg"): None,
-    ("scaling", "gear_3", "ratio"): None,
-    ("scaling", "half_amplitude", "ratio"): None,
-}
-
 
 def test_the_report_has_each_number_of_the_paper_beside_ours(known, tables):
     numbers = known.results()
     comparison, *_ = tables(report(known))
-    assert comparison[0][:5] == ["quantity", "unit", "paper", "kneexo", "difference"]
+    heads = ["quantity", "unit", "paper", "kneexo", "difference", "judgement", "how obtained"]
+    assert comparison[0] == heads
     for (path, paper), row in zip(PAPER.items(), comparison[1:], strict=True):
         ours = reduce(dict.__getitem__, path, numbers)
         unit, printed, shown, difference = row[1:5]
-        suffix = {"mm": "_mm", "mm²": "_mm2", "deg": "_deg", "deg²": "_deg2", "Hz": "_hz"}
+        suffix = {
+            "rpm": "_rpm",
+            "mm": "_mm",
+            "mm²": "_mm2",
+            "deg": "_deg",
+            "deg²": "_deg2",
+            "Hz": "_hz",
+        }
         assert path[-1].endswith(suffix.get(unit, "ratio")), row
-        assert float(shown) == pytest.approx(ours, abs=0.51 * 10.0 ** -len(shown.split(".")[-1]))
+        last_digit = 10.0 ** Decimal(shown).as_tuple().exponent
+        assert float(shown) == pytest.approx(ours, abs=0.51 * last_digit)
         if paper is None:
             assert (printed, difference) == ("not printed", "")
         else:
             assert float(printed) == paper
             assert difference[0] in "+-"
             assert float(difference) == pytest.approx(ours - paper, rel=6e-3, abs=1e-12)
+    judgements = [row["judgement"] for row in numbers["comparison"]]
+    shown = [j if p is not None else "" for j, p in zip(judgements, PAPER.values(), strict=True)]
+    assert [row[5] for row in comparison[1:]] == shown
+
+
+def test_the_screen_has_the_judgements(known, check_screen):
+    rows = known.results()["comparison"]
+    count = Counter(row["judgement"] for row in rows)
+    within, holding = count["holds within what the paper prints"], count["holds"]
+    text = report(known)
+    failing = count["does not hold"]
+    assert (
+        f"Of {within + holding + failing} comparisons with the paper {within + holding} hold, "
+        f"{within} of them within what the paper prints, and {failing} do not, for the reasons"
+    ) in text
+    lines = check_screen(text, most=21)  # more of these numbers fail than of the paper's
+    assert lines[-1].endswith("reasons above.")
+    head, _, _ = text.partition("\n## ")
+    for row in rows:
+        named = f"{row['quantity']} " in head
+        assert named == (row["judgement"] == "does not hold"), row["quantity"]
+        assert row["because"] in head
 
 
 def test_the_other_tables_of_the_report_are_those_of_the_results(known, tables):

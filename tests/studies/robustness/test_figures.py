@@ -165,20 +165,22 @@ def test_nyquist_draws_the_loops_of_the_samples(by_hand):
     study = dataclasses.replace(by_hand, one_at_a_time=one_at_a_time)
     (ax,) = figures(study)["robustness_nyquist"].axes
     for line, sample in zip(ax.lines, by_hand.samples[: FEW.nyquist_loops], strict=False):
-        loop = linearize_loop(realize(UNCERTAIN_KNEE, SMALL, sample.values), 40.0)
+        loop = linearize_loop(realize(UNCERTAIN_KNEE, SMALL, sample.values), knee_angle_deg=40.0)
         expected = loop.loop_response(np.geomspace(0.02, 250.0, 2000))
         assert line.get_xdata() == pytest.approx(expected.real)
         assert line.get_ydata() == pytest.approx(expected.imag)
     assert [line.get_label() for line in ax.lines[:2]] == ["L of 3 samples", "_child1"]
     assert ax.get_title().endswith(" of 15 stable plants\n1 of 16 plants are unstable")
     # The disk is that of the stable plant with the least disk margin.
-    least = linearize_loop(realize(UNCERTAIN_KNEE, SMALL, by_hand.corners[1].values), 40.0)
+    least = linearize_loop(
+        realize(UNCERTAIN_KNEE, SMALL, by_hand.corners[1].values), knee_angle_deg=40.0
+    )
     assert ax.patches[0].get_label() == f"disk margin {least.margins().disk_margin:.3g}"
 
 
 def test_nyquist_names_unstable_loops_in_their_own_colour(by_hand):
     lost = changed(UNCERTAIN_KNEE, {"controller.lambda_per_s": 200.0})
-    assert not linearize_loop(lost, 40.0).stable
+    assert not linearize_loop(lost, knee_angle_deg=40.0).stable
     (ax,) = figures(dataclasses.replace(by_hand, scenario=lost))["robustness_nyquist"].axes
     assert [line.get_color() for line in ax.lines[:3]] == ["C3"] * 3
     assert ax.lines[0].get_label() == "L of 3 unstable samples"

@@ -20,7 +20,10 @@ from kneexo.studies.robustness.study import (
 
 
 def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells):
-    summary, corners, *effects = tables(report(by_hand))
+    findings, summary, corners, *effects = tables(report(by_hand))
+    merits = ("max_error_deg", "bandwidth_hz", "disk_margin")
+    chosen = [MERITS[merit].label for merit in merits]
+    assert findings == [summary[0], *(row for row in summary if row[0] in chosen)]
     fails = {math.inf: "fails", -math.inf: "fails"}
     check_cells(
         summary,
@@ -29,7 +32,6 @@ def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells)
             for merit in MERITS
         ],
     )
-    merits = ("max_error_deg", "bandwidth_hz", "disk_margin")
     assert corners[0] == ["value", *(MERITS[merit].label for merit in merits)]
     check_cells(
         corners,
@@ -62,6 +64,16 @@ def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells)
             if merit in LINEAR:
                 (cell,) = linear
                 assert cell == "" if n == 2 else f"{LINEAR[merit][n]:+.3g}"
+
+
+def test_the_screen_has_the_findings(by_hand, check_screen):
+    text = report(by_hand)
+    last = " ".join(check_screen(text)[-1].split())
+    assert last == "disk margin 0.7 0.84 0.63 1.33 0.63 0.42"
+    counts = "1 of 5 samples, 0 of 3 corners, 0 of 7 plants with one value changed."
+    assert f"- Failed in part or unstable: {counts}\n" in text
+    assert "rank correlation: rms error (deg): lag_s 1.00; bandwidth (Hz): lag_s 1.00; disk" in text
+    assert "disk margin: lag_s 1.00.\n" in text
 
 
 def test_the_words_count_as_the_results_do(by_hand):

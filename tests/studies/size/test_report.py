@@ -15,7 +15,22 @@ from kneexo.studies.size.report import report
 
 def test_every_cell_of_the_report_is_in_the_results(sized, tables, check_cells):
     numbers = sized.results()
-    hardware, demands, torques, steps, designs, variations, reserves = tables(report(sized))
+    findings, *others = tables(report(sized))
+    hardware, demands, torques, steps, designs, variations, reserves = others
+    check_cells(
+        findings,
+        [
+            [
+                "by displacement (cm³/rev)",
+                *(d["displacement_cm3_per_rev"] for d in numbers["designs"]),
+            ],
+            ["or by gear ratio", *(d["or_gear_ratio"] for d in numbers["designs"])],
+            [
+                "largest error (deg)",
+                *(d["halved_step"]["max_error_deg"] for d in numbers["designs"]),
+            ],
+        ],
+    )
 
     columns = (*AT_SINE[:1], "small_signal_bandwidth_hz", "bandwidth_hz", "max_error_deg")
     rows = [["hardware as it is", *(numbers["nominal"][name] for name in columns)]]
@@ -117,6 +132,27 @@ def check_units(rows, values):
         assert not units or row[0].endswith(units[0]), (row[0], name)
 
 
+def test_the_screen_has_the_findings(sized, check_screen):
+    numbers, text = sized.results(), report(sized)
+    check_screen(text)
+    first, second = numbers["designs"]
+    motion, as_it_is = numbers["demand"][0], sized.steps["as it is"][0]
+    for said in (
+        f"as it is: the largest error is {as_it_is['max_error_deg']:.3g}°, and the",
+        f"asks for {motion['flow_factor']:.3g} times the flow, ",
+        f" flow, {motion['peak_pressure_mpa']:.3f} MPa and {motion['peak_shaft_power_w']:.1f} W at",
+        f"- Walking at 1 Hz within 2° takes {first['flow_search']['value']:.4g} times the flow and "
+        f"an acceleration limit of {first['acceleration_search']['value']:.4g} rad/s².",
+        f"- Walking at 0.8 Hz within 2° is not reached. Flow, as a factor: "
+        f"{second['flow_search']['value']:.4g}. Acceleration limit (rad/s²): not reached in 1000 … "
+        f"100000: best 2.6° (bound 2°) at 3.6e+04.",
+    ):
+        assert said in text
+    assert "as it is: the run fails, t = 1 s: left the range." in report(
+        dataclasses.replace(sized, steps={"ample": sized.steps["ample"]})
+    )
+
+
 def test_the_words_have_the_numbers_of_the_results(sized):
     numbers, text = sized.results(), report(sized)
     limits, needs = numbers["limits"], numbers["controller"]
@@ -157,6 +193,7 @@ def test_the_words_have_the_numbers_of_the_results(sized):
         "none of the 6 gains tried has a disk margin of 0.5 without chattering** (this one: 0.01)"
     )
     assert said in report(none)
-    assert [line for line in text.splitlines() if line.startswith("- ")] == [
+    _, _, body = text.partition("\n## ")
+    assert [line for line in body.splitlines() if line.startswith("- ")] == [
         f"- pump displacement {0.4:.4g} cm³/rev: t = 1 s: left the range; too slow"
     ]

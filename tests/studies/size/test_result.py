@@ -128,7 +128,9 @@ def test_the_controller_is_asked_for_what_the_lag_takes(sized):
         ("linear_error_deg", ample),
         ("linear_error_tuned_deg", tuned(ample, sized.best_gains)),
     ):
-        error = 0.01 * abs(linearize_loop(scenario, 40.0).output_response(1.0)[0] - 1.0)
+        error = 0.01 * abs(
+            linearize_loop(scenario, knee_angle_deg=40.0).output_response(1.0)[0] - 1.0
+        )
         assert numbers[name] == pytest.approx(error, rel=2e-3)
 
 

@@ -137,7 +137,9 @@ def test_every_row_of_the_sweeps_is_that_of_its_own_hardware(in_numbers):
         expected = in_numbers(hardware, 0.25) | {
             "expected_bandwidth_hz": expected_bandwidth_hz(hardware),
             "bandwidth_hz": large_signal_bandwidth_hz(hardware),
-            "small_signal_bandwidth_hz": linearize_loop(hardware, 40.0).bandwidth_hz(),
+            "small_signal_bandwidth_hz": linearize_loop(
+                hardware, knee_angle_deg=40.0
+            ).bandwidth_hz(),
         }
         names = set(row) - {"failure"}
         assert len(names) == 6
@@ -147,7 +149,7 @@ def test_every_row_of_the_sweeps_is_that_of_its_own_hardware(in_numbers):
 
 @pytest.mark.usefixtures("by_formula")
 def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypatch):
-    def fail(*_):
+    def fail(*_, **__):
         raise SimulationError("not asked for here")
 
     for name in ("large_signal_bandwidth_hz", "linearize_loop", "track"):

@@ -1,4 +1,4 @@
-"""`kneexo.compile`: scenarios, scenario files and diagrams."""
+"""`compile`: scenarios, scenario files and diagrams."""
 
 import inspect
 
@@ -35,3 +35,9 @@ def test_a_scenario_file_compiles(tmp_path):
 
 def test_a_diagram_compiles():
     assert kneexo.compile(Integrator(1), inputs=["u0"]).inputs == {"u0": 1}
+
+
+def test_a_law_that_is_called_as_python_is_no_machine_code():
+    scenario = Scenario().with_law(lambda rod_extension: max(0.0, rod_extension))
+    with pytest.raises(CompilationError, match=r"called as Python: the function compares values"):
+        kneexo.compile(scenario)

@@ -1,0 +1,76 @@
+"""The names that users import, read from the source: what the page ``reference`` lists."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import itertools
+import pkgutil
+
+import kneexo
+
+BESIDE_PACKAGES = {
+    "kneexo.batches": ("BatchResult", "BatchRow"),
+    "kneexo.errors": ("KneexoError", "ScenarioError", "LinkageError", "LinearizationError"),
+    "kneexo.export.firmware": ("export_firmware",),
+    "kneexo.export.fmu": ("export_fmu",),
+    "kneexo.linkage": (
+        *("pose", "rod_extension", "encoder_angle", "knee_angle_from_encoder"),
+        *("knee_angle_from_rod", "icr"),
+    ),
+    "kneexo.parameters.paths": ("changed", "value_at"),
+    "kneexo.parameters.scenario_file": ("load_scenario", "dump_scenario", "load_uncertainty"),
+    "kneexo.parameters.uncertainty": ("draw", "realize"),
+    "kneexo.responses": ("BodeResponse",),
+    "kneexo.rod_polynomial": ("controller_polynomial", "fitted_polynomial"),
+    "kneexo.studies.paper": ("FIG_12", "IDEAL_SMC", "EQ_27_EXACT_STATES", "EQ_27_DIFFERENCES"),
+    "kneexo.view.meshcat_view": ("add_meshcat_view",),
+    "kneexo.view.page": ("view_page",),
+}
+"""Names that users import from the module that defines them."""
+
+
+def public_names() -> dict[str, list[str]]:
+    """Return what users import: by package or module, the full names of where it is defined.
+
+    The ``__all__`` of a package has its names for users.
+    """
+    packages = [kneexo.__name__]
+    packages += [i.name for i in pkgutil.walk_packages(kneexo.__path__, "kneexo.") if i.ispkg]
+    names = {package: passed_on(package) for package in packages}
+    names |= {m: [f"{m}.{name}" for name in list_] for m, list_ in BESIDE_PACKAGES.items()}
+    return {module: names[module] for module in sorted(names) if names[module]}
+
+
+def top_level(module: str) -> list[ast.stmt]:
+    """Return the statements of a module, with those below an ``if TYPE_CHECKING``."""
+    tree = ast.parse(inspect.getsource(importlib.import_module(module)))
+    inner = [node.body for node in tree.body if isinstance(node, ast.If)]
+    return [*tree.body, *itertools.chain(*inner)]
+
+
+def imported(module: str) -> dict[str, str]:
+    """Return the names that a module imports from kneexo, and from where."""
+    names = {}
+    for node in top_level(module):
+        if isinstance(node, ast.ImportFrom):
+            source = "." * node.level + (node.module or "")
+            source = importlib.util.resolve_name(source, module)
+            if source.startswith("kneexo."):
+                names |= {alias.asname or alias.name: source for alias in node.names}
+    return names
+
+
+def home(module: str, name: str) -> str:
+    """Return the full name of ``name`` in the module that defines ``name``."""
+    source = imported(module).get(name)
+    return f"{module}.{name}" if source is None else home(source, name)
+
+
+def passed_on(package: str) -> list[str]:
+    """Return the full names of what a package has for users, without templates such as ``X_``."""
+    names = getattr(importlib.import_module(package), "__all__", ())
+    public = [name for name in names if name.strip("_") == name]
+    return [home(package, name) for name in sorted(public, key=str.lower)]

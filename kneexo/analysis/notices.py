@@ -1,0 +1,183 @@
+"""What the model of a scenario leaves out, and notices about values that may surprise its user."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Iterator
+
+from kneexo.analysis.signals import period_s
+from kneexo.parameters import (
+    LINKAGES,
+    PlantParameters,
+    SampledReference,
+    Scenario,
+    SlidingModeParameters,
+)
+from kneexo.parameters.fields import unit_of
+from kneexo.parameters.quantity import Parameters
+from kneexo.rod_polynomial import controller_polynomial, largest_error_mm
+
+LONGEST_HOLD = 0.1
+"""Largest share of a run before the first or after the last sample without a notice.
+
+Assumption: an error of 0 in a tenth of the run lowers the root mean square by 5 %.
+"""
+
+LARGEST_MISFIT_MM = 0.3
+"""Largest error in mm of a given polynomial over 0…90° without a notice.
+
+Table 1 is at most 0.22 mm off the linkages that are identified from it.
+"""
+
+
+def omissions(scenario: Scenario) -> tuple[str, ...]:
+    """Return the effects that kneexo can compute and that the model of ``scenario`` leaves out.
+
+    The effects of the plant come first. The tuple is empty if the model leaves out no such effect.
+    """
+    plant, load, full = scenario.plant, scenario.plant.load, scenario.plant.full_order
+    controller, bus = scenario.controller, scenario.bus
+    knee = load if load.kind == "knee" else None
+    friction = full is not None and full.coulomb_friction_n + full.stribeck_friction_n > 0.0
+    leakage = plant.pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
+    left_out = {
+        "load on the knee": knee is None,
+        "weight of the shank": knee is not None and knee.segment_mass_kg * knee.gravity_m_s2 == 0.0,
+        "torque of the wearer": knee is not None and knee.knee_torque_n_m == 0.0,
+        "full order of the cylinder (valves, friction, air)": full is None,
+        "friction of the seals": full is not None and not friction,
+        "air in the oil": full is not None and full.entrained_air == 0.0,
+        "leakage": leakage == 0.0,
+        "lag and limits of the motor": plant.ideal_motor,
+        "error of the polynomial": plant.rod_map == "polynomial",
+        "counts of the encoder": not scenario.encoder.quantized,
+        "estimation of the rod's state": scenario.estimator.kind == "exact",
+        "sampling": controller.kind == "smc" and controller.continuous,
+        "bus": bus.velocity_unit_rad_s == 0.0 and bus.latency_samples == 0,
+    }
+    return tuple(name for name, is_left_out in left_out.items() if is_left_out)
+
+
+def model_lines(scenario: Scenario, notes: Iterable[str]) -> list[str]:
+    """Return one line that names the `omissions` of a scenario, and a line for each of ``notes``.
+
+    A line of more than 100 characters goes on below, indented.
+    """
+    left_out = ", ".join(omissions(scenario)) or "nothing that kneexo can compute"
+    return [wrapped(line) for line in (f"Left out: {left_out}.", *(f"Note: {n}." for n in notes))]
+
+
+def wrapped(line: str) -> str:
+    """Return ``line`` in lines of at most 100 characters, indented from the second on.
+
+    A longer word, such as a path, stays whole.
+    """
+    return textwrap.fill(
+        line, 100, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
+
+
+def notices(scenario: Scenario) -> Iterator[str]:
+    """Yield a line for each property of a run of ``scenario`` that its user may not expect.
+
+    Besides the `model_notices`, a line says that the run ends within the first period of a
+    sinusoidal reference, before it has settled. A line says that the run holds the first or the
+    last sample of its reference for more than `LONGEST_HOLD` of its duration.
+
+    Raises `LinkageError` when the linkage cannot be assembled.
+    """
+    yield from model_notices(scenario)
+    reference, duration_s = scenario.reference, scenario.duration_s
+    if (period := period_s(scenario)) >= duration_s:
+        yield (
+            f"the run of {duration_s:g} s ends within the first period of the reference, "
+            f"{period:g} s; set simulation.duration_s to some periods"
+        )
+    if isinstance(reference, SampledReference):
+        start_s, end_s = reference.times_s[0], max(0.0, reference.times_s[-1])
+        if start_s > LONGEST_HOLD * duration_s:
+            yield (
+                f"the reference begins at {start_s:g} s, and the run holds its first sample until "
+                f"then; subtract {start_s:g} s from its times to begin at once"
+            )
+        if duration_s - end_s > LONGEST_HOLD * duration_s:
+            yield (
+                f"the reference ends at {end_s:g} s, and the run holds its last sample until "
+                f"simulation.duration_s = {duration_s:g} s; leave simulation.duration_s out to "
+                f"stop at the last sample"
+            )
+
+
+def model_notices(scenario: Scenario) -> Iterator[str]:
+    """Yield a line for each contradiction in the model of ``scenario``.
+
+    The contradictions are a mass of the rod beyond the bounds of the sliding-mode controller, a
+    mass of the rod that looks like a load of the knee, a nominal plant that differs from the plant,
+    and a polynomial that misses the linkage by more than `LARGEST_MISFIT_MM`. A line also says that
+    the controller's polynomial is fitted to the linkage.
+
+    Raises `LinkageError` when the linkage cannot be assembled.
+    """
+    plant, controller = scenario.plant, scenario.controller
+    mass_kg = plant.cylinder.mass_kg
+    if controller.kind == "smc":
+        low, high = controller.mass_min_kg, controller.mass_max_kg
+        if not low <= mass_kg <= high:
+            yield (
+                f"plant.cylinder.mass_kg = {mass_kg:g} kg is outside controller.mass_min_kg … "
+                f"mass_max_kg, {low:g} … {high:g} kg"
+            )
+    if mass_kg > SlidingModeParameters().mass_max_kg:
+        if plant.load.kind == "none":
+            yield (
+                f"plant.cylinder.mass_kg = {mass_kg:g} kg has inertia but no weight; "
+                f"plant.load: knee adds weight"
+            )
+        elif plant.load.segment_mass_kg < mass_kg:
+            yield (
+                f"plant.cylinder.mass_kg = {mass_kg:g} kg has inertia but no weight; gravity acts "
+                f"on plant.load.segment_mass_kg = {plant.load.segment_mass_kg:g} kg"
+            )
+    if scenario.nominal is not None:
+        yield from _nominal_notice(plant, scenario.nominal)
+    yield from polynomial_notices(scenario)
+
+
+def _nominal_notice(plant: PlantParameters, nominal: PlantParameters) -> Iterator[str]:
+    """Yield a line about the first number in which the plant differs from the nominal plant."""
+    differing = [
+        f"nominal.{part}.{name} is {believed:.4g} {unit}, that of the plant {true:.4g} {unit}"
+        for part in ("cylinder", "pump", "linkage")
+        for name, unit, believed, true in _differences(getattr(nominal, part), getattr(plant, part))
+    ]
+    if differing:
+        others = f"; {len(differing) - 1} more differences" if len(differing) > 1 else ""
+        yield f"{differing[0]}{others}"
+
+
+def _differences(nominal: Parameters, plant: Parameters) -> Iterator[tuple[str, str, float, float]]:
+    """Yield name, unit, nominal value and value of the plant for each number that differs."""
+    for name, field in type(plant).model_fields.items():
+        believed, true = getattr(nominal, name), getattr(plant, name)
+        if believed != true:
+            yield name, unit_of(field), believed, true
+
+
+def polynomial_notices(scenario: Scenario) -> Iterator[str]:
+    """Yield the lines of `model_notices` about the controller's polynomial.
+
+    Raises `LinkageError` when the linkage cannot be assembled.
+    """
+    polynomial, link = controller_polynomial(scenario), scenario.believed_plant.linkage
+    error = largest_error_mm(link, polynomial)
+    if scenario.polynomial is None:
+        if link not in LINKAGES.values():
+            yield (
+                f"the controller's polynomial is fitted to this linkage: off by at most "
+                f"{error:.2g} mm of rod over 0…90 deg"
+            )
+    elif error > LARGEST_MISFIT_MM:
+        yield (
+            f"polynomial is off the linkage by up to {error:.2g} mm of rod over 0…90 deg, must be "
+            f"at most {LARGEST_MISFIT_MM:g} mm; leave polynomial out, so that kneexo fits it"
+        )

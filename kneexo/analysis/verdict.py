@@ -1,0 +1,308 @@
+"""The verdict on a run in three lines: whether it tracks, what saturates, how far it is stable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from kneexo.analysis.margins import Margins
+from kneexo.analysis.notices import model_lines, notices, omissions, wrapped
+from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
+from kneexo.analysis.signals import period_s, saturated_share, share_above, to_rpm
+from kneexo.errors import KneexoError
+from kneexo.linkage import pose
+from kneexo.parameters import Scenario
+from kneexo.result import Result
+from kneexo.simulation import Run
+
+ERROR_SHARE = 2.0 / 30.0
+"""A run tracks if its largest error is at most this share of the reference's amplitude.
+
+Section 5 of the paper: the error with the sliding-mode controller was less than 2° at an amplitude
+of 30°.
+"""
+
+_UNLIMITED_RPM = 1e6
+"""Motors are slower, so a higher limit of the command means no limit."""
+
+
+@dataclass(frozen=True, repr=False)
+class Stability(Result):
+    """Stability of the sampled loop at a constant knee angle.
+
+    Without a linear loop ``stable`` is None, and ``failure`` is the reason. ``margins`` is None
+    unless the loop is stable.
+    """
+
+    knee_angle_deg: float
+    stable: bool | None
+    largest_eigenvalue: float = math.nan
+    margins: Margins | None = None
+    sample_time_s: float = math.nan
+    failure: str = ""
+
+    @classmethod
+    def of_loop(cls, loop: SampledLoop) -> Stability:
+        """Return the stability of a linear loop."""
+        return cls(
+            math.degrees(loop.knee_angle_rad),
+            loop.stable,
+            float(abs(loop.eigenvalues[0])),
+            loop.margins() if loop.stable else None,
+            loop.sample_time_s,
+        )
+
+    @classmethod
+    def of_scenario(cls, scenario: Scenario) -> Stability:
+        """Return the stability of a scenario's loop in the middle of its reference's range."""
+        angle = scenario.reference.middle_deg
+        try:
+            return cls.of_loop(linearize_loop(scenario, knee_angle_deg=angle))
+        except KneexoError as error:
+            return cls(angle, None, failure=str(error))
+
+    @property
+    def line(self) -> str:
+        """One line with the margins, or with the reason why there are none."""
+        at = f"at {self.knee_angle_deg:.3g}°"
+        if self.stable is None:
+            return f"No margins {at}: {self.failure}"
+        if self.margins is None:
+            return (
+                f"Not stable {at}: the largest eigenvalue of the sampled loop is "
+                f"{self.largest_eigenvalue:.6g}, and must be below 1."
+            )
+        m = self.margins
+        gain = "infinite"
+        if math.isfinite(m.gain_margin):
+            gain = f"{m.gain_margin:.3g} ({20.0 * math.log10(m.gain_margin):.2g} dB)"
+        if m.lower_gain_margin > 0.0:
+            gain += f" and {m.lower_gain_margin:.3g}"
+        phase, delay = "infinite", "infinite"
+        if math.isfinite(m.phase_margin_deg):
+            samples = math.floor(m.delay_margin_s / self.sample_time_s)
+            phase = f"{m.phase_margin_deg:.3g}°"
+            delay = f"{1e3 * m.delay_margin_s:.3g} ms ({samples} samples)"
+        return f"Stable {at}: gain margin {gain}, phase margin {phase}, delay margin {delay}."
+
+
+def loop_lines(loop: SampledLoop) -> tuple[str, ...]:
+    """Return lines with the stability, margins and bandwidths of a linear loop.
+
+    An unstable loop has one line, because it has neither margins nor bandwidth.
+    """
+    stability = Stability.of_loop(loop)
+    m = stability.margins
+    if m is None:
+        return (stability.line,)
+    none = f"none below {0.5 / loop.sample_time_s:g} Hz"
+    crossings, bandwidths = (
+        ["none" if math.isnan(f) else f"{f:.3g} Hz" for f in frequencies]
+        for frequencies in (
+            (m.phase_margin_frequency_hz, m.gain_margin_frequency_hz),
+            (loop.bandwidth_hz(), loop.complementary_sensitivity_bandwidth_hz()),
+        )
+    )
+    with_feedforward, feedback = (none if text == "none" else text for text in bandwidths)
+    return (
+        stability.line,
+        f"Crossover: gain {crossings[0]}, phase {crossings[1]}. Disk margin {m.disk_margin:.3g}: "
+        f"gain {m.disk_gain_margin:.3g}, phase {m.disk_phase_margin_deg:.3g}°.",
+        f"Bandwidth (−3 dB, small signals): {with_feedforward}; of the feedback alone: {feedback}.",
+    )
+
+
+@dataclass(frozen=True, repr=False)
+class Verdict(Result):
+    """The verdict on a tracking run. ``print`` shows it in a few lines.
+
+    A run tracks if its largest error after the first period of a sinusoidal reference is at most
+    ``error_bound_deg``. This bound is `ERROR_SHARE` of the amplitude, but at least the largest knee
+    angle of one count of the encoder. For another reference, and for a run that ends within the
+    first period, the error of the whole run counts, and the amplitude is half the range of the
+    reference. A run with a step tracks if its knee angle settles (`StepMetrics`).
+
+    Shares are shares of all samples of the run.
+    """
+
+    tracks: bool
+    max_error_deg: float
+    max_error_time_s: float
+    """Time of the largest error."""
+    error_bound_deg: float
+    saturated_share: float
+    """Share of the run with the command at its limit."""
+    pressure_over_rating_share: float
+    """Share of the run with a load pressure above the cylinder's rating."""
+    relief_share: float
+    """Share of the run in which a chamber has the relief pressure; nan in the reduced order."""
+    power_over_rating_share: float
+    """Share of the run with a shaft power above the motor's rating."""
+    stability: Stability
+    omissions: tuple[str, ...]
+    notices: tuple[str, ...]
+    lines: tuple[str, str, str]
+    """Whether the run tracks, what saturates, and the margins of the loop."""
+    model_lines: tuple[str, ...]
+    """What the model leaves out, and the notices, as text for a terminal."""
+
+    @property
+    def text(self) -> str:
+        """The `model_lines` and the three lines, for a terminal of 100 columns."""
+        return "\n".join((*self.model_lines, *map(wrapped, self.lines)))
+
+    def results(self) -> dict[str, Any]:
+        """Return the verdict as plain data for JSON: ``lines``, and their values by name."""
+        margins, stability = self.stability.margins, self.stability
+        names = ("gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin")
+        return {
+            "lines": list(self.lines),
+            "tracks": self.tracks,
+            "max_error_deg": self.max_error_deg,
+            "max_error_time_s": self.max_error_time_s,
+            "error_bound_deg": self.error_bound_deg,
+            "saturated_share": self.saturated_share,
+            "pressure_over_rating_share": self.pressure_over_rating_share,
+            "relief_share": self.relief_share,
+            "power_over_rating_share": self.power_over_rating_share,
+            "knee_angle_deg": stability.knee_angle_deg,
+            "stable": stability.stable,
+            **{name: getattr(margins, name, math.nan) for name in names},
+            "margins_failure": stability.failure,
+            "omissions": list(self.omissions),
+            "notices": list(self.notices),
+        }
+
+    def __repr__(self) -> str:
+        """Return `text`."""
+        return self.text
+
+    def _repr_html_(self) -> str:
+        """Return `text` as HTML with a line break after each line."""
+        return escape(self.text).replace("\n", "<br>")
+
+
+def verdict_of(
+    scenario: Scenario, run: Run, *, step: tuple[bool, str] | None, user_diagram: bool
+) -> Verdict:
+    """Return the `Verdict` on a tracking run. Linearizes the loop of its scenario.
+
+    ``step`` says whether the response to a step settles, and describes it in one line. It is None
+    if the reference has no step. If ``user_diagram`` is True, the run is of a diagram of the user,
+    so the scenario has not the loop of the run, and the verdict has no margins.
+    """
+    error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
+    first = int(np.searchsorted(run.time_s, period_s(scenario) - 1e-9))
+    if run.time_s.size - first < 2:
+        first = 0
+    worst = first + int(np.argmax(error_deg[first:]))
+    max_error_deg, time_s = float(error_deg[worst]), float(run.time_s[worst])
+    bound_deg, reason = _error_bound(scenario)
+    if step is None:
+        tracks = max_error_deg <= bound_deg
+        line = (
+            f"{'Tracks' if tracks else 'Does not track'}: largest error {max_error_deg:.3g}° at "
+            f"{time_s:.4g} s; the bound is {bound_deg:.3g}° ({reason})."
+        )
+    else:
+        tracks, line = step
+    limits = _limits(scenario, run)
+    if user_diagram:
+        stability = Stability(
+            scenario.reference.middle_deg,
+            None,
+            failure="the diagram of the run is the user's; "
+            "linearize_loop(scenario, diagram=…) linearizes such a loop",
+        )
+    else:
+        stability = Stability.of_scenario(scenario)
+    notes = tuple(notices(scenario))
+    return Verdict(
+        tracks=tracks,
+        max_error_deg=max_error_deg,
+        max_error_time_s=time_s,
+        error_bound_deg=bound_deg,
+        saturated_share=limits["command"].share,
+        pressure_over_rating_share=limits["pressure"].share,
+        relief_share=limits["relief"].share,
+        power_over_rating_share=limits["power"].share,
+        stability=stability,
+        omissions=omissions(scenario),
+        notices=notes,
+        lines=(line, _saturation_line(limits.values()), stability.line),
+        model_lines=tuple(model_lines(scenario, notes)),
+    )
+
+
+def _error_bound(scenario: Scenario) -> tuple[float, str]:
+    """Return the largest error in deg of a run that tracks, and the reason in words."""
+    low_deg, high_deg = scenario.reference.range_deg
+    amplitude_deg = 0.5 * (high_deg - low_deg)
+    angles = np.radians(np.linspace(low_deg, high_deg, 91))
+    sensitivity = np.max(np.abs(pose(scenario.plant.linkage, angles).encoder_sensitivity))
+    count_deg = 360.0 / scenario.encoder.counts_per_revolution * float(sensitivity)
+    if count_deg > ERROR_SHARE * amplitude_deg:
+        return count_deg, "one count of the encoder"
+    share = f"1/{1.0 / ERROR_SHARE:.3g}"
+    return ERROR_SHARE * amplitude_deg, f"{share} of the amplitude of {amplitude_deg:.3g}°"
+
+
+@dataclass(frozen=True)
+class _Limit:
+    """A limit, with the share of the run in which it is reached."""
+
+    share: float
+    reached: str
+    """What happens at the limit."""
+    largest: str
+    """The largest value of the run beside the limit."""
+
+
+def _limits(scenario: Scenario, run: Run) -> dict[str, _Limit]:
+    """Return the limits of the command, the load pressure, the chambers and the power by name."""
+    plant, full = scenario.plant, scenario.plant.full_order
+    command, limit = run["motor_speed_command_rad_s"], scenario.command_limit_rad_s
+    pressure, rating = run["load_pressure_pa"], plant.cylinder.pressure_rating_pa
+    power, rated_w = run["shaft_power_w"], plant.pump.rated_power_w
+    relief_share = math.nan
+    if full is not None and "cap_pressure_pa" in run.data:
+        chambers = np.maximum(run["cap_pressure_pa"], run["rod_side_pressure_pa"])
+        relief_share = share_above(chambers, full.relief_pressure_pa)
+    rpm, limit_rpm = to_rpm(np.max(np.abs(command))), to_rpm(limit)
+    of_limit = f" of {limit_rpm:.4g}" if limit_rpm < _UNLIMITED_RPM else ""
+    mpa, rating_mpa = 1e-6 * np.max(np.abs(pressure)), 1e-6 * rating
+    return {
+        "command": _Limit(
+            saturated_share(command, limit),
+            f"command at its limit of {limit_rpm:.4g} rpm",
+            f"command {rpm:.4g}{of_limit} rpm",
+        ),
+        "pressure": _Limit(
+            share_above(pressure, rating),
+            f"pressure above {rating_mpa:.3g} MPa",
+            f"pressure {mpa:.2g} of {rating_mpa:.3g} MPa",
+        ),
+        "relief": _Limit(relief_share, "relief valves open", ""),
+        "power": _Limit(
+            share_above(power, rated_w),
+            f"power above {rated_w:.3g} W",
+            f"power {np.max(np.abs(power)):.2g} of {rated_w:.3g} W",
+        ),
+    }
+
+
+def _saturation_line(limits: Collection[_Limit]) -> str:
+    """Return one line that says which limits the run reaches, and for which share of its time."""
+    reached = [
+        f"{limit.reached} for {100.0 * limit.share:.2g} % of the run"
+        for limit in limits
+        if limit.share > 0.0
+    ]
+    if reached:
+        return f"Saturates: {', '.join(reached)}."
+    return f"Nothing saturates: {', '.join(limit.largest for limit in limits if limit.largest)}."

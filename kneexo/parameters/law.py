@@ -1,0 +1,423 @@
+"""Control laws of the user: plain functions or Drake systems, named by file or module.
+
+A law is identified by a digest of its code, so that two functions of the same name differ.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import sys
+import sysconfig
+from collections.abc import Callable, Mapping
+from functools import cached_property, lru_cache, partial
+from pathlib import Path
+from types import CodeType, FunctionType, MethodType, ModuleType
+from typing import Any, NamedTuple
+
+import cloudpickle
+import numpy as np
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from kneexo.errors import ParameterError, close_names, question, shortened
+from kneexo.parameters.faults import shown_value
+from kneexo.user_code import function_at, user_code
+
+LAW_INPUTS = {
+    "rod_extension": 1,
+    "rod_reference": 4,
+    "estimated_state": 3,
+    "knee_angle": 1,
+    "knee_reference": 4,
+}
+"""For each measurement or reference that a control law can read, the number of its elements.
+
+``rod_extension`` is in m, ``rod_reference`` is x_d in m and its derivatives to the third,
+``estimated_state`` is position, velocity and acceleration of the rod in SI units, ``knee_angle`` is
+in rad, and ``knee_reference`` is θ_d in rad and its derivatives to the third.
+"""
+
+_DIGITS = 12  # hexadecimal digits of a digest in a text
+_PACKAGE = str(Path(__file__).parents[1])
+_LIBRARIES = tuple(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib"))
+
+
+class LawArguments(NamedTuple):
+    """The arguments of a law that is a function."""
+
+    inputs: tuple[str, ...]
+    """Names in `LAW_INPUTS`."""
+    time: bool
+    """Whether the law has the argument ``time_s``."""
+    state: bool
+    """Whether the law has the argument ``state``."""
+    initial_state: tuple[float, ...]
+    """Default of the argument ``state``; empty without default."""
+    gains: dict[str, float]
+    """Dictionary from each argument with a number as default to this number."""
+
+
+class Law:
+    """A control law: a function, an object that can be called, or a Drake system.
+
+    ``target`` is the law, or a class or function without arguments that makes the Drake system.
+    ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``. ``digest`` identifies the code of the target,
+    the values in its closure and attributes, and the user's functions and modules that it uses.
+    Two laws are equal if name and digest are equal.
+    """
+
+    def __init__(self, target: Any, name: str | None = None) -> None:
+        """Wrap a law. Raises `ParameterError` if ``target`` is neither callable nor a system."""
+        if hasattr(target, "get_instantiation"):  # a template of Drake: its class for floats
+            target = target[None]
+        if not (callable(target) or _is_system(target)):
+            raise ParameterError(
+                f"law = {shown_value(target)}: must be a function, a Drake system, or "
+                f"their name as text, FILE.py:NAME"
+            )
+        self.target = target
+        self.name = name or _name_of(target)
+        self.digest = _Digest().of(target)
+
+    @classmethod
+    def from_text(cls, text: str, directory: str | Path = ".") -> Law:
+        """Import the law with a name ``FILE.py:NAME`` or ``MODULE:NAME``.
+
+        A relative path of a file starts at ``directory``. ``#`` and a digest may follow the name.
+        Raises `ParameterError` if there is no such law, or if the law has another digest.
+        """
+        name, _, digest = text.partition("#")
+        place, _, path = name.rpartition(":")
+        subject = f"law {shortened(name)!r}"
+        if "<" in name:
+            raise ParameterError(
+                f"{subject}: existed only in the Python session that made it; must be a function "
+                f"in a file, FILE.py:NAME"
+            )
+        if not place or not path or ".py:" in place:
+            raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
+        if place.endswith(".py"):
+            file = Path(directory, place).resolve()
+            if not file.is_file():
+                raise ParameterError(f"{subject}: there is no file {shortened(str(file), 200)}")
+            name = f"{file}:{path}"
+            with user_code(f"{subject}: the file cannot be read"):
+                source = file.read_bytes()
+            if file in _importing:
+                raise ParameterError(
+                    f"{subject}: importing the file loads this law again; put the lines that use "
+                    f"the law below `if __name__ == '__main__':`"
+                )
+            with user_code(f"{subject}: the file fails"):
+                module = _module(file, hashlib.sha256(source).hexdigest())
+            if not hasattr(module, path):
+                known = [n for n, v in vars(module).items() if callable(v) and n[:1] != "_"]
+                hint = question(close_names(path, known) or known[:4])
+                raise ParameterError(f"{subject}: the file has no {shortened(path)!r}{hint}")
+            law = cls(getattr(module, path), name)
+        else:
+            law = cls(function_at(name, subject), name)
+        if digest and law.digest[: len(digest)] != digest:
+            raise ParameterError(
+                f"{subject}: the code has changed since {digest} was noted; leave out "
+                f"'#{digest}' to use the code of today"
+            )
+        return law
+
+    @cached_property
+    def is_system(self) -> bool:
+        """Whether the law is a Drake system, or a class or function that makes one."""
+        target = self.target
+        return isinstance(target, type) or _is_system(target) or not self._parameters
+
+    def make_system(self) -> Any:
+        """Return a new Drake system.
+
+        Raises `ParameterError` if the law makes no Drake system, or is a system that Drake cannot
+        clone.
+        """
+        if _is_system(self.target):
+            try:
+                clone = self.target.Clone()
+            except RuntimeError:  # Drake's error for a system that does not support cloning
+                clone = None
+            # Drake wraps the clone of a system that is written in Python, and renames its ports.
+            if clone is None or (
+                clone.num_input_ports()
+                and (clone.get_input_port(0).get_name() != self.target.get_input_port(0).get_name())
+            ):
+                raise ParameterError(
+                    f"law {self.short_name}: Drake cannot clone this system; give its class, or a "
+                    f"function without arguments that makes the system"
+                )
+            return clone
+        with user_code(f"law {self.short_name}: cannot be made without arguments"):
+            system = self.target()
+        if not _is_system(system):
+            if isinstance(self.target, type):
+                raise ParameterError(
+                    f"law {self.short_name}: is a class, but no Drake system; give an object of "
+                    f"the class, {self.target.__name__}()"
+                )
+            raise ParameterError(
+                f"law {self.short_name}: takes no argument and returns "
+                f"{type(system).__name__}; must have an argument of {', '.join(LAW_INPUTS)}, or "
+                f"return a Drake system"
+            )
+        return system
+
+    def any_system(self) -> Any:
+        """Return the Drake system of the law itself, or a new one if the law makes systems."""
+        return self.target if _is_system(self.target) else self.make_system()
+
+    @cached_property
+    def short_name(self) -> str:
+        """The name without the directory of the file."""
+        return shortened(self.name.rpartition("/")[2])
+
+    @property
+    def _parameters(self) -> Mapping[str, inspect.Parameter]:
+        with user_code(f"law {self.short_name}: has no readable arguments"):
+            return inspect.signature(self.target).parameters
+
+    @cached_property
+    def arguments(self) -> LawArguments:
+        """The arguments of a law that is a function.
+
+        Raises `ParameterError` for an unknown argument without a number as default.
+        """
+        inputs, gains = [], {}
+        flags = {"time_s": False, "state": False}
+        initial_state: tuple[float, ...] = ()
+        for name, parameter in self._parameters.items():
+            default = parameter.default
+            if name in LAW_INPUTS:
+                inputs.append(name)
+            elif name in flags:
+                flags[name] = True
+                if name == "state" and default is not parameter.empty:
+                    with user_code(f"law {self.short_name}: the default of state must be numbers"):
+                        initial_state = tuple(map(float, np.atleast_1d(default)))
+            elif isinstance(default, int | float) and not isinstance(default, bool):
+                gains[name] = float(default)
+            else:
+                known = [*LAW_INPUTS, *flags]
+                hint = question(close_names(name, known))
+                raise ParameterError(
+                    f"law {self.short_name}: unknown argument {name!r}; must have a number as "
+                    f"default, or a name of {', '.join(known)}{hint}"
+                )
+        return LawArguments(tuple(inputs), flags["time_s"], flags["state"], initial_state, gains)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Law) and (self.name, self.digest) == (other.name, other.digest)
+
+    def __hash__(self) -> int:
+        """Return a hash of name and digest."""
+        return hash((self.name, self.digest))
+
+    def __str__(self) -> str:
+        """Return the name, as scenario files have it."""
+        return self.name
+
+    def __repr__(self) -> str:
+        """Return the name between quotation marks."""
+        return repr(self.name)
+
+    def identity(self) -> str:
+        """Return name and digest as text, ``NAME#DIGEST``."""
+        return f"{self.name}#{self.digest[:_DIGITS]}"
+
+    def __reduce__(self) -> tuple[Callable[..., Law], tuple[bytes, str]]:
+        try:
+            return _unpickled, (cloudpickle.dumps(self.target), self.name)
+        except Exception as error:  # pickling a user's object may raise any error
+            raise ParameterError(
+                f"law {self.short_name}: cannot be sent to worker processes "
+                f"({shortened(str(error), 100)}); give a function or the class of the system, or "
+                f"use one worker"
+            ) from None
+
+    def __deepcopy__(self, memo: Any) -> Law:
+        """Return the law itself, because laws do not change."""
+        return self
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return pydantic's schema: accept a text or a target; write name and digest."""
+
+        def validate(value: Any, info: core_schema.ValidationInfo) -> Law:
+            if isinstance(value, Law):
+                return value
+            try:
+                if isinstance(value, str):
+                    return cls.from_text(value, (info.context or {}).get("directory", "."))
+                return cls(value)
+            except ParameterError as error:
+                raise ValueError(str(error)) from None
+
+        return core_schema.with_info_plain_validator_function(
+            validate,
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                Law.identity, return_schema=core_schema.str_schema()
+            ),
+        )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> dict[str, Any]:
+        """Return the JSON schema of a law in a scenario file, a text."""
+        return {"type": "string"}
+
+
+def _unpickled(data: bytes, name: str) -> Law:
+    return Law(cloudpickle.loads(data), name)
+
+
+def _is_system(value: Any) -> bool:
+    """Return True for an object of Drake's class System, without an import of Drake."""
+    return not isinstance(value, type) and hasattr(value, "CreateDefaultContext")
+
+
+_importing: set[Path] = set()
+"""Files of laws that are being imported, by which recursion is detected."""
+
+
+@lru_cache(maxsize=64)
+def _module(file: Path, digest: str) -> ModuleType:
+    """Execute a file as a module and return the module. ``digest`` is that of its contents.
+
+    The file may import files of its directory, which stays on the path of modules, also for worker
+    processes. The module is pickled by value.
+    """
+    name = f"law_{file.stem}_{digest[:_DIGITS]}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None  # the name ends with .py
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    if str(file.parent) not in sys.path:
+        sys.path.append(str(file.parent))
+    _importing.add(file)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:  # SystemExit of the user's file too
+        del sys.modules[name]
+        raise
+    finally:
+        _importing.discard(file)
+    cloudpickle.register_pickle_by_value(module)
+    return module
+
+
+def _name_of(target: Any) -> str:
+    """Return ``MODULE:NAME`` of a target, or ``FILE:NAME`` if its module is no importable one."""
+    if not hasattr(target, "__qualname__"):
+        target = type(target)
+    module = str(target.__module__)
+    if module == "__main__" or "<" in target.__qualname__:
+        try:
+            return f"{inspect.getsourcefile(target)}:{target.__qualname__}"
+        except TypeError:  # a class that was typed into an interpreter
+            pass
+    return f"{module}:{target.__qualname__}"
+
+
+class _Digest:
+    """Computes the digest of an object from its code and its values."""
+
+    def __init__(self) -> None:
+        # The values are kept, because Python uses the id of a freed value again.
+        self._seen: dict[int, tuple[int, Any]] = {}
+
+    def of(self, value: Any) -> str:
+        """Return the digest of ``value`` as a hexadecimal text."""
+        return hashlib.sha256(repr(self._parts(value)).encode()).hexdigest()
+
+    def _parts(self, value: Any) -> Any:
+        """Return nested tuples of texts and numbers that stand for ``value``."""
+        if value is None or isinstance(value, bool | int | float | complex | str | bytes):
+            return value
+        if id(value) in self._seen:
+            return "seen", self._seen[id(value)][0]
+        self._seen[id(value)] = len(self._seen), value
+        if isinstance(value, CodeType):
+            return (
+                value.co_code,
+                value.co_names,
+                value.co_varnames,
+                tuple(map(self._parts, value.co_consts)),
+            )
+        if isinstance(value, FunctionType):
+            if value.__code__.co_filename.startswith(_LIBRARIES):
+                return value.__module__, value.__qualname__
+            cells = (cell.cell_contents for cell in value.__closure__ or () if _filled(cell))
+            names = (name for name in _names(value.__code__) if name in value.__globals__)
+            return (
+                self._parts(value.__code__),
+                self._parts(value.__defaults__),
+                self._parts(value.__kwdefaults__),
+                tuple(map(self._parts, cells)),
+                tuple((name, self._parts(value.__globals__[name])) for name in names),
+            )
+        if isinstance(value, ModuleType):
+            file = getattr(value, "__file__", None)
+            if file and not file.startswith((*_LIBRARIES, _PACKAGE)):  # a file of the user
+                return value.__name__, Path(file).read_bytes()
+            return value.__name__, str(getattr(value, "__version__", ""))
+        if isinstance(value, MethodType):
+            return self._parts(value.__func__), self._parts(value.__self__)
+        if isinstance(value, partial):
+            return tuple(map(self._parts, (value.func, value.args, value.keywords)))
+        if isinstance(value, np.ndarray | np.generic):
+            return str(value.dtype), value.shape, value.tobytes()
+        if isinstance(value, type):
+            return self._class(value)
+        if isinstance(value, Mapping):
+            return tuple((repr(k), self._parts(v)) for k, v in value.items())
+        if isinstance(value, set | frozenset):
+            return tuple(sorted(map(repr, value)))
+        if isinstance(value, list | tuple):
+            return type(value).__name__, tuple(map(self._parts, value))
+        return self._parts(type(value)), self._object_state(value)
+
+    def _class(self, value: type) -> Any:
+        module = sys.modules.get(value.__module__)
+        file = getattr(module, "__file__", None)
+        if value.__module__ == "builtins" or (file or "").startswith(_LIBRARIES):
+            return value.__module__, value.__qualname__
+        members = {
+            name: member
+            for name, member in vars(value).items()
+            if isinstance(member, FunctionType | int | float | str | tuple | property)
+        }
+        getters = {n: m.fget if isinstance(m, property) else m for n, m in members.items()}
+        return value.__qualname__, self._parts(getters), tuple(map(self._parts, value.__bases__))
+
+    def _object_state(self, value: Any) -> Any:
+        """Return parts of an object's attributes, or of what pickle would keep of the object."""
+        if hasattr(value, "__dict__"):
+            return self._parts(vars(value))
+        try:
+            reduced = value.__reduce_ex__(2)
+        except TypeError:  # cannot be pickled
+            return ""
+        return self._parts(reduced[2]) if isinstance(reduced, tuple) and len(reduced) > 2 else ""
+
+
+def _filled(cell: Any) -> bool:
+    try:
+        cell.cell_contents  # noqa: B018  (raises ValueError before the variable has a value)
+    except ValueError:
+        return False
+    return True
+
+
+def _names(code: CodeType) -> list[str]:
+    """Return the names of globals that a code and its nested functions read."""
+    names = list(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            names += _names(constant)
+    return names

@@ -1,0 +1,62 @@
+"""Compiles scenarios, scenario files and Drake diagrams by one function."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from os import PathLike
+from typing import overload
+
+from pydrake.systems.framework import System
+
+from kneexo.compiler import CompiledModel, DiagramModel, compile_diagram
+from kneexo.diagrams.law import why_python
+from kneexo.errors import CompilationError
+from kneexo.parameters import Scenario
+from kneexo.parameters.scenario_file import as_scenario
+from kneexo.simulation.compiled import compile_scenario
+
+
+@overload
+def compile(system: Scenario | str | PathLike[str]) -> CompiledModel: ...
+
+
+@overload
+def compile(system: System, *, inputs: Iterable[str] = ()) -> DiagramModel: ...
+
+
+def compile(
+    system: Scenario | str | PathLike[str] | System, *, inputs: Iterable[str] = ()
+) -> CompiledModel:
+    """Compile a Drake diagram, or the closed loop of a scenario or scenario file.
+
+    See `kneexo.simulation.compile_scenario` and `kneexo.compiler.compile_diagram`.
+
+    Parameters
+    ----------
+    system
+        A scenario, the path of a scenario file, or a Diagram or leaf system of floats.
+    inputs
+        Names of the input ports of a diagram that become inputs of the model.
+
+    Raises
+    ------
+    ScenarioError
+        The file is faulty.
+    CompilationError
+        ``system`` has another type, or a subsystem cannot be converted. Also raised if ``inputs``
+        are given for a scenario, because the reference of the scenario determines its inputs, and
+        if the law of the scenario is called as Python.
+    """
+    if not isinstance(system, Scenario | str | PathLike):
+        return compile_diagram(system, inputs=inputs)
+    if isinstance(inputs, str) or tuple(inputs):
+        raise CompilationError(
+            "inputs: must be left out for a scenario; compile a diagram to choose them"
+        )
+    scenario = as_scenario(system)
+    if reason := why_python(scenario):
+        raise CompilationError(
+            f"controller: the law is called as Python: {reason}; docs/your_controller.md says how "
+            f"to get it compiled"
+        )
+    return compile_scenario(scenario)

@@ -1,0 +1,152 @@
+"""Calls the user's control laws as Python once a sample, beside a compiled plant."""
+
+from __future__ import annotations
+
+import copy
+import math
+import multiprocessing
+import sys
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+
+from kneexo.diagrams.law import law_inputs, why_python
+from kneexo.errors import KneexoError
+from kneexo.linkage import polynomial
+from kneexo.parameters import Law, LawParameters, Scenario
+from kneexo.result import Array
+from kneexo.rod_polynomial import controller_polynomial
+from kneexo.systems.function_law import call_law
+from kneexo.systems.knee_reference import start_angle_rad
+from kneexo.user_code import user_code
+
+SIGNAL_OF = {
+    "rod_extension": "measured_rod_extension",
+    "knee_angle": "measured_knee_angle",
+    "rod_reference": "rod_reference",
+    "knee_reference": "knee_reference",
+    "estimated_state": "estimated_state",
+}
+"""For each input of a law the output port of the closed loop with the same value."""
+
+
+class PythonLaw:
+    """The law of a scenario for one run: a function of time and signals that returns the command.
+
+    The first call of a law prints one line on stderr, with the reason and the remedy.
+    """
+
+    def __init__(self, scenario: Scenario, *, announce: bool = True) -> None:
+        """Start the law anew. ``announce``: whether the line may be printed."""
+        law = scenario.controller
+        assert isinstance(law, LawParameters)
+        self._law = law
+        self._limit = scenario.command_limit_rad_s
+        self._inputs = law_inputs(law.function)
+        self.signals = tuple(SIGNAL_OF[name] for name in self._inputs)
+        """Names of the output ports of the closed loop that the law reads."""
+        self._reason = why_python(scenario) if announce else ""
+        if law.function.is_system:
+            self._simulator = Simulator(law.function.any_system())
+            self._started = False
+            return
+        self._function = copy.deepcopy(law.function.target)
+        self._state = np.array(law.initial_state)
+        self._gains = {name: np.array([value]) for name, value in law.values.items()}
+
+    def __call__(self, time_s: float, signals: Mapping[str, Array]) -> float:
+        """Return the limited command in rad/s at a sample."""
+        values = {name: signals[SIGNAL_OF[name]] for name in self._inputs}
+        if self._law.function.is_system:
+            command = self._system_command(time_s, values)
+        else:
+            command = self._function_command(time_s, values)
+        if self._reason:  # after the first call, because an error says more
+            _announce(self._law.function, self._reason)
+            self._reason = ""
+        if not math.isfinite(command):
+            return command  # the run reports it
+        return min(max(command, -self._limit), self._limit)
+
+    def _function_command(self, time_s: float, values: dict[str, Array]) -> float:
+        law = self._law.function
+        arguments = values | self._gains
+        if law.arguments.time:
+            arguments["time_s"] = np.array([time_s])
+        if law.arguments.state:
+            arguments["state"] = self._state
+        command, *state = call_law(law, self._function, arguments)
+        self._state = np.array(state, dtype=float)
+        return float(command)
+
+    def _system_command(self, time_s: float, values: dict[str, Array]) -> float:
+        """Advance the system to this sample, execute its updates, and read its output."""
+        system, context = self._simulator.get_system(), self._simulator.get_mutable_context()
+        with user_code(f"law {self._law.function.short_name}: the system fails"):
+            if self._started:
+                self._simulator.AdvanceTo(time_s)
+            for name, value in values.items():
+                system.GetInputPort(name).FixValue(context, value)
+            if not self._started:
+                self._simulator.Initialize()
+                self._started = True
+            self._simulator.AdvancePendingEvents()
+            return float(system.GetOutputPort("motor_speed_command").Eval(context)[0])
+
+
+_announced: set[Law] = set()
+
+
+def _announce(law: Law, reason: str) -> None:
+    """Print once for each law that it runs as Python, unless this is a worker process."""
+    if law in _announced or multiprocessing.parent_process() is not None:
+        return
+    _announced.add(law)
+    sys.stderr.write(
+        f"kneexo: law {law.short_name} runs as Python; a sample costs 0.1 ms and its time: "
+        f"{reason}; docs/your_controller.md says how to get it compiled\n"
+    )
+
+
+_CALLS = 50  # enough for an integral to act
+_DISPLACEMENT_RAD = 0.02
+
+
+def sign_hint(scenario: Scenario) -> str:
+    """Return a remedy if the law of a scenario drives the rod away from its reference.
+
+    The law is called with the knee a degree above and a degree below a constant reference. Above
+    the reference the rod is too short, so the command must be the larger one. Without such a fault,
+    without a law of the user, and for a law that fails, the text is empty.
+    """
+    law = scenario.controller
+    if not isinstance(law, LawParameters):
+        return ""
+    angle = start_angle_rad(scenario.reference)
+    extension = partial(polynomial, controller_polynomial(scenario).p_si)
+    commands = []
+    try:
+        for displaced in (angle - _DISPLACEMENT_RAD, angle + _DISPLACEMENT_RAD):
+            values = {
+                "rod_extension": [extension(displaced)],
+                "knee_angle": [displaced],
+                "rod_reference": [extension(angle), 0.0, 0.0, 0.0],
+                "knee_reference": [angle, 0.0, 0.0, 0.0],
+                "estimated_state": [extension(displaced), 0.0, 0.0],
+            }
+            signals = {SIGNAL_OF[name]: np.array(value) for name, value in values.items()}
+            function = PythonLaw(scenario, announce=False)
+            samples = np.arange(_CALLS) * law.sample_time_s
+            commands.append([function(time_s, signals) for time_s in samples][-1])
+    except KneexoError:
+        return ""
+    below, above = commands
+    if not above < below:  # also for nan
+        return ""
+    return (
+        f"law {law.function.short_name} has the wrong sign: a positive command drives the rod out "
+        f"and lowers the knee angle, so the command must rise with rod_reference[0] - "
+        f"rod_extension, or with knee_angle - knee_reference[0]"
+    )

@@ -1,0 +1,314 @@
+"""Control law of the user, written as a function, as a leaf system."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from contextlib import nullcontext
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression, Variable
+
+from kneexo.errors import ParameterError, SimulationError, shortened
+from kneexo.parameters import LAW_INPUTS, Law, LawParameters
+from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template
+from kneexo.user_code import place_in_user_code, user_code
+
+LAW_COMMAND = "law_command"
+"""Name of the input port of `HeldCommand`."""
+
+_RELATIVE_STEP = 6e-6  # cube root of the rounding error: the best step of a central difference
+_SMALLEST_SCALE = 1e-2  # m, rad, rad/s, …: values below it are differentiated with its step
+
+
+def context_values(parameters: LawParameters) -> dict[str, float]:
+    """Return a dictionary {name: value} of the Context parameters of `FunctionLaw`."""
+    return {
+        **parameters.values,
+        **{f"initial_state_{n}": value for n, value in enumerate(parameters.initial_state)},
+        "command_limit_rad_s": parameters.command_limit_rad_s,
+    }
+
+
+def call_law(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]:
+    """Call the function of a law; return the command in rad/s and then the next state.
+
+    ``arguments`` has an array for each argument. The function gets a scalar for an array of one
+    element, except for ``state``. Raises `ParameterError` if the function fails or returns
+    something else.
+    """
+    plain = {
+        name: values.copy() if name == "state" or values.size > 1 else values.item()
+        for name, values in arguments.items()
+    }
+    with user_code(f"law {law.short_name}: the function fails"):
+        symbolic = any(values.dtype == object for values in arguments.values())
+        # NumPy raises false alarms for arrays of Expression.
+        with np.errstate(invalid="ignore") if symbolic else nullcontext():
+            result = function(**plain)
+    values, expected = [result], "must return the motor speed in rad/s, one number"
+    if "state" in plain:
+        size = plain["state"].size
+        expected = f"must return (command, next_state), with {size} numbers in next_state"
+        if not isinstance(result, tuple | list) or len(result) != 2:
+            raise _wrong_result(law, result, expected)
+        values = [result[0], *np.asarray(result[1], dtype=object).reshape(-1)]
+        if len(values) != 1 + size:
+            raise _wrong_result(law, result, expected)
+    values[:1] = np.asarray(values[0], dtype=object).reshape(-1)
+    count = 1 + ("state" in plain and plain["state"].size)
+    numbers = (int, float, np.number, Expression, AutoDiffXd)
+    suited = (isinstance(v, numbers) and not isinstance(v, bool) for v in values)
+    if len(values) != count or not all(suited):
+        raise _wrong_result(law, result, expected)
+    return values
+
+
+def _wrong_result(law: Law, result: Any, expected: str) -> ParameterError:
+    shown = shortened(" ".join(repr(result).split()), 60)
+    return ParameterError(f"law {law.short_name}: returns {shown}; {expected}")
+
+
+class FunctionLaw(NamedLeaf):
+    """Control law of the user, a function that is called once a sample: u⁺ = clip(f(…), ±u_max).
+
+    The arguments of the function f choose the input ports, of
+    `kneexo.parameters.law.LAW_INPUTS`. Ports of one element become a scalar, other ports an array.
+    ``time_s`` is the time in s, and ``state`` is an array of the discrete states after the first.
+    With ``state``, f returns the command and the next state.
+
+    ====================  =====  ======  ================================================
+    port                  size   unit
+    ====================  =====  ======  ================================================
+    inputs of the law     1…4    SI      see `kneexo.parameters.law.LAW_INPUTS`
+    **output port**
+    motor_speed_command   1      rad/s   within ±``command_limit_rad_s``
+    ====================  =====  ======  ================================================
+
+    An update every ``sample_time_s`` computes the discrete state, which contains the command and
+    the state of f. The output port shows the command. Context parameters by name: the gains of f,
+    ``initial_state_0``, … and ``command_limit_rad_s``.
+
+    A function that cannot calculate with AutoDiffXd is differentiated by central differences. An
+    update raises `ParameterError` if the function fails or returns something else, and
+    `SimulationError` if the command or a state is not finite.
+    """
+
+    def __init__(self, parameters: LawParameters) -> None:
+        self._law = law = parameters.function
+        self._function = copy.deepcopy(law.target)  # an object may hide state
+        self._arguments_of_law = law.arguments
+        self._declare_parameters(context_values(parameters))
+        self._states = len(parameters.initial_state)
+        self._gains = tuple(parameters.values)
+        self._ports = {
+            name: self.DeclareVectorInputPort(name, LAW_INPUTS[name])
+            for name in law.arguments.inputs
+        }
+        self._declare_update(parameters.sample_time_s, 1 + self._states, self._update)
+        if self._states:
+            self._declare_initialization(self._start)
+        self._declare_output(
+            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
+        )
+
+    def _start(self, context: Any) -> list[Any]:
+        p = self.parameters(context)
+        return [0.0, *(getattr(p, f"initial_state_{n}") for n in range(self._states))]
+
+    def _update(self, context: Any) -> list[Any]:
+        p = self.parameters(context)
+        arguments = {name: port.Eval(context) for name, port in self._ports.items()}
+        arguments |= {name: np.array([getattr(p, name)]) for name in self._gains}
+        if self._arguments_of_law.time:
+            arguments["time_s"] = np.array([context.get_time()])
+        if self._states:
+            arguments["state"] = context.get_discrete_state(0).CopyToVector()[1:]
+        if self._scalar is AutoDiffXd:
+            result = self._differentiated(arguments)
+        else:
+            result = call_law(self._law, self._function, arguments)
+        if self._scalar is float and not all(map(math.isfinite, result)):
+            raise SimulationError(
+                f"t = {context.get_time():.6g} s: law {self._law.short_name} returns "
+                f"{shortened(repr(result))}: must be finite"
+            )
+        limit = p.command_limit_rad_s
+        return [clip(result[0], -limit, limit), *result[1:]]
+
+    def _differentiated(self, arguments: Mapping[str, Any]) -> list[Any]:
+        """Return command and next state as AutoDiffXd, by central differences if f needs floats."""
+        try:
+            return call_law(self._law, self._function, arguments)
+        except ParameterError:
+            pass  # such as math.sin, which needs floats
+        sizes = [values.size for values in arguments.values()]
+        seeds = np.concatenate(list(arguments.values()))
+        point = np.array([seed.value() for seed in seeds])
+
+        def at(values: Any) -> Any:
+            parts = np.split(values, np.cumsum(sizes)[:-1])
+            return np.array(
+                call_law(self._law, self._function, dict(zip(arguments, parts, strict=True))),
+                dtype=float,
+            )
+
+        result = [AutoDiffXd(value) for value in at(point)]
+        for index, seed in enumerate(seeds):
+            if not np.any(seed.derivatives()):
+                continue
+            step = np.zeros(point.size)
+            step[index] = _RELATIVE_STEP * max(abs(point[index]), _SMALLEST_SCALE)
+            slope = (at(point + step) - at(point - step)) / (2.0 * step[index])
+            for row, value in enumerate(slope):
+                result[row] = result[row] + value * (seed - point[index])
+        return result
+
+
+FunctionLaw_ = leaf_template(FunctionLaw)
+"""Template of `FunctionLaw` classes by scalar type of Drake."""
+
+
+class HeldCommand(NamedLeaf):
+    """Hold a command from outside the diagram for a sample: u⁺ = ``law_command``.
+
+    This system replaces a control law that runs as Python beside a compiled plant. Input ports: the
+    inputs that the law reads, without effect, and ``law_command`` (1) in rad/s. Output port:
+    ``motor_speed_command`` (1), the discrete state, updated every ``sample_time_s``.
+    """
+
+    def __init__(self, sample_time_s: float, inputs: tuple[str, ...]) -> None:
+        for name in inputs:
+            self.DeclareVectorInputPort(name, LAW_INPUTS[name])
+        command = self.DeclareVectorInputPort(LAW_COMMAND, 1)
+        self._declare_update(sample_time_s, 1, lambda c: [command.Eval(c)[0]])
+        self._declare_output(
+            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
+        )
+
+
+HeldCommand_ = leaf_template(HeldCommand)
+"""Template of `HeldCommand` classes by scalar type of Drake."""
+
+
+# ------------------------------------------------------------------------------ tracing
+
+_TYPICAL = {  # largest magnitudes of the inputs at the points of comparison, in SI units
+    "rod_extension": (0.1,),
+    "rod_reference": (0.1, 0.1, 1.0, 10.0),
+    "estimated_state": (0.1, 0.1, 1.0),
+    "knee_angle": (1.5,),
+    "knee_reference": (1.5, 1.0, 1.0, 10.0),
+}
+_POINTS = 4
+_ZERO = Expression(0.0)
+_TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
+
+
+@lru_cache(maxsize=256)
+def why_not_compiled(law: Law, states: int) -> str:
+    """Return why the function of a law cannot become equations; an empty text if it can.
+
+    ``states`` is the number of elements of its argument ``state``. The function is traced twice
+    with variables, and compared with calls with numbers. Raises `ParameterError` if the function
+    hides state that cannot be copied.
+    """
+    if hides_state(law, states):
+        return "the object changes when it is called"
+    variables = {
+        name: np.array([Variable(f"{name}{n}") for n in range(size)])
+        for name, size in _sizes(law, states).items()
+    }
+    symbols = {name: np.array([Expression(v) for v in vs]) for name, vs in variables.items()}
+    try:
+        traces = [call_law(law, law.target, symbols) for _ in range(2)]
+    except ParameterError as error:
+        return _reason(error)
+    random = np.random.default_rng(0)
+    for _ in range(_POINTS):
+        point = _random_point(law, states, random)
+        environment = {
+            variable: value
+            for name, vs in variables.items()
+            for variable, value in zip(vs, point[name], strict=True)
+        }
+        try:
+            numbers = np.array(call_law(law, law.target, point), dtype=float)
+            read = np.array([[(_ZERO + e).Evaluate(environment) for e in t] for t in traces])
+        except (ParameterError, RuntimeError, ValueError):
+            return "the function fails for numbers within the usual range"
+        if not np.isclose(read, numbers, rtol=_TOLERANCE, atol=_TOLERANCE).all():
+            return "the equations that were read off differ from calls with numbers"
+    return ""
+
+
+@lru_cache(maxsize=256)
+def hides_state(law: Law, states: int) -> bool:
+    """Return True if a law is an object that changes when it is called.
+
+    Raises `ParameterError` if a function changes outer variables, or returns two commands for equal
+    arguments. Such a function cannot start a second run afresh.
+    """
+    function = copy.deepcopy(law.target)
+    random = np.random.default_rng(1)
+    changed = False
+    try:
+        for _ in range(2):
+            point = _random_point(law, states, random)
+            first, again = (call_law(law, function, point) for _ in range(2))
+            changed |= not np.array_equal(first, again, equal_nan=True)
+    except ParameterError:
+        return False  # the run or the trace reports the cause
+    changed |= Law(function, law.name).digest != law.digest
+    if changed and (function is law.target or Law(law.target, law.name).digest != law.digest):
+        raise ParameterError(
+            f"law {law.short_name}: hides state: it changes outer variables, or returns two "
+            f"commands for equal arguments; must take the argument state and return "
+            f"(command, next_state)"
+        )
+    return changed
+
+
+def _sizes(law: Law, states: int) -> dict[str, int]:
+    """Return the number of elements of each argument of the function."""
+    arguments = law.arguments
+    sizes = {name: LAW_INPUTS[name] for name in arguments.inputs}
+    sizes |= dict.fromkeys(arguments.gains, 1)
+    if arguments.time:
+        sizes["time_s"] = 1
+    if arguments.state:
+        sizes["state"] = states
+    return sizes
+
+
+def _random_point(law: Law, states: int, random: np.random.Generator) -> dict[str, Any]:
+    """Return arguments of usual size, an array for each: default gains, random other values."""
+    point: dict[str, Any] = {}
+    for name, size in _sizes(law, states).items():
+        if name in law.arguments.gains:
+            point[name] = np.array([law.arguments.gains[name]])
+        elif name == "time_s":
+            point[name] = random.uniform(0.0, 30.0, 1)
+        else:
+            point[name] = random.uniform(-1.0, 1.0, size) * np.array(_TYPICAL.get(name, 1.0))
+            if name != "state":
+                point[name][0] = abs(point[name][0])
+    return point
+
+
+def _reason(error: ParameterError) -> str:
+    """Return in words why a call with variables failed, with the line."""
+    cause = error.__cause__
+    if cause is None:
+        return str(error)
+    place = place_in_user_code(cause)
+    line = f" (line {place[1]})" if place else ""
+    if "__bool__" in str(cause):
+        return f"the function compares values{line}"
+    if isinstance(cause, TypeError):
+        return f"the function needs plain numbers{line}"
+    return f"the function raises {type(cause).__name__} for symbolic variables{line}"

@@ -1,0 +1,197 @@
+"""What a model leaves out, and notices about scenarios that surprise their users."""
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import fit_polynomials
+from kneexo.analysis.notices import model_lines, model_notices, notices, omissions, wrapped
+from kneexo.parameters import LINKAGES, RodPolynomialParameters, SampledReference, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.rod_polynomial import completed
+
+TEN_SECONDS = SampledReference(times_s=(0.0, 4.0, 10.0), angles_deg=(20, 40, 30))
+
+
+def test_an_ordinary_run_has_no_notice():
+    assert list(notices(Scenario())) == []
+    assert list(notices(Scenario(reference=TEN_SECONDS))) == []
+    assert list(notices(Scenario(reference="gait"))) == []
+
+
+@pytest.mark.parametrize(("duration_s", "count"), [(10.0, 0), (11.0, 0), (11.2, 1), (30.0, 1)])
+def test_a_long_hold_of_the_last_sample_is_a_notice(duration_s, count):
+    scenario = Scenario(reference=TEN_SECONDS, simulation={"duration_s": duration_s})
+    lines = list(notices(scenario))
+    assert len(lines) == count
+    if lines:
+        assert lines[0].startswith("the reference ends at 10 s, and the run holds its last sample")
+        assert f"simulation.duration_s = {duration_s:g} s; leave" in lines[0]
+
+
+def test_a_late_begin_of_the_reference_is_a_notice():
+    for start_s, count in ((0.5, 0), (5.0, 1)):
+        times = (start_s, start_s + 2.0, start_s + 5.0)
+        reference = SampledReference(times_s=times, angles_deg=(20, 40, 30))
+        lines = list(notices(Scenario(reference=reference)))
+        assert len(lines) == count
+    assert lines[0].startswith("the reference begins at 5 s, and the run holds its first sample")
+
+
+OWN = Scenario(plant={"linkage": {"rod_pin_radius_m": 0.27}})
+
+
+def test_a_fitted_polynomial_is_a_notice():
+    (line,) = notices(OWN)
+    error = np.abs(fit_polynomials(OWN.plant.linkage).p_error_mm).max()
+    assert line.startswith("the controller's polynomial is fitted to this linkage: off by at most")
+    assert f" {error:.2g} mm of rod" in line
+
+
+@pytest.mark.parametrize("linkage", LINKAGES)
+def test_table_1_is_no_surprise_for_the_linkages_of_the_paper(linkage):
+    for polynomial in (None, RodPolynomialParameters()):
+        scenario = Scenario(plant={"linkage": linkage}, polynomial=polynomial)
+        assert list(notices(scenario)) == []
+
+
+def test_a_polynomial_of_another_linkage_is_a_notice():
+    wrong = OWN.model_copy(update={"polynomial": RodPolynomialParameters()})
+    (line,) = notices(wrong)
+    error = np.abs(fit_polynomials(OWN.plant.linkage).table_p_error_mm).max()
+    assert f"polynomial is off the linkage by up to {error:.2g} mm of rod" in line
+    assert line.endswith("leave polynomial out, so that kneexo fits it")
+
+
+def test_a_completed_scenario_has_no_notice_about_its_polynomial():
+    assert list(notices(completed(OWN))) == []
+
+
+def test_a_small_misfit_is_no_notice():
+    fitted = completed(OWN).polynomial
+    for offset_mm, count in ((0.2, 0), (0.4, 1)):
+        p = (*fitted.p_mm_deg[:-1], fitted.p_mm_deg[-1] + offset_mm)
+        given = OWN.model_copy(update={"polynomial": RodPolynomialParameters(p_mm_deg=p)})
+        assert len(list(notices(given))) == count
+
+
+@pytest.mark.parametrize(("duration_s", "count"), [(1.9, 1), (2.0, 1), (2.1, 0)])
+def test_a_run_within_the_first_period_is_a_notice(duration_s, count):
+    values = {"reference.frequency_hz": 0.5, "simulation.duration_s": duration_s}
+    lines = list(notices(changed(Scenario(), values)))
+    assert len(lines) == count
+    if lines:
+        start = f"the run of {duration_s:g} s ends within the first period of the reference, 2 s;"
+        assert lines[0].startswith(start)
+
+
+WEIGHTLESS = (
+    "plant.cylinder.mass_kg = 3.2 kg has inertia but no weight; plant.load: knee adds weight"
+)
+BENCH, LEG = Scenario.preset("bench"), Scenario.preset("leg")
+
+
+def test_the_default_model_leaves_out_load_full_order_and_bus():
+    assert model_lines(Scenario(), ()) == [
+        "Left out: load on the knee, full order of the cylinder (valves, friction, air), bus."
+    ]
+    assert omissions(BENCH) == (
+        "torque of the wearer",
+        "full order of the cylinder (valves, friction, air)",
+    )
+    assert omissions(LEG) == ("torque of the wearer", "air in the oil")
+
+
+@pytest.mark.parametrize(
+    ("values", "omission"),
+    [
+        ({"plant.load.segment_mass_kg": 0.0}, "weight of the shank"),
+        ({"plant.load.gravity_m_s2": 0.0}, "weight of the shank"),
+        ({"plant.full_order.coulomb_friction_n": 0.0}, "friction of the seals"),
+        ({"plant.pump.internal_leakage_m3_per_s_pa": 0.0}, "leakage"),
+        ({"plant.ideal_motor": True}, "lag and limits of the motor"),
+        ({"plant.rod_map": "polynomial"}, "error of the polynomial"),
+        ({"encoder.quantized": False}, "counts of the encoder"),
+        ({"estimator": {"kind": "exact"}}, "estimation of the rod's state"),
+        (
+            {
+                "estimator": {"kind": "exact"},
+                "controller.continuous": True,
+                "bus": {"kind": "none"},
+            },
+            "sampling",
+        ),
+        ({"bus": {"kind": "none"}}, "bus"),
+    ],
+)
+def test_each_idealization_is_an_omission(values, omission):
+    assert omission in omissions(changed(LEG, values))
+    assert omission not in omissions(LEG)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"plant.load.knee_torque_n_m": 2.0, "plant.full_order.entrained_air": 0.01},
+        {
+            "plant.load.knee_torque_n_m": -2.0,
+            "plant.full_order.entrained_air": 0.01,
+            "plant.full_order.coulomb_friction_n": 0.0,
+            "plant.full_order.stribeck_friction_n": 5.0,
+            "bus": {"kind": "none", "latency_samples": 1},
+        },
+    ],
+)
+def test_a_whole_model_leaves_out_nothing_that_can_be_computed(values):
+    scenario = changed(LEG, values)
+    assert model_lines(scenario, ()) == ["Left out: nothing that kneexo can compute."]
+
+
+@pytest.mark.parametrize("scenario", [Scenario(), BENCH, LEG])
+def test_a_preset_contradicts_nothing(scenario):
+    assert list(model_notices(scenario)) == []
+
+
+def test_a_heavy_rod_contradicts_the_bounds_of_the_controller_and_has_no_weight():
+    heavy = changed(Scenario(), {"plant.cylinder.mass_kg": 3.2})
+    bounds = (
+        "plant.cylinder.mass_kg = 3.2 kg is outside controller.mass_min_kg … mass_max_kg, "
+        "1.4 … 1.8 kg"
+    )
+    assert list(model_notices(heavy)) == [
+        bounds,
+        WEIGHTLESS,
+    ]
+    loaded = changed(heavy, {"plant.load": {"kind": "knee"}})
+    assert list(model_notices(loaded)) == [
+        bounds,
+        "plant.cylinder.mass_kg = 3.2 kg has inertia but no weight; gravity acts on "
+        "plant.load.segment_mass_kg = 1.6 kg",
+    ]
+    believed = {"plant.load.segment_mass_kg": 3.2, "controller.mass_max_kg": 3.6}
+    assert list(model_notices(changed(loaded, believed))) == []
+    assert list(model_notices(changed(heavy, {"controller": {"kind": "pid"}}))) == [WEIGHTLESS]
+
+
+@pytest.mark.parametrize(("mass_kg", "count"), [(1.4, 0), (1.8, 0), (1.39, 1), (1.81, 2)])
+def test_the_bounds_of_the_mass_belong_to_it(mass_kg, count):
+    scenario = changed(Scenario(), {"plant.cylinder.mass_kg": mass_kg})
+    assert len(list(model_notices(scenario))) == count
+
+
+def test_a_nominal_plant_that_differs_is_a_notice():
+    nominal = {"cylinder": {"bulk_modulus_pa": 1e9}}
+    (line,) = model_notices(Scenario(nominal=nominal))
+    assert line == "nominal.cylinder.bulk_modulus_pa is 1e+09 Pa, that of the plant 1.72e+09 Pa"
+    nominal["pump"] = {"lag_s": 0.02, "gear_ratio": 5.0}
+    (line,) = model_notices(Scenario(nominal=nominal))
+    assert line.endswith("1.72e+09 Pa; 2 more differences")
+    assert list(model_notices(Scenario(nominal=Scenario().plant))) == []
+
+
+def test_no_line_is_wider_than_100_columns_unless_it_is_one_word():
+    words = " ".join(30 * ["plant.load"])
+    lines = wrapped(f"{words} {130 * 'x'}").split("\n")
+    assert all(len(line) <= 100 for line in lines[:-1])
+    assert lines[-1] == f"  {130 * 'x'}"
+    assert " ".join(" ".join(lines).split()) == f"{words} {130 * 'x'}"
+    assert model_lines(Scenario(), ["a", "b"])[1:] == ["Note: a.", "Note: b."]

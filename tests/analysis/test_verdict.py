@@ -1,0 +1,240 @@
+"""The verdict on runs that are made by hand, and on loops with and without margins."""
+
+import dataclasses
+import functools
+import json
+import math
+
+import numpy as np
+import pytest
+
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.tracking import TrackingResult, run_metrics, track
+from kneexo.analysis.verdict import ERROR_SHARE, Stability, loop_lines
+from kneexo.command_line.output import to_json
+from kneexo.diagrams import make_closed_loop
+from kneexo.linkage import encoder_angle
+from kneexo.parameters import G1, RPM, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.simulation import Run
+
+SINE = Scenario(reference={"kind": "sine", "frequency_hz": 0.5})  # 10…70°, period 2 s
+TIME = np.arange(0.0, 6.0, 0.002)
+LEG = changed(Scenario.preset("leg"), {"reference": SINE.reference})
+
+
+@pytest.fixture(autouse=True)
+def one_linearization(monkeypatch):
+    """Linearize each loop once in all tests of this file."""
+    monkeypatch.setattr("kneexo.analysis.verdict.linearize_loop", _linearized)
+
+
+@functools.cache
+def _linearized(scenario, *, knee_angle_deg):
+    """Linearize a loop, whose reference and duration have no effect, by its other parts."""
+    return linearize_loop(scenario, knee_angle_deg=knee_angle_deg)
+
+
+def result(scenario=SINE, *, error_deg=0.0, user_diagram=False, time_s=TIME, **signals):
+    """Return the result of a run with constant or sampled signals."""
+    columns = {
+        "knee_reference_rad": np.radians(error_deg),
+        "knee_angle_rad": 0.0,
+        "motor_speed_command_rad_s": 0.0,
+        "load_pressure_pa": 0.0,
+        "shaft_power_w": 0.0,
+        "hydraulic_power_w": 0.0,
+    } | signals
+    data = {name: np.broadcast_to(values, time_s.shape) for name, values in columns.items()}
+    run = Run(time_s, data, scenario.simulation)
+    period = 2.0 if scenario.reference.kind == "sine" else 0.0
+    metrics = run_metrics(scenario, time_s, data, settled_s=period)
+    return TrackingResult(scenario, run, metrics, user_diagram)
+
+
+@pytest.mark.parametrize(("worst_deg", "tracks"), [(1.99, True), (-1.99, True), (-2.01, False)])
+def test_a_run_tracks_within_2_deg_at_an_amplitude_of_30_deg(worst_deg, tracks):
+    error = np.where(TIME < 1.998, 5.0, 0.1)  # the first period does not count
+    error[np.argmin(np.abs(TIME - 3.5))] = worst_deg
+    verdict = result(error_deg=error).verdict
+    assert verdict.tracks is tracks
+    assert verdict.max_error_deg == pytest.approx(abs(worst_deg))
+    assert verdict.max_error_time_s == pytest.approx(3.5)
+    assert verdict.error_bound_deg == pytest.approx(2.0)  # Section 5: "less than 2°"
+    assert verdict.lines[0] == (
+        f"{'Tracks' if tracks else 'Does not track'}: largest error {abs(worst_deg):.3g}° at "
+        f"3.5 s; the bound is 2° (1/15 of the amplitude of 30°)."
+    )
+
+
+def test_all_errors_count_in_a_run_within_the_first_period_and_with_other_references():
+    early = np.where(TIME < 0.5, 5.0, 0.1)
+    short = TIME[TIME < 1.5]
+    verdict = result(error_deg=early[: short.size], time_s=short).verdict
+    assert (verdict.tracks, verdict.max_error_time_s) == (False, 0.0)
+    ramp = {"kind": "ramp", "start_deg": 20.0, "end_deg": 60.0}
+    verdict = result(changed(SINE, {"reference": ramp}), error_deg=early).verdict
+    assert not verdict.tracks
+    assert verdict.error_bound_deg == pytest.approx(20.0 * ERROR_SHARE)
+
+
+def test_no_run_must_track_better_than_the_encoder_counts():
+    still = changed(SINE, {"reference.amplitude_deg": 0.0})
+    theta_4 = encoder_angle(G1, np.radians([39.99, 40.01]))
+    count_deg = 360.0 / 4096.0 * math.radians(0.02) / abs(theta_4[1] - theta_4[0])
+    assert result(still, error_deg=0.99 * count_deg).verdict.tracks
+    verdict = result(still, error_deg=1.01 * count_deg).verdict
+    assert not verdict.tracks
+    assert verdict.error_bound_deg == pytest.approx(count_deg, rel=1e-4)
+    assert "(one count of the encoder)" in verdict.lines[0]
+
+
+def test_a_step_tracks_if_it_settles():
+    step = {"kind": "step", "start_deg": 30.0, "end_deg": 40.0, "time_s": 1.0}
+    scenario = changed(SINE, {"reference": step})
+    for rate, tracks in ((4.0, True), (0.3, False)):
+        angle = np.where(TIME < 1.0, 30.0, 40.0 - 10.0 * np.exp(-rate * (TIME - 1.0)))
+        verdict = result(scenario, knee_angle_rad=np.radians(angle)).verdict
+        assert verdict.tracks is tracks
+        assert verdict.lines[0].startswith("Tracks: within" if tracks else "Does not track: not")
+
+
+def test_what_saturates_is_named_with_its_share_of_the_run():
+    limit = 5000.0 * RPM
+    command = np.where(TIME < 1.5, -limit, 0.5 * limit)  # the first period counts here
+    line = result(motor_speed_command_rad_s=command).verdict.lines[1]
+    assert line == "Saturates: command at its limit of 5000 rpm for 25 % of the run."
+    pressure = np.where(TIME < 0.6, -3.6e6, 0.0)
+    power = np.where(TIME < 0.3, 201.0, 0.0)
+    verdict = result(load_pressure_pa=pressure, shaft_power_w=power).verdict
+    assert verdict.lines[1] == (
+        "Saturates: pressure above 3.5 MPa for 10 % of the run, power above 200 W for 5 % of the "
+        "run."
+    )
+    assert verdict.saturated_share == 0.0
+    assert verdict.pressure_over_rating_share == pytest.approx(0.1)
+    assert verdict.power_over_rating_share == pytest.approx(0.05)
+    assert math.isnan(verdict.relief_share)
+
+
+def test_open_relief_valves_saturate_the_full_order():
+    chambers = {
+        "cap_pressure_pa": np.where(TIME < 1.2, 3.51e6, 0.2e6),
+        "rod_side_pressure_pa": np.where(TIME > 4.8 - 1e-9, 3.51e6, 0.2e6),
+    }
+    verdict = result(LEG, **chambers).verdict
+    assert verdict.relief_share == pytest.approx(0.4)
+    assert verdict.lines[1] == "Saturates: relief valves open for 40 % of the run."
+
+
+def test_a_run_off_its_limits_names_them():
+    signals = {"motor_speed_command_rad_s": -4100.0 * RPM, "load_pressure_pa": -0.35e6}
+    verdict = result(**signals, shaft_power_w=2.6).verdict
+    assert verdict.lines[1] == (
+        "Nothing saturates: command 4100 of 5000 rpm, pressure 0.35 of 3.5 MPa, power 2.6 of 200 W."
+    )
+    ideal = changed(SINE, {"plant.ideal_motor": True, "controller.command_limit_rad_s": 1e12})
+    assert "command 4100 rpm, pressure" in result(ideal, **signals).verdict.lines[1]
+
+
+def test_the_margins_are_those_in_the_middle_of_the_reference():
+    reference = {"kind": "sine", "mean_deg": 55.0, "amplitude_deg": 10.0, "frequency_hz": 0.5}
+    scenario = changed(LEG, {"reference": reference})
+    verdict = result(scenario).verdict
+    margins = linearize_loop(scenario, knee_angle_deg=55.0).margins()
+    assert verdict.stability.stable
+    assert verdict.stability.knee_angle_deg == pytest.approx(55.0, abs=0.1)
+    assert vars(verdict.stability.margins) == vars(margins)
+    decibel = 20.0 * math.log10(margins.gain_margin)
+    assert verdict.lines[2] == (
+        f"Stable at 55°: gain margin {margins.gain_margin:.3g} ({decibel:.2g} dB), phase margin "
+        f"{margins.phase_margin_deg:.3g}°, delay margin {1e3 * margins.delay_margin_s:.3g} ms "
+        f"({math.floor(margins.delay_margin_s / 0.002)} samples)."
+    )
+    assert result().verdict.lines[2] != verdict.lines[2]
+
+
+def test_an_unstable_loop_has_no_margins():
+    # Exact states at k/Φ = 1.3e4 1/s: docs/eq27_at_2ms.md.
+    values = {"estimator": {"kind": "exact"}, "controller.phi_m_s2": 24.4}
+    verdict = result(changed(SINE, values)).verdict
+    assert verdict.stability.stable is False
+    assert verdict.stability.margins is None
+    assert verdict.lines[2].startswith(
+        "Not stable at 40°: the largest eigenvalue of the sampled lo"
+    )
+    assert verdict.stability.largest_eigenvalue > 1.0
+    assert verdict.results()["phase_margin_deg"] is not None
+    assert json.loads(to_json(verdict.results()))["phase_margin_deg"] is None
+
+
+def test_a_loop_that_is_not_linear_says_why():
+    verdict = result(changed(SINE, {"controller.switching": "signum"})).verdict
+    assert verdict.stability.stable is None
+    assert verdict.lines[2] == (
+        "No margins at 40°: controller.switching = signum: there is no linear sampled-data loop"
+    )
+    assert verdict.results()["margins_failure"].startswith("controller.switching = signum")
+
+
+def test_the_margins_of_a_scenario_are_not_those_of_a_diagram_of_the_user():
+    line = result(user_diagram=True).verdict.lines[2]
+    assert line.startswith("No margins at 40°: the diagram of the run is the user's")
+
+
+def test_a_run_of_a_diagram_of_the_user_is_marked():
+    scenario = changed(SINE, {"simulation.duration_s": 0.01})
+    assert track(scenario, diagram=make_closed_loop(scenario)).user_diagram
+    assert not track(scenario).user_diagram
+
+
+def test_gain_margins_in_both_directions_are_told():
+    loop = _linearized(LEG, knee_angle_deg=40.0)
+    margins = loop.margins()
+    both = dataclasses.replace(margins, lower_gain_margin=0.25)
+    line = dataclasses.replace(Stability.of_loop(loop), margins=both).line
+    assert " dB) and 0.25, phase margin" in line
+    none = dataclasses.replace(
+        margins, gain_margin=math.inf, phase_margin_deg=math.inf, delay_margin_s=math.inf
+    )
+    line = dataclasses.replace(Stability.of_loop(loop), margins=none).line
+    assert line.endswith("gain margin infinite, phase margin infinite, delay margin infinite.")
+
+
+def test_the_lines_of_a_loop_have_its_margins_and_bandwidths():
+    loop = _linearized(LEG, knee_angle_deg=40.0)
+    m = loop.margins()
+    stability, disk, bandwidth = loop_lines(loop)
+    assert stability == Stability.of_loop(loop).line
+    assert disk == (
+        f"Crossover: gain {m.phase_margin_frequency_hz:.3g} Hz, phase "
+        f"{m.gain_margin_frequency_hz:.3g} Hz. Disk margin {m.disk_margin:.3g}: gain "
+        f"{m.disk_gain_margin:.3g}, phase {m.disk_phase_margin_deg:.3g}°."
+    )
+    assert bandwidth == (
+        f"Bandwidth (−3 dB, small signals): {loop.bandwidth_hz():.3g} Hz; of the feedback alone: "
+        f"{loop.complementary_sensitivity_bandwidth_hz():.3g} Hz."
+    )
+
+
+def test_print_of_a_run_shows_what_is_left_out_notices_and_verdict():
+    heavy = result(changed(SINE, {"plant.cylinder.mass_kg": 3.2}))
+    lines = str(heavy).splitlines()
+    assert lines[0].startswith("Left out: load on the knee, full order")
+    assert [line.split(":")[0] for line in lines] == [
+        "Left out",
+        *2 * ["Note"],
+        "Tracks",
+        "Nothing saturates",
+        "Stable at 40°",
+    ]
+    assert repr(heavy.verdict) == str(heavy.verdict) == str(heavy)
+    assert repr(heavy).startswith("TrackingResult(scenario=")
+    assert heavy.verdict._repr_html_().split("<br>")[0] == lines[0]
+    assert max(map(len, lines)) <= 100
+
+
+def test_a_run_of_leg_logs_what_its_verdict_asks_for():
+    run = track(changed(LEG, {"simulation.duration_s": 0.1}))
+    assert run.verdict.relief_share == 0.0
+    assert run.verdict.tracks

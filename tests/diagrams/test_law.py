@@ -1,0 +1,64 @@
+"""Whether a law of the user is compiled, and which inputs it reads."""
+
+import pytest
+from pydrake.systems.framework import LeafSystem
+
+from kneexo.diagrams.law import held_command, law_inputs, port_sizes, runs_as_python, why_python
+from kneexo.errors import ParameterError
+from kneexo.parameters import Law, LawParameters, Scenario
+from kneexo.systems import FunctionLaw
+
+
+def law(knee_angle, knee_reference, gain=1e3):
+    return gain * (knee_angle - knee_reference[0])
+
+
+def system():
+    return FunctionLaw(LawParameters(function=law))
+
+
+class FloatsOnly(LeafSystem):
+    def __init__(self):
+        LeafSystem.__init__(self)
+        self.DeclareVectorInputPort("estimated_state", 3)
+        self.DeclareVectorOutputPort("motor_speed_command", 1, lambda context, output: None)
+
+
+@pytest.mark.parametrize("form", [law, system])
+def test_a_law_that_converts_is_compiled(form) -> None:
+    scenario = Scenario().with_law(form)
+    assert why_python(scenario) == ""
+    assert held_command(scenario) is None
+    assert law_inputs(Law(form)) == ("knee_angle", "knee_reference")
+
+
+@pytest.mark.parametrize(
+    ("form", "reason"),
+    [
+        (lambda estimated_state: float(estimated_state[0]), "needs plain numbers"),
+        (FloatsOnly, "does not convert to symbolic Expression"),
+        (FloatsOnly(), "Drake cannot clone this system"),
+    ],
+)
+def test_another_law_is_replaced_by_its_held_command(form, reason: str) -> None:
+    scenario = Scenario().with_law(form, sample_time_s=0.004)
+    assert reason in why_python(scenario)
+    assert runs_as_python(scenario)
+    held = held_command(scenario)
+    assert port_sizes(held, inputs=True) == {"estimated_state": 3, "law_command": 1}
+    assert held.GetUniquePeriodicDiscreteUpdateAttribute().period_sec() == 0.004
+
+
+def test_kneexos_controllers_are_compiled() -> None:
+    assert not runs_as_python(Scenario())
+
+
+def test_a_law_that_cannot_begin_anew_is_refused() -> None:
+    calls = []
+
+    def counting(rod_extension):
+        calls.append(rod_extension)
+        return len(calls)
+
+    with pytest.raises(ParameterError, match="hides state"):
+        why_python(Scenario().with_law(counting))

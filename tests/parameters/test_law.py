@@ -1,0 +1,224 @@
+"""Control laws of the user: names, digests, arguments, errors."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import LeafSystem
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import Law, LawParameters, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.parameters.scenario_file import dump_scenario, load_scenario
+from kneexo.systems import FunctionLaw_
+
+OWN_LAW = Path(__file__).parents[2] / "examples" / "own_law.py"
+
+
+def law(rod_extension, rod_reference, gain=1.3e5):
+    return gain * (rod_reference[0] - rod_extension)
+
+
+def with_factor(factor, offset=None):
+    def scaled(rod_extension):
+        return factor * rod_extension
+
+    return scaled
+
+
+def test_arguments_choose_inputs_and_gains() -> None:
+    def stateful(knee_angle, time_s, knee_reference, state=(1.0, 2.0), k=3, tau=0.5):
+        return 0.0, state
+
+    arguments = Law(stateful).arguments
+    assert arguments.inputs == ("knee_angle", "knee_reference")
+    assert arguments.time
+    assert arguments.state
+    assert arguments.initial_state == (1.0, 2.0)
+    assert arguments.gains == {"k": 3.0, "tau": 0.5}
+
+
+def test_equal_code_has_an_equal_digest_and_other_code_another() -> None:
+    assert Law(with_factor(1.0)) == Law(with_factor(1.0))
+    assert hash(Law(with_factor(1.0))) == hash(Law(with_factor(1.0)))
+    assert Law(with_factor(1.0)) != Law(with_factor(2.0))  # a variable of the closure
+    first, second = (lambda rod_extension: 1.0), (lambda rod_extension: 2.0)
+    assert Law(first) != Law(second)
+    assert Law(lambda x, k=1.0: x) != Law(lambda x, k=2.0: x)
+    assert Law(lambda x, *, k=1.0: x) != Law(lambda x, *, k=2.0: x)
+    matrix = np.eye(2)
+    before = Law(with_factor(matrix)).digest
+    matrix[0, 1] = 1e-12
+    assert Law(with_factor(matrix)).digest != before
+
+
+GAIN = 2.0
+
+
+def reads_a_global(rod_extension):
+    return helper(rod_extension)
+
+
+def helper(value):
+    return GAIN * value
+
+
+def test_the_digest_follows_the_functions_and_values_that_a_law_reads(monkeypatch) -> None:
+    before = Law(reads_a_global).digest
+    assert Law(reads_a_global).digest == before
+    monkeypatch.setitem(globals(), "GAIN", 3.0)
+    assert Law(reads_a_global).digest != before
+
+
+def test_the_digest_follows_the_attributes_of_an_object() -> None:
+    class Object:
+        def __init__(self, gain):
+            self.gain = gain
+
+        def __call__(self, rod_extension):
+            return self.gain * rod_extension
+
+    assert Law(Object(1.0)).digest == Law(Object(1.0)).digest
+    assert Law(Object(1.0)).digest != Law(Object(2.0)).digest
+
+
+def test_a_file_gives_the_law_and_later_changes_are_noticed(tmp_path: Path) -> None:
+    file = tmp_path / "my laws.py"
+    file.write_text("from other import K\ndef law(rod_extension):\n    return K * rod_extension\n")
+    (tmp_path / "other.py").write_text("K = 4.0\n")
+    loaded = Law.from_text("my laws.py:law", tmp_path)
+    assert loaded.target(2.0) == 8.0
+    assert loaded.name == f"{file}:law"
+    assert Law.from_text(loaded.identity()) == loaded
+    file.write_text("def law(rod_extension):\n    return 5.0 * rod_extension\n")
+    with pytest.raises(ParameterError, match=r"the code has changed since .* leave out '#"):
+        Law.from_text(loaded.identity())
+    assert Law.from_text(loaded.name).target(2.0) == 10.0
+
+
+def test_a_law_survives_pickle_and_a_scenario_file(tmp_path: Path) -> None:
+    scenario = Scenario().with_law(f"{OWN_LAW}:law", values={"gain": 9e4})
+    assert pickle.loads(pickle.dumps(scenario)) == scenario
+    path = tmp_path / "scenario.yaml"
+    path.write_text(dump_scenario(scenario))
+    assert load_scenario(path) == scenario
+    closure = Scenario().with_law(with_factor(3.0))
+    again = pickle.loads(pickle.dumps(closure))
+    assert again == closure
+    assert again.controller.function.target(2.0) == 6.0
+
+
+def test_a_relative_file_starts_at_the_scenario_file(tmp_path: Path) -> None:
+    (tmp_path / "my.py").write_text("def law(rod_extension):\n    return 0.0\n")
+    path = tmp_path / "my.yaml"
+    path.write_text("controller: {kind: law, function: 'my.py:law'}\n")
+    assert load_scenario(path).controller.function.name == f"{tmp_path / 'my.py'}:law"
+
+
+def test_gains_are_reached_by_their_path() -> None:
+    scenario = Scenario().with_law(law)
+    assert scenario.controller.values == {"gain": 1.3e5}
+    other = changed(scenario, {"controller.values.gain": 2e5})
+    assert other.controller.values == {"gain": 2e5}
+    assert scenario.controller.values == {"gain": 1.3e5}
+    assert other != scenario
+
+
+def test_json_tells_two_lambdas_apart() -> None:
+    texts = {
+        Scenario().with_law(function).model_dump_json()
+        for function in (lambda rod_extension: 1.0, lambda rod_extension: 2.0)
+    }
+    assert len(texts) == 2
+
+
+def test_a_drake_system_or_its_class_is_a_law() -> None:
+    class Empty(LeafSystem):
+        pass
+
+    for target in (Empty, Empty(), lambda: Empty()):
+        assert Law(target).is_system
+    assert isinstance(Law(Empty).make_system(), Empty)
+    assert not Law(law).is_system
+    with pytest.raises(ParameterError, match="Drake cannot clone this system; give its class"):
+        Law(Empty()).make_system()
+    with pytest.raises(ParameterError, match="takes no argument and returns int"):
+        Law(lambda: 1).make_system()
+    with pytest.raises(ParameterError, match="cannot be sent to worker processes"):
+        pickle.dumps(Law(Empty()))
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (3, "law = 3: must be a function, a Drake system, or"),
+        ("my.py", "law 'my.py': must be FILE.py:NAME"),
+        ("my.py:law:x", "law 'my.py:law:x': must be FILE.py:NAME"),
+        ("<stdin>:<lambda>", "existed only in the Python session that made it"),
+        (f"{OWN_LAW}:zzz", "has no 'zzz'; did you mean law?"),
+        ("my.py:law", "law 'my.py:law': there is no file "),
+        (f"{OWN_LAW}:low", "has no 'low'; did you mean law?"),
+        ("no_such_module:law", "no module named 'no_such_module'"),
+        (lambda rod_extention: 1.0, "did you mean rod_extension?"),
+        (lambda rod_extension, gain="2": 1.0, "unknown argument 'gain'"),
+        (lambda rod_extension, state: 1.0, "initial_state is missing, such as [0.0]"),
+    ],
+)
+def test_a_wrong_law_is_one_line(bad, message: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Scenario().with_law(bad)
+    text = str(caught.value)
+    assert message in text
+    assert "\n" not in text
+    assert "LawParameters" not in text
+
+
+def test_the_digest_follows_the_modules_of_the_user(tmp_path: Path) -> None:
+    (tmp_path / "gains_of_law.py").write_text("K = 1.0\n")
+    file = tmp_path / "my.py"
+    file.write_text("import gains_of_law\ndef law(rod_extension):\n    return gains_of_law.K\n")
+    before = Law.from_text(f"{file}:law").digest
+    (tmp_path / "gains_of_law.py").write_text("K = 2.0\n")
+    assert Law.from_text(f"{file}:law").digest != before
+
+
+def test_a_template_of_drake_is_its_class_for_floats() -> None:
+    law = Law(FunctionLaw_)
+    assert law.is_system
+    assert law.target is FunctionLaw_[float]
+
+
+def test_a_single_number_is_an_initial_state() -> None:
+    scenario = Scenario().with_law(lambda rod_extension, state=0.5: (0.0, state))
+    assert scenario.controller.initial_state == (0.5,)
+    scenario = Scenario().with_law(lambda rod_extension, state: (0.0, state), initial_state=2.0)
+    assert scenario.controller.initial_state == (2.0,)
+
+
+def test_a_class_that_is_no_system_asks_for_an_object() -> None:
+    class Hide:
+        def __call__(self, rod_extension):
+            return 0.0
+
+    with pytest.raises(ParameterError, match=r"is a class, but no Drake system; give .* Hide\(\)"):
+        Law(Hide).make_system()
+
+
+def test_a_file_that_fails_is_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "my.py"
+    file.write_text("x = 1\n1 / 0\n")
+    with pytest.raises(ParameterError, match=r"the file fails: ZeroDivisionError.*my.py, line 2"):
+        Law.from_text(f"{file}:law")
+    file.write_text(f"from kneexo.parameters import Law\nLaw.from_text({str(file) + ':law'!r})\n")
+    with pytest.raises(ParameterError, match="put the lines that use the law below `if __name__"):
+        Law.from_text(f"{file}:law")
+
+
+def test_values_and_states_must_suit_the_function() -> None:
+    with pytest.raises(ParameterError, match=r"has no argument of this name .* known: gain"):
+        LawParameters(function=law, values={"gian": 1.0})
+    with pytest.raises(ParameterError, match="has no argument state"):
+        LawParameters(function=law, initial_state=[0.0])
+    with pytest.raises(ParameterError, match="is a Drake system: initial_state and values must"):
+        LawParameters(function=LeafSystem, values={"gain": 1.0})

@@ -1,0 +1,185 @@
+"""Presets: what each one adds, how a file overrides it, and what its physics are by hand."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import linearize_loop, linearize_plant, simulate, track
+from kneexo.errors import ParameterError, ScenarioError
+from kneexo.parameters import Cia402Parameters, KneeLoadParameters, NoBus, NoLoad, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.parameters.presets import PRESETS, with_preset
+from kneexo.parameters.scenario_file import dump_scenario, load_scenario
+
+PAPER, BENCH, LEG = (Scenario.preset(name) for name in ("paper", "bench", "leg"))
+
+MEAN_AREA_M2 = math.pi / 4.0 * (0.020**2 - 0.010**2 / 2.0)
+"""Mean of Table 3's piston and ring."""
+
+
+@pytest.fixture
+def load(tmp_path):
+    def read(text, preset=None):
+        path = tmp_path / "scenario.yaml"
+        path.write_text(text, encoding="utf-8")
+        return load_scenario(path, preset)
+
+    return read
+
+
+def test_each_preset_adds_parts_to_the_one_before():
+    assert list(PRESETS) == ["paper", "bench", "leg"]
+    assert Scenario() == PAPER
+    assert (PAPER.plant.load, PAPER.plant.full_order, PAPER.bus) == (NoLoad(), None, NoBus())
+    assert (BENCH.plant.load, BENCH.bus) == (KneeLoadParameters(), Cia402Parameters())
+    assert changed(PAPER, {"plant.load": {"kind": "knee"}, "bus": {"kind": "cia402"}}) == BENCH
+    assert changed(BENCH, {"plant.full_order": {"coulomb_friction_n": 40.0}}) == LEG
+    # The pump leaks in all three; the controller knows the plant.
+    for scenario in (PAPER, BENCH, LEG):
+        assert scenario.plant.pump.leakage_m3_per_s_pa == 2e-13
+        assert scenario.nominal is None
+
+
+def test_a_file_starts_from_its_preset_and_overrides_it(load):
+    assert load("preset: leg") == LEG
+    assert load("preset: bench\nplant: {load: {segment_mass_kg: 3.2}}") == changed(
+        BENCH, {"plant.load.segment_mass_kg": 3.2}
+    )
+    heavy = load("preset: leg\nplant: {full_order: {entrained_air: 0.01}, linkage: G3}")
+    assert heavy == changed(LEG, {"plant.full_order.entrained_air": 0.01, "plant.linkage": "G3"})
+    # Another kind, or no value, takes the place of the whole part.
+    plain = load("preset: leg\nplant: {load: {kind: none}, full_order: null}\nbus: {kind: none}")
+    assert plain == PAPER
+    assert load("preset: bench\nbus: {latency_samples: 2}").bus == Cia402Parameters(
+        latency_samples=2
+    )
+
+
+def test_the_argument_takes_the_place_of_the_entry(load):
+    text = "preset: bench\ncontroller: {kind: pid}"
+    assert load(text, "leg") == changed(LEG, {"controller": {"kind": "pid"}})
+    assert load("plant: {cylinder: {mass_kg: 1.7}}", "bench") == changed(
+        BENCH, {"plant.cylinder.mass_kg": 1.7}
+    )
+
+
+@pytest.mark.parametrize("name", ["bench", "leg"])
+def test_a_written_scenario_is_complete_without_its_preset(load, name):
+    text = dump_scenario(Scenario.preset(name))
+    assert "preset" not in text
+    assert load(text) == Scenario.preset(name)
+    assert load(text, "paper") == Scenario.preset(name)
+
+
+def test_values_of_one_scenario_do_not_reach_the_next():
+    values = with_preset("leg", {"plant": {"full_order": {"dead_volume_m3": 1e-5}}})
+    values["plant"]["load"]["segment_mass_kg"] = 9.0
+    assert Scenario.preset("leg") == LEG
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"), [("lag", "; did you mean leg?"), ("x", ""), (3, ""), (None, "")]
+)
+def test_a_wrong_name_lists_the_presets(name, hint):
+    with pytest.raises(ParameterError) as caught:
+        Scenario.preset(name)
+    assert str(caught.value) == f"preset = '{name}': must be paper, bench or leg{hint}"
+
+
+def test_a_wrong_name_in_a_file_has_its_line(load):
+    with pytest.raises(ScenarioError, match=r"scenario\.yaml:2: preset = 'lag': must be paper, b"):
+        load("bus: {kind: none}\npreset: lag")
+
+
+def test_a_preset_is_no_value_of_a_scenario():
+    """A preset would replace what the scenario has, or would be replaced by it, in silence."""
+    with pytest.raises(ParameterError, match="preset: unknown name"):
+        changed(Scenario(), {"preset": "leg"})
+
+
+def test_the_friction_is_four_percent_of_the_rated_pressure():
+    """The reason that stands beside `SEAL_FRICTION_N`."""
+    friction_pa = LEG.plant.full_order.coulomb_friction_n / MEAN_AREA_M2
+    assert friction_pa == pytest.approx(0.146e6, rel=5e-3)
+    assert friction_pa / LEG.plant.cylinder.pressure_rating_pa == pytest.approx(0.04, rel=0.05)
+
+
+def table_1_arm_m(knee_angle_deg):
+    """Moment arm −dx/dθ of Eq. 10 in m, by hand from the coefficients of Table 1."""
+    p = np.polyder([1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0])
+    return -1e-3 * math.degrees(1.0) * np.polyval(p, knee_angle_deg)
+
+
+@pytest.mark.parametrize("knee_angle_deg", [10.0, 60.0])
+def test_bench_holds_the_weight_of_the_shank(knee_angle_deg):
+    # The hanging shank extends the knee, so the pressure pulls: P_L = −m g l sin θ/(r Ā).
+    torque = 1.6 * 9.81 * 0.20 * math.sin(math.radians(knee_angle_deg))
+    expected = -torque / (table_1_arm_m(knee_angle_deg) * MEAN_AREA_M2)
+    point = linearize_plant(BENCH.plant, knee_angle_deg=knee_angle_deg).operating_point
+    assert point.load_pressure_pa == pytest.approx(expected, rel=0.01)  # G1 is not quite Table 1
+    without = linearize_plant(PAPER.plant, knee_angle_deg=knee_angle_deg).operating_point
+    assert without.load_pressure_pa == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_bus_of_bench_rounds_to_1_rpm_and_takes_one_sample():
+    run = simulate(changed(BENCH, {"simulation.duration_s": 0.5}), signals=("motor_speed_command",))
+    command_rpm = run["motor_speed_command_rad_s"] * 30.0 / math.pi
+    assert np.ptp(command_rpm) > 500.0
+    assert command_rpm == pytest.approx(np.round(command_rpm), abs=1e-9)
+    without = changed(BENCH, {"bus": {"kind": "none"}})
+    delays_s = [linearize_loop(scenario).margins().delay_margin_s for scenario in (without, BENCH)]
+    assert delays_s[0] - delays_s[1] == pytest.approx(0.002, rel=1e-6)
+
+
+def test_the_seals_of_leg_take_40_n():
+    ramp = {"kind": "ramp", "start_deg": 50.0, "end_deg": 20.0, "time_s": 0.0}
+    scenario = changed(LEG, {"reference": ramp, "simulation.duration_s": 1.5})
+    run = simulate(
+        scenario, signals=("chamber_pressures", "rod_velocity", "knee_angle", "moment_arm")
+    )
+    late = run.time_s > 1.0
+    at = {name: values[late] for name, values in run.data.items()}
+    assert np.min(at["rod_velocity_m_s"]) > 0.02  # 20 times the band of the reversal
+    cap, ring = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)
+    force = at["cap_pressure_pa"] * cap - at["rod_side_pressure_pa"] * ring
+    weight = 1.6 * 9.81 * 0.20 * np.sin(at["knee_angle_rad"]) / at["moment_arm_m"]
+    friction = np.mean(force + weight - 0.05 * at["rod_velocity_m_s"])
+    assert friction == pytest.approx(40.0, rel=0.01)
+
+
+def test_the_areas_of_the_chambers_make_the_error_of_leg():
+    """The paper's plant tracks ten times as well: it has one area in both directions."""
+    leg, paper = (
+        track(changed(scenario, {"simulation.duration_s": 20.0})).metrics.max_error_deg
+        for scenario in (LEG, PAPER)
+    )
+    # docs/model_error.md: e = |1 − A_i/Ā| |ẋ| ω̂²/(λ² k/Φ), largest where the knee is fastest.
+    stiffness = 4.0 * 17_200e5 * MEAN_AREA_M2**2 / 41_233e-9 / math.sqrt(1.4 * 1.8)
+    slope = math.sqrt(1.8 / 1.4) * 2.8e5 / 3.2
+    rate = math.radians(30.0) * 2.0 * math.pi * 0.1
+    assert leg == pytest.approx(math.degrees(rate / 7.0 * stiffness / (20.0**2 * slope)), rel=0.1)
+    assert leg == pytest.approx(0.55, abs=0.005)
+    assert paper == pytest.approx(0.047, abs=0.002)
+
+
+def test_a_word_for_what_a_preset_has_keeps_it(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text("preset: leg\nplant: {load: knee, full_order: true}\nbus: can\n")
+    assert load_scenario(path) == Scenario.preset("leg")
+    path.write_text("preset: leg\nplant: {load: none, full_order: false}\nbus: none\n")
+    assert load_scenario(path) == Scenario()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_table_of_the_presets_has_their_numbers(name):
+    page = Path(__file__).parents[2] / "docs" / "scenario_files.md"
+    (row,) = re.findall(rf"^\| `{name}` \| .*$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    written = [float(cell.split()[0].rstrip("°")) for cell in row.strip("| ").split(" | ")[2:]]
+    m = track(Scenario.preset(name)).metrics
+    computed = [m.max_error_deg, m.peak_pressure_mpa, m.peak_shaft_power_w]
+    # Two digits are written; without load the mode of the oil makes pressure and power.
+    assert written == pytest.approx(computed, rel=0.06)

@@ -1,0 +1,249 @@
+"""Control laws of the user in closed loop: compiled, or called as Python beside the plant."""
+
+import math
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import LeafSystem
+from pydrake.systems.primitives import Gain
+
+from kneexo.analysis import linearize_loop, track
+from kneexo.diagrams import make_controller
+from kneexo.diagrams.law import runs_as_python
+from kneexo.errors import LinearizationError, ParameterError, SimulationError
+from kneexo.parameters import (
+    ExactParameters,
+    LawParameters,
+    SampledReference,
+    Scenario,
+    SimulationParameters,
+)
+from kneexo.simulation import simulate
+from kneexo.systems import FunctionLaw
+
+SHORT = Scenario(simulation=SimulationParameters(duration_s=0.3))
+K, K_I = 8e4, 2e5
+
+
+def law(rod_extension, rod_reference, k=K):
+    return k * (rod_reference[0] - rod_extension)
+
+
+def law_with_branch(rod_extension, rod_reference, k=K):
+    error = rod_reference[0] - rod_extension
+    return k * error if error > 0.0 else -k * -error
+
+
+def pi(rod_extension, rod_reference, state=(0.0,), k=K):
+    error = rod_reference[0] - rod_extension
+    return k * error + state[0], [state[0] + 0.002 * K_I * error]
+
+
+def pi_with_floats(rod_extension, rod_reference, state=(0.0,), k=K):
+    command, (integral,) = pi(rod_extension, rod_reference, state, k)
+    return float(command), [integral]
+
+
+class HiddenPi:
+    def __init__(self):
+        self.integral = 0.0
+
+    def __call__(self, rod_extension, rod_reference):
+        error = rod_reference[0] - rod_extension
+        command = K * error + self.integral
+        self.integral += 0.002 * K_I * error
+        return command
+
+
+class SystemPi(LeafSystem):
+    """The same law as a Drake system of floats only."""
+
+    def __init__(self):
+        LeafSystem.__init__(self)
+        self.rod = self.DeclareVectorInputPort("rod_extension", 1)
+        self.reference = self.DeclareVectorInputPort("rod_reference", 4)
+        self.DeclareDiscreteState(2)
+        self.DeclarePeriodicDiscreteUpdateEvent(0.002, 0.0, self.update)
+        self.DeclareVectorOutputPort("motor_speed_command", 1, self.command, {self.xd_ticket()})
+
+    def update(self, context, state):
+        integral = context.get_discrete_state(0)[1]
+        error = self.reference.Eval(context)[0] - self.rod.Eval(context)[0]
+        state.set_value(0, [K * error + integral, integral + 0.002 * K_I * error])
+
+    def command(self, context, output):
+        output.SetAtIndex(0, context.get_discrete_state(0)[0])
+
+
+def angles(scenario, law):
+    return simulate(scenario, law=law)["knee_angle_rad"]
+
+
+def test_a_law_in_python_moves_the_knee_as_the_compiled_law_does() -> None:
+    """All forms of one law give the same motion within the tolerance of the integrator."""
+    assert not runs_as_python(SHORT.with_law(pi))
+    expected = angles(SHORT, pi)
+    assert np.ptp(expected) > 1e-3
+    for form in (pi_with_floats, HiddenPi(), SystemPi, SystemPi()):
+        assert runs_as_python(SHORT.with_law(form))
+        for _ in range(2):  # each run begins with the first state
+            np.testing.assert_allclose(angles(SHORT, form), expected, rtol=0.0, atol=1e-7)
+    np.testing.assert_array_less(1e-4, np.abs(angles(SHORT, law) - expected).max())
+
+
+def test_the_engines_agree_for_a_law() -> None:
+    drake = SHORT.with_steps(2e-4).with_engine("drake")
+    for form in (pi, pi_with_floats, SystemPi):
+        np.testing.assert_allclose(angles(drake, form), angles(SHORT, form), rtol=0.0, atol=1e-6)
+
+
+def test_margins_of_a_law() -> None:
+    """Twice the gain is twice the loop; a law that needs floats has the loop of its equations."""
+    frequencies = [0.1, 1.0, 10.0]
+    loop = linearize_loop(law=law).loop_response(frequencies)
+    double = linearize_loop(Scenario().with_law(law, values={"k": 2.0 * K}))
+    np.testing.assert_allclose(double.loop_response(frequencies), 2.0 * loop, rtol=1e-9)
+    branch = linearize_loop(law=law_with_branch)
+    np.testing.assert_allclose(branch.loop_response(frequencies), loop, rtol=1e-9)
+    exact = linearize_loop(law=pi).loop_response(frequencies)
+    floats = linearize_loop(law=pi_with_floats).loop_response(frequencies)
+    np.testing.assert_allclose(floats, exact, rtol=1e-6)
+    integral = 0.002 * K_I / (np.exp(2j * np.pi * 0.1 * 0.002) - 1.0)
+    np.testing.assert_allclose(exact[0] / loop[0], (K + integral) / K, rtol=1e-6)
+
+
+def test_laws_without_a_linear_loop_say_so() -> None:
+    with pytest.raises(LinearizationError, match="hides state"):
+        linearize_loop(law=HiddenPi())
+    with pytest.raises(LinearizationError, match="or let the law act on the error"):
+        linearize_loop(law=lambda rod_extension: 5.0)
+    with pytest.raises(LinearizationError, match="write the law as a function"):
+        linearize_loop(law=SystemPi)
+
+
+def law_of_all(rod_extension, rod_reference, estimated_state, knee_angle, knee_reference, time_s):
+    return (
+        K * (rod_reference[0] - rod_extension)
+        + 100.0 * rod_reference @ [1.0, 2.0, 3.0, 4.0]
+        + 50.0 * estimated_state @ [1.0, 2.0, 0.3]
+        + 3000.0 * (knee_angle - knee_reference[0])
+        + 3.0 * knee_reference @ [1.0, 2.0, 3.0, 4.0]
+        + 11.0 * time_s
+    )
+
+
+def law_of_all_with_floats(
+    rod_extension, rod_reference, estimated_state, knee_angle, knee_reference, time_s
+):
+    return float(
+        law_of_all(
+            rod_extension, rod_reference, estimated_state, knee_angle, knee_reference, time_s
+        )
+    )
+
+
+@pytest.mark.parametrize("estimator", [None, ExactParameters()])
+def test_every_input_reaches_a_law_in_python(estimator) -> None:
+    scenario = SHORT if estimator is None else SHORT.model_copy(update={"estimator": estimator})
+    assert not runs_as_python(scenario.with_law(law_of_all))
+    assert runs_as_python(scenario.with_law(law_of_all_with_floats))
+    np.testing.assert_allclose(
+        angles(scenario, law_of_all_with_floats),
+        angles(scenario, law_of_all),
+        rtol=0.0,
+        atol=1e-7,
+    )
+
+
+def test_a_sampled_reference_reaches_a_law_in_python() -> None:
+    times = np.linspace(0.0, 0.3, 31)
+    reference = SampledReference(
+        times_s=tuple(times), angles_deg=tuple(20.0 + 5.0 * np.sin(10.0 * times))
+    )
+    scenario = SHORT.model_copy(update={"reference": reference})
+    np.testing.assert_allclose(
+        angles(scenario, pi_with_floats), angles(scenario, pi), rtol=0.0, atol=1e-7
+    )
+
+
+def test_the_first_run_says_once_why_the_law_is_slow(capsys) -> None:
+    def slow(rod_extension, rod_reference):
+        return max(-500.0, K * (rod_reference[0] - rod_extension))
+
+    for _ in range(2):
+        simulate(SHORT, law=slow)
+    (line,) = (text for text in capsys.readouterr().err.splitlines() if "slow" in text)
+    assert "runs as Python" in line
+    assert "the function compares values (line " in line
+    assert "docs/your_controller.md" in line
+
+
+def test_the_command_is_limited() -> None:
+    step = SHORT.model_copy(update={"initial_offset_m": -0.02})
+    unlimited = LawParameters(function=law, command_limit_rad_s=1e9)
+    for form in (law, law_with_branch, lambda: FunctionLaw(unlimited), SystemPi):
+        run = simulate(step, law=form)
+        peak = np.abs(run["motor_speed_command_rad_s"]).max()
+        assert peak == pytest.approx(step.command_limit_rad_s, rel=1e-12)
+
+
+def test_a_drake_system_that_converts_is_compiled_and_held() -> None:
+    """A system without discrete state is held for a sample, as a function is."""
+
+    def system():
+        return FunctionLaw(LawParameters(function=law))
+
+    assert not runs_as_python(SHORT.with_law(system))
+    np.testing.assert_array_equal(angles(SHORT, system), angles(SHORT, law))
+    loop = linearize_loop(law=system)
+    assert loop.margins() == linearize_loop(law=law).margins()
+
+
+def test_a_law_that_raises_names_its_line() -> None:
+    def faulty(rod_extension):
+        return 1.0 / math.floor(rod_extension)
+
+    with pytest.raises(ParameterError, match=r"fails: ZeroDivisionError.*test_python_law.py, line"):
+        simulate(SHORT, law=faulty)
+
+
+def test_a_law_that_becomes_infinite_names_time_and_signal() -> None:
+    def infinite(rod_extension, time_s):
+        return math.inf if time_s > 0.1 else 0.0
+
+    with pytest.raises(SimulationError, match=r"t = 0.102 s: law_command is not finite"):
+        simulate(SHORT, law=infinite)
+    with pytest.raises(SimulationError, match=r"t = 0 s: law_command is not finite") as caught:
+        simulate(SHORT, law=lambda rod_extension: math.nan * math.floor(rod_extension))
+    assert "wrong sign" not in str(caught.value)
+
+
+@pytest.mark.parametrize("form", [law, law_with_branch, pi])
+def test_the_message_names_a_wrong_sign(form) -> None:
+    scenario = Scenario(simulation=SimulationParameters(duration_s=3.0))
+    with pytest.raises(SimulationError, match="has the wrong sign: a positive command drives"):
+        track(scenario.with_law(form, values={"k": -K}))
+
+
+def test_a_divergence_of_a_right_sign_is_no_wrong_sign() -> None:
+    scenario = Scenario(simulation=SimulationParameters(duration_s=3.0))
+    with pytest.raises(SimulationError) as caught:
+        track(scenario.with_law(lambda rod_extension: 400.0))
+    assert "wrong sign" not in str(caught.value)
+
+
+class WrongPort(LeafSystem):
+    def __init__(self):
+        LeafSystem.__init__(self)
+        self.DeclareVectorInputPort("rod_ext", 1)
+        self.DeclareVectorOutputPort("motor_speed_command", 1, lambda context, output: None)
+
+
+def test_refusals_lead_to_law() -> None:
+    for refused in (WrongPort, WrongPort()):
+        with pytest.raises(ParameterError, match="port rod_ext of size 1; must be"):
+            simulate(SHORT, law=refused)
+    with pytest.raises(ParameterError, match=r"track\(scenario, law=law\)"):
+        make_controller(Scenario(), law)
+    with pytest.raises(ParameterError, match="input port u0 of size 1; must be of rod_extension"):
+        simulate(SHORT, law=lambda: Gain(1.0, 1))

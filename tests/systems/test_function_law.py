@@ -1,0 +1,188 @@
+"""The user's law as a leaf system: structure, scalar conversion, numbers, bad input."""
+
+import math
+
+import numpy as np
+import pytest
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression
+from pydrake.systems.analysis import Simulator
+
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import Law, LawParameters
+from kneexo.systems import FunctionLaw, FunctionLaw_, HeldCommand
+from kneexo.systems.function_law import hides_state, why_not_compiled
+
+
+def proportional(rod_extension, rod_reference, gain=1e3):
+    return gain * (rod_reference[0] - rod_extension)
+
+
+def integrating(rod_extension, time_s, state=(1.0,), gain=10.0):
+    return state[0] + 0.1 * time_s, [state[0] + gain * rod_extension]
+
+
+def with_math(rod_extension, rod_reference, gain=1e3):
+    return gain * math.sin(rod_reference[0] - rod_extension)
+
+
+def started(system, **inputs):
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    for name, value in inputs.items():
+        system.GetInputPort(name).FixValue(context, value)
+    simulator.Initialize()
+    return simulator
+
+
+def command_of(simulator):
+    system = simulator.get_system()
+    return system.GetOutputPort("motor_speed_command").Eval(simulator.get_context())[0]
+
+
+def test_structure() -> None:
+    system = FunctionLaw(LawParameters(function=integrating, sample_time_s=0.01))
+    ports = {
+        system.get_input_port(i).get_name(): system.get_input_port(i).size()
+        for i in range(system.num_input_ports())
+    }
+    assert ports == {"rod_extension": 1}
+    assert system.parameter_names == ("gain", "initial_state_0", "command_limit_rad_s")
+    assert system.CreateDefaultContext().get_discrete_state(0).size() == 2
+    assert system.GetUniquePeriodicDiscreteUpdateAttribute().period_sec() == 0.01
+    assert not system.HasAnyDirectFeedthrough()
+
+
+def test_the_command_is_held_for_a_sample_and_limited() -> None:
+    limit = 50.0
+    system = FunctionLaw(LawParameters(function=proportional, command_limit_rad_s=limit))
+    simulator = started(system, rod_extension=[0.03], rod_reference=[0.05, 0.0, 0.0, 0.0])
+    assert command_of(simulator) == 0.0
+    simulator.AdvanceTo(0.001)
+    assert command_of(simulator) == pytest.approx(20.0, rel=1e-12)
+    system.GetInputPort("rod_extension").FixValue(simulator.get_mutable_context(), [0.15])
+    simulator.AdvanceTo(0.0019)
+    assert command_of(simulator) == pytest.approx(20.0, rel=1e-12)
+    simulator.AdvanceTo(0.0021)
+    assert command_of(simulator) == -limit
+
+
+def test_state_time_and_gains() -> None:
+    system = FunctionLaw(LawParameters(function=integrating, values={"gain": 4.0}))
+    simulator = started(system, rod_extension=[0.5])
+    # u_k = x_k + 0.1 t_k with x_0 = 1 and x_{k+1} = x_k + 4 · 0.5
+    for sample, expected in enumerate((1.0, 3.0 + 0.0002, 5.0 + 0.0004)):
+        simulator.AdvanceTo(0.002 * sample + 0.001)
+        assert command_of(simulator) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("function", [proportional, with_math])
+def test_derivatives_against_mathematics(function) -> None:
+    """With math.sin, which needs floats, central differences give the derivative."""
+    system = FunctionLaw_[AutoDiffXd](LawParameters(function=function))
+    context = system.CreateDefaultContext()
+    error = 0.02
+    system.GetInputPort("rod_extension").FixValue(context, [AutoDiffXd(0.03, [1.0, 0.0])])
+    reference = [AutoDiffXd(0.03 + error, [0.0, 1.0]), *[AutoDiffXd(0.0, [0.0, 0.0])] * 3]
+    system.GetInputPort("rod_reference").FixValue(context, reference)
+    updated = system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0)[0]
+    slope = 1e3 if function is proportional else 1e3 * math.cos(error)
+    np.testing.assert_allclose(updated.derivatives(), [-slope, slope], rtol=1e-8)
+
+
+def test_conversion_to_expression() -> None:
+    system = FunctionLaw(LawParameters(function=proportional)).ToSymbolic()
+    assert isinstance(system, FunctionLaw_[Expression])
+
+
+@pytest.mark.parametrize(
+    ("result", "message"),
+    [
+        (None, "returns None; must return the motor speed in rad/s, one number"),
+        ("fast", "must return the motor speed"),
+        (True, "must return the motor speed"),
+        ([1.0, 2.0], "must return the motor speed"),
+        (math.nan, "must be finite"),
+    ],
+)
+def test_a_wrong_result_is_one_line(result, message: str) -> None:
+    system = FunctionLaw(LawParameters(function=lambda rod_extension: result))
+    simulator = started(system, rod_extension=[0.0])
+    with pytest.raises((ParameterError, SimulationError)) as caught:
+        simulator.AdvanceTo(0.001)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("result", [1.0, (1.0,), (1.0, [1.0, 2.0]), (1.0, ["x"])])
+def test_a_law_with_state_returns_command_and_state(result) -> None:
+    system = FunctionLaw(LawParameters(function=lambda rod_extension, state=(0.0,): result))
+    simulator = started(system, rod_extension=[0.0])
+    with pytest.raises(ParameterError, match=r"must return \(command, next_state\), with 1"):
+        simulator.AdvanceTo(0.001)
+
+
+def test_held_command() -> None:
+    system = HeldCommand(0.01, ("rod_extension", "estimated_state"))
+    assert system.GetInputPort("estimated_state").size() == 3
+    simulator = started(system, law_command=[7.0])
+    assert command_of(simulator) == 0.0
+    simulator.AdvanceTo(0.005)
+    assert command_of(simulator) == 7.0
+    assert system.ToSymbolic() is not None
+
+
+# ------------------------------------------------------------------------------ tracing
+
+
+class Integrator:
+    def __init__(self):
+        self.integral = 0.0
+
+    def __call__(self, rod_extension):
+        self.integral += rod_extension
+        return self.integral
+
+
+def reason(function) -> str:
+    law = Law(function)
+    return why_not_compiled(law, len(law.arguments.initial_state))
+
+
+def test_what_traces_is_compiled() -> None:
+    assert reason(proportional) == ""
+    assert reason(integrating) == ""
+    assert reason(lambda knee_angle: np.sin(np.array([knee_angle]))) == ""
+
+
+def test_what_does_not_trace_says_why() -> None:
+    assert "compares values" in reason(lambda rod_extension: max(rod_extension, 0.0))
+    assert "needs plain numbers" in reason(with_math)
+    assert "raises ZeroDivisionError" in reason(lambda rod_extension: 1 / 0)
+    assert "changes when it is called" in reason(Integrator())
+
+
+def test_a_trace_that_differs_from_numbers_is_refused() -> None:
+    """A function that looks at the type of its argument would compile to something else."""
+
+    def sly(rod_extension):
+        return 2.0 * rod_extension if isinstance(rod_extension, Expression) else rod_extension
+
+    assert "differ from calls with numbers" in reason(sly)
+
+
+def test_hidden_state() -> None:
+    assert not hides_state(Law(proportional), 0)
+    assert not hides_state(Law(lambda rod_extension: math.nan), 0)
+    assert hides_state(Law(Integrator()), 0)
+    calls = []
+
+    def remembers(rod_extension):
+        calls.append(rod_extension)
+        return 0.0
+
+    with pytest.raises(ParameterError, match=r"hides state: .* must take the argument state"):
+        hides_state(Law(remembers), 0)
+    random = np.random.default_rng()
+    with pytest.raises(ParameterError, match="hides state"):
+        hides_state(Law(lambda rod_extension: random.normal()), 0)

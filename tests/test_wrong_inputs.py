@@ -1,0 +1,344 @@
+"""Wrong inputs as newcomers type them: each answer is one short line that names the remedy."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kneexo as kx
+from kneexo.analysis import linearize_loop
+from kneexo.command_line.main import main
+from kneexo.diagrams import make_closed_loop
+from kneexo.diagrams.signals import SIGNALS, columns
+from kneexo.errors import KneexoError
+from kneexo.parameters import (
+    CylinderParameters,
+    PidParameters,
+    PlantParameters,
+    SimulationParameters,
+    SineReference,
+    Uncertainty,
+    gait_reference,
+)
+from kneexo.parameters.scenario_file import load_scenario, load_uncertainty
+from kneexo.simulation import Run
+from kneexo.studies.bandwidth import BandwidthSettings
+
+LONGEST = 300
+MASS = "plant.cylinder.mass_kg"
+
+
+def assert_helps(line: str, remedy: str) -> None:
+    assert line.isprintable(), line
+    assert len(line) <= LONGEST, line
+    assert re.search(remedy, line), line
+
+
+@pytest.fixture
+def directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.dont_write_bytecode", True)
+    Path("my.yaml").write_text(f"simulation: {{duration_s: 0.1}}\n{nested(MASS, 2)}\n")
+    Path("notes.txt").write_text("")
+    Path("law.py").write_text("def control(rod_extension):\n    return 0.0\n")
+    return tmp_path
+
+
+def nested(path: str, value: object) -> str:
+    """A line of YAML with a value at a dotted path."""
+    first, *names = path.split(".")
+    return f"{first}: {{{': {'.join(names)}: {value}{'}' * len(names)}"
+
+
+# ------------------------------------------------------------------------ scenario files
+
+FILES = {
+    # names
+    "mass_kg: 2": rf"my.yaml:1: mass_kg: unknown name; did you mean {MASS}\?$",
+    "mass: 2": rf"did you mean {MASS}, .* or plant.load.segment_mass_kg \(needs plant.load.kind",
+    "plant: {mass_kg: 2}": rf"plant.mass_kg: unknown name; did you mean {MASS}\?$",
+    "plant: {cylinder: {mass: 2}}": rf"did you mean {MASS}\?$",
+    "plant: {cylinder: {Mass_kg: 2}}": rf"did you mean {MASS}\?$",
+    "plant:\n  cylinder:\n  mass_kg: 2": rf"my.yaml:3: plant.mass_kg: .* mean {MASS}\?",
+    "cylinder: {mass_kg: 2}": r"cylinder: unknown name; did you mean plant.cylinder\?",
+    f"{MASS}: 2": r"nest the names: plant: {cylinder: {mass_kg: 2}}$",
+    "nominal: {cylinder: {mas: 1}}": r"did you mean nominal.cylinder.mass_kg\?$",
+    "controller: {lambda: 3}": r"did you mean controller.lambda_per_s\?$",
+    "controller: {proportional_per_s: 3}": r"unknown name; needs controller.kind = pid$",
+    "controller: {type: pid}": r"did you mean controller.kind\?$",
+    "plant: {load: {segment_mass_kg: 3}}": r"needs plant.load.kind = knee$",
+    "reference: {file: walk.csv}": r"needs reference.kind = csv$",
+    "simulation: {duration: 5}": r"did you mean simulation.duration_s\?$",
+    "duration: 5": r"did you mean simulation.duration_s\?$",
+    "reference: {csv: walk.csv}": r"did you mean reference.kind = csv\?$",
+    "colour: red": r"known here: bus, controller, encoder",
+    # words and kinds
+    "controller: PID": r"must be smc, pid, .* or a mapping; did you mean pid\?$",
+    "controller: lqr": r"controller = 'lqr': must be smc, pid, custom",
+    "controller: {kind: lqr}": r"controller.kind = 'lqr': must be 'smc', 'pid'",
+    "controller: [pid]": r"must be smc, pid, .* or a mapping$",
+    "bus: canbus": r"must be none, cia402, can or a mapping; did you mean can\?$",
+    "bus: {kind: can}": r"must be 'none' or 'cia402'; did you mean cia402\?$",
+    "plant: {linkage: g1}": r"must be G1, G2, G3, G4 or a mapping; did you mean G1\?$",
+    "plant: {full_order: yes}": r"must be true, false or a mapping$",
+    "reference: walk": r"must be sine, step, ramp, samples, gait, csv or a mapping",
+    "preset: legs": r"must be paper, bench or leg; did you mean leg\?$",
+    # values
+    "plant: {cylinder: {mass_kg: -1}}": r"= -1 kg is out of range: .* >= 0.01 and <= 1000 kg$",
+    "plant: {cylinder: {mass_kg: 2 kg}}": r"= '2 kg': must be a number, .* <= 1000 kg$",
+    "plant: {cylinder: {mass_kg: 1,6}}": r"write a decimal point",
+    "plant:\n  cylinder:\n    mass_kg: 1,6": r"= '1,6': must be a number with a decimal point",
+    "plant: {cylinder: {mass_kg: }}": r"has no value: must be a number, >= 0.01 and <= 1000 kg$",
+    "plant: {cylinder: 2}": r"must be a mapping of names to values, such as {bore_m: …}$",
+    "plant: {ideal_motor: 1}": r"must be true or false$",
+    "simulation: {integrator: euler}": r"must be 'exact_hold', .* did you mean implicit_euler\?$",
+    "polynomial: {p_mm_deg: [1, 2]}": r"polynomial.p_mm_deg has 2 values: must have 6$",
+    "reference: {amplitude_deg: 46}": r"leaves the range of motion 0 … 90 deg; reduce it$",
+    "reference: samples": r"reference.times_s: is missing; must be given by the user",
+    "controller: custom": r"controller.make: is missing; must be .* module:function",
+    "controller: {continuous: true}": r"needs estimator.kind = exact, not observer$",
+    # YAML
+    "plant": r"the top level must be a mapping, not a single value$",
+    "plant: {cylinder: {mass_kg: 2}": r"YAML syntax, column 31: .* expected ',' or '}'",
+    "plant: {}\nplant: {}": r"my.yaml:2: plant: duplicate name, first on line 1$",
+}
+
+
+@pytest.mark.parametrize("text", FILES)
+def test_a_scenario_file(directory, capsys, text):
+    Path("my.yaml").write_text(text)
+    assert main(["params", "my.yaml", "--yaml"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("kneexo: my.yaml:")
+    assert_helps(line, FILES[text])
+
+
+# ------------------------------------------------------------------------------ commands
+
+COMMANDS = {
+    # --set
+    "--set mass_kg=2": rf"--set mass_kg: unknown name; did you mean {MASS}\?$",
+    "--set plant.cylinder.mass=2": rf"did you mean {MASS}\?$",
+    "--set cylinder.mass_kg=2": rf"did you mean {MASS}\?$",
+    "--set plant.cylindr.mass_kg=2": rf"unknown name plant.cylindr; did you mean {MASS}\?$",
+    f"--set {MASS}": rf"--set {MASS}: must be NAME=VALUE$",
+    f"--set {MASS}:2": r"must be NAME=VALUE$",
+    f"--set {MASS}=": rf"--set {MASS} has no value: must be a number",
+    f"--set {MASS}=2kg": rf"--set {MASS} = '2kg': must be a number, .* kg$",
+    f"--set {MASS}=1,6": r"must be a number with a decimal point",
+    f"--set {MASS}.value=2": rf"{MASS} is a single value",
+    "--set =2": r"must be NAME=VALUE$",
+    "--set controller.proportional_per_s=3": r"needs controller.kind = pid$",
+    "--set controller=pd": r"did you mean pid\?$",
+    "--set plant.full_order.entrained_air=0.1": r"set plant.full_order = true too$",
+    "--set nominal.cylinder.mass_kg=2": r"set nominal = {} too$",
+    "--set bus.latency_samples=1.5": r"must be a whole number, >= 0 and <= 10 samples$",
+    "--set reference=walk.csv": r"--set reference: walk.csv: cannot be read: No such file",
+    "--set plant.linkage=[": r"--set plant.linkage:1: YAML syntax",
+    "--set plant.knee.flexion_max_deg=50": r"--set plant.knee.flexion_max_deg: reference = .* 50 d",
+    "--set preset=leg": r"--set preset: is an argument of its own, .* --preset$",
+    "--set corners_max=3": r"is a setting of kneexo study robustness, not a value of the scenario$",
+    # other arguments
+    "--preset legs": r"--preset = 'legs': must be paper, bench or leg; did you mean leg\?$",
+    "--engine fast": r"--engine: 'fast' is unknown; known: compiled, drake",
+    "--law law.py:contrl": r"--law 'law.py:contrl': .* did you mean control\?$",
+    "--law nolaw.py:control": r"--law 'nolaw.py:control': there is no file",
+    "--out notes.txt": r"--out notes.txt: cannot write there .*; choose another directory$",
+    "--out ": r"--out: is empty; must be a path",
+    "--ouut run": r"--ouut: unknown argument; did you mean --out\?",
+    "other.yaml": r"other.yaml: unknown argument; see kneexo simulate --help$",
+}
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_an_argument_is_not_blamed_on_the_scenario_file(directory, capsys, words):
+    before = sorted(Path().iterdir())
+    option, _, value = words.partition(" ")
+    command = ["simulate", "my.yaml", *([option, value] if " " in words else [option])]
+    line = answer([*command, *([] if "--ou" in words else ["--out", "run"])], capsys)
+    assert_helps(line, COMMANDS[words])
+    assert "my.yaml" not in line
+    assert sorted(Path().iterdir()) == before
+
+
+OTHER_COMMANDS = {
+    "simulat": r"'simulat' is unknown; did you mean simulate\?",
+    "bandwidth --out run": r"is now 'kneexo study bandwidth'",
+    "simulate": r"the following arguments are required: --out; see kneexo simulate --help$",
+    "simulate my.yml --out run": r"my.yml: cannot be read: .*; did you mean my.yaml\?$",
+    "simulate . --out run": r"cannot be read: Is a directory$",
+    "linearize --knee-angle 200 --out run": r"--knee-angle = 200 deg .* >= 0 and <= 90 deg$",
+    "linearize --knee-angle 40deg --out run": r"'40deg' must be a finite number .* without unit;",
+    "study bandwith --out run": r"did you mean bandwidth\?",
+    f"study bandwidth --set {MASS}=2 --out run": rf"change {MASS} in the scenario file",
+    "study bandwidth --set mass_kg=2 --out run": rf"change {MASS} in the scenario file of kneexo",
+    f"reproduce --set {MASS}=2 --out run": r"is no setting .* scenario file of kneexo simulate$",
+    "study bandwidth --set amplitude_deg=3 --out run": r"did you mean amplitudes_deg\?$",
+    "study bandwidth --set tolerance=3 --out run": r"did you mean estimate.tolerance\?$",
+    "study robustness --uncertainty no.yaml --out run": r"no.yaml: cannot be read: No such file",
+    "view note.txt --out knee.html": r"cannot be read: .*; did you mean notes.txt\?$",
+    "view . --out knee.html": r"has no scenario.yaml; must be a directory of kneexo simulate$",
+    "export c --what knee --out run": r"'knee' is unknown; known: controller, plant, loop",
+    "new my.yaml": r"my.yaml exists already; choose another name$",
+    "params --find mas_kg": r"--find mas_kg: no parameter .*; did you mean mass_kg, ",
+    "setup completion fish": r"'fish' is unknown; known: bash, zsh, tcsh",
+}
+
+
+@pytest.mark.parametrize("words", OTHER_COMMANDS)
+def test_a_command(directory, capsys, words):
+    assert_helps(answer(words.split(), capsys), OTHER_COMMANDS[words])
+    assert not Path("run").exists()
+
+
+def answer(words, capsys):
+    """The only line that a command prints on stderr, after its name."""
+    try:
+        code = main(words)
+    except SystemExit as end:  # of the parser
+        code = end.code
+    captured = capsys.readouterr()
+    assert (code, captured.out) == (2, "")
+    (line,) = captured.err.splitlines()
+    assert line.startswith("kneexo: ")
+    return line.removeprefix("kneexo: ")
+
+
+# ------------------------------------------------------------- files of other data
+
+UNCERTAINTIES = {
+    "": r"has no uncertain values$",
+    "mass_kg: {low: 1, high: 2}": rf"mass_kg: unknown name; did you mean {MASS}\?$",
+    f"{MASS}: 3": r"must be {low: …, high: …} or {options: \[…\]}$",
+    f"{MASS}: {{low: 1}}": r"must have either low and high, or options$",
+    f"{MASS}: {{lo: 1, high: 2}}": r"did you mean low\?",
+    f"{MASS}: {{low: 2, high: 1}}": r"low = 2 must be below high = 1$",
+    f"{MASS}: {{low: -2, high: 1}}": r"= -2 kg is out of range",
+    f"{MASS}: {{low: 1, high: 2, scale: lin}}": r"or 'log'; did you mean linear\?$",
+    "plant: {cylinder: {mass_kg: {low: 1, high: 2}}}": r"plant: must be a dotted path, such as",
+}
+
+
+@pytest.mark.parametrize("text", UNCERTAINTIES)
+def test_a_file_of_uncertain_values(directory, text):
+    Path("set.yaml").write_text(text)
+    with pytest.raises(KneexoError, match=r"^set.yaml:") as caught:
+        load_uncertainty("set.yaml")
+    assert_helps(str(caught.value), UNCERTAINTIES[text])
+
+
+HEADER = "time_s,knee_angle_deg\n"
+TABLES = {
+    "": r"is empty; must have a line with the names of columns$",
+    "time,angle\n0,1\n": r"has no column 'time_s'; it has time, angle",
+    "degrees\n1\n2\n3\n": r"has no column 'time_s'; it has degrees",
+    f"{HEADER}0,1\n1,2\n": r"times_s has 2 values: must have at least 3$",
+    f"{HEADER}0,1\n1,2\n1,3\n": r"walk.csv:4: time_s = 1 s after 1 s: must increase",
+    f"{HEADER}0,1\n1,x\n2,3\n": r"walk.csv:3: knee_angle_deg: 'x'; must be a finite number",
+    f"{HEADER}0,1\n1,200\n2,3\n": r"leaves the range of motion 0 … 90 deg; reduce it$",
+}
+
+
+@pytest.mark.parametrize("text", TABLES)
+def test_a_reference_from_a_csv_file(directory, text):
+    Path("walk.csv").write_text(text)
+    Path("my.yaml").write_text("reference: {kind: csv, file: walk.csv}")
+    with pytest.raises(KneexoError, match=r"^my.yaml:1: ") as caught:
+        load_scenario("my.yaml")
+    assert_helps(str(caught.value), TABLES[text])
+
+
+# -------------------------------------------------------------------------------- Python
+
+SCENARIO = kx.Scenario()
+RUN = Run(
+    np.arange(3.0), {name: np.zeros(3) for name in columns([*SIGNALS])}, SimulationParameters()
+)
+
+
+def assigned(part, name, value):
+    return lambda: setattr(part, name, value)
+
+
+CALLS = {
+    "attribute": (lambda: SCENARIO.mass_kg, rf"did you mean {MASS}\?$"),
+    "attribute of a part": (lambda: SCENARIO.plant.cylinder.mass, r"did you mean mass_kg\?$"),
+    "attribute of a kind": (
+        lambda: SCENARIO.controller.integral_per_s2,
+        r"Scenario has controller.integral_per_s2 \(needs controller.kind = pid\)$",
+    ),
+    "assignment": (
+        assigned(SCENARIO.plant.cylinder, "mass_kg", 2),
+        r'frozen; .* scenario.changed\({"plant.cylinder.mass_kg": 2}\)$',
+    ),
+    "assignment to the scenario": (
+        assigned(SCENARIO, "controller", "pid"),
+        r"scenario.changed\({\"controller\": 'pid'}\)$",
+    ),
+    "assignment of a new name": (
+        assigned(SCENARIO.plant.cylinder, "mass", 2),
+        r"did you mean mass_kg\?$",
+    ),
+    "keyword": (lambda: CylinderParameters(mass=2), r"did you mean mass_kg\?$"),
+    "keyword of another class": (
+        lambda: CylinderParameters(lag_s=2),
+        r"Scenario has plant.pump.lag_s$",
+    ),
+    "keyword of settings": (
+        lambda: BandwidthSettings(amplitude_deg=3),
+        r"did you mean amplitudes_deg\?$",
+    ),
+    "value without name": (lambda: PidParameters(3), r"such as PidParameters\(sample_time_s=…\)$"),
+    "file as scenario": (lambda: kx.Scenario("my.yaml"), r"load_scenario\(path\) reads a file$"),
+    "class as value": (
+        lambda: kx.Scenario(controller=PidParameters),
+        r"the class PidParameters: must be an object, such as PidParameters\(\)$",
+    ),
+    "part at the wrong place": (
+        lambda: kx.Scenario(plant=CylinderParameters()),
+        r"must be an object of PlantParameters$",
+    ),
+    "array as number": (lambda: SineReference(mean_deg=np.ones(2)), r"must be a number, .* deg$"),
+    "word": (lambda: kx.Scenario(estimator="exat"), r"did you mean exact\?$"),
+    "switch": (lambda: PlantParameters(full_order="on"), r"must be true, false or a mapping$"),
+    "preset": (lambda: kx.Scenario.preset("legs"), r"did you mean leg\?$"),
+    "path": (lambda: SCENARIO.changed({"mass_kg": 2}), rf"did you mean {MASS}\?$"),
+    "misspelt path": (
+        lambda: SCENARIO.changed({"plant.pomp.lag_s": 1}),
+        r"mean plant.pump.lag_s\?",
+    ),
+    "no mapping": (lambda: SCENARIO.changed("mass_kg"), r"must have a mapping from paths to"),
+    "copy": (lambda: SCENARIO.model_copy(update={MASS: 2}), r"has no field .*; call changed\(\)"),
+    "column": (lambda: RUN["knee"], r"did you mean knee_angle_rad"),
+    "signal": (lambda: make_closed_loop(signals=["knee"]), r"did you mean knee_reference, knee_an"),
+    "signal of another plant": (
+        lambda: make_closed_loop(signals=["chamber_pressures"]),
+        r"needs plant.full_order = true$",
+    ),
+    "file": (lambda: kx.track("my.yml"), r"my.yml: cannot be read: .*; did you mean my.yaml\?$"),
+    "no scenario": (lambda: kx.track({}), r"must be a Scenario or the path of a scenario file"),
+    "no list": (lambda: kx.batch(SCENARIO, {MASS: 2}), r"must be a list of values$"),
+    "path of a batch": (lambda: kx.batch(SCENARIO, {"mass_kg": [2.0]}), rf"did you mean {MASS}\?"),
+    "posture": (
+        lambda: linearize_loop(SCENARIO, knee_angle_deg=200),
+        r"knee_angle_deg = 200 deg is out of range: must be >= 0 and <= 90 deg$",
+    ),
+    "frequency": (lambda: gait_reference(20), r"must be > 0 and <= 10 Hz$"),
+    "interval": (lambda: Uncertainty(low=1.0), r"must have either low and high, or options$"),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_call_in_python(directory, name):
+    call, remedy = CALLS[name]
+    with pytest.raises((KneexoError, AttributeError)) as caught:
+        call()
+    assert_helps(str(caught.value), remedy)
+
+
+def test_the_inputs_are_many():
+    tables = (FILES, COMMANDS, OTHER_COMMANDS, UNCERTAINTIES, TABLES, CALLS)
+    assert sum(map(len, tables)) >= 60
