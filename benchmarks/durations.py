@@ -52,7 +52,7 @@ def measure(command: list[str]) -> None:
     """Run a command and print its durations."""
     with tempfile.TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):
         recorder = Recorder()
-        progress._whole = recorder  # type: ignore[assignment]
+        progress._whole = recorder  # type: ignore[assignment]  # it has the bar's methods only
         assert main([*command, "--out", str(Path(folder) / "out")]) == 0
         progress._whole = None
         recorder.note("end")

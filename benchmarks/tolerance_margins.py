@@ -128,7 +128,7 @@ def test_line() -> str:
         path = frame.f_code.co_filename
         if "/tests/" in path:
             return f"{path.rpartition('/tests/')[2]}:{frame.f_lineno}"
-        frame = frame.f_back  # type: ignore[assignment]
+        frame = frame.f_back  # type: ignore[assignment]  # None ends the loop
     return "?"
 
 
@@ -185,7 +185,7 @@ def patch(recorder: Recorder) -> None:
     rewrite._write_pyc = lambda *_args, **_options: False
     import builtins
 
-    builtins.__compare__ = recorder.compare  # type: ignore[attr-defined]
+    builtins.__compare__ = recorder.compare  # type: ignore[attr-defined]  # the rewritten asserts call it
 
 
 class Inequalities(ast.NodeTransformer):

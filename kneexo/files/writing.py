@@ -61,7 +61,7 @@ def create_files(texts: Mapping[Path, str]) -> None:
             with path.open("x", encoding="utf-8") as file:
                 created.append(path)
                 file.write(text)
-    except BaseException as error:
+    except BaseException as error:  # Ctrl-C too leaves no half-written set of files
         for file_path in created:
             file_path.unlink(missing_ok=True)
         if isinstance(error, FileExistsError):

@@ -254,7 +254,7 @@ def contest_study(
     raised, and ``Tuning.converged`` is False.
 
     Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, if
-    the scenario has none of the values, and if its controller is one of the user. Raises
+    the scenario has none of the values, and if its controller is the user's. Raises
     `SimulationError` if the default SMC fails on a training plant, because its chattering is the
     budget of the tuning.
     """
