@@ -12,6 +12,7 @@ from matplotlib.ticker import EngFormatter
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform
 
+from kneexo.errors import OutputError, shown
 from kneexo.files.writing import require_mark
 from kneexo.parameters import LinkageParameters
 from kneexo.result import Array
@@ -110,8 +111,10 @@ def _quiet_meshcat() -> Meshcat:
 
 
 def require_page(path: Path) -> None:
-    """Raise `OutputError` if a file exists and does not contain `MARK`."""
+    """Raise `OutputError` if a file exists without `MARK`, or if the name lacks .html."""
     require_mark(path, MARK, "page of kneexo view")
+    if path.suffix not in (".html", ".htm"):
+        raise OutputError(f"{shown(path)}: the name of a page must end in .html")
 
 
 def _record(

@@ -118,8 +118,8 @@ _LIMIT = (
     "the reference asks for less than the limit, so the limit does not explain the residual error"
 )
 _REDUCED_ORDER = (
-    "nothing is fitted, and the reduced order has one piston area for both chambers; the paper's "
-    "−3 dB lies between those of the full order (kneexo study order)"
+    "nothing is fitted, and the reduced order has one piston area for both chambers; models of "
+    "full order reach −3 dB below and above the paper's frequency (kneexo study order)"
 )
 _G4 = "quintic fitted to geometry G4 over 5…90°, 198 degrees of freedom"
 
