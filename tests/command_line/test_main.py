@@ -132,7 +132,7 @@ def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp
         (["simulate", "--out", "o/" + "x" * 5000], "kneexo: --out o/" + "x" * 148 + " … xxx"),
         (["simulate", "--set", "a\nb", "--out", "o"], "kneexo: --set a\\nb: must be NAME=VALUE"),
         (["simulate", "--set", "x" * 5000 + "=1", "--out", "o"], "kneexo: --set xxx"),
-        (["view", "--out", "k.html", "loop"], "kneexo: loop: cannot be read: Too many levels of sy"),
+        (["view", "--out", "k.html", "loop"], "kneexo: loop: cannot be read: Too many levels of s"),
     ],
 )
 def test_names_are_short_and_on_one_line(capsys, tmp_path, monkeypatch, arguments, message):
