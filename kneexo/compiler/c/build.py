@@ -21,8 +21,15 @@ TARGETS = {
 }
 """Dictionary from the name of a microcontroller core to the options of arm-none-eabi-gcc."""
 
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
-"""Flags of the C compiler. ``-ffp-contract=off`` rounds a product and a sum separately."""
+REQUIRED_FLAGS = ("-std=c99", "-ffp-contract=off")
+"""Flags that all exported code needs. With the second flag, gcc and clang round a product and a sum
+separately, as the compiled diagram does."""
+
+FLAGS = (*REQUIRED_FLAGS, "-O2")
+"""Flags of the C compiler for this machine and for microcontrollers."""
+
+USUAL_FLAGS = ("-O2", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic")
+"""Further flags of the exported build files. The Makefile replaces them by the user's CFLAGS."""
 
 
 BUILD = "build"

@@ -15,7 +15,16 @@ from ..diagram_equations import read_diagram
 from ..errors import CompilationError
 from ..files import require_marked, write_folder
 from ..run_data import Array
-from .build import BUILD, BuildError, CodeSize, Replay, code_sizes, replay
+from .build import (
+    BUILD,
+    REQUIRED_FLAGS,
+    USUAL_FLAGS,
+    BuildError,
+    CodeSize,
+    Replay,
+    code_sizes,
+    replay,
+)
 from .interface import Field
 from .printer import literal
 from .source import MARK, CSource, source_of
@@ -88,6 +97,8 @@ def export_c(
     require_export_folder(directory)
     source = source_of(read_diagram(diagram, inputs=inputs), name, context, **options)
     width = len(source.plan.inputs)
+    if steps < 1:
+        raise CompilationError(f"steps = {steps}: must be at least 1, for test vectors")
     rows = np.zeros((steps, width)) if samples is None else np.array(samples, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != width or not len(rows):
         raise CompilationError(f"samples has the shape {rows.shape}: must be (steps, {width})")
@@ -140,6 +151,7 @@ def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
     rows = zip(vectors.inputs.tolist(), vectors.outputs.tolist(), strict=True)
     data = source.template_data | {
         "tolerance": REPLAY_TOLERANCES[source.precision],
+        "flags": {"required": REQUIRED_FLAGS, "usual": USUAL_FLAGS},
         "vectors": [
             (_values(source, plan.inputs, inputs), _values(source, plan.outputs, outputs))
             for inputs, outputs in rows

@@ -43,10 +43,17 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     Raises
     ------
     CompilationError
-        The inputs vary from step to step, and the diagram has continuous states and sample times.
+        There are no steps or no outputs, so the test vectors would be empty. Or the inputs vary
+        from step to step, and the diagram has continuous states and sample times.
     SimulationError
         The run fails.
     """
+    if not len(inputs):
+        raise CompilationError(f"{source.name}: test vectors have 0 steps; must be at least 1")
+    if not source.plan.outputs:
+        raise CompilationError(
+            f"{source.name}: test vectors need an output; export an output port of the diagram"
+        )
     schedule, equations, state = source.plan.schedule, source.equations, source.state
     model = DiagramModel(DiagramEquations(diagram, equations))
     tick_s, steps, ports = schedule.tick_s, len(inputs), tuple(source.equations.inputs)

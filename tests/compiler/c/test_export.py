@@ -1,5 +1,6 @@
 """Folders of exported models: vectors, harness, build files, refusals."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -84,18 +85,65 @@ def test_make_and_cmake_build_the_folder(folder, no_targets):
     for flags, objects in (("-O1", 2), ("-O1", 0), ("-O0 -DQUOTED='a b'", 2)):
         command = ["make", f"CFLAGS={flags}"]
         made = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-        assert made.stdout.count(f"{flags} -c -o build/") == objects
+        assert made.stdout.count(f"{flags} -c -o build/cc/") == objects
     made = subprocess.run(["make", "CC=true"], cwd=folder, capture_output=True, text=True)
     assert made.stdout.count("true ") == 2
+    # Each compiler has its own folder, so gcc leaves the objects of cc alone.
+    for compiler in ("gcc", shutil.which("gcc")):
+        command = ["make", "test", f"CC={compiler}"]
+        made = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+        assert "20 steps, 0 failures" in made.stdout
+    assert {path.name for path in (folder / "build").iterdir()} == {"cc", "gcc", "true"}
     subprocess.run(["make", "clean"], cwd=folder, capture_output=True, check=True)
     if shutil.which("cmake"):
-        for command in (["cmake", "-B", "build"], ["cmake", "--build", "build"]):
+        build = "build/cmake"
+        for command in (["cmake", "-B", build], ["cmake", "--build", build]):
             subprocess.run(command, cwd=folder, capture_output=True, check=True)
-        subprocess.run(
-            ["ctest", "--test-dir", "build"], cwd=folder, capture_output=True, check=True
-        )
+        subprocess.run(["ctest", "--test-dir", build], cwd=folder, capture_output=True, check=True)
     # A build does not stand in the way of the next export.
     export_c(low_pass(), folder, name="filter", inputs=["u0"], samples=SAMPLES)
+
+
+@pytest.mark.skipif(
+    not (shutil.which("make") and shutil.which("cmake")), reason="needs make and cmake"
+)
+def test_make_and_cmake_use_the_same_flags(folder):
+    """The flags of each source as the tools print them."""
+
+    def flags_of(command):
+        return [word for word in command.split() if re.match("-(?![IDco]$)[^ID]", word)]
+
+    lines = subprocess.run(["make", "-n", "test"], cwd=folder, capture_output=True, text=True)
+    made = [flags_of(line) for line in lines.stdout.splitlines() if " -c " in line]
+    option = "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON"
+    subprocess.run(["cmake", "-B", "build/cmake", option], cwd=folder, check=True)
+    commands = json.loads((folder / "build/cmake/compile_commands.json").read_text())
+    assert made == [flags_of(entry["command"]) for entry in commands]
+    assert len(made) == 4
+    assert set(c_build.FLAGS) <= set(made[0])
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize(
+    ("precision", "flag", "compiles"),
+    [
+        ("double", "-ffast-math", False),
+        ("double", "-Ofast", False),
+        ("double", "-ffinite-math-only", False),
+        ("double", "-O2", True),
+        ("float", "-ffast-math", False),
+    ],
+)
+def test_fast_math_does_not_compile(tmp_path, compiler, precision, flag, compiles):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"needs the C compiler {compiler}")
+    source = source_of(read_diagram(low_pass(), inputs=["u0"]), "filter", precision=precision)
+    for name, text in source.files().items():
+        (tmp_path / name).write_text(text)
+    command = [compiler, "-std=c99", flag, "-fsyntax-only", "filter.c"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode == 0) is compiles
+    assert ('"compile filter.c without -f' in done.stderr) is not compiles
 
 
 def test_the_readme_tells_what_was_measured(folder):
@@ -256,4 +304,19 @@ def test_what_a_killed_export_left_is_deleted(folder, no_targets):
 def test_samples_of_another_shape_are_refused(tmp_path, samples):
     with pytest.raises(CompilationError, match=r"must be \(steps, 1\)"):
         export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], samples=samples)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"steps": 0}, "steps = 0: must be at least 1, for test vectors"),
+        ({"steps": -3}, "steps = -3: must be at least 1, for test vectors"),
+        ({"outputs": []}, "filter: test vectors need an output; export an output port"),
+    ],
+)
+def test_empty_test_vectors_are_refused(tmp_path, options, line):
+    with pytest.raises(CompilationError, match=line) as error:
+        export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], **options)
+    assert "\n" not in str(error.value)
     assert not list(tmp_path.iterdir())

@@ -30,6 +30,12 @@ def test_vectors_are_the_outputs_after_each_step():
         np.testing.assert_array_equal(vectors.inputs, SAMPLES)
 
 
+def test_vectors_without_steps_are_refused():
+    source = source_of(read_diagram(low_pass(), inputs=["u0"]), "m")
+    with pytest.raises(CompilationError, match="m: test vectors have 0 steps; must be at least 1"):
+        recorded_vectors(low_pass(), source, np.zeros((0, 1)))
+
+
 def test_inputs_that_vary_need_a_diagram_without_sample_times_or_without_states(multirate):
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem("plant", LinearSystem(A=[[-1.0]], B=[[1.0]], C=[[1.0]], D=[[0]]))

@@ -4,6 +4,24 @@
 #include <math.h>
 #include <stdbool.h>
 
+/* Fast mathematics treats no number as NaN or infinite, so it removes the checks of this code. */
+#ifdef __FAST_MATH__
+#error "compile {{ name }}.c without -ffast-math"
+#endif
+#ifdef __FINITE_MATH_ONLY__
+#if __FINITE_MATH_ONLY__ > 0
+#error "compile {{ name }}.c without -ffinite-math-only"
+#endif
+#endif
+{% if sums %}
+#ifdef __ASSOCIATIVE_MATH__
+#error "compile {{ name }}.c without -fassociative-math, which removes the compensated sums"
+#endif
+{% endif %}
+#ifdef _M_FP_FAST
+#error "compile {{ name }}.c without /fp:fast"
+#endif
+
 typedef {{ name }}_real_t real;
 
 /* Data that the equations read at one instant. */
