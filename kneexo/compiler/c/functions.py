@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from itertools import compress
 
 from ..equations.equations import Update
+from .interface import signal_names
 from .plan import Plan
 from .printer import CPrinter
+from .template import words
 
 _ARRAYS = {"constant": "c", "state": "x", "discrete": "d"}
 
@@ -58,6 +60,7 @@ class Functions:
         self._plan = plan
         equations = plan.equations
         self._printer = CPrinter(equations.graph, plan.real, equations.sections)
+        self._printer.names = signal_names(equations.sections, plan.name, _taken(plan))
         self._printer.tables = {table.node: number for number, table in enumerate(plan.tables)}
         self._printer.collect_fixed([*plan.step_nodes, *equations.initial_discrete])
         self.operations: Counter[str] = Counter()
@@ -158,3 +161,10 @@ class Functions:
             additions.append(f"{indent}{target} = {call};")
             self.operations["+"] += 4  # of the function `sum`
         return [*self._block(targets, depth=depth), *additions]
+
+
+def _taken(plan: Plan) -> set[str]:
+    """Return the names that the source of a model has beside the names of its signals."""
+    taken = words(__package__, "model.h") | words(__package__, "model.c")
+    tables = {f"{plan.name}_table_{number}" for number in range(len(plan.tables))}
+    return tables | taken | {f"{plan.name}{word}" for word in taken}

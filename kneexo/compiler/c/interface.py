@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from ..equations.equations import Section
 from ..errors import CompilationError
 from .printer import Precision, literal
 
@@ -48,6 +49,17 @@ _HEADERS = frozenset(
 
 _START_MEMBERS = ("initial_x", "initial_d")
 """Members of the parameter struct that hold the initial states; no leaf system gets these names."""
+
+_SIGNALS = {
+    "time derivatives": "rate",
+    "discrete update": "next",
+    "initialization": "start",
+}
+"""Dictionary from the purpose of a section to the name of the section's signals, which have
+numbers; see `signal_names`."""
+
+_LONGEST_NAME = 63
+"""Number of characters of a name inside a function that each C99 compiler distinguishes."""
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 
@@ -146,6 +158,39 @@ def parameter_members(parameters: Sequence[str], root: str) -> tuple[str, ...]:
         )
     _require_unique(members)
     return tuple(members)
+
+
+def signal_names(sections: Sequence[Section], root: str, taken: Collection[str]) -> dict[int, str]:
+    """Return a dictionary from a graph node to the name of the node's signal in C.
+
+    The signal is an element of an output port, a time derivative, the value of a discrete state
+    after an update, or a margin. The name has the short name of the leaf system and the name of the
+    signal, for example ``knee_moment_arm`` or ``motor_rate_0``. A node that belongs to several
+    sections has the name from the first section.
+
+    Parameters
+    ----------
+    sections
+        The sections of the equations.
+    root
+        Name of the leaf system in C if the whole diagram is one leaf system, which has no path.
+    taken
+        Names that the C code uses for other things. A signal with such a name has no entry.
+    """
+    owners = [section.where.rpartition(": ")[::2] for section in sections]
+    leaves = _short_names({path for path, _ in owners})
+    names: dict[int, str] = {}
+    taken = set(taken)
+    for section, (path, purpose) in zip(sections, owners, strict=True):
+        signal = _SIGNALS.get(purpose, purpose.removeprefix("output port "))
+        start = c_name(f"{leaves[path] or root}_{signal}")
+        numbered = len(section.nodes) > 1 or purpose in _SIGNALS
+        for element, node in enumerate(section.nodes):
+            name = f"{start}_{element}" if numbered else start
+            if node not in names and name not in taken and len(name) <= _LONGEST_NAME:
+                names[node] = name
+                taken.add(name)
+    return names
 
 
 def require_model_name(name: str) -> None:

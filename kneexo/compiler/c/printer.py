@@ -84,6 +84,8 @@ class CPrinter:
     """Dictionary from a node that depends on parameters alone to its index in the C array ``c``."""
     tables: dict[int, int] = field(default_factory=dict)
     """Dictionary from a node whose value is looked up in a table to the number of the table."""
+    names: dict[int, str] = field(default_factory=dict)
+    """Dictionary from a node to the name of its variable. Other variables have numbered names."""
     functions: set[str] = field(default_factory=set)
     """Names of the C library functions that the printed code calls."""
     operations: Counter[str] = field(default_factory=Counter)
@@ -127,9 +129,11 @@ class _Block:
         self.indent = indent
         self.names: dict[int, str] = {}
         self.text: dict[int, str] = {}
+        self.assigned: set[int] = set()
 
     def lines(self, targets: Sequence[tuple[str, int]]) -> list[str]:
-        needed = self._reachable([node for _, node in targets])
+        self.assigned = {node for _, node in targets}
+        needed = self._reachable(self.assigned)
         uses = Counter(node for _, node in targets)
         for node in needed:
             uses.update(self._arguments(node))
@@ -149,18 +153,22 @@ class _Block:
     def _statements(self, nodes: Sequence[int], uses: Counter[int]) -> list[str]:
         """Return C statements that define a variable for each node that deserves one.
 
-        A node gets a variable if it is used several times, or if its expression is long. Store the
-        C text of each node, a variable or an expression, for the statements that follow.
+        A node gets a variable if another node uses it and it has a name, if it is used several
+        times, or if its expression is long. Store the C text of each node, a variable or an
+        expression, for the statements that follow.
         """
         lines = []
         for node in nodes:
             text = self._expression(node)
             simple = not self._arguments(node)
-            if simple or (uses[node] == 1 and len(text) < _LONGEST_EXPRESSION):
+            is_named = node in self.printer.names and node not in self.assigned
+            short = uses[node] == 1 and len(text) < _LONGEST_EXPRESSION
+            if simple or (short and not is_named):
                 self.text[node] = text
                 continue
             condition = self.graph.nodes[node][0] in CONDITIONS
-            name = f"{'is' if condition else 'v'}{len(self.names)}"
+            number = f"{'is' if condition else 'v'}{len(self.names)}"
+            name = self.printer.names.get(node, number)
             self.names[node] = self.text[node] = name
             kind = "bool" if condition else "real"
             lines.append(self._line(f"const {kind} {name} = {self._bare(text)};"))

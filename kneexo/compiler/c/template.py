@@ -22,6 +22,14 @@ def rendered(package: str, template: str, **data: Any) -> str:
 
 
 @cache
+def words(package: str, template: str) -> frozenset[str]:
+    """Return all words in the text of a template before it is filled, names of C among them."""
+    loader = _environment(package).loader
+    assert loader is not None
+    return frozenset(re.findall(r"\w+", loader.get_source(_environment(package), template)[0]))
+
+
+@cache
 def _environment(package: str) -> Environment:
     environment = Environment(
         loader=PackageLoader(package),

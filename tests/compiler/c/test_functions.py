@@ -36,6 +36,37 @@ def test_a_comment_asks_for_no_variable(built):
 
 
 @pytest.mark.parametrize(
+    ("port", "name"),
+    [("gain", "law_gain"), ("and", "law_and"), ("t", "law_t")],
+)
+def test_a_variable_has_the_name_of_its_signal(built, port, name):
+    source = CSource(*model_of("law", port), tick_s=0.1)
+    assert f"const real {name} = 2.0 * in->u;" in source.files()["law.c"]
+    assert built(source).replay([[4.0]]).tolist() == [[9.0]]
+
+
+@pytest.mark.parametrize("port", ["step", "params_t", "init", "inputs_t"])
+def test_no_signal_has_the_name_of_a_function_or_type(built, port):
+    source = CSource(*model_of("law", port), tick_s=0.1)
+    assert f"law_{port} = 2.0" not in source.files()["law.c"]
+    assert built(source).replay([[4.0]]).tolist() == [[9.0]]
+
+
+def model_of(name, port):
+    """The equations of y = 1 + a, where a = 2 u is the output ``port`` of the leaf ``name``."""
+    equations = Equations(inputs={"u": 1})
+    g = equations.graph
+    a = g.multiply(g.constant(2.0), g.source("input", 0))
+    y = g.add(g.one, a)
+    equations.outputs = {"y": [y]}
+    equations.sections = [
+        Section(f"{name}: output port {port}", "", (a,)),
+        Section("y: output port y", "", (y,)),
+    ]
+    return equations, name, np.zeros(0), State(np.zeros(0), np.zeros(0))
+
+
+@pytest.mark.parametrize(
     ("statement", "reads_x"),
     [
         ("y = x[0];", True),

@@ -9,7 +9,8 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Gain, Integrator, LinearSystem
 
 from kneexo.compiler import Interface, read_diagram, source_of
-from kneexo.compiler.c.interface import c_name
+from kneexo.compiler.c.interface import c_name, signal_names
+from kneexo.compiler.equations.equations import Section
 from kneexo.compiler.errors import CompilationError
 
 
@@ -89,3 +90,34 @@ def test_two_fields_of_one_name_are_refused():
     builder.ExportOutput(integrator.get_output_port(), "a-b")
     with pytest.raises(CompilationError, match="a_b: 2 values have this name in C"):
         source_of(read_diagram(builder.Build(), inputs=["u"]), "model", tick_s=0.1)
+
+
+def test_signals_have_the_names_of_leaf_and_port():
+    sections = [
+        Section("plant/knee: output port icr", "", (4, 5)),
+        Section("plant/knee: output port angle", "", (6,)),
+        Section("law: output port angle", "", (6,)),  # passes the angle on
+        Section("law: output port u", "", (7,)),
+        Section("law: time derivatives", "", (8, 9)),
+        Section("law: discrete update", "", (10,)),
+        Section("law: margin", "", (11,)),
+        Section(": output port y", "", (12,)),
+        Section("a/filter: output port y-1", "", (13,)),
+        Section("b/filter: output port y", "", (14,)),
+        Section("a: output port filter_y_1", "", (15,)),  # the name of node 13 in C
+        Section(f"a: output port {'y' * 62}", "", (16,)),
+        Section(f"a: output port {'y' * 61}", "", (17,)),
+    ]
+    assert signal_names(sections, "m", {"law_u"}) == {
+        4: "knee_icr_0",
+        5: "knee_icr_1",
+        6: "knee_angle",
+        8: "law_rate_0",
+        9: "law_rate_1",
+        10: "law_next_0",
+        11: "law_margin",
+        12: "m_y",
+        13: "a_filter_y_1",
+        14: "b_filter_y",
+        17: f"a_{'y' * 61}",
+    }
