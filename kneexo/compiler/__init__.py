@@ -69,7 +69,18 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         STEP_S as STEP_S,
         TOLERANCE as TOLERANCE,
     )
+    from .recorded_run import (
+        RecordedRun as RecordedRun,
+        read_run as read_run,
+        record_run as record_run,
+    )
     from .run_data import Array as Array, InputTable as InputTable, State as State
+    from .run_end import (
+        Replay as Replay,
+        RunEnd as RunEnd,
+        run_versions as run_versions,
+        version_changes as version_changes,
+    )
     from .trajectories import input_table as input_table, stack_tables as stack_tables
 else:
     _NAMES = {
@@ -96,7 +107,9 @@ else:
         "native.cache": (*("cache_directory", "cache_entries", "cache_size_limit", "clear_cache"),),
         "native.cores": ("available_cores",),
         "native.runner": ("ROUGH_STEP_S", "STEP_S", "TOLERANCE"),
+        "recorded_run": ("RecordedRun", "read_run", "record_run"),
         "run_data": ("Array", "InputTable", "State"),
+        "run_end": ("Replay", "RunEnd", "run_versions", "version_changes"),
         "trajectories": ("input_table", "stack_tables"),
     }
     _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+
 
 def escaped(text: str) -> str:
     r"""Return the text with escapes, such as ``\n``, in place of characters that do not print."""
@@ -34,7 +38,14 @@ class ParameterError(Error, ValueError):
 
 
 class SimulationError(Error, RuntimeError):
-    """A simulation diverged or left its range. The message tells the time and the signal."""
+    """A simulation diverged or left its range. The message tells the time and the signal.
+
+    ``time_s`` is the time at which a compiled run ended, and ``state`` maps the name of each state
+    to its value at the end. Other runs leave ``time_s`` nan and ``state`` empty.
+    """
+
+    time_s: float = math.nan
+    state: Mapping[str, float] = MappingProxyType({})
 
 
 class StiffnessError(SimulationError):

@@ -122,22 +122,32 @@ class ModelBase:
         output
             Name of the output that is not finite, if this ended the run.
         """
-        status, tick, limit = outcome
-        time = timing.times(tick)
+        time_s = timing.times(outcome[1])
+        names = (*self.state_names, *self.discrete_names)
+        values = np.concatenate((state.continuous, state.discrete))
+        # If a state is not finite too, the state is the cause.
+        if not np.isfinite(values).all():
+            output = names[int(np.argmin(np.isfinite(values)))]
+        error = self._reason(outcome, time_s, parameters, state, output)
+        error.time_s, error.state = float(time_s), dict(zip(names, values.tolist(), strict=True))
+        return error
+
+    def _reason(
+        self, outcome: Sequence[int], time_s: float, parameters: Array, state: State, name: str
+    ) -> SimulationError:
+        """Return the error of `fault`. ``name`` is the state or output that is not finite."""
+        status, _, limit = outcome
         if status in (NOT_FINITE, OUTPUT_NOT_FINITE):
-            finite = np.isfinite(np.concatenate((state.continuous, state.discrete)))
-            names = (*self.state_names, *self.discrete_names)
-            # If a state is not finite too, the state is the cause.
-            return not_finite(time, output if finite.all() else names[int(np.argmin(finite))])
+            return not_finite(time_s, name)
         if status == TOO_ROUGH:
             return StiffnessError(
-                f"t = {time:.6g} s: the integrator exact_hold cannot hold its tolerance (the "
+                f"t = {time_s:.6g} s: the integrator exact_hold cannot hold its tolerance (the "
                 f"derivatives jump too often); use rk4"
             )
         path = self.layout.limits[limit]
         if self._context_at is not None:
             root, context = self._context_at(parameters)
-            context.SetTime(time)
+            context.SetTime(time_s)
             set_state(root, context, state)
             leaf = next(leaf for leaf in root.leaves() if leaf.path == path)
             if callable(check := getattr(leaf.system, "check", None)):
@@ -145,7 +155,7 @@ class ModelBase:
                     check(leaf.context(context))
                 except SimulationError as error:
                     return error
-        return SimulationError(f"t = {time:.6g} s: {path} left its limits")
+        return SimulationError(f"t = {time_s:.6g} s: {path} left its limits")
 
 
 def not_finite(time_s: float, name: str) -> SimulationError:

@@ -259,5 +259,5 @@ async def simulate(
         return await RunRequest(scenario, signals, progress, diagram)
     except SimulationError as error:
         if diagram is None and (hint := sign_hint(scenario)):
-            raise type(error)(f"{error}; {hint}") from None
+            error.args = (f"{error}; {hint}",)
         raise
