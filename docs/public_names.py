@@ -13,7 +13,7 @@ import kneexo
 
 BESIDE_PACKAGES = {
     "kneexo.batches": ("BatchResult", "BatchRow"),
-    "kneexo.errors": ("KneexoError", "ScenarioError", "LinkageError", "LinearizationError"),
+    "kneexo.errors": ("KneexoError", "ScenarioError", "LinkageError"),
     "kneexo.export.firmware": ("export_firmware",),
     "kneexo.export.fmu": ("export_fmu",),
     "kneexo.linkage": (

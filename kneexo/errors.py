@@ -11,6 +11,7 @@ from difflib import get_close_matches
 from kneexo.compiler import (
     CompilationError as CompilationError,
     Error,
+    LinearizationError as LinearizationError,
     OutputError as OutputError,
     ParameterError as ParameterError,
     ResultError as ResultError,
@@ -31,10 +32,6 @@ class ScenarioError(ParameterError):
 
 class LinkageError(KneexoError, ValueError):
     """A four-bar linkage cannot be assembled, or is not one-to-one over the range of motion."""
-
-
-class LinearizationError(KneexoError, ArithmeticError):
-    """A linearization fails: there is no equilibrium or no linear loop at the requested posture."""
 
 
 class PackageError(KneexoError, ImportError):

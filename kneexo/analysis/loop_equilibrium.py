@@ -16,8 +16,8 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 
-from kneexo.analysis.newton import failure, newton
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG
+from kneexo.compiler import newton, newton_failure
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
 from kneexo.diagrams.controller import has_unknown_parts, known_to_controller
@@ -226,7 +226,7 @@ def find_equilibrium(
             remedy += ", or let the law act on the error without rounding"
         raise LinearizationError(
             f"the loop does not rest at knee angle {knee_angle_deg:g} deg: "
-            f"{failure(residual, 'residual')}; {remedy}"
+            f"{newton_failure(residual, 'residual')}; {remedy}"
         )
     _set_point(diagram, context, point, reference, n)
     _require_linear(diagram, context, fixed)

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.framework import Diagram
 
-from kneexo.analysis.newton import failure, newton
 from kneexo.analysis.signals import to_rpm
+from kneexo.compiler import newton, newton_failure
 from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.errors import LinearizationError
 from kneexo.parameters import PlantParameters
@@ -123,7 +123,7 @@ def find_operating_point(
         raise LinearizationError(
             f"no equilibrium at knee angle {knee_angle_deg:g} deg with knee_torque = "
             f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: "
-            f"{failure(residual, 'derivative')}; reduce the load or the leakage"
+            f"{newton_failure(residual, 'derivative')}; reduce the load or the leakage"
         )
     context = diagram.CreateDefaultContext()
     context.SetContinuousState(point[:-1])

@@ -5,7 +5,8 @@ The equations are written once, in the leaf systems. They pass through these fol
 - ``equations/`` reads the equations from the symbolic form of a diagram into one graph, in which
   equal operations are stored once, and rewrites the graph for speed;
 - ``native/`` turns the graph into machine code, stores the code on disk and runs it;
-- ``c/`` and ``fmu/`` print the graph as C99 and pack it as an FMU.
+- ``c/`` and ``fmu/`` print the graph as C99 and pack it as an FMU;
+- ``linear/`` makes linear models from the derivatives of the graph.
 
 The names below are the whole interface. A name is imported when it is first used. So the command
 line can use some names without loading NumPy or Drake.
@@ -37,6 +38,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .errors import (
         CompilationError as CompilationError,
         Error as Error,
+        LinearizationError as LinearizationError,
         OutputError as OutputError,
         ParameterError as ParameterError,
         ResultError as ResultError,
@@ -50,6 +52,13 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .fmu.description import generation_tool as generation_tool
     from .fmu.fmu import FMI_VERSIONS as FMI_VERSIONS, Fmu as Fmu
     from .fmu.variables import FmuParameter as FmuParameter
+    from .linear.linearize import linearize as linearize
+    from .linear.model import (
+        LinearModel as LinearModel,
+        OperatingPoint as OperatingPoint,
+        TickModel as TickModel,
+    )
+    from .linear.newton import newton as newton, newton_failure as newton_failure
     from .model import (
         CompiledModel as CompiledModel,
         DiagramModel as DiagramModel,
@@ -94,13 +103,16 @@ else:
         "compiled_system": ("CompiledSystem",),
         "diagram_equations": ("DiagramEquations", "read_diagram"),
         "errors": (
-            *("CompilationError", "Error", "OutputError", "ParameterError", "ResultError"),
-            *("SimulationError", "StiffnessError", "escaped", "shortened", "shown"),
+            *("CompilationError", "Error", "LinearizationError", "OutputError", "ParameterError"),
+            *("ResultError", "SimulationError", "StiffnessError", "escaped", "shortened", "shown"),
         ),
         "feedback": ("simulate_with_feedback",),
         "fmu.description": ("generation_tool",),
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.variables": ("FmuParameter",),
+        "linear.linearize": ("linearize",),
+        "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
+        "linear.newton": ("newton", "newton_failure"),
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),
         ),

@@ -13,7 +13,8 @@ from pydrake.systems.framework import System
 
 from .equations.contexts import parameters_of, state_of
 from .equations.equations import Equations
-from .equations.reader import read_equations
+from .equations.ports import find_port
+from .equations.reader import read_tree
 from .equations.tree import Node
 from .errors import CompilationError
 from .run_data import Array, State
@@ -22,9 +23,10 @@ from .run_data import Array, State
 class DiagramEquations:
     """A diagram of floats, its equations, and the names of its parameters and states."""
 
-    def __init__(self, diagram: Any, equations: Equations) -> None:
+    def __init__(self, diagram: Any, equations: Equations, root: Node | None = None) -> None:
+        """``root``: the tree from which the equations were read, by default a new tree."""
         self.diagram, self.equations = diagram, equations
-        self.root = Node(diagram)
+        self.root = Node(diagram) if root is None else root
         self.parameter_names: tuple[str, ...] = tuple(equations.parameters)
         self.state_names: tuple[str, ...] = tuple(equations.states)
         self.discrete_names: tuple[str, ...] = tuple(equations.discrete)
@@ -48,30 +50,46 @@ class DiagramEquations:
         return state_of(self.root, context)
 
 
-def read_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramEquations:
-    """Return the equations of a diagram of floats. Arguments and errors: see `compile_diagram`."""
+def read_diagram(
+    diagram: Any, *, inputs: Iterable[str] = (), outputs: Iterable[str] = ()
+) -> DiagramEquations:
+    """Return the equations of a diagram of floats.
+
+    Parameters
+    ----------
+    diagram
+        A Diagram or leaf system: see `compile_diagram`.
+    inputs
+        Names of the diagram's input ports that stay open. A name ``path/of/system:port`` stands for
+        a port inside the diagram. A run then gives a perturbation that adds to the signal of this
+        port, for all systems that read the signal through this port.
+    outputs
+        Names ``path/of/system:port`` of ports inside the diagram that become outputs, besides the
+        output ports of the diagram. The signal includes the perturbations of the same port.
+
+    Errors: see `compile_diagram`.
+    """
     if not isinstance(diagram, System):
         raise CompilationError(
             f"{type(diagram).__name__} {diagram!r:.60}: cannot be compiled; must be a Diagram or "
             f"leaf system of floats"
         )
     name = diagram.get_name() or type(diagram).__name__
-    ports = [diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports())]
-    open_ports = (inputs,) if isinstance(inputs, str) else tuple(inputs)
-    for port in open_ports:
-        if port not in ports:
-            raise CompilationError(
-                f"{name}: has no input port {port!r}; it has {', '.join(ports) or 'none'}"
-            )
+    root = Node(diagram)
+    in_names, out_names = ((n,) if isinstance(n, str) else tuple(n) for n in (inputs, outputs))
     try:
-        equations = read_equations(diagram, open_ports)
+        equations = read_tree(
+            root,
+            {port: find_port(root, port, "input") for port in in_names},
+            {port: find_port(root, port, "output") for port in out_names},
+        )
     except CompilationError as error:
         # The path of a single leaf system is empty, and a user may not know of `inputs`.
         text = f"{name}{error}" if str(error).startswith(": ") else str(error)
         if "is not connected" in text:
             text += "; connect it, or name the diagram's port in inputs"
         raise CompilationError(text) from error
-    return DiagramEquations(diagram, equations)
+    return DiagramEquations(diagram, equations, root)
 
 
 def equations_key(equations: Equations) -> str:

@@ -64,3 +64,7 @@ class ResultError(Error, KeyError):
 
 class CompilationError(Error, TypeError):
     """A diagram cannot be compiled. The message names the subsystem and the port."""
+
+
+class LinearizationError(Error, ArithmeticError):
+    """A diagram has no linear model or no equilibrium. The message names the state or signal."""

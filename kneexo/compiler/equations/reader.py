@@ -16,7 +16,7 @@ A leaf system may state three public attributes that the compiler uses:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -29,29 +29,33 @@ from ..errors import CompilationError
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
 from .names import numbered_names, parameter_groups, state_names
+from .ports import find_port, route_of, size_of
 from .symbolic import Conversion, Steps, completed
-from .tree import Node
+from .tree import Node, Port
 
 
 class _Leaf:
     """A leaf in symbolic form, a Context whose values are variables, and the variables' meaning."""
 
-    def __init__(self, node: Node, equations: Equations, open_inputs: dict[int, int]) -> None:
+    def __init__(self, node: Node, equations: Equations, open_inputs: dict[Port, int]) -> None:
         """Convert a leaf, and add the names of its parameters and states to ``equations``.
 
-        ``open_inputs`` maps the index of each open input port of the root to the index of the
-        port's first element among the elements of all open inputs.
+        ``open_inputs`` maps each open input to the index of its first element among the elements of
+        all open inputs. An open input is an input port of the root, or a port inside whose signal
+        is perturbed.
         """
         self.node = node
         context_of_floats = node.system.CreateDefaultContext()
         refuse_witness_functions(node, context_of_floats)
         self.system = to_symbolic(node)
         self.context = context = self.system.CreateDefaultContext()
-        self.meaning: dict[int, int | tuple[Node, int, int]] = {}
+        self.meaning: dict[int, int | tuple[int, int]] = {}
         """Dictionary from the id of a variable to its meaning: the node of a source, or an element
-        of another leaf's output port, as (leaf, index of the port, index of the element)."""
+        of an input port of the leaf, as (index of the port, index of the element)."""
         self.outputs: dict[int, list[int] | None] = {}
         """Dictionary from the index of an output port to its nodes, or to None during reading."""
+        self.inputs: dict[int, list[int]] = {}
+        """Dictionary from the index of an input port to its nodes; only ports read so far."""
         graph = equations.graph
 
         if context.num_abstract_states() or context.num_abstract_parameters():
@@ -82,19 +86,15 @@ class _Leaf:
             equations.discrete += numbered_names(node.path, group, vector.size())
         for index in range(self.system.num_input_ports()):
             port = self.system.get_input_port(index)
-            driver = node.driver(index)
-            if port.get_data_type() != PortDataType.kVectorValued or driver is None:
+            *inner, source = node.route(index)
+            has_source = source[1] == "output" or source in open_inputs
+            if port.get_data_type() != PortDataType.kVectorValued or not has_source:
                 continue
-            if isinstance(driver, int):
-                if driver not in open_inputs:
-                    continue
-                sources = [
-                    graph.source("input", open_inputs[driver] + i) for i in range(port.size())
-                ]
-                port.FixValue(context, self._variables("input", sources))
-            else:
-                elements = [(*driver, i) for i in range(port.size())]
-                port.FixValue(context, self._variables("input", elements))
+            elements: list[Any] = [(index, i) for i in range(port.size())]
+            if source in open_inputs and open_inputs.keys().isdisjoint(inner):
+                first = open_inputs[source]
+                elements = [graph.source("input", first + i) for i in range(port.size())]
+            port.FixValue(context, self._variables("input", elements))
 
     def _variables(self, name: str, meanings: Sequence[Any]) -> Any:
         variables = [Variable(f"{name}{i}") for i in range(len(meanings))]
@@ -112,13 +112,12 @@ class _Reader:
     has the nodes of one leaf for one purpose, comes after the sections that it depends on.
     """
 
-    def __init__(self, root: Node, inputs: Sequence[str]) -> None:
+    def __init__(self, root: Node, inputs: Mapping[str, Port]) -> None:
         self.equations = Equations()
-        open_inputs: dict[int, int] = {}
-        for name in dict.fromkeys(inputs):
-            port = root.system.GetInputPort(name)
-            open_inputs[int(port.get_index())] = sum(self.equations.inputs.values())
-            self.equations.inputs[name] = port.size()
+        self._open_inputs: dict[Port, int] = {}
+        for name, port in inputs.items():
+            self._open_inputs[port] = sum(self.equations.inputs.values())
+            self.equations.inputs[name] = size_of(port)
         self.leaves: dict[str, _Leaf] = {}
         paths = set()
         for leaf in root.leaves():
@@ -126,11 +125,28 @@ class _Reader:
                 raise CompilationError(f"{leaf.path}: two systems have this path; rename one")
             paths.add(leaf.path)
             if leaf.has_equations:
-                self.leaves[leaf.path] = _Leaf(leaf, self.equations, open_inputs)
+                self.leaves[leaf.path] = _Leaf(leaf, self.equations, self._open_inputs)
 
-    def output(self, node: Node, index: int) -> list[int]:
-        """Return the nodes of the elements of output port ``index`` of a leaf."""
-        return completed(self._output(node, index))
+    def signal(self, route: Iterable[Port]) -> list[int]:
+        """Return the nodes of the elements of the signal at the first port of a route."""
+        return completed(self._signal(list(route)))
+
+    def _signal(self, route: list[Port]) -> Steps[list[int]]:
+        """Return the nodes of a signal: those of its source, plus the perturbations on the way."""
+        graph = self.equations.graph
+        leaf, kind, index = source = route[-1]
+        added = [self._open_inputs[port] for port in route[::-1] if port in self._open_inputs]
+        nodes = [graph.zero] * size_of(source)
+        if kind == "output":
+            nodes = yield self._output(leaf, index)
+        elif source not in self._open_inputs:
+            raise CompilationError(f"{leaf.name}: input port {index} is not connected")
+        if not added:
+            return nodes
+        return [
+            graph.add(node, *(graph.source("input", first + element) for first in added))
+            for element, node in enumerate(nodes)
+        ]
 
     def _output(self, node: Node, index: int) -> Steps[list[int]]:
         leaf = self.leaves[node.path]
@@ -233,8 +249,10 @@ class _Reader:
             raise CompilationError(f"{where}: contains a variable of its own, {variable}")
         if isinstance(meaning, int):
             return meaning
-        node, port, element = meaning
-        return (yield self._output(node, port))[element]
+        index, element = meaning
+        if index not in leaf.inputs:
+            leaf.inputs[index] = yield self._signal(list(leaf.node.route(index)))
+        return leaf.inputs[index][element]
 
 
 def _discrete_values(values: Any) -> list[Any]:
@@ -267,13 +285,36 @@ def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
     if isinstance(inputs, str):
         raise CompilationError(f"inputs = {inputs!r}: must be a list of names of input ports")
     root = Node(diagram)
+    return read_tree(root, {name: find_port(root, name, "input") for name in inputs}, {})
+
+
+def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> Equations:
+    """Return all equations of the diagram at the root of a tree.
+
+    Parameters
+    ----------
+    root
+        The tree.
+    inputs
+        Dictionary from name to port of the open inputs. An input port of the root has the values
+        that a run gives. At any other port, a run gives a perturbation, which adds to the signal
+        for all systems that read the signal through this port.
+    outputs
+        Dictionary from name to port of more outputs, besides the output ports of the root. The
+        signal of a port includes the perturbations at this port and on the way to it.
+
+    Errors: see `read_equations`.
+    """
+    routes = {name: list(route_of(port)) for name, port in outputs.items()}
+    root.observed = [route[-1][0] for route in routes.values() if route[-1][1] == "output"]
     reader = _Reader(root, inputs)
     for leaf in reader.leaves.values():
         reader.read(leaf)
     for index in range(root.system.num_output_ports()):
-        node, port = root.output(index)
         name = root.system.get_output_port(index).get_name()
-        reader.equations.outputs[name] = reader.output(node, port)
+        reader.equations.outputs[name] = reader.signal(root.output_route(index))
+    for name, route in routes.items():
+        reader.equations.outputs[name] = reader.signal(route)
     for leaf in reader.leaves.values():
         reader.read_initial(leaf)
     return reader.equations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 from pydrake.systems.framework import InputPortIndex, OutputPortIndex
 
@@ -30,6 +30,8 @@ class Node:
         self.children: dict[str, Node] = {}
         self._drivers: dict[tuple[str, int], tuple[str, int]] = {}
         self._exported: dict[tuple[str, int], int] = {}
+        self.observed: list[Node] = []
+        """Leaves of the root that have equations although nothing may depend on them."""
         if not hasattr(system, "connection_map"):
             return
         systems = enumerate(system.GetSystems())
@@ -76,6 +78,7 @@ class Node:
         """The leaves below this node that have equations: see `has_equations`."""
         pending = [leaf for leaf in self.leaves() if _has_state_or_margin(leaf.system)]
         pending += [self.output(index)[0] for index in range(self.system.num_output_ports())]
+        pending += self.observed
         needed: set[Node] = set()
         while pending:
             leaf = pending.pop()
@@ -109,20 +112,41 @@ class Node:
         The source is a leaf with the index of an output port, or the index of an input port of the
         root. The result is None if the input port is not connected.
         """
-        if self.parent is None:
-            return index
-        key = (self.system.get_name(), index)
-        if (source := self.parent._drivers.get(key)) is not None:
-            return self.parent.children[source[0]].output(source[1])
-        exported = self.parent._exported.get(key)
-        return None if exported is None else self.parent.driver(exported)
+        *_, (node, kind, port) = self.route(index)
+        if kind == "output":
+            return node, port
+        return port if node.parent is None else None
 
     def output(self, index: int) -> tuple[Node, int]:
         """Return the leaf that computes output port ``index``, and the index of the leaf's port."""
-        if not hasattr(self.system, "connection_map"):
-            return self, index
-        system, port = self.system.get_output_port_locator(OutputPortIndex(index))
-        return self.children[system.get_name()].output(int(port))
+        *_, (leaf, _, port) = self.output_route(index)
+        return leaf, port
+
+    def route(self, index: int) -> Iterator[Port]:
+        """Yield the ports from input port ``index`` of this system back to its source.
+
+        The last port is an output port of a leaf, an input port of the root, or an input port that
+        is not connected.
+        """
+        yield self, "input", index
+        if self.parent is None:
+            return
+        key = (self.system.get_name(), index)
+        if (source := self.parent._drivers.get(key)) is not None:
+            yield from self.parent.children[source[0]].output_route(source[1])
+        elif (exported := self.parent._exported.get(key)) is not None:
+            yield from self.parent.route(exported)
+
+    def output_route(self, index: int) -> Iterator[Port]:
+        """Yield the ports from output port ``index`` of this system back to a leaf's port."""
+        yield self, "output", index
+        if hasattr(self.system, "connection_map"):
+            system, port = self.system.get_output_port_locator(OutputPortIndex(index))
+            yield from self.children[system.get_name()].output_route(int(port))
+
+
+Port: TypeAlias = tuple[Node, str, int]
+"""A port of a system: the system, ``input`` or ``output``, and the index of the port."""
 
 
 def _label(system: Any, number: int) -> str:

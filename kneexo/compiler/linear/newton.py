@@ -1,4 +1,4 @@
-"""Newton's method, which finds the equilibria of the plant and of the closed loop."""
+"""Newton's method, which finds equilibria and periodic orbits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kneexo.result import Array
+from ..run_data import Array
 
 NEWTON_STEPS = 50
 """Largest number of Newton steps."""
@@ -48,7 +48,7 @@ def newton(
     return point, residual
 
 
-def failure(residual: float, quantity: str) -> str:
+def newton_failure(residual: float, quantity: str) -> str:
     """Return the part of an error message that says why `newton` found no zero.
 
     ``residual`` is the largest absolute value of some numbers, and ``quantity`` is their name.

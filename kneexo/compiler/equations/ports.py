@@ -1,0 +1,96 @@
+"""Finds ports of a diagram by name, ports inside the diagram too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+from typing import Any
+
+from pydrake.systems.framework import PortDataType
+
+from ..errors import CompilationError, shown
+from .tree import Node, Port
+
+
+def find_port(root: Node, name: str, kind: str) -> Port:
+    """Return the port of a diagram that has the name ``name``.
+
+    Parameters
+    ----------
+    root
+        The tree of the diagram.
+    name
+        Name of a port of the diagram, or ``path/of/system:port`` for a port inside. If a system has
+        an input port and an output port of the same name, this name stands for the output port.
+    kind
+        ``input`` or ``output``. A port of the diagram itself must be of this kind.
+
+    Raises
+    ------
+    CompilationError
+        The diagram has no such port, or the port is no vector.
+    """
+    index = _ports(root.system, kind).get(name)
+    port = _inner_port(root, name) if index is None else (root, kind, index)
+    if port is None:
+        raise CompilationError(_unknown(root, name, kind))
+    if _drake_port(port).get_data_type() != PortDataType.kVectorValued:
+        raise CompilationError(f"{kind} {shown(name)!r}: is not a vector; only vectors compile")
+    return port
+
+
+def route_of(port: Port) -> Iterator[Port]:
+    """Yield the ports from a port back to the source of its signal: see `Node.route`."""
+    node, kind, index = port
+    return node.route(index) if kind == "input" else node.output_route(index)
+
+
+def size_of(port: Port) -> int:
+    """Return the number of elements of a port."""
+    return int(_drake_port(port).size())
+
+
+def _drake_port(port: Port) -> Any:
+    node, kind, index = port
+    return getattr(node.system, f"get_{kind}_port")(index)
+
+
+def _ports(system: Any, kind: str) -> dict[str, int]:
+    """Return a dictionary from the name of each port of a kind to the port's index."""
+    count = getattr(system, f"num_{kind}_ports")()
+    ports = (getattr(system, f"get_{kind}_port")(index) for index in range(count))
+    return {port.get_name(): index for index, port in enumerate(ports)}
+
+
+def _systems(node: Node) -> Iterator[Node]:
+    """Yield all systems below a node."""
+    for child in node.children.values():
+        yield child
+        yield from _systems(child)
+
+
+def _inner_port(root: Node, name: str) -> Port | None:
+    for node in _systems(root):
+        if name.startswith(f"{node.path}:"):
+            port = name[len(node.path) + 1 :]
+            for kind in ("output", "input"):
+                if (index := _ports(node.system, kind).get(port)) is not None:
+                    return node, kind, index
+    return None
+
+
+def _unknown(root: Node, name: str, kind: str) -> str:
+    """Return the error message for a port that does not exist, with similar ports inside."""
+    ports = list(_ports(root.system, kind))
+    inner = [
+        f"{node.path}:{port}"
+        for node in _systems(root)
+        for some_kind in ("output", "input")
+        for port in _ports(node.system, some_kind)
+    ]
+    similar = get_close_matches(name, inner, n=3, cutoff=0.6)
+    hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
+    return (
+        f"{root.system.get_name() or type(root.system).__name__}: has no {kind} port "
+        f"{shown(name)!r}; it has {', '.join(ports) or 'none'}{hint}"
+    )

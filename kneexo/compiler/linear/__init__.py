@@ -1,0 +1,1 @@
+"""Equilibria of diagrams, and their linear models: continuous, sampled, mixed and multirate."""

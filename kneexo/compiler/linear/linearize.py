@@ -1,0 +1,180 @@
+"""Exact linear models of diagrams whose states are continuous, discrete or both."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..equations.equations import Update
+from ..errors import LinearizationError, ParameterError
+from ..native.timing import timing
+from ..run_data import Array
+from .model import LinearModel, OperatingPoint, TickModel, over_period
+from .point import read_point
+
+EQUILIBRIUM_TOLERANCE = 1e-6
+"""Default of the largest rate or change of a state at an operating point, as in Drake."""
+
+_MOST_TICKS = 100_000
+
+
+def linearize(
+    diagram: Any,
+    context: Any = None,
+    *,
+    inputs: Iterable[str],
+    outputs: Iterable[str],
+    period_s: float | None = None,
+    equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
+) -> LinearModel:
+    """Linearize a diagram of floats at an equilibrium: continuous, sampled, mixed or multirate.
+
+    The derivatives are exact, from the symbolic equations of the leaf systems. A diagram with
+    sample periods becomes a discrete model over their least common multiple; the matrix exponential
+    moves its continuous states between the updates. See `LinearModel` for the definitions.
+
+    At a corner, such as the limit of a saturation, the derivatives are those on one side. The
+    derivative of a quantizer is zero.
+
+    Parameters
+    ----------
+    diagram
+        A Diagram or leaf system that `compile_diagram` accepts.
+    context
+        Its Context with parameters, state and time, by default the default Context. Values of input
+        ports come from the Context too. An input port in ``inputs`` without a value has the value
+        zero.
+    inputs
+        Names of input ports of the diagram. A name ``path/of/system:port`` stands for a port inside
+        the diagram; the input is then a perturbation that adds to the signal of this port, for all
+        systems that read the signal through this port.
+    outputs
+        Names of output ports of the diagram, or ``path/of/system:port`` for ports inside. The
+        signal of a port includes the perturbation of the same port.
+    period_s
+        Period of the model in s, a multiple of all sample periods; by default the least common
+        multiple. If the diagram has no sample periods, the model is discretized exactly for inputs
+        that are constant during ``period_s``. By default such a model stays continuous.
+    equilibrium_tolerance
+        Largest absolute rate of a continuous state, and change of a discrete state in an update, in
+        the units of the state. `math.inf` accepts every point.
+
+    Raises
+    ------
+    CompilationError
+        The diagram does not compile, a port does not exist, or a port is no vector.
+    LinearizationError
+        The point is no equilibrium, or a derivative is not finite.
+    ParameterError
+        ``inputs`` or ``outputs`` has a name twice, ``outputs`` is empty, ``period_s`` is no
+        multiple of the sample periods, or the Context belongs to another diagram.
+    """
+    in_names, out_names = port_names("inputs", inputs), port_names("outputs", outputs)
+    if not out_names:
+        raise ParameterError("outputs: is empty; name at least one port")
+    point = read_point(diagram, context, in_names, out_names)
+    slopes = point.slopes(out_names)
+    point.require_finite(slopes, out_names)
+    largest, text = point.largest_residual(slopes.rates)
+    if not largest <= equilibrium_tolerance:
+        raise LinearizationError(
+            f"the operating point is no equilibrium: {text} (equilibrium_tolerance = "
+            f"{equilibrium_tolerance:g}); use find_equilibrium, or equilibrium_tolerance=math.inf"
+        )
+    names = point.element_names(in_names)
+    n, columns = point.state.size, point.state.size + len(names)
+    updates = point.read.equations.updates
+    jacobian = slopes.rates_jacobian[:, :columns]
+    ticks: tuple[TickModel, ...] = ()
+    period: float | None
+    if not updates and period_s is None:
+        a, b, period = jacobian[:, :n], jacobian[:, n:], None
+    else:
+        ticks, period = tick_models(updates, jacobian, len(point.read.state_names), period_s)
+        a, b = over_period(ticks)
+    return LinearModel(
+        *(a, b, slopes.outputs_jacobian[:, :n], slopes.outputs_jacobian[:, n:columns]),
+        period_s=period,
+        state_names=point.state_names,
+        input_names=names,
+        output_names=point.element_names(out_names),
+        operating_point=OperatingPoint(
+            point.time_s, point.state, point.inputs[: len(names)], slopes.outputs
+        ),
+        ticks=ticks,
+    )
+
+
+def port_names(what: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Return names of ports as a tuple. Raise `ParameterError` for a name that occurs twice."""
+    ports = (names,) if isinstance(names, str) else tuple(names)
+    for port in ports:
+        if ports.count(port) > 1:
+            raise ParameterError(f"{what}: has {port!r} twice; name each port once")
+    return ports
+
+
+def tick_models(
+    updates: Sequence[Update], jacobian: Array, continuous: int, period_s: float | None
+) -> tuple[tuple[TickModel, ...], float]:
+    """Return what happens within a period, and the period in s.
+
+    ``jacobian`` (n, n + m) has the derivatives of the rates of the continuous states, which come
+    first, and of the discrete states after their updates. Arguments and errors: see `linearize`.
+    """
+    n, m = len(jacobian), jacobian.shape[1] - len(jacobian)
+    rates = jacobian.copy()
+    rates[continuous:] = 0.0
+    rate_state, rate_input = rates[:, :n], rates[:, n:]
+    unchanged = np.eye(n, n + m)
+    ticks = []
+    schedule, period = events(updates, period_s)
+    for number, (time_s, due) in enumerate(schedule):
+        end_s = schedule[number + 1][0] if number + 1 < len(schedule) else period
+        jump = unchanged.copy()
+        for update in due:
+            rows = [continuous + index for index, _ in update.values]
+            jump[rows] = jacobian[rows]
+        ticks.append(
+            TickModel(time_s, end_s - time_s, jump[:, :n], jump[:, n:], rate_state, rate_input)
+        )
+    return tuple(ticks), period
+
+
+def events(
+    updates: Sequence[Update], period_s: float | None
+) -> tuple[list[tuple[float, list[Update]]], float]:
+    """Return the times of a period with the updates at each time, and the period in s.
+
+    The first time is 0; it has no updates if all updates have an offset. ``period_s`` None stands
+    for the least common multiple of the sample periods.
+    """
+    if period_s is not None and not 0.0 < period_s < math.inf:
+        raise ParameterError(f"period_s = {period_s} s: must be finite and > 0")
+    if not updates:
+        assert period_s is not None
+        return [(0.0, [])], period_s
+    pairs = tuple((update.period_s, update.offset_s) for update in updates)
+    grid = timing(pairs, period_s)
+    periods, offsets = grid.periods.tolist(), grid.offsets.tolist()
+    common = math.lcm(*periods)
+    last = common if period_s is None else grid.record_every
+    if last % common:
+        raise ParameterError(
+            f"period_s = {period_s:g} s: must be a multiple of {grid.times(common):g} s, the least "
+            f"common multiple of the sample periods"
+        )
+    count = sum(last // period for period in periods)
+    if count > _MOST_TICKS:
+        raise LinearizationError(
+            f"the least common multiple of the sample periods, {grid.times(last):g} s, has {count} "
+            f"updates: at most {_MOST_TICKS}; choose sample periods with a smaller multiple"
+        )
+    due: dict[int, list[Update]] = {0: []}
+    for update, period, offset in zip(updates, periods, offsets, strict=True):
+        for tick in range(offset % period, last, period):
+            due.setdefault(tick, []).append(update)
+    return [(float(grid.times(tick)), due[tick]) for tick in sorted(due)], float(grid.times(last))

@@ -1,0 +1,281 @@
+"""Linear models of diagrams: state space over a period, and the exact motion between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import LinearizationError
+from ..run_data import Array
+from .zeros import invariant_zeros
+
+Complex: TypeAlias = NDArray[np.complex128]
+"""An array of complex numbers."""
+
+
+@dataclass(frozen=True, repr=False)
+class TickModel:
+    """The updates at one time within the period, and the motion until the next such time.
+
+    At ``time_s`` after the begin of the period the updates change the state z to
+    z⁺ = J z + K u. Then dz/dt = F z + G u holds for ``duration_s``. The rows of F and G that belong
+    to discrete states are zero.
+    """
+
+    time_s: float
+    duration_s: float
+    jump_state: Array
+    """J (n, n): the identity where no update occurs."""
+    jump_input: Array
+    """K (n, m)."""
+    rate_state: Array
+    """F (n, n) in 1/s."""
+    rate_input: Array
+    """G (n, m) in 1/s."""
+
+    def __repr__(self) -> str:
+        """Return a text with the time and the duration."""
+        return f"TickModel(time_s={self.time_s:g}, duration_s={self.duration_s:g})"
+
+
+@dataclass(frozen=True, repr=False)
+class OperatingPoint:
+    """The values around which a linear model holds.
+
+    ``state`` (n,), ``inputs`` (m,) and ``outputs`` (p,) have the order of the names of the model.
+    """
+
+    time_s: float
+    state: Array
+    inputs: Array
+    outputs: Array
+
+    def __repr__(self) -> str:
+        """Return a text with the time and the numbers of values."""
+        return (
+            f"OperatingPoint(time_s={self.time_s:g}, {self.state.size} states, "
+            f"{self.inputs.size} inputs, {self.outputs.size} outputs)"
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class LinearModel:
+    """State space of a diagram around an operating point, made by `linearize`.
+
+    All quantities are deviations from the operating point, in the units of the diagram. The state z
+    has the continuous states first and then the discrete states.
+
+    - ``period_s`` is None: a continuous model, dz/dt = A z + B u, y = C z + D u.
+    - Else z(t + P) = A z(t) + B u, y(t) = C z(t) + D u at t = 0, P, 2P … with the period P. The
+      input u is constant from t to t + P. As in Drake, z(t) is the state before the updates at t,
+      the updates at t see the input u, and y(t) is the output before these updates.
+
+    For a diagram with several sample periods P is their least common multiple. The model is exact
+    for the linearized diagram: no integration error, no approximation of holds or delays.
+    """
+
+    a: Array
+    """A (n, n)."""
+    b: Array
+    """B (n, m)."""
+    c: Array
+    """C (p, n)."""
+    d: Array
+    """D (p, m)."""
+    period_s: float | None
+    state_names: tuple[str, ...]
+    """Names of the states, such as ``pendulum.theta`` or ``hold.0[0]``: path and element."""
+    input_names: tuple[str, ...]
+    """Names of the elements of the input ports: ``port``, or ``port[i]`` if it has several."""
+    output_names: tuple[str, ...]
+    """Names of the elements of the output ports."""
+    operating_point: OperatingPoint
+    ticks: tuple[TickModel, ...] = ()
+    """What happens within the period, from its begin to its end; empty for a continuous model."""
+
+    def __repr__(self) -> str:
+        """Return a text with the kind of the model and the numbers of states, inputs, outputs."""
+        kind = "continuous" if self.period_s is None else f"period_s={self.period_s:g}"
+        return (
+            f"LinearModel({kind}, {len(self.state_names)} states, inputs: "
+            f"{', '.join(self.input_names) or 'none'}, outputs: {', '.join(self.output_names)})"
+        )
+
+    @property
+    def eigenvalues(self) -> Complex:
+        """Eigenvalues of A: by falling real part if the model is continuous, else by magnitude.
+
+        In a conjugate pair, the eigenvalue with positive imaginary part comes first.
+        """
+        values = np.linalg.eigvals(self.a).astype(complex)
+        key = values.real if self.period_s is None else np.abs(values)
+        return values[np.argsort(-key, kind="stable")]
+
+    @property
+    def monodromy(self) -> Array:
+        """The matrix A of a sampled model, which maps the state from one period to the next.
+
+        Raises `LinearizationError` for a continuous model.
+        """
+        if self.period_s is None:
+            raise LinearizationError("a continuous model has no period; pass period_s to linearize")
+        return self.a
+
+    @property
+    def stable(self) -> bool:
+        """Whether all deviations die out: Re λ < 0 if the model is continuous, else |λ| < 1.
+
+        ``λ`` are the `eigenvalues`. A model without states is stable.
+        """
+        values = self.eigenvalues
+        if self.period_s is None:
+            return bool((values.real < 0.0).all())
+        return bool((np.abs(values) < 1.0).all())
+
+    def poles(self) -> Complex:
+        """Return the poles in 1/s: the `eigenvalues` λ, or ln(λ)/P of a sampled model.
+
+        A sampled model has no pole for an eigenvalue below 1e-9, such as those of a delay.
+        """
+        values = self.eigenvalues
+        if self.period_s is None:
+            return values
+        return np.asarray(np.log(values[np.abs(values) > 1e-9]) / self.period_s, dtype=complex)
+
+    def zeros(self) -> Complex:
+        """Return the finite invariant zeros: values of s, or of z if the model is sampled.
+
+        They are the numbers λ for which the matrix [[A − λI, B], [C, D]] loses rank.
+        """
+        return invariant_zeros(self.a, self.b, self.c, self.d)
+
+    def after_updates(self) -> LinearModel:
+        """Return the same model with the outputs after the updates at the multiples of P.
+
+        The output of a hold after its update is the value that it holds until the next update.
+        Raises `LinearizationError` for a continuous model.
+        """
+        if not self.ticks:
+            raise LinearizationError("a continuous model has no updates")
+        first = self.ticks[0]
+        c, d = self.c @ first.jump_state, self.d + self.c @ first.jump_input
+        return replace(self, c=c, d=d)
+
+    def to_control(self) -> Any:
+        """Return the model as a `control.StateSpace` with named states, inputs and outputs.
+
+        Its ``dt`` is the period, or 0 for a continuous model. Dots in names of ports become
+        underscores, because python-control refuses dots.
+        """
+        import control
+
+        return control.ss(
+            *(self.a, self.b, self.c, self.d, self.period_s or 0),
+            inputs=[name.replace(".", "_") for name in self.input_names],
+            outputs=[name.replace(".", "_") for name in self.output_names],
+            states=list(self.state_names),
+        )
+
+    def frequency_response(self, frequencies_hz: ArrayLike) -> Complex:
+        """Return C (λI − A)⁻¹ B + D at frequencies f in Hz, (frequencies, outputs, inputs).
+
+        λ is j2πf for a continuous model and e^{j2πfP} for a sampled one. So a sampled model has the
+        inputs held over the period, and the outputs at t = 0, P, 2P … For inputs and outputs in
+        continuous time see `sine_response`. Raises `LinearizationError` for a frequency that is not
+        finite.
+        """
+        s = 2j * np.pi * _finite(frequencies_hz)
+        points = s if self.period_s is None else np.exp(s * self.period_s)
+        shifted = points[:, None, None] * np.eye(len(self.a)) - self.a
+        return np.asarray(self.c @ np.linalg.solve(shifted, self.b[None]) + self.d, dtype=complex)
+
+    def sine_response(self, frequencies_hz: ArrayLike) -> Complex:
+        r"""Return the steady response to a continuous sine, (frequencies, outputs, inputs).
+
+        The input is e^{jωt} at all times with ω = 2πf. The steady output of a sampled diagram has
+        components at ω + 2πk/P for all integers k. The result is the component at ω,
+        (1/P) ∫ y(t) e^{−jωt} dt over a period. A measured sinestream gives this number. It is exact
+        above the Nyquist frequency too, except at multiples of 1/(2P), where components of ω and
+        −ω have the same frequency.
+
+        For a continuous model the result is `frequency_response`. Raises `LinearizationError` for a
+        frequency that is not finite.
+        """
+        if self.period_s is None:
+            return self.frequency_response(frequencies_hz)
+        omega = 2.0 * np.pi * _finite(frequencies_hz)
+        n, m = self.b.shape
+        # With w = z e^{−jωt} the input is the constant 1, and the steady w has the period P.
+        transition, drive = _unit(omega.size, n, n), _unit(omega.size, n, m, 0.0)
+        integral = _unit(omega.size, n, n, 0.0), _unit(omega.size, n, m, 0.0)
+        steps: dict[tuple[float, int, int], tuple[Complex, Complex, Complex, Complex]] = {}
+        for tick in self.ticks:
+            transition = tick.jump_state @ transition
+            drive = tick.jump_state @ drive + tick.jump_input
+            key = (tick.duration_s, id(tick.rate_state), id(tick.rate_input))
+            if key not in steps:
+                steps[key] = _rotating_step(tick, omega)
+            flow, flow_drive, mean, mean_drive = steps[key]
+            integral = (
+                integral[0] + mean @ transition,
+                integral[1] + mean @ drive + mean_drive,
+            )
+            transition, drive = flow @ transition, flow @ drive + flow_drive
+        start = np.linalg.solve(np.eye(n) - transition, drive)
+        average = (integral[0] @ start + integral[1]) / self.period_s
+        return np.asarray(self.c @ average + self.d, dtype=complex)
+
+
+def _unit(count: int, rows: int, columns: int, diagonal: float = 1.0) -> Complex:
+    return np.broadcast_to(diagonal * np.eye(rows, columns), (count, rows, columns)).astype(complex)
+
+
+def _rotating_step(tick: TickModel, omega: Array) -> tuple[Complex, Complex, Complex, Complex]:
+    """Return the motion and the integral of w = z e^{−jωt} over the duration of a tick.
+
+    dw/dt = (F − jωI) w + G, q(t) = ∫ w dt. The results E, e, Q, q of shapes (frequencies, n, n or
+    m) give w at the end E w + e, and the integral Q w + q, from w at the begin.
+    """
+    n, m = tick.rate_input.shape
+    block = np.zeros((omega.size, 2 * n + m, 2 * n + m), dtype=complex)
+    block[:, :n, :n] = tick.rate_state - 1j * omega[:, None, None] * np.eye(n)
+    block[:, :n, 2 * n :] = tick.rate_input
+    block[:, n : 2 * n, :n] = np.eye(n)
+    step = np.asarray(scipy.linalg.expm(block * tick.duration_s), dtype=complex)
+    return (
+        step[:, :n, :n],
+        step[:, :n, 2 * n :],
+        step[:, n : 2 * n, :n],
+        step[:, n : 2 * n, 2 * n :],
+    )
+
+
+def _finite(frequencies_hz: ArrayLike) -> Array:
+    """Return frequencies as an array (n,). Raise `LinearizationError` if one is not finite."""
+    frequencies = np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+    finite = np.isfinite(frequencies)
+    if not finite.all():
+        raise LinearizationError(f"frequency = {frequencies[~finite][0]:g} Hz: must be finite")
+    return frequencies
+
+
+def over_period(ticks: Sequence[TickModel]) -> tuple[Array, Array]:
+    """Return A and B of the motion over all ticks, with an input that is constant meanwhile."""
+    n, m = ticks[0].jump_input.shape
+    a, b = np.eye(n), np.zeros((n, m))
+    steps: dict[tuple[float, int, int], Array] = {}
+    for tick in ticks:
+        a, b = tick.jump_state @ a, tick.jump_state @ b + tick.jump_input
+        key = (tick.duration_s, id(tick.rate_state), id(tick.rate_input))
+        if key not in steps:
+            block = np.zeros((n + m, n + m))
+            block[:n] = np.hstack([tick.rate_state, tick.rate_input])
+            steps[key] = scipy.linalg.expm(block * tick.duration_s)
+        step = steps[key]
+        a, b = step[:n, :n] @ a, step[:n, :n] @ b + step[:n, n:]
+    return a, b

@@ -1,0 +1,156 @@
+"""The equations of a diagram and their derivatives at a point: state, inputs, parameters, time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..diagram_equations import DiagramEquations, read_diagram
+from ..errors import LinearizationError, ParameterError
+from ..native.runner import element_name
+from ..run_data import Array
+from .jacobian import values_and_jacobian
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Values and derivatives of a diagram at a point.
+
+    ``rates`` (n,) has the rates of the continuous states, and then the values of the discrete
+    states after their updates. The columns of the Jacobians belong to the n states and then to the
+    elements of all open inputs.
+    """
+
+    rates: Array
+    rates_jacobian: Array
+    outputs: Array
+    outputs_jacobian: Array
+
+
+@dataclass(frozen=True)
+class Point:
+    """A diagram with the values at which to evaluate its equations."""
+
+    read: DiagramEquations
+    time_s: float
+    parameters: Array
+    state: Array
+    """Continuous and then discrete states (n,)."""
+    inputs: Array
+    """Values of the elements of all open inputs, in the order of the equations."""
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the continuous and then the discrete states."""
+        return self.read.state_names + self.read.discrete_names
+
+    def element_names(self, ports: Iterable[str]) -> tuple[str, ...]:
+        """Return the names of the elements of ports, which are open inputs or outputs."""
+        equations = self.read.equations
+        sizes = {name: len(nodes) for name, nodes in equations.outputs.items()} | equations.inputs
+        return tuple(element_name(p, i, sizes[p]) for p in ports for i in range(sizes[p]))
+
+    def at(self, state: Array, inputs: Array | None = None) -> Point:
+        """Return the point with another state, and with other inputs unless they are None."""
+        return replace(self, state=state, inputs=self.inputs if inputs is None else inputs)
+
+    def slopes(self, outputs: Sequence[str] = ()) -> Slopes:
+        """Return the values and derivatives at this point, also those of the ports ``outputs``."""
+        equations = self.read.equations
+        updated = {index: node for update in equations.updates for index, node in update.values}
+        roots = [*equations.derivatives, *(updated[i] for i in range(len(updated)))]
+        size = len(roots)
+        roots += [node for name in outputs for node in equations.outputs[name]]
+        count = len(equations.states)
+        sources = {
+            "time": np.array([self.time_s]),
+            "parameter": self.parameters,
+            "state": self.state[:count],
+            "discrete": self.state[count:],
+            "input": self.inputs,
+        }
+        values, jacobian = values_and_jacobian(
+            equations.graph, roots, sources, ("state", "discrete", "input")
+        )
+        return Slopes(values[:size], jacobian[:size], values[size:], jacobian[size:])
+
+    def residual(self, rates: Array) -> Array:
+        """Return the rates of the continuous states and the changes of the discrete states (n,)."""
+        held = self.state.copy()
+        held[: len(self.read.state_names)] = 0.0
+        return rates - held
+
+    def require_finite(self, slopes: Slopes, outputs: Sequence[str]) -> None:
+        """Raise `LinearizationError` for a value or derivative that is not finite."""
+        names = (*self.rate_names, *self.element_names(outputs))
+        values = np.append(slopes.rates, slopes.outputs)
+        jacobian = np.vstack([slopes.rates_jacobian, slopes.outputs_jacobian])
+        for what, finite in (
+            ("", np.isfinite(values)),
+            ("the derivative of ", np.isfinite(jacobian).all(axis=1)),
+        ):
+            if not finite.all():
+                raise LinearizationError(
+                    f"{what}{names[int(np.argmin(finite))]} is not finite at this operating point: "
+                    f"there is no linear model"
+                )
+
+    @property
+    def rate_names(self) -> tuple[str, ...]:
+        """Names of the elements of `residual`."""
+        rates = tuple(f"the rate of {name}" for name in self.read.state_names)
+        return rates + tuple(f"the update of {name}" for name in self.read.discrete_names)
+
+    def largest_residual(self, rates: Array) -> tuple[float, str]:
+        """Return the largest magnitude of the residual, and a text that names its element."""
+        residual = self.residual(rates)
+        if not residual.size:
+            return 0.0, ""
+        magnitude = np.where(np.isfinite(residual), np.abs(residual), np.inf)
+        index = int(np.argmax(magnitude))
+        if index < len(self.read.state_names):
+            text = f"d({self.state_names[index]})/dt = {residual[index]:.6g} per s"
+        else:
+            text = f"an update changes {self.state_names[index]} by {residual[index]:.6g}"
+        return float(magnitude[index]), text
+
+
+def read_point(
+    diagram: Any, context: Any, inputs: Iterable[str] = (), outputs: Iterable[str] = ()
+) -> Point:
+    """Read the equations of a diagram of floats, and the values of a Context.
+
+    The open inputs are ``inputs`` and then all other input ports of the diagram that have a value
+    in the Context. An input without a value, or inside the diagram, has the value zero. For the
+    names and errors see `linearize`.
+    """
+    names = tuple(inputs)
+    values: dict[str, Array] = {}
+    if context is not None:
+        try:
+            diagram.ValidateContext(context)
+        except RuntimeError:
+            raise ParameterError(
+                f"context: belongs to another system than {diagram.get_name()!r}; create it by "
+                f"diagram.CreateDefaultContext()"
+            ) from None
+        ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))
+        values = {port.get_name(): port.Eval(context) for port in ports if port.HasValue(context)}
+    open_ports = tuple(dict.fromkeys((*names, *values)))
+    exported = {diagram.get_output_port(i).get_name() for i in range(diagram.num_output_ports())}
+    read = read_diagram(
+        diagram, inputs=open_ports, outputs=[name for name in outputs if name not in exported]
+    )
+    sizes = read.equations.inputs
+    elements = [values.get(name, np.zeros(sizes[name])) for name in open_ports]
+    state = read.state(context)
+    return Point(
+        read=read,
+        time_s=0.0 if context is None else float(context.get_time()),
+        parameters=read.parameters(context),
+        state=np.concatenate([state.continuous, state.discrete]),
+        inputs=np.concatenate([np.empty(0), *elements]),
+    )
