@@ -86,7 +86,7 @@ def test_a_pendulum_equals_drakes_linearization():
     context = plant.CreateDefaultContext()
     context.SetContinuousState([math.pi, 0.0])
     plant.get_input_port().FixValue(context, [0.0])
-    model, drake = linearize(plant, context, inputs=["tau"], outputs=["state"]), None
+    model = linearize(plant, context, inputs=["tau"], outputs=["state"])
     drake = Linearize(plant, context)
     for name in "abcd":
         expected = getattr(drake, name.upper())()
@@ -96,9 +96,11 @@ def test_a_pendulum_equals_drakes_linearization():
 
 
 def test_a_perturbation_inside_adds_to_the_signal(loop):
-    model = linearize(loop, inputs=["gain:u", "hold:y"], outputs=["gain:y", "plant:u0"])
+    context = loop.CreateDefaultContext()
+    loop.GetInputPort("r").FixValue(context, [0.0])
+    model = linearize(loop, context, inputs=["gain:u0", "hold:y"], outputs=["gain:y0", "plant:u0"])
     hold = model.state_names.index("hold.0[0]")
-    assert model.output_names == ("gain:y", "plant:u0")
+    assert model.output_names == ("gain:y0", "plant:u0")
     assert model.d[0].tolist() == [-0.4, 0.0]
     assert model.c[0, model.state_names.index("sampler.0[0]")] == -0.4
     # At t = 0 the hold takes the perturbed gain, and the delay the perturbed hold.
