@@ -83,6 +83,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         read_run as read_run,
         record_run as record_run,
     )
+    from .reductions import REDUCTIONS as REDUCTIONS, Reduction as Reduction
     from .run_data import Array as Array, InputTable as InputTable, State as State
     from .run_end import (
         Replay as Replay,
@@ -120,6 +121,7 @@ else:
         "native.cores": ("available_cores",),
         "native.runner": ("ROUGH_STEP_S", "STEP_S", "TOLERANCE"),
         "recorded_run": ("RecordedRun", "read_run", "record_run"),
+        "reductions": ("REDUCTIONS", "Reduction"),
         "run_data": ("Array", "InputTable", "State"),
         "run_end": ("Replay", "RunEnd", "run_versions", "version_changes"),
         "trajectories": ("input_table", "stack_tables"),

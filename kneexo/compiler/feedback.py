@@ -9,7 +9,7 @@ import numpy as np
 
 from .model import CompiledModel, Simulation
 from .model_base import not_finite
-from .native.arguments import OK, OUTPUT_NOT_FINITE
+from .native.arguments import OK
 from .native.runner import Runner
 from .run_data import Array, InputTable, State
 
@@ -93,11 +93,8 @@ def simulate_with_feedback(
         last[0] = end
         status = runner.go(tick, end, rows, [table])[0].tolist()
         if status[0] != OK:
-            output = runner.output_not_finite(row[0, :, 0])
-            if status[0] != OUTPUT_NOT_FINITE:
-                output = ""
             final = State(x[:, 0].copy(), d[:, 0].copy())
-            raise model.fault(status, runner.timing, rows_of_parameters[0], final, output)
+            raise model.fault(status, runner.timing, rows_of_parameters[0], final)
 
     for sample in range(samples):
         tick = sample * every

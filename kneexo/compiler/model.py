@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from threading import Event, local
 from typing import Any
@@ -19,22 +19,28 @@ from .equations.equations import Equations
 from .equations.tree import Node
 from .errors import Error, ResultError, SimulationError
 from .model_base import ModelBase, not_finite
-from .native.arguments import NOT_FINITE, OK, OUTPUT_NOT_FINITE
+from .native.arguments import NOT_FINITE, OK
 from .native.buffers import RECORDS
 from .native.cores import available_cores
 from .native.llvm import LANES
 from .native.machine_code import MachineCode
-from .native.runner import LONGEST_TICK_S, Runner, Snapshots
+from .native.reductions import starts_and_bounds
+from .native.runner import LONGEST_TICK_S, Runner, Snapshots, output_elements
+from .reductions import Reduction
 from .run_data import Array, InputTable, Integers, State
 
 
 @dataclass(frozen=True, repr=False)
 class Simulation:
-    """The records of one run: times ``time_s`` (n,), outputs (n, size) by name, and final state."""
+    """The records of one run: times ``time_s`` (n,), outputs (n, size) by name, and final state.
+
+    ``reduced`` (m,) has the values of the reductions that `CompiledModel.simulate_batch` computed.
+    """
 
     time_s: Array
     outputs: dict[str, Array]
     final: State
+    reduced: Array = field(default_factory=lambda: np.empty(0))
 
     def __getitem__(self, output: str) -> Array:
         """Return the records of the output port ``output``, (n, size).
@@ -63,6 +69,10 @@ class _Batch:
     ticks: Integers
     """Duration of each run in ticks."""
     inputs: Sequence[InputTable]
+    begins: Integers
+    """Row of the first sample of each reduction, (runs, reductions)."""
+    bounds: Array
+    """Bound of each reduction, (runs, reductions)."""
 
 
 class CompiledModel(ModelBase):
@@ -151,6 +161,7 @@ class CompiledModel(ModelBase):
         failures: str = "raise",
         threads: int | None = None,
         outputs: Sequence[str] | None = None,
+        reductions: Sequence[Reduction] = (),
         record_period_s: float | None = None,
         **options: Any,
     ) -> list[Any]:
@@ -174,8 +185,13 @@ class CompiledModel(ModelBase):
             error of each failed run in the list.
         threads
             Number of threads; by default the number of cores that this process may use.
-        outputs, record_period_s, options
-            As in `simulate`.
+        outputs
+            Names of the output ports to record; all by default, or none if there are reductions.
+        reductions
+            Numbers that the runs compute from the samples of their outputs, such as the largest
+            error. `Simulation.reduced` has their values. This takes less time than records.
+        record_period_s, options
+            As in `simulate`. A reduction has a sample at the time of each record.
 
         Raises
         ------
@@ -197,12 +213,18 @@ class CompiledModel(ModelBase):
         if not count:
             return []
         lanes = LANES if count >= LANES else 1
-        settings = {"outputs": outputs, "record_period_s": record_period_s} | options
+        settings = options | {"outputs": () if reductions and outputs is None else outputs}
+        settings |= {"record_period_s": record_period_s, "reductions": reductions}
         runners, cancelled = local(), Event()
         # The first runner compiles the code, before any thread needs it.
         runners.of_thread = Runner(self.code, lanes=lanes, **settings)
         batch = self._batch(
-            runners.of_thread, np.asarray(parameters, dtype=float), initial, durations, tables
+            runners.of_thread,
+            np.asarray(parameters, dtype=float),
+            initial,
+            durations,
+            tables,
+            reductions,
         )
         # Runs of about the same length share a call.
         order = np.argsort(-batch.ticks, kind="stable").tolist()
@@ -234,6 +256,7 @@ class CompiledModel(ModelBase):
         states: Sequence[State],
         durations: Sequence[float] | Array,
         inputs: Sequence[InputTable | None],
+        reductions: Sequence[Reduction] = (),
     ) -> _Batch:
         """Check the arguments of all runs and convert durations to ticks. Return a ``_Batch``.
 
@@ -250,8 +273,9 @@ class CompiledModel(ModelBase):
             if not 0.0 <= duration < math.inf:
                 raise ValueError(f"duration_s = {duration} s: must be finite and >= 0")
         tick = runner.timing.tick
-        ticks = [int(duration / tick * (1.0 + 1e-12)) for duration in durations]
-        return _Batch(rows, states, np.array(ticks, dtype=np.int64), tables)
+        ticks = np.array([int(d / tick * (1.0 + 1e-12)) for d in durations], dtype=np.int64)
+        times = runner.timing.record_times(int(ticks.max()))
+        return _Batch(rows, states, ticks, tables, *starts_and_bounds(reductions, times, len(rows)))
 
     def _run_lanes(
         self,
@@ -272,35 +296,31 @@ class CompiledModel(ModelBase):
         every = runner.timing.record_every
         record = RECORDS.array((len(lanes), runner.columns.size, int(last.max()) // every + 1))
         runner.restart(batch.parameters[lanes])
+        runner.reducer.restart(batch.begins[lanes], batch.bounds[lanes])
         tables = [batch.inputs[i] for i in lanes]
         status = runner.run(x, d, 0, last, tables, record, cancelled=cancelled)
-        times = runner.timing.times(np.arange(0, last.max() + 1, every))
+        times = runner.timing.record_times(int(last.max()))
+        reduced = runner.reducer.results(last // every + 1, times, every * runner.timing.tick)
         runs: list[Simulation | SimulationError] = []
         for lane, index in enumerate(indices):
             final = State(x[:, lane].copy(), d[:, lane].copy())
             outcome = _outcome(status[lane], int(last[lane]), final)
             if outcome[0] != OK:
-                output = ""
-                if outcome[0] == OUTPUT_NOT_FINITE:
-                    output = runner.output_not_finite(record[lane, :, outcome[1] // every])
-                parameters = batch.parameters[index]
-                runs.append(self.fault(outcome, runner.timing, parameters, final, output))
+                runs.append(self.fault(outcome, runner.timing, batch.parameters[index], final))
                 continue
             rows = int(last[lane]) // every + 1
-            runs.append(self._simulation(runner, times[:rows], record[lane, :, :rows], final))
+            outputs = self._outputs(runner, record[lane, :, :rows])
+            runs.append(Simulation(times[:rows], outputs, final, reduced[lane]))
         return runs
 
-    def _simulation(self, runner: Runner, times: Array, record: Array, final: State) -> Simulation:
-        """Return a run as a `Simulation`.
-
-        ``record`` (columns, rows) has the values of the outputs at ``times`` (rows,) in s.
-        """
+    def _outputs(self, runner: Runner, record: Array) -> dict[str, Array]:
+        """Divide a record (columns, rows) into the outputs (rows, size) by name."""
         outputs, first = {}, 0
         for name in runner.names:
             size = self.outputs[name]
             outputs[name] = record[first : first + size].T
             first += size
-        return Simulation(times, outputs, final)
+        return outputs
 
     def _run_with_records(
         self, runner: Runner, batch: _Batch, times: Array
@@ -330,8 +350,9 @@ class CompiledModel(ModelBase):
         finite = np.isfinite(record).all(axis=0)
         if not finite.all():
             row = int(np.argmin(finite))
-            return not_finite(times[row], runner.output_not_finite(record[:, row]))
-        return self._simulation(runner, times, record, final)
+            column = runner.columns[int(np.argmin(np.isfinite(record[:, row])))]
+            return not_finite(times[row], output_elements(self.outputs)[column][0])
+        return Simulation(times, self._outputs(runner, record), final)
 
     def as_system(
         self, parameters: Array, state: State, *, tick_s: float | None = None, **options: Any
@@ -350,7 +371,7 @@ class CompiledModel(ModelBase):
 
 
 def _outcome(status: Integers, last: int, final: State) -> list[int]:
-    """Return the outcome of a run: status, last tick, index of the limit that the run passed.
+    """Return the outcome of a run: status, last tick, index of the limit or the output.
 
     Machine code checks discrete states only where an output or a derivative uses them. So this
     function turns the status `OK` into `NOT_FINITE` if a final discrete state is not finite.

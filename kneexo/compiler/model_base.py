@@ -12,7 +12,7 @@ from .equations.tree import Node
 from .errors import ParameterError, SimulationError, StiffnessError
 from .native.arguments import NOT_FINITE, OUTPUT_NOT_FINITE, TOO_ROUGH
 from .native.machine_code import MachineCode
-from .native.runner import address
+from .native.runner import address, output_elements
 from .native.timing import Timing
 from .run_data import Array, InputTable, State
 
@@ -109,42 +109,42 @@ class ModelBase:
         timing: Timing,
         parameters: Array,
         state: State,
-        output: str = "",
     ) -> SimulationError:
         """Return the error of a failed run. The message says when and why the run failed.
 
         Parameters
         ----------
         outcome
-            Status of the run, its last tick, and the index of the limit that the run passed.
+            Status of the run, its last tick, and the index of the limit that the run passed or of
+            the output element that is not finite.
         timing, parameters, state
             Time grid and parameters of the run, and the state at its end.
-        output
-            Name of the output that is not finite, if this ended the run.
         """
         time_s = timing.times(outcome[1])
         names = (*self.state_names, *self.discrete_names)
         values = np.concatenate((state.continuous, state.discrete))
-        # If a state is not finite too, the state is the cause.
-        if not np.isfinite(values).all():
-            output = names[int(np.argmin(np.isfinite(values)))]
-        error = self._reason(outcome, time_s, parameters, state, output)
+        error = self._reason(outcome, time_s, parameters, state)
         error.time_s, error.state = float(time_s), dict(zip(names, values.tolist(), strict=True))
         return error
 
     def _reason(
-        self, outcome: Sequence[int], time_s: float, parameters: Array, state: State, name: str
+        self, outcome: Sequence[int], time_s: float, parameters: Array, state: State
     ) -> SimulationError:
-        """Return the error of `fault`. ``name`` is the state or output that is not finite."""
-        status, _, limit = outcome
+        """Return the error of `fault`."""
+        status, _, index = outcome
         if status in (NOT_FINITE, OUTPUT_NOT_FINITE):
-            return not_finite(time_s, name)
+            finite = np.isfinite(np.concatenate((state.continuous, state.discrete)))
+            if finite.all():
+                return not_finite(time_s, output_elements(self.outputs)[index][0])
+            # If a state is not finite too, the state is the cause.
+            names = (*self.state_names, *self.discrete_names)
+            return not_finite(time_s, names[int(np.argmin(finite))])
         if status == TOO_ROUGH:
             return StiffnessError(
                 f"t = {time_s:.6g} s: the integrator exact_hold cannot hold its tolerance (the "
                 f"derivatives jump too often); use rk4"
             )
-        path = self.layout.limits[limit]
+        path = self.layout.limits[index]
         if self._context_at is not None:
             root, context = self._context_at(parameters)
             context.SetTime(time_s)

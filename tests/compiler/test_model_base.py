@@ -61,10 +61,10 @@ def test_initialization_runs_no_periodic_update_and_copies(servo):
 def test_each_outcome_has_its_error(servo):
     model, parameters, state = servo
     timing = model_timing(2e-3)
-    text = str(model.fault((OUTPUT_NOT_FINITE, 5, 0), timing, parameters, state, "force"))
-    assert text.startswith("t = 0.01 s: force is not finite")
+    text = str(model.fault((OUTPUT_NOT_FINITE, 5, 0), timing, parameters, state))
+    assert text.startswith(f"t = 0.01 s: {next(iter(model.outputs))} is not finite")
     bad = State(state.continuous, np.array([np.nan]))
-    text = str(model.fault((OUTPUT_NOT_FINITE, 5, 0), timing, parameters, bad, "force"))
+    text = str(model.fault((OUTPUT_NOT_FINITE, 5, 0), timing, parameters, bad))
     assert text.startswith(f"t = 0.01 s: {model.discrete_names[0]} is not finite")
     error = model.fault((TOO_ROUGH, 0, 0), timing, parameters, state)
     assert isinstance(error, StiffnessError)

@@ -25,6 +25,7 @@ RUN = (
     *("column_count", "record"),
     *("step", "tolerance", "memory", "shared", "tags", "values", "status"),
     *("snapshots", "snapshot_count", "snapshot_x", "snapshot_d"),
+    *("checked_count", "reductions", "reduction_ends", "unseen", "begins", "bounds", "reduced"),
 )
 """Arguments of the machine code's function ``run``, which makes one run in each lane.
 
@@ -39,16 +40,19 @@ Each argument has eight bytes: a number, or the address of an array.
   ``longest``: the largest element of ``last``
 - ``periods``, ``offsets`` (updates,) of the discrete updates in ticks
 - ``record_every``: ticks between two records; ``row``: row of the first record
-- ``requested`` (output ports,) bytes: 1 if a port is recorded, else 0; ``columns`` (column_count,):
-  indices of the recorded elements among the elements of all outputs
+- ``requested`` (output ports,) bytes: 1 if a port is recorded or reduced, else 0; ``columns``
+  (checked_count,): indices of the recorded elements among the elements of all outputs, and behind
+  these ``column_count`` indices those of other ports that are reduced
 - ``record`` (lanes, column_count, ``rows``): memory for the records
 - ``step`` in s and ``tolerance`` of the integrator; ``memory`` and ``shared`` of the exact hold
 - ``tags``, ``values``: look-up tables for functions of one whole number; ``tags`` has the whole
   number of each row, ``values`` the values of the functions
 - ``status`` (lanes, 3): the call writes the outcome, the tick at which the run failed, and the
-  index of the limit that was passed
+  index of the limit that was passed or of the output element that is not finite
 - ``snapshots`` (snapshot_count,): ticks whose states, after the events, are written to
   ``snapshot_x`` (snapshot_count, states) and ``snapshot_d``; with a single lane only
+- ``reductions``, ``reduction_ends``, ``begins``, ``bounds``, ``reduced``: arrays of `Reducer`;
+  ``unseen``: first row whose samples no earlier call has reduced
 """
 
 BETWEEN = (

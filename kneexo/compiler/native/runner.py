@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from time import perf_counter
@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..reductions import Reduction
 from ..run_data import Array, InputTable, Integers
 from . import exact_hold
 from .arguments import BETWEEN, DOUBLES, INPUT, INTEGRATORS, MEMO_LINES, OK, RUN
 from .machine_code import MachineCode
+from .reductions import Reducer
 from .timing import timing
 
 STEP_S = 2e-4
@@ -49,9 +51,17 @@ def address(array: NDArray[Any]) -> int:
     return int(array.__array_interface__["data"][0])
 
 
-def element_name(port: str, element: int, size: int) -> str:
-    """Return ``port[element]``, the name of an element; ``port`` if the port has one element."""
-    return f"{port}[{element}]" if size > 1 else port
+def output_elements(sizes: Mapping[str, int]) -> list[tuple[str, str]]:
+    """Return the name of each element of the outputs, and the name of its port.
+
+    ``sizes`` maps the name of a port to its size. An element is called ``port[index]``. The element
+    of a port with a single element is called ``port``.
+    """
+    return [
+        (f"{port}[{index}]" if size > 1 else port, port)
+        for port, size in sizes.items()
+        for index in range(size)
+    ]
 
 
 @dataclass(frozen=True)
@@ -91,10 +101,12 @@ class Runner:
         integrator: str = "exact_hold",
         step_s: float = STEP_S,
         tolerance: float = TOLERANCE,
+        reductions: Sequence[Reduction] = (),
     ) -> None:
         """Check the arguments, which `CompiledModel.simulate` explains, and get the machine code.
 
-        Raises `ValueError` for an unknown output or integrator, and for a step, a tolerance or a
+        `CompiledModel.simulate_batch` explains ``reductions``. Raises `ValueError` for an unknown
+        output or integrator, and for a step, a tolerance or a
         record period that is not finite and positive.
         """
         if integrator not in INTEGRATORS:
@@ -115,14 +127,20 @@ class Runner:
         self.code, self.lanes = code, lanes
         longest = LONGEST_TICK_S if integrator == "exact_hold" else math.inf
         self.timing = timing(layout.periods, record_period_s, longest)
-        first, columns = 0, {}
-        for name, size in layout.outputs:
-            columns[name] = range(first, first + size)
-            first += size
-        self.columns = np.array([c for n in self.names for c in columns[n]], dtype=np.int64)
+        elements = output_elements(sizes)
+        self.reducer = Reducer(reductions, {e: n for n, (e, _) in enumerate(elements)}, lanes)
+        """Memory for the reductions of the runs."""
+
+        def columns_of(ports: Iterable[str]) -> Integers:
+            columns = [n for port in ports for n, (_, p) in enumerate(elements) if p == port]
+            return np.array(columns, dtype=np.int64)
+
+        self.columns = columns_of(self.names)
         """Indices of the recorded elements among the elements of all outputs."""
-        requested = [name in self.names for name, _ in layout.outputs]
-        self._requested = np.array(requested, dtype=np.uint8)
+        used = {elements[n][1] for n in self.reducer.used}
+        self._checked = columns_of((*self.names, *sorted(used.difference(self.names))))
+        ports = used.union(self.names)
+        self._requested = np.array([name in ports for name in sizes], dtype=np.uint8)
         steps = 10.0 if integrator == "exact_hold" else max(1.0, self.timing.tick / step_s)
         self.piece = max(1, int(_FIRST_PIECE / steps))
         """Number of ticks that the first machine-code call of a long run makes."""
@@ -150,8 +168,14 @@ class Runner:
             periods=self.timing.periods,
             offsets=self.timing.offsets,
             requested=self._requested,
-            columns=self.columns,
+            columns=self._checked,
             column_count=self.columns.size,
+            checked_count=self._checked.size,
+            reductions=self.reducer.table,
+            reduction_ends=self.reducer.ends,
+            begins=self.reducer.begins,
+            bounds=self.reducer.bounds,
+            reduced=self.reducer.values,
             memory=self._memory,
             shared=self._shared,
             tags=self._tags,
@@ -210,7 +234,7 @@ class Runner:
             `KeyboardInterrupt`.
 
         Returns the status (lanes, 3): for each lane the outcome, the tick at which the run failed,
-        and the index of the limit that stopped the run.
+        and the index of the limit that stopped the run or of the output that is not finite.
         """
         start, longest, ends = first, int(last.max()), np.empty_like(last)
         every = self.timing.record_every
@@ -224,7 +248,9 @@ class Runner:
             self.bind(x, d, ends, record, snapshots and snapshots.after(first))
             begin = perf_counter()
             row = -(-first // every) + start // -every
-            outcome = self.go(first, until, rows, inputs, row)
+            # A record at the last tick of a call is made again by the next call.
+            unseen = row if first == start else first // every + 1 + start // -every
+            outcome = self.go(first, until, rows, inputs, row, unseen)
             failed = outcome[:, 0] != OK
             status[failed] = outcome[failed]
             if not (last[status[:, 0] == OK] > until).any():
@@ -253,13 +279,19 @@ class Runner:
             _set(self._arguments, record=record)
 
     def go(
-        self, first: int, longest: int, rows: int, inputs: Sequence[InputTable], row: int = 0
+        self,
+        first: int,
+        longest: int,
+        rows: int,
+        inputs: Sequence[InputTable],
+        row: int = 0,
+        unseen: int = 0,
     ) -> Integers:
         """Call the machine code once, with the arrays of `bind`.
 
         ``first``: first tick; ``longest``: largest last tick of all lanes; ``rows``: number of rows
-        of the record; ``row``: first row to write. Returns the status as `run` does, in an array
-        that the next call overwrites.
+        of the record; ``row``: first row to write; ``unseen``: first row to reduce. Returns the
+        status as `run` does, in an array that the next call overwrites.
         """
         if self._has_inputs:
             self._inputs[:] = [_input_argument(table) for table in inputs]
@@ -267,22 +299,9 @@ class Runner:
         arguments = self._arguments
         arguments.first, arguments.longest, arguments.rows = first, longest, rows
         arguments.record_every = self.timing.record_every if first < longest else 1
-        arguments.row = row
+        arguments.row, arguments.unseen = row, unseen
         self._run(self._address)
         return self._status
-
-    def output_not_finite(self, values: Array) -> str:
-        """Return the name of the first output element that is not finite in a record's row.
-
-        ``values`` (columns,): the row.
-        """
-        column = int(np.argmin(np.isfinite(values)))
-        for name in self.names:
-            size = self.sizes[name]
-            if column < size:
-                break
-            column -= size
-        return element_name(name, column, size)
 
     def records_between(
         self, snapshots: Snapshots, inputs: InputTable, times: Array, places: Integers

@@ -27,6 +27,7 @@ from .arguments import (
 )
 from .integrators import Tick, advance_rk4, advance_runge_kutta3
 from .ir import Array, Function, Module, Operand, Value, Variable
+from .open_inputs import define_inputs
 from .printer import (
     Printer,
     define_constants,
@@ -35,6 +36,7 @@ from .printer import (
     define_jacobian,
     sources,
 )
+from .reductions import emit_reductions
 from .types import BOOL, BYTE, DOUBLE, INT, POINTER, Type
 
 _CHECKS = 4  # independent sums, which the processor can compute at the same time
@@ -119,46 +121,6 @@ class _Arguments:
         return Array(self.f.pointer(self.values[name]), type_)
 
 
-def _define_inputs(module: Module, program: Program) -> Function:
-    """Define the emitted function ``evaluate_inputs(t, table, u)``, like `InputTable.value`.
-
-    The function writes one lane's open inputs at the time ``t`` in s to ``u``. Each break belongs
-    to the segment on its right. Only the last of several breaks belongs to the segment on its left.
-    """
-    arguments = {"t": DOUBLE, "table": POINTER, "u": POINTER}
-    f = module.function("evaluate_inputs", arguments)
-    t, table = f.arguments["t"], Array(f.arguments["table"], INT)
-    count, powers = table[INPUT.index("break_count")], table[INPUT.index("powers")]
-    breaks, coefficients = (
-        Array(f.pointer(table[INPUT.index(name)]), DOUBLE) for name in ("breaks", "coefficients")
-    )
-    low, high = f.variable(f.constant(0, INT)), f.variable(count)
-    with f.forever() as loop:  # the number of breaks that are not after t
-        loop.stop_if(low.get() >= high.get())
-        middle = (low.get() + high.get()) >> 1
-        before = breaks[middle] <= t
-        low.set(f.select(before, middle + 1, low.get()))
-        high.set(f.select(before, high.get(), middle))
-    segment, start = low, f.variable(f.constant(0.0))
-    with f.when(segment.get() > 0):
-        last = (segment.get() > 1) & segment.get().equals(count)
-        at_end = last & t.equals(breaks[segment.get() - 1])
-        segment.set(f.select(at_end, segment.get() - 1, segment.get()))
-        start.set(breaks[segment.get() - 1])
-    s, u = t - start.get(), Array(f.arguments["u"], DOUBLE)
-    # Before the first break the powers count from t = 0.
-    size = sum(program.equations.inputs.values())
-    for i in f.each(size):
-        first = (segment.get() * size + i) * powers
-        value, power = f.variable(f.constant(0.0)), f.variable(powers)
-        with f.forever() as loop:
-            loop.stop_if(power.get() <= 0)
-            power.set(power.get() - 1)
-            value.set(value.get() * s + coefficients[first + power.get()])
-        u[i] = value.get()
-    return f
-
-
 class _Model:
     """Emits the equations of a model into the function ``run`` or ``between``."""
 
@@ -175,13 +137,13 @@ class _Model:
         )
         attributes = "noinline" if large else "alwaysinline"
         self.derivatives = define_derivatives(f.module, program, lanes, attributes)
-        self.evaluate = _define_inputs(f.module, program) if self.input_count else None
+        self.evaluate = define_inputs(f.module, self.input_count) if self.input_count else None
         self.inputs = arguments.array("inputs")
         self.c = arguments.array("c", self.type)
         self.x = f.array(program.size, self.type)
         self.d = f.array(self.discrete_count, self.type)
         self.u = f.array(self.input_count, self.type)
-        self.y = f.array(self.output_count, self.type)
+        self.y = f.array(self.output_count + 1, self.type)  # the last element stays zero
         self._lane_u = f.array(self.input_count)
         self.states = (
             ("snapshot_x", self.x, program.size),
@@ -279,6 +241,7 @@ class _Run:
         self.alive = f.variable(f.constant(1, self.mask))
         self.after = f.array(self.model.discrete_count, self.model.type)
         self.status = a.array("status")
+        self.model.y[self.model.output_count] = 0.0
         if integrator == "exact_hold" and program.size:
             self._prepare_hold()
 
@@ -402,6 +365,7 @@ class _Run:
             with f.when(recording):
                 record = a.array("record", DOUBLE)
                 model.record(columns, a["column_count"], record, a["rows"], row.get())
+                emit_reductions(a.array, model.y, row.get(), a["unseen"], now.present)
                 row.set(row.get() + 1)
             # At the last tick of a run margins only count if the tick is recorded.
             checked = now.running | (now.present & recording)
@@ -412,6 +376,8 @@ class _Run:
                 total = total + check.get()
             bad = now.present & self.alive.get() & total.differs(0.0)
             self._fail(bad, OUTPUT_NOT_FINITE, now.number)
+            with f.when(f.any_lane(bad), rare=True):
+                self._store_bad_output(bad, columns)
             running = now.running & self.alive.get()
             with f.when(firing & f.any_lane(running)):
                 for i in f.each(model.discrete_count):
@@ -419,6 +385,17 @@ class _Run:
                     model.d[i] = self.after[i]
                     if self.lanes > 1:
                         model.d[i] = f.select(running, self.after[i], before)
+
+    def _store_bad_output(self, lanes: Value, columns: Array) -> None:
+        """Emit code that stores, for each of ``lanes``, the first output that is not finite."""
+        f, values, count = self.f, self.model.y.cast(DOUBLE), self.a["checked_count"]
+        for lane in range(self.lanes):
+            with f.when(f.lane(lanes, lane)):
+                for n in f.loop(count):
+                    column = columns[count - 1 - n]
+                    value = values[column * self.lanes + lane]
+                    with f.when((value - value).differs(0.0)):
+                        self.status[3 * lane + 2] = column
 
     def _memory(self) -> list[Array]:
         """Return two arrays for each `Memo` in turn: tags and values of its look-up table."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import CompilationError
-from ..run_data import Integers
+from ..run_data import Array, Integers
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,11 @@ class Timing:
             return ticks * self.unit
         whole, part = np.divmod(ticks, self.split)
         return whole * self.unit + part * self.tick
+
+    def record_times(self, last: int) -> Array:
+        """Return the times in s of the records from tick 0 to the tick ``last``."""
+        times: Array = self.times(np.arange(0, last + 1, self.record_every))
+        return times
 
 
 @lru_cache

@@ -1,0 +1,187 @@
+"""Reduces the samples of outputs to single numbers inside the compiled time loop.
+
+A sample is the value of an output at the time of a record. The samples themselves are not stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from ..reductions import REDUCTIONS, Reduction
+from ..run_data import Array, Integers
+from .ir import Array as Memory, Operand, Value
+from .types import INT
+
+_FIELDS = 3
+"""Integers in a row of the table: sampled element, subtracted element, 1 for the magnitude."""
+
+_START = {"maximum": -np.inf, "minimum": np.inf, "first_time": np.inf, "last_time": -np.inf}
+"""Accumulated value before the first sample, for the kinds where this value is not zero."""
+
+
+def emit_reductions(
+    arguments: Callable[[str], Memory], y: Memory, row: Value, unseen: Value, present: Value
+) -> None:
+    """Emit code that adds the samples of all lanes at one record to the accumulated values.
+
+    Parameters
+    ----------
+    arguments
+        Function that returns the integers at the address that an argument of ``run`` holds.
+    y
+        All outputs, and behind them an element that is zero.
+    row, unseen
+        Index of the record, and index of the first record that no earlier call has seen.
+    present
+        True in each lane whose sample counts.
+    """
+    f, lanes = y.function, y.type.lanes
+    table, ends, begins = (arguments(n) for n in ("reductions", "reduction_ends", "begins"))
+    begins = begins.cast(INT.of(lanes))
+    bounds, values = (arguments(n).cast(y.type) for n in ("bounds", "reduced"))
+    rows = f.coerce(row, INT.of(lanes))
+    number = f.variable(f.constant(0, INT))
+    with f.when(row >= unseen):
+        for kind, name in enumerate(REDUCTIONS):
+            with f.forever() as loop:
+                n = number.get()
+                loop.stop_if(n >= ends[kind])
+                entry, memory = table.shifted(n * _FIELDS), values.shifted(n * 2)
+                sample = f.variable(y[entry[0]] - y[entry[1]])
+                with f.when(entry[2].differs(0)):
+                    sample.set(f.absolute(sample.get()))
+                value, before, begin = sample.get(), memory[0], begins[n]
+                after = _accumulated(
+                    name, value, before, memory[1], rows.equals(begin), rows, bounds[n]
+                )
+                counts = present & (rows >= begin)
+                memory[0] = f.select(counts, after, before)
+                memory[1] = value
+                number.set(n + 1)
+
+
+def _accumulated(
+    kind: str,
+    value: Value,
+    before: Value,
+    previous: Value,
+    is_first: Value,
+    rows: Value,
+    bound: Value,
+) -> Value:
+    """Emit the accumulated value of a reduction after a sample; return this value.
+
+    ``value`` is the sample, ``before`` the accumulated value, ``previous`` the sample before.
+    """
+    f = value.function
+    reached = value >= bound
+
+    def unless_first(term: Value) -> Value:
+        return before + f.select(is_first, f.constant(0.0, value.type), term)
+
+    emit: dict[str, Callable[[], Operand]] = {
+        "maximum": lambda: f.maximum(before, value),
+        "minimum": lambda: f.minimum(before, value),
+        "mean": lambda: before + value,
+        "rms": lambda: before + value * value,
+        "variation": lambda: unless_first(f.absolute(value - previous)),
+        "integral": lambda: unless_first((value + previous) * 0.5),
+        "count": lambda: before + f.to_double(f.flags(reached)),
+        "first_time": lambda: f.select(reached, f.minimum(before, f.to_double(rows)), before),
+        "last_time": lambda: f.select(reached, f.to_double(rows), before),
+    }
+    return f.coerce(emit[kind](), value.type)
+
+
+class Reducer:
+    """Memory of the machine code for the reductions of the runs in all lanes."""
+
+    def __init__(
+        self, reductions: Sequence[Reduction], elements: Mapping[str, int], lanes: int
+    ) -> None:
+        """``elements`` maps the name of each element of the outputs to its index.
+
+        Raises `ValueError` for an unknown element.
+        """
+        kinds = [REDUCTIONS.index(reduction.kind) for reduction in reductions]
+        order = np.argsort(kinds, kind="stable")  # the machine code reads them sorted by kind
+        self._place = np.argsort(order)
+        self._kinds = np.array(kinds, dtype=np.int64)[order]
+        rows = [
+            (_index(r.output, elements), _index(r.minus, elements), int(r.magnitude))
+            for r in (reductions[n] for n in order)
+        ]
+        self.table = np.array(rows, dtype=np.int64).reshape(-1, _FIELDS)
+        """Rows of `_FIELDS` integers, one for each reduction."""
+        self.used = [n for row in rows for n in row[:2] if n < len(elements)]
+        """Indices of the elements that the reductions read."""
+        self.ends = np.searchsorted(self._kinds, np.arange(len(REDUCTIONS)), side="right")
+        """For each kind, the index behind its last reduction."""
+        self._start = np.array([_START.get(REDUCTIONS[kind], 0.0) for kind in self._kinds])
+        size = len(reductions)
+        self.begins = np.zeros((size, lanes), dtype=np.int64)
+        """Row of the first sample that counts, for each reduction and lane."""
+        self.bounds = np.zeros((size, lanes))
+        self.values = np.zeros((size, 2, lanes))
+        """Accumulated value and previous sample, for each reduction and lane."""
+
+    def restart(self, begins: Integers, bounds: Array) -> None:
+        """Prepare new runs: set the first row and the bound of each reduction (lanes, n)."""
+        self.begins[self._place] = begins.T
+        self.bounds[self._place] = bounds.T
+        self.values[:, 0] = self._start[:, None]
+
+    def results(self, rows: Integers, times: Array, period_s: float) -> Array:
+        """Return the reductions of the runs (lanes, n).
+
+        ``rows`` (lanes,): number of samples of each run; ``times``: times of the samples in s;
+        ``period_s``: time between two samples.
+        """
+        samples = np.maximum(rows - self.begins, 0)
+        results = self.values[:, 0].copy()
+        for n, kind in enumerate(self._kinds):
+            name, values = REDUCTIONS[kind], results[n]
+            if name.endswith("time"):
+                reached = np.isfinite(values)
+                values[reached] = times[values[reached].astype(np.int64)]
+                values[~reached] = np.nan
+            elif name == "integral":
+                values *= period_s
+            elif name in ("mean", "rms"):
+                values[:] = np.divide(values, samples[n], where=samples[n] > 0, out=values)
+                results[n] = np.sqrt(values) if name == "rms" else values
+            if name not in ("variation", "integral", "count"):
+                values[samples[n] == 0] = np.nan
+        return results[self._place].T
+
+
+def starts_and_bounds(
+    reductions: Sequence[Reduction], times: Array, runs: int
+) -> tuple[Integers, Array]:
+    """Return the row of the first sample and the bound of each reduction, (runs, reductions) each.
+
+    ``times``: times of the samples in s. Raises `ValueError` if a reduction has a number of values
+    that is not the number of runs.
+    """
+    begins = np.zeros((runs, len(reductions)), dtype=np.int64)
+    bounds = np.zeros((runs, len(reductions)))
+    for n, reduction in enumerate(reductions):
+        for name in ("after_s", "bound"):
+            shape = np.shape(getattr(reduction, name))
+            if shape not in ((), (runs,)):
+                raise ValueError(f"{name}: has the shape {shape} for {runs} runs")
+        begins[:, n] = np.searchsorted(times, np.asarray(reduction.after_s) - 1e-9)
+        bounds[:, n] = reduction.bound
+    return begins, bounds
+
+
+def _index(element: str | None, elements: Mapping[str, int]) -> int:
+    """Return the index of an element of the outputs; for None, of the zero behind the outputs."""
+    if element is None:
+        return len(elements)
+    if element not in elements:
+        known = ", ".join(elements)
+        raise ValueError(f"output element {element!r} is unknown; known: {known}")
+    return elements[element]
