@@ -274,8 +274,8 @@ class CompiledModel(ModelBase):
                 raise ValueError(f"duration_s = {duration} s: must be finite and >= 0")
         tick = runner.timing.tick
         ticks = np.array([int(d / tick * (1.0 + 1e-12)) for d in durations], dtype=np.int64)
-        times = runner.timing.record_times(int(ticks.max()))
-        return _Batch(rows, states, ticks, tables, *starts_and_bounds(reductions, times, len(rows)))
+        reduced = starts_and_bounds(reductions, runner.timing, len(rows))
+        return _Batch(rows, states, ticks, tables, *reduced)
 
     def _run_lanes(
         self,

@@ -12,6 +12,7 @@ import numpy as np
 from ..reductions import REDUCTIONS, Reduction
 from ..run_data import Array, Integers
 from .ir import Array as Memory, Operand, Value
+from .timing import Timing
 from .types import INT
 
 _FIELDS = 3
@@ -158,11 +159,11 @@ class Reducer:
 
 
 def starts_and_bounds(
-    reductions: Sequence[Reduction], times: Array, runs: int
+    reductions: Sequence[Reduction], timing: Timing, runs: int
 ) -> tuple[Integers, Array]:
     """Return the row of the first sample and the bound of each reduction, (runs, reductions) each.
 
-    ``times``: times of the samples in s. Raises `ValueError` if a reduction has a number of values
+    ``timing``: time grid of the samples. Raises `ValueError` if a reduction has a number of values
     that is not the number of runs.
     """
     begins = np.zeros((runs, len(reductions)), dtype=np.int64)
@@ -172,7 +173,7 @@ def starts_and_bounds(
             shape = np.shape(getattr(reduction, name))
             if shape not in ((), (runs,)):
                 raise ValueError(f"{name}: has the shape {shape} for {runs} runs")
-        begins[:, n] = np.searchsorted(times, np.asarray(reduction.after_s) - 1e-9)
+        begins[:, n] = timing.record_after(np.asarray(reduction.after_s) - 1e-9)
         bounds[:, n] = reduction.bound
     return begins, bounds
 

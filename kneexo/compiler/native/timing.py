@@ -46,6 +46,13 @@ class Timing:
         times: Array = self.times(np.arange(0, last + 1, self.record_every))
         return times
 
+    def record_after(self, time_s: Any) -> Any:
+        """Return the index of the first record at ``time_s``, a number or an array, or later."""
+        row = np.maximum(np.floor(time_s / (self.record_every * self.tick)).astype(np.int64), 0)
+        for _ in range(2):  # the quotient is rounded, so the record can be the next one
+            row += self.times(row * self.record_every) < time_s
+        return row
+
 
 @lru_cache
 def timing(

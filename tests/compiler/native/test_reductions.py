@@ -13,6 +13,7 @@ from kneexo.compiler import REDUCTIONS, Reduction, State, compile_diagram
 from kneexo.compiler.errors import SimulationError
 from kneexo.compiler.native import reductions as native
 from kneexo.compiler.native.runner import Runner
+from kneexo.compiler.native.timing import timing
 
 RUNS = 11
 DURATIONS_S = np.linspace(0.0, 0.5, RUNS)
@@ -156,12 +157,12 @@ def test_wrong_reductions_are_named(model):
 
 
 def test_starts_and_bounds_of_all_runs():
-    times = np.arange(5) * 0.1
+    grid = timing(((0.1, 0.0),), None)
     chosen = [
         Reduction("count", "y", after_s=0.3 - 1e-10, bound=2.0),
         Reduction("count", "y", after_s=np.array([0.0, 0.11]), bound=np.array([1.0, -1.0])),
         Reduction("count", "y", after_s=9.0),
     ]
-    begins, bounds = native.starts_and_bounds(chosen, times, 2)
-    assert begins.tolist() == [[3, 0, 5], [3, 2, 5]]
+    begins, bounds = native.starts_and_bounds(chosen, grid, 2)
+    assert begins.tolist() == [[3, 0, 90], [3, 2, 90]]
     assert bounds.tolist() == [[2.0, 1.0, 0.0], [2.0, -1.0, 0.0]]

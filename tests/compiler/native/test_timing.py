@@ -29,3 +29,14 @@ def test_sample_times_without_common_divisor_are_refused():
         timing_of(((0.002, 0.0), (0.002 * np.sqrt(2.0), 0.0)), None)
     with pytest.raises(ValueError, match="record_period_s is needed"):
         timing_of((), None)
+
+
+def test_the_first_record_at_a_time_or_later():
+    for grid in (timing(((0.002, 0.0),), None), timing(((0.003, 0.001),), 0.01, 2e-3)):
+        times = grid.record_times(3000)
+        chosen = np.concatenate(
+            [times, np.nextafter(times, 9.0), np.nextafter(times, -9.0), [-1.0]]
+        )
+        rows = np.searchsorted(times, chosen)
+        np.testing.assert_array_equal(grid.record_after(chosen), rows)
+        assert times[-1] == grid.times(3000)
