@@ -32,7 +32,7 @@ def test_sample_times_without_common_divisor_are_refused():
 
 
 def test_the_first_record_at_a_time_or_later():
-    for grid in (timing(((0.002, 0.0),), None), timing(((0.003, 0.001),), 0.01, 2e-3)):
+    for grid in (timing_of(((0.002, 0.0),), None), timing_of(((0.003, 0.001),), 0.01, 2e-3)):
         times = grid.record_times(3000)
         chosen = np.concatenate(
             [times, np.nextafter(times, 9.0), np.nextafter(times, -9.0), [-1.0]]
