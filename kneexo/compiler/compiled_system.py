@@ -12,7 +12,7 @@ from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
 
 from .model_base import ModelBase, not_finite
 from .native.arguments import OK, OUTPUT_NOT_FINITE
-from .native.runner import STEP_S, TOLERANCE, Runner, output_elements
+from .native.runner import STEP_S, TOLERANCE, Runner, element_name
 from .run_data import Array, InputTable, State
 
 
@@ -145,8 +145,8 @@ class CompiledSystem(LeafSystem):
         values = entry.Eval(context)[part]
         finite = np.isfinite(values)
         if not finite.all():
-            element, _ = output_elements({name: values.size})[int(np.argmin(finite))]
-            raise not_finite(context.get_time(), element)
+            element = int(np.argmin(finite))
+            raise not_finite(context.get_time(), element_name(name, element, values.size))
         output.set_value(values)
 
 

@@ -51,14 +51,18 @@ def address(array: NDArray[Any]) -> int:
     return int(array.__array_interface__["data"][0])
 
 
+def element_name(port: str, element: int, size: int) -> str:
+    """Return ``port[element]``, the name of an element; ``port`` if the port has one element."""
+    return f"{port}[{element}]" if size > 1 else port
+
+
 def output_elements(sizes: Mapping[str, int]) -> list[tuple[str, str]]:
     """Return the name of each element of the outputs, and the name of its port.
 
-    ``sizes`` maps the name of a port to its size. An element is called ``port[index]``. The element
-    of a port with a single element is called ``port``.
+    ``sizes`` maps the name of a port to its number of elements.
     """
     return [
-        (f"{port}[{index}]" if size > 1 else port, port)
+        (element_name(port, index, size), port)
         for port, size in sizes.items()
         for index in range(size)
     ]
