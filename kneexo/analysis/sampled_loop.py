@@ -9,7 +9,6 @@ linear loop is valid inside the boundary layer and the speed limit.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,6 +28,7 @@ from kneexo.analysis.plant_linearization import (
     frequency_array,
     require_finite,
 )
+from kneexo.compiler import Transfer, as_transfer
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.result import Array, Result, axes_or_new
@@ -138,19 +138,14 @@ class SampledLoop(Result):
             + [f"controller[{i}]" for i in range(controller)],
         )
 
+    @cached_property
+    def loop(self) -> Transfer:
+        """The loop transfer L with one input and one output, for negative feedback."""
+        return as_transfer((*self.loop_matrices, [[0.0]], self.sample_time_s))
+
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
         """Return the loop transfer L(e^{j2πfT}) at frequencies f in Hz, (n,)."""
-        a, b, c = self.loop_matrices
-        z = np.exp(2j * np.pi * frequency_array(frequencies_hz) * self.sample_time_s)
-        shifted = z[:, None, None] * np.eye(a.shape[0]) - a
-        return np.asarray(c @ np.linalg.solve(shifted, b[None, :, :]), dtype=complex)[:, 0, 0]
-
-    def loop_slope(self, frequency_hz: float) -> complex:
-        """Return the derivative dL/df of the loop transfer in 1/Hz, at a frequency f in Hz."""
-        a, b, c = self.loop_matrices
-        z = cmath.exp(2j * math.pi * frequency_hz * self.sample_time_s)
-        inverse = np.linalg.inv(z * np.eye(a.shape[0]) - a)
-        return complex((-2j * math.pi * self.sample_time_s * z * c @ inverse @ inverse @ b)[0, 0])
+        return self.loop.response(frequency_array(frequencies_hz))
 
     def sensitivity(self, frequencies_hz: ArrayLike) -> Complex:
         """Return the sensitivity 1/(1 + L) of the loop transfer L, (n,), at frequencies in Hz."""
@@ -230,22 +225,9 @@ class SampledLoop(Result):
                 f"{abs(self.eigenvalues[0]):.6g} > 1): it has no {what}; reduce the gain"
             )
 
-    def loop_on_grid(self, frequencies_hz: Array) -> Complex:
-        """Return the loop transfer L at frequencies in Hz, (n,), with a relative error below 1e-9.
-
-        1 + L = det(zI − A + b c)/det(zI − A). Each determinant is the product of z − λ over the
-        eigenvalues λ of its matrix.
-        """
-        a, _, _ = self.loop_matrices
-        z = np.exp(2j * np.pi * frequencies_hz * self.sample_time_s)
-        ratio = np.ones_like(z)
-        for closed, opened in zip(self.eigenvalues, np.linalg.eigvals(a), strict=True):
-            ratio *= (z - closed) / (z - opened)
-        return np.asarray(ratio - 1.0, dtype=complex)
-
     def margins(self) -> Margins:
         """Return gain, phase, delay and disk margins up to the Nyquist frequency (`Margins`)."""
-        return stability_margins(self)
+        return stability_margins(self.loop)
 
     def __str__(self) -> str:
         """Return stability, margins and bandwidths as text."""
@@ -344,7 +326,7 @@ class SampledLoop(Result):
         is drawn if the loop is unstable or the disk margin is 2 or more.
         """
         ax = axes_or_new(ax, figsize=(5.5, 5.5))
-        loop = self.loop_on_grid(self.frequency_grid())
+        loop = self.loop_response(self.frequency_grid())
         ax.plot(loop.real, loop.imag, "C0", lw=1.2, label="L, f > 0")
         ax.plot(loop.real, -loop.imag, "C0:", lw=0.8, label="L, f < 0")
         circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))

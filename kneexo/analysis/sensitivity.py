@@ -289,7 +289,7 @@ def _metric_changes(loop: SampledLoop, change: Array, index: int, live: Any) -> 
         inverse = np.linalg.inv(z * np.eye(opened.shape[0]) - opened)
         forth, back = inverse @ drive, row @ inverse
         in_value = (c @ forth + back @ a @ forth + back @ b)[0, 0]
-        return (row @ forth)[0, 0], in_value, loop.loop_slope(frequency)
+        return (row @ forth)[0, 0], in_value, loop.loop.slope(frequency)
 
     m = loop.margins()
     changes |= dict.fromkeys(MARGIN_METRICS, math.nan)

@@ -53,6 +53,13 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .fmu.fmu import FMI_VERSIONS as FMI_VERSIONS, Fmu as Fmu
     from .fmu.variables import FmuParameter as FmuParameter
     from .linear.linearize import linearize as linearize
+    from .linear.loops import (
+        Transfer as Transfer,
+        as_transfer as as_transfer,
+        complementary_sensitivity as complementary_sensitivity,
+        sensitivity as sensitivity,
+    )
+    from .linear.margins import LoopMargins as LoopMargins, margins as margins
     from .linear.model import (
         LinearModel as LinearModel,
         OperatingPoint as OperatingPoint,
@@ -112,6 +119,8 @@ else:
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.variables": ("FmuParameter",),
         "linear.linearize": ("linearize",),
+        "linear.loops": (*("Transfer", "as_transfer", "complementary_sensitivity", "sensitivity"),),
+        "linear.margins": ("LoopMargins", "margins"),
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
         "linear.newton": ("newton", "newton_failure"),
         "model": (

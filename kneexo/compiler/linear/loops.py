@@ -1,0 +1,236 @@
+"""Loops with one input and one output: transfer, sensitivities, and frequencies that matter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from ..errors import ParameterError
+from ..run_data import Array
+from .model import Complex
+from .zeros import invariant_zeros
+
+_POINTS = 4_000  # of a grid of frequencies, without the points around resonances
+_SLOWEST = 1e-12  # a frequency below this share of the fastest one is a rounding error
+_REACH = 100.0  # factor by which a grid exceeds the slowest and the fastest frequency
+_WIDTHS = np.geomspace(1e-2, 1e3, 41)  # distances from a resonance, in units of its half width
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Transfer function L(z) = c (zI − A)⁻¹ b + d from one input to one output.
+
+    A has the shape (n, n), b (n, 1) and c (1, n). ``period_s`` is the sample time T in s, and
+    z = e^{j2πfT} at a frequency f in Hz. A continuous transfer function has no period, and its z
+    is j2πf. The methods that begin with ``closed`` belong to the loop that negative feedback
+    around L closes.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: float
+    period_s: float | None
+
+    @cached_property
+    def _triangular(self) -> tuple[Complex, Complex, Complex]:
+        """A, b and c for other states, such that A is upper triangular.
+
+        The states are scaled and then rotated. Both steps are stable in floating point. So multiple
+        eigenvalues, such as those of a delay, cost no digits.
+        """
+        if not self.a.size:
+            return (np.zeros((0, 0), complex), np.zeros((0, 1), complex), np.zeros((1, 0), complex))
+        balanced, (scale, _) = scipy.linalg.matrix_balance(self.a, permute=False, separate=True)
+        upper, basis = scipy.linalg.schur(balanced, output="complex")
+        return upper, basis.conj().T @ (self.b / scale[:, None]), (self.c * scale) @ basis
+
+    def point(self, frequencies_hz: ArrayLike) -> Complex:
+        """Return z at frequencies f in Hz: e^{j2πfT}, or j2πf for a continuous loop."""
+        s = 2j * np.pi * np.asarray(frequencies_hz, dtype=float)
+        return np.asarray(s if self.period_s is None else np.exp(s * self.period_s), dtype=complex)
+
+    @np.errstate(divide="ignore", invalid="ignore", over="ignore")
+    def response(self, frequencies_hz: ArrayLike) -> Complex:
+        """Return L at frequencies in Hz, (n,). The value at a pole is not finite."""
+        _, b, c = self._triangular
+        z = self.point(np.atleast_1d(frequencies_hz))
+        states = self._solved(z, np.repeat(b, z.size, axis=1))
+        return np.asarray((c @ states)[0] + self.d, dtype=complex)
+
+    def slope(self, frequency_hz: float) -> complex:
+        """Return the derivative dL/df of L at a frequency f in Hz, in 1/Hz."""
+        _, b, c = self._triangular
+        z = self.point([frequency_hz])
+        rate = 2j * np.pi if self.period_s is None else 2j * np.pi * self.period_s * z[0]
+        return complex((-rate * c @ self._solved(z, self._solved(z, b)))[0, 0])
+
+    def _solved(self, z: Complex, right: Complex) -> Complex:
+        """Return (zI − A)⁻¹ r for each z (m,) and column r of ``right`` (n, m), by substitution."""
+        upper = self._triangular[0]
+        states = np.zeros_like(right)
+        for row in reversed(range(len(upper))):
+            behind = upper[row, row + 1 :] @ states[row + 1 :]
+            states[row] = (right[row] + behind) / (z - upper[row, row])
+        return states
+
+    def closed_matrix(self) -> Array:
+        """Return A − b c/(1 + d), the matrix of the closed loop with negative feedback."""
+        return np.asarray(self.a - self.b @ self.c / _return_difference(self))
+
+    def closed_eigenvalues(self) -> Complex:
+        """Return the eigenvalues of the closed loop, (n,)."""
+        return np.linalg.eigvals(self.closed_matrix()).astype(complex)
+
+    def closed_is_stable(self) -> bool:
+        """Return whether the closed loop is asymptotically stable, hidden states included."""
+        values = self.closed_eigenvalues()
+        inside = values.real < 0.0 if self.period_s is None else np.abs(values) < 1.0
+        return bool(np.all(inside))
+
+    @property
+    def highest_hz(self) -> float:
+        """The Nyquist frequency in Hz, or inf for a continuous loop."""
+        return math.inf if self.period_s is None else 0.5 / self.period_s
+
+    def frequency_grid(self) -> Array:
+        """Return frequencies in Hz that resolve all poles and zeros of L, S and T, (n,), ascending.
+
+        The grid is logarithmic, and dense around each lightly damped pole or zero. The first and
+        the last frequency lie so far out that L has its limits there. The last one is at most the
+        Nyquist frequency.
+        """
+        s = self._singularities()
+        size = np.abs(s) / (2.0 * math.pi)
+        moving = size[size > _SLOWEST * np.max(size, initial=0.0)]
+        unit = 1.0 if self.period_s is None else self.highest_hz
+        high = min(_REACH * np.max(moving, initial=unit), self.highest_hz)
+        low = min(np.min(moving, initial=unit), high) / _REACH
+        centre, width = np.abs(s.imag) / (2.0 * math.pi), np.abs(s.real) / (2.0 * math.pi)
+        offsets = np.outer(width, np.concatenate([-_WIDTHS, _WIDTHS]))
+        around = (centre[:, None] + offsets).ravel()
+        around = around[(around > low) & (around < high)]
+        return np.unique(np.concatenate([np.geomspace(low, high, _POINTS), around]))
+
+    def to_control(self) -> Any:
+        """Return the transfer function as a `control.StateSpace`."""
+        import control
+
+        return control.ss(self.a, self.b, self.c, self.d, self.period_s or 0)
+
+    def _singularities(self) -> Complex:
+        """Return poles of the open and closed loop and zeros of L, in 1/s."""
+        if not self.a.size:
+            return np.empty(0, dtype=complex)
+        zeros = invariant_zeros(self.a, self.b, self.c, np.array([[self.d]]))
+        poles = np.concatenate([np.linalg.eigvals(self.a), self.closed_eigenvalues()])
+        fastest = np.max(np.abs(poles))
+        values = np.concatenate([poles, zeros[np.abs(zeros) <= 1e6 * fastest]])
+        if self.period_s is not None:
+            values = np.log(values[np.abs(values) > _SLOWEST]) / self.period_s
+        return np.asarray(values, dtype=complex)
+
+
+def as_transfer(loop: Any) -> Transfer:
+    """Return a loop transfer L with one input and one output as a `Transfer`.
+
+    Parameters
+    ----------
+    loop
+        One of
+
+        - a linear model with the attributes a, b, c, d and period_s;
+        - a `control.StateSpace` or `control.TransferFunction`;
+        - a tuple (A, B, C, D) of arrays, or (A, B, C, D, period_s). The period is None for a
+          continuous loop.
+
+    Raises
+    ------
+    ParameterError
+        The argument has none of these forms, or more than one input or output. Also if a number is
+        not finite or the period is not positive.
+    """
+    if isinstance(loop, Transfer):
+        return loop
+    if isinstance(loop, tuple) and len(loop) in (4, 5):
+        *matrices, period_s = loop if len(loop) == 5 else (*loop, None)
+    elif hasattr(loop, "period_s"):
+        matrices, period_s = [loop.a, loop.b, loop.c, loop.d], loop.period_s
+    else:
+        matrices, period_s = _control_matrices(loop)
+    a, b, c, d = (np.atleast_2d(np.asarray(matrix, dtype=float)) for matrix in matrices)
+    n = a.shape[0] if a.size else 0
+    if d.shape != (1, 1):
+        raise ParameterError(
+            f"loop: has {d.shape[1]} inputs and {d.shape[0]} outputs; must have one of each; "
+            f"select them, for example by inputs=[…] and outputs=[…] of linearize"
+        )
+    if (a.size, b.size, c.size) != (n * n, n, n):
+        raise ParameterError(
+            f"loop: A {a.shape}, B {b.shape} and C {c.shape} do not fit; must be (n, n), (n, 1) "
+            f"and (1, n)"
+        )
+    if not all(np.isfinite(matrix).all() for matrix in (a, b, c, d)):
+        raise ParameterError("loop: a matrix has an element that is not finite")
+    if period_s is not None and not 0.0 < period_s < math.inf:
+        raise ParameterError(f"loop: period_s = {period_s:g} s: must be > 0 and finite, or None")
+    return Transfer(a.reshape(n, n), b.reshape(n, 1), c.reshape(1, n), float(d[0, 0]), period_s)
+
+
+def _control_matrices(system: Any) -> tuple[list[Any], float | None]:
+    """Return A, B, C, D and the period in s of a system of python-control."""
+    import control
+
+    if isinstance(system, control.TransferFunction) and (system.ninputs, system.noutputs) == (1, 1):
+        system = control.tf2ss(system)
+    if not isinstance(system, control.StateSpace):
+        raise ParameterError(
+            f"loop = {type(system).__name__}: must be a linear model, a control.StateSpace or "
+            f"TransferFunction, or a tuple (A, B, C, D, period_s)"
+        )
+    if system.dt is True:
+        raise ParameterError("loop: dt = True: the margins need the sample time in s")
+    return [system.A, system.B, system.C, system.D], system.dt or None
+
+
+def sensitivity(loop: Any) -> Transfer:
+    """Return the sensitivity S = 1/(1 + L) of a loop transfer L for negative feedback.
+
+    S maps a disturbance that is added at the break to the signal behind the sum. `as_transfer`
+    describes the forms of ``loop`` and the errors. Also raises `ParameterError` if L = −1 at
+    infinite frequency.
+    """
+    transfer = as_transfer(loop)
+    through = 1.0 / _return_difference(transfer)
+    return replace(
+        transfer,
+        a=transfer.closed_matrix(),
+        b=through * transfer.b,
+        c=-through * transfer.c,
+        d=through,
+    )
+
+
+def complementary_sensitivity(loop: Any) -> Transfer:
+    """Return the complementary sensitivity T = L/(1 + L) = 1 − S of a loop transfer L.
+
+    Arguments and errors are those of `sensitivity`.
+    """
+    s = sensitivity(loop)
+    return replace(s, c=-s.c, d=1.0 - s.d)
+
+
+def _return_difference(transfer: Transfer) -> float:
+    """Return 1 + L at infinite frequency. Raise `ParameterError` if it is zero."""
+    if transfer.d == -1.0:
+        raise ParameterError(
+            "loop: L = -1 at infinite frequency: the closed loop has no solution; check the sign "
+            "of L, or break the loop at another port"
+        )
+    return 1.0 + transfer.d

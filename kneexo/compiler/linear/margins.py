@@ -1,0 +1,162 @@
+"""Stability margins of any loop: gain, phase, delay and disk margins."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ..run_data import Array
+from .loops import Transfer, as_transfer
+from .model import Complex
+
+_NO_FACTOR = 1e-6  # a smaller gain margin is the rounding error of a pole at zero frequency
+_WHOLE_PLANE = 1.0 - 1e-12  # a disk of this size or more is a half plane
+
+
+@dataclass(frozen=True)
+class LoopMargins:
+    """Stability margins of a loop with negative feedback.
+
+    Each margin is the smallest change of the loop that puts a closed-loop eigenvalue on the
+    boundary of stability, the imaginary axis or the unit circle. A stable loop stays stable with
+    any smaller change. If ``stable`` is False, the loop is already unstable. The numbers are then
+    such changes too, but they are no margins.
+
+    Gain and phase have margins in two directions. The loop can lose stability by more gain
+    (``gain_margin``) or less gain (``lower_gain_margin``), and by a phase lag
+    (``phase_margin_deg``) or a phase lead (``phase_lead_margin_deg``). No margin is negative.
+    python-control returns only the smaller phase margin, and a lead as a negative number.
+
+    Frequencies are in Hz. ``gain_margin`` and ``disk_gain_margin`` are factors. ``disk_margin`` is
+    1/max|(S − T)/2| with S = 1/(1 + L) and T = L/(1 + L), the balanced disk margin (Seiler,
+    Packard, Gahinet, *An introduction to disk margins*, IEEE Control Systems 2020). If no change
+    of a kind destabilizes the loop, the margin is inf and its frequency is nan.
+    """
+
+    stable: bool
+    gain_margin: float
+    gain_margin_frequency_hz: float
+    lower_gain_margin: float
+    """Largest gain factor below 1 at which the loop loses stability; 0 if no factor does."""
+    phase_margin_deg: float
+    """Smallest phase lag, 0…360°, at which the loop loses stability."""
+    phase_margin_frequency_hz: float
+    phase_lead_margin_deg: float
+    """Smallest phase lead, 0…360°, at which the loop loses stability."""
+    phase_lead_margin_frequency_hz: float
+    delay_margin_s: float
+    delay_margin_frequency_hz: float
+    disk_margin: float
+    disk_margin_frequency_hz: float
+    disk_gain_margin: float
+    disk_phase_margin_deg: float
+
+
+def margins(loop: Any) -> LoopMargins:
+    """Return gain, phase, delay and disk margins of a loop with one input and one output.
+
+    A grid of frequencies, dense around each resonance, brackets each crossing of L with the real
+    axis and with the unit circle. Then a root search refines the crossing. Frequency zero and the
+    Nyquist frequency, or infinity, count too.
+
+    python-control's ``stability_margins`` expands state spaces into polynomials. These lose
+    all digits when the loop has many states or poles far apart. Its ``disk_margins`` returns
+    the smallest value on the frequencies that it gets. It has no delay margin.
+
+    Parameters
+    ----------
+    loop
+        The loop transfer L for negative feedback, in one of the forms that `as_transfer` describes.
+
+    Raises
+    ------
+    ParameterError
+        The argument is no such loop. Also if L = −1 at infinite frequency.
+    """
+    system = as_transfer(loop)
+    grid = system.frequency_grid()
+    values = system.response(grid)
+    finite = np.isfinite(values)
+    grid, values = grid[finite], values[finite]
+    ends = [(f, _limit(system, f)) for f in (0.0, system.highest_hz)]
+
+    def loop_at(frequency: float) -> complex:
+        return complex(system.response(frequency)[0])
+
+    real = [(f, loop_at(f)) for f in _crossings(lambda f: loop_at(f).imag, grid, values.imag)]
+    real += [(f, complex(at.real)) for f, at in ends if cmath.isfinite(at)]
+    gains = [(-1.0 / at.real, f) for f, at in real if -1.0 / _NO_FACTOR < at.real < 0.0]
+    unit = _crossings(lambda f: abs(loop_at(f)) - 1.0, grid, np.abs(values) - 1.0)
+    lags = [(180.0 + math.degrees(cmath.phase(loop_at(f))), f) for f in unit]
+    none = (math.inf, math.nan)
+    upper = min((c for c in gains if c[0] > 1.0), default=none)
+    lower = max((c for c in gains if c[0] < 1.0), default=(0.0, math.nan))
+    lag = min(lags, default=none)
+    lead = min(((360.0 - p, f) for p, f in lags), default=none)
+    delay = min(((p / 360.0 / f, f) for p, f in lags), default=none)
+    if system.period_s is None and abs(system.d) >= 1.0:
+        delay = (0.0, math.inf)  # the delayed loop has crossings at all high frequencies
+    disk, frequency = _disk(system, grid, values, ends)
+    reach = 0.5 * disk
+    return LoopMargins(
+        stable=system.closed_is_stable(),
+        gain_margin=upper[0],
+        gain_margin_frequency_hz=upper[1],
+        lower_gain_margin=lower[0],
+        phase_margin_deg=lag[0],
+        phase_margin_frequency_hz=lag[1],
+        phase_lead_margin_deg=lead[0],
+        phase_lead_margin_frequency_hz=lead[1],
+        delay_margin_s=delay[0],
+        delay_margin_frequency_hz=delay[1],
+        disk_margin=disk,
+        disk_margin_frequency_hz=frequency,
+        disk_gain_margin=(1.0 + reach) / (1.0 - reach) if reach < _WHOLE_PLANE else math.inf,
+        disk_phase_margin_deg=math.degrees(2.0 * math.atan(reach)),
+    )
+
+
+def _limit(system: Transfer, frequency: float) -> complex:
+    """Return L at zero frequency, the Nyquist frequency or infinity; not finite at a pole."""
+    return complex(system.d) if math.isinf(frequency) else complex(system.response(frequency)[0])
+
+
+def _disk(
+    system: Transfer, grid: Array, values: Complex, ends: list[tuple[float, complex]]
+) -> tuple[float, float]:
+    """Return the smallest disk margin and its frequency in Hz; ``values`` are L on ``grid``."""
+
+    def slope(frequency: float) -> float:
+        at = system.response(frequency)[0]
+        return float((system.slope(frequency) / (1.0 - at * at)).real)
+
+    index = int(np.argmin(_disk_distance(values)))
+    frequency = float(grid[index])
+    low, high = grid[max(index - 1, 0)], grid[min(index + 1, grid.size - 1)]
+    if slope(low) < 0.0 < slope(high):
+        frequency = float(scipy.optimize.brentq(slope, low, high, xtol=1e-14))
+    distances = [(float(_disk_distance(at)), f) for f, at in ends if cmath.isfinite(at)]
+    return min((float(_disk_distance(system.response(frequency)[0])), frequency), *distances)
+
+
+def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:
+    """Return the zeros of ``function``; its ``values`` on ``grid`` change sign around each zero."""
+    changes = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
+    brackets = ((grid[i], grid[i + 1]) for i in changes)
+    return [
+        float(scipy.optimize.brentq(function, low, high, xtol=1e-14 * low))
+        for low, high in brackets
+        if np.sign(function(low)) * np.sign(function(high)) <= 0.0  # a product could underflow
+    ]
+
+
+def _disk_distance(loop: Any) -> Any:
+    """Return 1/|(S − T)/2| with S = 1/(1 + L) and T = L/(1 + L) at values of L."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return 2.0 * np.abs(np.divide(1.0 + loop, 1.0 - loop))

@@ -1,0 +1,226 @@
+"""Margins against closed forms, python-control and eigenvalues on the boundary of stability."""
+
+import cmath
+import dataclasses
+import math
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from kneexo.compiler import margins
+
+S = control.tf("s")
+
+
+def integrator_with_delay(gain, samples, period_s=1e-3):
+    """L = g z⁻ⁿ/(z − 1) as (A, B, C, D, T)."""
+    a = np.eye(samples + 1, k=-1)
+    a[0, 0] = 1.0
+    return a, gain * np.eye(samples + 1, 1), np.eye(samples + 1)[-1:], 0.0, period_s
+
+
+def test_a_triple_lag_has_the_margins_of_the_closed_form():
+    # L = 4/(s + 1)³ is real at ω = √3, where it is −1/2, and has magnitude 1 at ω² = ∛16 − 1.
+    m = margins(4.0 / (S + 1.0) ** 3)
+    crossover = math.sqrt(4.0 ** (2.0 / 3.0) - 1.0)
+    lag = math.pi - 3.0 * math.atan(crossover)
+    assert m.stable
+    assert m.gain_margin == pytest.approx(2.0, rel=1e-12)
+    assert 2.0 * math.pi * m.gain_margin_frequency_hz == pytest.approx(math.sqrt(3.0), rel=1e-12)
+    assert m.lower_gain_margin == 0.0
+    assert m.phase_margin_deg == pytest.approx(math.degrees(lag), rel=1e-12)
+    assert m.phase_lead_margin_deg == pytest.approx(360.0 - math.degrees(lag), rel=1e-12)
+    assert m.delay_margin_s == pytest.approx(lag / crossover, rel=1e-12)
+    assert 2.0 * math.pi * m.delay_margin_frequency_hz == pytest.approx(crossover, rel=1e-12)
+
+
+def test_an_unstable_pole_needs_gain():
+    # L = 2/(s − 1): the pole of the loop is 1 − 2 k, and |L| = 1 at ω = √3, 60° before −180°.
+    m = margins(2.0 / (S - 1.0))
+    assert m.stable
+    assert m.lower_gain_margin == pytest.approx(0.5, rel=1e-14)
+    assert m.gain_margin == math.inf
+    assert m.phase_margin_deg == pytest.approx(60.0, rel=1e-12)
+    assert m.delay_margin_s == pytest.approx(math.pi / 3.0 / math.sqrt(3.0), rel=1e-12)
+    # |(1 + L)/(1 − L)| = |s + 1|/|s − 3| is smallest at s = 0.
+    assert (m.disk_margin, m.disk_margin_frequency_hz) == pytest.approx((2.0 / 3.0, 0.0))
+    assert not margins(0.9 / (S - 1.0)).stable
+
+
+@pytest.mark.parametrize("loop", [-0.5 / (S + 1.0), control.ss([], [], [], -0.5)])
+def test_a_loop_can_lose_stability_at_zero_frequency(loop):
+    m = margins(loop)
+    assert m.stable
+    assert (m.gain_margin, m.gain_margin_frequency_hz) == (2.0, 0.0)
+    assert (m.phase_margin_deg, m.delay_margin_s) == (math.inf, math.inf)
+    # (1 + ε)/(1 − ε) = 2 with ε = 1/3, half of the disk margin
+    assert (m.disk_margin, m.disk_gain_margin) == pytest.approx((2.0 / 3.0, 2.0))
+
+
+def test_a_sampled_loop_can_lose_stability_at_the_nyquist_frequency():
+    # The pole of g/(z − 1) in feedback is 1 − g: −1 at g = 2.
+    m = margins((1.0, 0.5, 1.0, 0.0, 0.02))
+    assert (m.gain_margin, m.gain_margin_frequency_hz) == pytest.approx((4.0, 25.0))
+
+
+def test_a_loop_with_feedthrough_above_one_tolerates_no_delay():
+    m = margins((-1.0, 1.0, 1.0, 2.0))
+    assert m.stable
+    assert (m.delay_margin_s, m.delay_margin_frequency_hz) == (0.0, math.inf)
+    # L = −0.5 s/(s + 1) is real at infinite frequency.
+    m = margins((-1.0, 0.5, 1.0, -0.5))
+    assert (m.gain_margin, m.gain_margin_frequency_hz) == (2.0, math.inf)
+
+
+def test_an_integrator_is_a_half_plane_away_from_its_limit():
+    m = margins(1.0 / S)
+    assert (m.gain_margin, m.lower_gain_margin) == (math.inf, 0.0)
+    assert m.phase_margin_deg == pytest.approx(90.0, rel=1e-14)
+    assert m.disk_margin == pytest.approx(2.0, rel=1e-12)
+    assert m.disk_gain_margin == math.inf
+
+
+def test_python_control_loses_the_margins_of_a_long_delay():
+    # The polynomials of python-control have roots that move by 1e-2 with the last bit.
+    samples = 70
+    gain = 0.5 * math.pi / (2 * samples + 1)
+    loop = integrator_with_delay(gain, samples)
+    m = margins(loop)
+    angle = 2.0 * math.asin(0.5 * gain)
+    assert m.phase_margin_deg == pytest.approx(90.0 - math.degrees((samples + 0.5) * angle))
+    critical = math.pi / (2 * samples + 1)
+    assert m.gain_margin == pytest.approx(2.0 * math.sin(0.5 * critical) / gain, rel=1e-10)
+    with np.errstate(all="ignore"):
+        gain_margin, phase_margin, *_ = control.stability_margins(control.ss(*loop))
+    assert abs(gain_margin / m.gain_margin - 1.0) > 0.1
+    assert abs(phase_margin / m.phase_margin_deg - 1.0) > 0.1
+
+
+def test_a_loop_delayed_by_its_delay_margin_has_an_eigenvalue_on_the_unit_circle():
+    # The phase margin 90° − (n + ½) ωT is that of 3 samples, 3 ωT.
+    angle = 0.5 * math.pi / 5.5
+    gain = 2.0 * math.sin(0.5 * angle)
+    m = margins(integrator_with_delay(gain, 2))
+    assert m.delay_margin_s == pytest.approx(3e-3, rel=1e-12)
+    a, b, c, _, _ = integrator_with_delay(gain, 5)
+    values = np.linalg.eigvals(a - b @ c)
+    assert np.abs(values - np.exp(1j * angle)).min() < 1e-9
+    assert np.abs(values).max() == pytest.approx(1.0, abs=1e-9)
+
+
+def random_loop(seed, period_s):
+    """A loop with a stable closed loop, resonances and feedthrough, as (A, B, C, D, T)."""
+    rng = np.random.default_rng(seed)
+    modes = [
+        10.0 ** rng.uniform(0.0, 3.0) * np.array([[-z, -1.0], [1.0, -z]])
+        for z in 10.0 ** rng.uniform(-3.0, 0.0, rng.integers(1, 4))
+    ]
+    a = block_diag(-1.0, *modes)
+    n = len(a)
+    b, c = rng.normal(size=(n, 1)), rng.normal(size=(1, n)) * np.abs(np.diag(a))
+    d = 0.3 * rng.normal()
+    if period_s is not None:
+        exact = control.ss(a, b, c, d).sample(period_s)
+        a, b, c = exact.A, exact.B, exact.C
+    while not is_stable((a, b, c, d, period_s), 1.0):
+        c, d = 0.5 * c, 0.5 * d
+    return a, b, c, d, period_s
+
+
+def closed(loop, factor):
+    """Eigenvalues of the loop closed with a complex factor."""
+    a, b, c, d, _ = loop
+    return np.linalg.eigvals(a - factor * b @ c / (1.0 + factor * d))
+
+
+def is_stable(loop, factor):
+    values = closed(loop, factor)
+    return bool(np.all(values.real < 0.0 if loop[-1] is None else np.abs(values) < 1.0))
+
+
+def critical(loop, frequency_hz):
+    s = 2j * math.pi * frequency_hz
+    return s if loop[-1] is None else np.exp(s * loop[-1])
+
+
+SEEDS = [(seed, period_s) for period_s in (None, 1e-3) for seed in range(12)]
+
+
+@pytest.mark.parametrize(("seed", "period_s"), SEEDS)
+def test_a_change_by_a_margin_puts_an_eigenvalue_on_the_boundary(seed, period_s):
+    loop = random_loop(seed, period_s)
+    m = margins(loop)
+    changes = [(m.gain_margin, m.gain_margin_frequency_hz)]
+    if math.isfinite(m.phase_margin_deg):
+        changes += [
+            (cmath.rect(1.0, -math.radians(m.phase_margin_deg)), m.phase_margin_frequency_hz),
+            (
+                cmath.rect(1.0, math.radians(m.phase_lead_margin_deg)),
+                m.phase_lead_margin_frequency_hz,
+            ),
+            (
+                cmath.rect(1.0, -2.0 * math.pi * m.delay_margin_frequency_hz * m.delay_margin_s),
+                m.delay_margin_frequency_hz,
+            ),
+        ]
+    for factor, frequency in (change for change in changes if math.isfinite(change[1])):
+        at = critical(loop, frequency)
+        assert np.abs(closed(loop, factor) - at).min() < 1e-9 * max(1.0, abs(at))
+
+
+@pytest.mark.parametrize(("seed", "period_s"), SEEDS)
+def test_a_change_inside_the_margins_keeps_the_loop_stable(seed, period_s):
+    loop = random_loop(seed, period_s)
+    m = margins(loop)
+    inside = np.linspace(0.001, 0.999, 60)
+    top = min(m.gain_margin, 1e3)
+    assert all(is_stable(loop, 1.0 + share * (top - 1.0)) for share in inside)
+    low = m.lower_gain_margin
+    assert all(is_stable(loop, low + share * (1.0 - low)) for share in inside)
+    # A complex factor is a lag at positive frequencies and a lead at negative ones.
+    turn = math.radians(min(m.phase_margin_deg, m.phase_lead_margin_deg, 180.0))
+    assert all(is_stable(loop, np.exp(1j * share * turn)) for share in inside)
+    # The disk of factors: any complex gain on a circle inside it, too.
+    reach = 0.4999 * m.disk_margin
+    turns = reach * np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 60))
+    assert all(is_stable(loop, (1.0 + turn) / (1.0 - turn)) for turn in turns)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning:control")
+@pytest.mark.parametrize("seed", range(12))
+def test_margins_of_continuous_loops_are_those_of_python_control(seed):
+    *matrices, _ = loop = random_loop(seed, None)
+    m = margins(loop)
+    gains, phases, *_ = control.stability_margins(control.ss(*matrices), returnall=True)
+    assert m.gain_margin == pytest.approx(min(gains[gains > 1.0], default=math.inf), rel=1e-5)
+    lags = np.mod(phases, 360.0)
+    assert m.phase_margin_deg == pytest.approx(min(lags, default=math.inf), rel=1e-5)
+
+
+def test_the_disk_margin_is_the_minimum_of_python_control():
+    loop = 4.0 / (S + 1.0) ** 3
+    m = margins(loop)
+    omega = 2.0 * math.pi * m.disk_margin_frequency_hz * (1.0 + np.linspace(-0.01, 0.01, 101))
+    disk, gain_db, phase = control.disk_margins(control.ss(loop), omega, skew=0.0)
+    assert m.disk_margin == pytest.approx(disk, rel=1e-9)
+    assert 20.0 * math.log10(m.disk_gain_margin) == pytest.approx(gain_db, rel=1e-9)
+    assert m.disk_phase_margin_deg == pytest.approx(phase, rel=1e-9)
+
+
+@pytest.mark.parametrize("damping", [1e-3, 1e-7])
+def test_no_resonance_is_too_narrow(damping):
+    # ε/(s² + 2ζs + 1) with ε = 4 ζ has magnitude 1 where |s² + 2ζs + 1| = ε.
+    loop = (np.array([[0.0, 1.0], [-1.0, -2.0 * damping]]), np.eye(2, 1, k=-1))
+    m = margins((*loop, 4.0 * damping * np.eye(1, 2), 0.0))
+    square = 1.0 - 2.0 * damping**2 + damping * math.sqrt(12.0 + 4.0 * damping**2)
+    omega = math.sqrt(square)
+    lag = math.atan2(2.0 * damping * omega, square - 1.0)  # of −1/(s² + 2ζs + 1) against 1
+    assert 2.0 * math.pi * m.phase_margin_frequency_hz == pytest.approx(omega, rel=1e-12)
+    assert m.phase_margin_deg == pytest.approx(math.degrees(lag), rel=1e-6)
+
+
+def test_margins_are_numbers_without_arrays():
+    m = margins(1.0 / (S + 1.0))
+    assert {type(value) for value in dataclasses.asdict(m).values()} == {bool, float}
