@@ -40,8 +40,8 @@ class Result:
 
 
 def _texts(result: Any) -> Iterable[tuple[str, str]]:
-    """Yield name and short text of each field of a dataclass."""
-    return ((field.name, short(getattr(result, field.name))) for field in fields(result))
+    """Yield name and short text of each field of a dataclass that belongs to its `repr`."""
+    return ((f.name, short(getattr(result, f.name))) for f in fields(result) if f.repr)
 
 
 def short(value: Any) -> str:

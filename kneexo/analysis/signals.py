@@ -27,9 +27,14 @@ def to_rpm(speed: Any) -> Any:
     return speed * 30.0 / math.pi
 
 
+def saturation(limit: float) -> float:
+    """Return the magnitude from which a command with this limit counts as saturated."""
+    return limit * (1.0 - 1e-6)
+
+
 def saturated_share(command: Array, limit: float) -> float:
-    """Return the share of ``command`` (n,) whose magnitude is at least (1 − 1e-6) ``limit``."""
-    return int(np.count_nonzero(np.abs(command) >= limit * (1.0 - 1e-6))) / command.size
+    """Return the share of ``command`` (n,) whose magnitude is at least `saturation`."""
+    return int(np.count_nonzero(np.abs(command) >= saturation(limit))) / command.size
 
 
 def share_above(values: Array, bound: float) -> float:

@@ -9,15 +9,17 @@ from kneexo.simulation.compilation import compile
 from kneexo.simulation.compiled import compile_scenario, scenario_run, simulate_compiled
 from kneexo.simulation.coroutines import awaitable, search_async
 from kneexo.simulation.drake import simulate_diagram
-from kneexo.simulation.engines import needs_runs, simulate
+from kneexo.simulation.engines import can_reduce, needs_runs, reduce_run, simulate
 from kneexo.simulation.run import Run
 
 __all__ = [
     "Run",
     "awaitable",
+    "can_reduce",
     "compile",
     "compile_scenario",
     "needs_runs",
+    "reduce_run",
     "scenario_run",
     "search_async",
     "simulate",

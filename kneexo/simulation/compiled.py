@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache, lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -26,6 +27,7 @@ from kneexo.compiler import (
     TOLERANCE,
     CompiledModel,
     InputTable,
+    Reduction,
     Simulation,
     State,
     compile_by_key,
@@ -363,10 +365,13 @@ def simulate_together(
     integrator: str = "exact_hold",
     step_s: float = STEP_S,
     tolerance: float = TOLERANCE,
+    *,
+    reductions: Sequence[Sequence[Reduction]] = (),
 ) -> list[Run | KneexoError]:
     """Run scenarios that differ only in numbers in one batch; return a run or an error for each.
 
-    `simulate_compiled` describes the arguments.
+    `simulate_compiled` describes the arguments. ``reductions`` has the reductions of each scenario,
+    which differ only in numbers too. No reductions: none for any scenario.
     """
     results: list[Any] = []
     ready = {}
@@ -400,6 +405,7 @@ def simulate_together(
         [scenarios[index].duration_s for index in ready],
         inputs=inputs,
         outputs=names,
+        reductions=_joined([reductions[index] for index in ready]) if reductions else (),
         record_period_s=scenarios[0].controller.sample_time_s,
         integrator=integrator,
         step_s=step_s,
@@ -410,6 +416,18 @@ def simulate_together(
     for index, result in zip(ready, runs, strict=True):
         results[index] = _run_of(result, scenarios[index], names, how)
     return results
+
+
+def _joined(reductions: Sequence[Sequence[Reduction]]) -> list[Reduction]:
+    """Return the reductions of all runs of a batch as reductions with one number for each run."""
+    return [
+        replace(
+            same[0],
+            after_s=np.array([reduction.after_s for reduction in same]),
+            bound=np.array([reduction.bound for reduction in same]),
+        )
+        for same in zip(*reductions, strict=True)
+    ]
 
 
 def _run_of(
@@ -425,7 +443,9 @@ def _run_of(
     settings = scenario.simulation
     if any(getattr(settings, name) != value for name, value in how.items()):
         settings = settings.model_copy(update=how)
-    return Run(result.time_s, dict(zip(columns(names), data, strict=True)), settings)
+    return Run(
+        result.time_s, dict(zip(columns(names), data, strict=True)), settings, result.reduced
+    )
 
 
 def _python_run(

@@ -10,8 +10,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from kneexo.compiler import ROUGH_STEP_S, DiagramModel, compile_diagram
+from kneexo.compiler import ROUGH_STEP_S, DiagramModel, Reduction, compile_diagram
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
+from kneexo.diagrams.law import runs_as_python
 from kneexo.errors import (
     CompilationError,
     KneexoError,
@@ -20,6 +21,7 @@ from kneexo.errors import (
     StiffnessError,
 )
 from kneexo.parameters import Scenario
+from kneexo.result import Array
 from kneexo.simulation.coroutines import Request, synchronous
 from kneexo.simulation.drake import simulate_diagram
 from kneexo.simulation.python_law import sign_hint
@@ -28,12 +30,17 @@ from kneexo.simulation.run import Run
 
 @dataclass(frozen=True)
 class RunRequest(Request[Run]):
-    """A request to simulate a scenario; the answer is a `Run`. `simulate` describes the fields."""
+    """A request to simulate a scenario; the answer is a `Run`. `simulate` describes the fields.
+
+    ``reductions`` are numbers that the compiled engine computes from output ports of the closed
+    loop. Only a request whose scenario `can_reduce` has them.
+    """
 
     scenario: Scenario
     signals: Sequence[str] | None = None
     progress: Callable[[float], Any] | None = None
     diagram: Diagram | None = None
+    reductions: tuple[Reduction, ...] = ()
 
 
 LARGEST_BATCH = 32
@@ -65,17 +72,18 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
         elif settings.compiled:
             signals = None if request.signals is None else tuple(request.signals)
             way = (settings.integrator, settings.step_s, settings.tolerance)
-            ways.setdefault((signals, way), []).append(index)
+            kinds = tuple((r.kind, r.output, r.minus, r.magnitude) for r in request.reductions)
+            ways.setdefault((signals, kinds, way), []).append(index)
         else:
             yield index, _drake_run(request)
     rough: dict[Any, list[int]] = {}
-    for (signals, way), indices in ways.items():
+    for (signals, kinds, way), indices in ways.items():
         for index, run in _compiled_runs(requests, indices, signals, way):
             if isinstance(run, StiffnessError):  # such as valves that chatter
-                rough.setdefault(signals, []).append(index)
+                rough.setdefault((signals, kinds), []).append(index)
             else:
                 yield index, run
-    for signals, indices in rough.items():
+    for (signals, _), indices in rough.items():
         yield from _compiled_runs(requests, indices, signals, ("rk4", ROUGH_STEP_S))
 
 
@@ -83,7 +91,7 @@ def _too_large(request: RunRequest) -> ParameterError | None:
     """Return an error if the run would require too much memory or time, otherwise None."""
     settings, duration_s = request.scenario.simulation, request.scenario.duration_s
     duration = f"simulation.duration_s = {duration_s:g} s"
-    samples, width = _records(request), _width(request)
+    samples, width = _records(request), max(_width(request), 1)  # at least the times
     size = 8.0 * samples * width
     if size > LARGEST_RUN_BYTES:
         return ParameterError(
@@ -184,7 +192,8 @@ def _compiled_runs(
     for group in groups.values():
         for batch in _batches(group, requests):
             scenarios = [requests[index].scenario for index in batch]
-            runs = compiled.simulate_together(scenarios, signals, *way)
+            reductions = [requests[index].reductions for index in batch]
+            runs = compiled.simulate_together(scenarios, signals, *way, reductions=reductions)
             for index, run in zip(batch, runs, strict=True):
                 if (progress := requests[index].progress) is not None and isinstance(run, Run):
                     progress(requests[index].scenario.duration_s)
@@ -255,9 +264,29 @@ async def simulate(
     """
     if law is not None:
         scenario = scenario.with_law(law, initial_state=initial_state)
+    return await _run(RunRequest(scenario, signals, progress, diagram))
+
+
+async def _run(request: RunRequest) -> Run:
+    """Return the answer to a request. An error says so if the law seems to have a wrong sign."""
     try:
-        return await RunRequest(scenario, signals, progress, diagram)
+        return await request
     except SimulationError as error:
-        if diagram is None and (hint := sign_hint(scenario)):
+        if request.diagram is None and (hint := sign_hint(request.scenario)):
             error.args = (f"{error}; {hint}",)
         raise
+
+
+def can_reduce(scenario: Scenario) -> bool:
+    """Return True if `reduce_run` can run a scenario: compiled, with a law that is compiled."""
+    return scenario.simulation.compiled and not runs_as_python(scenario)
+
+
+@needs_runs
+async def reduce_run(scenario: Scenario, reductions: tuple[Reduction, ...]) -> Array:
+    """Run the closed loop of a scenario that `can_reduce`; return the values of ``reductions``.
+
+    Their outputs are names of `kneexo.diagrams.SIGNALS`, and a sample is taken at each control
+    period. The run logs no signals. Raises the errors of `simulate`.
+    """
+    return (await _run(RunRequest(scenario, (), reductions=reductions))).reduced

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ResultError, close_names, question
@@ -17,12 +19,13 @@ class Run(Result):
 
     The logged output of a controller at time t is the value that was held until the update at t.
     ``settings`` names the solver of this run. If the run was repeated, it is the solver of the last
-    attempt. All values are finite.
+    attempt. All values are finite. ``reduced`` has the values of the reductions of a `RunRequest`.
     """
 
     time_s: Array
     data: dict[str, Array]
     settings: SimulationParameters
+    reduced: Array = field(default_factory=lambda: np.empty(0), repr=False)
 
     def __getitem__(self, column: str) -> Array:
         """Return the values of a column by its name, (n,): ``time_s`` or a column of ``data``.

@@ -355,8 +355,8 @@ def test_runge_kutta3_is_drakes_over_30_s():
 def test_runge_kutta3_with_the_quantizer_has_drakes_metrics(monkeypatch):
     original = compiled.simulate_together
 
-    def with_runge_kutta3(scenarios, signals, integrator, *options):
-        return original(scenarios, signals, "runge_kutta3", *options)
+    def with_runge_kutta3(scenarios, signals, integrator, *options, **named):
+        return original(scenarios, signals, "runge_kutta3", *options, **named)
 
     monkeypatch.setattr(compiled, "simulate_together", with_runge_kutta3)
     scenario = changed(Scenario(), {"simulation.duration_s": 15.0})

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.symbolic import Variable, sqrt
@@ -5,11 +7,12 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import SymbolicVectorSystem
 
 from kneexo.analysis import simulate
+from kneexo.compiler import Reduction
 from kneexo.errors import KneexoError, LinkageError, ParameterError, SimulationError, StiffnessError
 from kneexo.parameters import Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
 from kneexo.simulation import compiled, engines
-from kneexo.simulation.engines import RunRequest, serve_runs
+from kneexo.simulation.engines import RunRequest, can_reduce, reduce_run, serve_runs
 
 SHORT = Scenario(simulation=SimulationParameters(duration_s=0.2))
 
@@ -18,10 +21,10 @@ def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
     expected = simulate(SHORT, signals=("rod_extension",))
     original = compiled.simulate_together
 
-    def refusing(scenarios, signals, integrator, *options):
+    def refusing(scenarios, signals, integrator, *options, **named):
         if integrator == "exact_hold":
             return [StiffnessError("the derivatives jump too often")]
-        return original(scenarios, signals, integrator, *options)
+        return original(scenarios, signals, integrator, *options, **named)
 
     monkeypatch.setattr(compiled, "simulate_together", refusing)
     run = simulate(SHORT, signals=("rod_extension",))
@@ -34,7 +37,7 @@ def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
 def test_another_failure_is_not_repeated(monkeypatch):
     calls = []
 
-    def failing(scenarios, *options):
+    def failing(scenarios, *options, **named):
         calls.append(options)
         return [SimulationError("left the stroke")]
 
@@ -149,11 +152,11 @@ def test_a_structure_is_one_batch_and_a_batch_is_bounded(monkeypatch):
     sizes = []
     original = compiled.simulate_together
 
-    def counted(scenarios, *options):
+    def counted(scenarios, *options, **named):
         durations = [scenario.simulation.duration_s for scenario in scenarios]
         assert durations == sorted(durations, reverse=True)  # what ends together runs together
         sizes.append(len(scenarios))
-        return original(scenarios, *options)
+        return original(scenarios, *options, **named)
 
     monkeypatch.setattr(compiled, "simulate_together", counted)
     together(varied(9), signals=("knee_angle",))
@@ -169,8 +172,8 @@ def test_small_steps_stand_in_for_single_runs_of_a_batch(monkeypatch):
     scenarios = varied(4)
     expected = [simulate(s, signals=("knee_angle",)) for s in scenarios]
 
-    def refusing(scenarios, signals, integrator, *options):
-        runs = original(scenarios, signals, integrator, *options)
+    def refusing(scenarios, signals, integrator, *options, **named):
+        runs = original(scenarios, signals, integrator, *options, **named)
         heavy = [scenario.plant.cylinder.mass_kg > 1.52 for scenario in scenarios]
         stiff = integrator == "exact_hold"
         return [
@@ -211,3 +214,55 @@ def test_all_engines_send_a_drive_the_same_integers(controller):
     assert np.unique(integers["exact_hold"]).size > 100
     np.testing.assert_array_equal(integers["rk4"], integers["exact_hold"])
     np.testing.assert_array_equal(integers["runge_kutta3"], integers["exact_hold"])
+
+
+REDUCTIONS = (
+    Reduction("maximum", "motor_speed_command", magnitude=True, after_s=0.1),
+    Reduction("count", "knee_angle", bound=0.3),
+)
+
+
+def test_reductions_do_not_depend_on_the_company_and_have_numbers_of_their_own():
+    scenarios = varied(9)
+    reductions = [
+        tuple(replace(r, after_s=0.004 * n, bound=0.3 + 0.01 * n) for r in REDUCTIONS)
+        for n in range(9)
+    ]
+    requests = {
+        n: RunRequest(scenario, (), reductions=reductions[n])
+        for n, scenario in enumerate(scenarios)
+    }
+    requests |= {9: RunRequest(scenarios[0], ("knee_angle",))}  # a log in the same round
+    runs = dict(serve_runs(requests))
+    assert runs[9].reduced.size == 0
+    signals = ("motor_speed_command", "knee_angle")
+    assert str(runs.pop(4)).startswith("the rod starts at")
+    for n, scenario in enumerate(scenarios):
+        if n == 4:
+            continue
+        logged = simulate(scenario, signals=signals)
+        command = logged["motor_speed_command_rad_s"][logged.time_s >= 0.004 * n - 1e-9]
+        expected = [
+            np.abs(command).max(initial=0.0),
+            np.sum(logged["knee_angle_rad"][logged.time_s >= 0.004 * n - 1e-9] >= 0.3 + 0.01 * n),
+        ]
+        assert runs[n].reduced.tolist() == reduce_run(scenario, reductions[n]).tolist() == expected
+        assert runs[n].data == {}
+
+
+def test_reductions_are_repeated_with_small_steps(monkeypatch):
+    expected = reduce_run(SHORT, REDUCTIONS)
+    original = compiled.simulate_together
+
+    def refusing(scenarios, signals, integrator, *options, **named):
+        if integrator == "exact_hold":
+            return [StiffnessError("the derivatives jump too often")]
+        return original(scenarios, signals, integrator, *options, **named)
+
+    monkeypatch.setattr(compiled, "simulate_together", refusing)
+    np.testing.assert_allclose(reduce_run(SHORT, REDUCTIONS), expected, rtol=1e-6)
+
+
+def test_only_compiled_runs_reduce():
+    assert can_reduce(SHORT)
+    assert not can_reduce(SHORT.with_engine("drake"))
