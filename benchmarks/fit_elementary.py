@@ -15,6 +15,7 @@ from mpmath import mp, mpf
 
 mp.dps = 60
 POINTS = 1000  # where the error is measured
+LARGEST_S = (mp.sqrt(2) - 1) / (mp.sqrt(2) + 1)
 
 
 class Fit(NamedTuple):
@@ -60,7 +61,15 @@ FITS = {
         mp.log(2) / 2,
         10,
     ),
-    "LOG": odd(lambda s: 2 * mp.atanh(s), (mp.sqrt(2) - 1) / (mp.sqrt(2) + 1), 7, slope=2),
+    "LOG": odd(lambda s: 2 * mp.atanh(s), LARGEST_S, 7, slope=2),
+    "LOG_END": Fit(  # of s², for 2 s + 2/3 s³ + s⁵ · polynomial
+        lambda z: (2 * mp.atanh(mp.sqrt(z)) - 2 * mp.sqrt(z)) / mp.sqrt(z) ** 5 - mpf(2) / 3 / z,
+        lambda z: mp.sqrt(z) ** 5,
+        lambda z: 2 * mp.atanh(mp.sqrt(z)),
+        mpf(0),
+        LARGEST_S**2,
+        8,
+    ),
 }
 
 
@@ -113,7 +122,11 @@ def parts(value: mpf, count: int) -> list[float]:
 def constants() -> dict[str, tuple[list[float], float]]:
     """All constants, and the relative errors."""
     constants_by_name = {name: polynomial(fit) for name, fit in FITS.items()}
-    for name, value, count in (("HALF_PI", mp.pi / 2, 3), ("LN_2", mp.log(2), 2)):
+    for name, value, count in (
+        ("HALF_PI", mp.pi / 2, 3),
+        ("LN_2", mp.log(2), 2),
+        ("TWO_THIRDS", mpf(2) / 3, 2),
+    ):
         cut = parts(value, count)
         constants_by_name[name] = cut, float(abs(mp.fsum(cut) / value - 1))
     return constants_by_name

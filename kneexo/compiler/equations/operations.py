@@ -161,7 +161,7 @@ OPERATIONS: dict[str, Operation] = {
         *("Div", "binary.div", "/"),
         exact=True,
     ),
-    "power": Operation(np.power, _power, "Pow", "library.pow", "pow"),
+    "power": Operation(np.power, _power, "Pow", "elementary.power", "pow"),
     "exp": _function(np.exp, lambda g, a, f: f, "Exp", "elementary.exp", "exp"),
     "log": _function(np.log, lambda g, a, f: g.divide(g.one, a), "Log", "elementary.log", "log"),
     "sqrt": _function(
@@ -196,7 +196,7 @@ OPERATIONS: dict[str, Operation] = {
     "tanh": _function(
         np.tanh,
         lambda g, a, f: g.subtract(g.one, g.multiply(f, f)),
-        *("Tanh", "library.tanh", "tanh"),
+        *("Tanh", "elementary.tanh", "tanh"),
     ),
     "abs": _function(
         np.abs,

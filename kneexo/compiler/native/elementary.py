@@ -2,13 +2,14 @@
 
 For signed zeros, infinities, nan and subnormal numbers a function gives the same value as the C
 function of the same name. Its error is below 2 units in the last place. If lanes require different
-formulas, the code computes all formulas and selects a result in each lane. Only large arguments of
-sine and cosine cause a branch.
+formulas, the code computes all formulas and selects a result in each lane. Only arguments that the
+C library serves cause a branch: large ones of sine and cosine, and rare ones of powers.
 ``benchmarks/fit_elementary.py`` computes and prints the coefficients.
 
 The methods are those of W. J. Cody and W. Waite, Software Manual for the Elementary Functions
 (Prentice-Hall, 1980): reduce the argument with a constant in several parts, evaluate a polynomial,
-scale back. Estrin's scheme evaluates the polynomials.
+scale back. Estrin's scheme evaluates the polynomials. `power` has its logarithm as a sum of two
+doubles, as T. J. Dekker's arithmetic (1971, Numer. Math. 18) makes it.
 """
 
 from __future__ import annotations
@@ -17,8 +18,7 @@ import math
 import struct
 from collections.abc import Sequence
 
-from .ir import Function, Module, Operand, Value
-from .types import Type
+from .ir import Function, Operand, Value
 
 SIN = (  # relative error 1.3e-17
     -0.16666666666666666,
@@ -100,6 +100,17 @@ LOG = (  # relative error 4.3e-18
     0.14616449685043353,
 )
 """Coefficients cᵢ of 2 artanh s = 2 s + s³ (c₀ + c₁ s² + …), where `log` defines s."""
+LOG_END = (  # relative error 1.7e-21
+    0.4,
+    0.2857142857142928,
+    0.22222222221656115,
+    0.18181818335314254,
+    0.1538459497089529,
+    0.13334804238225118,
+    0.11706248540922265,
+    0.11723051028097596,
+)
+"""Coefficients cᵢ of 2 artanh s = 2 s + ⅔ s³ + s⁵ (c₀ + c₁ s² + …), where `power` defines s."""
 HALF_PI = (  # relative error 3.5e-50
     1.5707963267948966,
     6.123233995736766e-17,
@@ -111,6 +122,11 @@ LN_2 = (  # relative error 8.2e-34
     2.3190468138462996e-17,
 )
 """The natural logarithm of 2 as a sum of two doubles, the larger double first."""
+TWO_THIRDS = (  # relative error 3.1e-33
+    0.6666666666666666,
+    3.700743415417188e-17,
+)
+"""⅔ as a sum of two doubles, the larger double first."""
 
 LARGE = 1e9
 """Largest |x| for which this module computes sin x and cos x. Above it the C library does."""
@@ -190,30 +206,30 @@ def _of_large(f: Function, names: Sequence[str], x: Value, values: Sequence[Valu
     ``names``: names of the C library's functions, one name for each value.
     """
     results = [f.variable(value) for value in values]
-    with f.when(f.any_lane(f.absolute(x) > LARGE)):
+    large = f.absolute(x) > LARGE
+    with f.when(f.any_lane(large)):
         for name, value, result in zip(names, values, results, strict=True):
-            result.set(f.call(_library_if_large(f.module, name, x.type), x, value))
+            result.set(_library_where(f, name, large, value, x))
     return [result.get() for result in results]
 
 
-def _library_if_large(module: Module, name: str, type_: Type) -> Function:
-    """Return an emitted function of ``x`` and ``value`` that serves large arguments.
+def _library_where(f: Function, name: str, where: Value, value: Value, *arguments: Value) -> Value:
+    """Emit a choice: the C library's function ``name`` in lanes of ``where``, else ``value``.
 
-    In lanes with |x| > `LARGE` the result is the value of the C library's function ``name`` at x.
-    In all other lanes the result is ``value``. A separate function keeps the rare calls of the C
-    library from slowing down other code.
+    The code calls an emitted function, which keeps the rare calls of the C library from slowing
+    down other code.
     """
+    types = {"where": where.type, "value": value.type}
+    types |= {f"x{i}": argument.type for i, argument in enumerate(arguments)}
+    full = f"{name}_where_{value.type.lanes}"
 
     def make() -> Function:
-        arguments = {"x": type_, "value": type_}
-        new = module.function(full, arguments, type_, attributes="cold noinline")
-        x = new.arguments["x"]
-        large = new.absolute(x) > LARGE
-        new.return_(new.select(large, new.library(name, x), new.arguments["value"]))
+        new = f.module.function(full, types, value.type, attributes="cold noinline")
+        where, value_, *operands = new.arguments.values()
+        new.return_(new.select(where, new.library(name, *operands), value_))
         return new
 
-    full = f"{name}_if_large_{type_.lanes}"
-    return module.shared(full, make)
+    return f.call(f.module.shared(full, make), where, value, *arguments)
 
 
 def atan2(f: Function, y: Operand, x: Operand) -> Value:
@@ -276,19 +292,90 @@ def exp(f: Function, x: Value) -> Value:
     The code multiplies by 2ᵏ in two factors, because 2ᵏ alone can overflow.
     """
     x = f.maximum(f.minimum(x, 720.0), -760.0)  # ∞ and 0 from there on
+    r, exponent = _reduced(f, x)
+    power = _exp_of_reduced(f, r)
+    half = ((exponent + 2 * BIAS) >> 1) - BIAS
+    for share in (half, exponent - half):
+        power = power * f.from_bits((share + BIAS) << EXPONENT)
+    return power
+
+
+def _reduced(f: Function, x: Value) -> tuple[Value, Value]:
+    """Emit r and the whole number k of x = k ln 2 + r, with |r| ≤ ½ ln 2."""
     shifted = f.fma(x, 1.0 / math.log(2.0), ROUNDING)
     doublings = shifted - ROUNDING
     r = x
     for part in LN_2:
         r = f.fma(doublings, -part, r)
+    return r, f.bits(shifted) - _bits(ROUNDING)
+
+
+def _exp_of_reduced(f: Function, r: Value) -> Value:
+    """Emit eʳ for |r| ≤ ½ ln 2."""
     total = 1.0 + r
     lost = (1.0 - total) + r
-    power = total + f.fma(r * r, estrin(f, EXP, r), lost)
-    exponent = f.bits(shifted) - _bits(ROUNDING)
-    half = ((exponent + 2 * BIAS) >> 1) - BIAS
-    for share in (half, exponent - half):
-        power = power * f.from_bits((share + BIAS) << EXPONENT)
-    return power
+    return total + f.fma(r * r, estrin(f, EXP, r), lost)
+
+
+def tanh(f: Function, x: Value) -> Value:
+    """Emit the hyperbolic tangent of x.
+
+    With E = e^(-2|x|) and t = E - 1 its magnitude is -t/(2 + t), or 1 - 2 E/(1 + E) from |x| = 0.55
+    on, where the first quotient would lose two bits.
+    """
+    magnitude = f.minimum(f.absolute(x), 20.0)  # 1 from there on
+    r, exponent = _reduced(f, -2.0 * magnitude)
+    scale = f.from_bits((exponent + BIAS) << EXPONENT)
+    far = magnitude > 0.55
+    start = f.select(far, scale, scale - 1.0)
+    most = f.fma(scale, r, start)
+    lost = f.fma(scale, r, start - most)
+    value = most + f.fma(scale * (r * r), estrin(f, EXP, r), lost)  # E or t
+    quotient = f.select(far, 2.0 * value, -value) / (value + f.select(far, 1.0, 2.0))
+    return f.copysign(f.select(far, 1.0 - quotient, quotient), x)
+
+
+def power(f: Function, x: Operand, y: Operand) -> Value:
+    """Emit xʸ, the exponential of y ln x.
+
+    With x = 2ᵏ (1 + u), as in `log`, ln x = k ln 2 + 2 artanh s, where s = u/(2 + u). An error of
+    y ln x is a relative error of the power, so ln x is a sum of two doubles, ``high`` + ``low``.
+    The C library serves all x ≤ 0, infinite and nan arguments, and powers that are not between
+    e⁻⁷⁰⁰ and e⁷⁰⁰.
+    """
+    x, y = f.alike(x, y)
+    bits = f.bits(x) - ROOT_HALF
+    doublings = f.to_double(((bits + (BIAS << EXPONENT)) >> EXPONENT) - BIAS)
+    u = f.from_bits((bits & ((1 << EXPONENT) - 1)) + ROOT_HALF) - 1.0
+    divisor = u + 2.0
+    inverse = 1.0 / divisor
+    s = u * inverse
+    s_low = f.fma(-s, u - (divisor - 2.0), f.fma(-s, divisor, u)) * inverse
+    z = s * s
+    z_low = f.fma(2.0 * s, s_low, f.fma(s, s, -z))
+    cube = s * z
+    cube_low = f.fma(s, z_low, f.fma(s_low, z, f.fma(s, z, -cube)))
+    third = TWO_THIRDS[0] * cube
+    third_low = f.fma(
+        TWO_THIRDS[0], cube_low, f.fma(TWO_THIRDS[1], cube, f.fma(TWO_THIRDS[0], cube, -third))
+    )
+    whole = doublings * LN_2[0]
+    whole_low = f.fma(doublings, LN_2[1], f.fma(doublings, LN_2[0], -whole))
+    total = f.fma(s, 2.0, whole)
+    low = f.fma(s_low, 2.0, third_low) + f.fma(s, 2.0, whole - total) + whole_low
+    fifth, series = cube * z, estrin(f, LOG_END, z)
+    rest = f.fma(fifth, series, third)
+    high = total + rest
+    low = low + f.fma(fifth, series, third - rest) + ((total - high) + rest)
+    exponent = y * high
+    usual = (x >= 2.0**-1022) & (x < math.inf) & (f.absolute(exponent) < 700.0)
+    r, doublings = _reduced(f, f.select(usual, exponent, 0.0))
+    r = r + f.fma(y, low, f.fma(y, high, -exponent))
+    value = _exp_of_reduced(f, r) * f.from_bits((doublings + BIAS) << EXPONENT)
+    result = f.variable(value)
+    with f.when(f.any_lane(~usual)):
+        result.set(_library_where(f, "pow", ~usual, value, x, y))
+    return result.get()
 
 
 def log(f: Function, x: Value) -> Value:

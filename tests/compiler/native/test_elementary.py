@@ -18,8 +18,9 @@ from kneexo.compiler.native.types import DOUBLE, INT, POINTER
 
 FIT = Path(__file__).parents[3] / "benchmarks" / "fit_elementary.py"
 LANES = (1, 4, 8, 16)
-NAMES = ("sin", "cos", "atan2", "atan", "asin", "acos", "exp", "log")
-WORST = (1.6, 1.6, 1.5, 1.35, 1.15, 1.2, 0.85, 0.85)  # units in the last place
+NAMES = ("sin", "cos", "atan2", "atan", "asin", "acos", "exp", "log", "tanh", "power")
+WORST = (1.6, 1.6, 1.5, 1.35, 1.15, 1.2, 0.85, 0.85, 1.95, 1.65)  # units in the last place
+OF_TWO = ("atan2", "power")
 BITS = 160  # precision of the true values
 SPECIAL = [0.0, 5e-324, 1e-310, 2.3e-308, 1e-9, 0.5, 1.0, 1.5, 700.0, 1e9, 1e300, 1.7e308, math.inf]
 SPECIAL = [*SPECIAL, *(-x for x in SPECIAL), math.nan]
@@ -29,9 +30,8 @@ SPECIAL += [np.nextafter(1.0, 2.0), -np.nextafter(1.0, 2.0), np.nextafter(1.0, 0
 def traced(f, name, x, y):
     if name in ("sin", "cos"):
         return elementary.sincos(f, x)[name == "cos"]
-    if name == "atan2":
-        return elementary.atan2(f, x, y)
-    return getattr(elementary, name)(f, x)
+    arguments = (x, y) if name in OF_TWO else (x,)
+    return getattr(elementary, name)(f, *arguments)
 
 
 def text_of(lanes, names=NAMES):
@@ -114,6 +114,22 @@ def points(name, count=400):
             ),
         ]
         return tuple(np.concatenate(column) for column in zip(*pairs, strict=True))
+    elif name == "power":
+        base = np.concatenate(
+            [
+                np.abs(magnitudes(generator, -307.6, 308.2, count)),
+                generator.uniform(0.3, 3.0, count),
+                math.sqrt(2.0) + magnitudes(generator, -16.0, -1.0, count),
+                1.0 + magnitudes(generator, -15.0, -1.0, count),
+            ]
+        )
+        base = base[base != 1.0]
+        near = generator.uniform(-1.0, 1.0, len(base))
+        far = generator.choice([-1.0, 1.0], len(base)) * generator.uniform(600.0, 705.0, len(base))
+        ends = np.concatenate([share / np.log(base) for share in (near, far)])
+        x, y = np.tile(base, 3), np.append(ends, generator.uniform(-2.0, 2.0, len(base)))
+        normal = np.abs(y * np.log(x)) < 705.0
+        return x[normal], y[normal]
     elif name == "atan":
         x = [generator.uniform(-3.0, 3.0, count), 1.0 + magnitudes(generator, -16.0, -1.0, count)]
     elif name in ("asin", "acos"):
@@ -125,6 +141,13 @@ def points(name, count=400):
             near_one,
             -near_one,
             generator.uniform(0.49, 0.51, count),
+        ]
+    elif name == "tanh":
+        x = [
+            generator.uniform(-1.0, 1.0, 2 * count),
+            generator.uniform(-20.5, 20.5, count),
+            np.arange(-60, 60) * (math.log(2.0) / 4.0),  # where the reduction changes
+            0.173 + magnitudes(generator, -6.0, -1.0, count),
         ]
     elif name == "exp":
         everywhere = magnitudes(generator, -323.3, 2.8, count)
@@ -152,7 +175,7 @@ def test_error(evaluate, name, worst):
     assert np.isfinite(got).all()
     with mp.workprec(BITS):
         function = getattr(mp, name)
-        pairs = zip(x.tolist(), y.tolist(), strict=True) if name == "atan2" else x[:, None].tolist()
+        pairs = zip(x.tolist(), y.tolist(), strict=True) if name in OF_TWO else x[:, None].tolist()
         exact = [function(*(mpf(argument) for argument in pair)) for pair in pairs]
         units = np.spacing(np.abs(np.array([float(value) for value in exact])))
         errors = [
@@ -168,11 +191,11 @@ def assert_close(got, right):
     np.testing.assert_array_equal(np.signbit(got)[number], np.signbit(right)[number])
     finite = np.isfinite(right) & (right != 0.0)
     np.testing.assert_array_equal(got[~finite], right[~finite])
-    error = np.abs(got - right)[finite] / np.spacing(np.abs(right[finite]))
+    error = np.abs(got[finite] - right[finite]) / np.spacing(np.abs(right[finite]))
     assert error.max() <= 2.0
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "atan2"])
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in OF_TWO])
 @pytest.mark.parametrize("lanes", LANES)
 def test_edges(evaluate, name, lanes):
     inverse = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}
@@ -199,6 +222,27 @@ def test_edges_of_atan2(evaluate, lanes):
     np.testing.assert_array_equal(got[edge], right[edge])
 
 
+def c_power(x, y):
+    """The power as in C, which raises no error."""
+    try:
+        return math.pow(x, y)
+    except OverflowError:
+        return -math.inf if x < 0.0 and y % 2.0 == 1.0 else math.inf
+    except ValueError:  # of a negative number, or a pole at zero
+        odd = abs(y) % 2.0 == 1.0
+        return math.nan if x else math.copysign(math.inf, x if odd else 1.0)
+
+
+@pytest.mark.parametrize("lanes", LANES)
+def test_edges_of_power(evaluate, lanes):
+    odd = [*SPECIAL, 3.0, -3.0, 2.0]
+    x, y = (grid.ravel() for grid in np.meshgrid(odd, odd))
+    right = np.array([c_power(*pair) for pair in zip(x.tolist(), y.tolist(), strict=True)])
+    got = evaluate("power", x, y, lanes=lanes)
+    np.testing.assert_array_equal(np.isnan(got), np.isnan(right))
+    assert_close(got, right)
+
+
 @pytest.mark.parametrize(
     ("name", "x", "value"),
     [
@@ -212,6 +256,8 @@ def test_edges_of_atan2(evaluate, lanes):
         ("acos", 0.0, math.pi / 2.0),
         ("exp", 0.0, 1.0),
         ("exp", 1.0, math.e),
+        ("tanh", 30.0, 1.0),
+        ("tanh", -math.inf, -1.0),
         ("log", 1.0, 0.0),
         ("log", 2.0, math.log(2.0)),
     ],
