@@ -44,6 +44,17 @@ def add_exports(subparsers: Any) -> None:
         metavar="S",
         help="time of the test vectors in s; left out: 2",
     )
+    parser.add_argument(
+        "--name",
+        help="prefix of all C names and file names, so that several exports link into one program; "
+        "left out: the word after --what",
+    )
+    parser.add_argument(
+        "--outputs",
+        nargs="+",
+        metavar="PORT",
+        help="output ports to export; left out: all",
+    )
     arguments.add_out(parser, "the files, which no other files may share")
 
     parser = arguments.add_command(
@@ -105,6 +116,8 @@ def export_c(
     vectors_s: float | None,
     step_s: float | None,
     look_up: bool,
+    name: str | None,
+    outputs: list[str] | None,
 ) -> Outcome:
     """Write controller, plant or loop as C to the directory ``out``; return the measurements.
 
@@ -124,6 +137,8 @@ def export_c(
         vectors_s=vectors_s,
         step_s=step_s,
         look_up=look_up,
+        name=name,
+        outputs=outputs,
     )
     notices = []
     if measurement.replay is not None and not measurement.replay.passed:

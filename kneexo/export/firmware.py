@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,9 @@ from kneexo.compiler import (
 from kneexo.errors import ParameterError
 from kneexo.export.target import ENCODER_COUNT, Target, make_target, require_step
 from kneexo.parameters import SampledReference, Scenario
+from kneexo.parameters.scenario_file import dump_scenario
 from kneexo.result import Array
+from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
 OUTSIDE = ("disturbance_force", "knee_torque")
@@ -38,6 +41,8 @@ def make_firmware(
     vectors_s: float | None = None,
     step_s: float | None = None,
     look_up: bool = False,
+    name: str | None = None,
+    outputs: Sequence[str] | None = None,
 ) -> tuple[CSource, Vectors]:
     """Return controller, plant or loop of a scenario as C99, with test vectors.
 
@@ -61,6 +66,12 @@ def make_firmware(
     look_up
         If True, the code looks up knee angle and rod extension in tables by the encoder count, and
         does not compute them.
+    name
+        Prefix of all C names and file names, by default ``what``. Two controllers with different
+        names link into one program.
+    outputs
+        Names of the output ports to export, by default all. The code computes nothing that only
+        other outputs need.
 
     Raises
     ------
@@ -95,14 +106,15 @@ def make_firmware(
     target = make_target(scenario, what, counts=True)
     source = source_of(
         read_diagram(target.diagram, inputs=target.inputs),
-        target.what,
+        target.what if name is None else name,
         precision=precision,
-        outputs=target.outputs,
+        outputs=target.outputs if outputs is None else outputs,
         interface=target.interface,
         tick_s=target.tick_s,
         step_s=step_s,
         look_up=look_up,
         subject=f"{target.what} in {precision} precision",
+        origin=("scenario.yaml", dump_scenario(completed(scenario))),
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
     inputs = loop_inputs(scenario, target, source, steps)
@@ -113,15 +125,19 @@ def export_firmware(
     scenario: Scenario,
     directory: str | os.PathLike[str],
     what: str = "controller",
+    *,
+    name: str | None = None,
     **options: Any,
 ) -> Measurement:
     """Write the code of `make_firmware` to a folder, with test harness, build files and README.
 
-    ``options`` are options of `make_firmware`. Raises the errors of `make_firmware`. Raises
-    `OutputError` if the folder cannot be written, or has files that no export wrote.
+    ``name`` and ``options`` are options of `make_firmware`. Raises the errors of `make_firmware`.
+    Raises `OutputError` if the folder cannot be written, has files that no export wrote, or has an
+    export with another name.
     """
-    require_export_folder(directory)  # before the run, which may take long
-    return write_c(directory, *make_firmware(scenario, what, **options))
+    name = what if name is None else name
+    require_export_folder(directory, name)  # before the run, which may take long
+    return write_c(directory, *make_firmware(scenario, what, name=name, **options))
 
 
 def loop_inputs(scenario: Scenario, target: Target, source: CSource, steps: int) -> Array:

@@ -18,3 +18,9 @@ def test_a_copy_under_another_name_has_its_own_variables(package):
     spec.loader.exec_module(copy)
     assert copy.ROOT == "other"
     assert copy.variable("CPU") == "OTHER_CPU"
+    assert copy.tool() == "other"
+
+
+def test_the_tool_is_the_package_with_its_version(monkeypatch):
+    monkeypatch.setattr(root, "version", {root.ROOT: "1.2.3"}.__getitem__)
+    assert root.tool() == f"{root.ROOT} 1.2.3"

@@ -19,6 +19,8 @@ from kneexo.export import firmware
 from kneexo.export.firmware import loop_inputs, make_firmware
 from kneexo.export.target import largest_step_s, make_target
 from kneexo.parameters import Scenario
+from kneexo.parameters.scenario_file import load_scenario
+from kneexo.rod_polynomial import completed
 from kneexo.simulation import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
 
@@ -234,6 +236,83 @@ def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short, no_comp
     assert plants[0] != plants[1]
 
 
+def test_the_export_has_the_scenario_that_it_came_from(tmp_path, short, capsys, no_compiler):
+    out = tmp_path / "out"
+    options = ["export", "c", short, "--out", str(out), "--vectors-s", "0.01"]
+    assert main([*options, "--set", "controller.phi_m_s2=1.5"]) == 0
+    scenario = load_scenario(out / "scenario.yaml")
+    assert scenario == completed(Scenario(**SHORT, controller={"phi_m_s2": 1.5}))
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["origin"] == "scenario.yaml"
+    source, _ = make_firmware(scenario, vectors_s=0.01)
+    assert source.files()["controller.c"] == (out / "controller.c").read_text()
+
+
+def test_outputs_that_nobody_asks_for_are_not_computed(tmp_path, short, no_compiler):
+    ports = ["load_pressure", "icr"]
+    chosen, vectors = make_firmware(scenario_of(), "plant", outputs=ports, vectors_s=0.1)
+    whole, all_vectors = make_firmware(scenario_of(), "plant", vectors_s=0.1)
+    columns = [[f.port for f in whole.plan.outputs].index(port) for port in ports]
+    columns.append(columns[1] + 1)  # the instantaneous centre has two coordinates
+    np.testing.assert_array_equal(vectors.outputs, all_vectors.outputs[:, columns])
+    assert chosen.operations.total() < whole.operations.total()
+    assert "out->knee_angle_rad" not in chosen.files()["plant.c"]
+    out = tmp_path / "out"
+    options = ["--what", "plant", "--outputs", *ports, "--vectors-s", "0.1"]
+    assert main(["export", "c", short, "--out", str(out), *options]) == 0
+    assert (out / "plant.c").read_text() == chosen.files()["plant.c"]
+
+
+TWO_C = """
+#include "left.h"
+#include "right.h"
+#include "left_vectors.h"
+#include "right_vectors.h"
+#include <math.h>
+
+int main(void)
+{
+    left_state_t left;
+    right_state_t right;
+    int wrong = (left_init(&left, &left_params, &left_vectors[0].inputs) != LEFT_OK)
+        || (right_init(&right, &right_params, &right_vectors[0].inputs) != RIGHT_OK);
+
+    for (uint32_t k = 0U; k < LEFT_VECTORS; k++) {
+        left_outputs_t a;
+        right_outputs_t b;
+
+        wrong += left_step(&left_params, &left, &left_vectors[k].inputs, &a) != LEFT_OK;
+        wrong += right_step(&right_params, &right, &right_vectors[k].inputs, &b) != RIGHT_OK;
+        wrong += !(fabs(a.motor_speed_command_rad_s
+            - left_vectors[k].outputs.motor_speed_command_rad_s) < 1e-6);
+        wrong += !(fabs(b.motor_speed_command_rad_s
+            - right_vectors[k].outputs.motor_speed_command_rad_s) < 1e-6);
+    }
+    return (wrong == 0) && (LEFT_VECTORS == RIGHT_VECTORS) ? 0 : 1;
+}
+"""
+
+
+def test_two_controllers_link_into_one_program(tmp_path, tool):
+    """An SMC and a PID, whose commands differ by far more than the tolerance of 1e-6 rad/s."""
+    compiler, commands = tool("gcc"), []
+    for name, kind in (("left", "smc"), ("right", "pid")):
+        scenario = scenario_of(controller={"kind": kind})
+        source, vectors = make_firmware(scenario, name=name, vectors_s=0.1)
+        commands.append(vectors.outputs)
+        for file, text in c_export.files_of(source, vectors).items():
+            if not file.endswith("_test.c"):
+                (tmp_path / file).write_text(text)
+    assert np.abs(commands[0] - commands[1]).max() > 0.1
+    (tmp_path / "two.c").write_text(TWO_C)
+    files = sorted(path.name for path in tmp_path.glob("*.c"))
+    flags = (*c_build.FLAGS, "-Wall", "-Wextra", "-Werror")
+    command = [compiler, *flags, *files, "-o", "two", "-lm"]
+    built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert (built.returncode, built.stderr) == (0, "")
+    assert subprocess.run([tmp_path / "two"]).returncode == 0
+
+
 @needs_compiler
 @pytest.mark.parametrize(
     ("precision", "fails"),
@@ -254,6 +333,8 @@ def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails, no_ta
     ("options", "line"),
     [
         (["--what", "plant", "--step-s", "0"], "step_s = 0 s: must be 1e-07 … 1 s"),
+        (["--name", "2 legs"], "name = '2 legs': must be a C identifier of at most 31 letters"),
+        (["--outputs", "speed"], "output 'speed' is unknown; known: motor_speed_command"),
         (["--vectors-s", "9"], "vectors_s = 9 s: must be 0.002 … 0.4 s"),
         (["--set", "plant.cylinder.mass_kg=-1"], "plant.cylinder.mass_kg"),
     ],

@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from ..diagram_equations import read_diagram
-from ..errors import CompilationError
+from ..errors import CompilationError, OutputError, shown
 from ..files import require_marked, write_folder
 from ..run_data import Array
 from .build import (
@@ -26,6 +26,7 @@ from .build import (
     replay,
 )
 from .interface import Field
+from .manifest import FILE as MANIFEST, exported_name, manifest
 from .printer import literal
 from .source import MARK, CSource, source_of
 from .template import rendered
@@ -83,18 +84,19 @@ def export_c(
         The fastest mode at these values determines the default step of RK4.
     options
         Options of `CSource`: ``precision``, ``outputs``, ``interface``, ``tick_s``, ``step_s``,
-        ``look_up``, ``subject``.
+        ``look_up``, ``subject``, ``origin``.
 
     Raises
     ------
     CompilationError
         The diagram cannot be compiled to C, or an argument is wrong.
     OutputError
-        The folder has files that no export wrote, or cannot be written.
+        The folder has files that no export wrote, or an export of a model with another name. Or
+        the folder cannot be written.
     SimulationError
         The compiled diagram runs to make the test vectors, and this run fails.
     """
-    require_export_folder(directory)
+    require_export_folder(directory, name)
     source = source_of(read_diagram(diagram, inputs=inputs), name, context, **options)
     width = len(source.plan.inputs)
     if steps < 1:
@@ -105,9 +107,20 @@ def export_c(
     return write_c(directory, source, recorded_vectors(diagram, source, rows))
 
 
-def require_export_folder(directory: str | os.PathLike[str]) -> None:
-    """Raise `OutputError` if the directory has a file that was not written by an export."""
-    require_marked(Path(directory), MARK, "an export", BUILD)
+def require_export_folder(directory: str | os.PathLike[str], name: str) -> None:
+    """Raise `OutputError` if an export of the model ``name`` would replace anything else.
+
+    The directory must have no file that was not written by an export, and no export of a model with
+    another name.
+    """
+    folder = Path(directory)
+    require_marked(folder, MARK, "an export", BUILD)
+    earlier = exported_name(folder)
+    if earlier not in (None, name):
+        raise OutputError(
+            f"directory {shown(folder)}: has the export of {shown(earlier)!r}; choose another "
+            f"directory for {name!r}"
+        )
 
 
 def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors) -> Measurement:
@@ -118,7 +131,7 @@ def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors
     are still there.
     """
     files, measurement = exported(source, vectors)
-    require_export_folder(directory)
+    require_export_folder(directory, source.name)
     write_folder(Path(directory), files, keep=BUILD)
     return measurement
 
@@ -140,13 +153,25 @@ def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measure
     data = source.template_data | {
         "vectors": vectors.inputs,
         "library": source.functions.library,
+        "origin": source.origin[0] if source.origin else "",
         "measured": list(_measured(source.name, measurement)),
     }
-    return files | {"README.md": rendered(__package__, "README.md", **data)}, measurement
+    files["README.md"] = rendered(__package__, "README.md", **data)
+    if source.origin and source.origin_text:
+        files[source.origin[0]] = source.origin_text
+    content = {
+        "name": source.name,
+        "precision": source.precision,
+        "tick_s": source.plan.schedule.tick_s,
+        "rk4_steps_per_tick": source.plan.schedule.steps if source.equations.states else 0,
+        "sha256": source.checksums,
+        "origin": source.origin[0] if source.origin else None,
+    }
+    return files | {MANIFEST: manifest(source.first_line, content, files)}, measurement
 
 
 def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
-    """Return a dictionary from file name to text, for all files of the folder except README.md."""
+    """Return a dictionary from file name to text: the sources, test vectors and build files."""
     plan = source.plan
     rows = zip(vectors.inputs.tolist(), vectors.outputs.tolist(), strict=True)
     data = source.template_data | {

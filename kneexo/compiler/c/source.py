@@ -16,13 +16,16 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from ..diagram_equations import DiagramEquations
 from ..equations.equations import Equations
 from ..errors import CompilationError
-from ..root import ROOT
+from ..root import ROOT, tool
 from ..run_data import Array, State
 from .functions import Functions
 from .interface import Interface, parameter_members, require_model_name
+from .manifest import checksums, manifest_in_c
 from .plan import Plan, compensated_sums, step_nodes
 from .printer import PRECISIONS, literal, plain_line
 from .schedule import schedule_of
@@ -64,13 +67,16 @@ class CSource:
         in C has no effect.
     subject
         Short description of the model, part of the first line of each file.
+    origin
+        Name and text of the file that the diagram was made from. The export has a copy. ``#``
+        begins a comment in such a file.
 
     Raises
     ------
     CompilationError
-        ``name`` is no identifier, ``precision`` or a name in ``outputs`` is unknown, ``interface``
-        does not fit the ports, `schedule_of` refuses the times, or ``look_up`` is True without a
-        value to look up.
+        ``name`` is no identifier, ``precision`` or a name in ``outputs`` is unknown, ``outputs``
+        has a name twice, ``interface`` does not fit the ports, `schedule_of` refuses the times, or
+        ``look_up`` is True without a value to look up.
     """
 
     equations: Equations
@@ -84,6 +90,7 @@ class CSource:
     step_s: float | None = None
     look_up: bool = False
     subject: str = ""
+    origin: tuple[str, str] | None = None
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -97,6 +104,9 @@ class CSource:
                 raise CompilationError(
                     f"output {port!r} is unknown; known: {', '.join(self.equations.outputs)}"
                 )
+        for port, count in Counter(self.outputs or ()).items():
+            if count > 1:
+                raise CompilationError(f"output {port!r} is in outputs {count} times")
         for port in self.interface.integers:
             if port not in self.equations.inputs:
                 raise CompilationError(f"{port}: is no input; only inputs may be int32_t")
@@ -171,6 +181,19 @@ class CSource:
         return plain_line(f"{MARK} {self.subject}")
 
     @property
+    def origin_text(self) -> str | None:
+        """Text of the exported file ``origin``: the first line of all files, then the text."""
+        return f"# {self.first_line}\n{self.origin[1]}" if self.origin else None
+
+    @cached_property
+    def checksums(self) -> dict[str, str]:
+        """Checksums of equations, parameters and ``origin``; see `manifest.checksums`."""
+        groups = (self.parameters, self.state.continuous, self.state.discrete)
+        numbers = np.concatenate(groups) if any(map(len, groups)) else np.zeros(1)  # member `none`
+        real = np.float64 if self.precision == "double" else np.float32
+        return checksums(self.equations, numbers.astype(real), self.origin_text)
+
+    @property
     def template_data(self) -> dict[str, Any]:
         """Dictionary of the variables that every template of the model uses."""
         return {
@@ -201,6 +224,8 @@ class CSource:
             "limits": len(equations.limits),
             "needs_time": plan.needs_time,
             "counts_steps": plan.counts_steps,
+            "manifest": manifest_in_c(self.checksums),
+            "tool": tool(),
         }
         templates = {f"{self.name}{end}": f"model{end}" for end in (".h", ".c")}
         templates[f"{self.name}_params.c"] = "params.c"

@@ -24,7 +24,7 @@ from kneexo.compiler.run_data import State
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
 FILES = {
     *("filter.c", "filter.h", "filter_params.c", "filter_vectors.c", "filter_vectors.h"),
-    *("filter_test.c", "Makefile", "CMakeLists.txt", "README.md"),
+    *("filter_test.c", "Makefile", "CMakeLists.txt", "README.md", "manifest.json"),
 }
 
 
@@ -287,9 +287,42 @@ def test_foreign_files_are_not_touched(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["main.c"]
 
 
+SOURCE = {"outputs": ["y0"], "tick_s": 0.1, "steps": 3}
+
+
 def test_a_new_export_replaces_all_files_of_the_last_one(folder, no_targets):
-    export_c(Sine(1.0, 2.0, 0.0, 1), folder, name="source", outputs=["y0"], tick_s=0.1, steps=3)
+    (folder / "filter_extra.c").write_text((folder / "filter.c").read_text())
+    before = (folder / "filter.c").read_text()
+    export_c(Sine(1.0, 2.0, 0.0, 1), folder, name="filter", **SOURCE)
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert (folder / "filter.c").read_text() != before
+
+
+def test_an_export_of_another_name_is_not_replaced(folder, no_targets):
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    line = "out: has the export of 'filter'; choose another directory for 'source'"
+    with pytest.raises(OutputError, match=line) as error:
+        export_c(Sine(1.0, 2.0, 0.0, 1), folder, name="source", **SOURCE)
+    assert "\n" not in str(error.value)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    # Without its manifest, as earlier versions wrote it, an export has no known name.
+    (folder / "manifest.json").unlink()
+    export_c(Sine(1.0, 2.0, 0.0, 1), folder, name="source", **SOURCE)
     assert not any(path.name.startswith("filter") for path in folder.iterdir())
+
+
+def test_the_file_that_a_model_was_made_from_is_beside_it(tmp_path, no_targets):
+    origin = ("model.toml", "gain = 2.0\n")
+    export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], steps=3, origin=origin)
+    text = (tmp_path / "model.toml").read_text()
+    assert text.partition("\n")[2] == origin[1]
+    assert text.startswith("# Made by kneexo")
+    assert (
+        "| `model.toml` | what the diagram was made from |" in (tmp_path / "README.md").read_text()
+    )
+    # The next export has none.
+    export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], steps=3)
+    assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
 def test_what_a_killed_export_left_is_deleted(folder, no_targets):

@@ -316,6 +316,7 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
         ),
         ({"precision": "half"}, "precision = 'half': must be one of double, float"),
         ({"outputs": ["speed"]}, "output 'speed' is unknown; known: y0"),
+        ({"outputs": ["y0", "y0"]}, "output 'y0' is in outputs 2 times"),
         ({"step_s": 0.0}, "step_s = 0.0 s: must be finite and > 0"),
         ({"step_s": math.nan}, "step_s = nan s"),
         ({"interface": Interface({"u0": ["a", "b"]})}, "u0: has 2 names in C; must be 1"),

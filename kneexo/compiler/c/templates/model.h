@@ -78,6 +78,16 @@ typedef struct {
 
 extern const {{ name }}_params_t {{ name }}_params;
 
+/* Identity of the code, as in manifest.json. A SHA-256 has its most significant word first. */
+typedef struct {
+    uint32_t version[3]; /* {{ tool }} */
+    uint32_t equations[8]; /* SHA-256 of the equations */
+    uint32_t parameters[8]; /* SHA-256 of the bytes of {{ name }}_params, little-endian */
+    uint32_t origin[8]; /* SHA-256 of the file `origin` in manifest.json, or zeros */
+} {{ name }}_manifest_t;
+
+extern const {{ name }}_manifest_t {{ name }}_manifest;
+
 {% if tables %}
 /* Tables with a number for each value of an integer input, computed by the export. Changing a
  * parameter that only these numbers depend on has no effect. */

@@ -16,6 +16,16 @@ const {{ name }}_params_t {{ name }}_params = {
     0
 {% endif %}
 };
+
+const {{ name }}_manifest_t {{ name }}_manifest = {
+{% for member, words in manifest.items() %}
+    { /* {{ member }} */
+{% for row in words | batch(4) %}
+        {{ row | join(", ") }},
+{% endfor %}
+    },
+{% endfor %}
+};
 {% for table in tables %}
 
 const {{ name }}_real_t {{ name }}_table_{{ loop.index0 }}[{{ table.values | length }}] = {

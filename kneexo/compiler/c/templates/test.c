@@ -26,6 +26,15 @@ static void values_of(const {{ name }}_outputs_t *outputs, double values[FIELDS]
 {% endfor %}
 }
 
+static void print_checksum(const char *name, const uint32_t words[8])
+{
+    printf("SHA-256 of the %s: ", name);
+    for (uint16_t i = 0U; i < 8U; i++) {
+        printf("%08lx", (unsigned long)words[i]);
+    }
+    printf("\n");
+}
+
 int main(void)
 {
     {{ name }}_state_t state;
@@ -35,6 +44,8 @@ int main(void)
     uint32_t failures = 0U;
     uint16_t status = {{ name }}_init(&state, &{{ name }}_params, &{{ name }}_vectors[0].inputs);
 
+    print_checksum("equations", {{ name }}_manifest.equations);
+    print_checksum("parameters", {{ name }}_manifest.parameters);
     if (status != {{ NAME }}_OK) {
         printf("{{ name }}_init: status %u\n", (unsigned)status);
         failures++;
