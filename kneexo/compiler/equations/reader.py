@@ -91,7 +91,8 @@ class _Leaf:
             if port.get_data_type() != PortDataType.kVectorValued or not has_source:
                 continue
             elements: list[Any] = [(index, i) for i in range(port.size())]
-            if source in open_inputs and open_inputs.keys().isdisjoint(inner):
+            is_open = source[1] == "input" and source in open_inputs
+            if is_open and open_inputs.keys().isdisjoint(inner):
                 first = open_inputs[source]
                 elements = [graph.source("input", first + i) for i in range(port.size())]
             port.FixValue(context, self._variables("input", elements))
