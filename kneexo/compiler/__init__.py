@@ -53,6 +53,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .fmu.fmu import FMI_VERSIONS as FMI_VERSIONS, Fmu as Fmu
     from .fmu.variables import FmuParameter as FmuParameter
     from .linear.linearize import linearize as linearize
+    from .linear.loop_at import loop_at as loop_at
     from .linear.loops import (
         Transfer as Transfer,
         as_transfer as as_transfer,
@@ -119,6 +120,7 @@ else:
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.variables": ("FmuParameter",),
         "linear.linearize": ("linearize",),
+        "linear.loop_at": ("loop_at",),
         "linear.loops": (*("Transfer", "as_transfer", "complementary_sensitivity", "sensitivity"),),
         "linear.margins": ("LoopMargins", "margins"),
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
