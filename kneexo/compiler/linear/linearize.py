@@ -13,10 +13,7 @@ from ..errors import LinearizationError, ParameterError
 from ..native.timing import timing
 from ..run_data import Array
 from .model import LinearModel, OperatingPoint, TickModel, over_period
-from .point import read_point
-
-EQUILIBRIUM_TOLERANCE = 1e-6
-"""Default of the largest rate or change of a state at an operating point, as in Drake."""
+from .point import EQUILIBRIUM_TOLERANCE, port_names, read_point
 
 _MOST_TICKS = 100_000
 
@@ -60,7 +57,8 @@ def linearize(
         that are constant during ``period_s``. By default such a model stays continuous.
     equilibrium_tolerance
         Largest absolute rate of a continuous state, and change of a discrete state in an update, in
-        the units of the state. `math.inf` accepts every point.
+        the units of the state. `math.inf` accepts every point, such as a point of a trajectory.
+        The time is frozen at the time of the Context, as in Drake's `Linearize`.
 
     Raises
     ------
@@ -78,10 +76,9 @@ def linearize(
     point = read_point(diagram, context, in_names, out_names)
     slopes = point.slopes(out_names)
     point.require_finite(slopes, out_names)
-    largest, text = point.largest_residual(slopes.rates)
-    if not largest <= equilibrium_tolerance:
+    if moving := point.motion(slopes, equilibrium_tolerance):
         raise LinearizationError(
-            f"the operating point is no equilibrium: {text} (equilibrium_tolerance = "
+            f"the operating point is no equilibrium: {moving} (equilibrium_tolerance = "
             f"{equilibrium_tolerance:g}); use find_equilibrium, or equilibrium_tolerance=math.inf"
         )
     names = point.element_names(in_names)
@@ -106,15 +103,6 @@ def linearize(
         ),
         ticks=ticks,
     )
-
-
-def port_names(what: str, names: Iterable[str]) -> tuple[str, ...]:
-    """Return names of ports as a tuple. Raise `ParameterError` for a name that occurs twice."""
-    ports = (names,) if isinstance(names, str) else tuple(names)
-    for port in ports:
-        if ports.count(port) > 1:
-            raise ParameterError(f"{what}: has {port!r} twice; name each port once")
-    return ports
 
 
 def tick_models(

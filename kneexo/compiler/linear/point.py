@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,6 +14,9 @@ from ..errors import LinearizationError, ParameterError
 from ..native.runner import element_name
 from ..run_data import Array
 from .jacobian import values_and_jacobian
+
+EQUILIBRIUM_TOLERANCE = 1e-6
+"""Default of the largest rate or change of a state at an equilibrium, as in Drake."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +48,12 @@ class Point:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the continuous and then the discrete states."""
-        return self.read.state_names + self.read.discrete_names
+        """Names of the continuous and then the discrete states.
+
+        The path of a diagram that is a single leaf system is empty, and so is its part of the name.
+        """
+        names = self.read.state_names + self.read.discrete_names
+        return tuple(name.removeprefix(".") for name in names)
 
     def element_names(self, ports: Iterable[str]) -> tuple[str, ...]:
         """Return the names of the elements of ports, which are open inputs or outputs."""
@@ -83,6 +91,13 @@ class Point:
         held[: len(self.read.state_names)] = 0.0
         return rates - held
 
+    def residual_jacobian(self, slopes: Slopes) -> Array:
+        """Return the Jacobian of `residual`, with the columns of ``slopes``."""
+        jacobian = slopes.rates_jacobian.copy()
+        for index in range(len(self.read.state_names), self.state.size):
+            jacobian[index, index] -= 1.0
+        return jacobian
+
     def require_finite(self, slopes: Slopes, outputs: Sequence[str]) -> None:
         """Raise `LinearizationError` for a value or derivative that is not finite."""
         names = (*self.rate_names, *self.element_names(outputs))
@@ -101,21 +116,37 @@ class Point:
     @property
     def rate_names(self) -> tuple[str, ...]:
         """Names of the elements of `residual`."""
-        rates = tuple(f"the rate of {name}" for name in self.read.state_names)
-        return rates + tuple(f"the update of {name}" for name in self.read.discrete_names)
+        count = len(self.read.state_names)
+        return tuple(
+            f"the {'rate' if number < count else 'update'} of {name}"
+            for number, name in enumerate(self.state_names)
+        )
 
-    def largest_residual(self, rates: Array) -> tuple[float, str]:
-        """Return the largest magnitude of the residual, and a text that names its element."""
-        residual = self.residual(rates)
-        if not residual.size:
-            return 0.0, ""
-        magnitude = np.where(np.isfinite(residual), np.abs(residual), np.inf)
-        index = int(np.argmax(magnitude))
+    def motion(self, slopes: Slopes, tolerance: float) -> str:
+        """Return a text that names the state that moves most, or an empty text at an equilibrium.
+
+        A state moves if its element of `residual` exceeds ``tolerance`` and the effect of rounding
+        errors. Rounding counts as 1e-13 of the sum of magnitudes ∑ⱼ |∂rᵢ/∂zⱼ| |zⱼ|.
+        """
+        residual = self.residual(slopes.rates)
+        values = np.concatenate([self.state, self.inputs])
+        rounding = 1e-13 * (np.abs(slopes.rates_jacobian) @ np.abs(values))
+        moves = ~(np.abs(residual) <= tolerance + rounding)
+        if tolerance == math.inf or not moves.any():
+            return ""
+        index = int(np.argmax(np.where(moves, np.nan_to_num(np.abs(residual), nan=np.inf), -1.0)))
         if index < len(self.read.state_names):
-            text = f"d({self.state_names[index]})/dt = {residual[index]:.6g} per s"
-        else:
-            text = f"an update changes {self.state_names[index]} by {residual[index]:.6g}"
-        return float(magnitude[index]), text
+            return f"d({self.state_names[index]})/dt = {residual[index]:.6g} per s"
+        return f"an update changes {self.state_names[index]} by {residual[index]:.6g}"
+
+
+def port_names(what: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Return names as a tuple. Raise `ParameterError` for a name that occurs twice."""
+    ports = (names,) if isinstance(names, str) else tuple(names)
+    for port in ports:
+        if ports.count(port) > 1:
+            raise ParameterError(f"{what}: has {port!r} twice; give each name once")
+    return ports
 
 
 def read_point(

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from pydrake.examples import PendulumPlant
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     Adder,
@@ -16,7 +15,13 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from kneexo.compiler import CompilationError, LinearizationError, ParameterError, linearize
+from kneexo.compiler import (
+    CompilationError,
+    LinearizationError,
+    ParameterError,
+    find_equilibrium,
+    linearize,
+)
 
 
 @pytest.fixture(scope="module")
@@ -43,39 +48,110 @@ def loop():
     return diagram
 
 
-def drake_state(context):
-    """Continuous and then discrete states of a Context."""
-    groups = range(context.num_discrete_state_groups())
-    discrete = [context.get_discrete_state(group).CopyToVector() for group in groups]
-    return np.concatenate([context.get_continuous_state_vector().CopyToVector(), *discrete])
+def at_equilibrium(random, seed):
+    """A Context of a random diagram that rests, with inputs unlike zero if it can."""
+    rng = np.random.default_rng(seed)
+    context = random.diagram.CreateDefaultContext()
+    for values in (rng.uniform(-0.3, 0.3, 2), np.zeros(2)):
+        for name, value in zip(random.inputs, values, strict=False):
+            random.diagram.GetInputPort(name).FixValue(context, [value])
+        try:
+            return find_equilibrium(random.diagram, context)
+        except LinearizationError:  # an integrator moves under a constant input
+            continue
+    raise AssertionError("no equilibrium at zero")
 
 
-def drake_period(diagram, state, inputs, period_s):
-    """The state at ``period_s`` by Drake's Simulator, before the updates at that time."""
-    context = diagram.CreateDefaultContext()
-    continuous = context.num_continuous_states()
-    context.SetContinuousState(state[:continuous])
-    first = continuous
-    for group in range(context.num_discrete_state_groups()):
-        vector = context.get_mutable_discrete_state(group)
-        vector.SetFromVector(state[first : first + vector.size()])
-        first += vector.size()
-    for name, value in inputs.items():
-        diagram.GetInputPort(name).FixValue(context, [value])
-    simulator = Simulator(diagram, context)
-    simulator.get_mutable_integrator().set_target_accuracy(1e-12)
-    simulator.get_mutable_integrator().set_maximum_step_size(1e-3)
-    simulator.AdvanceTo(period_s)
-    return drake_state(context)
+def largest_difference_from_drake(random_diagram, drake_runs, kind, seed):
+    """Largest difference of A, B, C and D from finite differences of Drake's Simulator."""
+    random = random_diagram(seed, kind)
+    context = at_equilibrium(random, seed)
+    model = linearize(
+        random.diagram,
+        context,
+        inputs=random.inputs,
+        outputs=random.outputs,
+        period_s=0.25 if kind == "continuous" else None,
+    )
+    runs = drake_runs(random.diagram, context, random.inputs)
+    n = len(model.a)
+    moved, read = runs.jacobian(model.period_s)[:n], runs.jacobian(0.0)[n:]
+    ours = np.block([[model.a, model.b], [model.c, model.d]])
+    return np.abs(ours - np.vstack([moved, read])).max()
 
 
-def test_a_multirate_loop_moves_as_drake_over_the_common_period(loop):
+# Central differences with the step 1e-4 err by 1e-8 of the third derivative, RK3 by 1e-9.
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("continuous", 0), ("sampled", 0), ("mixed", 0), ("multirate", 2)]
+)
+def test_a_random_diagram_moves_as_in_drakes_simulator(random_diagram, drake_runs, kind, seed):
+    assert largest_difference_from_drake(random_diagram, drake_runs, kind, seed) < 1e-7
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["continuous", "sampled", "mixed", "multirate"])
+def test_200_random_diagrams_move_as_in_drakes_simulator(random_diagram, drake_runs, kind):
+    for seed in range(1, 51):
+        difference = largest_difference_from_drake(random_diagram, drake_runs, kind, seed)
+        assert difference < 1e-6, (kind, seed)
+
+
+def assert_equals_drakes_linearize(random, seed):
+    diagram, context = random.diagram, random.diagram.CreateDefaultContext()
+    state = np.random.default_rng(seed).uniform(-0.5, 0.5, context.num_continuous_states())
+    context.SetContinuousState(state)
+    for name in random.inputs:
+        diagram.GetInputPort(name).FixValue(context, [0.2])
+    model = linearize(
+        diagram,
+        context,
+        inputs=random.inputs,
+        outputs=random.outputs,
+        equilibrium_tolerance=math.inf,
+    )
+    for column, name in enumerate(random.inputs):
+        for row, output in enumerate(random.outputs):
+            ports = (diagram.GetInputPort(name), diagram.GetOutputPort(output))
+            drake = Linearize(diagram, context, *(p.get_index() for p in ports), math.inf)
+            cell = slice(row, row + 1), slice(column, column + 1)
+            ours = (model.a, model.b[:, cell[1]], model.c[cell[0]], model.d[cell])
+            theirs = (drake.A(), drake.B(), drake.C(), drake.D())
+            for values, expected in zip(ours, theirs, strict=True):
+                np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_a_random_diagram_equals_drakes_linearize_anywhere(random_diagram):
+    assert_equals_drakes_linearize(random_diagram(0, "continuous"), 0)
+
+
+@pytest.mark.slow
+def test_50_random_diagrams_equal_drakes_linearize_anywhere(random_diagram):
+    for seed in range(1, 51):
+        assert_equals_drakes_linearize(random_diagram(seed, "continuous"), seed)
+
+
+def test_a_sampled_diagram_equals_drakes_linearize():
+    a, b = [[0.5, 0.2], [-0.1, 0.3]], [[1.0], [0.4]]
+    plant = LinearSystem(a, b, [[1.0, 2.0]], [[0.7]], 0.1)
+    context = plant.CreateDefaultContext()
+    plant.get_input_port().FixValue(context, [0.0])
+    model = linearize(plant, context, inputs=["u0"], outputs=["y0"])
+    drake = Linearize(plant, context)
+    for name in "abcd":
+        np.testing.assert_array_equal(getattr(model, name), getattr(drake, name.upper())())
+    assert model.period_s == drake.time_period() == 0.1
+
+
+def test_a_multirate_loop_moves_as_drake_over_the_common_period(loop, drake_runs):
     model = linearize(loop, inputs=["r"], outputs=["y"])
     assert model.period_s == 0.02
-    moved = [drake_period(loop, row, {"r": 0.0}, 0.02) for row in np.eye(len(model.a))]
-    np.testing.assert_allclose(model.a, np.transpose(moved), rtol=0.0, atol=1e-10)
-    moved = drake_period(loop, np.zeros(len(model.a)), {"r": 1.0}, 0.02)
-    np.testing.assert_allclose(model.b[:, 0], moved, rtol=0.0, atol=1e-10)
+    context = loop.CreateDefaultContext()
+    loop.GetInputPort("r").FixValue(context, [0.0])
+    moved = drake_runs(loop, context, ["r"]).jacobian(0.02)[: len(model.a)]
+    # RK3 with steps of 0.488 ms: (20 rad/s · step)³/24 of the motion
+    np.testing.assert_allclose(np.hstack([model.a, model.b]), moved, rtol=0.0, atol=1e-6)
     assert (model.c == np.eye(1, len(model.a))).all()
     assert not model.d.any()
     assert model.state_names[:3] == ("plant.x[0]", "plant.x[1]", "sampler.0[0]")

@@ -1,0 +1,150 @@
+"""Finds equilibria of diagrams whose states are continuous, discrete or both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import ArrayLike
+
+from ..equations.contexts import set_state
+from ..errors import LinearizationError, ParameterError
+from ..run_data import Array, State
+from .newton import newton
+from .point import EQUILIBRIUM_TOLERANCE, Point, port_names, read_point
+
+_RANK_TOLERANCE = 1e-14
+
+
+def find_equilibrium(
+    diagram: Any,
+    context: Any = None,
+    *,
+    fixed: Iterable[str] = (),
+    free_inputs: Iterable[str] = (),
+    outputs: Mapping[str, ArrayLike] | None = None,
+    equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
+) -> Any:
+    """Return a new Context in which all states of a diagram of floats rest.
+
+    There all rates of continuous states are zero, and no update changes a discrete state. The
+    search is Newton's method with exact derivatives, from the state in ``context``; where it fails,
+    a search by least squares follows. A state without influence keeps its value. The time is that
+    of the Context.
+
+    Parameters
+    ----------
+    diagram, context
+        As in `linearize`. Input ports have the values of the Context.
+    fixed
+        Names of states that keep their values, such as ``pendulum.theta``.
+    free_inputs
+        Names of input ports of the diagram whose values the search finds, as in trimming a vehicle.
+        The search starts at the value in the Context, or at zero.
+    outputs
+        Dictionary from names of output ports, or ``path/of/system:port``, to the values that they
+        must have.
+    equilibrium_tolerance
+        As in `linearize`; also the largest absolute error of ``outputs``.
+
+    Raises
+    ------
+    LinearizationError
+        There is no equilibrium near the start. The message names the state that still moves most.
+    CompilationError, ParameterError
+        As in `linearize`; also for a name in ``fixed`` that is no state, and for an output value of
+        a wrong size.
+    """
+    targets = {} if outputs is None else outputs
+    in_names, out_names = port_names("free_inputs", free_inputs), tuple(targets)
+    context = diagram.CreateDefaultContext() if context is None else context
+    start = read_point(diagram, context, in_names, out_names)
+    for name in in_names:
+        if not diagram.HasInputPort(name):
+            raise ParameterError(f"free_inputs: {name!r} is no input port of the diagram itself")
+    required = _target(start, targets)
+    n, m = start.state.size, len(start.element_names(in_names))
+    free = np.concatenate([_free_states(start, fixed), n + np.arange(m)])
+
+    def point_at(unknowns: Array) -> Point:
+        values = np.concatenate([start.state, start.inputs])
+        values[free] = unknowns
+        return start.at(values[:n], values[n:])
+
+    def function(unknowns: Array) -> tuple[Array, Array]:
+        point = point_at(unknowns)
+        slopes = point.slopes(out_names)
+        return (
+            np.concatenate([point.residual(slopes.rates), slopes.outputs - required]),
+            np.vstack([point.residual_jacobian(slopes), slopes.outputs_jacobian])[:, free],
+        )
+
+    for unknowns in _searches(function, np.concatenate([start.state, start.inputs])[free]):
+        point = point_at(unknowns)
+        slopes = point.slopes(out_names)
+        fault = point.motion(slopes, equilibrium_tolerance)
+        error = np.abs(slopes.outputs - required)
+        if not fault and not (error <= equilibrium_tolerance).all():
+            element = int(np.argmax(error))
+            name = start.element_names(out_names)[element]
+            fault = f"{name} = {slopes.outputs[element]:.6g} in place of {required[element]:.6g}"
+        if not fault:
+            return _context_at(diagram, context, point, in_names)
+    raise LinearizationError(
+        f"no equilibrium near the start: where the search ends, {fault}; start nearer, free an "
+        f"input (free_inputs), or fix fewer states (fixed)"
+    )
+
+
+def _target(point: Point, targets: Mapping[str, ArrayLike]) -> Array:
+    """Return the values of all elements of the outputs, one after the other."""
+    rows = [np.empty(0)]
+    for name, value in targets.items():
+        size = len(point.element_names([name]))
+        row = np.atleast_1d(np.asarray(value, dtype=float))
+        if row.shape != (size,) or not np.isfinite(row).all():
+            raise ParameterError(f"outputs: {name} = {value!r}: must be {size} finite numbers")
+        rows.append(row)
+    return np.concatenate(rows)
+
+
+def _free_states(point: Point, fixed: Iterable[str]) -> Array:
+    """Return the indices of the states that are not fixed."""
+    held = port_names("fixed", fixed)
+    for name in held:
+        if name not in point.state_names:
+            raise ParameterError(
+                f"fixed: {name!r} is no state; the states are {', '.join(point.state_names)}"
+            )
+    return np.array([i for i, name in enumerate(point.state_names) if name not in held], dtype=int)
+
+
+def _searches(function: Any, start: Array) -> Iterator[Array]:
+    """Yield points that may be zeros of a function with Jacobian: by Newton, by least squares."""
+    yield newton(function, start, rank_tolerance=_RANK_TOLERANCE, relative=True)[0]
+    if not start.size or not all(np.isfinite(part).all() for part in function(start)):
+        return
+    nearest = scipy.optimize.least_squares(
+        lambda point: function(point)[0],
+        start,
+        lambda point: function(point)[1],
+        xtol=1e-15,
+        max_nfev=50,
+    )
+    yield newton(function, nearest.x, rank_tolerance=_RANK_TOLERANCE, relative=True)[0]
+    yield nearest.x
+
+
+def _context_at(diagram: Any, context: Any, point: Point, in_names: Iterable[str]) -> Any:
+    """Return a copy of a Context with the state of a point, and its values of input ports."""
+    context = context.Clone()
+    count = len(point.read.state_names)
+    set_state(point.read.root, context, State(point.state[:count], point.state[count:]))
+    first = 0
+    for name in in_names:
+        size = point.read.equations.inputs[name]
+        diagram.GetInputPort(name).FixValue(context, point.inputs[first : first + size])
+        first += size
+    return context
