@@ -12,9 +12,10 @@ import scipy.linalg
 
 from ..errors import LinearizationError, ParameterError
 from ..run_data import Array
-from .linearize import EQUILIBRIUM_TOLERANCE, linearize
+from .linearize import linearize
 from .loops import Transfer
 from .model import LinearModel, TickModel, over_period
+from .point import EQUILIBRIUM_TOLERANCE
 
 _SAME = 1e-9  # relative difference of two equal matrices of a closed loop, with rounding
 _FACTORS = (1.0, 0.5)  # loop gains at which a loop is closed again
