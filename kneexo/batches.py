@@ -20,6 +20,7 @@ from kneexo.parameters.scenario_file import as_scenario
 from kneexo.result import Result, data_frame
 from kneexo.simulation import awaitable, needs_runs
 from kneexo.sweeps import parallel_map
+from kneexo.sweeps.failure import record_failure
 
 METRICS = tuple(field.name for field in fields(TrackingMetrics))
 """Names of the metrics of each run, the fields of `TrackingMetrics`."""
@@ -43,6 +44,19 @@ class BatchRow(Result):
     scenario: Scenario | None
     metrics: TrackingMetrics | None
     error: str
+
+    def write_failure(self, path: str | PathLike[str]) -> None:
+        """Write the failed run to a file, which ``kneexo replay`` repeats and makes a test.
+
+        Raises `ParameterError` if the run has not failed, if the scenario refuses the values, or if
+        no file can name the control law, such as a lambda. Raises `OutputError` if the file cannot
+        be written, and `ResultError` if the run alone does not fail with this error.
+        """
+        if not self.error:
+            raise ParameterError("the run of this row has not failed")
+        if self.scenario is None:
+            raise ParameterError(f"there is no run: the scenario refuses the values: {self.error}")
+        record_failure(self.scenario, error=self.error).write(path)
 
     def __str__(self) -> str:
         """Return the changed values as text, a line for each."""

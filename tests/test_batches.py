@@ -1,5 +1,6 @@
 """Many variants of a scenario in one call: each row is the run that `track` makes."""
 
+import dataclasses
 import io
 import sys
 
@@ -8,9 +9,10 @@ import pytest
 
 from kneexo.analysis import track
 from kneexo.batches import METRICS, BatchResult, BatchRow, batch
-from kneexo.errors import PackageError, ParameterError
+from kneexo.errors import PackageError, ParameterError, ResultError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
+from kneexo.sweeps.failure import read_failure
 
 MASS, FREQUENCY, OFFSET = "plant.cylinder.mass_kg", "reference.frequency_hz", "initial_offset_m"
 SHORT = changed(Scenario(), {FREQUENCY: 4.0, "reference.amplitude_deg": 0.5})
@@ -86,6 +88,24 @@ def test_a_failed_run_has_its_reason_and_stops_no_other(mixed):
     assert away.error.startswith(f"{OFFSET} = 1 m is out of range: must be")
     assert light.scenario is away.scenario is None
     assert all(row.metrics is None and "\n" not in row.error for row in mixed.failures)
+
+
+def test_a_failed_row_becomes_a_file_that_repeats_its_run(mixed, tmp_path):
+    path = tmp_path / "failure.json"
+    left, light, _ = mixed.failures
+    left.write_failure(path)
+    failure = read_failure(path)
+    assert (failure.scenario, failure.end.message) == (left.scenario, left.error)
+    assert failure.replay().same
+    path.unlink()
+    with pytest.raises(ParameterError, match=r"^the run of this row has not failed$"):
+        mixed.rows[0].write_failure(path)
+    refused = rf"^there is no run: the scenario refuses the values: {MASS} = -1 kg is out"
+    with pytest.raises(ParameterError, match=refused):
+        light.write_failure(path)
+    with pytest.raises(ResultError, match=r"^the run alone fails in another way: the rod starts"):
+        dataclasses.replace(left, error="another").write_failure(path)
+    assert not path.exists()
 
 
 def test_a_frame_has_a_row_for_each_run_and_no_number_for_a_failed_run(mixed):

@@ -11,6 +11,7 @@ from kneexo.command_line import arguments
 from kneexo.command_line.export import add_exports
 from kneexo.command_line.new import add_new
 from kneexo.command_line.outcome import Outcome, Request
+from kneexo.command_line.replay import add_replay
 from kneexo.command_line.single_runs import add_single_runs
 from kneexo.command_line.studies import add_studies
 from kneexo.command_line.utilities import add_utilities
@@ -40,6 +41,9 @@ Exit codes: 0 success, 2 wrong input or a run that failed (one line says why),
 130 interrupted, 143 terminated.
 """
 """The examples below ``kneexo --help``."""
+
+FILES = (".yaml", ".html", ".fmu", ".json", ".py")
+"""Ends of the metavars of arguments that are files, which a shell completes."""
 
 RENAMED = {
     "bandwidth": "study bandwidth",
@@ -121,6 +125,7 @@ def _parser() -> argparse.ArgumentParser:
     add_new(subparsers)
     add_single_runs(subparsers)
     add_studies(subparsers, studies)
+    add_replay(subparsers)
     add_view(subparsers)
     add_exports(subparsers)
     _add_completion(add_utilities(subparsers))
@@ -162,5 +167,5 @@ def _complete_paths(parser: argparse.ArgumentParser, file: object, directory: ob
                 _complete_paths(sub, file, directory)
         elif action.metavar == "DIR":
             vars(action)["complete"] = directory
-        elif action.metavar == "RUN" or str(action.metavar).endswith((".yaml", ".html", ".fmu")):
+        elif action.metavar == "RUN" or str(action.metavar).endswith(FILES):
             vars(action)["complete"] = file

@@ -52,6 +52,11 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .fmu.description import generation_tool as generation_tool
     from .fmu.fmu import FMI_VERSIONS as FMI_VERSIONS, Fmu as Fmu
     from .fmu.variables import FmuParameter as FmuParameter
+    from .json_files import (
+        document_text as document_text,
+        read_document as read_document,
+        write_document as write_document,
+    )
     from .linear.equilibrium import find_equilibrium as find_equilibrium
     from .linear.linearize import linearize as linearize
     from .linear.loop_at import loop_at as loop_at
@@ -120,6 +125,7 @@ else:
         "fmu.description": ("generation_tool",),
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.variables": ("FmuParameter",),
+        "json_files": ("document_text", "read_document", "write_document"),
         "linear.equilibrium": ("find_equilibrium",),
         "linear.linearize": ("linearize",),
         "linear.loop_at": ("loop_at",),

@@ -20,17 +20,24 @@ NOT_FINITE = ("nan", "inf", "-inf")
 """Texts that stand for numbers which JSON lacks."""
 
 
-def write_document(path: str | os.PathLike[str], kind: str, document: Mapping[str, Any]) -> None:
-    """Write JSON data to a file that `read_document` reads with the same ``kind``.
+def document_text(kind: str, document: Mapping[str, Any]) -> str:
+    """Return JSON data as the text of a file that `read_document` reads with the same ``kind``.
 
-    Raises `OutputError`. After an error no new file is left, and an earlier file is unchanged.
+    Raises `ParameterError` if the data are no JSON data.
     """
     try:
-        text = json.dumps({"kind": _mark(kind), **document}, indent=1, allow_nan=False)
+        return json.dumps({"kind": _mark(kind), **document}, indent=1, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
         raise ParameterError(f"note: cannot be written as JSON ({error})") from None
+
+
+def write_document(path: str | os.PathLike[str], text: str) -> None:
+    """Write the text of a document to a file, or raise `OutputError`.
+
+    After an error no new file is left, and an earlier file is unchanged.
+    """
     try:
-        write_whole(Path(path), f"{text}\n".encode())
+        write_whole(Path(path), text.encode())
     except OSError as error:
         raise OutputError(f"{shown(path)}: cannot be written ({error.strerror})") from None
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from .errors import Error, ParameterError, SimulationError, shortened, shown
 from .json_files import (
+    document_text,
     mapping_of,
     number_of,
     numbers_of,
@@ -52,7 +53,14 @@ class RecordedRun:
     """Data of the user, such as the seed of a study and the number of the run."""
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the run to a file, replacing an earlier file. Raises `OutputError`."""
+        """Write the run to a file, replacing an earlier file.
+
+        Raises `OutputError`, and `ParameterError` if the note is no JSON data.
+        """
+        write_document(path, self.text())
+
+    def text(self) -> str:
+        """Return the text of the run's file. Raises `ParameterError` if the note is no JSON."""
         document = {
             "equations": self.equations,
             "parameters": dict(self.parameters),
@@ -68,7 +76,7 @@ class RecordedRun:
             "versions": dict(self.versions),
             "note": dict(self.note),
         }
-        write_document(path, _KIND, document)
+        return document_text(_KIND, document)
 
     def simulate(self, model: CompiledModel) -> Simulation:
         """Repeat the run on ``model`` and return its records.
@@ -185,7 +193,6 @@ def read_run(path: str | os.PathLike[str]) -> RecordedRun:
         ports = numbers_of("input_ports", document.get("input_ports"))
         options = mapping_of("options", document.get("options"))
         _require_options(options)
-        versions = mapping_of("versions", document.get("versions"))
         return RecordedRun(
             equations=text_of("equations", document.get("equations")),
             parameters=numbers_of("parameters", document.get("parameters")),
@@ -195,7 +202,7 @@ def read_run(path: str | os.PathLike[str]) -> RecordedRun:
             duration_s=number_of("duration_s", document.get("duration_s")),
             options=options,
             end=RunEnd.from_plain(document.get("end")),
-            versions={n: text_of(f"versions.{n}", t) for n, t in versions.items()},
+            versions=mapping_of("versions", document.get("versions")),
             note=mapping_of("note", document.get("note")),
         )
     except ParameterError as error:

@@ -88,7 +88,8 @@ class Replay:
     def __str__(self) -> str:
         """Return the end, the comparison with the recorded end, and the changes, a line each."""
         end = self.end.message or f"t = {self.end.time_s:.6g} s: the run succeeds"
-        same = f"same end, with the same bits of {len(self.end.state)} states"
+        count = len(self.end.state)
+        same = f"same end{f', with the same bits of {count} states' if count else ''}"
         return "\n".join([end, self.difference or same, *self.changes])
 
 
@@ -103,11 +104,15 @@ def run_versions() -> dict[str, str]:
     return {"drake": version("drake"), "processor": f"{target.name}, {digest}"}
 
 
-def version_changes(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
-    """Return a line for each name whose text changed between two mappings of `run_versions`."""
+def version_changes(then: Any, now: Mapping[str, str]) -> tuple[str, ...]:
+    """Return a line for each text of ``now`` that differs from that in ``then``.
+
+    ``then`` are the `run_versions` that a file had, or any other JSON data of a damaged file.
+    """
+    before = then if isinstance(then, Mapping) else {}
     return tuple(
-        f"{name} changed since the file was written: {shortened(then.get(name, 'none'), 24)}, "
+        f"{name} changed since the file was written: {shortened(str(before.get(name)), 24)}, "
         f"now {shortened(text, 24)}"
         for name, text in now.items()
-        if then.get(name) != text
+        if before.get(name) != text
     )

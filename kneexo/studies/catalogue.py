@@ -9,7 +9,7 @@ this catalogue.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -53,6 +53,8 @@ class Study:
     """True if an interrupted study can continue from a checkpoint of its finished runs."""
     moving: bool = False
     """True if the module ``figures`` has a function ``motions``. The 3D view can show its runs."""
+    failing: bool = False
+    """True if the module ``report`` has a function ``failed_runs``. Its runs become files."""
     files: tuple[str, str] = ("", "")
     """File names of results and report. An empty name stands for NAME.json or NAME.md."""
     stages: tuple[Stage, ...] = ()
@@ -112,8 +114,28 @@ class Study:
         runs: dict[str, Motion] = self._part(".figures", "motions")(result)
         return runs
 
+    def failed_runs(self, result: Any) -> dict[str, Scenario]:
+        """Return a dictionary from error to the scenario of a run that failed with this error.
+
+        The dictionary has an example of each kind of failure, and is empty if not `failing`.
+        """
+        if not self.failing:
+            return {}
+        runs: dict[str, Scenario] = self._part(".report", "failed_runs")(result)
+        return runs
+
     def _part(self, module: str, name: str) -> Any:
         return getattr(import_module(f"kneexo.studies.{self.name}{module}"), name)
+
+
+def failure_file(number: int) -> str:
+    """Return the name of the file of failed run ``number`` of a study, counted from 0."""
+    return f"failure_{number + 1}.json"
+
+
+def replay_commands(errors: Iterable[str]) -> dict[str, str]:
+    """Return for each error of `Study.failed_runs` the command that repeats the run, as code."""
+    return {error: f"`kneexo replay {failure_file(number)}`" for number, error in enumerate(errors)}
 
 
 STUDIES = {
@@ -158,6 +180,7 @@ STUDIES = {
             "Corners, seeded Monte Carlo and one value at a time: tracking error, bandwidth, "
             "margins.",
             uncertain=True,
+            failing=True,
             stages=(
                 Stage("nominal", 0.5),
                 Stage("one at a time", 6.0),
@@ -186,6 +209,7 @@ STUDIES = {
             "study contest",
             "SMC and PID tuned alike, compared over the uncertainty set",
             uncertain=True,
+            failing=True,
             stages=(
                 Stage("budget of chattering", 2.0),
                 Stage("tuning", 1300.0),

@@ -76,6 +76,7 @@ def replace_study(monkeypatch):
         monkeypatch.setattr(Study, "report", lambda study, result: "# report\n")
         monkeypatch.setattr(Study, "figures", lambda study, result: {})
         monkeypatch.setattr(Study, "motions", lambda study, result: {})
+        monkeypatch.setattr(Study, "failed_runs", lambda study, result: {})
 
     return replace
 

@@ -9,7 +9,8 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.rod_polynomial import completed
 from kneexo.studies.bandwidth import study as bandwidth
-from kneexo.studies.catalogue import STUDIES
+from kneexo.studies.catalogue import STUDIES, Study
+from kneexo.sweeps.failure import record_failure
 
 
 def test_bandwidth_measures_writes_and_leaves_no_checkpoint(capsys, tmp_path, small_map):
@@ -179,3 +180,21 @@ def test_bad_settings_of_fig_13_are_one_line(capsys, tmp_path, text, message):
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
     assert not (tmp_path / "out").exists()
+
+
+def test_failed_runs_become_files_beside_the_report(tmp_path, capsys, monkeypatch, replace_study):
+    replace_study("robustness", lambda scenario=Scenario(), **_: None)
+    failing = changed(Scenario(), {"initial_offset_m": 0.15})
+    error = record_failure(failing).end.message
+    runs = {error: failing, "another error": failing, "no error": Scenario()}
+    monkeypatch.setattr(Study, "failed_runs", lambda study, result: runs)
+    out = tmp_path / "out"
+    assert main(["study", "robustness", "--out", str(out)]) == 0
+    printed = capsys.readouterr()
+    assert "failure_1.json" in printed.out
+    other, none = printed.err.splitlines()
+    assert other.startswith("kneexo: failure_2.json is not written: the run alone fails in another")
+    assert none.startswith("kneexo: failure_3.json is not written: the run does not fail")
+    assert sorted(file.name for file in out.glob("failure*")) == ["failure_1.json"]
+    assert main(["replay", str(out / "failure_1.json")]) == 0
+    assert capsys.readouterr().out == f"{error}\nsame end\n"

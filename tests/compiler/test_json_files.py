@@ -6,12 +6,18 @@ import re
 import pytest
 
 from kneexo.compiler import ParameterError
-from kneexo.compiler.json_files import MOST_BYTES, number_of, read_document, write_document
+from kneexo.compiler.json_files import (
+    MOST_BYTES,
+    document_text,
+    number_of,
+    read_document,
+    write_document,
+)
 
 
 def test_a_document_returns_with_its_kind(tmp_path):
     path = tmp_path / "a.json"
-    write_document(path, "test", {"x": 0.1, "none": None, "text": "ü"})
+    write_document(path, document_text("test", {"x": 0.1, "none": None, "text": "ü"}))
     document = read_document(path, "test")
     assert (document["x"], document["none"], document["text"]) == (0.1, None, "ü")
     with pytest.raises(ParameterError, match=r"a\.json: must be a file of \w+ with a other$"):

@@ -197,7 +197,7 @@ def without_input():
         (("end", "message"), 1, "end.message: must be a text"),
         (("end", "state", "hold.0[0]"), "one", "end.state.hold.0[0] = 'one': must be a number"),
         (("equations",), None, "equations: must be a text"),
-        (("versions", "drake"), 1, "versions.drake: must be a text"),
+        (("versions",), 1, "versions: must be an object"),
         (("note",), 1, "note: must be an object"),
     ],
 )

@@ -58,9 +58,12 @@ def test_a_replay_says_what_changed():
     changes = version_changes({"drake": "1.51.0"}, {"drake": "1.58.0", "processor": "x"})
     assert changes == (
         "drake changed since the file was written: 1.51.0, now 1.58.0",
-        "processor changed since the file was written: none, now x",
+        "processor changed since the file was written: None, now x",
     )
     assert version_changes({"drake": "1", "other": "2"}, {"drake": "1"}) == ()
+    for damaged in (None, [1], {"drake": [1.58]}):
+        (line,) = version_changes(damaged, {"drake": "1.58.0"})
+        assert line.endswith(", now 1.58.0")
     assert str(Replay(END, "d now ends at 0.0", changes[:1])).splitlines() == [
         END.message,
         "d now ends at 0.0",

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from itertools import combinations
 
-from kneexo.parameters import Uncertainty
+from kneexo.parameters import Scenario, Uncertainty
+from kneexo.parameters.paths import changed
+from kneexo.parameters.uncertainty import realize
+from kneexo.studies.catalogue import replay_commands
 from kneexo.studies.contest.study import COLUMNS, ContestResult, Tuning
 from kneexo.studies.template import filled
 
@@ -38,10 +41,24 @@ def report(result: ContestResult) -> str:
             {"first": first, "second": second, "share": result.better_share(first, second)}
             for first, second in combinations(tuned, 2)
         ],
+        commands=replay_commands(failed_runs(result)),
         objective=_objective,
         converged=lambda tuning: "yes" if tuning.converged else "**no**",
         gains=gains,
     )
+
+
+def failed_runs(result: ContestResult) -> dict[str, Scenario]:
+    """Return the first test plant on which the run of each controller failed, by error."""
+    base = changed(result.scenario, {"simulation.duration_s": result.settings.duration_s})
+    runs: dict[str, Scenario] = {}
+    for name, entrant in result.entrants.items():
+        for values, metrics in zip(result.samples, result.tested[name], strict=True):
+            if error := metrics["tracking_failure"]:
+                plant = realize(changed(base, entrant), result.uncertainty, values)
+                runs.setdefault(error, plant)
+                break
+    return runs
 
 
 def _objective(tuning: Tuning) -> str:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
+from kneexo.errors import ParameterError
+from kneexo.parameters import Scenario
+from kneexo.parameters.uncertainty import realize
+from kneexo.studies.catalogue import replay_commands
 from kneexo.studies.robustness.study import (
     CONFIDENCE,
     MERITS,
@@ -54,8 +59,24 @@ def report(result: RobustnessResult) -> str:
         corner_labels=[MERITS[merit].label for merit in merits],
         corners=list(_corners(result, merits, names)),
         beyond=[MERITS[merit].label for merit in result.merits if _sample_is_worst(result, merit)],
+        commands=replay_commands(failed_runs(result)),
         importance=list(_importance(result, ("rms_error_deg", *merits[1:]), names)),
     )
+
+
+def failed_runs(result: RobustnessResult) -> dict[str, Scenario]:
+    """Return the plants whose tracking runs are the examples of failures in the report, by error.
+
+    Values that contradict each other make no plant, and so no run.
+    """
+    runs: dict[str, Scenario] = {}
+    for assessments in (result.samples, result.corners, result.one_at_a_time):
+        for failure in failures(assessments):
+            error, values = failure["example"], failure["values"]
+            if any(error == a.metrics["tracking_failure"] for a in assessments):
+                with suppress(ParameterError):
+                    runs.setdefault(error, realize(result.scenario, result.uncertainty, values))
+    return runs
 
 
 def shown(value: Any) -> str:

@@ -5,7 +5,9 @@ from contest_cases import (
     made_up,
 )
 
-from kneexo.studies.contest.report import report
+from kneexo.parameters.paths import changed
+from kneexo.parameters.uncertainty import realize
+from kneexo.studies.contest.report import failed_runs, report
 from kneexo.studies.contest.study import (
     COLUMNS,
     CONTESTANTS,
@@ -107,3 +109,25 @@ def test_the_report_says_what_did_not_converge_or_fit():
     assert "| worst error (deg) | 0.4 | ∞ |" in text
     assert "∞" in text
     assert "and so left out: plant.load.knee_torque_n_m." in " ".join(text.split())
+
+
+def test_the_first_failed_run_of_each_controller_is_repeated_by_a_command():
+    contest = made_up()
+    runs = failed_runs(contest)
+    expected = {}
+    for name, entrant in contest.entrants.items():
+        failed = [bool(metrics["tracking_failure"]) for metrics in contest.tested[name]]
+        if any(failed):
+            first = contest.samples[failed.index(True)]
+            duration = {"simulation.duration_s": contest.settings.duration_s}
+            controlled = changed(contest.scenario, entrant | duration)
+            expected.setdefault("gone", realize(controlled, contest.uncertainty, first))
+    assert runs == expected
+    assert len(runs) == 1  # each failure of the made-up contest has the same text
+    text = report(contest)
+    assert "Failed runs, the first of each controller:\n" in text
+    assert "- gone (`kneexo replay failure_1.json`)\n" in text
+    well = [metrics | {"tracking_failure": ""} for metrics in next(iter(contest.tested.values()))]
+    unbroken = dataclasses.replace(contest, tested=dict.fromkeys(contest.entrants, well))
+    assert failed_runs(unbroken) == {}
+    assert "kneexo replay" not in report(unbroken)

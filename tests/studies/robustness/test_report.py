@@ -13,7 +13,8 @@ from robustness_cases import (
 from kneexo.parameters import (
     UncertaintySet,
 )
-from kneexo.studies.robustness.report import report
+from kneexo.parameters.paths import changed
+from kneexo.studies.robustness.report import failed_runs, report
 from kneexo.studies.robustness.study import (
     MERITS,
 )
@@ -127,3 +128,34 @@ def test_failures_are_told_as_a_share(by_hand):
     )
     text = report(dataclasses.replace(by_hand, samples=two + by_hand.samples[2:3] * 8))
     assert "2 of the 10 samples (20 %) fail in part" in text
+
+
+def test_a_failed_run_is_named_with_the_command_that_repeats_it(by_hand):
+    error = "t = 1 s: out of range"
+    (run,) = failed_runs(by_hand).items()
+    values = {
+        "nominal": by_hand.scenario.plant,
+        "plant.cylinder.mass_kg": 1.75,
+        "plant.pump.lag_s": 0.011,
+        "bus.latency_samples": 2,
+    }
+    assert run == (error, changed(by_hand.scenario, values))
+    assert f"- 1 times: {error} (`kneexo replay failure_1.json`)\n" in report(by_hand)
+
+
+def test_only_tracking_runs_of_plants_that_exist_are_repeated(by_hand):
+    slow = assessment(1.0, 1.5, 0.01, 0, bandwidth_failure="no bandwidth")
+    impossible = assessment(1.0, -1.5, 0.01, 0, tracking_failure="mass_kg = -1.5 kg")
+    first = assessment(1.0, 1.5, 0.01, 0, tracking_failure="t = 2 s: out")
+    second = assessment(1.0, 1.6, 0.01, 0, tracking_failure="t = 3 s: out")
+    result = dataclasses.replace(
+        by_hand, samples=(slow, impossible, first), corners=(second, first)
+    )
+    runs = failed_runs(result)
+    masses = {error: run.plant.cylinder.mass_kg for error, run in runs.items()}
+    assert masses == {"t = 2 s: out": 1.5, "t = 3 s: out": 1.6}
+    text = report(result)
+    assert "- 1 times: no bandwidth\n" in text
+    assert "- 1 times: mass_kg = -1.5 kg\n" in text
+    assert "- 1 times: t = 2 s: out (`kneexo replay failure_1.json`)\n" in text
+    assert "- 2 times: t = 3 s: out (`kneexo replay failure_2.json`)\n" in text
