@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import compress
 
 from ..equations.equations import Update
@@ -43,10 +43,15 @@ class Functions:
     ----------
     constants
         ``constants_of``: computes the values that depend on parameters alone.
+    tick_values, rates
+        Statements of ``integrate``, which has RK4: before the loops, the values that are constant
+        over a tick; in the loop of the stages, the derivatives.
+    stage_states
+        Indices of the continuous states that ``rates`` reads.
     of_an_instant
         The other functions. The first argument of each function is the struct ``instant``, from
-        which the function reads. A function without results is left out, for example ``rate_at`` if
-        there are no continuous states.
+        which the function reads. A function without results is left out, for example ``margins_at``
+        if there are no limits.
     constant_count
         Number of values that ``constants_of`` computes.
     operations
@@ -59,8 +64,14 @@ class Functions:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         equations = plan.equations
-        self._printer = CPrinter(equations.graph, plan.real, equations.sections)
-        self._printer.names = signal_names(equations.sections, plan.name, _taken(plan))
+        names = signal_names(equations.sections, plan.name, _taken(plan))
+        faster = plan.faster
+        sections = [
+            replace(s, nodes=(*s.nodes, *(faster[node] for node in s.nodes if node in faster)))
+            for s in equations.sections
+        ]
+        self._printer = CPrinter(equations.graph, plan.real, sections)
+        self._printer.names = {faster.get(node, node): name for node, name in names.items()} | names
         self._printer.tables = {table.node: number for number, table in enumerate(plan.tables)}
         self._printer.collect_fixed([*plan.step_nodes, *equations.initial_discrete])
         self.operations: Counter[str] = Counter()
@@ -68,16 +79,24 @@ class Functions:
         block = self._printer.block(targets, self._load, fixed={})
         self.constants = Function("constants_of", "", block)
         self.of_an_instant = self._of_an_instant()
+        self.tick_values, self.rates = self._integration()
+        indices = range(len(equations.states))
+        self.stage_states = [i for i in indices if self.rates.reads(f"z{i}")]
         self.constant_count = len(self._printer.fixed)
         self.library = sorted(self._printer.functions)
 
     def call(self, name: str) -> bool:
         """Return whether any of the C functions calls the function ``name``."""
-        return any(f"{name}(" in f.text for f in (self.constants, *self.of_an_instant))
+        functions = self.constants, self.tick_values, self.rates, *self.of_an_instant
+        return any(f"{name}(" in function.text for function in functions)
+
+    def integration_reads(self, *variables: str) -> bool:
+        """Return whether the statements of RK4 use any of ``variables``; see `Function.reads`."""
+        parts = self.tick_values, self.rates
+        return any(part.reads(variable) for part in parts for variable in variables)
 
     def _of_an_instant(self) -> list[Function]:
         plan, equations = self._plan, self._plan.equations
-        rates = [(f"rate[{i}]", node) for i, node in enumerate(equations.derivatives)]
         margins = [(f"margin[{i}]", limit.margin) for i, limit in enumerate(equations.limits)]
         initial = [(f"next[{i}]", node) for i, node in enumerate(equations.initial_discrete)]
         fields = (f"out->{field.name}" for field in plan.outputs)
@@ -85,15 +104,34 @@ class Functions:
         ticks = ", uint32_t tick" if plan.schedule.counts_ticks else ""
         lost = ", real *lost" if plan.sums else ""
         functions = [
-            # RK4 evaluates the derivatives four times in each of its steps.
-            Function("rate_at", ", real *rate", self._block(rates, 4 * plan.schedule.steps)),
             Function("margins_at", ", real *margin", self._block(margins)),
             Function("initial_at", ", real *next", self._printer.block(initial, self._load)),
             Function("update_at", f"{ticks}{lost}, real *next", self._updates()),
             Function("outputs_at", f", {plan.name}_outputs_t *out", self._block(outputs)),
         ]
-        are_needed = map(bool, (rates, margins, initial, equations.discrete, outputs))
+        are_needed = map(bool, (margins, initial, equations.discrete, outputs))
         return list(compress(functions, are_needed))
+
+    def _integration(self) -> tuple[Function, Function]:
+        """Return the statements of ``integrate`` before its loops, and in the loop of the stages.
+
+        The former compute the values that are constant over a tick. The latter compute the
+        derivatives ``rate0``, ``rate1`` … of the states ``z0``, ``z1`` …
+        """
+        derivatives = self._plan.equations.derivatives
+        held = self._printer.constant_in_a_tick(derivatives)
+        before = [(f"const real held{number}", node) for node, number in held.items()]
+        rates = [(f"rate{i}", node) for i, node in enumerate(derivatives)]
+        stages = 4 * self._plan.schedule.steps
+        return (
+            Function("integrate", ", real *x", self._block(before)),
+            Function("integrate", ", real *x", self._block(rates, stages, depth=3, held=held)),
+        )
+
+    def _load_at_stage(self, kind: str, index: int) -> str:
+        """Return C text that reads an element at a stage of RK4. ``kind``: `_load`, or ``held``."""
+        names = {"state": f"z{index}", "held": f"held{index}"}
+        return names.get(kind) or self._load(kind, index)
 
     def _load(self, kind: str, index: int) -> str:
         """Return C text that reads element ``index`` of the source ``kind``.
@@ -116,15 +154,21 @@ class Functions:
         return f"{_ARRAYS[kind]}[{index}]"
 
     def _block(
-        self, targets: Sequence[tuple[str, int]], times: int = 1, depth: int = 1
+        self,
+        targets: Sequence[tuple[str, int]],
+        times: int = 1,
+        depth: int = 1,
+        held: Mapping[int, int] | None = None,
     ) -> list[str]:
         """Return C statements that compute ``targets``, pairs of a C variable and a node.
 
         One step executes the statements ``times`` times. The method adds that many executions to
-        the attribute ``operations``.
+        the attribute ``operations``. ``held`` maps the nodes that are constant over a tick to their
+        numbers, if the statements belong to a stage of RK4.
         """
         self._printer.operations.clear()
-        lines = self._printer.block(targets, self._load, indent="    " * depth)
+        load = self._load if held is None else self._load_at_stage
+        lines = self._printer.block(targets, load, held=held, indent="    " * depth)
         for operation, count in self._printer.operations.items():
             self.operations[operation] += times * count
         return lines

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from ..equations.equations import Equations
@@ -40,6 +40,8 @@ class Plan:
     """Tables in which the code looks up node values that depend on one integer input."""
     sums: Mapping[int, tuple[int, ...]]
     """Dictionary from the index of a discrete state to the nodes that a compensated sum adds."""
+    faster: Mapping[int, int] = field(default_factory=dict)
+    """Dictionary from a node of the diagram's derivatives to its faster node; see `fast_rates`."""
 
     @cached_property
     def needs_time(self) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from ..equations.equations import Section
 from ..equations.graph import SOURCES, Graph
 from ..equations.operations import CONDITIONS, OPERATIONS, Role
-from ..equations.partition import fixed_nodes
+from ..equations.partition import TICK_SOURCES, fixed_nodes
 from ..errors import CompilationError
 
 WIDTH = 96
@@ -100,22 +100,36 @@ class CPrinter:
         worthwhile = [node for node in nodes if self.graph.nodes[node][0] not in SOURCES]
         self.fixed = {node: number for number, node in enumerate(worthwhile)}
 
+    def constant_in_a_tick(self, roots: Iterable[int]) -> dict[int, int]:
+        """Return nodes that ``roots`` require and that change at ticks only, each with a number.
+
+        They depend on discrete states, inputs and parameters. Sources and nodes in `fixed` are left
+        out: the statements read them directly.
+        """
+        nodes = fixed_nodes(self.graph, roots, kinds=TICK_SOURCES)
+        read = {*self.fixed, *(node for node in nodes if self.graph.nodes[node][0] in SOURCES)}
+        worthwhile = (node for node in nodes if node not in read)
+        return {node: number for number, node in enumerate(worthwhile)}
+
     def block(
         self,
         targets: Sequence[tuple[str, int]],
         load: Load,
         *,
         fixed: Mapping[int, int] | None = None,
+        held: Mapping[int, int] | None = None,
         indent: str = "    ",
     ) -> list[str]:
         """Return C statements that compute nodes and assign their values to C variables.
 
         ``targets`` has pairs of a C variable and a node. ``load`` returns the C text for reading an
-        element. ``fixed`` replaces the attribute `fixed`, unless it is None.
+        element. ``fixed`` replaces the attribute `fixed`, unless it is None. ``held`` maps further
+        nodes that the statements read, as elements of the kind ``held``, to the index.
         """
         constants = self.fixed if fixed is None else fixed
         loads = {node: ("constant", number) for node, number in constants.items()}
         loads |= {node: ("table", number) for node, number in self.tables.items()}
+        loads |= {node: ("held", number) for node, number in (held or {}).items()}
         return _Block(self, load, loads, indent).lines(targets)
 
 
@@ -169,6 +183,8 @@ class _Block:
             condition = self.graph.nodes[node][0] in CONDITIONS
             number = f"{'is' if condition else 'v'}{len(self.names)}"
             name = self.printer.names.get(node, number)
+            if name in self.names.values():  # of the faster form of the node
+                name = number
             self.names[node] = self.text[node] = name
             kind = "bool" if condition else "real"
             lines.append(self._line(f"const {kind} {name} = {self._bare(text)};"))

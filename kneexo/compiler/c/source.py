@@ -28,6 +28,7 @@ from .interface import Interface, parameter_members, require_model_name
 from .manifest import checksums, manifest_in_c
 from .plan import Plan, compensated_sums, step_nodes
 from .printer import PRECISIONS, literal, plain_line
+from .rates import fast_rates
 from .schedule import schedule_of
 from .tables import Table, tables_of
 from .template import rendered
@@ -122,7 +123,10 @@ class CSource:
         """The data from which the files are printed."""
         real = PRECISIONS[self.precision]
         # The printers add nodes of their own, and the key of machine code depends on all nodes.
-        equations = replace(self.equations, graph=self.equations.graph.copy())
+        graph = self.equations.graph.copy()
+        faster = fast_rates(graph, self.equations.derivatives, self.parameters)
+        rates = [faster[node] for node in self.equations.derivatives]
+        equations = replace(self.equations, graph=graph, derivatives=rates)
         nodes = {port: equations.outputs[port] for port in self.output_ports}
         output_nodes = tuple(node for port_nodes in nodes.values() for node in port_nodes)
         inputs = self.interface.members(equations.inputs)
@@ -154,6 +158,7 @@ class CSource:
             ),
             tuple(tables),
             compensated_sums(equations, real),
+            faster,
         )
 
     @cached_property

@@ -13,6 +13,9 @@ from typing import Any
 from .graph import SOURCES, Graph
 from .operations import OPERATIONS, Operation, Role
 
+TICK_SOURCES = frozenset({"parameter", "discrete", "input"})
+"""Sources that change at ticks only, if inputs do."""
+
 
 def is_condition(graph: Graph, node: int) -> bool:
     """Return whether the value of a node is a truth value."""
@@ -27,14 +30,18 @@ def is_rounded(graph: Graph, node: int) -> bool:
 
 
 def fixed_nodes(
-    graph: Graph, roots: Iterable[int], looked_up: Collection[int] = frozenset()
+    graph: Graph,
+    roots: Iterable[int],
+    looked_up: Collection[int] = frozenset(),
+    kinds: frozenset[str] = frozenset({"parameter"}),
 ) -> list[int]:
     """Return the fixed nodes to compute once; arguments come before the nodes that read them.
 
     A fixed node is returned if it is a root, or if a node that is not fixed reads it. Parameters
     are among the returned nodes, and literal constants are not. Code computes a fixed truth value
     at each use, so the arguments of the truth value are returned in its place. A node in
-    ``looked_up`` comes from a table, so it reads no fixed node.
+    ``looked_up`` comes from a table, so it reads no fixed node. ``kinds`` are the sources on which
+    a fixed value may depend.
     """
     roots = list(roots)
     used = set(roots)
@@ -42,7 +49,7 @@ def fixed_nodes(
     for node in reversed(graph.reachable(roots)):
         if node not in used:
             continue
-        if graph.is_fixed(node) and not is_condition(graph, node):
+        if graph.depends[node] <= kinds and not is_condition(graph, node):
             if graph.value(node) is None:
                 fixed.append(node)
         elif node not in looked_up:

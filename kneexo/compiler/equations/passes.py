@@ -126,7 +126,7 @@ class Program:
         self.hoisted = self._hoisted()
         """Dictionary from a node that depends on parameters alone to its index in the constants."""
         self.memos = self._memos()
-        self.deciding = _deciding(graph, graph.reachable(self._roots()))
+        self.deciding = deciding_nodes(graph, graph.reachable(self._roots()))
         """Nodes whose last bit can change a comparison or rounding; they keep Drake's last bits."""
 
     @property
@@ -209,21 +209,26 @@ def regrouped(graph: Graph, roots: Sequence[int]) -> list[int]:
     fixed factor of a sum goes into the sum's terms. A product of four equal factors x becomes
     (x²)².
     """
-    return _Regrouping(graph, roots).roots
+    new = regrouping(graph, roots)
+    return [new[root] for root in roots]
+
+
+def regrouping(graph: Graph, roots: Sequence[int]) -> dict[int, int]:
+    """Return a dictionary from each node that ``roots`` require to its node after `regrouped`."""
+    return _Regrouping(graph, roots).new
 
 
 class _Regrouping:
     def __init__(self, graph: Graph, roots: Sequence[int]) -> None:
         self.graph = graph
         nodes = graph.reachable(roots)
-        self.deciding = _deciding(graph, nodes)
+        self.deciding = deciding_nodes(graph, nodes)
         self.uses = Counter(argument for node in nodes for argument in graph.arguments(node))
         self.uses.update(roots)
         self.sums: dict[int, _Sum] = {}  # new nodes with a single use, as sums
         self.new: dict[int, int] = {}
         for node in nodes:
             self.new[node] = self._rewritten(node)
-        self.roots = [self.new[root] for root in roots]
 
     def _rewritten(self, node: int) -> int:
         graph = self.graph
@@ -299,8 +304,8 @@ class _Regrouping:
         return b if a == graph.one else a if b == graph.one else graph.operation("multiply", a, b)
 
 
-def _deciding(graph: Graph, nodes: Iterable[int]) -> set[int]:
-    """Return the nodes whose last bit can change a comparison or a rounding.
+def deciding_nodes(graph: Graph, nodes: Iterable[int]) -> set[int]:
+    """Return those of ``nodes`` whose last bit can change a comparison or a rounding.
 
     These are the arguments of comparisons and roundings, and the nodes that feed them through
     operations whose result is exact (IEEE 754 fixes every bit).

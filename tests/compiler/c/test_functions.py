@@ -1,5 +1,6 @@
 """Functions in C of a model: the operations of a step, the variables that they read."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,18 +10,39 @@ from pydrake.systems.primitives import LinearSystem
 from kneexo.compiler import read_diagram
 from kneexo.compiler.c.functions import Function
 from kneexo.compiler.c.source import CSource, source_of
-from kneexo.compiler.equations.equations import Equations, Section
+from kneexo.compiler.equations.equations import Equations, Section, Update
 from kneexo.compiler.run_data import State
 
 
 def test_operations_of_a_step_count_all_stages():
     system = LinearSystem([[0.0, 1.0], [-400.0, -4.0]], [[0.0], [400.0]], [[1.0, 0.0]], [[0.0]])
     source = source_of(read_diagram(system, inputs=["u0"]), "m", tick_s=0.01, step_s=0.002)
-    stage = replace(source, step_s=0.01)
+    one_step = replace(source, step_s=0.01)
     assert source.plan.schedule.steps == 5
-    difference = source.operations.total() - stage.operations.total()
-    rates = stage.operations.total()  # the output is a state: nothing to compute
-    assert difference == 4 * rates
+    # x1' = 400 u - 400 x0 - 4 x1: the input is constant over a tick. The output is a state.
+    assert one_step.operations == {"*": 1 + 4 * 2, "+": 4 * 2}
+    assert source.operations == {"*": 1 + 20 * 2, "+": 20 * 2}
+
+
+def test_a_value_that_is_constant_over_a_tick_is_computed_before_the_loops(built):
+    equations = Equations(states=["x"], discrete=["d"], inputs={"u": 1})  # x' = exp(u) sin(x) + d
+    g = equations.graph
+    x, d, u = (g.source(kind) for kind in ("state", "discrete", "input"))
+    equations.derivatives = [g.add(g.multiply(g.unary("exp", u), g.unary("sin", x)), d)]
+    equations.outputs, equations.initial_discrete = {"y": [x]}, [d]
+    equations.updates = [Update(0.1, 0.0, ((0, d),))]
+    source = CSource(equations, "m", np.zeros(0), State(np.array([1.0]), np.array([3.0])))
+    assert source.functions.tick_values.statements == ["    const real held0 = exp(in->u);"]
+    assert not source.functions.rates.reads("in")
+    assert source.functions.rates.reads("held0")
+    assert source.operations["exp"] == 1
+    h, state = source.plan.schedule.step_s, 1.0
+    for _ in range(source.plan.schedule.steps):
+        rates = [0.0]
+        for part in (0.0, 0.5, 0.5, 1.0):
+            rates.append(math.exp(0.2) * math.sin(state + part * h * rates[-1]) + 3.0)
+        state += h / 6.0 * (rates[1] + 2.0 * rates[2] + 2.0 * rates[3] + rates[4])
+    assert built(source).replay([[0.2]])[0, 0] == pytest.approx(state, rel=1e-14)
 
 
 def test_a_comment_asks_for_no_variable(built):

@@ -160,53 +160,63 @@ static void {{ function.name }}(const instant *at{{ function.arguments }})
 
 {% endfor %}
 {% if states %}
-/* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps. */
-static void integrate(instant *at, real *x)
+/* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps.
+ * Return whether all states are finite. If one is not, it and the states after it are not stored. */
+static bool integrate(const instant *at, real *x)
 {
-{% if needs_time %}
-    const real start = at->t;
+{% set step, half_step = schedule.step_s | literal(real, "step"), (0.5 * schedule.step_s) | literal(real, "half_step") %}
+{% set one, two = 1.0 | literal(real), 2.0 | literal(real) %}
+{% if functions.stage_states or functions.rates.reads("t") %}
+    static const real part[4] = {{ "{%s, %s, %s, %s}" | format(0.0 | literal(real), half_step, half_step, step) }}; /* of the step, in s */
 {% endif %}
-    real rate[{{ states }}];
-    real total[{{ states }}];
-    real z[{{ states }}];
+    static const real weight[4] = {{ "{%s, %s, %s, %s}" | format(one, two, two, one) }};
+{% for member, type in types.items() if member != "t" and functions.integration_reads(member) %}
+    {{ type }}{{ member }} = at->{{ member }};
+{% endfor %}
+{% if not functions.integration_reads("p", "in", "c", "d", "t") %}
+    (void)at;
+{% endif %}
+{% for i in range(states) %}
+    real x{{ i }} = x[{{ i }}];
+{% endfor %}
 
+{% for statement in functions.tick_values.statements %}
+{{ statement }}
+{% endfor %}
     for (uint16_t step = 0U; step < {{ schedule.steps }}U; step++) {
-{% if needs_time %}
-        const real t = start + ((real)step * {{ schedule.step_s | literal(real, "step") }});
+{% if functions.rates.reads("t") %}
+        const real start = at->t + ((real)step * {{ step }});
+{% endif %}
+{% for i in range(states) %}
+        real rate{{ i }} = {{ 0.0 | literal(real) }};
+        real total{{ i }} = {{ 0.0 | literal(real) }};
+{% endfor %}
 
+        for (uint16_t stage = 0U; stage < 4U; stage++) {
+{% if functions.rates.reads("t") %}
+            const real t = start + part[stage];
 {% endif %}
-{% if needs_time %}
-        at->t = t;
-{% endif %}
-        at->x = x;
-        rate_at(at, rate);
-        for (uint16_t i = 0U; i < {{ states }}U; i++) {
-            total[i] = rate[i];
-            z[i] = x[i] + ({{ (0.5 * schedule.step_s) | literal(real, "half_step") }} * rate[i]);
+{% for i in functions.stage_states %}
+            const real z{{ i }} = x{{ i }} + (part[stage] * rate{{ i }});
+{% endfor %}
+{% for statement in functions.rates.statements %}
+{{ statement }}
+{% endfor %}
+{% for i in range(states) %}
+            total{{ i }} += weight[stage] * rate{{ i }};
+{% endfor %}
         }
-{% if needs_time %}
-        at->t = t + {{ (0.5 * schedule.step_s) | literal(real, "half_step") }};
-{% endif %}
-        at->x = z;
-        rate_at(at, rate);
-        for (uint16_t i = 0U; i < {{ states }}U; i++) {
-            total[i] += {{ 2.0 | literal(real) }} * rate[i];
-            z[i] = x[i] + ({{ (0.5 * schedule.step_s) | literal(real, "half_step") }} * rate[i]);
-        }
-        rate_at(at, rate);
-        for (uint16_t i = 0U; i < {{ states }}U; i++) {
-            total[i] += {{ 2.0 | literal(real) }} * rate[i];
-            z[i] = x[i] + ({{ schedule.step_s | literal(real, "step") }} * rate[i]);
-        }
-{% if needs_time %}
-        at->t = t + {{ schedule.step_s | literal(real, "step") }};
-{% endif %}
-        rate_at(at, rate);
-        for (uint16_t i = 0U; i < {{ states }}U; i++) {
-            x[i] += {{ (schedule.step_s / 6.0) | literal(real, "sixth_step") }} * (total[i] + rate[i]);
-        }
+{% for i in range(states) %}
+        x{{ i }} += {{ (schedule.step_s / 6.0) | literal(real, "sixth_step") }} * total{{ i }};
+{% endfor %}
     }
-    at->x = x;
+{% for i in range(states) %}
+    {{ "bool finite =" if loop.first else "finite = finite &&" }} is_finite(x{{ i }});
+    if (finite) {
+        x[{{ i }}] = x{{ i }};
+    }
+{% endfor %}
+    return finite;
 }
 
 {% endif %}
@@ -394,10 +404,10 @@ uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *
 {% endif %}
 {% if states %}
         if (status == {{ NAME }}_OK) {
-            integrate(&at, x);
-            if (!are_finite(x, {{ states }}U)) {
+            if (!integrate(&at, x)) {
                 status = {{ NAME }}_BAD_RESULT;
             }
+            at.x = x;
         }
 {% endif %}
 {% if counts_steps %}
