@@ -57,6 +57,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         read_document as read_document,
         write_document as write_document,
     )
+    from .linear.advice import Obstacle as Obstacle, advice as advice
     from .linear.equilibrium import find_equilibrium as find_equilibrium
     from .linear.linearize import linearize as linearize
     from .linear.loop_at import loop_at as loop_at
@@ -126,6 +127,7 @@ else:
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.variables": ("FmuParameter",),
         "json_files": ("document_text", "read_document", "write_document"),
+        "linear.advice": ("Obstacle", "advice"),
         "linear.equilibrium": ("find_equilibrium",),
         "linear.linearize": ("linearize",),
         "linear.loop_at": ("loop_at",),

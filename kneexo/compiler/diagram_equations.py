@@ -13,7 +13,7 @@ from pydrake.systems.framework import System
 
 from .equations.contexts import parameters_of, state_of
 from .equations.equations import Equations
-from .equations.ports import find_port
+from .equations.ports import bypass as bypass_system, find_port
 from .equations.reader import read_tree
 from .equations.tree import Node
 from .errors import CompilationError
@@ -51,7 +51,11 @@ class DiagramEquations:
 
 
 def read_diagram(
-    diagram: Any, *, inputs: Iterable[str] = (), outputs: Iterable[str] = ()
+    diagram: Any,
+    *,
+    inputs: Iterable[str] = (),
+    outputs: Iterable[str] = (),
+    bypass: Iterable[str] = (),
 ) -> DiagramEquations:
     """Return the equations of a diagram of floats.
 
@@ -66,6 +70,8 @@ def read_diagram(
     outputs
         Names ``path/of/system:port`` of ports inside the diagram that become outputs, besides the
         output ports of the diagram. The signal includes the perturbations of the same port.
+    bypass
+        Paths of systems, such as quantizers, whose output becomes their first input.
 
     Errors: see `compile_diagram`.
     """
@@ -76,7 +82,11 @@ def read_diagram(
         )
     name = diagram.get_name() or type(diagram).__name__
     root = Node(diagram)
-    in_names, out_names = ((n,) if isinstance(n, str) else tuple(n) for n in (inputs, outputs))
+    in_names, out_names, paths = (
+        (names,) if isinstance(names, str) else tuple(names) for names in (inputs, outputs, bypass)
+    )
+    for path in paths:
+        bypass_system(root, path)
     try:
         equations = read_tree(
             root,

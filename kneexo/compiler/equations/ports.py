@@ -39,6 +39,39 @@ def find_port(root: Node, name: str, kind: str) -> Port:
     return port
 
 
+def bypass(root: Node, path: str) -> None:
+    """Connect the first input of a system to all readers of its output, as if it passed it through.
+
+    Raises `CompilationError` if there is no such system, or if it has a state or ports that do not
+    fit: see `can_bypass`.
+    """
+    systems = {node.path: node for node in _systems(root)}
+    if path not in systems:
+        similar = get_close_matches(path, systems, n=3, cutoff=0.6)
+        hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
+        raise CompilationError(f"bypass: {root.name} has no system {shown(path)!r}{hint}")
+    if not can_bypass(root, path):
+        raise CompilationError(
+            f"bypass: {shown(path)!r}: has a state, or ports that do not fit; must have no state, "
+            f"one output port, and a first input port of the same size"
+        )
+    systems[path].is_bypassed = True
+
+
+def can_bypass(root: Node, path: str) -> bool:
+    """Return whether a path is that of a system without state whose ports fit.
+
+    The system has one output port, and a first input port of the same size. Both are vectors.
+    """
+    node = next((node for node in _systems(root) if node.path == path), None)
+    if node is None or node.system.num_input_ports() < 1 or node.system.num_output_ports() != 1:
+        return False
+    ports = node.system.get_input_port(0), node.system.get_output_port(0)
+    if any(port.get_data_type() != PortDataType.kVectorValued for port in ports):
+        return False
+    return ports[0].size() == ports[1].size() and node.system.CreateDefaultContext().is_stateless()
+
+
 def route_of(port: Port) -> Iterator[Port]:
     """Yield the ports from a port back to the source of its signal: see `Node.route`."""
     node, kind, index = port

@@ -32,6 +32,8 @@ class Node:
         self._exported: dict[tuple[str, int], int] = {}
         self.observed: list[Node] = []
         """Leaves of the root that have equations although nothing may depend on them."""
+        self.is_bypassed = False
+        """True if readers of the output port get the signal of the first input port."""
         if not hasattr(system, "connection_map"):
             return
         systems = enumerate(system.GetSystems())
@@ -138,9 +140,14 @@ class Node:
             yield from self.parent.route(exported)
 
     def output_route(self, index: int) -> Iterator[Port]:
-        """Yield the ports from output port ``index`` of this system back to a leaf's port."""
+        """Yield the ports from output port ``index`` of this system back to the source.
+
+        The source is that of `route`: an output port of a leaf, except behind a bypassed system.
+        """
         yield self, "output", index
-        if hasattr(self.system, "connection_map"):
+        if self.is_bypassed:
+            yield from self.route(0)
+        elif hasattr(self.system, "connection_map"):
             system, port = self.system.get_output_port_locator(OutputPortIndex(index))
             yield from self.children[system.get_name()].output_route(int(port))
 

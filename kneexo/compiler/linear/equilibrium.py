@@ -25,6 +25,7 @@ def find_equilibrium(
     fixed: Iterable[str] = (),
     free_inputs: Iterable[str] = (),
     outputs: Mapping[str, ArrayLike] | None = None,
+    bypass: Iterable[str] = (),
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
 ) -> Any:
     """Return a new Context in which all states of a diagram of floats rest.
@@ -46,6 +47,8 @@ def find_equilibrium(
     outputs
         Dictionary from names of output ports, or ``path/of/system:port``, to the values that they
         must have.
+    bypass
+        Paths of systems that count as wires, as in `linearize`.
     equilibrium_tolerance
         As in `linearize`; also the largest absolute error of ``outputs``.
 
@@ -60,7 +63,7 @@ def find_equilibrium(
     targets = {} if outputs is None else outputs
     in_names, out_names = port_names("free_inputs", free_inputs), tuple(targets)
     context = diagram.CreateDefaultContext() if context is None else context
-    start = read_point(diagram, context, in_names, out_names)
+    start = read_point(diagram, context, in_names, out_names, bypass)
     for name in in_names:
         if not diagram.HasInputPort(name):
             raise ParameterError(f"free_inputs: {name!r} is no input port of the diagram itself")

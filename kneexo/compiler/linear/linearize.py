@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ from ..equations.equations import Update
 from ..errors import LinearizationError, ParameterError
 from ..native.timing import timing
 from ..run_data import Array
+from .advice import obstacles
 from .model import LinearModel, OperatingPoint, TickModel, over_period
 from .point import EQUILIBRIUM_TOLERANCE, port_names, read_point
 
@@ -24,6 +26,7 @@ def linearize(
     *,
     inputs: Iterable[str],
     outputs: Iterable[str],
+    bypass: Iterable[str] = (),
     period_s: float | None = None,
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
 ) -> LinearModel:
@@ -34,7 +37,8 @@ def linearize(
     moves its continuous states between the updates. See `LinearModel` for the definitions.
 
     At a corner, such as the limit of a saturation, the derivatives are those on one side. The
-    derivative of a quantizer is zero.
+    derivative of a quantizer is zero. A warning of one line names each such block; `advice` returns
+    the same as data.
 
     Parameters
     ----------
@@ -51,6 +55,9 @@ def linearize(
     outputs
         Names of output ports of the diagram, or ``path/of/system:port`` for ports inside. The
         signal of a port includes the perturbation of the same port.
+    bypass
+        Paths of systems without state, such as quantizers, that count as wires: the first input is
+        the output. All obstacles behind a quantizer are visible only when it is bypassed.
     period_s
         Period of the model in s, a multiple of all sample periods; by default the least common
         multiple. If the diagram has no sample periods, the model is discretized exactly for inputs
@@ -73,7 +80,7 @@ def linearize(
     in_names, out_names = port_names("inputs", inputs), port_names("outputs", outputs)
     if not out_names:
         raise ParameterError("outputs: is empty; name at least one port")
-    point = read_point(diagram, context, in_names, out_names)
+    point = read_point(diagram, context, in_names, out_names, bypass)
     slopes = point.slopes(out_names)
     point.require_finite(slopes, out_names)
     if moving := point.motion(slopes, equilibrium_tolerance):
@@ -81,6 +88,8 @@ def linearize(
             f"the operating point is no equilibrium: {moving} (equilibrium_tolerance = "
             f"{equilibrium_tolerance:g}); use find_equilibrium, or equilibrium_tolerance=math.inf"
         )
+    for obstacle in obstacles(point, out_names):
+        warnings.warn(str(obstacle), stacklevel=2)
     names = point.element_names(in_names)
     n, columns = point.state.size, point.state.size + len(names)
     updates = point.read.equations.updates

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,6 +26,7 @@ def loop_at(
     port: str,
     context: Any = None,
     *,
+    bypass: Iterable[str] = (),
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
 ) -> Transfer:
     """Break the loop of a diagram at a port and return the loop transfer L, for negative feedback.
@@ -40,7 +41,7 @@ def loop_at(
 
     Parameters
     ----------
-    diagram, context, equilibrium_tolerance
+    diagram, context, bypass, equilibrium_tolerance
         As in `linearize`.
     port
         Name of a port inside the diagram, ``path/of/system:port``. ``path/of/system:port[i]`` is
@@ -63,6 +64,7 @@ def loop_at(
         context,
         inputs=[name],
         outputs=[name],
+        bypass=bypass,
         equilibrium_tolerance=equilibrium_tolerance,
     )
     column = _index(name, element, len(model.input_names))

@@ -19,6 +19,10 @@ EQUILIBRIUM_TOLERANCE = 1e-6
 """Default of the largest rate or change of a state at an equilibrium, as in Drake."""
 
 
+VARIABLES = ("state", "discrete", "input")
+"""Kinds of sources by which the equations are differentiated, in the order of the columns."""
+
+
 @dataclass(frozen=True)
 class Slopes:
     """Values and derivatives of a diagram at a point.
@@ -67,23 +71,30 @@ class Point:
 
     def slopes(self, outputs: Sequence[str] = ()) -> Slopes:
         """Return the values and derivatives at this point, also those of the ports ``outputs``."""
+        values, jacobian = values_and_jacobian(
+            self.read.equations.graph, self.roots(outputs), self.sources, VARIABLES
+        )
+        size = self.state.size
+        return Slopes(values[:size], jacobian[:size], values[size:], jacobian[size:])
+
+    def roots(self, outputs: Iterable[str] = ()) -> list[int]:
+        """Return the nodes of the rates, of the updates, and of the elements of output ports."""
         equations = self.read.equations
         updated = {index: node for update in equations.updates for index, node in update.values}
         roots = [*equations.derivatives, *(updated[i] for i in range(len(updated)))]
-        size = len(roots)
-        roots += [node for name in outputs for node in equations.outputs[name]]
-        count = len(equations.states)
-        sources = {
+        return roots + [node for name in outputs for node in equations.outputs[name]]
+
+    @property
+    def sources(self) -> dict[str, Array]:
+        """Dictionary from each kind of source of the graph to the values of its elements."""
+        count = len(self.read.state_names)
+        return {
             "time": np.array([self.time_s]),
             "parameter": self.parameters,
             "state": self.state[:count],
             "discrete": self.state[count:],
             "input": self.inputs,
         }
-        values, jacobian = values_and_jacobian(
-            equations.graph, roots, sources, ("state", "discrete", "input")
-        )
-        return Slopes(values[:size], jacobian[:size], values[size:], jacobian[size:])
 
     def residual(self, rates: Array) -> Array:
         """Return the rates of the continuous states and the changes of the discrete states (n,)."""
@@ -150,7 +161,11 @@ def port_names(what: str, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def read_point(
-    diagram: Any, context: Any, inputs: Iterable[str] = (), outputs: Iterable[str] = ()
+    diagram: Any,
+    context: Any,
+    inputs: Iterable[str] = (),
+    outputs: Iterable[str] = (),
+    bypass: Iterable[str] = (),
 ) -> Point:
     """Read the equations of a diagram of floats, and the values of a Context.
 
@@ -173,7 +188,10 @@ def read_point(
     open_ports = tuple(dict.fromkeys((*names, *values)))
     exported = {diagram.get_output_port(i).get_name() for i in range(diagram.num_output_ports())}
     read = read_diagram(
-        diagram, inputs=open_ports, outputs=[name for name in outputs if name not in exported]
+        diagram,
+        inputs=open_ports,
+        outputs=[name for name in outputs if name not in exported],
+        bypass=bypass,
     )
     sizes = read.equations.inputs
     elements = [values.get(name, np.zeros(sizes[name])) for name in open_ports]
