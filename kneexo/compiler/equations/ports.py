@@ -113,7 +113,10 @@ def _inner_port(root: Node, name: str) -> Port | None:
 
 
 def _unknown(root: Node, name: str, kind: str) -> str:
-    """Return the error message for a port that does not exist, with similar ports inside."""
+    """Return the error message for a port that does not exist.
+
+    It suggests all ports of the same system, or else similar names of ports inside.
+    """
     ports = list(_ports(root.system, kind))
     inner = [
         f"{node.path}:{port}"
@@ -121,7 +124,8 @@ def _unknown(root: Node, name: str, kind: str) -> str:
         for some_kind in ("output", "input")
         for port in _ports(node.system, some_kind)
     ]
-    similar = get_close_matches(name, inner, n=3, cutoff=0.6)
+    same_system = [port for port in inner if port.startswith(f"{name.rpartition(':')[0]}:")]
+    similar = same_system or get_close_matches(name, inner, n=2, cutoff=0.6)
     hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
     return (
         f"{root.system.get_name() or type(root.system).__name__}: has no {kind} port "

@@ -23,6 +23,8 @@ from pydrake.systems.primitives import (
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from kneexo.compiler import LinearizationError, find_equilibrium
+
 UNIT_S = 1 / 64
 """Divides all sample periods and offsets; whole in binary, so that Drake's events coincide."""
 
@@ -95,6 +97,18 @@ class RandomDiagram:
     diagram: object
     inputs: list
     outputs: list
+
+    def at_rest(self, seed=0):
+        """A Context that rests, with inputs unlike zero if the diagram can."""
+        context = self.diagram.CreateDefaultContext()
+        for values in (np.random.default_rng(seed).uniform(-0.3, 0.3, 2), np.zeros(2)):
+            for name, value in zip(self.inputs, values, strict=False):
+                self.diagram.GetInputPort(name).FixValue(context, [value])
+            try:
+                return find_equilibrium(self.diagram, context)
+            except LinearizationError:  # an integrator moves under a constant input
+                continue
+        raise AssertionError("no equilibrium at zero")
 
 
 def _block(rng, kind, period, offset):

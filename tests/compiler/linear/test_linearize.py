@@ -19,7 +19,6 @@ from kneexo.compiler import (
     CompilationError,
     LinearizationError,
     ParameterError,
-    find_equilibrium,
     linearize,
 )
 
@@ -48,24 +47,10 @@ def loop():
     return diagram
 
 
-def at_equilibrium(random, seed):
-    """A Context of a random diagram that rests, with inputs unlike zero if it can."""
-    rng = np.random.default_rng(seed)
-    context = random.diagram.CreateDefaultContext()
-    for values in (rng.uniform(-0.3, 0.3, 2), np.zeros(2)):
-        for name, value in zip(random.inputs, values, strict=False):
-            random.diagram.GetInputPort(name).FixValue(context, [value])
-        try:
-            return find_equilibrium(random.diagram, context)
-        except LinearizationError:  # an integrator moves under a constant input
-            continue
-    raise AssertionError("no equilibrium at zero")
-
-
 def largest_difference_from_drake(random_diagram, drake_runs, kind, seed):
     """Largest difference of A, B, C and D from finite differences of Drake's Simulator."""
     random = random_diagram(seed, kind)
-    context = at_equilibrium(random, seed)
+    context = random.at_rest(seed)
     model = linearize(
         random.diagram,
         context,

@@ -1,0 +1,91 @@
+"""Derivatives of all operations against central differences, and at undefined points."""
+
+import math
+
+import numpy as np
+import pytest
+
+from kneexo.compiler.equations.graph import Graph
+from kneexo.compiler.equations.graph_values import values_of
+from kneexo.compiler.equations.operations import OPERATIONS, Role
+from kneexo.compiler.linear.jacobian import values_and_jacobian
+
+SMOOTH = [
+    name
+    for name, row in OPERATIONS.items()
+    if row.role in (Role.SMOOTH, Role.CORNER) and name != "where"
+]
+POINT = {"state": np.array([0.37, 0.62]), "discrete": np.array([0.81])}
+
+
+def two_sources(graph):
+    return graph.source("state", 0), graph.source("discrete", 0)
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_an_operation_has_the_derivative_of_its_differences(name):
+    graph = Graph()
+    x, d = two_sources(graph)
+    product = graph.operation("multiply", x, d)
+    arguments = [product] if OPERATIONS[name].arguments == 1 else [product, x]
+    root = graph.operation(name, *arguments)
+    size = len(graph.nodes)
+    (value,), jacobian = values_and_jacobian(graph, [root], POINT, ("state", "discrete"))
+    assert len(graph.nodes) == size
+    step = 1e-6
+    for column, (kind, index) in enumerate((("state", 0), ("state", 1), ("discrete", 0))):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = {key: values.copy() for key, values in POINT.items()}
+            moved[kind][index] += sign * step
+            ends += values_of(graph, [root], moved)
+        # Central differences err by step² of the third derivative and 1e-16/step.
+        expected = (ends[0] - ends[1]) / (2.0 * step)
+        assert jacobian[0, column] == pytest.approx(expected, rel=1e-8, abs=1e-8)
+    assert value == values_of(graph, [root], POINT)[0]
+
+
+def test_the_columns_have_the_order_of_the_kinds():
+    graph = Graph()
+    x, d = two_sources(graph)
+    root = graph.add(graph.multiply(graph.constant(2.0), x), graph.multiply(graph.constant(5.0), d))
+    _, jacobian = values_and_jacobian(graph, [root, d, graph.one], POINT, ("discrete", "state"))
+    assert jacobian.tolist() == [[5.0, 2.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+
+
+def test_a_branch_that_is_not_taken_has_no_effect():
+    graph = Graph()
+    x, d = two_sources(graph)
+    zero = graph.subtract(x, x)
+    undefined = graph.unary("sqrt", zero)  # an infinite derivative
+    root = graph.where(graph.compare("gt", x, d), undefined, graph.multiply(x, d))
+    (value,), jacobian = values_and_jacobian(graph, [root], POINT, ("state", "discrete"))
+    assert value == pytest.approx(0.37 * 0.81)
+    assert jacobian[0].tolist() == [0.81, 0.0, 0.37]
+
+
+def test_a_root_of_a_rounded_value_has_the_derivative_zero():
+    graph = Graph()
+    x, _ = two_sources(graph)
+    root = graph.unary("sqrt", graph.unary("floor", x))  # sqrt has an infinite derivative at 0
+    _, jacobian = values_and_jacobian(graph, [root], POINT, ("state", "discrete"))
+    assert not jacobian.any()
+
+
+def test_a_derivative_that_is_infinite_stays_infinite():
+    graph = Graph()
+    x, _ = two_sources(graph)
+    point = POINT | {"state": np.array([0.0, 1.0])}
+    _, jacobian = values_and_jacobian(graph, [graph.unary("sqrt", x)], point, ("state",))
+    assert jacobian[0].tolist() == [math.inf, 0.0]
+
+
+def test_a_slope_replaces_the_derivative_of_a_quantizer():
+    graph = Graph()
+    x, d = two_sources(graph)
+    quantized = graph.unary("floor", graph.multiply(graph.constant(4.0), x))
+    root = graph.multiply(quantized, d)
+    slopes = {quantized: 1.0}
+    (value,), jacobian = values_and_jacobian(graph, [root], POINT, ("state", "discrete"), slopes)
+    assert value == 0.81  # floor(4 · 0.37) d
+    assert jacobian[0].tolist() == [4.0 * 0.81, 0.0, 1.0]
