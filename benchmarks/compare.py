@@ -588,7 +588,7 @@ def machine() -> dict[str, str]:
     try:
         compiler = c_compiler()
         run = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False)
-        c_code = f"{run.stdout.splitlines()[0]}, {' '.join(C_FLAGS[:2])}"
+        c_code = f"{run.stdout.splitlines()[0]}, {' '.join(C_FLAGS)}"
     except (NoCompilerError, OSError, IndexError) as error:
         c_code = str(error)
     packages = ", ".join(f"{name} {version(name)}" for name in ("drake", "llvmlite", "numpy"))

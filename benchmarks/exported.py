@@ -82,12 +82,14 @@ def inputs_of(source: CSource, rows: Array) -> NDArray[np.void]:
     return inputs
 
 
-def library(driver: Path, *sources: CSource, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL:
+def library(
+    driver: Path, *sources: CSource, flags: Sequence[str] = FLAGS, compiler: str | None = None
+) -> ctypes.CDLL:
     """The sources and a driver in C, compiled as a shared library.
 
     Raises `NoCompilerError` where there is no C compiler.
     """
-    compiler = c_compiler()
+    compiler = compiler or c_compiler()
     name = sources[0].name
     with tempfile.TemporaryDirectory() as directory:
         names = [str(driver)]
@@ -118,9 +120,10 @@ def _call(function: Any, *arguments: Any) -> int:
 class Replay:
     """An exported model that steps with given inputs."""
 
-    def __init__(self, source: CSource) -> None:
+    def __init__(self, source: CSource, **options: Any) -> None:
+        """``options``: of `library`."""
         self.source = source
-        self._library = library(REPLAY_C, source)
+        self._library = library(REPLAY_C, source, **options)
         exported_params = (ctypes.c_char * params_of(source).nbytes).in_dll(
             self._library, f"{source.name}_params"
         )

@@ -24,7 +24,7 @@ from kneexo.simulation.compiled import scenario_start, scenario_values
 Array = NDArray[np.float64]
 
 C_SOURCE = Path(__file__).with_name("complete_model.c")
-C_FLAGS = ("-O3", "-march=native", "-shared", "-fPIC")
+C_FLAGS = ("-O3", "-march=native")
 
 
 def _members() -> list[tuple[str, int]]:
@@ -97,25 +97,29 @@ def c_compiler() -> str:
 
 
 @cache
-def c_library() -> Any:
+def c_library(compiler: str | None = None, flags: tuple[str, ...] = C_FLAGS) -> Any:
     """`complete_model.c`, compiled into a temporary directory."""
-    compiler = c_compiler()
+    compiler = compiler or c_compiler()
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "complete_model.so"
-        subprocess.run([compiler, *C_FLAGS, str(C_SOURCE), "-o", str(path), "-lm"], check=True)
+        command = [compiler, *flags, "-shared", "-fPIC", str(C_SOURCE), "-o", str(path), "-lm"]
+        subprocess.run(command, check=True)
         return ctypes.CDLL(str(path))
 
 
-def run_c(p: Parameters, *, pid: bool, loaded: bool, steps: int, samples: int) -> Array:
+def run_c(
+    p: Parameters, *, pid: bool, loaded: bool, steps: int, samples: int, library: Any = None
+) -> Array:
     """Rod extension and load pressure (samples + 1, 2) of the C program, by RK4."""
+    library = library or c_library()
     values = np.concatenate([np.atleast_1d(value) for value in p])
-    if values.nbytes != c_library().parameters_size():
+    if values.nbytes != library.parameters_size():
         raise ValueError(
             "the scenario's polynomials have another degree than those of the C struct"
         )
     record = np.empty((samples + 1, 2))
     pointer = ctypes.POINTER(ctypes.c_double)
-    failed = c_library().closed_loop(
+    failed = library.closed_loop(
         values.ctypes.data_as(pointer), pid, loaded, steps, samples, record.ctypes.data_as(pointer)
     )
     if failed >= 0:

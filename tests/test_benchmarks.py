@@ -134,6 +134,29 @@ def test_without_a_c_compiler_the_row_says_so(load, monkeypatch):
         hand_written.c_compiler()
 
 
+def test_the_exported_loop_is_measured_against_c_by_hand(load, monkeypatch, capsys):
+    speed, hand_written = load("exported_speed"), load("hand_written")
+    try:
+        compiler = Path(hand_written.c_compiler()).name
+    except hand_written.NoCompilerError:
+        pytest.skip("no C compiler")
+    monkeypatch.setattr(speed, "COMMANDS", (f"{compiler} -O1", "no-such-compiler -O2"))
+    monkeypatch.setattr(speed, "CASES", {"weight": speed.CASES["with the weight"]})
+    monkeypatch.setattr(speed, "LIMIT", math.inf)
+    assert speed.main(["--duration", "0.2", "--turns", "1"]) == 0
+    _, line = capsys.readouterr().out.splitlines()
+    assert line.startswith(f"weight | {compiler} -O1 | ")
+
+
+@pytest.mark.parametrize(
+    ("exported_s", "difference", "met"),
+    [(1.09, 1e-10, True), (1.11, 1e-10, False), (1.0, 1e-8, False), (1.0, math.nan, False)],
+)
+def test_an_exported_loop_must_be_fast_and_right(load, exported_s, difference, met):
+    row = load("exported_speed").Row("case", "cc", 1.0, exported_s, difference)
+    assert row.met is met
+
+
 def test_targets_are_judged_by_the_rows(load, monkeypatch):
     compare = load("compare")
     monkeypatch.setattr(compare, "FASTER_THAN_C", {"case": 3.0})
