@@ -5,7 +5,9 @@ pydantic validates the values. This module adds unit and provenance to pydantic'
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
@@ -25,7 +27,7 @@ from pydantic import (
 
 from kneexo.errors import ParameterError, shortened
 from kneexo.parameters.faults import one_line, shown_value
-from kneexo.parameters.fields import Words, unit_of, words_of
+from kneexo.parameters.fields import Words, limits_of, unit_of, words_of
 from kneexo.parameters.names import Place, frozen, missing_part, unknown_attribute, unnamed
 
 
@@ -154,6 +156,30 @@ def _tuple_fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
     )
 
 
+@cache
+def _number_ranges(model: type[Parameters]) -> dict[str, tuple[float, float]]:
+    """Return the smallest and the largest float that each field for one float accepts.
+
+    Fields with a validator are left out.
+    """
+    validators = model.__pydantic_decorators__.field_validators.values()
+    validated = {name for validator in validators for name in validator.info.fields}
+    largest = sys.float_info.max
+    ranges = {}
+    for name, field in model.model_fields.items():
+        if field.annotation in (float, float | None) and name not in validated:
+            low, high = limits_of(field)
+            ranges[name] = max(low, -largest), min(high, largest)
+    return ranges
+
+
+@cache
+def _checks(model: type[Parameters]) -> list[Callable[[Any], Any]]:
+    """Return the functions of a class that check the values of an object against each other."""
+    validators = model.__pydantic_decorators__.model_validators.values()
+    return [validator.func for validator in validators if validator.info.mode == "after"]
+
+
 def _as_tuple(value: Any, *, any_length: bool) -> Any:
     """Convert a list, a NumPy array or a pandas column to a tuple.
 
@@ -226,6 +252,8 @@ class Parameters(BaseModel):
             raise ParameterError(
                 'changed: must have a mapping from paths to values, such as {"seed": 2}'
             )
+        if (copy := self._with_numbers(values)) is not None:
+            return copy
         data = dict(vars(self))
         for path in sorted(values, key=lambda path: (path.count("."), not path.endswith(".kind"))):
             *parents, name = path.split(".")
@@ -236,6 +264,40 @@ class Parameters(BaseModel):
             # A later path may reach into a mapping.
             holder[name] = deepcopy(value) if isinstance(value, dict) else value
         return type(self)(**data)
+
+    def _with_numbers(self, values: Mapping[str, Any]) -> Self | None:
+        """Return a copy in which only numbers change; None if that is not enough.
+
+        `changed` describes ``values``. This is much faster than a validation of all values, because
+        parts without a change are shared. Each number must be a float within the range of its
+        field, and the validators of the changed parts must accept the copy. In all other cases the
+        result is None.
+        """
+        ranges = _number_ranges(type(self))
+        update: dict[str, Any] = {}
+        parts: dict[str, dict[str, Any]] = {}
+        for path, value in values.items():
+            name, _, below = path.partition(".")
+            if below:
+                parts.setdefault(name, {})[below] = value
+                continue
+            low, high = ranges.get(name, (math.inf, -math.inf))
+            if type(value) is not float or not low <= value <= high:
+                return None
+            update[name] = value
+        for name, numbers in parts.items():
+            part = vars(self).get(name)
+            copy = part._with_numbers(numbers) if isinstance(part, Parameters) else None
+            if copy is None:
+                return None
+            update[name] = copy
+        copy = self.model_copy(update=update)
+        try:
+            for check in _checks(type(self)):
+                check(copy)
+        except ValueError:
+            return None
+        return copy
 
     def _holder(self, data: dict[str, Any], path: str, parents: list[str]) -> dict[str, Any]:
         """Return the mapping in ``data`` at the path ``parents``, as a copy that may change.

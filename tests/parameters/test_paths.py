@@ -1,13 +1,17 @@
 """Values of parameters by dotted paths."""
 
+import math
 import re
+import typing
 
+import numpy as np
 import pytest
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     G2,
     CylinderParameters,
+    FullCylinderParameters,
     KneeLoadParameters,
     PidParameters,
     PlantParameters,
@@ -136,3 +140,65 @@ def test_the_same_kind_keeps_the_values_of_a_part() -> None:
 def test_values_that_are_no_mapping_are_refused(values) -> None:
     with pytest.raises(ParameterError, match="must have a mapping from paths to values"):
         changed(Scenario(), values)
+
+
+# ------------------------------------------------------------- numbers without whole validation
+
+
+def validated(scenario: Scenario, values: dict[str, typing.Any]) -> Scenario | str:
+    """The scenario with changed values by pydantic alone, or the text of its error."""
+    data = scenario.model_dump()
+    for path, value in values.items():
+        *parents, name = path.split(".")
+        holder = data
+        for parent in parents:
+            holder = holder[parent]
+        holder[name] = value
+    try:
+        return Scenario(**data)
+    except ParameterError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"plant.cylinder.mass_kg": 1.7},
+        {"plant.cylinder.mass_kg": 1.7, "initial_offset_m": 0.01, "plant.pump.lag_s": 0.02},
+        {"plant.cylinder.bore_m": 0.011, "plant.cylinder.rod_diameter_m": 0.0107},
+        {"simulation.duration_s": 3.0, "encoder.mounting_error_rad": -0.001},
+        {"plant.knee.flexion_min_deg": 5.0, "plant.knee.flexion_max_deg": 80.0},
+        # faults: a range, a rule of one class, a rule across classes, a wrong type
+        {"plant.cylinder.mass_kg": 1e9},
+        {"plant.cylinder.mass_kg": -1.0, "plant.pump.lag_s": 9.0},
+        {"plant.cylinder.mass_kg": math.nan},
+        {"plant.cylinder.bore_m": 0.0101},
+        {"plant.knee.flexion_max_deg": 1.0},
+        {"plant.cylinder.mass_kg": "heavy"},
+        {"plant.full_order.relief_pressure_pa": 1e6},
+    ],
+)
+def test_changed_numbers_are_those_of_a_whole_validation(values: dict[str, typing.Any]) -> None:
+    scenario = Scenario(plant=PlantParameters(full_order=FullCylinderParameters()))
+    expected = validated(scenario, values)
+    if isinstance(expected, str):
+        with pytest.raises(ParameterError) as caught:
+            changed(scenario, values)
+        assert str(caught.value) == expected
+        assert scenario._with_numbers(values) is None
+    else:
+        ours = scenario._with_numbers(values)
+        assert ours == changed(scenario, values) == expected
+        assert ours.model_dump_json() == expected.model_dump_json()
+
+
+def test_other_values_than_floats_need_the_whole_validation() -> None:
+    for values in (
+        {"plant.cylinder.mass_kg": 2},
+        {"plant.cylinder.mass_kg": np.float64(2.0)},
+        {"plant.linkage": "G2"},
+        {"plant.full_order.entrained_air": 0.01},
+        {"simulation": 1.0},
+        {"plant.mass_kg": 1.0},
+    ):
+        assert Scenario()._with_numbers(values) is None

@@ -112,6 +112,13 @@ def test_number_has_unit_range_and_provenance(
     assert re.match(f"({kinds}|{run})", source_of(field)), source_of(field)
 
 
+@pytest.mark.parametrize("model", CLASSES)
+def test_no_class_has_a_validator_that_changes_its_values(model: type[Parameters]) -> None:
+    # Otherwise a copy with changed numbers would need the whole validation.
+    validators = model.__pydantic_decorators__.model_validators
+    assert {v.info.mode for name, v in validators.items() if name != "_completed"} <= {"after"}
+
+
 def test_limits_are_numbers_that_the_field_takes() -> None:
     """An open end is the next number beyond it."""
     fields = FullCylinderParameters.model_fields
