@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -206,4 +208,33 @@ def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Mapping[str
         for path, value in values.items()
         if uncertainty.values[path].known
     }
-    return changed(scenario, {"nominal": scenario.believed_plant, **values, **nominal})
+    changes = {**values, **nominal}
+    numbers = {path: value for path, value in changes.items() if type(value) is float}
+    try:
+        options = json.dumps({path: changes[path] for path in changes if path not in numbers})
+        return _with_options(_Same(scenario), options).changed(numbers)
+    except (TypeError, ParameterError):  # not plain data, or the values contradict each other
+        return changed(scenario, {"nominal": scenario.believed_plant, **changes})
+
+
+class _Same:
+    """A scenario that is equal to nothing but itself, because comparisons take long."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.scenario is other.scenario
+
+    def __hash__(self) -> int:
+        return id(self.scenario)
+
+
+@lru_cache(maxsize=256)
+def _with_options(same: _Same, options: str) -> Scenario:
+    """Return the scenario with a controller that keeps its plant, and with other changes.
+
+    ``options`` is the JSON text of the dictionary from path to value. Many samples share it.
+    """
+    scenario = same.scenario
+    return changed(scenario, {"nominal": scenario.believed_plant, **json.loads(options)})

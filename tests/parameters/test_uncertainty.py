@@ -250,3 +250,40 @@ def test_samples_fill_their_ranges_evenly():
         assert share.min() >= 0.0
         assert share.max() <= 1.0
         assert share.mean() == pytest.approx(0.5, abs=6.0 / math.sqrt(12 * 4000))
+
+
+def test_realized_samples_are_those_of_a_whole_change() -> None:
+    for values in draw(UNCERTAINTY, 40, 3):
+        known = {"nominal.linkage": values["plant.linkage"]}
+        nominal = UNCERTAIN_KNEE.believed_plant
+        expected = UNCERTAIN_KNEE.changed({"nominal": nominal, **values, **known})
+        ours = realize(UNCERTAIN_KNEE, UNCERTAINTY, values)
+        assert ours == expected
+        assert ours.model_dump_json() == expected.model_dump_json()
+
+
+def test_two_scenarios_with_the_same_options_stay_apart() -> None:
+    options = UncertaintySet(values={"bus.latency_samples": Uncertainty(options=(0, 1))})
+    for offset_m in (0.0, 0.01):
+        scenario = Scenario(initial_offset_m=offset_m)
+        for latency in (0, 1, 0):
+            ours = realize(scenario, options, {"bus.latency_samples": latency})
+            assert (ours.initial_offset_m, ours.bus.latency_samples) == (offset_m, latency)
+
+
+def test_values_that_contradict_each_other_have_the_message_of_a_change() -> None:
+    path = "plant.cylinder.bore_m"
+    narrow = UncertaintySet(values={path: Uncertainty(low=0.001, high=0.02)})
+    with pytest.raises(ParameterError, match=r"rod_diameter_m = 0\.01 m must be below") as caught:
+        realize(Scenario(), narrow, {path: 0.005})
+    with pytest.raises(ParameterError) as expected:
+        Scenario().changed({path: 0.005})
+    assert str(caught.value) == str(expected.value)
+
+
+def test_options_that_are_no_plain_data() -> None:
+    linkages = UncertaintySet(
+        values={"plant.linkage": Uncertainty(options=tuple(LINKAGES.values()))}
+    )
+    for linkage in LINKAGES.values():
+        assert realize(Scenario(), linkages, {"plant.linkage": linkage}).plant.linkage == linkage
