@@ -1,0 +1,58 @@
+"""The chapter for diagrams: its examples run in their order and print what the page shows."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = (DOCS / "diagram_examples.md").read_text(encoding="utf-8")
+SECTIONS = dict(re.findall(r"^## (\d)\. [^\n]*\n(.*?)(?=^## |\Z)", PAGE, re.DOTALL | re.MULTILINE))
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
+
+
+def blocks(language, text):
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+def require_alike(printed, shown):
+    """The words are equal, and a number differs by one in its last digit at most."""
+    assert NUMBER.sub("#", printed) == NUMBER.sub("#", shown)
+    for number, expected in zip(NUMBER.findall(printed), NUMBER.findall(shown), strict=True):
+        digits = len(expected.partition(".")[2])
+        assert abs(float(number) - float(expected)) <= 1.01 * (digits > 0) * 10.0**-digits
+
+
+def test_a_number_may_be_rounded_otherwise_and_nothing_else():
+    require_alike("at 1.24 Hz: 3\n", "at 1.25 Hz: 3\n")
+    for printed in ("at 1.23 Hz: 3\n", "at 1.25 Hz: 4\n", "at 1.25 s: 3\n", "at 1.25 Hz\n"):
+        with pytest.raises(AssertionError):
+            require_alike(printed, "at 1.25 Hz: 3\n")
+
+
+def test_the_page_has_six_examples():
+    assert [*SECTIONS] == ["1", "2", "3", "4", "5", "6"]
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        "123",
+        pytest.param(
+            "".join(SECTIONS),
+            marks=[
+                pytest.mark.slow,
+                pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler"),
+            ],
+        ),
+    ],
+)
+def test_the_examples_print_what_the_page_shows(numbers, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for number in numbers:
+        (code,), (shown,) = (blocks(kind, SECTIONS[number]) for kind in ("python", "text"))
+        exec(compile(code, f"example {number}", "exec"), names)
+        require_alike(capsys.readouterr().out, shown)
+        assert NUMBER.search(shown)
