@@ -7,7 +7,8 @@ The short names for users, as in ``import kneexo as kx``:
 - `kneexo.responses.linearize`: poles and margins of its sampled closed loop
 - `kneexo.responses.bode`, `kneexo.responses.step`: frequency response and step response
 - `kneexo.batches.batch`: simulate many variants of it
-- `kneexo.simulation.compile`: machine code of a scenario, or of any Drake diagram
+- `kneexo.simulation.compile`: machine code of a scenario, or of a Drake diagram with symbolic
+  support
 
 Each accepts a scenario or the path of a scenario file.
 

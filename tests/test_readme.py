@@ -57,17 +57,6 @@ def output_of(code, tmp_path, capsys):
     return capsys.readouterr().out
 
 
-def test_the_example_of_a_users_diagram_runs(tmp_path, capsys):
-    page = (ROOT / "docs/compile_your_diagram.md").read_text(encoding="utf-8")
-    code = block("python", page.partition("## A failed run")[0])
-    text = output_of(code.replace("10_000", "100"), tmp_path, capsys)
-    names, shapes, largest = text.splitlines()
-    assert "pendulum.mass" in names
-    assert shapes == "(501,) (501, 2)"
-    low, high = (float(value) for value in largest.removesuffix(" rad").split(" … "))
-    assert 1.0 < low < high < 3.0
-
-
 @pytest.mark.slow
 def test_the_example_of_the_engine_runs():
     code = block("python", (ROOT / "docs/engine.md").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Compiles a Drake diagram to machine code, C or an FMU, if all its ports are vectors.
+"""Compiles Drake diagrams of vectors with symbolic support to machine code, C or FMUs.
 
 The equations are written once, in the leaf systems. They pass through these folders:
 
