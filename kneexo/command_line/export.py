@@ -14,6 +14,8 @@ from kneexo.command_line.outcome import Outcome
 from kneexo.command_line.plain_text import COLUMNS
 from kneexo.errors import shown
 
+NO_BINARY = "none, without a C compiler (cc, gcc, clang) or Linux in 64 bits"
+
 
 def add_exports(subparsers: Any) -> None:
     """Add the commands ``export c`` and ``export fmu`` to the parser."""
@@ -62,8 +64,8 @@ def add_exports(subparsers: Any) -> None:
         "fmu",
         export_fmu,
         "write a functional mock-up unit for co-simulation in other simulators",
-        "With C sources and, where there is a C compiler, the binary of this machine. Numbers of "
-        "the scenario are parameters of the FMU.",
+        "With C sources and a binary for this machine, if it has a C compiler, or for the systems "
+        "that --platforms names. Numbers of the scenario are parameters of the FMU.",
         duration_s=3.0,
     )
     _add_target(parser, "encoder reading (rad)")
@@ -73,6 +75,14 @@ def add_exports(subparsers: Any) -> None:
         choices=(2, 3),
         default=3,
         help="version of the FMI standard",
+    )
+    parser.add_argument(
+        "--platforms",
+        type=lambda text: "all" if text == "all" else text.split(","),
+        metavar="NAME,…",
+        help="platforms of the binaries, all or some of x86_64-linux, aarch64-linux, "
+        "x86_64-windows, x86_64-darwin (macOS) and aarch64-darwin, compiled by Zig (pip install "
+        "ziglang); left out: this machine, by its C compiler",
     )
     parser.add_argument(
         "--out",
@@ -164,7 +174,12 @@ def export_c(
 
 
 def export_fmu(
-    choice: ScenarioChoice, out: Path, target: str, fmi: int, step_s: float | None
+    choice: ScenarioChoice,
+    out: Path,
+    target: str,
+    fmi: int,
+    step_s: float | None,
+    platforms: str | list[str] | None,
 ) -> Outcome:
     """Write controller, plant or loop as FMU to ``out``; return the names of its variables.
 
@@ -174,15 +189,18 @@ def export_fmu(
     from kneexo.export import fmu
 
     scenario = choice.load()
-    file = fmu.export_fmu(scenario, out, target, fmi=fmi, step_s=step_s)
+    file = fmu.export_fmu(scenario, out, target, fmi=fmi, step_s=step_s, platforms=platforms)
     lines = [
         f"{target} as FMU by FMI {fmi}: {shown(file.path)}",
         *wrap(f"  inputs: {', '.join(file.inputs)}", COLUMNS, subsequent_indent="    "),
         *wrap(f"  outputs: {', '.join(file.outputs)}", COLUMNS, subsequent_indent="    "),
-        f"  parameters: {file.parameters}, of which {len(file.scenario_parameters)} have names of "
-        f"the scenario",
+        f"  parameters: {len(file.parameters)}, of which {len(file.scenario_parameters)} have "
+        f"names of the scenario",
         f"  communication step: {file.sample_time_s:g} s or a whole multiple",
+        *wrap(
+            f"  binaries: {', '.join(file.platforms) or NO_BINARY}",
+            COLUMNS,
+            subsequent_indent="    ",
+        ),
     ]
-    if not file.binary:
-        lines.append("  sources only: no C compiler (cc, gcc or clang), or not Linux on x86-64")
     return Outcome("\n".join(lines) + "\n", to_json(arguments.origin_of(scenario) | asdict(file)))

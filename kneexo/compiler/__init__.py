@@ -19,6 +19,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
+    from .c.cross import PLATFORMS as PLATFORMS, require_platforms as require_platforms
     from .c.export import (
         REPLAY_TOLERANCES as REPLAY_TOLERANCES,
         Measurement as Measurement,
@@ -50,7 +51,17 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     )
     from .feedback import simulate_with_feedback as simulate_with_feedback
     from .fmu.description import generation_tool as generation_tool
+    from .fmu.export import (
+        FmuFile as FmuFile,
+        export_fmu as export_fmu,
+        require_fmu_place as require_fmu_place,
+        write_fmu as write_fmu,
+    )
     from .fmu.fmu import FMI_VERSIONS as FMI_VERSIONS, Fmu as Fmu
+    from .fmu.parameters import (
+        context_parameters as context_parameters,
+        initial_states as initial_states,
+    )
     from .fmu.variables import FmuParameter as FmuParameter
     from .json_files import (
         document_text as document_text,
@@ -112,6 +123,7 @@ else:
         "c.export": (
             *("REPLAY_TOLERANCES", "Measurement", "export_c", "require_export_folder", "write_c"),
         ),
+        "c.cross": ("PLATFORMS", "require_platforms"),
         "c.interface": ("Field", "Interface"),
         "c.source": ("CSource", "source_of"),
         "c.step_size": ("rk4_step_s",),
@@ -124,7 +136,9 @@ else:
         ),
         "feedback": ("simulate_with_feedback",),
         "fmu.description": ("generation_tool",),
+        "fmu.export": ("FmuFile", "export_fmu", "require_fmu_place", "write_fmu"),
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
+        "fmu.parameters": ("context_parameters", "initial_states"),
         "fmu.variables": ("FmuParameter",),
         "json_files": ("document_text", "read_document", "write_document"),
         "linear.advice": ("Obstacle", "advice"),

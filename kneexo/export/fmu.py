@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +14,19 @@ from kneexo.compiler import (
     FMI_VERSIONS,
     CSource,
     Fmu,
+    FmuFile,
     FmuParameter,
-    generation_tool,
+    context_parameters,
     read_diagram,
+    require_fmu_place,
+    require_platforms,
     source_of,
+    write_fmu,
 )
 from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
 from kneexo.diagrams.controller import has_unknown_parts
-from kneexo.errors import KneexoError, OutputError, ParameterError, shown
+from kneexo.errors import KneexoError, ParameterError
 from kneexo.export.target import Target, make_target, require_step
-from kneexo.files.reading import MIB, read_bytes
-from kneexo.files.writing import write_file
 from kneexo.parameters import Scenario, SlidingModeParameters
 from kneexo.parameters.fields import limits_of, source_of as provenance_of
 from kneexo.parameters.paths import changed, value_at
@@ -35,7 +37,7 @@ from kneexo.systems import knee_reference
 from kneexo.version import __version__
 
 TOOL = "kneexo"
-"""First word of the tool's name in an FMU, by which `export_fmu` recognizes FMUs of kneexo."""
+"""First word of the tool's name in an FMU, by which `require_fmu_place` recognizes it."""
 
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
 """Factors by which `parameter_effects` multiplies a number, to see which parameters change."""
@@ -44,23 +46,13 @@ _AT_REST = "; the initial state does not follow"
 
 _LONGEST_TUPLE = 8  # coefficients, but no samples
 
-_MOST_BYTES = 256 * MIB  # no FMU of kneexo is larger
-
 
 @dataclass(frozen=True)
-class FmuFile:
-    """Summary of a written FMU."""
+class KneeFmuFile(FmuFile):
+    """Summary of a written FMU of a scenario."""
 
-    path: str
-    sample_time_s: float
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    parameters: int
-    """Number of parameters of the FMU."""
     scenario_parameters: tuple[str, ...]
     """Names of the FMU parameters that are numbers of the scenario."""
-    binary: bool
-    """Whether the FMU holds a Linux binary beside its C sources."""
 
 
 def export_fmu(
@@ -70,32 +62,27 @@ def export_fmu(
     *,
     fmi: int = 3,
     step_s: float | None = None,
-) -> FmuFile:
-    """Write the FMU of `make_fmu` with its sources and, if a C compiler exists, a Linux binary.
+    platforms: str | Iterable[str] | None = None,
+) -> KneeFmuFile:
+    """Write the FMU of `make_fmu` with its C sources and binaries.
 
     ``path`` is the file or its directory. A path that does not exist is a directory if it does not
-    end in ``.fmu``. The file in a directory is called ``knee_plant.fmu`` for the plant. Raises the
-    errors of `make_fmu`. Raises `OutputError` if the file cannot be written, or exists and is no
-    FMU of kneexo.
+    end in ``.fmu``. The file in a directory is called ``knee_plant.fmu`` for the plant.
+    ``platforms`` names the platforms of the binaries as in `kneexo.compiler.export_fmu`; by default
+    there is a binary for this machine if it has a C compiler. Raises the errors of `make_fmu`.
+    Raises `OutputError` if the file cannot be written, or exists and is no FMU of kneexo.
     """
     file = Path(path)
+    if platforms is not None:
+        platforms = require_platforms(platforms)
     if not file.is_dir():
-        _require_own(file)  # before the FMU is made, which may take long
+        require_fmu_place(file)  # before the FMU is made, which may take long
     fmu = make_fmu(scenario, what, fmi=fmi, step_s=step_s)
     if file.is_dir() or (file.suffix != ".fmu" and not file.exists()):
         file /= f"{fmu.name}.fmu"
-    _require_own(file)
-    library = fmu.library()
-    write_file(file, fmu.archive(library))
-    return FmuFile(
-        str(file),
-        fmu.source.plan.schedule.tick_s,
-        tuple(field.name for field in fmu.source.plan.inputs),
-        tuple(field.name for field in fmu.source.plan.outputs),
-        len(fmu.parameters),
-        tuple(p.name for p in fmu.parameters if value_at(scenario, p.name) is not None),
-        library is not None,
-    )
+    written = write_fmu(file, fmu, platforms)
+    names = tuple(name for name in written.parameters if value_at(scenario, name) is not None)
+    return KneeFmuFile(**vars(written), scenario_parameters=names)
 
 
 def make_fmu(
@@ -169,8 +156,7 @@ def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[Fm
     """Yield the tunable FMU parameters: scenario numbers, then other Context parameters."""
     prefix = "controller/" if target.what == "controller" else ""
     names = [f"{prefix}{name}" for name in source.equations.parameters]
-    members = dict(zip(names, source.plan.members, strict=True))
-    values = dict(zip(names, source.parameters.tolist(), strict=True))
+    single = dict(zip(names, context_parameters(source), strict=True))
     if target.what == "plant":  # no controller reaches it
         scenario = scenario.model_copy(update={"controller": SlidingModeParameters()})
     effects = {} if has_unknown_parts(scenario) else parameter_effects(scenario, names)
@@ -186,16 +172,16 @@ def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[Fm
         description = f"sets {', '.join(sorted(group))}"
         description += f"; {provenance_of(_field(scenario, path))}"
         description += at_rest * effects[path].start
-        fields = tuple(members[name] for name in names if name in group)
-        yield FmuParameter(path, values[min(group)], fields, description, low, high)
-    for name in names:
+        fields = tuple(single[name].name for name in names if name in group)
+        yield FmuParameter(path, single[min(group)].start, fields, description, low, high)
+    for name, parameter in single.items():
         if name in set_by_scenario:
             continue
         origin = [path for path, effect in effects.items() if name in effect.touched]
         description = f"Context parameter {name}"
         description += f", computed from {', '.join(origin)}" if origin else ""
         description += at_rest * any(effects[path].start for path in origin)
-        yield FmuParameter(members[name], values[name], (members[name],), description)
+        yield replace(parameter, description=description)
 
 
 @dataclass(frozen=True)
@@ -309,20 +295,3 @@ def _starts(scenario: Scenario, target: Target, source: CSource) -> dict[str, fl
     elements: Mapping[str, Iterator[float]] = {name: iter(row) for name, row in values.items()}
     inputs = [field for field in source.plan.inputs if field.port in elements]
     return {field.name: next(elements[field.port]) for field in inputs}
-
-
-# ------------------------------------------------------------------------------------- files
-
-
-def _require_own(file: Path) -> None:
-    """Raise `OutputError` if ``file`` exists, unless it is an FMU of kneexo."""
-    try:
-        tool = generation_tool(read_bytes(file, _MOST_BYTES))
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"--out {shown(file)}: {reason}; choose another file") from None
-    if not (tool or "").startswith(TOOL):
-        kind = "no FMU" if tool is None else f"an FMU of {shown(tool) or 'another tool'}"
-        raise OutputError(f"--out {shown(file)}: is {kind}; choose another file")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,7 +70,7 @@ def replay(name: str, files: Mapping[str, str]) -> Replay:
     Raises `BuildError` if there is no C compiler or the build fails, and `CompilationError` if the
     harness prints no differences.
     """
-    compiler = _compiler()
+    compiler = native_compiler()
     if compiler is None:
         raise BuildError(f"this machine has no C compiler ({', '.join(COMPILERS)})")
     with temporary_folder(files) as folder:
@@ -88,22 +88,21 @@ def replay(name: str, files: Mapping[str, str]) -> Replay:
     )
 
 
-def shared_library(files: Mapping[str, str]) -> bytes | None:
-    """Compile C files to a shared library for this machine. Return None without a C compiler.
+def shared_library(name: str, files: Mapping[str, str], *compiler: str) -> bytes:
+    """Compile C files to a shared library with the file name ``name``. Return its bytes.
 
-    The library exports the functions that the C code marks as visible, and hides all other
-    functions. Raises `CompilationError` if the build fails.
+    ``compiler`` is the command of the C compiler, such as ``("gcc",)``. The library exports the
+    functions that the C code marks as visible, and hides all other functions. Raises `BuildError`
+    if the build fails.
     """
-    compiler = _compiler()
-    if compiler is None:
-        return None
     options = ("-shared", "-fPIC", "-fvisibility=hidden", "-s")
     with temporary_folder(files) as folder:
-        _run(folder, compiler, *FLAGS, *options, *_sources(files), "-o", "library.so", "-lm")
-        return (folder / "library.so").read_bytes()
+        _run(folder, *compiler, *FLAGS, *options, *_sources(files), "-o", name, "-lm")
+        return (folder / name).read_bytes()
 
 
-def _compiler() -> str | None:
+def native_compiler() -> str | None:
+    """Return the path of the C compiler for this machine, or None if the PATH has none."""
     return next(filter(None, map(shutil.which, COMPILERS)), None)
 
 
@@ -146,12 +145,17 @@ def _run(folder: Path, *command: str) -> str:
     if process.returncode:
         lines = process.stderr.splitlines() or ["no message"]
         line = next((line for line in lines if "error" in line.lower()), lines[0])
-        raise BuildError(f"{Path(command[0]).name}: {line.strip()}")
+        raise BuildError(f"{_program(command)}: {line.strip()}")
     return process.stdout
+
+
+def _program(command: Sequence[str]) -> str:
+    """Return the name of the program in a command: of ``python -m ziglang cc``, ziglang."""
+    return command[2] if command[1:2] == ("-m",) else Path(command[0]).name
 
 
 def _ended(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     except OSError as error:
-        raise BuildError(f"{Path(command[0]).name}: {error.strerror}") from None
+        raise BuildError(f"{_program(command)}: {error.strerror}") from None

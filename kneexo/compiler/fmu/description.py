@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from ..c.printer import DOUBLE
+from ..errors import escaped
 from .units import BASE_UNITS
 from .variables import Variable, VariableTable
 
@@ -44,7 +45,8 @@ def model_description(header: Header, table: VariableTable) -> str:
     root.attrib |= {"description": header.description, "generationTool": header.tool}
     root.set("variableNamingConvention", "structured")
     kind = SubElement(root, "CoSimulation", modelIdentifier=header.name)
-    kind.set("canHandleVariableCommunicationStepSize", "true")
+    # A step off the grid of sample times is refused, and FMI has no flag for steps on a grid.
+    kind.set("canHandleVariableCommunicationStepSize", "false")
     if fmi == 2:
         kind.set("canNotUseMemoryManagementFunctions", "true")
         kind.attrib |= {"canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true"}
@@ -157,6 +159,8 @@ def _add_structure(parent: Element, fmi: int, table: VariableTable) -> None:
 
 
 def _text(root: Element) -> str:
+    for element in root.iter():  # XML has no control characters, not even escaped
+        element.attrib = {name: escaped(text) for name, text in element.attrib.items()}
     ElementTree.indent(root)
     body = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{body}\n'

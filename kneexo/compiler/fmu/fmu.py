@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import io
-import platform
-import sys
+import math
 import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from ..c.build import shared_library
+from ..c.cross import PLATFORMS
 from ..c.source import CSource
 from ..c.template import rendered
 from ..errors import CompilationError
@@ -28,7 +27,9 @@ from .variables import FmuParameter, VariableTable
 FMI_VERSIONS = (2, 3)
 """Versions of the FMI standard that `Fmu` supports."""
 
-_PLATFORMS = {2: "linux64", 3: "x86_64-linux"}
+_FOLDERS = {"x86_64-linux": "linux64", "x86_64-windows": "win64", "x86_64-darwin": "darwin64"}
+"""Folders of binaries in FMI 2. FMI 2.0.4 names all other folders as FMI 3 does."""
+
 _FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest of a zip file: equal FMUs have equal bytes
 
 
@@ -55,7 +56,8 @@ class Fmu:
         Default end of a run in s.
 
     Raises `CompilationError` if the source is in single precision or has an int32_t input, if
-    ``fmi`` is neither 2 nor 3, or if `VariableTable` raises it.
+    ``fmi`` is neither 2 nor 3, if ``stop_s`` is not finite and positive, or if `VariableTable`
+    raises it.
     """
 
     source: CSource
@@ -71,6 +73,10 @@ class Fmu:
         source = self.source
         if self.fmi not in FMI_VERSIONS:
             raise CompilationError(f"fmi = {self.fmi!r}: must be one of 2, 3")
+        if self.name.lower() == f"fmi{self.fmi}":
+            raise CompilationError(f"name = {self.name!r}: is a prefix of FMI; choose another name")
+        if not 0.0 < self.stop_s < math.inf:
+            raise CompilationError(f"stop_s = {self.stop_s:g} s: must be finite and positive")
         if source.precision != "double":
             raise CompilationError(f"precision = {source.precision!r}: must be double in an FMU")
         if source.interface.integers:
@@ -140,28 +146,19 @@ class Fmu:
         """Return the text of modelDescription.xml."""
         return model_description(self._header, self.table)
 
-    def library(self) -> bytes | None:
-        """Return the compiled binary for Linux on x86-64.
-
-        Returns None on another machine or without a C compiler. Raises `CompilationError` if the C
-        compiler fails.
-        """
-        if (sys.platform, platform.machine()) != ("linux", "x86_64"):
-            return None
-        return shared_library(self.sources)
-
-    def archive(self, library: bytes | None) -> bytes:
+    def archive(self, libraries: Mapping[str, bytes]) -> bytes:
         """Return the bytes of the FMU, a zip file. Equal content gives equal bytes.
 
-        ``library`` is the binary that the method `library` returns. With None the FMU has C sources
-        but no binary.
+        ``libraries`` has the binary for each platform, as `shared_libraries` returns them. Without
+        binaries the FMU has C sources alone.
         """
         files: dict[str, str | bytes] = {"modelDescription.xml": self.model_description()}
         files |= {f"sources/{file}": text for file, text in self.sources.items()}
         if self.fmi == 3:
             files["sources/buildDescription.xml"] = build_description(self._header)
-        if library is not None:
-            files[f"binaries/{_PLATFORMS[self.fmi]}/{self.name}.so"] = library
+        for platform, library in libraries.items():
+            folder = _FOLDERS.get(platform, platform) if self.fmi == 2 else platform
+            files[f"binaries/{folder}/{self.name}{PLATFORMS[platform].suffix}"] = library
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
             for name in sorted(files):

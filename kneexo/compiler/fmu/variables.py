@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -9,11 +11,15 @@ from typing import Literal
 from ..c.plan import Plan
 from ..c.printer import DOUBLE
 from ..equations.graph import Entry
-from ..errors import CompilationError
+from ..errors import CompilationError, shown
 from .units import Unit, unit_of_name
 
 Causality = Literal["independent", "input", "parameter", "output", "local"]
 """The role of a variable in the words of the FMI standard, such as ``input``."""
+
+_PART = r"[A-Za-z_][A-Za-z0-9_]*(\[[0-9]+\])?"
+_NAME = re.compile(rf"{_PART}(\.{_PART})*")
+"""Pattern of the names of variables: the structured names of FMI without quotation marks."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +75,20 @@ class VariableTable:
         Start values of inputs by name; every other input starts at zero.
 
     Raises `CompilationError` if two variables have the same name, if two parameters set the same
-    member of the C parameter struct, or if the struct lacks a member.
+    member of the C parameter struct, or if the struct lacks a member. Raises `CompilationError` if
+    the name of a parameter is no structured name of FMI, if a start value is outside its range or
+    not finite, or if ``starts`` has a name that is no input.
     """
 
     def __init__(
         self, plan: Plan, parameters: Iterable[FmuParameter], starts: Mapping[str, float]
     ) -> None:
         self._plan = plan
-        self._states = [f"initial_x[{i}]" for i in range(len(plan.equations.states))]
+        self._states = start_members("x", len(plan.equations.states))
+        self._discrete = start_members("d", len(plan.equations.discrete))
         self.parameters = sorted(parameters, key=lambda parameter: not parameter.tunable)
         self._require_members()
+        self._require_names_and_starts(starts)
         inputs = [
             Variable(field.name, "input", "continuous", starts.get(field.name, 0.0))
             for field in plan.inputs
@@ -111,12 +121,36 @@ class VariableTable:
                 raise CompilationError(f"{name}: two variables of the FMU have this name")
 
     def _require_members(self) -> None:
-        known = {*self._plan.members, *self._states}
+        known = {*self._plan.members, *self._states, *self._discrete}
         members = [member for parameter in self.parameters for member in parameter.members]
         for member in members:
             if member not in known or members.count(member) > 1:
                 reason = "is unknown" if member not in known else "is set by two parameters"
-                raise CompilationError(f"{self._plan.name}: the parameter {member} in C {reason}")
+                raise CompilationError(
+                    f"{self._plan.name}: the parameter {shown(member)} in C {reason}"
+                )
+
+    def _require_names_and_starts(self, starts: Mapping[str, float]) -> None:
+        for parameter in self.parameters:
+            if not _NAME.fullmatch(parameter.name):
+                raise CompilationError(
+                    f"parameter {shown(repr(parameter.name))}: must be a name such as leaf.mass or "
+                    f"gains[2], of letters, digits and _"
+                )
+            if not parameter.low <= parameter.start <= parameter.high:
+                raise CompilationError(
+                    f"{parameter.name} = {parameter.start:g}: must be {parameter.low:g} … "
+                    f"{parameter.high:g}"
+                )
+        inputs = [field.name for field in self._plan.inputs]
+        for name in starts:
+            if name not in inputs:
+                raise CompilationError(
+                    f"start value of {shown(repr(name))}: is no input; inputs: "
+                    f"{', '.join(inputs) or 'none'}"
+                )
+            if not math.isfinite(starts[name]):
+                raise CompilationError(f"{name} = {starts[name]:g}: must be finite at the start")
 
     def references(self, causality: Causality) -> list[int]:
         """Return the value references of all variables with this causality."""
@@ -131,29 +165,44 @@ class VariableTable:
         """Return, for each output, value references of the variables that set its start value."""
         graph = self._plan.equations.graph
         initial_nodes = self._plan.equations.initial_discrete
+        members = {"parameter": self._plan.members, "state": self._states}
+        earlier_members = members | {"discrete": self._discrete}
         dependencies = []
         for node in self._plan.output_nodes:
             operations = [graph.nodes[n] for n in graph.reachable([node])]
-            initial = [initial_nodes[i] for kind, i in _sources(operations) if kind == "discrete"]
-            operations += [graph.nodes[n] for n in graph.reachable(initial)]
-            dependencies.append(self._setters(operations))
+            initial = [initial_nodes[i] for kind, i in sources(operations) if kind == "discrete"]
+            earlier = [graph.nodes[n] for n in graph.reachable(initial)]
+            references = self._setters(operations, members)
+            dependencies.append(sorted(references | self._setters(earlier, earlier_members)))
         return dependencies
 
-    def _setters(self, operations: Sequence[Entry]) -> list[int]:
-        """Return value references of the FMU's inputs and parameters that graph entries read."""
+    def _setters(
+        self, operations: Sequence[Entry], members: Mapping[str, Sequence[str]]
+    ) -> set[int]:
+        """Return value references of the FMU's inputs and parameters that graph entries read.
+
+        ``members`` maps a kind of graph entry to the members of the C parameter struct by index.
+        """
         inputs = self.references("input")
         setters = {member: reference for member, reference, _ in self.assignments()}
-        members = {"parameter": self._plan.members, "state": self._states}
         references: set[int] = set()
-        for kind, index in _sources(operations):
+        for kind, index in sources(operations):
             if kind == "input":
                 references.add(inputs[index])
             elif kind in members and (member := members[kind][index]) in setters:
                 references.add(setters[member])
-        return sorted(references)
+        return references
 
 
-def _sources(operations: Iterable[Entry]) -> Iterator[tuple[str, int]]:
+def start_members(vector: Literal["x", "d"], size: int) -> list[str]:
+    """Return the members of the C parameter struct with the start values of the states.
+
+    ``vector`` is ``x`` for the continuous states and ``d`` for the discrete states.
+    """
+    return [f"initial_{vector}[{i}]" for i in range(size)]
+
+
+def sources(operations: Iterable[Entry]) -> Iterator[tuple[str, int]]:
     """Yield kind and index of each graph entry that reads an input, a parameter or a state."""
     for kind, *rest in operations:
         if kind in ("input", "parameter", "state", "discrete"):

@@ -1,5 +1,15 @@
 """FMUs in FMPy, which tests of `export` use too; the FMU of a small diagram."""
 
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from importlib.util import find_spec
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
@@ -10,7 +20,8 @@ from pydrake.systems.primitives import (
     LinearSystem,
 )
 
-from kneexo.compiler import read_diagram
+from kneexo.compiler import read_diagram, write_fmu
+from kneexo.compiler.c.cross import PLATFORMS
 from kneexo.compiler.c.interface import Interface
 from kneexo.compiler.c.source import source_of
 from kneexo.compiler.fmu.fmu import Fmu
@@ -106,6 +117,70 @@ def fmu_instance():
     return FmuInstance
 
 
+EMULATORS = {
+    "x86_64-linux": ("env",),
+    "aarch64-linux": ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
+    "x86_64-windows": ("wine",),
+}
+"""Commands that run a program of a platform on Linux. Debian: qemu-user, libc6-arm64-cross, wine.
+
+The command env runs a program of this machine.
+"""
+
+
+@pytest.fixture(scope="session")
+def run_elsewhere(tmp_path_factory):
+    """``run_elsewhere(path, platform, steps, tick_s)``: the outputs of an FMU on a platform.
+
+    Skips where a tool is missing. Inputs are those of driver.c. Returns (steps, outputs).
+    """
+
+    def run(path, platform, steps, tick_s):
+        folder = _with_driver(tmp_path_factory, platform)
+        with zipfile.ZipFile(path) as archive:
+            root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+            name = root.find("CoSimulation").get("modelIdentifier")
+            end = f"{name}{PLATFORMS[platform].suffix}"
+            two = {"x86_64-linux": "linux64", "x86_64-windows": "win64"}
+            folders = (platform, two.get(platform))
+            (library,) = (
+                m for m in archive.namelist() if m.endswith(end) and m.split("/")[1] in folders
+            )
+            (folder / end).write_bytes(archive.read(library))
+        token = root.get("guid") or root.get("instantiationToken")
+        causes = [variable.get("causality") for variable in root.find("ModelVariables")]
+        outputs = causes.count("output")
+        numbers = [tick_s, steps, causes.count("input"), causes.index("output"), outputs]
+        command = [*EMULATORS[platform], "./driver", f"./{end}", root.get("fmiVersion")[0], token]
+        environment = os.environ | {"WINEPREFIX": str(folder / "wine"), "WINEDEBUG": "-all"}
+        ended = subprocess.run(
+            [*command, *map(str, numbers)],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        assert ended.returncode == 0, ended.stderr
+        return np.array(ended.stdout.split(), dtype=float).reshape(steps, outputs)
+
+    return run
+
+
+def _with_driver(tmp_path_factory, platform):
+    """A folder with driver.c, compiled for a platform."""
+    if find_spec("ziglang") is None:
+        pytest.skip("needs Zig: pip install ziglang")
+    emulator = EMULATORS[platform]
+    if shutil.which(emulator[0]) is None or not all(map(os.path.exists, emulator[2:])):
+        pytest.skip(f"needs {' '.join(emulator)}")
+    folder = tmp_path_factory.mktemp("driver")
+    source = Path(__file__).with_name("driver.c")
+    zig = [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[platform].target, "-O1"]
+    libraries = [] if platform.endswith("windows") else ["-ldl"]
+    subprocess.run([*zig, str(source), "-o", "driver", *libraries], cwd=folder, check=True)
+    return folder
+
+
 def _lag_source(**options):
     """A lag, dx/dt = 3 (u + offset) - 2 x, and x a sample late."""
     builder = DiagramBuilder()
@@ -149,11 +224,9 @@ def fmu(request):
 @pytest.fixture(scope="session")
 def path(fmu, tmp_path_factory):
     """File of the FMU of the lag; skips without a C compiler."""
-    library = fmu.library()
-    if library is None:
-        pytest.skip("needs a C compiler on Linux, x86-64")
     file = tmp_path_factory.mktemp("fmu") / "lag.fmu"
-    file.write_bytes(fmu.archive(library))
+    if not write_fmu(file, fmu).platforms:
+        pytest.skip("needs a C compiler on Linux in 64 bits")
     return file
 
 

@@ -1,0 +1,93 @@
+"""Compiles exported C to shared libraries for this machine, or for other machines by Zig.
+
+Zig is a compiler with the C libraries of many systems. The package ``ziglang`` installs it.
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from ..errors import CompilationError, shown
+from .build import BuildError, native_compiler, shared_library
+
+
+@dataclass(frozen=True)
+class Platform:
+    """A kind of machine that runs shared libraries."""
+
+    target: str
+    """Architecture, system and C library in the notation of Zig, with the oldest version."""
+    suffix: str
+    """End of the file name of a shared library."""
+
+
+PLATFORMS = {
+    "x86_64-linux": Platform("x86_64-linux-gnu.2.17", ".so"),
+    "aarch64-linux": Platform("aarch64-linux-gnu.2.17", ".so"),
+    "x86_64-windows": Platform("x86_64-windows-gnu", ".dll"),
+    "x86_64-darwin": Platform("x86_64-macos.11.0", ".dylib"),
+    "aarch64-darwin": Platform("aarch64-macos.11.0", ".dylib"),
+}
+"""Dictionary from the name of a platform to its data. The names are those of FMI 3."""
+
+
+def require_platforms(platforms: str | Iterable[str]) -> tuple[str, ...]:
+    """Return the names of platforms in the order of `PLATFORMS`, each name once.
+
+    ``platforms`` has names of `PLATFORMS`, or is one name, or is ``all``. Raises
+    `CompilationError` if a name is unknown, if there is no name, or if Zig is not installed.
+    """
+    if platforms == "all":
+        names = set(PLATFORMS)
+    else:
+        names = {platforms} if isinstance(platforms, str) else set(platforms)
+    unknown = sorted(str(name) for name in names if name not in PLATFORMS)
+    if unknown or not names:
+        problem = f"{shown(repr(unknown[0]))} is unknown" if unknown else "has no name"
+        raise CompilationError(f"platforms: {problem}; must be all, or of {', '.join(PLATFORMS)}")
+    if find_spec("ziglang") is None:
+        raise BuildError(
+            "platforms: the compiler Zig is not installed; pip install ziglang, or leave out "
+            "platforms for the library of this machine alone"
+        )
+    return tuple(name for name in PLATFORMS if name in names)
+
+
+def native_platform() -> str | None:
+    """Return the name of the platform of this machine, or None if it is not Linux in 64 bits."""
+    name = f"{platform.machine()}-{sys.platform}"
+    return name if sys.platform == "linux" and name in PLATFORMS else None
+
+
+def shared_libraries(
+    name: str, files: Mapping[str, str], platforms: str | Iterable[str] | None = None
+) -> dict[str, bytes]:
+    """Compile C files to shared libraries. Return a dictionary from platform to library.
+
+    Parameters
+    ----------
+    name
+        File name of the libraries without its end.
+    files
+        Dictionary from file name to text. Each file that ends in ``.c`` is compiled.
+    platforms
+        The platforms, see `require_platforms`, for which Zig compiles. With None, the C compiler
+        of this machine compiles for this machine. The dictionary is empty if there is no such
+        compiler, or if `native_platform` is None.
+
+    Raises `CompilationError` as `require_platforms` does, or if a compiler fails.
+    """
+    commands: dict[str, tuple[str, ...]] = {}
+    if platforms is not None:
+        zig = (sys.executable, "-m", "ziglang", "cc", "-target")
+        commands = {key: (*zig, PLATFORMS[key].target) for key in require_platforms(platforms)}
+    elif (native := native_platform()) and (compiler := native_compiler()):
+        commands = {native: (compiler,)}
+    return {
+        key: shared_library(name + PLATFORMS[key].suffix, files, *command)
+        for key, command in commands.items()
+    }

@@ -1,0 +1,175 @@
+"""Writes any diagram as a functional mock-up unit (FMU), with binaries for several platforms."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydrake.systems.framework import System
+
+from ..c.cross import require_platforms, shared_libraries
+from ..c.interface import require_model_name
+from ..c.source import source_of
+from ..diagram_equations import read_diagram
+from ..errors import CompilationError, OutputError, shown
+from ..files import write_whole
+from ..root import ROOT
+from .description import generation_tool
+from .fmu import FMI_VERSIONS, Fmu
+from .parameters import chosen_parameters
+from .variables import FmuParameter
+
+_MOST_BYTES = 2**28  # no FMU of this package is larger
+
+
+@dataclass(frozen=True)
+class FmuFile:
+    """Summary of a written FMU."""
+
+    path: str
+    sample_time_s: float
+    """Time in s; each communication step is a whole multiple of this time."""
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    platforms: tuple[str, ...]
+    """Platforms of the binaries, such as ``x86_64-linux``; empty if the FMU has sources alone."""
+
+
+def export_fmu(
+    diagram: System,
+    directory: str | os.PathLike[str],
+    *,
+    name: str,
+    inputs: Iterable[str] = (),
+    tick_s: float | None = None,
+    version: int = 3,
+    parameters: Iterable[FmuParameter | str] | None = None,
+    platforms: str | Iterable[str] | None = None,
+    context: Any = None,
+    starts: Mapping[str, float] | None = None,
+    stop_s: float = 1.0,
+    description: str = "",
+    **options: Any,
+) -> FmuFile:
+    """Write a diagram as FMU for co-simulation to the file ``NAME.fmu`` in a directory.
+
+    Parameters
+    ----------
+    diagram
+        A Diagram or leaf system that `compile_diagram` accepts.
+    directory
+        The directory. A missing directory is created. An FMU of an earlier export is replaced.
+    name
+        Model identifier and file name, a C identifier of up to 31 characters.
+    inputs
+        Names of the input ports of the diagram that become inputs of the FMU.
+    tick_s
+        Sample time of the FMU in s, of which each communication step is a whole multiple. A diagram
+        without a sample time requires ``tick_s``: see `CSource`.
+    version
+        Version of the FMI standard: 2 or 3.
+    parameters
+        Parameters of the FMU, as `FmuParameter` or by name. By default, each Context parameter and
+        each start value of a state is a parameter: see `context_parameters` and `initial_states`.
+    platforms
+        Names of the platforms for which Zig compiles a binary, or ``all``: see `require_platforms`.
+        By default, the C compiler of this machine compiles a binary for this machine. Without a C
+        compiler, or on another system than Linux in 64 bits, the FMU has C sources alone.
+    context
+        Context with the values of parameters and states; by default the diagram's default Context.
+    starts
+        Start values of inputs by their names in the FMU; every other input starts at zero.
+    stop_s
+        Default end of a run in s.
+    description
+        A short text about the model.
+    options
+        Options of `CSource`: ``outputs``, ``interface``, ``step_s``, ``subject``.
+
+    Raises
+    ------
+    CompilationError
+        The diagram cannot be compiled to C, an argument is wrong, or a compiler is missing or
+        fails.
+    OutputError
+        The file exists and no export wrote it, or it cannot be written.
+
+    No file is written after an error.
+    """
+    require_model_name(name)
+    if version not in FMI_VERSIONS:
+        raise CompilationError(f"version = {version!r}: must be one of 2, 3")
+    if platforms is not None:
+        platforms = require_platforms(platforms)
+    file = Path(directory) / f"{name}.fmu"
+    require_fmu_place(file)
+    read = read_diagram(diagram, inputs=inputs)
+    source = source_of(read, name, context, tick_s=tick_s, **options)
+    chosen = chosen_parameters(source, parameters)
+    fmu = Fmu(source, chosen, version, ROOT, description, dict(starts or {}), stop_s)
+    return write_fmu(file, fmu, platforms)
+
+
+def write_fmu(
+    file: str | os.PathLike[str], fmu: Fmu, platforms: str | Iterable[str] | None = None
+) -> FmuFile:
+    """Compile the binaries of an FMU and write its file, whole or not at all.
+
+    ``platforms`` are those of `export_fmu`. Missing directories are created. Raises
+    `CompilationError` if a platform is unknown or a compiler fails. Raises `OutputError` as
+    `require_fmu_place` does, or if the file cannot be written.
+    """
+    path = Path(file)
+    libraries = shared_libraries(fmu.name, fmu.sources, platforms)
+    archive = fmu.archive(libraries)
+    require_fmu_place(path)
+    created = [folder for folder in path.parents if not folder.exists()]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, archive)
+    except OSError as error:
+        for folder in created:
+            with suppress(OSError):  # not empty, or never created
+                folder.rmdir()
+        raise _refusal(path, f"cannot be written ({error.strerror or error})") from None
+    plan = fmu.source.plan
+    return FmuFile(
+        str(path),
+        plan.schedule.tick_s,
+        tuple(field.name for field in plan.inputs),
+        tuple(field.name for field in plan.outputs),
+        tuple(parameter.name for parameter in fmu.table.parameters),
+        tuple(libraries),
+    )
+
+
+def require_fmu_place(file: str | os.PathLike[str]) -> None:
+    """Raise `OutputError` if ``file`` exists, unless it is an FMU that this package wrote."""
+    path = Path(file)
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise _refusal(path, "is no regular file")
+        # Files of the kernel have no size, and reading them may wait for ever.
+        is_readable = 0 < status.st_size <= _MOST_BYTES
+        tool = generation_tool(path.read_bytes()) if is_readable else None
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OutputError:
+        raise
+    except OSError as error:
+        raise _refusal(path, error.strerror or str(error)) from None
+    except ValueError:  # its message changes with the version of Python
+        raise _refusal(path, "a null byte in its name") from None
+    if not (tool or "").startswith(ROOT):
+        raise _refusal(path, "is no FMU" if tool is None else f"is an FMU of {tool or 'no tool'}")
+
+
+def _refusal(path: Path, reason: str) -> OutputError:
+    return OutputError(f"file {shown(path)}: {shown(reason)}; choose another file")
