@@ -21,7 +21,8 @@ def module_of(name, path):
     return sys.modules[name]
 
 
-fmu_instance = module_of("fmu_in_fmpy", ROOT / "tests/compiler/fmu/conftest.py").fmu_instance
+fmus = module_of("fmus_elsewhere", ROOT / "tests/compiler/fmu/conftest.py")
+fmu_instance, run_elsewhere = fmus.fmu_instance, fmus.run_elsewhere
 
 
 @pytest.fixture
