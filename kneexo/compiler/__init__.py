@@ -85,6 +85,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         TickModel as TickModel,
     )
     from .linear.newton import newton as newton, newton_failure as newton_failure
+    from .linear.orbit import PeriodicOrbit as PeriodicOrbit, periodic_orbit as periodic_orbit
     from .model import (
         CompiledModel as CompiledModel,
         DiagramModel as DiagramModel,
@@ -148,6 +149,7 @@ else:
         "linear.loops": (*("Transfer", "as_transfer", "complementary_sensitivity", "sensitivity"),),
         "linear.margins": ("LoopMargins", "margins"),
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
+        "linear.orbit": ("PeriodicOrbit", "periodic_orbit"),
         "linear.newton": ("newton", "newton_failure"),
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),

@@ -126,8 +126,11 @@ def _free_states(point: Point, fixed: Iterable[str]) -> Array:
 
 def _searches(function: Any, start: Array) -> Iterator[Array]:
     """Yield points that may be zeros of a function with Jacobian: by Newton, by least squares."""
+    if not start.size:
+        yield start
+        return
     yield newton(function, start, rank_tolerance=_RANK_TOLERANCE, relative=True)[0]
-    if not start.size or not all(np.isfinite(part).all() for part in function(start)):
+    if not all(np.isfinite(part).all() for part in function(start)):
         return
     nearest = scipy.optimize.least_squares(
         lambda point: function(point)[0],

@@ -96,7 +96,8 @@ class LinearModel:
     """Names of the elements of the output ports."""
     operating_point: OperatingPoint
     ticks: tuple[TickModel, ...] = ()
-    """What happens within the period, from its begin to its end; empty for a continuous model."""
+    """What happens within the period, from its begin to its end. Empty for a continuous model and
+    for the model of a `PeriodicOrbit`."""
 
     def __repr__(self) -> str:
         """Return a text with the kind of the model and the numbers of states, inputs, outputs."""
@@ -158,10 +159,10 @@ class LinearModel:
         """Return the same model with the outputs after the updates at the multiples of P.
 
         The output of a hold after its update is the value that it holds until the next update.
-        Raises `LinearizationError` for a continuous model.
+        Raises `LinearizationError` for a model without `ticks`.
         """
         if not self.ticks:
-            raise LinearizationError("a continuous model has no updates")
+            raise LinearizationError("a continuous model, or that of an orbit, has no ticks")
         first = self.ticks[0]
         c, d = self.c @ first.jump_state, self.d + self.c @ first.jump_input
         return replace(self, c=c, d=d)
@@ -204,10 +205,14 @@ class LinearModel:
         −ω have the same frequency.
 
         For a continuous model the result is `frequency_response`. Raises `LinearizationError` for a
-        frequency that is not finite.
+        frequency that is not finite, and for the model of a periodic orbit.
         """
         if self.period_s is None:
             return self.frequency_response(frequencies_hz)
+        if not self.ticks:
+            raise LinearizationError(
+                "the model of a periodic orbit has only its samples; use frequency_response"
+            )
         omega = 2.0 * np.pi * _finite(frequencies_hz)
         n, m = self.b.shape
         # With w = z e^{−jωt} the input is the constant 1, and the steady w has the period P.

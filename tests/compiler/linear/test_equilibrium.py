@@ -103,6 +103,20 @@ def test_a_search_that_newton_overshoots_ends_by_least_squares():
     assert abs(rest.get_continuous_state_vector().CopyToVector()[0]) < 1e-6
 
 
+def test_a_diagram_without_unknowns_rests_or_not(pendulum):
+    gain = Gain(2.0, 1)
+    context = gain.CreateDefaultContext()
+    gain.get_input_port().FixValue(context, [3.0])
+    assert gain.get_output_port().Eval(find_equilibrium(gain, context)) == [6.0]
+    plant, context = pendulum
+    context.SetContinuousState([math.asin(0.3), 0.0])
+    rest = find_equilibrium(plant, context, fixed=["theta", "thetadot"])
+    assert rest.get_continuous_state_vector().CopyToVector()[0] == math.asin(0.3)
+    context.SetContinuousState([math.asin(0.3), 0.5])
+    with pytest.raises(LinearizationError, match=r"ends, d\(theta\)/dt = 0\.5 per s"):
+        find_equilibrium(plant, context, fixed=["theta", "thetadot"])
+
+
 def test_stiff_units_do_not_prevent_an_equilibrium():
     # Rates of 1e12 per s with rounding errors of about 1e-4 per s.
     x = Variable("x")

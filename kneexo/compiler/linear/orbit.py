@@ -1,0 +1,310 @@
+"""Finds periodic orbits of diagrams, and their linear models over one period."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..diagram_equations import equations_key
+from ..equations.contexts import set_state
+from ..equations.equations import Equations, Update
+from ..equations.gradients import gradients
+from ..errors import LinearizationError, ParameterError, SimulationError
+from ..model import CompiledModel
+from ..native.machine_code import MachineCode
+from ..native.runner import STEP_S
+from ..run_data import Array, InputTable, State
+from .linearize import events
+from .model import Complex, LinearModel, OperatingPoint
+from .newton import newton
+from .point import Point, port_names, read_point
+
+_TOLERANCE = 1e-8
+_TRANSIENT = 30  # periods of a run from the start, after Newton's method fails there
+
+
+@dataclass(frozen=True, repr=False)
+class PeriodicOrbit:
+    """A periodic orbit of a diagram, found by `periodic_orbit`.
+
+    ``context`` is the Context at the begin of the period, at t = 0, before the updates at that
+    time. ``model`` is the linear model over the period, for deviations from the orbit.
+    """
+
+    context: Any
+    model: LinearModel
+    autonomous: bool
+    """Whether neither the time nor sample periods fix the phase of the orbit."""
+
+    @property
+    def period_s(self) -> float:
+        """The period in s."""
+        return float(self.model.period_s or 0.0)
+
+    @property
+    def multipliers(self) -> Complex:
+        """The Floquet multipliers, by falling magnitude: the eigenvalues of the monodromy matrix.
+
+        One multiplier of an autonomous orbit is 1, because the orbit can be shifted in time.
+        """
+        return self.model.eigenvalues
+
+    @property
+    def stable(self) -> bool:
+        """Whether deviations die out: all multipliers, except for that 1, lie inside the circle."""
+        values = self.multipliers
+        if self.autonomous:
+            values = np.delete(values, np.argmin(np.abs(values - 1.0)))
+        return bool((np.abs(values) < 1.0).all())
+
+    def __repr__(self) -> str:
+        """Return a text with the period and the largest multiplier."""
+        kind = "autonomous" if self.autonomous else "forced"
+        return f"PeriodicOrbit({kind}, period_s={self.period_s:.6g}, stable={self.stable})"
+
+
+def periodic_orbit(
+    diagram: Any,
+    context: Any = None,
+    *,
+    period_s: float | None = None,
+    inputs: Iterable[str] = (),
+    outputs: Iterable[str] = (),
+    step_s: float = STEP_S,
+) -> PeriodicOrbit:
+    """Find a periodic orbit of a diagram of floats by shooting, and linearize the diagram along it.
+
+    The state after a period, and its derivatives by the state before and by the inputs, come from a
+    run of compiled code: the variational equations are integrated with the states by RK4. Newton's
+    method makes both states equal. It begins at the state in ``context``, and if it fails there,
+    after a run of some periods, which ends near a stable orbit.
+
+    The orbit is one of the time, of sample periods, or of neither. In the last case its period is
+    unknown; the search begins at ``period_s`` and stays on the plane through the start that is
+    normal to the motion there.
+
+    The effect of a small deviation on the time of a switch is not part of the model. So the rates
+    of the diagram must not jump on the orbit; they can have corners, such as a saturation.
+
+    Parameters
+    ----------
+    diagram, context, inputs, outputs
+        As in `linearize`. The orbit begins at t = 0, whatever the time of the Context. Without
+        ``outputs`` the model has none.
+    period_s
+        Period in s: a multiple of all sample periods, and of the periods of all sources. By default
+        the least common multiple of the sample periods.
+    step_s
+        Largest step of RK4 in s.
+
+    Raises
+    ------
+    LinearizationError
+        There is no periodic orbit near the start, or it is an equilibrium. The message names the
+        state that changes most over the period.
+    ParameterError
+        As in `linearize`. Also if ``period_s`` is missing for a diagram without sample periods.
+    """
+    in_names, out_names = port_names("inputs", inputs), port_names("outputs", outputs)
+    point = replace(read_point(diagram, context, in_names, out_names), time_s=0.0)
+    if not point.state.size:
+        raise LinearizationError("the diagram has no states: it has no periodic orbit")
+    columns = len(point.element_names(in_names))
+    search = _Search(point, columns, period_s, step_s)
+    state, period = search.solution()
+    _, matrix = search.after_period(state, period)
+    n = state.size
+    point = point.at(state)
+    slopes = point.slopes(out_names)
+    model = LinearModel(
+        *(matrix[:, :n], matrix[:, n:]),
+        *(slopes.outputs_jacobian[:, :n], slopes.outputs_jacobian[:, n : n + columns]),
+        period_s=period,
+        state_names=point.state_names,
+        input_names=point.element_names(in_names),
+        output_names=point.element_names(out_names),
+        operating_point=OperatingPoint(0.0, state, point.inputs[:columns], slopes.outputs),
+    )
+    start = diagram.CreateDefaultContext() if context is None else context.Clone()
+    start.SetTime(0.0)
+    count = len(point.read.state_names)
+    set_state(point.read.root, start, State(state[:count], state[count:]))
+    return PeriodicOrbit(start, model, search.autonomous)
+
+
+class _Search:
+    """The search for the state and the period of an orbit."""
+
+    def __init__(self, point: Point, inputs: int, period_s: float | None, step_s: float) -> None:
+        """``inputs``: the first so many elements of the open inputs are differentiated by."""
+        equations = point.read.equations
+        nodes = [*equations.derivatives]
+        nodes += [node for update in equations.updates for _, node in update.values]
+        timed = any("time" in equations.graph.depends[node] for node in nodes)
+        self.autonomous = not (timed or equations.updates)
+        if period_s is None and not equations.updates:
+            raise ParameterError("period_s: is missing; the diagram has no sample period")
+        _, self._period = events(equations.updates, period_s)
+        self._sampled = bool(equations.updates)
+        self._point, self._step_s = point, step_s
+        self._size = point.state.size, point.state.size + inputs
+        extended = with_sensitivities(equations, inputs)
+        self._model = CompiledModel(MachineCode(equations_key(extended), extended))
+        values = point.inputs if point.inputs.size else np.zeros(1)
+        self._table = InputTable(np.empty(0), values[None, :, None])
+
+    def solution(self) -> tuple[Array, float]:
+        """Return the state at the begin of the orbit, and the period."""
+        state = self._point.state
+        text = ""
+        for periods in (0, 1 if self.autonomous else _TRANSIENT):
+            for _ in range(periods):
+                state, _ = self.after_period(state, self._period)
+            begin = np.append(state, [self._period] if self.autonomous else [])
+            found, _ = newton(self._changes(state), begin, relative=True)
+            orbit, period = found[: state.size], self._period
+            if self.autonomous:
+                period = float(found[-1])
+            fault = self._fault(orbit, period)
+            if not fault:
+                return orbit, period
+            text = text or fault
+        raise LinearizationError(
+            f"no periodic orbit near the start: {text}; start nearer, or check period_s"
+        )
+
+    def _changes(self, start: Array) -> Any:
+        """Return the function whose zero is the orbit, with its Jacobian, for `newton`."""
+        n = start.size
+        normal = self._rates(start)
+
+        def function(unknowns: Array) -> tuple[Array, Array]:
+            state = unknowns[:n]
+            period = float(unknowns[n]) if self.autonomous else self._period
+            after, matrix = self.after_period(state, period)
+            changes, jacobian = after - state, matrix[:, :n] - np.eye(n)
+            if self.autonomous:
+                changes = np.append(changes, normal @ (state - start))
+                jacobian = np.block([[jacobian, self._rates(after)[:, None]], [normal[None], 0.0]])
+            return changes, jacobian
+
+        return function
+
+    def _rates(self, state: Array) -> Array:
+        return self._point.at(state).slopes().rates
+
+    def _fault(self, state: Array, period: float) -> str:
+        """Return why a state does not begin an orbit, or an empty text if it does."""
+        if not 0.0 < period < np.inf:
+            return f"the period of the search ends at {max(period, 0.0):g} s"
+        after, _ = self.after_period(state, period)
+        change = after - state
+        wrong = ~(np.abs(change) <= _TOLERANCE * (1.0 + np.abs(state)))
+        if wrong.any():
+            if not np.isfinite(after).all():
+                return f"the run over {period:g} s is not finite"
+            index = int(np.argmax(np.where(wrong, np.abs(change), -1.0)))
+            name = self._point.state_names[index]
+            return f"in {period:g} s {name} changes by {change[index]:.6g}"
+        if self.autonomous and np.abs(self._rates(state)).max(initial=0.0) < _TOLERANCE:
+            return "the search ends at an equilibrium"
+        return ""
+
+    def after_period(self, state: Array, period: float) -> tuple[Array, Array]:
+        """Return the state after a period (n,), and its derivatives (n, n + inputs).
+
+        The derivatives are those by the state before and by the first inputs. All numbers are nan
+        if the run fails, or if the period is not positive.
+        """
+        n, columns = self._size
+        count = len(self._point.read.state_names)
+        failed = np.full(n, np.nan), np.full((n, columns), np.nan)
+        if not 0.0 < period < np.inf:
+            return failed
+        one = np.eye(n, columns)
+        start = State(np.append(state[:count], one[:count]), np.append(state[count:], one[count:]))
+        try:
+            final = self._model.simulate(
+                self._point.parameters,
+                start,
+                period,
+                outputs=(),
+                record_period_s=None if self._sampled else period,
+                inputs=self._table,
+                integrator="rk4",
+                step_s=self._step_s,
+            ).final
+        except SimulationError:
+            return failed
+        after = np.append(final.continuous[:count], final.discrete[: n - count])
+        rows = np.append(final.continuous[count:], final.discrete[n - count :])
+        return after, rows.reshape(n, columns)
+
+
+def with_sensitivities(equations: Equations, inputs: int) -> Equations:
+    """Return equations with further states: the derivatives of the states by their start.
+
+    The state z has n elements, continuous and then discrete. The further states are the rows of the
+    matrix S = ∂z/∂(z₀, u), for constant values u of the first ``inputs`` elements of the open
+    inputs. With dz/dt = f(z, u) follows dS/dt = f_z S + (0, f_u), and likewise at an update. The
+    rows of continuous states are continuous states.
+    """
+    graph = equations.graph.copy()
+    count, n = len(equations.states), len(equations.states) + len(equations.discrete)
+    columns = n + inputs
+    firsts = {"state": (0, count), "discrete": (count, n - count)}
+
+    def sensitivity(kind: str, element: int, column: int) -> int:
+        return graph.source(kind, firsts[kind][1] + element * columns + column)
+
+    def rows(roots: list[int]) -> list[list[int]]:
+        """Return for each root the nodes of its derivatives by z₀ and u."""
+        by_state, by_discrete, by_input = (
+            gradients(graph, roots, kind) for kind in ("state", "discrete", "input")
+        )
+        result = []
+        for number in range(len(roots)):
+            row = []
+            for column in range(columns):
+                terms = [
+                    graph.multiply(slope, sensitivity(kind, element, column))
+                    for kind, slopes in (("state", by_state), ("discrete", by_discrete))
+                    for element, slope in slopes[number].items()
+                ]
+                if column - n in by_input[number]:
+                    terms.append(by_input[number][column - n])
+                row.append(graph.add(*terms))
+            result.append(row)
+        return result
+
+    updates = []
+    for update in equations.updates:
+        values = list(update.values)
+        for (element, _), row in zip(update.values, rows([v for _, v in values]), strict=True):
+            first = n - count + element * columns
+            values += enumerate(row, first)
+        updates.append(Update(update.period_s, update.offset_s, tuple(values)))
+    further = [
+        [f"{name} by {column}" for name in names for column in range(columns)]
+        for names in (equations.states, equations.discrete)
+    ]
+    unchanged = [
+        sensitivity("discrete", element, column)
+        for element in range(n - count)
+        for column in range(columns)
+    ]
+    derivatives = [node for row in rows(equations.derivatives) for node in row]
+    return replace(
+        equations,
+        graph=graph,
+        states=equations.states + further[0],
+        discrete=equations.discrete + further[1],
+        derivatives=equations.derivatives + derivatives,
+        initial_discrete=equations.initial_discrete + unchanged,
+        updates=updates,
+        outputs={},
+        sections=[],
+    )
