@@ -100,22 +100,26 @@ def _index(name: str, element: int | None, size: int) -> int:
 def _sampled(model: LinearModel, column: int, row: Array) -> Transfer | None:
     """Return L of a sampled model from perturbation ``column`` and y = c z with c ``row``.
 
-    The period of L begins at one of the updates, and y is the signal before or after this update.
-    The result is the first such L that gives the loop itself when the loop is closed again at its
-    period, for two loop gains. The result is None if there is no such L.
+    The period of L begins before or after the updates at one of the times of the model. The result
+    is the first such L that gives the loop itself when the loop is closed again once a period, for
+    two loop gains. The result is None if there is no such L.
     """
     opened = [_with_feedback(tick, column, row, -1.0) for tick in model.ticks]
-    for first, tick in enumerate(opened):
-        ticks = opened[first:] + opened[:first]
-        a, b = over_period(ticks)
-        for c, d in (
-            (-row, 0.0),
-            (-row @ tick.jump_state, -float((row @ tick.jump_input)[0, 0])),
-        ):
-            transfer = Transfer(a, b, c, d, model.period_s)
+    for first in range(len(opened)):
+        before = opened[first:] + opened[:first]
+        for ticks in (before, _updates_last(before)):
+            transfer = Transfer(*over_period(ticks), -row, 0.0, model.period_s)
             if all(_closes(transfer, ticks, row, factor) for factor in _FACTORS):
                 return transfer
     return None
+
+
+def _updates_last(ticks: Sequence[TickModel]) -> list[TickModel]:
+    """Return the ticks of a period that begins after the first updates and ends with them."""
+    first, *others = ticks
+    n, m = first.jump_input.shape
+    flow = replace(first, jump_state=np.eye(n), jump_input=np.zeros((n, m)))
+    return [flow, *others, replace(first, duration_s=0.0)]
 
 
 def _with_feedback(tick: TickModel, column: int, row: Array, gain: float) -> TickModel:
@@ -133,10 +137,7 @@ def _with_feedback(tick: TickModel, column: int, row: Array, gain: float) -> Tic
 def _closes(transfer: Transfer, ticks: Sequence[TickModel], row: Array, factor: float) -> bool:
     """Return whether feedback of L once a period is feedback of y at all times, v = factor · y."""
     expected, _ = over_period([_with_feedback(tick, 0, row, factor) for tick in ticks])
-    through = 1.0 + factor * transfer.d
-    if through == 0.0:
-        return False
-    closed = transfer.a - factor / through * transfer.b @ transfer.c
+    closed = transfer.a - factor * transfer.b @ transfer.c
     _, (scale, _) = scipy.linalg.matrix_balance(expected, permute=False, separate=True)
     balanced = [matrix * scale / scale[:, None] for matrix in (closed - expected, expected)]
     difference, size = (float(np.linalg.norm(matrix)) for matrix in balanced)

@@ -18,6 +18,7 @@ from .zeros import invariant_zeros
 
 _POINTS = 4_000  # of a grid of frequencies, without the points around resonances
 _SLOWEST = 1e-12  # a frequency below this share of the fastest one is a rounding error
+_UNDAMPED = 1e-6  # half width, relative to its frequency, of a resonance without damping
 _REACH = 100.0  # factor by which a grid exceeds the slowest and the fastest frequency
 _WIDTHS = np.geomspace(1e-2, 1e3, 41)  # distances from a resonance, in units of its half width
 
@@ -113,6 +114,7 @@ class Transfer:
         high = min(_REACH * np.max(moving, initial=unit), self.highest_hz)
         low = min(np.min(moving, initial=unit), high) / _REACH
         centre, width = np.abs(s.imag) / (2.0 * math.pi), np.abs(s.real) / (2.0 * math.pi)
+        width = np.where(width > _SLOWEST * centre, width, _UNDAMPED * centre)
         offsets = np.outer(width, np.concatenate([-_WIDTHS, _WIDTHS]))
         around = (centre[:, None] + offsets).ravel()
         around = around[(around > low) & (around < high)]

@@ -120,9 +120,21 @@ def test_whole_turns_of_an_angle_are_no_quantizer():
         (symbolic_max(U, 2.0 * U), 0.0, "a maximum is at its corner: the derivatives on both"),
         (if_then_else(U > 1.0, U, 3.0 * U), 1.0, "a switch is at its corner: the derivatives on"),
         (if_then_else(U > 1.0, U, Expression(4.0)), 0.5, "is constant at 4 here, as at a limit"),
+        (symbolic_abs(U - 1.0), 1.0 + 1e-13, "an absolute value is at its corner"),
+        (symbolic_max(U, 2.0 - U), 1.0 + 1e-13, "a maximum is at its corner"),
         (sqrt(U), 0.0, "the derivative of sqrt is not finite"),
     ],
-    ids=["quantizer", "in_part", "abs", "max", "switch", "constant", "root"],
+    ids=[
+        "quantizer",
+        "in_part",
+        "abs",
+        "max",
+        "switch",
+        "constant",
+        "near_abs",
+        "near_max",
+        "root",
+    ],
 )
 def test_each_kind_of_obstacle(expression, state, reason):
     diagram = feedback(("f", function(expression)))
@@ -140,10 +152,11 @@ def test_each_kind_of_obstacle(expression, state, reason):
         (if_then_else(U > 1.0, U, 3.0 * U), 1.01),
         (if_then_else(U > 1.0, U * U, U * U), 1.0),
         (if_then_else(U > 1.0, U, floor(U)), 2.0),
+        (if_then_else(U > 1.0, U, sqrt(2.0 - U)), 2.0),
         (U + if_then_else(U > 1.0, U, Expression(4.0)), 0.5),
         (sqrt(U), 0.01),
     ],
-    ids=["abs", "max", "switch", "equal", "branch", "sum", "root"],
+    ids=["abs", "max", "switch", "equal", "branch", "branch_root", "sum", "root"],
 )
 def test_beside_a_corner_there_is_no_obstacle(expression, state):
     diagram = feedback(("f", function(expression)))
@@ -189,6 +202,13 @@ def test_an_integrator_of_a_constant_has_no_equilibrium():
     assert (obstacle.path, obstacle.port) == ("first", "state first.x[0]")
     assert obstacle.reason == "changes by 2 per s, and no state brings this to zero"
     assert advice(diagram, **ANYWHERE) == []
+
+
+def test_an_open_input_brings_no_state_to_rest():
+    context = (integrator := Integrator(1)).CreateDefaultContext()
+    integrator.get_input_port().FixValue(context, [3.0])
+    (obstacle,) = advice(integrator, context, inputs=["u0"])
+    assert obstacle.reason == "changes by 3 per s, and no state brings this to zero"
 
 
 def test_a_state_that_only_starts_off_its_equilibrium_is_no_obstacle():

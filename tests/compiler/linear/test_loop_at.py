@@ -16,6 +16,7 @@ from pydrake.systems.primitives import (
     Integrator,
     LinearSystem,
     MatrixGain,
+    Multiplexer,
     ZeroOrderHold,
 )
 
@@ -177,6 +178,41 @@ def test_a_loop_that_is_faster_than_the_common_period_is_refused():
     match = r"\Again:y0: its signal changes more than once in the common period of 0\.04 s[^\n]*\Z"
     with pytest.raises(LinearizationError, match=match):
         loop_at(multirate(), "gain:y0")
+
+
+def held_feedback():
+    """The plant with a filter q⁺ = 0.4 q − 0.5 y, whose state q drives the plant."""
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("plant", LinearSystem(*PLANT))
+    hold = builder.AddNamedSystem("hold", ZeroOrderHold(T, 1))
+    law = builder.AddNamedSystem("law", MatrixGain([[-0.5, 0.4]]))
+    join = builder.AddNamedSystem("join", Multiplexer(2))
+    builder.Connect(plant.get_output_port(), join.get_input_port(0))
+    builder.Connect(hold.get_output_port(), join.get_input_port(1))
+    builder.Connect(join.get_output_port(), law.get_input_port())
+    builder.Connect(law.get_output_port(), hold.get_input_port())
+    builder.Connect(hold.get_output_port(), plant.get_input_port())
+    return builder.Build()
+
+
+def test_a_signal_that_its_own_update_reads():
+    # The update reads the old q, and the plant the new one: q = (0.4/z − 0.5 P) q.
+    z = np.exp(2j * np.pi * F * T)
+    expected = 0.5 * control.ss(*PLANT).sample(T, "zoh")(z) - 0.4 / z
+    loop = loop_at(held_feedback(), "hold:y")
+    np.testing.assert_allclose(loop.response(F), expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("gain", [1.0, 2.0])
+def test_a_signal_that_moves_between_the_samples_is_refused(gain):
+    # With feedback of 1 or 2 times the gain 1, the output of 1/(s + 1) is constant by accident.
+    builder = DiagramBuilder()
+    lag = builder.AddNamedSystem("lag", LinearSystem([[-1.0]], [[gain]], [[1.0]], [[0.0]]))
+    hold = builder.AddNamedSystem("hold", ZeroOrderHold(T, 1))
+    builder.Connect(lag.get_output_port(), lag.get_input_port())
+    builder.Connect(lag.get_output_port(), hold.get_input_port())
+    with pytest.raises(LinearizationError, match="or while it is read"):
+        loop_at(builder.Build(), "lag:u0")
 
 
 @pytest.mark.parametrize(

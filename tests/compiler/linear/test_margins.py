@@ -8,6 +8,7 @@ import control
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
+from scipy.optimize import minimize_scalar
 
 from kneexo.compiler import margins
 
@@ -205,6 +206,13 @@ def test_the_disk_margin_is_the_minimum_of_python_control():
     omega = 2.0 * math.pi * m.disk_margin_frequency_hz * (1.0 + np.linspace(-0.01, 0.01, 101))
     disk, gain_db, phase = control.disk_margins(control.ss(loop), omega, skew=0.0)
     assert m.disk_margin == pytest.approx(disk, rel=1e-9)
+    # The minimum of |(1 + L)/(1 − L)|, at ω = x with L = 4/(1 + jω)³
+    least = minimize_scalar(
+        lambda x: abs(((1.0 + 1j * x) ** 3 + 4.0) / ((1.0 + 1j * x) ** 3 - 4.0)),
+        bounds=(1.0, 2.0),
+        options={"xatol": 1e-12},
+    )
+    assert 2.0 * math.pi * m.disk_margin_frequency_hz == pytest.approx(least.x, rel=1e-6)
     assert 20.0 * math.log10(m.disk_gain_margin) == pytest.approx(gain_db, rel=1e-9)
     assert m.disk_phase_margin_deg == pytest.approx(phase, rel=1e-9)
 
@@ -219,6 +227,19 @@ def test_no_resonance_is_too_narrow(damping):
     lag = math.atan2(2.0 * damping * omega, square - 1.0)  # of −1/(s² + 2ζs + 1) against 1
     assert 2.0 * math.pi * m.phase_margin_frequency_hz == pytest.approx(omega, rel=1e-12)
     assert m.phase_margin_deg == pytest.approx(math.degrees(lag), rel=1e-6)
+
+
+def test_an_undamped_resonance_has_its_margins():
+    # ε/(s² + 1) has magnitude 1 at ω² = 1 ± ε: the phase is −180° at the higher frequency.
+    loop = (np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2, 1, k=-1), 1e-3 * np.eye(1, 2), 0.0)
+    m = margins(loop)
+    assert 2.0 * math.pi * m.phase_margin_frequency_hz == pytest.approx(math.sqrt(1.001), rel=1e-9)
+    assert m.phase_margin_deg == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_rounding_of_an_integrator_is_no_gain_margin():
+    m = margins((1.0 + 1e-12, 0.5, 1.0, 0.0, 0.02))
+    assert (m.lower_gain_margin, m.gain_margin) == (0.0, pytest.approx(4.0))
 
 
 def test_margins_are_numbers_without_arrays():
