@@ -30,6 +30,7 @@ from .manifest import FILE as MANIFEST, exported_name, manifest
 from .printer import literal
 from .source import MARK, CSource, source_of
 from .template import rendered
+from .traceability import FILE as TRACEABILITY, Trace
 from .vectors import Vectors, recorded_vectors
 
 REPLAY_TOLERANCES = {"double": 1e-9, "float": 1e-3}
@@ -154,9 +155,14 @@ def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measure
         "vectors": vectors.inputs,
         "library": source.functions.library,
         "origin": source.origin[0] if source.origin else "",
+        "tables": len(source.plan.tables),
+        "trace": Trace(
+            source.plan, source.equations, source.output_ports, files[f"{source.name}.c"]
+        ),
         "measured": list(_measured(source.name, measurement)),
     }
-    files["README.md"] = rendered(__package__, "README.md", **data)
+    for file in ("README.md", TRACEABILITY):
+        files[file] = rendered(__package__, file, **data)
     if source.origin and source.origin_text:
         files[source.origin[0]] = source.origin_text
     content = {

@@ -11,7 +11,7 @@ from itertools import compress
 from ..equations.equations import Update
 from .interface import signal_names
 from .plan import Plan
-from .printer import CPrinter
+from .printer import CPrinter, comment_lines
 from .template import words
 
 _ARRAYS = {"constant": "c", "state": "x", "discrete": "d"}
@@ -191,16 +191,18 @@ class Functions:
         return lines
 
     def _update(self, update: Update, depth: int) -> list[str]:
-        sums = self._plan.sums
+        sums, names = self._plan.sums, self._plan.equations.discrete
         numbers = {state: number for number, state in enumerate(sums)}
         indent = "    " * depth
-        targets, additions = [], []
+        targets: list[tuple[str, int]] = []
+        additions: list[str] = []
         for state, node in update.values:
             target = f"next[{state}]"
             if state not in sums:
                 targets.append((target, node))
                 continue
             targets.append((target, self._plan.equations.graph.add(*sums[state])))
+            additions += comment_lines(f"Compensated sum of {names[state]}.", indent)
             call = f"sum(d[{state}], {target}, &lost[{numbers[state]}])"
             additions.append(f"{indent}{target} = {call};")
             self.operations["+"] += 4  # of the function `sum`

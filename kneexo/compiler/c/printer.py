@@ -153,16 +153,21 @@ class _Block:
             uses.update(self._arguments(node))
         lines: list[str] = []
         waiting, unset = set(needed), list(targets)
+        signals = {node for section in self.printer.sections for node in section.nodes}
         for section in self.printer.sections:
-            within = sorted(waiting & self._reachable(section.nodes))
-            waiting.difference_update(within)
-            inside = [target for target in unset if target[1] in section.nodes]
+            within = waiting & self._reachable(section.nodes)
+            waiting -= within
+            values = {*section.nodes, *(within - signals)}
+            inside = [target for target in unset if target[1] in values]
             unset = [target for target in unset if target not in inside]
-            statements = self._statements(within, uses) + self._assignments(inside)
+            statements = self._statements(sorted(within), uses) + self._assignments(inside)
             if statements:
-                lines += comment_lines(f"{section.where}. {section.equation}", self.indent)
+                lines += section_comment(section, self.indent)
             lines += statements
-        return lines + self._statements(sorted(waiting), uses) + self._assignments(unset)
+        rest = self._statements(sorted(waiting), uses) + self._assignments(unset)
+        if rest and lines:
+            lines += comment_lines("Values of no single system.", self.indent)
+        return lines + rest
 
     def _statements(self, nodes: Sequence[int], uses: Counter[int]) -> list[str]:
         """Return C statements that define a variable for each node that deserves one.
@@ -289,6 +294,11 @@ class _Block:
         if negative:
             return f"(-{product})" if len(factors) < 2 else f"(-({product}))"
         return f"({product})" if len(factors) > 1 else product
+
+
+def section_comment(section: Section, indent: str = "") -> list[str]:
+    """Return the lines of the C comment that precedes the statements of a section."""
+    return comment_lines(f"{section.where}. {section.equation}", indent)
 
 
 def comment_lines(text: str, indent: str = "") -> list[str]:

@@ -8,15 +8,15 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from .printer import comment_lines, literal
+from .printer import comment_lines, literal, plain_line
 
 
 def rendered(package: str, template: str, **data: Any) -> str:
     """Return a template from the folder ``templates`` of ``package``, filled with ``data``.
 
-    A template can use the filters of Jinja2 and three more: ``comment`` (`comment_lines` as text),
-    ``literal``, and ``quoted`` (a C string literal). Raises ``jinja2.UndefinedError`` for a name
-    that ``data`` lacks.
+    A template can use the filters of Jinja2 and four more: ``cell`` (text in a Markdown table),
+    ``comment`` (`comment_lines` as text), ``literal``, and ``quoted`` (a C string literal). Raises
+    ``jinja2.UndefinedError`` for a name that ``data`` lacks.
     """
     return _environment(package).get_template(template).render(data)
 
@@ -40,6 +40,7 @@ def _environment(package: str) -> Environment:
         autoescape=False,  # C is no HTML
     )
     environment.filters["comment"] = _comment
+    environment.filters["cell"] = _cell
     environment.filters["literal"] = literal
     environment.filters["quoted"] = _quoted
     return environment
@@ -48,6 +49,11 @@ def _environment(package: str) -> Environment:
 def _quoted(text: str) -> str:
     """Return a C string literal; special characters of C or printf and non-ASCII become ``_``."""
     return '"' + re.sub(r'[^ -~]|[\\"%?]', "_", text) + '"'
+
+
+def _cell(text: str) -> str:
+    """Return the text as a cell of a Markdown table."""
+    return plain_line(text).replace("|", "/").replace("<", "&lt;")
 
 
 def _comment(text: str, indent: str = "") -> str:

@@ -36,6 +36,8 @@ class Section:
     equation: str
     """Class of the leaf and the first line of its docstring, which states the equation."""
     nodes: tuple[int, ...]
+    source: str = ""
+    """Equations that the docstring of the class cites, such as ``Lee et al. 2020, Eq. 15``."""
 
 
 @dataclass

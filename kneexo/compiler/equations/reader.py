@@ -241,7 +241,9 @@ class _Reader:
         """Add the expressions ``values`` to the equations as a `Section`; return their nodes."""
         variable = partial(self._node_of_variable, where, leaf)
         nodes = yield Conversion(self.equations.graph, where, variable).nodes(values)
-        self.equations.sections.append(Section(where, leaf.node.summary, tuple(nodes)))
+        self.equations.sections.append(
+            Section(where, leaf.node.summary, tuple(nodes), leaf.node.source)
+        )
         return nodes
 
     def _node_of_variable(self, where: str, leaf: _Leaf, variable: Any) -> Steps[int]:

@@ -57,11 +57,21 @@ class Node:
     @property
     def summary(self) -> str:
         """Name of the system's class, and the first line of its docstring unless Drake wrote it."""
+        first = self._docstring.partition("\n")[0].strip()
+        return f"{self.type_name}: {first}" if first else f"{self.type_name}."
+
+    @property
+    def source(self) -> str:
+        """The equations that the docstring of the system's class cites; see `cited_equations`."""
+        return cited_equations(self._docstring)
+
+    @property
+    def _docstring(self) -> str:
+        """The docstring of the system's class or a base class, the first that is not Drake's."""
         binding = ("pydrake", "pybind11", "builtins")
         kinds = (k for k in type(self.system).__mro__ if not k.__module__.startswith(binding))
         texts = ((vars(kind).get("__doc__") or "").strip() for kind in kinds)
-        first = next((text.splitlines()[0].strip() for text in texts if text), "")
-        return f"{self.type_name}: {first}" if first else f"{self.type_name}."
+        return next(filter(None, texts), "")
 
     @property
     def has_equations(self) -> bool:
@@ -154,6 +164,19 @@ class Node:
 
 Port: TypeAlias = tuple[Node, str, int]
 """A port of a system: the system, ``input`` or ``output``, and the index of the port."""
+
+
+def cited_equations(text: str) -> str:
+    """Return the citations of equations in a text, such as ``Lee et al. 2020, Eq. 12, 13``.
+
+    Citations with authors and year are returned, or all citations if none has authors and year. A
+    text without citation gives an empty string.
+    """
+    work = r"[A-Z][\w-]+(?: et al\.| and [A-Z][\w-]+)?,? \(?\d{4}\)?, "
+    numbers = r"Eqs?\. ?\(?\d+(?:\.\d+)?[a-z]?\)?(?:(?:–|-|, | and )\d+(?:\.\d+)?\b)*"
+    plain = " ".join(text.split())
+    citations = re.findall(f"{work}{numbers}", plain) or re.findall(numbers, plain)
+    return "; ".join(dict.fromkeys(citations))
 
 
 def _label(system: Any, number: int) -> str:

@@ -25,6 +25,7 @@ needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs t
 FILES = {
     *("filter.c", "filter.h", "filter_params.c", "filter_vectors.c", "filter_vectors.h"),
     *("filter_test.c", "Makefile", "CMakeLists.txt", "README.md", "manifest.json"),
+    "traceability.md",
 }
 
 

@@ -1,5 +1,6 @@
 """The tree of systems: which leaves have equations, and what feeds their ports."""
 
+import pytest
 from pydrake.examples import PendulumGeometry, PendulumPlant
 from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
@@ -12,7 +13,7 @@ from pydrake.systems.primitives import (
 )
 
 from kneexo.compiler.equations.reader import read_equations
-from kneexo.compiler.equations.tree import Node
+from kneexo.compiler.equations.tree import Node, cited_equations
 
 
 class Printer(LeafSystem):
@@ -77,3 +78,24 @@ def test_a_nested_port_is_traced_to_its_leaf(multirate):
     assert (leaf.path, port) == ("inner/plant", 0)
     assert root.children["sine"].driver(0) is None
     assert root.driver(3) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "citations"),
+    [
+        (
+            "Source: Lee et al. 2020, Eq. 12, 13; lag is an\n    assumption.",
+            "Lee et al. 2020, Eq. 12, 13",
+        ),
+        (
+            "(Eq. 27). Source: Lee et\n    al. 2020, Eq. 20–27, with errata.",
+            "Lee et al. 2020, Eq. 20–27",
+        ),
+        ("θ_p follows from Eq. 3–7. x = p_1 (Eq. 10, Table 1).", "Eq. 3–7; Eq. 10"),
+        ("By Eq. 3. See Eq. 3, and Eqs. 4 and 5.", "Eq. 3; Eqs. 4 and 5"),
+        ("Merritt 1967, Eq. (6.2), at 2 ms.", "Merritt 1967, Eq. (6.2)"),
+        ("Equations of motion.", ""),
+    ],
+)
+def test_citations_of_equations_are_read_from_a_docstring(text, citations):
+    assert cited_equations(text) == citations

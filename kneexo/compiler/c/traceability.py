@@ -1,0 +1,163 @@
+"""Traces exported C to the diagram: which system, equation and test vector a line belongs to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from ..equations.equations import Equations, Section
+from ..equations.graph import SOURCES
+from .plan import Plan
+from .printer import section_comment
+
+FILE = "traceability.md"
+"""Name of the file with the tables in an exported folder."""
+
+_UNITS = (0.0, 1.0, -1.0)
+"""Constants that no table of frozen numbers lists."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Lines of a C file that compute the nodes of one section."""
+
+    first: int
+    """Number of the first line, the comment of the section; the file begins with line 1."""
+    last: int
+    function: str
+    """Name of the C function that has the lines."""
+    section: Section
+
+
+def spans(text: str, sections: Sequence[Section]) -> Iterator[Span]:
+    """Yield the lines of each comment of a section in C text, with the statements below it.
+
+    The statements end before the next comment, empty line or end of a block.
+    """
+    by_comment = {_plain(section_comment(section)): section for section in sections}
+    lines = text.splitlines()
+    function, place = "", 0
+    while place < len(lines):
+        if name := re.match(r"(?:static )?\w+ (\w+)\(", lines[place]):
+            function = name[1]
+        start = place
+        place += 1
+        if not lines[start].lstrip().startswith("/*"):
+            continue
+        while "*/" not in lines[place - 1]:
+            place += 1
+        section = by_comment.get(_plain(lines[start:place]))
+        if section is None:
+            continue
+        while place < len(lines) and not re.match(r"\s*(/\*|\}|$)", lines[place]):
+            place += 1
+        yield Span(start + 1, place, function, section)
+
+
+def _plain(lines: Sequence[str]) -> str:
+    """Return a C comment as one line without its stars."""
+    return " ".join(line.strip().removeprefix("* ") for line in lines)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The tables that trace a model in C to its diagram."""
+
+    plan: Plan
+    equations: Equations
+    """The equations of the diagram, before the C printer rewrites them."""
+    ports: Sequence[str]
+    """Names of the exported output ports."""
+    text: str
+    """Text of the file ``NAME.c``."""
+
+    @property
+    def lines(self) -> list[tuple[str, ...]]:
+        """Rows: lines, C function, system and purpose, equation, source, numbers of outputs."""
+        return [
+            (
+                f"{span.first}-{span.last}",
+                span.function,
+                span.section.where,
+                span.section.equation,
+                span.section.source,
+                self._tests(span.section),
+            )
+            for span in spans(self.text, self.equations.sections)
+        ]
+
+    @property
+    def names(self) -> list[tuple[str, str]]:
+        """Rows: expression in C, name in the diagram."""
+        plan, equations = self.plan, self.equations
+        rows = [(f"in->{f.name}", f"input port {f.port}") for f in plan.inputs]
+        rows += [
+            (f"out->{f.name}", f"output port {f.port}, output {number} of the test vectors")
+            for number, f in enumerate(plan.outputs, 1)
+        ]
+        rows += [(f"x[{i}]", f"state {name}") for i, name in enumerate(equations.states)]
+        rows += [(f"d[{i}]", f"state {name}") for i, name in enumerate(equations.discrete)]
+        pairs = zip(plan.members, equations.parameters, strict=True)
+        return rows + [(f"p->{member}", f"parameter {name}") for member, name in pairs]
+
+    @property
+    def frozen(self) -> list[tuple[str, str, str]]:
+        """Rows: system, class, numbers in its equations that are no Context parameters."""
+        graph = self.equations.graph
+        numbers: dict[tuple[str, str], set[float]] = {}
+        for section in self.equations.sections:
+            system = section.where.rpartition(": ")[0], section.equation.partition(":")[0]
+            read = {node for own in self._own[section.where] for node in graph.arguments(own)}
+            values = {value for node in read if (value := graph.value(node)) is not None}
+            numbers.setdefault(system, set()).update(values.difference(_UNITS))
+        return [
+            (path, kind.rstrip("."), ", ".join(f"{value:.6g}" for value in sorted(values)))
+            for (path, kind), values in numbers.items()
+            if values
+        ]
+
+    def _tests(self, section: Section) -> str:
+        """Return what depends on a section: numbers of outputs in the test vectors, or status."""
+        constant = self.equations.graph.value
+        values = (node for node in section.nodes if constant(node) is None)
+        nodes = self._own[section.where].union(values)
+        numbers = [number for number, behind in enumerate(self._behind, 1) if nodes & behind]
+        status = ["status"] if section.where.endswith(": margin") else []
+        return ", ".join([*_ranges(numbers), *status]) or "none"
+
+    @cached_property
+    def _own(self) -> dict[str, set[int]]:
+        """For each section the operations that no earlier section computes: its lines in C."""
+        graph, earlier, own = self.equations.graph, set[int](), {}
+        for section in self.equations.sections:
+            nodes = set(graph.reachable(section.nodes)) - earlier
+            own[section.where] = {node for node in nodes if graph.nodes[node][0] not in SOURCES}
+            earlier |= nodes
+        return own
+
+    @cached_property
+    def _behind(self) -> list[set[int]]:
+        """For each output all nodes that its value depends on, at this or an earlier time."""
+        graph, equations = self.equations.graph, self.equations
+        updates = {i: node for update in equations.updates for i, node in update.values}
+
+        def arguments(node: int) -> Sequence[int]:
+            kind, *rest = graph.nodes[node]
+            if kind == "state":
+                return (equations.derivatives[rest[0]],)
+            if kind == "discrete":
+                initial = equations.initial_discrete[rest[0]]
+                return (updates.get(rest[0], initial), initial)
+            return graph.arguments(node)
+
+        nodes = [node for port in self.ports for node in equations.outputs[port]]
+        return [set(graph.reachable([node], arguments)) for node in nodes]
+
+
+def _ranges(numbers: Sequence[int]) -> list[str]:
+    """Return increasing numbers as text, neighbours as a range: 1, 2, 3, 5 as ``1-3`` and ``5``."""
+    starts = [n for n in numbers if n - 1 not in numbers]
+    ends = [n for n in numbers if n + 1 not in numbers]
+    return [f"{a}-{b}" if a < b else f"{a}" for a, b in zip(starts, ends, strict=True)]

@@ -1,0 +1,164 @@
+"""Traceability of exported C: lines and the systems, sources and outputs that belong to them."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Gain, LinearSystem, Sine
+
+from kneexo.compiler import export_c, read_diagram, source_of
+from kneexo.compiler.c import build as c_build
+from kneexo.compiler.c.traceability import Trace, _ranges, spans
+from kneexo.compiler.equations.equations import Section
+
+
+def two_branches():
+    """Two branches without connection: a wave through a filter, and a sampled input doubled."""
+    builder = DiagramBuilder()
+    wave = builder.AddNamedSystem("wave", Sine(1.0, 20.0, 0.3, 1))
+    lag = builder.AddNamedSystem("lag", LinearSystem([[-7.0]], [[7.0]], [[3.0]], [[0.0]]))
+    gain = builder.AddNamedSystem("gain", Gain(2.5, 1))
+    memory = LinearSystem([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.01)
+    memory = builder.AddNamedSystem("memory", memory)
+    builder.Connect(wave.get_output_port(0), lag.get_input_port())
+    builder.Connect(gain.get_output_port(), memory.get_input_port())
+    builder.ExportInput(gain.get_input_port(), "u")
+    builder.ExportOutput(lag.get_output_port(), "filtered")
+    builder.ExportOutput(wave.get_output_port(0), "wave")
+    builder.ExportOutput(memory.get_output_port(), "memory")
+    return builder.Build()
+
+
+def exported(diagram, **options):
+    return source_of(read_diagram(diagram, inputs=["u"]), "m", tick_s=0.01, **options)
+
+
+def trace_of(source):
+    files = source.files()
+    return Trace(source.plan, source.equations, source.output_ports, files["m.c"])
+
+
+def test_each_line_has_its_system_and_what_depends_on_it():
+    trace = trace_of(exported(two_branches()))
+    rows = {(row[1], row[2]): row[3:] for row in trace.lines}
+    assert rows["update_at", "memory: discrete update"] == ("LinearSystem.", "", "3")
+    assert rows["outputs_at", "wave: output port y0"] == ("Sine.", "", "1-2")
+    assert rows["outputs_at", "lag: output port y0"] == ("LinearSystem.", "", "1")
+    names = dict(trace.names)
+    assert names["out->memory"] == "output port memory, output 3 of the test vectors"
+    assert names["in->u"] == "input port u"
+    assert names["x[0]"] == "state lag.x[0]"
+    assert names["d[0]"] == "state memory.0[0]"
+    numbers = {path: (kind, values) for path, kind, values in trace.frozen}
+    assert numbers["wave"] == ("Sine", "0.3, 20")
+    assert numbers["gain"] == ("Gain", "2.5")
+    assert numbers["lag"] == ("LinearSystem", "-7, 3, 7")
+    assert numbers["memory"] == ("LinearSystem", "0.5")
+
+
+def changed_text(text, span):
+    """C text with 0.01 more in the first value that the lines of a span compute."""
+    lines = text.splitlines()
+    for place in range(span.first - 1, span.last):
+        start = re.match(r"\s*(?:const real )?[\w\[\]>-]+ = ", lines[place])
+        if start:
+            end = next(i for i in range(place, span.last) if lines[i].endswith(";"))
+            value = " ".join(lines[place : end + 1])[start.end() :].rstrip(";")
+            lines[place : end + 1] = [f"{start[0]}({value}) + 0.01f;"]
+            return "\n".join(lines) + "\n"
+    raise AssertionError(f"no value in the lines of {span}")
+
+
+def numbers_of(text):
+    """Numbers of outputs in a row: ``1-3, 5`` gives 1, 2, 3, 5."""
+    ends = [part.split("-") for part in text.split(", ")]
+    return [n for part in ends for n in range(int(part[0]), int(part[-1]) + 1)]
+
+
+def test_wrong_lines_change_the_outputs_of_their_row_and_no_others(built):
+    """A system that several functions compute is wrong in each of them."""
+    source = exported(two_branches())
+    inputs = np.full((6, 1), 1.3)
+    expected = built(source).replay(inputs)
+    files, sections = source.files(), source.equations.sections
+    fields = {key: getattr(source, key) for key in ("name", "plan", "precision", "state_bytes")}
+    rows = {row[2]: row[-1] for row in trace_of(source).lines}
+    for where, numbers in rows.items():
+        text = files["m.c"]
+        for span in reversed([s for s in spans(text, sections) if s.section.where == where]):
+            text = changed_text(text, span)
+        mutant = SimpleNamespace(files=lambda text=text: files | {"m.c": text}, **fields)
+        changes = np.abs(built(mutant).replay(inputs) - expected).max(axis=0) > 1e-12
+        assert (np.flatnonzero(changes) + 1).tolist() == numbers_of(numbers), where
+    assert {"1", "1-2", "3"} <= set(rows.values())
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_each_statement_of_the_equations_is_in_one_row(multirate, precision):
+    source = source_of(read_diagram(multirate), "m", precision=precision)
+    text = source.files()["m.c"]
+    traced = [
+        line
+        for span in spans(text, source.equations.sections)
+        for line in range(span.first, span.last + 1)
+    ]
+    assert len(traced) == len(set(traced))
+    lines = text.splitlines()
+    for name in ("update_at", "outputs_at", "initial_at"):
+        first = next(n for n, line in enumerate(lines, 1) if f" {name}(" in line)
+        last = lines.index("}", first)
+        values = [n for n in range(first + 1, last) if re.search(r" = (?!at->)", lines[n - 1])]
+        assert set(values) <= set(traced), name
+        assert values
+
+
+def test_a_span_ends_before_the_next_comment_or_block():
+    sections = [
+        Section("a: output port y", "A: Long equation of the first system.", (1,)),
+        Section("b: output port y", "B.", (2,)),
+    ]
+    text = (
+        "/* Made by a tool. */\n"  # line 1
+        "static void f(real *y)\n{\n"
+        "    /* a: output port y. A: Long equation of the\n"  # line 4
+        "     * first system. */\n"
+        "    y[0] = 1.0 +\n"
+        "        2.0;\n"  # line 7
+        "    /* b: output port y. B. */\n"
+        "    y[1] = 1.0;\n"  # line 9
+        "}\n\n"
+        "uint16_t m_step(real *y)\n{\n"
+        "    if (true) {\n"
+        "        /* b: output port y. B. */\n"  # line 15
+        "        y[1] = 1.0;\n"
+        "        /* Something else. */\n"
+        "        y[2] = 1.0;\n"
+        "    }\n}\n"
+    )
+    assert [(s.first, s.last, s.function, s.section.where[0]) for s in spans(text, sections)] == [
+        (4, 7, "f", "a"),
+        (8, 9, "f", "b"),
+        (15, 16, "m_step", "b"),
+    ]
+
+
+def test_numbers_become_ranges():
+    assert _ranges([1, 2, 3, 5, 8, 9]) == ["1-3", "5", "8-9"]
+    assert _ranges([]) == []
+
+
+def test_the_table_is_a_file_of_the_export(tmp_path, tables, monkeypatch):
+    monkeypatch.setattr(c_build, "TARGETS", {})
+    monkeypatch.setattr(c_build, "COMPILERS", ())
+    samples = np.full((3, 1), 1.3)
+    options = {"name": "m", "inputs": ["u"], "samples": samples, "tick_s": 0.01}
+    export_c(two_branches(), tmp_path, **options)
+    text = (tmp_path / "traceability.md").read_text()
+    lines, names = tables(text)
+    trace = trace_of(exported(two_branches()))
+    assert [tuple(row) for row in lines[1:]] == trace.lines
+    assert [row[0].strip("`") for row in names[1:]] == [row[0] for row in trace.names]
+    (frozen,) = (t for t in tables((tmp_path / "README.md").read_text()) if "class" in t[0])
+    assert [tuple(row) for row in frozen[1:]] == trace.frozen
