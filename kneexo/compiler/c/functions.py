@@ -11,7 +11,7 @@ from itertools import compress
 from ..equations.equations import Update
 from .interface import signal_names
 from .plan import Plan
-from .printer import CPrinter, comment_lines
+from .printer import CPrinter, section_comment
 from .template import words
 
 _ARRAYS = {"constant": "c", "state": "x", "discrete": "d"}
@@ -66,10 +66,18 @@ class Functions:
         equations = plan.equations
         names = signal_names(equations.sections, plan.name, _taken(plan))
         faster = plan.faster
+        added = {
+            node: equations.graph.add(*plan.sums[state])
+            for update in equations.updates
+            for state, node in update.values
+            if state in plan.sums
+        }
+        forms = faster, added
         sections = [
-            replace(s, nodes=(*s.nodes, *(faster[node] for node in s.nodes if node in faster)))
+            replace(s, nodes=(*s.nodes, *(f[node] for f in forms for node in s.nodes if node in f)))
             for s in equations.sections
         ]
+        self._section_of = {node: s for s in reversed(sections) for node in s.nodes}
         self._printer = CPrinter(equations.graph, plan.real, sections)
         self._printer.names = {faster.get(node, node): name for node, name in names.items()} | names
         self._printer.tables = {table.node: number for number, table in enumerate(plan.tables)}
@@ -191,7 +199,7 @@ class Functions:
         return lines
 
     def _update(self, update: Update, depth: int) -> list[str]:
-        sums, names = self._plan.sums, self._plan.equations.discrete
+        sums = self._plan.sums
         numbers = {state: number for number, state in enumerate(sums)}
         indent = "    " * depth
         targets: list[tuple[str, int]] = []
@@ -202,7 +210,8 @@ class Functions:
                 targets.append((target, node))
                 continue
             targets.append((target, self._plan.equations.graph.add(*sums[state])))
-            additions += comment_lines(f"Compensated sum of {names[state]}.", indent)
+            if node in self._section_of:
+                additions += section_comment(self._section_of[node], indent)
             call = f"sum(d[{state}], {target}, &lost[{numbers[state]}])"
             additions.append(f"{indent}{target} = {call};")
             self.operations["+"] += 4  # of the function `sum`

@@ -14,14 +14,14 @@ from kneexo.compiler.c.traceability import Trace, _ranges, spans
 from kneexo.compiler.equations.equations import Section
 
 
-def two_branches():
-    """Two branches without connection: a wave through a filter, and a sampled input doubled."""
+def two_branches(memory=0.5):
+    """Two branches without connection: a wave through a lag, and x⁺ = ``memory`` x + 2.5 u."""
     builder = DiagramBuilder()
     wave = builder.AddNamedSystem("wave", Sine(1.0, 20.0, 0.3, 1))
     lag = builder.AddNamedSystem("lag", LinearSystem([[-7.0]], [[7.0]], [[3.0]], [[0.0]]))
     gain = builder.AddNamedSystem("gain", Gain(2.5, 1))
-    memory = LinearSystem([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.01)
-    memory = builder.AddNamedSystem("memory", memory)
+    system = LinearSystem([[memory]], [[1.0]], [[1.0]], [[0.0]], 0.01)
+    memory = builder.AddNamedSystem("memory", system)
     builder.Connect(wave.get_output_port(0), lag.get_input_port())
     builder.Connect(gain.get_output_port(), memory.get_input_port())
     builder.ExportInput(gain.get_input_port(), "u")
@@ -96,8 +96,15 @@ def test_wrong_lines_change_the_outputs_of_their_row_and_no_others(built):
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])
-def test_each_statement_of_the_equations_is_in_one_row(multirate, precision):
-    source = source_of(read_diagram(multirate), "m", precision=precision)
+@pytest.mark.parametrize("diagram", ["multirate", "two_branches"])
+def test_each_statement_of_the_equations_is_in_one_row(request, diagram, precision):
+    """The discrete state of `two_branches` is a compensated sum in single precision."""
+    if diagram == "multirate":
+        read = read_diagram(request.getfixturevalue("multirate"))
+    else:
+        read = read_diagram(two_branches(memory=1.0), inputs=["u"])
+    source = source_of(read, "m", precision=precision)
+    assert bool(source.plan.sums) == (diagram == "two_branches" and precision == "float")
     text = source.files()["m.c"]
     traced = [
         line
@@ -112,6 +119,13 @@ def test_each_statement_of_the_equations_is_in_one_row(multirate, precision):
         values = [n for n in range(first + 1, last) if re.search(r" = (?!at->)", lines[n - 1])]
         assert set(values) <= set(traced), name
         assert values
+    rates = [
+        n for n, line in enumerate(lines, 1) if re.match(r"\s+(const real held|rate)\d = ", line)
+    ]
+    assert rates
+    assert set(rates) <= set(traced)
+    copies = [n for n, line in enumerate(lines, 1) if re.match(r"\s+(for|total|x\d) .*=", line)]
+    assert not set(copies) & set(traced)
 
 
 def test_a_span_ends_before_the_next_comment_or_block():

@@ -182,7 +182,8 @@ static bool integrate(const instant *at, real *x)
 
 {% for statement in functions.tick_values.statements %}
 {{ statement }}
-{% endfor %}
+{{ "\n" if loop.last }}
+{%- endfor %}
     for (uint16_t step = 0U; step < {{ schedule.steps }}U; step++) {
 {% if functions.rates.reads("t") %}
         const real start = at->t + ((real)step * {{ step }});
@@ -202,6 +203,7 @@ static bool integrate(const instant *at, real *x)
 {% for statement in functions.rates.statements %}
 {{ statement }}
 {% endfor %}
+
 {% for i in range(states) %}
             total{{ i }} += weight[stage] * rate{{ i }};
 {% endfor %}
