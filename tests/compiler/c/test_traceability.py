@@ -115,17 +115,18 @@ def test_each_statement_of_the_equations_is_in_one_row(request, diagram, precisi
     lines = text.splitlines()
     for name in ("update_at", "outputs_at", "initial_at"):
         first = next(n for n, line in enumerate(lines, 1) if f" {name}(" in line)
-        last = lines.index("}", first)
-        values = [n for n in range(first + 1, last) if re.search(r" = (?!at->)", lines[n - 1])]
+        body = range(first + 1, lines.index("}", first) + 1)
+        values = [n for n in body if re.search(r" = (?!at->)", lines[n - 1])]
         assert set(values) <= set(traced), name
         assert values
-    rates = [
-        n for n, line in enumerate(lines, 1) if re.match(r"\s+(const real held|rate)\d = ", line)
-    ]
+
+    def matching(pattern):
+        return {n for n, line in enumerate(lines, 1) if re.match(pattern, line)}
+
+    rates = matching(r"\s+(const real held|rate)\d = ")
     assert rates
-    assert set(rates) <= set(traced)
-    copies = [n for n, line in enumerate(lines, 1) if re.match(r"\s+(for|total|x\d) .*=", line)]
-    assert not set(copies) & set(traced)
+    assert rates <= set(traced)
+    assert not matching(r"\s+(for|total|x\d) .*=") & set(traced)
 
 
 def test_a_span_ends_before_the_next_comment_or_block():
