@@ -86,6 +86,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     )
     from .linear.newton import newton as newton, newton_failure as newton_failure
     from .linear.orbit import PeriodicOrbit as PeriodicOrbit, periodic_orbit as periodic_orbit
+    from .linear.periodic import PeriodicLoop as PeriodicLoop
     from .model import (
         CompiledModel as CompiledModel,
         DiagramModel as DiagramModel,
@@ -151,6 +152,7 @@ else:
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
         "linear.orbit": ("PeriodicOrbit", "periodic_orbit"),
         "linear.newton": ("newton", "newton_failure"),
+        "linear.periodic": ("PeriodicLoop",),
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),
         ),

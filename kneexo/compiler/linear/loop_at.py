@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import scipy.linalg
 
-from ..errors import LinearizationError, ParameterError
+from ..errors import ParameterError
 from ..run_data import Array
 from .linearize import linearize
 from .loops import Transfer
-from .model import LinearModel, TickModel, over_period
+from .model import over_period
+from .periodic import PeriodicLoop, opened, updates_last
 from .point import EQUILIBRIUM_TOLERANCE
 
 _SAME = 1e-9  # relative difference of two equal matrices of a closed loop, with rounding
@@ -28,16 +29,20 @@ def loop_at(
     *,
     bypass: Iterable[str] = (),
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
-) -> Transfer:
+) -> Transfer | PeriodicLoop:
     """Break the loop of a diagram at a port and return the loop transfer L, for negative feedback.
 
     The signal y of the port is cut. All systems that read the port get another signal v, and
-    y = −L v. All other loops stay closed. For a sampled diagram v is constant over the common
-    period, and L is exact at its multiples. `margins`, `sensitivity` and
-    `complementary_sensitivity` accept the result.
+    y = −L v. All other loops stay closed. `margins`, `sensitivity` and `complementary_sensitivity`
+    accept the transfer function.
 
-    The transfer follows from the linear model by a perturbation d that adds to the signal,
-    v = y + d. The substitution d = v − y opens the loop, between and at the updates.
+    In a sampled diagram v and y are constant over the common period of all updates, and L is exact.
+    If y changes more than once in this period, or between samples where systems read it, there is
+    no transfer function of one input and output. The result is then a `PeriodicLoop`, which
+    `margins` accepts.
+
+    The loop follows from the linear model with a perturbation d that adds to the signal, v = y + d.
+    The substitution d = v − y opens the loop, between and at the updates.
 
     Parameters
     ----------
@@ -49,13 +54,9 @@ def loop_at(
 
     Raises
     ------
-    LinearizationError
-        The signal changes more than once in the common period, or changes while it is read. Then
-        no transfer function with one input and one output describes the loop. Also as in
-        `linearize`.
     ParameterError
         The element does not exist, or no element is named of a port with several.
-    CompilationError
+    CompilationError, LinearizationError
         As in `linearize`.
     """
     name, element = _name_and_element(port)
@@ -72,14 +73,8 @@ def loop_at(
     drive = model.b[:, column : column + 1]
     if model.period_s is None:
         return Transfer(model.a - drive @ row, drive, -row, 0.0, None)
-    transfer = _sampled(model, column, row)
-    if transfer is None:
-        raise LinearizationError(
-            f"{port}: its signal changes more than once in the common period of "
-            f"{model.period_s:g} s, or while it is read: no transfer function describes the loop; "
-            f"break it where the signal is constant for {model.period_s:g} s"
-        )
-    return transfer
+    loop = PeriodicLoop(opened(model.ticks, column, row), row, model.period_s)
+    return _transfer(loop) or loop
 
 
 def _name_and_element(port: str) -> tuple[str, int | None]:
@@ -97,48 +92,31 @@ def _index(name: str, element: int | None, size: int) -> int:
     return element or 0
 
 
-def _sampled(model: LinearModel, column: int, row: Array) -> Transfer | None:
-    """Return L of a sampled model from perturbation ``column`` and y = c z with c ``row``.
+def _transfer(loop: PeriodicLoop) -> Transfer | None:
+    """Return L if the signal is constant over a period that begins before or after some updates.
 
-    The period of L begins before or after the updates at one of the times of the model. The result
-    is the first such L that gives the loop itself when the loop is closed again once a period, for
-    two loop gains. The result is None if there is no such L.
+    The result is the first transfer function that gives the loop itself when it is closed once a
+    period, for two loop gains. The result is None if there is none.
     """
-    opened = [_with_feedback(tick, column, row, -1.0) for tick in model.ticks]
-    for first in range(len(opened)):
-        before = opened[first:] + opened[:first]
-        for ticks in (before, _updates_last(before)):
-            transfer = Transfer(*over_period(ticks), -row, 0.0, model.period_s)
-            if all(_closes(transfer, ticks, row, factor) for factor in _FACTORS):
+    for first in range(len(loop.ticks)):
+        before = loop.ticks[first:] + loop.ticks[:first]
+        for ticks in (before, updates_last(before)):
+            transfer = Transfer(*over_period(ticks), -loop.row, 0.0, loop.period_s)
+            expected = replace(loop, ticks=ticks).closed_matrices(_FACTORS).real
+            if all(map(_equal, _closed(transfer), expected)):
                 return transfer
     return None
 
 
-def _updates_last(ticks: Sequence[TickModel]) -> list[TickModel]:
-    """Return the ticks of a period that begins after the first updates and ends with them."""
-    first, *others = ticks
-    n, m = first.jump_input.shape
-    flow = replace(first, jump_state=np.eye(n), jump_input=np.zeros((n, m)))
-    return [flow, *others, replace(first, duration_s=0.0)]
+def _closed(transfer: Transfer) -> Iterator[Array]:
+    """Yield the matrix of the loop that is closed once a period, for each loop gain."""
+    return (transfer.a - factor * transfer.b @ transfer.c for factor in _FACTORS)
 
 
-def _with_feedback(tick: TickModel, column: int, row: Array, gain: float) -> TickModel:
-    """Return a tick with the input ``column`` alone, to which ``gain`` c z adds."""
-    drive, rate = (m[:, column : column + 1] for m in (tick.jump_input, tick.rate_input))
-    return replace(
-        tick,
-        jump_state=tick.jump_state + gain * drive @ row,
-        jump_input=drive,
-        rate_state=tick.rate_state + gain * rate @ row,
-        rate_input=rate,
-    )
-
-
-def _closes(transfer: Transfer, ticks: Sequence[TickModel], row: Array, factor: float) -> bool:
-    """Return whether feedback of L once a period is feedback of y at all times, v = factor · y."""
-    expected, _ = over_period([_with_feedback(tick, 0, row, factor) for tick in ticks])
-    closed = transfer.a - factor * transfer.b @ transfer.c
+def _equal(matrix: Array, expected: Array) -> bool:
+    """Return whether two matrices are equal, also if their states have different units."""
     _, (scale, _) = scipy.linalg.matrix_balance(expected, permute=False, separate=True)
-    balanced = [matrix * scale / scale[:, None] for matrix in (closed - expected, expected)]
-    difference, size = (float(np.linalg.norm(matrix)) for matrix in balanced)
+    difference, size = (
+        float(np.linalg.norm(m * scale / scale[:, None])) for m in (matrix - expected, expected)
+    )
     return difference <= _SAME * size

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from ..errors import ParameterError
 from ..run_data import Array
 from .model import Complex
+from .periodic import PeriodicLoop
 from .zeros import invariant_zeros
 
 _POINTS = 4_000  # of a grid of frequencies, without the points around resonances
@@ -160,6 +161,11 @@ def as_transfer(loop: Any) -> Transfer:
     """
     if isinstance(loop, Transfer):
         return loop
+    if isinstance(loop, PeriodicLoop):
+        raise ParameterError(
+            f"loop: its signal changes several times within the period of {loop.period_s:g} s: it "
+            f"has no transfer function; use margins(loop), or break the loop at another port"
+        )
     if isinstance(loop, tuple) and len(loop) in (4, 5):
         *matrices, period_s = loop if len(loop) == 5 else (*loop, None)
     elif hasattr(loop, "period_s"):

@@ -14,6 +14,7 @@ import scipy
 from ..run_data import Array
 from .loops import Transfer, as_transfer
 from .model import Complex
+from .periodic import PeriodicLoop
 
 _NO_FACTOR = 1e-6  # a smaller gain margin is the rounding error of a pole at zero frequency
 _WHOLE_PLANE = 1.0 - 1e-12  # a disk of this size or more is a half plane
@@ -72,13 +73,20 @@ def margins(loop: Any) -> LoopMargins:
     Parameters
     ----------
     loop
-        The loop transfer L for negative feedback, in one of the forms that `as_transfer` describes.
+        The loop transfer L for negative feedback, in one of the forms that `as_transfer` describes,
+        or a `PeriodicLoop`. In place of L, a `PeriodicLoop` has a factor k on its signal at all
+        times. Its margins are the smallest changes of k that move an eigenvalue of the motion over
+        a period across the unit circle. For a loop with a transfer function both definitions give
+        the same numbers. The phase margins are then the smaller one of lag and lead, and the delay
+        margin is nan.
 
     Raises
     ------
     ParameterError
         The argument is no such loop. Also if L = −1 at infinite frequency.
     """
+    if isinstance(loop, PeriodicLoop):
+        return _periodic_margins(loop)
     system = as_transfer(loop)
     grid = system.frequency_grid()
     values = system.response(grid)
@@ -103,7 +111,6 @@ def margins(loop: Any) -> LoopMargins:
     if system.period_s is None and abs(system.d) >= 1.0:
         delay = (0.0, math.inf)  # the delayed loop has crossings at all high frequencies
     disk, frequency = _disk(system, grid, values, ends)
-    reach = 0.5 * disk
     return LoopMargins(
         stable=system.closed_is_stable(),
         gain_margin=upper[0],
@@ -115,11 +122,38 @@ def margins(loop: Any) -> LoopMargins:
         phase_lead_margin_frequency_hz=lead[1],
         delay_margin_s=delay[0],
         delay_margin_frequency_hz=delay[1],
-        disk_margin=disk,
-        disk_margin_frequency_hz=frequency,
-        disk_gain_margin=(1.0 + reach) / (1.0 - reach) if reach < _WHOLE_PLANE else math.inf,
-        disk_phase_margin_deg=math.degrees(2.0 * math.atan(reach)),
+        **_disk_values(0.5 * disk, frequency),
     )
+
+
+def _periodic_margins(loop: PeriodicLoop) -> LoopMargins:
+    """Return the margins of a loop without transfer function, by factors on its signal."""
+    more, less, turn = loop.gain_change(1.0), loop.gain_change(-1.0), loop.turn_change()
+    reach, frequency = loop.disk_change()
+    return LoopMargins(
+        stable=loop.stable(),
+        gain_margin=more[0],
+        gain_margin_frequency_hz=more[1],
+        lower_gain_margin=less[0],
+        phase_margin_deg=math.degrees(turn[0]),
+        phase_margin_frequency_hz=turn[1],
+        phase_lead_margin_deg=math.degrees(turn[0]),
+        phase_lead_margin_frequency_hz=turn[1],
+        delay_margin_s=math.nan,
+        delay_margin_frequency_hz=math.nan,
+        **_disk_values(reach, frequency),
+    )
+
+
+def _disk_values(reach: float, frequency: float) -> dict[str, float]:
+    """Return the fields of a disk margin; ``reach`` is half the disk margin, at most 1."""
+    whole = reach >= _WHOLE_PLANE
+    return {
+        "disk_margin": 2.0 * reach,
+        "disk_margin_frequency_hz": frequency,
+        "disk_gain_margin": math.inf if whole else (1.0 + reach) / (1.0 - reach),
+        "disk_phase_margin_deg": math.degrees(2.0 * math.atan(reach)),
+    }
 
 
 def _limit(system: Transfer, frequency: float) -> complex:

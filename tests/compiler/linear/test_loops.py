@@ -7,7 +7,14 @@ import control
 import numpy as np
 import pytest
 
-from kneexo.compiler import ParameterError, as_transfer, complementary_sensitivity, sensitivity
+from kneexo.compiler import (
+    ParameterError,
+    PeriodicLoop,
+    TickModel,
+    as_transfer,
+    complementary_sensitivity,
+    sensitivity,
+)
 
 LAG = (-np.eye(1), np.eye(1), np.eye(1), np.zeros((1, 1)))  # 1/(s + 1)
 
@@ -138,6 +145,13 @@ def test_a_sampled_loop_of_python_control_has_its_period():
 def test_what_is_no_loop_is_refused_in_one_line(loop, message):
     with pytest.raises(ParameterError, match=rf"\A{re.escape(message)}[^\n]*\Z"):
         as_transfer(loop)
+
+
+def test_a_loop_without_transfer_is_refused():
+    ticks = (TickModel(0.0, 0.1, *(np.eye(1),) * 4),)
+    match = r"\Aloop: its signal changes several times within the period of 0\.1 s: [^\n]*\Z"
+    with pytest.raises(ParameterError, match=match):
+        sensitivity(PeriodicLoop(ticks, np.eye(1), 0.1))
 
 
 def test_a_loop_of_minus_one_at_infinite_frequency_has_no_closed_loop():

@@ -1,0 +1,157 @@
+"""Loops whose signal changes several times within a period: stability at a factor on the signal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from ..run_data import Array
+from .model import Complex, TickModel
+
+_GAINS = np.linspace(0.0, math.log(1e6), 601)  # logarithms of factors
+_TURNS = np.linspace(0.0, math.pi, 361)
+_DIRECTIONS = np.linspace(0.0, math.pi, 37)
+_REACHES = np.linspace(0.0, 0.999, 81)
+
+
+@dataclass(frozen=True, repr=False)
+class PeriodicLoop:
+    """A loop that is broken where its signal y changes several times within the period P.
+
+    All systems that read the signal get v in its place. ``ticks`` have v as their only input, and
+    ``row`` (1, n) gives y = c z from the state z. The loop is closed by v = y. It has no transfer
+    function with one input and one output, because a sine in v gives y components at several
+    frequencies.
+    """
+
+    ticks: tuple[TickModel, ...]
+    row: Array
+    period_s: float
+
+    def __repr__(self) -> str:
+        """Return a text with the period and the numbers of states and updates."""
+        return (
+            f"PeriodicLoop(period_s={self.period_s:g}, {self.row.size} states, "
+            f"{len(self.ticks)} times of updates)"
+        )
+
+    def closed_matrices(self, factors: ArrayLike = 1.0) -> Complex:
+        """Return the matrices of the motion over a period with v = k y, for factors k (f,).
+
+        The result has the shape (f, n, n). At the factor 1 the loop is that of the diagram.
+        """
+        k = np.atleast_1d(np.asarray(factors, dtype=complex))[:, None, None]
+        moved: Any = np.eye(self.row.size)
+        flows: dict[tuple[float, int], Complex] = {}
+        for tick in self.ticks:
+            moved = (tick.jump_state + k * (tick.jump_input @ self.row)) @ moved
+            key = (tick.duration_s, id(tick.rate_state))
+            if key not in flows:
+                gain = k if tick.rate_input.any() else k[:1]  # else the same for all factors
+                rate = tick.rate_state + gain * (tick.rate_input @ self.row)
+                flows[key] = scipy.linalg.expm(rate * tick.duration_s)
+            moved = flows[key] @ moved
+        return np.asarray(moved, dtype=complex)
+
+    def closed_eigenvalues(self, factors: ArrayLike = 1.0) -> Complex:
+        """Return the eigenvalues (f, n) of `closed_matrices`."""
+        return np.asarray(np.linalg.eigvals(self.closed_matrices(factors)), dtype=complex)
+
+    def stable(self) -> bool:
+        """Return whether the loop of the diagram is asymptotically stable."""
+        return bool(self._excess(1.0)[0] < 0.0)
+
+    def gain_change(self, sign: float) -> tuple[float, float]:
+        """Return the first factor above 1 (sign 1) or below 1 (−1) that moves stability.
+
+        The second value is the frequency of the critical eigenvalue in Hz, at most 1/(2P). If no
+        factor from 1e-6 to 1e6 moves stability, the result is (inf or 0, nan).
+        """
+        logarithm, frequency = self._first(lambda t: np.exp(sign * t), _GAINS)
+        return math.exp(sign * logarithm), frequency
+
+    def turn_change(self) -> tuple[float, float]:
+        """Return the smallest turn φ in rad, up to π, whose factor e^{±jφ} moves stability.
+
+        The second value is the frequency; without such a turn the result is (inf, nan). A factor
+        e^{−jφ} is a lag at positive frequencies and a lead at negative ones. The eigenvalues of a
+        period do not tell one from the other, so the result is the smaller of the two.
+        """
+        return self._first(lambda t: np.exp(-1j * t), _TURNS)
+
+    def disk_change(self) -> tuple[float, float]:
+        """Return the smallest ε whose factor (1 + εe^{jθ})/(1 − εe^{jθ}) moves stability for any θ.
+
+        The second value is the frequency; without such an ε below 0.999 the result is (1, nan).
+        """
+
+        def along(angle: float) -> tuple[float, float]:
+            turn = np.exp(1j * angle)
+            return self._first(lambda t: (1.0 + t * turn) / (1.0 - t * turn), _REACHES)
+
+        reaches = [along(angle)[0] for angle in _DIRECTIONS]
+        best = int(np.argmin(reaches))
+        if math.isinf(reaches[best]):
+            return 1.0, math.nan
+        bounds = (_DIRECTIONS[max(best - 1, 0)], _DIRECTIONS[min(best + 1, len(reaches) - 1)])
+        search = scipy.optimize.minimize_scalar(
+            lambda angle: along(angle)[0], bounds=bounds, options={"xatol": 1e-9}
+        )
+        return min(along(float(search.x)), along(float(_DIRECTIONS[best])))
+
+    def _excess(self, factors: ArrayLike) -> Array:
+        """Return the largest magnitude of an eigenvalue minus 1, for factors (f,)."""
+        return np.asarray(np.abs(self.closed_eigenvalues(factors)).max(axis=1) - 1.0)
+
+    def _first(self, path: Callable[[Any], Any], grid: Array) -> tuple[float, float]:
+        """Return the first t > 0 at which the factor path(t) moves stability, and its frequency.
+
+        ``grid`` are values of t from 0. Without such a t the result is (inf, nan).
+        """
+        excess = self._excess(path(grid))
+        changes = np.flatnonzero(np.sign(excess[1:]) != np.sign(excess[0]))
+        if not changes.size:
+            return math.inf, math.nan
+        low, high = grid[changes[0]], grid[changes[0] + 1]
+        t = float(scipy.optimize.brentq(lambda t: self._excess(path(t))[0], low, high, xtol=1e-14))
+        values = self.closed_eigenvalues(path(t))[0]
+        critical = values[np.argmax(np.abs(values))]
+        return t, abs(float(np.angle(critical))) / (2.0 * math.pi * self.period_s)
+
+
+def opened(ticks: Sequence[TickModel], column: int, row: Array) -> tuple[TickModel, ...]:
+    """Return ticks with v as their only input, where v = u + c z with the input ``column`` u.
+
+    The substitution u = v − c z opens the loop through the signal v. ``row`` is c.
+    """
+    rates: dict[int, tuple[Array, Array]] = {}
+    for tick in ticks:
+        rate = tick.rate_input[:, column : column + 1]
+        rates.setdefault(id(tick.rate_state), (tick.rate_state - rate @ row, rate))
+    result = []
+    for tick in ticks:
+        jump, (state, rate) = tick.jump_input[:, column : column + 1], rates[id(tick.rate_state)]
+        result.append(
+            replace(
+                tick,
+                jump_state=tick.jump_state - jump @ row,
+                jump_input=jump,
+                rate_state=state,
+                rate_input=rate,
+            )
+        )
+    return tuple(result)
+
+
+def updates_last(ticks: Sequence[TickModel]) -> tuple[TickModel, ...]:
+    """Return the ticks of a period that begins after the first updates and ends with them."""
+    first, *others = ticks
+    n, m = first.jump_input.shape
+    flow = replace(first, jump_state=np.eye(n), jump_input=np.zeros((n, m)))
+    return flow, *others, replace(first, duration_s=0.0)
