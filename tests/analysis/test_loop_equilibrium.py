@@ -19,7 +19,10 @@ from linear_cases import (
 )
 
 from kneexo.analysis import loop_equilibrium
+from kneexo.analysis.loop_equilibrium import find_equilibrium
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.compiler import linearize
+from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinearizationError
 from kneexo.parameters import (
     BldcPumpParameters,
@@ -163,3 +166,43 @@ def test_a_rest_outside_the_boundary_layer_is_refused():
     controller = SlidingModeParameters(eta_m_s3=0.0, phi_m_s2=1e-6)
     with raises_one_line(LinearizationError, "outside the boundary layer"):
         linearize_loop(Scenario(estimator=ExactParameters(), controller=controller))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "weight",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("smc", "pid", "can_2", "exact")),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*corner")  # of Eq. 27 at rest: `beside` avoids it
+def test_the_gradients_equal_those_of_the_compiled_equations(name):
+    scenario = SCENARIOS[name].without_quantizers()
+    rest = find_equilibrium(scenario)
+    diagram = make_closed_loop(scenario, signals=(), external_reference=True)
+    beside = rest.point + 1e-6 * (1.0 + np.abs(rest.point))
+    _, gradient, c = rest.gradients(beside, rest.reference, "knee_angle")
+    n, m = rest.continuous_states, rest.point.size - rest.continuous_states
+    context = diagram.CreateDefaultContext()
+    context.SetContinuousState(beside[:n])
+    first = n
+    for group in range(context.num_discrete_state_groups()):
+        vector = context.get_mutable_discrete_state(group)
+        vector.SetFromVector(beside[first : first + vector.size()])
+        first += vector.size()
+    diagram.GetInputPort("knee_reference").FixValue(context, rest.reference)
+    model = linearize(
+        diagram,
+        context,
+        inputs=["knee_reference"],
+        outputs=["knee_angle"],
+        equilibrium_tolerance=math.inf,
+    )
+    (tick,) = model.ticks
+    assert tick.duration_s == model.period_s == rest.sample_time_s
+    compiled = np.block(
+        [[tick.rate_state[:n], tick.rate_input[:n]], [tick.jump_state[n:], tick.jump_input[n:]]]
+    )
+    assert compiled.shape == gradient.shape == (n + m, n + m + 4)
+    np.testing.assert_allclose(compiled, gradient, rtol=1e-12, atol=0.0)
+    np.testing.assert_allclose(model.c[:, :n], c, rtol=1e-12, atol=0.0)
