@@ -55,6 +55,15 @@ TESTS: dict[str, tuple[str, ...]] = {
     "compiler/model_base": ("compiler/test_model_base", "compiler/test_model"),
     "compiler/equations/contexts": ("compiler/equations/test_contexts", "compiler/test_model"),
     "compiler/equations/events": ("compiler/equations/test_events", "compiler/test_drake_zoo"),
+    "compiler/linear/linearize": (
+        "compiler/linear/test_linearize",
+        "compiler/linear/test_model",
+    ),
+    "compiler/linear/model": (
+        "compiler/linear/test_model",
+        "compiler/linear/test_sine_response",
+        "compiler/linear/test_linearize",
+    ),
     "compiler/equations/names": ("compiler/equations/test_names", "compiler/test_drake_zoo"),
     "compiler/equations/reader": ("compiler/equations/test_reader", "simulation/test_compiled"),
     "compiler/equations/symbolic": ("compiler/equations/test_symbolic", "compiler/test_drake_zoo"),

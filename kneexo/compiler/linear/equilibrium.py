@@ -31,7 +31,7 @@ def find_equilibrium(
     """Return a new Context in which all states of a diagram of floats rest.
 
     There all rates of continuous states are zero, and no update changes a discrete state. The
-    search is Newton's method with exact derivatives, from the state in ``context``; where it fails,
+    search is Newton's method with exact derivatives, from the state in ``context``. Where it fails,
     a search by least squares follows. A state without influence keeps its value. The time is that
     of the Context.
 
@@ -50,14 +50,14 @@ def find_equilibrium(
     bypass
         Paths of systems that count as wires, as in `linearize`.
     equilibrium_tolerance
-        As in `linearize`; also the largest absolute error of ``outputs``.
+        As in `linearize`, and the largest absolute error of ``outputs``.
 
     Raises
     ------
     LinearizationError
         There is no equilibrium near the start. The message names the state that still moves most.
     CompilationError, ParameterError
-        As in `linearize`; also for a name in ``fixed`` that is no state, and for an output value of
+        As in `linearize`. Also for a name in ``fixed`` that is no state, and for an output value of
         a wrong size.
     """
     targets = {} if outputs is None else outputs
@@ -125,7 +125,7 @@ def _free_states(point: Point, fixed: Iterable[str]) -> Array:
 
 
 def _searches(function: Any, start: Array) -> Iterator[Array]:
-    """Yield points that may be zeros of a function with Jacobian: by Newton, by least squares."""
+    """Yield points that may be zeros of a function with Jacobian, by Newton and least squares."""
     if not start.size:
         yield start
         return

@@ -23,7 +23,7 @@ def values_and_jacobian(
 
     The derivatives are exact, by the chain rule in forward mode. At a corner (`Role.CORNER`) they
     are those on one side. A derivative that multiplies zero counts as zero, also if it is not
-    finite: the branch of a choice that is not taken has no effect.
+    finite. So the branch of a choice that is not taken has no effect.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def values_and_jacobian(
     sources
         Dictionary from each kind of source, such as ``state``, to the values of its elements.
     kinds
-        Kinds of sources that are the variables: all elements of the first kind, then all elements
+        Kinds of sources that are the variables, all elements of the first kind, then all elements
         of the second kind, and so on.
     slopes
         Dictionary from a node of one argument to the derivative that replaces its derivative, such

@@ -30,10 +30,10 @@ def linearize(
     period_s: float | None = None,
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
 ) -> LinearModel:
-    """Linearize a diagram of floats at an equilibrium: continuous, sampled, mixed or multirate.
+    """Linearize a continuous, sampled, mixed or multirate diagram of floats at an equilibrium.
 
     The derivatives are exact, from the symbolic equations of the leaf systems. A diagram with
-    sample periods becomes a discrete model over their least common multiple; the matrix exponential
+    sample periods becomes a discrete model over their least common multiple. The matrix exponential
     moves its continuous states between the updates. See `LinearModel` for the definitions.
 
     At a corner, such as the limit of a saturation, the derivatives are those on one side. The
@@ -50,7 +50,7 @@ def linearize(
         zero.
     inputs
         Names of input ports of the diagram. A name ``path/of/system:port`` stands for a port inside
-        the diagram; the input is then a perturbation that adds to the signal of this port, for all
+        the diagram. The input is then a perturbation that adds to the signal of this port, for all
         systems that read the signal through this port.
     outputs
         Names of output ports of the diagram, or ``path/of/system:port`` for ports inside. The
@@ -59,7 +59,7 @@ def linearize(
         Paths of systems without state, such as quantizers, that count as wires: the first input is
         the output. All obstacles behind a quantizer are visible only when it is bypassed.
     period_s
-        Period of the model in s, a multiple of all sample periods; by default the least common
+        Period of the model in s, a multiple of all sample periods. The default is the least common
         multiple. If the diagram has no sample periods, the model is discretized exactly for inputs
         that are constant during ``period_s``. By default such a model stays continuous.
     equilibrium_tolerance
@@ -146,7 +146,7 @@ def events(
 ) -> tuple[list[tuple[float, list[Update]]], float]:
     """Return the times of a period with the updates at each time, and the period in s.
 
-    The first time is 0; it has no updates if all updates have an offset. ``period_s`` None stands
+    The first time is 0. It has no updates if all updates have an offset. ``period_s`` None stands
     for the least common multiple of the sample periods.
     """
     if period_s is not None and not 0.0 < period_s < math.inf:

@@ -1,4 +1,4 @@
-"""Linear models of diagrams: state space over a period, and the exact motion between samples."""
+"""Linear models of diagrams, with the state space over a period and the motion between samples."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TickModel:
     time_s: float
     duration_s: float
     jump_state: Array
-    """J (n, n): the identity where no update occurs."""
+    """J (n, n), the identity where no update occurs."""
     jump_input: Array
     """K (n, m)."""
     rate_state: Array
@@ -70,13 +70,13 @@ class LinearModel:
     All quantities are deviations from the operating point, in the units of the diagram. The state z
     has the continuous states first and then the discrete states.
 
-    - ``period_s`` is None: a continuous model, dz/dt = A z + B u, y = C z + D u.
-    - Else z(t + P) = A z(t) + B u, y(t) = C z(t) + D u at t = 0, P, 2P … with the period P. The
-      input u is constant from t to t + P. As in Drake, z(t) is the state before the updates at t,
-      the updates at t see the input u, and y(t) is the output before these updates.
+    - If ``period_s`` is None, the model is continuous, dz/dt = A z + B u, y = C z + D u.
+    - Otherwise z(t + P) = A z(t) + B u, y(t) = C z(t) + D u at t = 0, P, 2P … with the period P.
+      The input u is constant from t to t + P. As in Drake, z(t) is the state before the updates
+      at t, the updates at t see the input u, and y(t) is the output before these updates.
 
     For a diagram with several sample periods P is their least common multiple. The model is exact
-    for the linearized diagram: no integration error, no approximation of holds or delays.
+    for the linearized diagram. It has no integration error and approximates no hold or delay.
     """
 
     a: Array
@@ -89,9 +89,9 @@ class LinearModel:
     """D (p, m)."""
     period_s: float | None
     state_names: tuple[str, ...]
-    """Names of the states, such as ``pendulum.theta`` or ``hold.0[0]``: path and element."""
+    """Names of the states from path and element, such as ``pendulum.theta`` or ``hold.0[0]``."""
     input_names: tuple[str, ...]
-    """Names of the elements of the input ports: ``port``, or ``port[i]`` if it has several."""
+    """Names of the elements of the input ports, ``port``, or ``port[i]`` if it has several."""
     output_names: tuple[str, ...]
     """Names of the elements of the output ports."""
     operating_point: OperatingPoint
@@ -109,7 +109,7 @@ class LinearModel:
 
     @property
     def eigenvalues(self) -> Complex:
-        """Eigenvalues of A: by falling real part if the model is continuous, else by magnitude.
+        """Eigenvalues of A, by falling real part if the model is continuous, else by magnitude.
 
         In a conjugate pair, the eigenvalue with positive imaginary part comes first.
         """
@@ -129,7 +129,7 @@ class LinearModel:
 
     @property
     def stable(self) -> bool:
-        """Whether all deviations die out: Re λ < 0 if the model is continuous, else |λ| < 1.
+        """Whether all deviations tend to zero, Re λ < 0 if the model is continuous, else |λ| < 1.
 
         ``λ`` are the `eigenvalues`. A model without states is stable.
         """
@@ -139,7 +139,7 @@ class LinearModel:
         return bool((np.abs(values) < 1.0).all())
 
     def poles(self) -> Complex:
-        """Return the poles in 1/s: the `eigenvalues` λ, or ln(λ)/P of a sampled model.
+        """Return the poles in 1/s, the `eigenvalues` λ, or ln(λ)/P of a sampled model.
 
         A sampled model has no pole for an eigenvalue below 1e-9, such as those of a delay.
         """
@@ -149,7 +149,7 @@ class LinearModel:
         return np.asarray(np.log(values[np.abs(values) > 1e-9]) / self.period_s, dtype=complex)
 
     def zeros(self) -> Complex:
-        """Return the finite invariant zeros: values of s, or of z if the model is sampled.
+        """Return the finite invariant zeros, values of s, or of z if the model is sampled.
 
         They are the numbers λ for which the matrix [[A − λI, B], [C, D]] loses rank.
         """

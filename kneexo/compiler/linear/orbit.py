@@ -28,7 +28,7 @@ _TRANSIENT = 30  # periods of a run from the start, after Newton's method fails 
 
 @dataclass(frozen=True, repr=False)
 class PeriodicOrbit:
-    """A periodic orbit of a diagram, found by `periodic_orbit`.
+    """A periodic orbit of a diagram, made by `periodic_orbit`.
 
     ``context`` is the Context at the begin of the period, at t = 0, before the updates at that
     time. ``model`` is the linear model over the period, for deviations from the orbit.
@@ -46,7 +46,7 @@ class PeriodicOrbit:
 
     @property
     def multipliers(self) -> Complex:
-        """The Floquet multipliers, by falling magnitude: the eigenvalues of the monodromy matrix.
+        """The Floquet multipliers, which are the eigenvalues of A, by falling magnitude.
 
         One multiplier of an autonomous orbit is 1, because the orbit can be shifted in time.
         """
@@ -54,7 +54,7 @@ class PeriodicOrbit:
 
     @property
     def stable(self) -> bool:
-        """Whether deviations die out: all multipliers, except for that 1, lie inside the circle."""
+        """Whether all multipliers lie inside the unit circle, except for 1 if autonomous."""
         values = self.multipliers
         if self.autonomous:
             values = np.delete(values, np.argmin(np.abs(values - 1.0)))
@@ -77,17 +77,19 @@ def periodic_orbit(
 ) -> PeriodicOrbit:
     """Find a periodic orbit of a diagram of floats by shooting, and linearize the diagram along it.
 
-    The state after a period, and its derivatives by the state before and by the inputs, come from a
-    run of compiled code: the variational equations are integrated with the states by RK4. Newton's
-    method makes both states equal. It begins at the state in ``context``, and if it fails there,
-    after a run of some periods, which ends near a stable orbit.
+    A run of compiled code gives the state after a period, and the derivatives of this state by the
+    state before the period and by the inputs. RK4 integrates the variational equations together
+    with the states. Newton's method makes the two states equal. It begins at the state in
+    ``context``. If it fails, it begins again after a run of some periods, which tends to a stable
+    orbit.
 
-    The orbit is one of the time, of sample periods, or of neither. In the last case its period is
-    unknown; the search begins at ``period_s`` and stays on the plane through the start that is
-    normal to the motion there.
+    If the equations depend on the time, or if the diagram has sample periods, the orbit has the
+    period ``period_s``. Otherwise the orbit is autonomous and its period is unknown. The search for
+    the period begins at ``period_s``. The state at the begin of an autonomous orbit lies on the
+    plane through the start that is normal to the motion at the start.
 
     The effect of a small deviation on the time of a switch is not part of the model. So the rates
-    of the diagram must not jump on the orbit; they can have corners, such as a saturation.
+    of the diagram must not jump on the orbit. They can have corners, such as a saturation.
 
     Parameters
     ----------
@@ -95,7 +97,7 @@ def periodic_orbit(
         As in `linearize`. The orbit begins at t = 0, whatever the time of the Context. Without
         ``outputs`` the model has none.
     period_s
-        Period in s: a multiple of all sample periods, and of the periods of all sources. By default
+        Period in s, a multiple of all sample periods and of the periods of all sources. By default
         the least common multiple of the sample periods.
     step_s
         Largest step of RK4 in s.
@@ -164,10 +166,10 @@ class _Search:
             for _ in range(periods):
                 state, _ = self.after_period(state, self._period)
             begin = np.append(state, [self._period] if self.autonomous else [])
-            found, _ = newton(self._changes(state), begin, relative=True)
-            orbit, period = found[: state.size], self._period
+            unknowns, _ = newton(self._changes(state), begin, relative=True)
+            orbit, period = unknowns[: state.size], self._period
             if self.autonomous:
-                period = float(found[-1])
+                period = float(unknowns[-1])
             fault = self._fault(orbit, period)
             if not fault:
                 return orbit, period
@@ -224,8 +226,10 @@ class _Search:
         failed = np.full(n, np.nan), np.full((n, columns), np.nan)
         if not 0.0 < period < np.inf:
             return failed
-        one = np.eye(n, columns)
-        start = State(np.append(state[:count], one[:count]), np.append(state[count:], one[count:]))
+        unit = np.eye(n, columns)
+        start = State(
+            np.append(state[:count], unit[:count]), np.append(state[count:], unit[count:])
+        )
         try:
             final = self._model.simulate(
                 self._point.parameters,
@@ -245,7 +249,7 @@ class _Search:
 
 
 def with_sensitivities(equations: Equations, inputs: int) -> Equations:
-    """Return equations with further states: the derivatives of the states by their start.
+    """Return equations whose further states are the derivatives of the states by their start.
 
     The state z has n elements, continuous and then discrete. The further states are the rows of the
     matrix S = ∂z/∂(z₀, u), for constant values u of the first ``inputs`` elements of the open

@@ -1,4 +1,4 @@
-"""The equations of a diagram and their derivatives at a point: state, inputs, parameters, time."""
+"""The equations of a diagram, and their derivatives at a state, inputs, parameters and a time."""
 
 from __future__ import annotations
 

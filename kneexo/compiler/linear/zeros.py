@@ -46,7 +46,7 @@ def _reduced(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array, Arra
     """Return a system with the same zeros whose feedthrough D has full row rank.
 
     Where a combination of outputs has no feedthrough, C₂ x = 0 confines the state to the null space
-    of C₂. The rates out of this null space must be zero; they become outputs.
+    of C₂. The rates out of this null space must be zero, so they become outputs.
     """
     while True:
         left, singular, _ = np.linalg.svd(d)

@@ -20,31 +20,31 @@ def companion(poles, zeros):
 
 @pytest.mark.parametrize("zeros", [[], [-3.0], [2.0, -0.5], [-1.0 + 4.0j, -1.0 - 4.0j, 7.0]])
 def test_zeros_of_a_transfer_function(zeros):
-    found = invariant_zeros(*companion([-1.0, -2.0, -2.5, -4.0, -0.1], zeros))
-    assert np.sort_complex(found) == pytest.approx(np.sort_complex(np.array(zeros)), rel=1e-9)
+    result = invariant_zeros(*companion([-1.0, -2.0, -2.5, -4.0, -0.1], zeros))
+    assert np.sort_complex(result) == pytest.approx(np.sort_complex(np.array(zeros)), rel=1e-9)
 
 
 def test_zeros_do_not_depend_on_the_units_of_the_states():
     a, b, c, d = companion([-1.0, -2.0, -300.0], [-50.0])
     unit = np.diag([1e-6, 1.0, 1e7])
     inverse = np.linalg.inv(unit)
-    found = invariant_zeros(unit @ a @ inverse, unit @ b, c @ inverse, d)
-    assert found == pytest.approx([-50.0], rel=1e-9)
+    result = invariant_zeros(unit @ a @ inverse, unit @ b, c @ inverse, d)
+    assert result == pytest.approx([-50.0], rel=1e-9)
 
 
 def test_feedthrough_gives_as_many_zeros_as_states():
     a, b, c = np.diag([-1.0, -2.0]), np.array([[1.0], [1.0]]), np.array([[1.0, 1.0]])
     # 1 + 1/(s + 1) + 1/(s + 2) = (s² + 5 s + 5)/…
-    found = invariant_zeros(a, b, c, np.eye(1))
-    assert np.sort(found.real) == pytest.approx([-2.5 - 1.25**0.5, -2.5 + 1.25**0.5], rel=1e-12)
+    result = invariant_zeros(a, b, c, np.eye(1))
+    assert np.sort(result.real) == pytest.approx([-2.5 - 1.25**0.5, -2.5 + 1.25**0.5], rel=1e-12)
 
 
 def test_two_channels_have_the_zeros_of_both():
     first, second = companion([-1.0, -2.0], [-3.0]), companion([-4.0, -5.0, -6.0], [1.0, -7.0])
-    system = [block_diag(one, other) for one, other in zip(first, second, strict=True)]
+    system = [block_diag(upper, lower) for upper, lower in zip(first, second, strict=True)]
     mix = np.array([[1.0, 0.4], [-0.3, 1.0]])
-    found = invariant_zeros(system[0], system[1] @ mix, mix @ system[2], system[3])
-    assert np.sort_complex(found) == pytest.approx([-7.0, -3.0, 1.0], rel=1e-9)
+    result = invariant_zeros(system[0], system[1] @ mix, mix @ system[2], system[3])
+    assert np.sort_complex(result) == pytest.approx([-7.0, -3.0, 1.0], rel=1e-9)
 
 
 def test_a_state_that_no_input_moves_and_no_output_shows_is_a_zero():
@@ -63,9 +63,9 @@ def test_a_random_system_that_is_not_square_has_no_zeros(inputs, outputs):
 def test_at_a_zero_the_system_matrix_loses_rank():
     rng = np.random.default_rng(2)
     a, b, c = rng.normal(size=(5, 5)), rng.normal(size=(5, 2)), rng.normal(size=(2, 5))
-    found = invariant_zeros(a, b, c, np.zeros((2, 2)))
-    assert found.size == 3
-    for zero in found:
+    result = invariant_zeros(a, b, c, np.zeros((2, 2)))
+    assert result.size == 3
+    for zero in result:
         matrix = np.block([[a - zero * np.eye(5), b], [c, np.zeros((2, 2))]])
         assert np.linalg.svd(matrix, compute_uv=False)[-1] < 1e-10
 
