@@ -19,6 +19,7 @@ from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import SampledReference, Scenario, SimulationParameters
 from kneexo.parameters.fields import limits_of
+from kneexo.systems import EncoderCount
 
 What = Literal["controller", "plant", "loop"]
 """Name of a part of a scenario that can be exported."""
@@ -60,7 +61,7 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
         number.
     ``plant``
         The plant with its encoder. Inputs: motor speed command and external forces. Outputs:
-        encoder reading and the signals of the plant.
+        encoder reading, the count of a quantized encoder, and the signals of the plant.
     ``loop``
         `make_closed_loop`. Inputs: external forces. The knee reference is an input too if it is
         sampled. Outputs: all available signals.
@@ -164,6 +165,11 @@ def _plant(scenario: Scenario) -> Target:
         builder.ExportInput(plant.GetInputPort(name), name)
     builder.ExportOutput(encoder.get_output_port(), "encoder_reading")
     outputs = ["encoder_reading"]
+    if scenario.encoder.quantized:
+        count = builder.AddNamedSystem(ENCODER_COUNT, EncoderCount(scenario.encoder.resolution_rad))
+        builder.Connect(encoder.get_output_port(), count.get_input_port())
+        builder.ExportOutput(count.get_output_port(), ENCODER_COUNT)
+        outputs.append(ENCODER_COUNT)
     for name in SIGNALS:
         if plant.HasOutputPort(name):
             builder.ExportOutput(plant.GetOutputPort(name), name)

@@ -8,6 +8,7 @@ in Drake. The encoder is Drake's own `RotaryEncoders`.
 
 from kneexo.systems.bldc_pump import BldcPump, BldcPump_
 from kneexo.systems.drive import Cia402Drive, Cia402Drive_
+from kneexo.systems.encoder_count import EncoderCount, EncoderCount_
 from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
 from kneexo.systems.full_cylinder import FullCylinder, FullCylinder_
 from kneexo.systems.function_law import FunctionLaw, FunctionLaw_, HeldCommand, HeldCommand_
@@ -45,6 +46,8 @@ __all__ = [
     "BldcPump_",
     "Cia402Drive",
     "Cia402Drive_",
+    "EncoderCount",
+    "EncoderCount_",
     "FourBarKnee",
     "FourBarKnee_",
     "FullCylinder",

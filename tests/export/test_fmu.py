@@ -149,6 +149,7 @@ def test_fields_of_the_three_targets(path, fmi):
     assert fields["loop"]["input"] == {"disturbance_force_n": "N"}
     assert fields["loop"]["output"].keys() == set(columns(available_signals(PAPER)))
     plant = fields["plant"]["output"]
+    assert plant.pop("encoder_count") is None  # it has no unit
     assert plant == {name: fields["loop"]["output"][name] for name in plant}
     assert plant["load_flow_m3_s"] == "m3/s"
     assert plant["load_pressure_pa"] == "Pa"
@@ -295,6 +296,7 @@ def test_plant_and_controller_follow_the_compiled_run(path, fmu_instance, fmi):
     controller.fmu.exitInitializationMode()
     names = ("rod_extension_m", "load_pressure_pa", "knee_angle_rad", "encoder_reading_rad")
     rows = [plant.get(*names)]
+    counts = [plant.get("encoder_count")]
     for n in _steps(data):
         controller.set(
             zip(REFERENCE, reference[n], strict=True),
@@ -305,9 +307,12 @@ def test_plant_and_controller_follow_the_compiled_run(path, fmu_instance, fmi):
         plant.set(motor_speed_command_rad_s=command)
         plant.step(n * TICK_S)
         rows.append(plant.get(*names))
+        counts.append(plant.get("encoder_count"))
     assert len(rows) == 15_001
     for name, values in zip(names, np.array(rows).T, strict=True):
         assert _relative(values, data[name]) < 1e-9, name
+    resolution = 2.0 * np.pi / 4096.0
+    assert counts == np.round(data["encoder_reading_rad"] / resolution).tolist()
 
 
 @pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
@@ -686,7 +691,7 @@ def test_command_tells_what_it_wrote(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"plant as FMU by FMI 2: {out}"
     assert lines[1] == "  inputs: motor_speed_command_rad_s, disturbance_force_n"
-    assert lines[2].startswith("  outputs: encoder_reading_rad, knee_angle_rad, rod_extension_m")
+    assert lines[2].startswith("  outputs: encoder_reading_rad, encoder_count, knee_angle_rad")
     assert "  parameters: 111, of which 13 have names of the scenario" in lines
     assert "  communication step: 0.002 s or a whole multiple" in lines
     assert lines[-1].startswith("  binaries: ")

@@ -88,11 +88,13 @@ def test_counts_are_taken_where_the_knee_may_be(fields):
 def test_the_plant_has_its_encoder_and_all_signals_of_the_plant():
     exported = make_target(scenario_of(**LOADED), "plant")
     assert exported.inputs == ("motor_speed_command", "disturbance_force", "knee_torque")
-    assert exported.outputs[0] == "encoder_reading"
+    assert exported.outputs[:2] == ("encoder_reading", "encoder_count")
     assert {"knee_angle", "rod_extension", "load_pressure"} <= set(exported.outputs)
     assert ports(exported.diagram) == (list(exported.inputs), list(exported.outputs))
     assert exported.tick_s == 0.002
     assert "encoder_reading_rad" in exported.interface.fields["encoder_reading"]
+    exact = make_target(scenario_of(encoder={"quantized": False}), "plant")
+    assert "encoder_count" not in exact.outputs
 
 
 def test_the_loop_is_the_closed_loop():
@@ -117,7 +119,7 @@ def test_every_port_has_names_in_c_that_end_in_a_unit(what):
     exported = make_target(scenario_of(**LOADED), what)
     fields = exported.interface.fields
     units = ("_rad", "_rad_s", "_rad_s2", "_rad_s3", "_m", "_m_s", "_m_s2", "_m_s3", "_m3_s")
-    for port in (*exported.inputs, *exported.outputs):
+    for port in {*exported.inputs, *exported.outputs} - {"encoder_count"}:
         for name in fields[port]:
             assert name.endswith((*units, "_n", "_n_m", "_pa", "_w"))
 
