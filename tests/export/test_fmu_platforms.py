@@ -1,13 +1,23 @@
-"""The knee's FMUs with binaries for other machines, run under emulators."""
+"""The knee's FMUs with binaries for other machines, run under emulators, and in ecos."""
+
+import shutil
 
 import numpy as np
 import pytest
 
 from kneexo.command_line.main import main
-from kneexo.compiler.c import cross
+from kneexo.compiler.c import build, cross
+from kneexo.diagrams import SIGNALS
 from kneexo.export.fmu import export_fmu
-from kneexo.parameters import Scenario
-from kneexo.parameters.plant import KneeLoadParameters, PlantParameters
+from kneexo.export.target import largest_step_s
+from kneexo.parameters import (
+    KneeLoadParameters,
+    PlantParameters,
+    Scenario,
+    SimulationParameters,
+)
+from kneexo.parameters.paths import changed
+from kneexo.simulation.compiled import simulate_compiled
 
 TICK_S, STEPS = 0.002, 1000
 LOADED = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
@@ -50,3 +60,40 @@ def test_platforms_that_cannot_be_built_are_one_line(
     assert error.startswith(f"kneexo: {message}")
     assert error.count("\n") == 1
     assert not out.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_ecos_couples_plant_and_controller(fmi, tmp_path):
+    """As libcosim, ecos steps all FMUs at once, so that the command arrives a sample later."""
+    if not any(map(shutil.which, build.COMPILERS)):
+        pytest.skip("needs a C compiler")
+    try:
+        from ecospy import EcosSimulation, EcosSimulationStructure
+    except (ImportError, OSError):
+        pytest.skip("needs ecos: pip install '.[fmu]', apt-get install libtbb12")
+
+    scenario = Scenario(simulation=SimulationParameters(duration_s=1.0))
+    delayed = changed(scenario, {"bus.latency_samples": 1})
+    step_s = largest_step_s(scenario, "plant")
+    data = simulate_compiled(delayed, integrator="rk4", step_s=step_s).data
+    names = [f"controller::{name}" for name in SIGNALS["knee_reference"]]
+    reference = np.column_stack([data[name] for name in SIGNALS["knee_reference"]])
+    with EcosSimulationStructure() as structure:
+        for what in ("plant", "controller"):
+            structure.add_model(what, export_fmu(scenario, tmp_path, what, fmi=fmi).path)
+        for source, target, name in (
+            ("plant", "controller", "encoder_reading_rad"),
+            ("controller", "plant", "motor_speed_command_rad_s"),
+        ):
+            structure.make_real_connection(f"{source}::{name}", f"{target}::{name}")
+        with EcosSimulation(structure=structure, step_size=TICK_S) as simulation:
+            simulation.init()
+            values = [simulation.get_real("plant::rod_extension_m")]
+            for n in range(500):
+                for name, value in zip(names, reference[n].tolist(), strict=True):
+                    simulation.set_real(name, value)
+                simulation.step(1)
+                values.append(simulation.get_real("plant::rod_extension_m"))
+    expected = data["rod_extension_m"]
+    assert np.abs(values - expected).max() < 1e-9 * np.abs(expected).max()

@@ -292,6 +292,8 @@ def test_each_binary_is_of_its_platform(everywhere):
         place = struct.unpack_from("<I", data, 60)[0] + 4 if place is None else place
         assert struct.unpack_from(form, data, place) == (processor,)
         assert f"fmi{version}DoStep".encode() in data
+        # Apple silicon loads no library without a signature, which has this magic number.
+        assert platform != "aarch64-darwin" or b"\xfa\xde\x0c\xc0" in data
         # Other functions are hidden; files for macOS have the names of hidden functions, too.
         assert platform.endswith("darwin") or b"pendulum_fmu_step" not in data
 

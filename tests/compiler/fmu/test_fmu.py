@@ -9,6 +9,7 @@ import zipfile
 from contextlib import suppress
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from pydrake.systems.primitives import (
     Sine,
@@ -116,6 +117,23 @@ def test_steps_off_the_grid_are_refused(lag, time, size, message):
     assert message in lag.refusal(lag.step, time, size)
     lag.step(0.0, TICK_S)  # nothing has changed
     assert lag.get("x_m") == pytest.approx(_exact(TICK_S, 0.5, 0.25), abs=1e-12)
+
+
+def test_fmpy_keeps_to_the_grid(path):
+    """An importer may end steps where an input jumps, unless the FMU says that it cannot."""
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install '.[fmu]'")
+
+    names = [("time", float), ("u_m_s", float)]
+    jump = 2.5 * TICK_S
+    signal = np.array([(0.0, 0.0), (jump, 0.0), (jump, 1.0), (5 * TICK_S, 1.0)], dtype=names)
+    run = fmpy.simulate_fmu(
+        str(path), stop_time=5 * TICK_S, output_interval=TICK_S, input=signal, output=["x_m"]
+    )
+    expected = [0.5]
+    for n in range(5):
+        expected.append(_exact(TICK_S, expected[-1], float(n * TICK_S > jump)))
+    assert run["time"] == pytest.approx(TICK_S * np.arange(6), abs=1e-12)
+    assert run["x_m"] == pytest.approx(expected, abs=1e-12)
 
 
 def test_no_step_beyond_the_stop_time(path, fmu_instance):
