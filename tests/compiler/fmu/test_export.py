@@ -187,6 +187,14 @@ def test_files_of_others_stay(make, message, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [file]
 
 
+def test_an_fmu_is_not_written_over_a_file_of_others(fmu, tmp_path, no_compiler):
+    _foreign(tmp_path / "lag.fmu")
+    before = (tmp_path / "lag.fmu").read_bytes()
+    with pytest.raises(OutputError, match=r"is an FMU of Other\\ntool; choose another file"):
+        write_fmu(tmp_path / "lag.fmu", fmu)
+    assert (tmp_path / "lag.fmu").read_bytes() == before
+
+
 def test_an_earlier_export_is_replaced(tmp_path, no_compiler):
     first = Path(_pendulum(tmp_path).path).read_bytes()
     second = Path(_pendulum(tmp_path, version=2).path).read_bytes()

@@ -52,6 +52,7 @@ def mixed():
     builder.ExportInput(sampler.get_input_port(), "u")
     builder.ExportOutput(total.get_output_port(), "y")
     builder.ExportOutput(lag.get_output_port(), "x")
+    builder.ExportOutput(sampler.get_output_port(), "sampled")
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
     lag.GetMyMutableContextFromRoot(context).SetContinuousState([0.5, -0.25])
@@ -96,7 +97,7 @@ def test_states_that_events_replace_are_no_parameters(mixed):
 
 
 def test_the_start_of_an_output_depends_on_initial_states(mixed):
-    """Port y is the discrete state of the sum; port x is the state of the lag."""
+    """The outputs are the states; the sampler samples its input at the initialization."""
     table = VariableTable(mixed.plan, initial_states(mixed), {})
     names = [variable.name for variable in table.variables]
     setters = [[names[i] for i in references] for references in table.initial_dependencies()]
@@ -105,6 +106,7 @@ def test_the_start_of_an_output_depends_on_initial_states(mixed):
         "y_1": ["initial.sum.group_0[1]"],
         "x_0": ["initial.lag.x[0]"],
         "x_1": ["initial.lag.x[1]"],
+        "sampled": ["u"],
     }
 
 
