@@ -14,7 +14,7 @@ import kneexo
 BESIDE_PACKAGES = {
     "kneexo.batches": ("BatchResult", "BatchRow"),
     "kneexo.errors": ("KneexoError", "ScenarioError", "LinkageError"),
-    "kneexo.export.firmware": ("export_firmware",),
+    "kneexo.export.firmware": ("export_firmware", "export_sil"),
     "kneexo.export.fmu": ("export_fmu",),
     "kneexo.linkage": (
         *("pose", "rod_extension", "encoder_angle", "knee_angle_from_encoder"),

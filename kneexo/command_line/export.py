@@ -6,13 +6,16 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from kneexo.command_line import arguments
 from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.outcome import Outcome
 from kneexo.command_line.plain_text import COLUMNS
 from kneexo.errors import shown
+
+if TYPE_CHECKING:  # the compiler loads NumPy
+    from kneexo.compiler import Measurement, SilMeasurement
 
 NO_BINARY = "none, without a C compiler (cc, gcc, clang) or Linux in 64 bits"
 
@@ -31,21 +34,7 @@ def add_exports(subparsers: Any) -> None:
         duration_s=2.0,
     )
     _add_target(parser, "encoder count")
-    parser.add_argument(
-        "--precision", choices=("double", "float"), default="double", help="type of all numbers"
-    )
-    parser.add_argument(
-        "--look-up",
-        action="store_true",
-        help="take what depends on the encoder count alone from a table: faster, and more exact "
-        "in float; the parameters behind it are fixed then",
-    )
-    parser.add_argument(
-        "--vectors-s",
-        type=arguments.decimal,
-        metavar="S",
-        help="time of the test vectors in s; left out: 2",
-    )
+    _add_code_options(parser)
     parser.add_argument(
         "--name",
         help="prefix of all C names and file names, so that several exports link into one program; "
@@ -57,6 +46,21 @@ def add_exports(subparsers: Any) -> None:
         metavar="PORT",
         help="output ports to export; left out: all",
     )
+    arguments.add_out(parser, "the files, which no other files may share")
+
+    parser = arguments.add_command(
+        forms,
+        "sil",
+        export_sil,
+        "write controller and plant as C99 with a program that closes their loop",
+        "Software in the loop: the folders controller and plant as export c writes them, sil.c and "
+        "a Makefile. make test compares each step with the compiled closed loop.",
+        duration_s=2.0,
+    )
+    arguments.add_scenario(parser)
+    arguments.add_values(parser)
+    _add_code_options(parser)
+    _add_step(parser)
     arguments.add_out(parser, "the files, which no other files may share")
 
     parser = arguments.add_command(
@@ -94,6 +98,28 @@ def add_exports(subparsers: Any) -> None:
     )
 
 
+def _add_code_options(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that ``export c`` and ``export sil`` share."""
+    parser.add_argument(
+        "--precision",
+        choices=("double", "float"),
+        default="double",
+        help="type of all numbers; for sil of the controller's",
+    )
+    parser.add_argument(
+        "--look-up",
+        action="store_true",
+        help="take what depends on the encoder count alone from a table: faster, and more exact "
+        "in float; the parameters behind it are fixed then",
+    )
+    parser.add_argument(
+        "--vectors-s",
+        type=arguments.decimal,
+        metavar="S",
+        help="time of the test vectors in s; left out: 2",
+    )
+
+
 def _add_target(parser: argparse.ArgumentParser, measurement: str) -> None:
     """Add the arguments that ``export c`` and ``export fmu`` share.
 
@@ -109,6 +135,10 @@ def _add_target(parser: argparse.ArgumentParser, measurement: str) -> None:
         help=f"the controller, from {measurement} and knee reference to motor speed command; the "
         "plant with its encoder; or both as closed loop",
     )
+    _add_step(parser)
+
+
+def _add_step(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--step-s",
         type=arguments.decimal,
@@ -135,7 +165,6 @@ def export_c(
     than the tolerance.
     """
     from kneexo.command_line.output import to_json
-    from kneexo.compiler import REPLAY_TOLERANCES
     from kneexo.export.firmware import export_firmware
 
     scenario = choice.load()
@@ -150,27 +179,74 @@ def export_c(
         name=name,
         outputs=outputs,
     )
-    notices = []
-    if measurement.replay is not None and not measurement.replay.passed:
-        notices.append(
-            f"kneexo: {target} in {precision} precision: the replay differs by more than "
-            f"{REPLAY_TOLERANCES[precision]:g} of an output's largest value; make test fails"
-        )
+    notices = _replay_notices(f"{target} in {precision} precision", measurement, precision)
     lines = [
         f"{target} in {precision} precision: {shown(out)}",
         f"  {sum(measurement.operations.values())} operations a step",
         f"  {measurement.state_bytes} bytes of state",
     ]
-    if measurement.replay:
-        for name, difference in measurement.replay.difference.items():
-            largest = measurement.replay.largest[name]
-            lines.append(f"  {name}: difference {difference:.3g} (largest value {largest:.6g})")
+    lines += _differences(measurement)
     for processor, size in measurement.code_sizes.items():
         lines.append(f"  {processor}: {size.flash} bytes of flash, {size.stack} bytes of stack")
     for quantity, reason in measurement.not_measured.items():
         lines.append(f"  {quantity} not measured: {reason}")
     document = to_json(arguments.origin_of(scenario) | asdict(measurement))
     return Outcome("\n".join(lines) + "\n", document, notices)
+
+
+def export_sil(
+    choice: ScenarioChoice,
+    out: Path,
+    precision: str,
+    vectors_s: float | None,
+    step_s: float | None,
+    look_up: bool,
+) -> Outcome:
+    """Write controller, plant and the program of their loop as C; return the measurements.
+
+    See `kneexo.export.firmware.export_sil`. Adds a notice if the loop in C differs from the
+    compiled loop by more than the tolerance.
+    """
+    from kneexo.command_line.output import to_json
+    from kneexo.export import firmware
+
+    scenario = choice.load()
+    measurement = firmware.export_sil(
+        scenario, out, precision=precision, vectors_s=vectors_s, step_s=step_s, look_up=look_up
+    )
+    subject = f"loop of controller in {precision} precision and plant"
+    lines = [f"{subject}: {shown(out)}", *_differences(measurement)]
+    if measurement.replay is None:
+        reason = measurement.controller.not_measured["differences"]
+        lines.append(f"  differences not measured: {reason}")
+    document = to_json(arguments.origin_of(scenario) | asdict(measurement))
+    notices = _replay_notices(subject, measurement, precision)
+    return Outcome("\n".join(lines) + "\n", document, notices)
+
+
+def _differences(measurement: Measurement | SilMeasurement) -> list[str]:
+    """Return a line for each output of a replay; none if there was no replay."""
+    replay = measurement.replay
+    if replay is None:
+        return []
+    return [
+        f"  {name}: difference {difference:.3g} (largest value {replay.largest[name]:.6g})"
+        for name, difference in replay.difference.items()
+    ]
+
+
+def _replay_notices(
+    subject: str, measurement: Measurement | SilMeasurement, precision: str
+) -> list[str]:
+    """Return a notice if a replay differs by more than the tolerance of ``precision``."""
+    from kneexo.compiler import REPLAY_TOLERANCES
+
+    if measurement.replay is None or measurement.replay.passed:
+        return []
+    return [
+        f"kneexo: {subject}: the replay differs by more than {REPLAY_TOLERANCES[precision]:g} of "
+        f"an output's largest value; make test fails"
+    ]
 
 
 def export_fmu(

@@ -28,6 +28,12 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         write_c as write_c,
     )
     from .c.interface import Field as Field, Interface as Interface
+    from .c.sil import (
+        Sil as Sil,
+        SilMeasurement as SilMeasurement,
+        require_sil_folder as require_sil_folder,
+        write_sil as write_sil,
+    )
     from .c.source import CSource as CSource, source_of as source_of
     from .c.step_size import rk4_step_s as rk4_step_s
     from .c.vectors import Vectors as Vectors, recorded_vectors as recorded_vectors
@@ -127,6 +133,7 @@ else:
         ),
         "c.cross": ("PLATFORMS", "require_platforms"),
         "c.interface": ("Field", "Interface"),
+        "c.sil": ("Sil", "SilMeasurement", "require_sil_folder", "write_sil"),
         "c.source": ("CSource", "source_of"),
         "c.step_size": ("rk4_step_s",),
         "c.vectors": ("Vectors", "recorded_vectors"),

@@ -11,7 +11,7 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -110,14 +110,18 @@ def temporary_folder(files: Mapping[str, str]) -> Iterator[Path]:
         yield Path(folder)
 
 
-def require_marked(folder: Path, mark: str, kind: str, build: str) -> None:
+def require_marked(
+    folder: Path, mark: str, kind: str, build: str, folders: Collection[str] = ()
+) -> None:
     """Raise `OutputError` if a folder contains a file without the text ``mark`` in its first line.
 
-    The error message calls marked files ``kind``. The function skips the subfolder with the name
-    ``build`` and subfolders that a killed `write_folder` left. A missing folder is no error.
+    The error message calls marked files ``kind``. The function skips the subfolders with the names
+    ``build`` and ``folders``, and subfolders that a killed `write_folder` left. A missing folder is
+    no error.
     """
     for file in sorted(folder.iterdir()) if folder.is_dir() else ():
-        if not (file.name == build or _is_unfinished(file, build) or _is_marked(file, mark)):
+        is_skipped = file.name == build or (file.name in folders and file.is_dir())
+        if not (is_skipped or _is_unfinished(file, build) or _is_marked(file, mark)):
             raise OutputError(
                 f"directory {shown(folder)}: {shown(file.name)} is not of {kind}; choose another "
                 f"directory"

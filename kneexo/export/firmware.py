@@ -11,15 +11,25 @@ import numpy as np
 from kneexo.compiler import (
     CSource,
     Measurement,
+    Sil,
+    SilMeasurement,
     Vectors,
     read_diagram,
     recorded_vectors,
     require_export_folder,
+    require_sil_folder,
     source_of,
     write_c,
+    write_sil,
 )
 from kneexo.errors import ParameterError
-from kneexo.export.target import ENCODER_COUNT, Target, make_target, require_step
+from kneexo.export.target import (
+    ENCODER_COUNT,
+    Target,
+    largest_step_s,
+    make_target,
+    require_step,
+)
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.parameters.scenario_file import dump_scenario
 from kneexo.result import Array
@@ -83,6 +93,24 @@ def make_firmware(
     SimulationError
         The run of the closed loop or of the exported diagram fails.
     """
+    options: dict[str, Any] = {"precision": precision, "vectors_s": vectors_s, "step_s": step_s}
+    options |= {"look_up": look_up, "name": name, "outputs": outputs}
+    return _firmware(scenario, what, scenario, **options)
+
+
+def _firmware(
+    scenario: Scenario,
+    what: str,
+    run: Scenario,
+    *,
+    precision: str,
+    vectors_s: float | None,
+    step_s: float | None,
+    look_up: bool = False,
+    name: str | None = None,
+    outputs: Sequence[str] | None = None,
+) -> tuple[CSource, Vectors]:
+    """Return the result of `make_firmware`. The inputs of the vectors come from the run ``run``."""
     require_step(step_s)
     if what == "loop" and isinstance(scenario.reference, SampledReference):
         raise ParameterError(
@@ -117,7 +145,7 @@ def make_firmware(
         origin=("scenario.yaml", dump_scenario(completed(scenario))),
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
-    inputs = loop_inputs(scenario, target, source, steps)
+    inputs = loop_inputs(run, target, source, steps)
     return source, recorded_vectors(target.diagram, source, inputs)
 
 
@@ -138,6 +166,55 @@ def export_firmware(
     name = what if name is None else name
     require_export_folder(directory, name)  # before the run, which may take long
     return write_c(directory, *make_firmware(scenario, what, name=name, **options))
+
+
+def make_sil(
+    scenario: Scenario = Scenario(),
+    *,
+    precision: str = "double",
+    vectors_s: float | None = None,
+    step_s: float | None = None,
+    look_up: bool = False,
+) -> Sil:
+    """Return controller and plant of a scenario as two models in C, and the program of their loop.
+
+    The plant is in double precision, so ``precision`` and ``look_up`` belong to the controller. The
+    test vectors come from a run of the compiled loop by RK4 with the steps of the plant in C. For
+    all options and errors see `make_firmware`. Raises `ParameterError` too if the controller reads
+    the state of the rod, or the scenario has a bus, which neither model contains.
+    """
+    require_step(step_s)
+    if scenario.bus.kind != "none" or scenario.bus.latency_samples:
+        raise ParameterError(
+            f"bus.kind = {scenario.bus.kind!r}, bus.latency_samples = "
+            f"{scenario.bus.latency_samples}: neither controller nor plant contains the bus; must "
+            f"be none and 0 for software in the loop"
+        )
+    largest_s = largest_step_s(scenario, "plant") if step_s is None else step_s
+    run = scenario.with_steps(largest_s)
+    options: dict[str, Any] = {"vectors_s": vectors_s, "step_s": largest_s}
+    law: dict[str, Any] = {"precision": precision, "look_up": look_up}
+    controller = _firmware(scenario, "controller", run, **options, **law)
+    plant = _firmware(scenario, "plant", run, precision="double", **options)
+    if "rod_state" in controller[0].equations.inputs:
+        raise ParameterError(
+            f"estimator.kind = {scenario.estimator.kind!r}: no sensor measures the state of the "
+            f"rod; must be observer or difference for software in the loop"
+        )
+    counts = {ENCODER_COUNT: ("encoder_reading_rad", scenario.encoder.resolution_rad)}
+    return Sil(controller, plant, counts)
+
+
+def export_sil(
+    scenario: Scenario, directory: str | os.PathLike[str], **options: Any
+) -> SilMeasurement:
+    """Write controller and plant of `make_sil` to subfolders, and the program of their loop.
+
+    ``options`` are options of `make_sil`. Raises the errors of `make_sil`. Raises `OutputError` if
+    the folder cannot be written, or has files that no export of a loop wrote.
+    """
+    require_sil_folder(directory, "controller", "plant")  # before the run, which may take long
+    return write_sil(directory, make_sil(scenario, **options))
 
 
 def loop_inputs(scenario: Scenario, target: Target, source: CSource, steps: int) -> Array:

@@ -263,6 +263,51 @@ def test_outputs_that_nobody_asks_for_are_not_computed(tmp_path, short, no_compi
     assert (out / "plant.c").read_text() == chosen.files()["plant.c"]
 
 
+@needs_compiler
+@pytest.mark.parametrize(
+    "values",
+    [
+        [],
+        pytest.param(["controller.kind=pid", "plant.load.kind=knee"], marks=pytest.mark.slow),
+        pytest.param(["reference=gait", "estimator.kind=difference"], marks=pytest.mark.slow),
+    ],
+)
+def test_controller_and_plant_in_c_are_the_compiled_loop(
+    tmp_path, short, capsys, no_targets, values
+):
+    out = tmp_path / "out"
+    options = [word for value in values for word in ("--set", value)]
+    assert main(["export", "sil", short, "--out", str(out), *options, "--json"]) == 0
+    printed = capsys.readouterr()
+    assert "the replay differs" not in printed.err
+    replay = json.loads(printed.out)["replay"]
+    assert replay["passed"]
+    assert replay["largest"]["motor_speed_command_rad_s"] > 10.0
+    # The compiled loop, apart from its test vectors.
+    scenario = load_scenario(out / "plant" / "scenario.yaml")
+    run = simulate_compiled(scenario.with_steps(largest_step_s(scenario, "plant")))
+    largest = np.abs(run["knee_angle_rad"][1:201]).max()
+    assert replay["largest"]["knee_angle_rad"] == pytest.approx(largest, rel=1e-5)  # six digits
+    for name, difference in replay["difference"].items():
+        assert difference <= 1e-9 * replay["largest"][name], name
+
+
+@pytest.mark.parametrize(
+    ("value", "line"),
+    [
+        ("bus.latency_samples=2", "bus.latency_samples = 2: neither controller nor plant contains"),
+        ("estimator.kind=exact", "estimator.kind = 'exact': no sensor measures the state of the"),
+    ],
+)
+def test_a_loop_that_two_modules_cannot_form_is_refused(tmp_path, short, capsys, value, line):
+    out = tmp_path / "out"
+    assert main(["export", "sil", short, "--out", str(out), "--set", value]) == 2
+    error = capsys.readouterr().err
+    assert line in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
 TWO_C = """
 #include "left.h"
 #include "right.h"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,14 +108,16 @@ def export_c(
     return write_c(directory, source, recorded_vectors(diagram, source, rows))
 
 
-def require_export_folder(directory: str | os.PathLike[str], name: str) -> None:
+def require_export_folder(
+    directory: str | os.PathLike[str], name: str, *, folders: Collection[str] = ()
+) -> None:
     """Raise `OutputError` if an export of the model ``name`` would replace anything else.
 
     The directory must have no file that was not written by an export, and no export of a model with
-    another name.
+    another name. The subfolders ``folders`` are not checked.
     """
     folder = Path(directory)
-    require_marked(folder, MARK, "an export", BUILD)
+    require_marked(folder, MARK, "an export", BUILD, folders)
     earlier = exported_name(folder)
     if earlier not in (None, name):
         raise OutputError(
