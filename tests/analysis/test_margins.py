@@ -19,7 +19,11 @@ from linear_cases import (
     raises_one_line,
 )
 
+from kneexo.analysis.loop_equilibrium import find_equilibrium
+from kneexo.analysis.margins import stability_margins
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.compiler import loop_at
+from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinearizationError
 from kneexo.parameters import (
     PidParameters,
@@ -279,3 +283,18 @@ def test_the_delay_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, 
     f = m.delay_margin_frequency_hz
     delayed = loop.loop_response(f)[0] * np.exp(-2j * math.pi * f * m.delay_margin_s)
     assert delayed == pytest.approx(-1.0, abs=1e-9)
+
+
+def test_the_loop_of_the_diagram_has_the_same_margins(loops, margins):
+    scenario = SCENARIOS["pid_tuned"]
+    diagram = make_closed_loop(scenario.without_quantizers(), signals=(), external_reference=True)
+    equilibrium = find_equilibrium(scenario)
+    context = diagram.CreateDefaultContext()
+    context.SetContinuousState(equilibrium.point[: equilibrium.continuous_states])
+    context.SetDiscreteState(equilibrium.point[equilibrium.continuous_states :])
+    diagram.GetInputPort("knee_reference").FixValue(context, equilibrium.reference)
+    opened = loop_at(diagram, "controller:motor_speed_command", context)
+    f = np.geomspace(0.1, 250.0, 20)
+    expected = loops["pid_tuned"].loop_response(f)
+    np.testing.assert_allclose(opened.response(f), expected, rtol=1e-12)
+    assert vars(stability_margins(opened)) == pytest.approx(vars(margins["pid_tuned"]), rel=1e-12)
