@@ -79,7 +79,7 @@ class Functions:
         ]
         self._section_of = {node: s for s in reversed(sections) for node in s.nodes}
         self._printer = CPrinter(equations.graph, plan.real, sections)
-        self._printer.names = {faster.get(node, node): name for node, name in names.items()} | names
+        self._printer.names = names
         self._printer.tables = {table.node: number for number, table in enumerate(plan.tables)}
         self._printer.collect_fixed([*plan.step_nodes, *equations.initial_discrete])
         self.operations: Counter[str] = Counter()
@@ -126,7 +126,9 @@ class Functions:
         The former compute the values that are constant over a tick. The latter compute the
         derivatives ``rate0``, ``rate1`` … of the states ``z0``, ``z1`` …
         """
-        derivatives = self._plan.equations.derivatives
+        derivatives, faster = self._plan.equations.derivatives, self._plan.faster
+        names = self._printer.names.items()
+        self._printer.names = {faster.get(node, node): name for node, name in names}
         held = self._printer.constant_in_a_tick(derivatives)
         before = [(f"const real held{number}", node) for node, number in held.items()]
         rates = [(f"rate{i}", node) for i, node in enumerate(derivatives)]

@@ -188,8 +188,6 @@ class _Block:
             condition = self.graph.nodes[node][0] in CONDITIONS
             number = f"{'is' if condition else 'v'}{len(self.names)}"
             name = self.printer.names.get(node, number)
-            if name in self.names.values():  # of the faster form of the node
-                name = number
             self.names[node] = self.text[node] = name
             kind = "bool" if condition else "real"
             lines.append(self._line(f"const {kind} {name} = {self._bare(text)};"))

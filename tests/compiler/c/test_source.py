@@ -83,6 +83,20 @@ def test_a_continuous_diagram_is_that_of_rk4(built):
     np.testing.assert_allclose(outputs[:, 0], expected, rtol=0, atol=1e-13)
 
 
+def test_each_stage_has_its_time(built):
+    """RK4 integrates x' = 4 t³ as Simpson's rule does: exactly."""
+
+    def graph_of(g):
+        rate = g.multiply(g.constant(4.0), *[g.source("time")] * 3)
+        return {"derivatives": [rate], "outputs": {"y": [g.source("state")]}}
+
+    equations = equations_of(graph_of, states=["x"])
+    state = State(np.zeros(1), np.zeros(0))
+    source = CSource(equations, "m", np.zeros(0), state, tick_s=0.5, step_s=0.125)
+    outputs = built(source).replay(np.zeros((4, 0)))
+    np.testing.assert_allclose(outputs[:, 0], (0.5 * np.arange(1, 5)) ** 4, rtol=1e-14)
+
+
 def test_several_sample_times_with_offset_and_a_clock(built, multirate):
     source = exported(multirate)
     assert source.plan.schedule.tick_s == 0.001
@@ -174,6 +188,26 @@ def test_each_failure_has_its_status_and_keeps_state_and_outputs(built):
     assert model.get() == [20.0]
     assert model.now([math.nan]) == 1
     assert model.get() == [20.0]
+
+
+@pytest.mark.parametrize("second", [False, True])
+def test_a_state_that_overflows_while_it_is_integrated_is_a_bad_result(built, second):
+    """One of the states has the derivative u², the other u; the output is the other."""
+
+    def graph_of(g):
+        u = g.source("input")
+        rates = [u, g.multiply(u, u)] if second else [g.multiply(u, u), u]
+        return {"derivatives": rates, "outputs": {"y": [g.source("state", 1 - second)]}}
+
+    equations = equations_of(graph_of, states=["x", "y"], inputs={"u": 1})
+    state = State(np.zeros(2), np.zeros(0))
+    model = built(CSource(equations, "m", np.zeros(0), state, tick_s=1.0, step_s=1.0))
+    assert (model.init([0.0]), model.step([2.0])) == (0, 0)
+    before = bytes(model.state)
+    assert model.get() == pytest.approx([2.0])
+    assert model.step([1e200]) == 2
+    assert bytes(model.state) == before
+    assert model.get() == pytest.approx([2.0])
 
 
 def test_a_start_with_bad_inputs_or_parameters_says_so(built):
