@@ -454,7 +454,8 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
         sample times must have a common divisor.
     inputs
         Names of the diagram's input ports that stay open. Each run gives the values of the open
-        ports. All other input ports of the diagram count as unconnected.
+        ports. All other input ports of the diagram count as unconnected. A name
+        ``path/of/system:port`` stands for a port inside the diagram: see `read_diagram`.
 
     Raises
     ------

@@ -12,6 +12,7 @@ from pydrake.systems.primitives import (
     DiscreteTimeIntegrator,
     Gain,
     Integrator,
+    LinearSystem,
     SymbolicVectorSystem,
 )
 
@@ -47,6 +48,21 @@ def test_a_free_input_holds_a_fixed_state(pendulum):
     assert rest.get_continuous_state_vector().CopyToVector() == pytest.approx([1.0, 0.0])
     torque = plant.get_input_port().Eval(rest)
     assert torque == pytest.approx([MASS_GRAVITY_LENGTH * math.sin(1.0)], rel=1e-12)
+
+
+def test_two_free_inputs_give_two_outputs_their_values():
+    # At rest x = −A⁻¹ B u, so that C x = y requires u = −(C A⁻¹ B)⁻¹ y.
+    a, b = np.array([[-1.0, 0.5], [0.2, -2.0]]), np.array([[1.0, 0.3], [-0.4, 2.0]])
+    plant = LinearSystem(a, b, np.eye(2), np.zeros((2, 2)))
+    ends = []
+    for value in (np.zeros(2), np.array([3.0, -1.0])):
+        context = plant.CreateDefaultContext()
+        plant.get_input_port().FixValue(context, value)
+        target = {"y0": [1.0, 4.0]}
+        rest = find_equilibrium(plant, context, free_inputs=["u0"], outputs=target)
+        ends.append(plant.get_input_port().Eval(rest))
+    expected = -np.linalg.solve(np.linalg.solve(a, b), [1.0, 4.0])
+    np.testing.assert_allclose(ends, [expected, expected], rtol=1e-12)
 
 
 def test_an_output_has_its_required_value(pendulum):

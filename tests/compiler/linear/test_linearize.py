@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from pydrake.examples import PendulumPlant
+from pydrake.examples import AcrobotPlant, PendulumPlant, QuadrotorPlant
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     Adder,
@@ -115,6 +115,27 @@ def test_a_random_diagram_equals_drakes_linearize_anywhere(random_diagram):
 def test_50_random_diagrams_equal_drakes_linearize_anywhere(random_diagram):
     for seed in range(1, 51):
         assert_equals_drakes_linearize(random_diagram(seed, "continuous"), seed)
+
+
+@pytest.mark.parametrize("make", [AcrobotPlant, QuadrotorPlant])
+def test_drakes_examples_equal_drakes_linearize_anywhere(make):
+    plant, rng = make(), np.random.default_rng(3)
+    context = plant.CreateDefaultContext()
+    context.SetContinuousState(rng.uniform(-0.5, 0.5, context.num_continuous_states()))
+    ports = plant.get_input_port(0), plant.get_output_port(0)
+    ports[0].FixValue(context, rng.uniform(0.5, 1.0, ports[0].size()))
+    model = linearize(
+        plant,
+        context,
+        inputs=[ports[0].get_name()],
+        outputs=[ports[1].get_name()],
+        equilibrium_tolerance=math.inf,
+    )
+    drake = Linearize(plant, context, *(port.get_index() for port in ports), math.inf)
+    for name in "abcd":
+        expected = getattr(drake, name.upper())()
+        atol = 1e-12 * np.abs(expected).max()
+        np.testing.assert_allclose(getattr(model, name), expected, rtol=1e-12, atol=atol)
 
 
 def test_a_sampled_diagram_equals_drakes_linearize():

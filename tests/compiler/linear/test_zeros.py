@@ -32,6 +32,13 @@ def test_zeros_do_not_depend_on_the_units_of_the_states():
     assert result == pytest.approx([-50.0], rel=1e-9)
 
 
+@pytest.mark.parametrize(("of_input", "of_output"), [(1e-14, 1.0), (1.0, 1e-14), (1e9, 1e-12)])
+def test_zeros_do_not_depend_on_the_units_of_inputs_and_outputs(of_input, of_output):
+    a, b, c, d = companion([-1.0, -2.0, -3.0], [-5.0])
+    result = invariant_zeros(a, of_input * b, of_output * c, of_input * of_output * d)
+    assert result == pytest.approx([-5.0], rel=1e-9)
+
+
 def test_feedthrough_gives_as_many_zeros_as_states():
     a, b, c = np.diag([-1.0, -2.0]), np.array([[1.0], [1.0]]), np.array([[1.0, 1.0]])
     # 1 + 1/(s + 1) + 1/(s + 2) = (s² + 5 s + 5)/…
