@@ -88,8 +88,7 @@ class Replay:
     def __str__(self) -> str:
         """Return the end, the comparison with the recorded end, and the changes, a line each."""
         end = self.end.message or f"t = {self.end.time_s:.6g} s: the run succeeds"
-        count = len(self.end.state)
-        same = f"same end{f', with the same bits of {count} states' if count else ''}"
+        same = "same end" + (", with the same bits of all states" if self.end.state else "")
         return "\n".join([end, self.difference or same, *self.changes])
 
 

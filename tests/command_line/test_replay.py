@@ -83,7 +83,7 @@ def test_a_replay_says_the_error_and_that_it_is_the_same(folder, capsys):
     assert main(["replay", "failure.json"]) == 0
     error, same = capsys.readouterr().out.splitlines()
     assert error.startswith("t = 0.1")
-    assert same == "same end, with the same bits of 7 states"
+    assert same == "same end, with the same bits of all states"
     assert main(["replay", "failure.json", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["same"] is True
@@ -139,7 +139,7 @@ def test_pytest_runs_both_tests(wrong_sign, growth, capsys):
     assert code == 0, text
     assert "2 xfailed" in text
     (growth / "my.py").write_text(LAW.replace("gain *", "-gain *"), encoding="utf-8")
-    (folder / "growth.py").write_text(DIAGRAM.format(rate=-2.0), encoding="utf-8")
+    (growth / "growth.py").write_text(DIAGRAM.format(rate=-2.0), encoding="utf-8")
     code, text = pytest_on(growth / "tests")
     assert code == 1
     assert text.count("[XPASS(strict)]") == 2
@@ -156,7 +156,7 @@ def test_a_run_of_a_diagram_needs_its_maker(growth, capsys):
     assert main([*command, "--test", str(test)]) == 0
     error, same, _ = capsys.readouterr().out.splitlines()
     assert error.startswith("t = 0.5")  # the pole is at 1/(2 x₀) = 0.5 s
-    assert same == "same end, with the same bits of 1 states"
+    assert same == "same end, with the same bits of all states"
     with pytest.raises(RuntimeError, match=r"is not finite"):
         load(test, "test_growth")()
     (growth / "growth.py").write_text(DIAGRAM.format(rate=-2.0), encoding="utf-8")

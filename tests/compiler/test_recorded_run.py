@@ -11,6 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import SymbolicVectorSystem, ZeroOrderHold
 
 from kneexo.compiler import (
+    STEP_S,
     InputTable,
     OutputError,
     ParameterError,
@@ -64,6 +65,7 @@ def test_an_error_of_a_batch_has_the_time_of_the_blow_up_and_the_state(batch):
         if isinstance(run, SimulationError):
             # RK4 with 1 ms overflows some steps after the pole, and a tick is checked at its end.
             assert 0.0 <= run.time_s - 1.0 / (rate * X0) < 0.03
+            assert run.time_s == pytest.approx(0.01 * round(run.time_s / 0.01), abs=1e-14)
             assert list(run.state) == ["growth.x[0]", "hold.0[0]"]
             assert not all(map(math.isfinite, run.state.values()))
             assert str(run).startswith(f"t = {run.time_s:.6g} s: growth.x[0] is not finite")
@@ -86,7 +88,7 @@ def test_a_file_repeats_each_run_of_a_batch_bit_for_bit(model, batch, tmp_path):
             assert repr(again.end.state) == repr(runs[number].state)
             with pytest.raises(SimulationError, match=re.escape(str(runs[number]))):
                 run.simulate(model)
-            assert str(again) == f"{runs[number]}\nsame end, with the same bits of 2 states"
+            assert str(again) == f"{runs[number]}\nsame end, with the same bits of all states"
         else:
             final = runs[number].final
             expected = [*final.continuous, *final.discrete]
@@ -96,9 +98,10 @@ def test_a_file_repeats_each_run_of_a_batch_bit_for_bit(model, batch, tmp_path):
 
 
 def test_inputs_and_solver_are_part_of_the_run(model, tmp_path):
-    """With a = 0, x' = 0.1 + 0.3 t after a break at 0.5 s; the hold has x of the last tick."""
+    """With a = 0, x' = 0.1, and 0.25 + 0.3 t after a break at 0.5 s; h starts at 2."""
     table = InputTable(np.array([0.5]), np.array([[[0.1, 0.0]], [[0.25, 0.3]]]))
     state = model.state()
+    state.discrete[:] = 2.0
     path = tmp_path / "run.json"
     options = {"record_period_s": 0.02, "outputs": ("h",), "integrator": None}
     record_run(model, [0.0], state, 1.0, inputs=table, **options).write(path)
@@ -107,10 +110,22 @@ def test_inputs_and_solver_are_part_of_the_run(model, tmp_path):
     assert run.input_ports == {"u": 1}
     records = run.simulate(model)
     assert set(records.outputs) == {"h"}
+    assert records["h"][0] == 2.0
     assert records.time_s == pytest.approx(0.02 * np.arange(51))
     expected = 0.1 * 0.5 + 0.25 * 0.5 + 0.15 * 0.5**2
     assert records.final.continuous == pytest.approx([expected], rel=1e-9)
     assert run.replay(model).same
+
+
+def test_the_defaults_are_those_of_a_run(model, batch):
+    """At this rate a step of twice the length gives another state in its last digits."""
+    rates, state, _ = batch
+    for integrator in ("rk4", "exact_hold"):
+        run = record_run(model, rates[1], state, 1.0, integrator=integrator)
+        final = model.simulate(rates[1], state, 1.0, integrator=integrator).final
+        assert list(run.end.state.values()) == [*final.continuous, *final.discrete]
+        twice = model.simulate(rates[1], state, 1.0, integrator="rk4", step_s=2.0 * STEP_S).final
+        assert run.end.state["growth.x[0]"] != twice.continuous[0]
 
 
 def changed(path, place, value):
