@@ -48,6 +48,8 @@ def test_a_number_may_be_rounded_otherwise_and_nothing_else():
     ],
 )
 def test_the_examples_print_what_the_page_shows(numbers, tmp_path, monkeypatch, capsys):
+    if "6" in numbers:
+        pytest.importorskip("fmpy")
     monkeypatch.chdir(tmp_path)
     names = {}
     for number in numbers:

@@ -186,7 +186,9 @@ def test_failed_runs_become_files_beside_the_report(tmp_path, capsys, monkeypatc
     replace_study("robustness", lambda scenario=Scenario(), **_: None)
     failing = changed(Scenario(), {"initial_offset_m": 0.15})
     error = record_failure(failing).end.message
-    runs = {error: failing, "another error": failing, "no error": Scenario()}
+    (tmp_path / "my.py").write_text("def law(rod_extension):\n    return rod_extension\n")
+    custom = failing.with_law(f"{tmp_path / 'my.py'}:law")
+    runs = {error: custom, "another error": failing, "no error": Scenario()}
     monkeypatch.setattr(Study, "failed_runs", lambda study, result: runs)
     out = tmp_path / "out"
     assert main(["study", "robustness", "--out", str(out)]) == 0
@@ -196,5 +198,7 @@ def test_failed_runs_become_files_beside_the_report(tmp_path, capsys, monkeypatc
     assert other.startswith("kneexo: failure_2.json is not written: the run alone fails in another")
     assert none.startswith("kneexo: failure_3.json is not written: the run does not fail")
     assert sorted(file.name for file in out.glob("failure*")) == ["failure_1.json"]
+    scenario = json.loads((out / "failure_1.json").read_text(encoding="utf-8"))["scenario"]
+    assert scenario["controller"]["function"].startswith("../my.py:law#")
     assert main(["replay", str(out / "failure_1.json")]) == 0
     assert capsys.readouterr().out == f"{error}\nsame end\n"

@@ -113,21 +113,27 @@ def test_the_report_says_what_did_not_converge_or_fit():
 
 def test_the_first_failed_run_of_each_controller_is_repeated_by_a_command():
     contest = made_up()
-    runs = failed_runs(contest)
-    expected = {}
-    for name, entrant in contest.entrants.items():
-        failed = [bool(metrics["tracking_failure"]) for metrics in contest.tested[name]]
-        if any(failed):
-            first = contest.samples[failed.index(True)]
-            duration = {"simulation.duration_s": contest.settings.duration_s}
-            controlled = changed(contest.scenario, entrant | duration)
-            expected.setdefault("gone", realize(controlled, contest.uncertainty, first))
-    assert runs == expected
-    assert len(runs) == 1  # each failure of the made-up contest has the same text
-    text = report(contest)
-    assert "Failed runs, the first of each controller:\n" in text
-    assert "- gone (`kneexo replay failure_1.json`)\n" in text
     well = [metrics | {"tracking_failure": ""} for metrics in next(iter(contest.tested.values()))]
-    unbroken = dataclasses.replace(contest, tested=dict.fromkeys(contest.entrants, well))
-    assert failed_runs(unbroken) == {}
-    assert "kneexo replay" not in report(unbroken)
+    tested = dict.fromkeys(contest.entrants, well)
+    assert failed_runs(dataclasses.replace(contest, tested=tested)) == {}
+    assert "kneexo replay" not in report(dataclasses.replace(contest, tested=tested))
+    for name, failing in (("PID", (1, 2)), ("SMC", (2,))):
+        tested[name] = [
+            metrics | {"tracking_failure": f"{name} on {n}" if n in failing else ""}
+            for n, metrics in enumerate(well)
+        ]
+    contest = dataclasses.replace(contest, tested=tested)
+    duration = {"simulation.duration_s": contest.settings.duration_s}
+    expected = {
+        f"{name} on {n}": realize(
+            changed(contest.scenario, contest.entrants[name] | duration),
+            contest.uncertainty,
+            contest.samples[n],
+        )
+        for name, n in (("SMC", 2), ("PID", 1))
+    }
+    assert list(failed_runs(contest).items()) == list(expected.items())
+    text = report(contest)
+    assert text.count("Failed runs, the first of each controller:\n") == 1
+    assert "- SMC on 2 (`kneexo replay failure_1.json`)\n" in text
+    assert "- PID on 1 (`kneexo replay failure_2.json`)\n" in text
