@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # the compiler loads NumPy
     from kneexo.compiler import Measurement, SilMeasurement
 
 NO_BINARY = "none, without a C compiler (cc, gcc, clang) or Linux in 64 bits"
+"""Text in place of the platforms of an FMU that has C sources alone."""
 
 
 def add_exports(subparsers: Any) -> None:
