@@ -43,18 +43,7 @@ def values_and_jacobian(
     sizes = [len(sources[kind]) for kind in kinds]
     first = dict(zip(kinds, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
     order = [n for n in graph.reachable(roots) if not graph.depends[n].isdisjoint(kinds)]
-    factors = {}
-    for node in order:
-        name, arguments = graph.nodes[node][0], graph.arguments(node)
-        if name not in SOURCES:
-            partials = OPERATIONS[name].partials(graph, arguments, node)
-            if node in slopes:
-                partials = [graph.constant(slopes[node])]
-            factors[node] = [
-                (argument, partial)
-                for argument, partial in zip(arguments, partials, strict=True)
-                if partial is not None and not graph.depends[argument].isdisjoint(kinds)
-            ]
+    factors = _factors(graph, order, kinds, slopes)
     needed = sorted({partial for pairs in factors.values() for _, partial in pairs})
     numbers = values_of(graph, [*roots, *needed], sources)
     slope_of = dict(zip(needed, map(float, numbers[len(roots) :]), strict=True))
@@ -73,3 +62,39 @@ def values_and_jacobian(
     jacobian = [rows.get(root, constant) for root in roots]
     values = np.array([float(value) for value in numbers[: len(roots)]])
     return values, np.array(jacobian).reshape(len(roots), sum(sizes))
+
+
+def time_varying(graph: Graph, roots: Iterable[int], kinds: Collection[str]) -> list[bool]:
+    """Return for each root whether its derivatives by ``kinds`` of sources depend on the time."""
+    roots = list(roots)
+    if not any("time" in graph.depends[root] for root in roots):
+        return [False] * len(roots)
+    graph = graph.copy()
+    order = [n for n in graph.reachable(roots) if not graph.depends[n].isdisjoint(kinds)]
+    varying = set()
+    for node, pairs in _factors(graph, order, kinds, {}).items():
+        if any(argument in varying or "time" in graph.depends[p] for argument, p in pairs):
+            varying.add(node)
+    return [root in varying for root in roots]
+
+
+def _factors(
+    graph: Graph, nodes: Iterable[int], kinds: Collection[str], slopes: Mapping[int, float]
+) -> dict[int, list[tuple[int, int]]]:
+    """Return for each operation the arguments that depend on ``kinds``, with its derivatives.
+
+    The derivatives become new nodes of the graph. For ``slopes`` see `values_and_jacobian`.
+    """
+    factors = {}
+    for node in nodes:
+        name, arguments = graph.nodes[node][0], graph.arguments(node)
+        if name not in SOURCES:
+            partials = OPERATIONS[name].partials(graph, arguments, node)
+            if node in slopes:
+                partials = [graph.constant(slopes[node])]
+            factors[node] = [
+                (argument, partial)
+                for argument, partial in zip(arguments, partials, strict=True)
+                if partial is not None and not graph.depends[argument].isdisjoint(kinds)
+            ]
+    return factors

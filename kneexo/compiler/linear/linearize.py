@@ -65,7 +65,8 @@ def linearize(
     equilibrium_tolerance
         Largest absolute rate of a continuous state, and change of a discrete state in an update, in
         the units of the state. `math.inf` accepts every point, such as a point of a trajectory.
-        The time is frozen at the time of the Context, as in Drake's `Linearize`.
+        The time is frozen at the time of the Context, as in Drake's `Linearize`. A warning says so
+        if the model depends on the time.
 
     Raises
     ------
@@ -90,6 +91,12 @@ def linearize(
         )
     for obstacle in obstacles(point, out_names):
         warnings.warn(str(obstacle), stacklevel=2)
+    if varying := point.time_varying(out_names):
+        warnings.warn(
+            f"the derivatives of {varying[0]} depend on the time: the model has those of "
+            f"t = {point.time_s:g} s; along a periodic motion, use periodic_orbit",
+            stacklevel=2,
+        )
     names = point.element_names(in_names)
     n, columns = point.state.size, point.state.size + len(names)
     updates = point.read.equations.updates

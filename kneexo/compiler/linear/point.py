@@ -13,7 +13,7 @@ from ..diagram_equations import DiagramEquations, read_diagram
 from ..errors import LinearizationError, ParameterError
 from ..native.runner import element_name
 from ..run_data import Array
-from .jacobian import values_and_jacobian
+from .jacobian import time_varying, values_and_jacobian
 
 EQUILIBRIUM_TOLERANCE = 1e-6
 """Default of the largest rate or change of a state at an equilibrium, as in Drake."""
@@ -76,6 +76,12 @@ class Point:
         )
         size = self.state.size
         return Slopes(values[:size], jacobian[:size], values[size:], jacobian[size:])
+
+    def time_varying(self, outputs: Sequence[str] = ()) -> list[str]:
+        """Return the names of rates, updates and outputs whose derivatives depend on the time."""
+        varies = time_varying(self.read.equations.graph, self.roots(outputs), VARIABLES)
+        names = (*self.rate_names, *self.element_names(outputs))
+        return [name for name, does in zip(names, varies, strict=True) if does]
 
     def roots(self, outputs: Iterable[str] = ()) -> list[int]:
         """Return the nodes of the rates, of the updates, and of the elements of output ports."""

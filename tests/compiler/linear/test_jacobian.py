@@ -8,7 +8,7 @@ import pytest
 from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.equations.graph_values import values_of
 from kneexo.compiler.equations.operations import OPERATIONS, Role
-from kneexo.compiler.linear.jacobian import values_and_jacobian
+from kneexo.compiler.linear.jacobian import time_varying, values_and_jacobian
 
 SMOOTH = [
     name
@@ -89,3 +89,15 @@ def test_a_slope_replaces_the_derivative_of_a_quantizer():
     (value,), jacobian = values_and_jacobian(graph, [root], POINT, ("state", "discrete"), slopes)
     assert value == 0.81  # floor(4 · 0.37) d
     assert jacobian[0].tolist() == [4.0 * 0.81, 0.0, 1.0]
+
+
+def test_derivatives_that_depend_on_the_time_are_known():
+    graph = Graph()
+    (x, _), t = two_sources(graph), graph.source("time")
+    additive, product = graph.add(x, t), graph.multiply(x, graph.unary("sin", t))
+    behind = graph.unary("cos", graph.add(product, product))
+    roots = [additive, product, behind, t, graph.unary("sin", x)]
+    assert time_varying(graph, roots, ("state",)) == [False, True, True, False, False]
+    assert time_varying(graph, roots[:1], ("state",)) == [False]
+    # A sine of x + t has the derivative cos(x + t).
+    assert time_varying(graph, [graph.unary("sin", additive)], ("state",)) == [True]

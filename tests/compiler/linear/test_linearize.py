@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from pydrake.examples import AcrobotPlant, PendulumPlant, QuadrotorPlant
+from pydrake.symbolic import Variable, sin
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     Adder,
@@ -12,6 +13,7 @@ from pydrake.systems.primitives import (
     Gain,
     Linearize,
     LinearSystem,
+    SymbolicVectorSystem,
     ZeroOrderHold,
 )
 
@@ -189,6 +191,26 @@ def test_a_perturbation_inside_adds_to_the_signal(loop):
     first = model.ticks[0]
     assert first.jump_input[hold].tolist() == [-0.4, 0.0]
     assert first.jump_input[model.state_names.index("delay.0[2]")].tolist() == [0.0, 1.0]
+
+
+def test_a_model_that_changes_with_the_time_warns():
+    x, u, t = Variable("x"), Variable("u"), Variable("t")
+
+    def model(rate, time_s):
+        plant = SymbolicVectorSystem(time=t, state=[x], input=[u], dynamics=[rate], output=[x])
+        context = plant.CreateDefaultContext()
+        context.SetTime(time_s)
+        return linearize(
+            plant, context, inputs=["u0"], outputs=["y0"], equilibrium_tolerance=math.inf
+        )
+
+    match = (
+        r"\Athe derivatives of the rate of x\[0\] depend on the time: [^\n]* t = 0\.5 s; [^\n]*\Z"
+    )
+    with pytest.warns(UserWarning, match=match):
+        assert model(-(2.0 + sin(t)) * x + u, 0.5).a == [[-(2.0 + math.sin(0.5))]]
+    # A source that only adds leaves the model as it is; warnings are errors here.
+    assert model(-2.0 * x + u + sin(t), 0.5).a == [[-2.0]]
 
 
 @pytest.mark.parametrize(
