@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
-import sys
 import threading
 import time
 from collections import deque
@@ -42,7 +41,7 @@ A unit contains as many calls of the mapped function as a worker finishes in abo
 CONNECT_S = 10.0
 """Largest time in s to wait for a Dask scheduler, and then for its first worker."""
 
-LARGEST_LOT = 512
+LARGEST_LOT = 1024
 """Largest number of concurrent calls that share batches of runs.
 
 `kneexo.simulation.engines.needs_runs` describes such calls.
@@ -51,6 +50,8 @@ LARGEST_LOT = 512
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # NumPy reads it when it is imported
 _UNITS_PER_WORKER = 4  # units submitted per worker, so that no worker runs out of work
 _FIRST_UNIT = 8  # size of the first units of calls that share batches: the lanes of a vector
+_GROWTH = 8.0  # largest growth of a unit to the next; few calls fill few lanes
+_LAST_UNIT = 128  # size down to which the last units shrink, so that all workers end together
 _WORKERS = 250  # assumed workers of an executor that does not say how many it has
 
 
@@ -251,11 +252,11 @@ def parallel_map(
         elif is_synchronous(function):
             units = _Units(order, _first_unit(function, len(order), 1))
             while unit := units.take(LARGEST_LOT):
-                end = time.perf_counter() + UNIT_S
+                begin = time.perf_counter()
                 batch = [items[index] for index in unit]
                 for position, result in map_concurrently(function, batch):
                     keep(unit[position], result)
-                units.give_back([], len(unit), time.perf_counter() < end)
+                units.give_back([], len(unit), time.perf_counter() - begin)
         else:
             for index in order:
                 keep(index, function(items[index]))
@@ -269,10 +270,10 @@ class _Units:
         self._waiting = deque(order)
         self._size = size
 
-    def __bool__(self) -> bool:
-        return bool(self._waiting)
+    def __len__(self) -> int:
+        return len(self._waiting)
 
-    def take(self, most: int = sys.maxsize) -> list[int]:
+    def take(self, most: int) -> list[int]:
         """Remove the next unit of work from the front of the queue and return its indices.
 
         The unit has at most ``most`` indices. An empty queue gives an empty list.
@@ -280,14 +281,16 @@ class _Units:
         size = min(self._size, most, len(self._waiting))
         return [self._waiting.popleft() for _ in range(size)]
 
-    def give_back(self, unfinished: Sequence[int], finished: int, in_time: bool) -> None:
+    def give_back(self, unfinished: Sequence[int], finished: int, elapsed_s: float) -> None:
         """Put the unfinished indices of a unit back at the front of the queue; adapt the size.
 
-        ``finished`` is the number of finished indices. If the unit ended within the time limit, the
-        size of the next units becomes at least twice this number. Otherwise it becomes this number.
+        ``finished`` is the number of finished indices, and ``elapsed_s`` the duration of the unit.
+        If the unit ended within the time limit, the next units can have as many indices as fit into
+        the limit, but at most `_GROWTH` times this number. Otherwise they have this number.
         """
         self._waiting.extendleft(reversed(unfinished))
-        self._size = max(self._size, 2 * finished) if in_time else finished
+        growth = min(_GROWTH, UNIT_S / max(elapsed_s, 1e-9))
+        self._size = max(self._size, int(growth * finished)) if growth > 1.0 else finished
 
 
 def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
@@ -301,21 +304,21 @@ def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
     return max(1, min(_FIRST_UNIT, count // (_UNITS_PER_WORKER * workers)))
 
 
-def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], bool]:
+def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], float]:
     """Call ``function`` for ``items`` until `UNIT_S` has elapsed; run in a worker process.
 
     Calls that have begun before this time are finished. Returns the results of the finished calls
-    in the order of ``items``, and True if all calls ended within `UNIT_S`, otherwise False.
+    in the order of ``items``, and the elapsed time in s.
     """
-    end = time.perf_counter() + UNIT_S
+    begin = time.perf_counter()
     lot = LARGEST_LOT if is_synchronous(function) else 1
     results: dict[int, Result] = {}
     for first in range(0, len(items), lot):
         ended = map_concurrently(function, items[first : first + lot])
         results |= {first + n: result for n, result in ended}
-        if time.perf_counter() >= end:
-            return [results[n] for n in range(len(results))], False
-    return [results[n] for n in range(len(results))], True
+        if time.perf_counter() - begin >= UNIT_S:
+            break
+    return [results[n] for n in range(len(results))], time.perf_counter() - begin
 
 
 def _by_executor(
@@ -333,20 +336,20 @@ def _by_executor(
     workers = getattr(executor, "_max_workers", _WORKERS)
     most = _UNITS_PER_WORKER * workers
     units = _Units(order, _first_unit(function, len(order), workers))
-    under_way: dict[Future[tuple[list[Result], bool]], list[int]] = {}
-    ended: SimpleQueue[Future[tuple[list[Result], bool]]] = SimpleQueue()
+    under_way: dict[Future[tuple[list[Result], float]], list[int]] = {}
+    ended: SimpleQueue[Future[tuple[list[Result], float]]] = SimpleQueue()
     try:
         while units or under_way:
             with interrupt_later():
                 while units and len(under_way) < most:
-                    unit = units.take()
+                    unit = units.take(max(_LAST_UNIT, len(units) // (2 * workers)))
                     future = executor.submit(_unit, function, [items[index] for index in unit])
                     under_way[future] = unit
                     future.add_done_callback(ended.put)
             future = ended.get()
             unit = under_way.pop(future)
-            results, in_time = future.result()
-            units.give_back(unit[len(results) :], len(results), in_time)
+            results, elapsed_s = future.result()
+            units.give_back(unit[len(results) :], len(results), elapsed_s)
             for index, result in zip(unit, results, strict=False):
                 keep(index, result)
     except (BrokenExecutor, CancelledError):

@@ -188,7 +188,8 @@ async def square_below(limit, item):
     return await awaitable(square, item)
 
 
-def test_calls_go_on_together_with_the_results_of_each_alone(batches, at_once):
+def test_calls_go_on_together_with_the_results_of_each_alone(batches, monkeypatch, at_once):
+    monkeypatch.setattr(parallel, "LARGEST_LOT", 256)
     items = list(range(700))
     expected = [n * n for n in items]
     assert parallel_map(square, items) == expected
@@ -212,6 +213,30 @@ def test_units_of_calls_grow_as_others_do(batches, monkeypatch, unit_s, at_once)
     # Eight units of eight are under way at first.
     assert executor.units[:8] == [8] * 8
     assert (executor.units[8] == 8) == (unit_s == 0.0)
+
+
+def test_a_unit_grows_as_far_as_the_time_limit_allows():
+    units = parallel._Units(range(10_000), 8)
+    sizes = []
+    for elapsed_s in (0.001, 0.25, 0.4999, 0.5, 0.05, 2.0, 0.25):
+        unit = units.take(10_000)
+        sizes.append(len(unit))
+        units.give_back([], len(unit), elapsed_s)
+    assert sizes == [8, 64, 128, 128, 128, 1024, 1024]
+    units.give_back([], 40, 2.0)  # a unit that did not end in time
+    assert len(units.take(10_000)) == 40
+
+
+def test_the_last_units_shrink(batches, monkeypatch, at_once):
+    monkeypatch.setattr(parallel.time, "perf_counter", lambda: 0.0)  # all units end in time
+    executor = at_once()
+    executor._max_workers = 2
+    items = list(range(20_000))
+    assert parallel_map(square, items, executor=executor) == [n * n for n in items]
+    sizes = executor.units
+    largest = sizes.index(max(sizes))
+    assert sizes[largest:-1] == sorted(sizes[largest:-1], reverse=True)
+    assert sizes[-2] == parallel._LAST_UNIT
 
 
 def test_few_calls_are_shared_by_all_workers(batches, at_once):
