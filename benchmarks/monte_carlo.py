@@ -27,7 +27,7 @@ import numpy as np
 from kneexo.analysis.assessment import assess
 from kneexo.compiler.native.cores import available_cores
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
-from kneexo.parameters.uncertainty import draw
+from kneexo.parameters.uncertainty import draw, options_of
 from kneexo.studies.robustness import assess_plant
 from kneexo.sweeps import parallel_map
 
@@ -46,7 +46,8 @@ def measure(which: str, runs: int, workers: int) -> dict[str, float]:
     start = time.perf_counter()
     scenario, uncertainty = SETS[which]
     judge = partial(assess_plant, scenario, uncertainty, partial(assess, margins=False))
-    assessments = parallel_map(judge, draw(uncertainty, runs, SEED), workers=workers)
+    samples = draw(uncertainty, runs, SEED)
+    assessments = parallel_map(judge, samples, workers=workers, group=options_of)
     wall = time.perf_counter() - start
     usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     errors = np.array([metrics["max_error_deg"] for metrics in assessments])

@@ -197,6 +197,14 @@ def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, A
     ]
 
 
+def options_of(values: Mapping[str, Any]) -> str:
+    """Return a text that is the same for samples with equal options, whose equations are the same.
+
+    ``values`` maps paths to values, as `draw` returns them.
+    """
+    return repr([(path, v) for path, v in values.items() if not isinstance(v, float)])
+
+
 def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Mapping[str, Any]) -> Scenario:
     """Return the scenario with sampled ``values``, a dictionary from dotted path to value.
 

@@ -8,7 +8,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import (
     BrokenExecutor,
     CancelledError,
@@ -41,7 +41,7 @@ A unit contains as many calls of the mapped function as a worker finishes in abo
 CONNECT_S = 10.0
 """Largest time in s to wait for a Dask scheduler, and then for its first worker."""
 
-LARGEST_LOT = 1024
+LARGEST_LOT = 512
 """Largest number of concurrent calls that share batches of runs.
 
 `kneexo.simulation.engines.needs_runs` describes such calls.
@@ -51,7 +51,7 @@ _BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # NumPy reads it when it is imported
 _UNITS_PER_WORKER = 4  # units submitted per worker, so that no worker runs out of work
 _FIRST_UNIT = 8  # size of the first units of calls that share batches: the lanes of a vector
 _GROWTH = 8.0  # largest growth of a unit to the next; few calls fill few lanes
-_LAST_UNIT = 128  # size down to which the last units shrink, so that all workers end together
+_LAST_UNIT = 32  # size down to which the last units shrink, so that all workers end together
 _WORKERS = 250  # assumed workers of an executor that does not say how many it has
 
 
@@ -193,6 +193,7 @@ def parallel_map(
     executor: Executor | None = None,
     description: str | None = None,
     weight: Callable[[Item], float] = lambda item: 1.0,
+    group: Callable[[Item], Hashable] = lambda item: None,
     checkpoint: Checkpoint | None = None,
 ) -> list[Result]:
     """Return ``[function(item) for item in items]``, computed in parallel.
@@ -216,6 +217,9 @@ def parallel_map(
     weight
         Cost of an item in any unit. The items with the largest weights are computed first, and the
         progress bar advances by the weights.
+    group
+        Items of equal weight and group are computed one after the other. Runs can share a batch
+        only if their equations are the same, so a group should stand for equations.
     checkpoint
         `Checkpoint` that stores each result as soon as it is computed. Results in the checkpoint
         are not computed again. The function must then return plain JSON data.
@@ -246,7 +250,9 @@ def parallel_map(
             for index in (n for n, key in enumerate(keys) if key in checkpoint):
                 results[index] = checkpoint[keys[index]]
                 advance(index)
-        order = sorted(set(range(len(items))) - set(results), key=lambda n: (-weight(items[n]), n))
+        ranks: dict[Hashable, int] = {}
+        key = [(-weight(item), ranks.setdefault(group(item), len(ranks))) for item in items]
+        order = sorted((n for n in range(len(items)) if n not in results), key=key.__getitem__)
         if pool is not None:
             _by_executor(function, items, order, pool, keep)
         elif is_synchronous(function):

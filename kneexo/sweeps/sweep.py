@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,6 +40,7 @@ class Sweep:
         items: Sequence[Item],
         description: str = "",
         weight: Callable[[Item], float] = lambda item: 1.0,
+        group: Callable[[Item], Hashable] = lambda item: None,
     ) -> list[Result]:
         """Call `parallel_map` with the options of the sweep.
 
@@ -51,6 +52,7 @@ class Sweep:
             executor=self.executor,
             description=description if self.progress and description else None,
             weight=weight,
+            group=group,
             checkpoint=self.checkpoint,
         )
 

@@ -21,7 +21,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed, has_path
 from kneexo.parameters.presets import PRESETS
 from kneexo.parameters.scenario_file import load_uncertainty
-from kneexo.parameters.uncertainty import applicable, draw, realize
+from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
 from kneexo.studies.paper import PID_TUNED
 
 
@@ -287,3 +287,15 @@ def test_options_that_are_no_plain_data() -> None:
     )
     for linkage in LINKAGES.values():
         assert realize(Scenario(), linkages, {"plant.linkage": linkage}).plant.linkage == linkage
+
+
+def test_samples_with_equal_options_have_equal_structures() -> None:
+    samples = draw(UNCERTAINTY, 60, 5)
+    groups: dict[str, list[Scenario]] = {}
+    for values in samples:
+        plant = realize(UNCERTAIN_KNEE, UNCERTAINTY, values)
+        groups.setdefault(options_of(values), []).append(plant)
+    assert 10 < len(groups) <= 27
+    for same in groups.values():
+        assert len({(s.bus, s.plant.linkage, s.nominal) for s in same}) == 1
+        assert len({s.plant.full_order for s in same}) == 1

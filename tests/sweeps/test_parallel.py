@@ -45,6 +45,16 @@ def test_the_heaviest_item_goes_first():
     assert seen == [3, 2, 1]
 
 
+def test_a_group_goes_together_behind_heavier_items():
+    items, seen = ["b1", "a1", "c9", "b2", "a2", "c1"], []
+    options = {"weight": lambda item: item == "c9", "group": lambda item: item[0]}
+    with ThreadPoolExecutor(1) as executor:
+        parallel_map(seen.append, items, executor=executor, **options)
+    parallel_map(seen.append, items, **options)
+    assert seen == ["c9", "b1", "b2", "a1", "a2", "c1"] * 2
+    assert parallel_map(str.upper, items, **options) == ["B1", "A1", "C9", "B2", "A2", "C1"]
+
+
 def test_no_items_make_no_results(at_once):
     assert parallel_map(math.sqrt, []) == []
     assert parallel_map(math.sqrt, [], executor=at_once()) == []

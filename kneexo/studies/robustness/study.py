@@ -23,7 +23,7 @@ from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.uncertainty import applicable, draw, realize
+from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
 from kneexo.result import Array, Result
 from kneexo.simulation import awaitable, needs_runs
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
@@ -359,7 +359,7 @@ def _explore(
     )
 
     def assessment(points: Sequence[Values], what: str) -> tuple[Assessment, ...]:
-        metrics = sweep.map(judge, points, what)
+        metrics = sweep.map(judge, points, what, group=options_of)
         return tuple(map(Assessment, points, (missing | values for values in metrics)))
 
     missing: dict[str, Any] = {}  # metrics of a plant with contradictory values
