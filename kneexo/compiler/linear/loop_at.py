@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 
 from ..errors import ParameterError
-from ..run_data import Array
 from .linearize import linearize
 from .loops import Transfer
 from .model import over_period
 from .periodic import PeriodicLoop, opened, updates_last
 from .point import EQUILIBRIUM_TOLERANCE
-
-_SAME = 1e-9  # relative difference of two equal matrices of a closed loop, with rounding
-_FACTORS = (1.0, 0.5)  # loop gains at which a loop is closed again
 
 
 def loop_at(
@@ -93,30 +87,41 @@ def _index(name: str, element: int | None, size: int) -> int:
 
 
 def _transfer(loop: PeriodicLoop) -> Transfer | None:
-    """Return L if the signal is constant over a period that begins before or after some updates.
+    """Return L if the signal keeps its value from its first to its last use in a period.
 
-    The result is the first transfer function that gives the loop itself when it is closed once a
-    period, for two loop gains. The result is None if there is none.
+    The period of L begins at the first use, before or after the updates at that time. The result is
+    None if the signal changes between two uses.
     """
-    for first in range(len(loop.ticks)):
-        before = loop.ticks[first:] + loop.ticks[:first]
-        for ticks in (before, updates_last(before)):
-            transfer = Transfer(*over_period(ticks), -loop.row, 0.0, loop.period_s)
-            expected = replace(loop, ticks=ticks).closed_matrices(_FACTORS).real
-            if all(map(_equal, _closed(transfer), expected)):
-                return transfer
-    return None
+    events = list(_uses_and_changes(loop))
+    starts = [
+        (number, updated)
+        for index, (is_use, number, updated) in enumerate(events)
+        if is_use and not events[index - 1][0]
+    ]
+    if len(starts) > 1:
+        return None
+    number, updated = starts[0] if starts else (0, False)
+    ticks = loop.ticks[number:] + loop.ticks[:number]
+    a, b = over_period(updates_last(ticks) if updated else ticks)
+    return Transfer(a, b, -loop.row, 0.0, loop.period_s)
 
 
-def _closed(transfer: Transfer) -> Iterator[Array]:
-    """Yield the matrix of the loop that is closed once a period, for each loop gain."""
-    return (transfer.a - factor * transfer.b @ transfer.c for factor in _FACTORS)
+def _uses_and_changes(loop: PeriodicLoop) -> Iterator[tuple[bool, int, bool]]:
+    """Yield in order of time when systems read the signal, and when the signal changes.
 
-
-def _equal(matrix: Array, expected: Array) -> bool:
-    """Return whether two matrices are equal, also if their states have different units."""
-    _, (scale, _) = scipy.linalg.matrix_balance(expected, permute=False, separate=True)
-    difference, size = (
-        float(np.linalg.norm(m * scale / scale[:, None])) for m in (matrix - expected, expected)
-    )
-    return difference <= _SAME * size
+    The elements of an event are whether it is a use, the number of its tick, and whether it comes
+    after the updates of this tick. An update reads the signal before it changes.
+    """
+    for number, tick in enumerate(loop.ticks):
+        jump = np.hstack([tick.jump_state - np.eye(loop.row.size), tick.jump_input])
+        rate = np.hstack([tick.rate_state, tick.rate_input])
+        if tick.jump_input.any():
+            yield True, number, False
+        if (loop.row @ jump).any():
+            yield False, number, True
+        is_used, moves = tick.rate_input.any(), (loop.row @ rate).any()
+        for _ in range(2 if is_used and moves else 1):  # twice: both go on until the next updates
+            if is_used:
+                yield True, number, True
+            if moves:
+                yield False, number, True

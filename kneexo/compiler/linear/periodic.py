@@ -17,6 +17,7 @@ from .model import Complex, TickModel
 _GAINS = np.linspace(0.0, math.log(1e6), 601)  # logarithms of factors
 _TURNS = np.linspace(0.0, math.pi, 361)
 _DIRECTIONS = np.linspace(0.0, math.pi, 37)
+_OVERFLOW = 1e6
 _REACHES = np.linspace(0.0, 0.999, 81)
 
 
@@ -106,8 +107,14 @@ class PeriodicLoop:
         return min(along(float(search.x)), along(float(_DIRECTIONS[best])))
 
     def _excess(self, factors: ArrayLike) -> Array:
-        """Return the largest magnitude of an eigenvalue minus 1, for factors (f,)."""
-        return np.asarray(np.abs(self.closed_eigenvalues(factors)).max(axis=1) - 1.0)
+        """Return the largest magnitude of an eigenvalue minus 1, at most 1e6, for factors (f,)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrices = self.closed_matrices(factors)
+        finite = np.isfinite(matrices).all(axis=(1, 2))
+        excess = np.full(finite.size, _OVERFLOW)
+        values = np.linalg.eigvals(matrices[finite])
+        excess[finite] = np.minimum(np.abs(values).max(axis=1) - 1.0, _OVERFLOW)
+        return excess
 
     def _first(self, path: Callable[[Any], Any], grid: Array) -> tuple[float, float]:
         """Return the first t > 0 at which the factor path(t) moves stability, and its frequency.

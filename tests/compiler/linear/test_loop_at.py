@@ -242,3 +242,40 @@ def test_a_delay_counts_as_states():
     np.testing.assert_allclose(
         loop_at(diagram, "gain:y0").response(F), 0.2 * z**-4.0 / (z - 1.0), rtol=1e-11
     )
+
+
+def assert_loops_close(random):
+    """Each loop of a random diagram, closed again, moves as the diagram does."""
+    diagram, points = random.diagram, 3.0 * np.exp([0.3j, 1.2j, 2.5j])
+    context = diagram.CreateDefaultContext()
+    for name in random.inputs:
+        diagram.GetInputPort(name).FixValue(context, [0.1])
+    for system in diagram.GetSystems():
+        if not system.get_name().startswith("total"):
+            continue
+        port = f"{system.get_name()}:{system.get_output_port().get_name()}"
+        model = linearize(
+            diagram, context, inputs=[], outputs=[port], equilibrium_tolerance=math.inf
+        )
+        loop = loop_at(diagram, port, context, equilibrium_tolerance=math.inf)
+        if isinstance(loop, PeriodicLoop):
+            np.testing.assert_allclose(loop.closed_matrices()[0], model.a, rtol=0.0, atol=1e-12)
+            continue
+        # The state at the begin of the period may differ, and the eigenvalues do not.
+        ours, expected = (
+            [np.linalg.det(z * np.eye(len(a)) - a) for z in points]
+            for a in (loop.closed_matrix(), model.a)
+        )
+        np.testing.assert_allclose(ours, expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("kind", ["continuous", "sampled", "mixed", "multirate"])
+def test_the_loops_of_a_random_diagram_close_again(random_diagram, kind):
+    assert_loops_close(random_diagram(3, kind))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["continuous", "sampled", "mixed", "multirate"])
+def test_the_loops_of_25_random_diagrams_close_again(random_diagram, kind):
+    for seed in range(25):
+        assert_loops_close(random_diagram(seed, kind))

@@ -88,6 +88,12 @@ def test_a_loop_that_nothing_destabilizes():
     assert (m.disk_margin, m.disk_gain_margin) == (2.0, math.inf)
 
 
+def test_a_gain_far_beyond_the_margin_overflows_in_silence():
+    # L = −0.5/(s + 1): the pole is −1 + 0.5 k.
+    m = margins(loop_at(loop(-0.5, LAG, hold_s=None, others=[(T, 0.0, 0.0)]), "law:y0"))
+    assert (m.gain_margin, m.gain_margin_frequency_hz) == pytest.approx((2.0, 0.0), rel=1e-9)
+
+
 def test_a_loop_has_a_short_text():
     text = repr(loop_at(loop(1.5, others=[(1.5 * T, 0.0, 0.4)]), "law:y0"))
     assert text == "PeriodicLoop(period_s=0.15, 4 states, 4 times of updates)"
