@@ -76,7 +76,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     )
     from .linear.advice import Obstacle as Obstacle, advice as advice
     from .linear.equilibrium import find_equilibrium as find_equilibrium
-    from .linear.linearize import linearize as linearize
+    from .linear.linearize import linearize as linearize, linearize_at as linearize_at
     from .linear.loop_at import loop_at as loop_at
     from .linear.loops import (
         Transfer as Transfer,
@@ -152,7 +152,7 @@ else:
         "json_files": ("document_text", "read_document", "write_document"),
         "linear.advice": ("Obstacle", "advice"),
         "linear.equilibrium": ("find_equilibrium",),
-        "linear.linearize": ("linearize",),
+        "linear.linearize": ("linearize", "linearize_at"),
         "linear.loop_at": ("loop_at",),
         "linear.loops": (*("Transfer", "as_transfer", "complementary_sensitivity", "sensitivity"),),
         "linear.margins": ("LoopMargins", "margins"),

@@ -15,7 +15,7 @@ from ..native.timing import timing
 from ..run_data import Array
 from .advice import obstacles
 from .model import LinearModel, OperatingPoint, TickModel, over_period
-from .point import EQUILIBRIUM_TOLERANCE, port_names, read_point
+from .point import EQUILIBRIUM_TOLERANCE, Point, port_names, read_points
 
 _MOST_TICKS = 100_000
 
@@ -78,10 +78,53 @@ def linearize(
         ``inputs`` or ``outputs`` has a name twice, ``outputs`` is empty, ``period_s`` is no
         multiple of the sample periods, or the Context belongs to another diagram.
     """
+    options = bypass, period_s, equilibrium_tolerance
+    return _models(diagram, [context], inputs, outputs, *options)[0]
+
+
+def linearize_at(
+    diagram: Any,
+    contexts: Iterable[Any],
+    *,
+    inputs: Iterable[str],
+    outputs: Iterable[str],
+    bypass: Iterable[str] = (),
+    period_s: float | None = None,
+    equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
+) -> list[LinearModel]:
+    """Return the linear model of a diagram in each of several Contexts; see `linearize`.
+
+    The equations are read once, so many operating points take much less time than many calls.
+    """
+    options = bypass, period_s, equilibrium_tolerance
+    return _models(diagram, contexts, inputs, outputs, *options)
+
+
+def _models(
+    diagram: Any,
+    contexts: Iterable[Any],
+    inputs: Iterable[str],
+    outputs: Iterable[str],
+    bypass: Iterable[str],
+    period_s: float | None,
+    equilibrium_tolerance: float,
+) -> list[LinearModel]:
     in_names, out_names = port_names("inputs", inputs), port_names("outputs", outputs)
     if not out_names:
         raise ParameterError("outputs: is empty; name at least one port")
-    point = read_point(diagram, context, in_names, out_names, bypass)
+    models = []  # no comprehension, which would be a stack frame for warnings on Python 3.11
+    for point in read_points(diagram, contexts, in_names, out_names, bypass):
+        models.append(_model(point, in_names, out_names, period_s, equilibrium_tolerance))
+    return models
+
+
+def _model(
+    point: Point,
+    in_names: tuple[str, ...],
+    out_names: tuple[str, ...],
+    period_s: float | None,
+    equilibrium_tolerance: float,
+) -> LinearModel:
     slopes = point.slopes(out_names)
     point.require_finite(slopes, out_names)
     if moving := point.motion(slopes, equilibrium_tolerance):
@@ -89,14 +132,7 @@ def linearize(
             f"the operating point is no equilibrium: {moving} (equilibrium_tolerance = "
             f"{equilibrium_tolerance:g}); use find_equilibrium, or equilibrium_tolerance=math.inf"
         )
-    for obstacle in obstacles(point, out_names):
-        warnings.warn(str(obstacle), stacklevel=2)
-    if varying := point.time_varying(out_names):
-        warnings.warn(
-            f"the derivatives of {varying[0]} depend on the time: the model has those of "
-            f"t = {point.time_s:g} s; along a periodic motion, use periodic_orbit",
-            stacklevel=2,
-        )
+    _warn(point, out_names)
     names = point.element_names(in_names)
     n, columns = point.state.size, point.state.size + len(names)
     updates = point.read.equations.updates
@@ -119,6 +155,18 @@ def linearize(
         ),
         ticks=ticks,
     )
+
+
+def _warn(point: Point, out_names: tuple[str, ...]) -> None:
+    """Warn of obstacles, and of derivatives that depend on the time."""
+    for obstacle in obstacles(point, out_names):
+        warnings.warn(str(obstacle), stacklevel=5)
+    if varying := point.time_varying(out_names):
+        warnings.warn(
+            f"the derivatives of {varying[0]} depend on the time: the model has those of "
+            f"t = {point.time_s:g} s; along a periodic motion, use periodic_orbit",
+            stacklevel=5,
+        )
 
 
 def tick_models(

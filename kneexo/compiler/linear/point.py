@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import PortDataType
 
 from ..diagram_equations import DiagramEquations, read_diagram
 from ..errors import LinearizationError, ParameterError
@@ -179,19 +181,23 @@ def read_point(
     in the Context. An input without a value, or inside the diagram, has the value zero. For the
     names and errors see `linearize`.
     """
-    names = tuple(inputs)
-    values: dict[str, Array] = {}
-    if context is not None:
-        try:
-            diagram.ValidateContext(context)
-        except RuntimeError:
-            raise ParameterError(
-                f"context: belongs to another system than {diagram.get_name()!r}; create it by "
-                f"diagram.CreateDefaultContext()"
-            ) from None
-        ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))
-        values = {port.get_name(): port.Eval(context) for port in ports if port.HasValue(context)}
-    open_ports = tuple(dict.fromkeys((*names, *values)))
+    return read_points(diagram, [context], inputs, outputs, bypass)[0]
+
+
+def read_points(
+    diagram: Any,
+    contexts: Iterable[Any],
+    inputs: Iterable[str] = (),
+    outputs: Iterable[str] = (),
+    bypass: Iterable[str] = (),
+) -> list[Point]:
+    """Read the equations of a diagram once, and the values of several Contexts; see `read_point`.
+
+    An input is open if it has a value in at least one of the Contexts.
+    """
+    contexts = list(contexts)
+    values = [_input_values(diagram, context) for context in contexts]
+    open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
     exported = {diagram.get_output_port(i).get_name() for i in range(diagram.num_output_ports())}
     read = read_diagram(
         diagram,
@@ -200,12 +206,35 @@ def read_point(
         bypass=bypass,
     )
     sizes = read.equations.inputs
-    elements = [values.get(name, np.zeros(sizes[name])) for name in open_ports]
-    state = read.state(context)
-    return Point(
-        read=read,
-        time_s=0.0 if context is None else float(context.get_time()),
-        parameters=read.parameters(context),
-        state=np.concatenate([state.continuous, state.discrete]),
-        inputs=np.concatenate([np.empty(0), *elements]),
-    )
+    states = [read.state(context) for context in contexts]
+    return [
+        Point(
+            read=read,
+            time_s=0.0 if context is None else float(context.get_time()),
+            parameters=read.parameters(context),
+            state=np.concatenate([state.continuous, state.discrete]),
+            inputs=np.concatenate(
+                [np.empty(0), *(of_port.get(name, np.zeros(sizes[name])) for name in open_ports)]
+            ),
+        )
+        for context, of_port, state in zip(contexts, values, states, strict=True)
+    ]
+
+
+def _input_values(diagram: Any, context: Any) -> dict[str, Array]:
+    """Return the value of each input port of vectors that has a value in a Context, by its name."""
+    if context is None:
+        return {}
+    try:
+        diagram.ValidateContext(context)
+    except RuntimeError:
+        raise ParameterError(
+            f"context: belongs to another system than {diagram.get_name()!r}; create it by "
+            f"diagram.CreateDefaultContext()"
+        ) from None
+    ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))
+    return {
+        port.get_name(): port.Eval(context)
+        for port in ports
+        if port.get_data_type() == PortDataType.kVectorValued and port.HasValue(context)
+    }

@@ -22,6 +22,7 @@ from kneexo.compiler import (
     LinearizationError,
     ParameterError,
     linearize,
+    linearize_at,
 )
 
 
@@ -177,6 +178,38 @@ def test_a_pendulum_equals_drakes_linearization():
         np.testing.assert_allclose(getattr(model, name), expected, rtol=1e-13, atol=1e-13)
     assert model.period_s is None
     assert not model.stable
+
+
+def test_models_in_several_contexts_equal_single_ones():
+    plant, contexts = PendulumPlant(), []
+    for angle in (0.0, math.pi / 6.0, math.pi):
+        context = plant.CreateDefaultContext()
+        context.SetContinuousState([angle, 0.0])
+        # The first Context has no torque, which counts as zero.
+        if angle:
+            plant.get_input_port().FixValue(context, [9.81 * 0.5 * math.sin(angle)])
+        contexts.append(context)
+    ports = {"inputs": ["tau"], "outputs": ["state"]}
+    models = linearize_at(plant, contexts, **ports)
+    stiffness = [model.a[1, 0] for model in models]
+    assert stiffness == pytest.approx([-19.62 * f for f in (1.0, math.sqrt(0.75), -1.0)], rel=1e-12)
+    for model, context in zip(models, contexts, strict=True):
+        single = linearize(plant, context, **ports)
+        assert (model.a == single.a).all()
+        assert (model.operating_point.state == single.operating_point.state).all()
+        assert (model.operating_point.inputs == single.operating_point.inputs).all()
+
+
+def test_a_warning_points_at_the_caller():
+    x = Variable("x")
+    plant = SymbolicVectorSystem(state=[x], dynamics=[-abs(x)], output=[x])
+    for call in (
+        lambda: linearize(plant, inputs=[], outputs=["y0"]),
+        lambda: linearize_at(plant, [None], inputs=[], outputs=["y0"]),
+    ):
+        with pytest.warns(UserWarning, match="corner") as caught:
+            call()
+        assert caught[0].filename == __file__
 
 
 def test_a_perturbation_inside_adds_to_the_signal(loop):
