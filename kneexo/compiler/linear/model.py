@@ -188,12 +188,14 @@ class LinearModel:
         λ is j2πf for a continuous model and e^{j2πfP} for a sampled one. So a sampled model has the
         inputs held over the period, and the outputs at t = 0, P, 2P … For inputs and outputs in
         continuous time see `sine_response`. Raises `LinearizationError` for a frequency that is not
-        finite.
+        finite, or is a pole.
         """
-        s = 2j * np.pi * _finite(frequencies_hz)
+        frequencies = _finite(frequencies_hz)
+        s = 2j * np.pi * frequencies
         points = s if self.period_s is None else np.exp(s * self.period_s)
         shifted = points[:, None, None] * np.eye(len(self.a)) - self.a
-        return np.asarray(self.c @ np.linalg.solve(shifted, self.b[None]) + self.d, dtype=complex)
+        state = _solution(shifted, self.b[None], frequencies)
+        return np.asarray(self.c @ state + self.d, dtype=complex)
 
     def sine_response(self, frequencies_hz: ArrayLike) -> Complex:
         r"""Return the steady response to a continuous sine, (frequencies, outputs, inputs).
@@ -205,7 +207,7 @@ class LinearModel:
         −ω have the same frequency.
 
         For a continuous model the result is `frequency_response`. Raises `LinearizationError` for a
-        frequency that is not finite, and for the model of a periodic orbit.
+        frequency that is not finite or is a pole, and for the model of a periodic orbit.
         """
         if self.period_s is None:
             return self.frequency_response(frequencies_hz)
@@ -213,7 +215,8 @@ class LinearModel:
             raise LinearizationError(
                 "the model of a periodic orbit has only its samples; use frequency_response"
             )
-        omega = 2.0 * np.pi * _finite(frequencies_hz)
+        frequencies = _finite(frequencies_hz)
+        omega = 2.0 * np.pi * frequencies
         n, m = self.b.shape
         # With w = z e^{−jωt} the input is the constant 1, and the steady w has the period P.
         transition, drive = _unit(omega.size, n, n), _unit(omega.size, n, m, 0.0)
@@ -231,7 +234,7 @@ class LinearModel:
                 integral[1] + mean @ drive + mean_drive,
             )
             transition, drive = flow @ transition, flow @ drive + flow_drive
-        start = np.linalg.solve(np.eye(n) - transition, drive)
+        start = _solution(np.eye(n) - transition, drive, frequencies)
         average = (integral[0] @ start + integral[1]) / self.period_s
         return np.asarray(self.c @ average + self.d, dtype=complex)
 
@@ -258,6 +261,21 @@ def _rotating_step(tick: TickModel, omega: Array) -> tuple[Complex, Complex, Com
         step[:, n : 2 * n, :n],
         step[:, n : 2 * n, 2 * n :],
     )
+
+
+def _solution(matrices: Any, right: Any, frequencies_hz: Array) -> Complex:
+    """Solve linear equations at each frequency.
+
+    Raises `LinearizationError` if the matrix of a frequency is singular.
+    """
+    try:
+        return np.asarray(np.linalg.solve(matrices, right), dtype=complex)
+    except np.linalg.LinAlgError:
+        smallest = np.linalg.svd(matrices, compute_uv=False)[:, -1]
+        raise LinearizationError(
+            f"frequency = {frequencies_hz[np.argmin(smallest)]:g} Hz: is a pole of the model, "
+            f"where the response is infinite; leave it out"
+        ) from None
 
 
 def _finite(frequencies_hz: ArrayLike) -> Array:

@@ -122,5 +122,11 @@ def test_what_a_model_lacks_is_one_line():
     for response in (model.frequency_response, linear(period_s=0.1).sine_response):
         with pytest.raises(LinearizationError, match=r"\Afrequency = nan Hz: must be finite\Z"):
             response([1.0, math.nan])
+    integrator = LinearSystem([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    for period_s in (None, 0.5):
+        pole = linearize(integrator, inputs=["u0"], outputs=["y0"], period_s=period_s)
+        for response in (pole.frequency_response, pole.sine_response):
+            with pytest.raises(LinearizationError, match=r"\Afrequency = 0 Hz: is a pole [^\n]*\Z"):
+                response([1.0, 0.0, 0.3])
     with pytest.raises(ParameterError, match=r"\Aperiod_s = inf s: must be finite and > 0\Z"):
         linear(period_s=math.inf)
