@@ -1,4 +1,4 @@
-"""The commands ``export c`` and ``export fmu``."""
+"""The commands ``export c``, ``export sil`` and ``export fmu``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NO_BINARY = "none, without a C compiler (cc, gcc, clang) or Linux in 64 bits"
 
 
 def add_exports(subparsers: Any) -> None:
-    """Add the commands ``export c`` and ``export fmu`` to the parser."""
+    """Add the commands ``export c``, ``export sil`` and ``export fmu`` to the parser."""
     summary = "write the controller, the plant or the closed loop for use outside Python"
     forms = arguments.add_group(subparsers, "export", summary, "FORM")
     parser = arguments.add_command(

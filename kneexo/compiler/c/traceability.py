@@ -99,8 +99,18 @@ class Trace:
         ]
         rows += [(f"x[{i}]", f"state {name}") for i, name in enumerate(equations.states)]
         rows += [(f"d[{i}]", f"state {name}") for i, name in enumerate(equations.discrete)]
+        rows += self._constants()
         pairs = zip(plan.members, equations.parameters, strict=True)
         return rows + [(f"p->{member}", f"parameter {name}") for member, name in pairs]
+
+    def _constants(self) -> list[tuple[str, str]]:
+        """Rows: value that depends on parameters alone, the line and system that compute it."""
+        lines, rows = self.text.splitlines(), []
+        for span in spans(self.text, self.equations.sections):
+            for number in range(span.first, span.last + 1):
+                if target := re.match(r"\s+(c\[\d+\]) = ", lines[number - 1]):
+                    rows.append((target[1], f"line {number}, {span.section.where}"))
+        return sorted(rows, key=lambda row: int(row[0][2:-1]))
 
     @property
     def frozen(self) -> list[tuple[str, str, str]]:

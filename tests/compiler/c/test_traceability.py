@@ -10,8 +10,10 @@ from pydrake.systems.primitives import Gain, LinearSystem, Sine
 
 from kneexo.compiler import export_c, read_diagram, source_of
 from kneexo.compiler.c import build as c_build
+from kneexo.compiler.c.source import CSource
 from kneexo.compiler.c.traceability import Trace, _ranges, spans
-from kneexo.compiler.equations.equations import Section
+from kneexo.compiler.equations.equations import Equations, Section
+from kneexo.compiler.run_data import State
 
 
 def two_branches(memory=0.5):
@@ -56,6 +58,21 @@ def test_each_line_has_its_system_and_what_depends_on_it():
     assert numbers["gain"] == ("Gain", "2.5")
     assert numbers["lag"] == ("LinearSystem", "-7, 3, 7")
     assert numbers["memory"] == ("LinearSystem", "0.5")
+
+
+def test_constants_are_traced_to_the_line_that_computes_them():
+    """Y = (a² + 1) u, whose factor is a constant."""
+    equations = Equations(parameters=["law.a"], inputs={"u": 1})
+    g = equations.graph
+    square = g.multiply(g.source("parameter", 0), g.source("parameter", 0))
+    y = g.multiply(g.add(square, g.one), g.source("input", 0))
+    equations.outputs = {"y": [y]}
+    equations.sections = [Section("law: output port y", "", (y,))]
+    state = State(np.zeros(0), np.zeros(0))
+    trace = trace_of(CSource(equations, "m", np.ones(1), state, tick_s=0.1))
+    text = dict(trace.names)["c[0]"]
+    number = re.fullmatch(r"line (\d+), law: output port y", text)[1]
+    assert "c[0] = " in trace.text.splitlines()[int(number) - 1]
 
 
 def changed_text(text, span):
