@@ -31,8 +31,9 @@ def scaled(values=(2.0, 1e-3), constant=3.0):
     factors = [g.constant(constant), g.source("parameter", 0), g.source("parameter", 1), x]
     equations.outputs = {"y": [g.multiply(*factors)]}
     equations.initial_discrete = [x]
+    equations.states, equations.derivatives = ["law.x[0]"], [g.negate(g.source("state", 0))]
     equations.updates = [Update(0.1, 0.0, ((0, x),))]
-    return equations, "m", np.array(values), State(np.zeros(0), np.array([0.1]))
+    return equations, "m", np.array(values), State(np.array([0.7]), np.array([0.1]))
 
 
 def test_the_manifest_has_the_checksum_of_each_file(tmp_path, monkeypatch):
@@ -67,7 +68,7 @@ def test_the_code_has_the_numbers_of_the_manifest(built, precision, monkeypatch)
     sums = ["".join(f"{word:08x}" for word in words[i : i + 8]) for i in (3, 11, 19)]
     assert dict(zip(("equations", "parameters", "origin"), sums, strict=True)) == source.checksums
     real = {"double": ctypes.c_double, "float": ctypes.c_float}[precision]
-    in_memory = bytes((real * 3).in_dll(library, "m_params"))
+    in_memory = bytes((real * 4).in_dll(library, "m_params"))
     assert sums[1] == hashlib.sha256(in_memory).hexdigest()
     assert sums[2] == hashlib.sha256(f"# {source.first_line}\na: 1\n".encode()).hexdigest()
 
@@ -80,6 +81,14 @@ def test_each_checksum_follows_what_it_belongs_to():
     assert first["equations"] == other_values["equations"] != other_equations["equations"]
     assert first["parameters"] == other_equations["parameters"] != other_values["parameters"]
     assert set(first["origin"]) == {"0"} != set(named["origin"])
+
+
+def test_the_checksum_of_the_equations_is_that_of_the_diagram():
+    """The C printer adds nodes to its own copy of the equations."""
+    read = read_diagram(lag(), inputs=["u0"])
+    source = source_of(read, "lag", tick_s=0.1)
+    assert len(source.plan.equations.graph.nodes) > len(read.equations.graph.nodes)
+    assert source.checksums["equations"] == read.key
 
 
 def test_a_model_without_parameters_has_a_manifest(built):

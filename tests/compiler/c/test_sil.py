@@ -23,28 +23,35 @@ def no_targets(monkeypatch):
     monkeypatch.setattr(c_build, "TARGETS", {})
 
 
-def linear(name, a, b, c, fields, **options):
-    """X⁺ = a x + b u, y = c x⁺ of the step; ports as C names."""
-    system = LinearSystem([[a]], [b], [[c]], [[0.0] * len(b)], TICK_S)
+START = 0.4
+"""Angle of the motor before the first step."""
+
+
+def linear(name, a, b, fields, start=0.0):
+    """X⁺ = a x + b u from ``start``; the output after a step is x⁺. Ports have names in C."""
+    system = LinearSystem([[a]], [b], [[1.0]], [[0.0] * len(b)], TICK_S)
     system.set_name(name)
-    interface = Interface(fields, **options)
-    return source_of(read_diagram(system, inputs=["u0"]), name, interface=interface)
+    context = system.CreateDefaultContext()
+    context.SetDiscreteState([start])
+    read = read_diagram(system, inputs=["u0"])
+    return source_of(read, name, context, interface=Interface(fields))
 
 
 def law(name="law", reading="angle"):
     """The command is the state: x⁺ = 0.5 x + 2 reference − reading."""
-    return linear(name, 0.5, [2.0, -1.0], 1.0, {"u0": ("reference", reading), "y0": ("command",)})
+    return linear(name, 0.5, [2.0, -1.0], {"u0": ("reference", reading), "y0": ("command",)})
 
 
 def motor(name="motor"):
     """The angle is the state: x⁺ = 0.9 x + 0.1 command + 0.3 load."""
-    return linear(name, 0.9, [0.1, 0.3], 1.0, {"u0": ("command", "load"), "y0": ("angle",)})
+    fields = {"u0": ("command", "load"), "y0": ("angle",)}
+    return linear(name, 0.9, [0.1, 0.3], fields, START)
 
 
 def loop_by_hand(size=0.0):
     """Vectors of both models in their loop; a count of the angle has this size, 0: no counts."""
     reference, load = np.sin(0.3 * np.arange(STEPS)), np.linspace(0.0, 1.0, STEPS)
-    command, angle, rows = 0.0, 0.0, []
+    command, angle, rows = 0.0, START, []
     for r, f in zip(reference, load, strict=True):
         reading = np.round(angle / size) if size else angle
         command = 0.5 * command + 2.0 * r - reading
@@ -135,6 +142,15 @@ def test_vectors_of_different_length_are_refused():
     shorter = Vectors(angles.inputs[:-1], angles.outputs[:-1])
     with pytest.raises(CompilationError, match="law, motor: have test vectors of different length"):
         Sil((law(), commands), (motor(), shorter), {})
+
+
+def test_a_file_with_the_name_of_a_module_is_not_touched(tmp_path, no_targets, monkeypatch):
+    monkeypatch.setattr(c_build, "COMPILERS", ())
+    commands, angles = loop_by_hand()
+    (tmp_path / "motor").write_text("speeds up to 3000 rpm\n")
+    with pytest.raises(OutputError, match="motor is not of an export; choose another directory"):
+        write_sil(tmp_path, Sil((law(), commands), (motor(), angles), {}))
+    assert [path.name for path in tmp_path.iterdir()] == ["motor"]
 
 
 @pytest.mark.parametrize("file", ["main.c", "motor/main.c"])

@@ -12,7 +12,7 @@ from kneexo.compiler import export_c, read_diagram, source_of
 from kneexo.compiler.c import build as c_build
 from kneexo.compiler.c.source import CSource
 from kneexo.compiler.c.traceability import Trace, _ranges, spans
-from kneexo.compiler.equations.equations import Equations, Section
+from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
 from kneexo.compiler.run_data import State
 
 
@@ -47,6 +47,7 @@ def test_each_line_has_its_system_and_what_depends_on_it():
     rows = {(row[1], row[2]): row[3:] for row in trace.lines}
     assert rows["update_at", "memory: discrete update"] == ("LinearSystem.", "", "3")
     assert rows["outputs_at", "wave: output port y0"] == ("Sine.", "", "1-2")
+    assert rows["outputs_at", "memory: output port y0"] == ("LinearSystem.", "", "3")
     assert rows["outputs_at", "lag: output port y0"] == ("LinearSystem.", "", "1")
     names = dict(trace.names)
     assert names["out->memory"] == "output port memory, output 3 of the test vectors"
@@ -73,6 +74,31 @@ def test_constants_are_traced_to_the_line_that_computes_them():
     text = dict(trace.names)["c[0]"]
     number = re.fullmatch(r"line (\d+), law: output port y", text)[1]
     assert "c[0] = " in trace.text.splitlines()[int(number) - 1]
+
+
+def test_a_margin_is_tested_by_the_status_and_by_what_reads_its_values():
+    """The margin has the root of the state, which the output reads; the start depends on p."""
+    equations = Equations(parameters=["law.p"], discrete=["law.0[0]"])
+    g = equations.graph
+    x = g.source("discrete", 0)
+    root, start = g.unary("sqrt", x), g.unary("exp", g.source("parameter", 0))
+    margin = g.subtract(g.constant(9.0), root)
+    y = g.multiply(root, g.constant(3.0))
+    equations.outputs = {"one": [g.constant(1.0)], "y": [y]}
+    equations.limits = [Limit("law", margin)]
+    equations.initial_discrete = [start]
+    equations.updates = [Update(0.1, 0.0, ((0, x),))]
+    equations.sections = [
+        Section("law: margin", "", (margin,)),
+        Section("law: output port y", "", (y,)),
+        Section("law: initialization", "", (start,)),
+    ]
+    state = State(np.zeros(0), np.ones(1))
+    trace = trace_of(CSource(equations, "m", np.ones(1), state))
+    numbers = {row[1:3]: row[-1] for row in trace.lines}
+    assert numbers["margins_at", "law: margin"] == "2, status"
+    assert numbers["outputs_at", "law: output port y"] == "2"
+    assert numbers["constants_of", "law: initialization"] == "2"
 
 
 def changed_text(text, span):
