@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -95,14 +96,14 @@ def make_firmware(
     """
     options: dict[str, Any] = {"precision": precision, "vectors_s": vectors_s, "step_s": step_s}
     options |= {"look_up": look_up, "name": name, "outputs": outputs}
-    return _firmware(scenario, what, scenario, **options)
+    return _firmware(scenario, what, **options)
 
 
 def _firmware(
     scenario: Scenario,
     what: str,
-    run: Scenario,
     *,
+    solver: Mapping[str, Any] = MappingProxyType({}),
     precision: str,
     vectors_s: float | None,
     step_s: float | None,
@@ -110,7 +111,7 @@ def _firmware(
     name: str | None = None,
     outputs: Sequence[str] | None = None,
 ) -> tuple[CSource, Vectors]:
-    """Return the result of `make_firmware`. The inputs of the vectors come from the run ``run``."""
+    """Return the result of `make_firmware`; for ``solver`` see `loop_inputs`."""
     require_step(step_s)
     if what == "loop" and isinstance(scenario.reference, SampledReference):
         raise ParameterError(
@@ -145,7 +146,7 @@ def _firmware(
         origin=("scenario.yaml", dump_scenario(completed(scenario))),
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
-    inputs = loop_inputs(run, target, source, steps)
+    inputs = loop_inputs(scenario, target, source, steps, **solver)
     return source, recorded_vectors(target.diagram, source, inputs)
 
 
@@ -191,11 +192,11 @@ def make_sil(
             f"be none and 0 for software in the loop"
         )
     largest_s = largest_step_s(scenario, "plant") if step_s is None else step_s
-    run = scenario.with_steps(largest_s)
     options: dict[str, Any] = {"vectors_s": vectors_s, "step_s": largest_s}
+    options["solver"] = {"integrator": "rk4", "step_s": largest_s}
     law: dict[str, Any] = {"precision": precision, "look_up": look_up}
-    controller = _firmware(scenario, "controller", run, **options, **law)
-    plant = _firmware(scenario, "plant", run, precision="double", **options)
+    controller = _firmware(scenario, "controller", **options, **law)
+    plant = _firmware(scenario, "plant", precision="double", **options)
     if "rod_state" in controller[0].equations.inputs:
         raise ParameterError(
             f"estimator.kind = {scenario.estimator.kind!r}: no sensor measures the state of the "
@@ -217,10 +218,13 @@ def export_sil(
     return write_sil(directory, make_sil(scenario, **options))
 
 
-def loop_inputs(scenario: Scenario, target: Target, source: CSource, steps: int) -> Array:
+def loop_inputs(
+    scenario: Scenario, target: Target, source: CSource, steps: int, **solver: Any
+) -> Array:
     """Run the compiled closed loop; return the inputs that ``target`` receives at each step.
 
-    The result has the shape (steps, input elements). Inputs in `OUTSIDE` are zero.
+    The result has the shape (steps, input elements). Inputs in `OUTSIDE` are zero. ``solver`` has
+    the options ``integrator`` and ``step_s`` of `CompiledModel.simulate`.
     """
     sample_time = source.plan.schedule.tick_s
     signals = {ENCODER_COUNT: "encoder_reading", "rod_state": "estimated_state"}
@@ -234,6 +238,7 @@ def loop_inputs(scenario: Scenario, target: Target, source: CSource, steps: int)
         outputs=tuple(dict.fromkeys(inside)),
         record_period_s=sample_time,
         inputs=table,
+        **solver,
     )
     columns = []
     for name, size in source.equations.inputs.items():
