@@ -381,6 +381,19 @@ def test_sources_compile_without_a_warning(fmu, compiler, tmp_path):
     assert all(text.isascii() for text in fmu.sources.values())
 
 
+@NEEDS_COMPILER
+@pytest.mark.parametrize("name", ["read", "write", "fmu", "instance", "update"])
+def test_names_of_models_clash_with_no_function(name, fmu, tmp_path):
+    renamed = replace(fmu, source=replace(fmu.source, name=name))
+    for file, text in renamed.sources.items():
+        (tmp_path / file).write_text(text)
+    compiler = next(filter(None, map(shutil.which, c_build.COMPILERS)))
+    files = sorted(file for file in renamed.sources if file.endswith(".c"))
+    command = [compiler, "-std=c99", "-fsyntax-only", *files]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 def test_a_library_shows_the_functions_of_the_standard_alone(fmu, path, tmp_path):
     if shutil.which("nm") is None:
         pytest.skip("needs nm")

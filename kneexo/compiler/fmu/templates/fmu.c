@@ -57,7 +57,7 @@ static void read_inputs(const double *v, {{ name }}_inputs_t *in)
 {% endfor %}
 }
 
-static void write_outputs(const {{ name }}_outputs_t *out, double *v)
+static void store_results(const {{ name }}_outputs_t *out, double *v)
 {
 {% for field in outputs %}
     v[{{ first_output + loop.index0 }}] = out->{{ field.name }};
@@ -228,7 +228,7 @@ static bool start_model({{ name }}_fmu_t *fmu)
     if (status != {{ NAME }}_OK) {
         return refuse_status(fmu, "the initialization", m->start, status);
     }
-    write_outputs(&m->state.last, m->values);
+    store_results(&m->state.last, m->values);
     m->outputs_are_fresh = true;
     m->is_tuned = false;
     return true;
@@ -395,7 +395,7 @@ bool {{ name }}_fmu_step({{ name }}_fmu_t *fmu, double point, double size)
     m->is_tuned = false;
     m->ticks += ticks;
     m->values[0] = m->start + ((double)m->ticks * {{ NAME }}_SAMPLE_TIME_S);
-    write_outputs(&out, m->values);
+    store_results(&out, m->values);
     return true;
 }
 
