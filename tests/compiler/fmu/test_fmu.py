@@ -382,7 +382,7 @@ def test_sources_compile_without_a_warning(fmu, compiler, tmp_path):
 
 
 @NEEDS_COMPILER
-@pytest.mark.parametrize("name", ["read", "write", "fmu", "instance", "update"])
+@pytest.mark.parametrize("name", ["write", "instance"])
 def test_names_of_models_clash_with_no_function(name, fmu, tmp_path):
     renamed = replace(fmu, source=replace(fmu.source, name=name))
     for file, text in renamed.sources.items():
