@@ -48,15 +48,17 @@ def advice(
 ) -> list[Obstacle]:
     """Return what spoils a linear model of a diagram at an operating point, in Drake's order.
 
-    The function reads the equations that the states and ``outputs`` depend on, and reports
+    The function reads the equations that the states and ``outputs`` depend on. It reports these
+    obstacles.
 
-    - a quantizer, whose derivative is zero;
-    - a saturation at its limit, a dead zone and a switch to a constant: a port that depends on a
-      signal and has the derivative zero;
-    - a switch, an absolute value, a minimum or a maximum at its corner, where the derivatives on
-      both sides differ;
-    - a derivative that is not finite, such as that of a root at zero;
-    - a state whose rate no state can bring to zero, such as an integrator of a constant.
+    - The derivative of a quantizer is zero.
+    - A port depends on a signal, but its derivative is zero. The block is a saturation at its
+      limit, a dead zone, or a switch to a constant.
+    - A switch, an absolute value, a minimum or a maximum is at its corner. The derivatives on both
+      sides differ.
+    - A derivative is not finite, such as that of a root at zero.
+    - No state can bring the rate of a state to zero. The state is, for example, an integrator of a
+      constant.
 
     Arguments and errors are those of `linearize`.
     """
@@ -66,15 +68,15 @@ def advice(
 
 
 def obstacles(point: Point, outputs: Iterable[str] = ()) -> list[Obstacle]:
-    """Return the obstacles of the equations at a point; see `advice`."""
+    """Return the obstacles in the equations of states and outputs at a point, as `advice` does."""
     survey = _Survey(point, outputs)
-    found: dict[tuple[str, str], Obstacle] = {}
+    by_port: dict[tuple[str, str], Obstacle] = {}
     for section, reason, remedy in survey.faults():
         path, _, port = section.where.rpartition(": ")
         if can_bypass(point.read.root, path):
             remedy += f", or bypass=[{path!r}]"
-        found.setdefault((path, port), Obstacle(path, port, reason, remedy))
-    return list(found.values())
+        by_port.setdefault((path, port), Obstacle(path, port, reason, remedy))
+    return list(by_port.values())
 
 
 class _Survey:
@@ -89,7 +91,8 @@ class _Survey:
         names = {node: str(self.graph.nodes[node][0]) for node in self.nodes}
         self.roles = {n: OPERATIONS[name].role for n, name in names.items() if name in OPERATIONS}
         self.values, self.rows = self._derivatives(())
-        self.smooth_rows = self._derivatives(self._rounding(self.nodes))[1]
+        rounding = self._rounding(self.nodes)
+        self.smooth_rows = self._derivatives(rounding)[1] if rounding else self.rows
         """The derivatives if all quantizers had the derivative 1."""
 
     def faults(self) -> Iterator[tuple[Section, str, str]]:
@@ -123,7 +126,7 @@ class _Survey:
             yield section, ends, sorted(inside)
 
     def taken(self, node: int) -> tuple[int, ...]:
-        """Return the arguments of a node that act on its value: of a choice the taken branch."""
+        """Return the arguments that act on the value of a node. A choice has its taken branch."""
         arguments = self.graph.arguments(node)
         if self.graph.nodes[node][0] == "where":
             condition, positive, otherwise = arguments
@@ -177,8 +180,8 @@ class _Survey:
     def _is_rounded(self, node: int) -> bool:
         """Return whether a node loses its derivative, or a part of it, by a quantizer.
 
-        An angle without whole turns, ψ − 2π ⌈ψ/2π − ½⌉, has its whole derivative: with a
-        derivative 1 of the quantizer it would lose it.
+        An angle without whole turns, ψ − 2π ⌈ψ/2π − ½⌉, loses nothing. With the derivative 1 of
+        the quantizer its derivative would be zero.
         """
         smooth, rounded = self.smooth_rows[self.place[node]], self.row(node)
         changes = bool((smooth != rounded).any())
@@ -229,8 +232,8 @@ def _blocked_states(point: Point, tolerance: float) -> Iterator[Obstacle]:
         return
     size = np.linalg.norm(jacobian, axis=1)
     size[size == 0.0] = 1.0
-    left, singular, _ = np.linalg.svd(jacobian / size[:, None])
-    for vector in left.T[singular <= _RANK * max(1.0, singular[0])]:
+    basis, singular, _ = np.linalg.svd(jacobian / size[:, None])
+    for vector in basis.T[singular <= _RANK * max(1.0, singular[0])]:
         if abs(vector @ (residual / size)) <= tolerance * np.max(np.abs(vector) / size):
             continue
         index = int(np.argmax(np.abs(vector * residual / size)))

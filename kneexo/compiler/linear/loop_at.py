@@ -72,7 +72,7 @@ def loop_at(
 
 
 def _name_and_element(port: str) -> tuple[str, int | None]:
-    """Return ``path:port`` and i of the text ``path:port[i]``; i is None without brackets."""
+    """Return ``path:port`` and i of the text ``path:port[i]``. Without brackets i is None."""
     match = re.fullmatch(r"(.+)\[(\d+)\]", port)
     return (match[1], int(match[2])) if match else (port, None)
 

@@ -1,4 +1,4 @@
-"""Loops with one input and one output: transfer, sensitivities, and frequencies that matter."""
+"""Transfer functions of loops with one input and one output, and their sensitivities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stability margins of any loop: gain, phase, delay and disk margins."""
+"""Computes gain, phase, delay and disk margins of any loop."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class LoopMargins:
     gain_margin: float
     gain_margin_frequency_hz: float
     lower_gain_margin: float
-    """Largest gain factor below 1 at which the loop loses stability; 0 if no factor does."""
+    """Largest gain factor below 1 at which the loop loses stability, or 0."""
     phase_margin_deg: float
     """Smallest phase lag, 0…360°, at which the loop loses stability."""
     phase_margin_frequency_hz: float
@@ -146,7 +146,7 @@ def _periodic_margins(loop: PeriodicLoop) -> LoopMargins:
 
 
 def _disk_values(reach: float, frequency: float) -> dict[str, float]:
-    """Return the fields of a disk margin; ``reach`` is half the disk margin, at most 1."""
+    """Return the fields of a disk margin. Half the disk margin is ``reach``, at most 1."""
     whole = reach >= _WHOLE_PLANE
     return {
         "disk_margin": 2.0 * reach,
@@ -157,14 +157,14 @@ def _disk_values(reach: float, frequency: float) -> dict[str, float]:
 
 
 def _limit(system: Transfer, frequency: float) -> complex:
-    """Return L at zero frequency, the Nyquist frequency or infinity; not finite at a pole."""
+    """Return L at zero frequency, the Nyquist frequency or infinity. A pole gives no finite L."""
     return complex(system.d) if math.isinf(frequency) else complex(system.response(frequency)[0])
 
 
 def _disk(
     system: Transfer, grid: Array, values: Complex, ends: list[tuple[float, complex]]
 ) -> tuple[float, float]:
-    """Return the smallest disk margin and its frequency in Hz; ``values`` are L on ``grid``."""
+    """Return the smallest disk margin and its frequency in Hz from ``values``, L on ``grid``."""
 
     def slope(frequency: float) -> float:
         at = system.response(frequency)[0]
@@ -180,7 +180,7 @@ def _disk(
 
 
 def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:
-    """Return the zeros of ``function``; its ``values`` on ``grid`` change sign around each zero."""
+    """Return the zeros of ``function``, around which its ``values`` on ``grid`` change sign."""
     changes = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
     brackets = ((grid[i], grid[i + 1]) for i in changes)
     return [

@@ -1,4 +1,4 @@
-"""Loops whose signal changes several times within a period: stability at a factor on the signal."""
+"""Finds factors that destabilize a loop whose signal changes several times within a period."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class PeriodicLoop:
     def turn_change(self) -> tuple[float, float]:
         """Return the smallest turn φ in rad, up to π, whose factor e^{±jφ} moves stability.
 
-        The second value is the frequency; without such a turn the result is (inf, nan). A factor
+        The second value is the frequency. Without such a turn the result is (inf, nan). A factor
         e^{−jφ} is a lag at positive frequencies and a lead at negative ones. The eigenvalues of a
         period do not tell one from the other, so the result is the smaller of the two.
         """
@@ -89,7 +89,7 @@ class PeriodicLoop:
     def disk_change(self) -> tuple[float, float]:
         """Return the smallest ε whose factor (1 + εe^{jθ})/(1 − εe^{jθ}) moves stability for any θ.
 
-        The second value is the frequency; without such an ε below 0.999 the result is (1, nan).
+        The second value is the frequency. Without such an ε below 0.999 the result is (1, nan).
         """
 
         def along(angle: float) -> tuple[float, float]:

@@ -175,12 +175,15 @@ def test_the_slow_loop_of_a_multirate_diagram_is_exact():
 
 
 def held_feedback():
-    """The plant with a filter q⁺ = 0.4 q − 0.5 y, whose state q drives the plant."""
+    """The plant with q⁺ = 0.4 q − 0.5 y − 30 s and s⁺ = s + T q, whose state q drives the plant."""
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem("plant", LinearSystem(*PLANT))
     hold = builder.AddNamedSystem("hold", ZeroOrderHold(T, 1))
-    law = builder.AddNamedSystem("law", MatrixGain([[-0.5, 0.4]]))
-    join = builder.AddNamedSystem("join", Multiplexer(2))
+    law = builder.AddNamedSystem("law", MatrixGain([[-0.5, 0.4, -30.0]]))
+    join = builder.AddNamedSystem("join", Multiplexer(3))
+    total = builder.AddNamedSystem("total", DiscreteTimeIntegrator(1, T))
+    builder.Connect(hold.get_output_port(), total.get_input_port())
+    builder.Connect(total.get_output_port(), join.get_input_port(2))
     builder.Connect(plant.get_output_port(), join.get_input_port(0))
     builder.Connect(hold.get_output_port(), join.get_input_port(1))
     builder.Connect(join.get_output_port(), law.get_input_port())
@@ -190,9 +193,10 @@ def held_feedback():
 
 
 def test_a_signal_that_its_own_update_reads():
-    # The update reads the old q, and the plant the new one: q = (0.4/z − 0.5 P) q.
+    # The updates read the old q, and the plant the new one.
+    # Then q = (0.4/z − 0.5 P − 30 T/(z² − z)) q.
     z = np.exp(2j * np.pi * F * T)
-    expected = 0.5 * control.ss(*PLANT).sample(T, "zoh")(z) - 0.4 / z
+    expected = 0.5 * control.ss(*PLANT).sample(T, "zoh")(z) - 0.4 / z + 0.3 / (z * z - z)
     loop = loop_at(held_feedback(), "hold:y")
     np.testing.assert_allclose(loop.response(F), expected, rtol=1e-11)
 

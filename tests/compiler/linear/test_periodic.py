@@ -40,12 +40,17 @@ def loop(gain, plant=STABLE, *, hold_s=T, others=()):
 
 
 @pytest.mark.parametrize(
-    ("plant", "hold_s", "gain"), [(STABLE, T, 1.5), (UNSTABLE, T, 1.5), (LAG, None, 0.8)]
+    ("plant", "hold_s", "gain", "port"),
+    [
+        (STABLE, T, 1.5, "law:y0"),
+        (UNSTABLE, T, 1.5, "hold_law:u"),
+        (LAG, None, 0.8, "law:y0"),
+    ],
 )
-def test_a_clock_without_influence_changes_no_margin(plant, hold_s, gain):
+def test_a_clock_without_influence_changes_no_margin(plant, hold_s, gain, port):
     # With the clock the common period is 3 T, in which the loop has several values.
-    simple = margins(loop_at(loop(gain, plant, hold_s=hold_s), "law:y0"))
-    clocked = loop_at(loop(gain, plant, hold_s=hold_s, others=[(1.5 * T, 0.5 * T, 0.0)]), "law:y0")
+    simple = margins(loop_at(loop(gain, plant, hold_s=hold_s), port))
+    clocked = loop_at(loop(gain, plant, hold_s=hold_s, others=[(1.5 * T, 0.5 * T, 0.0)]), port)
     assert isinstance(clocked, PeriodicLoop)
     m = margins(clocked)
     assert m.stable
