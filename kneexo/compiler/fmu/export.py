@@ -98,9 +98,8 @@ def export_fmu(
         The diagram cannot be compiled to C, an argument is wrong, or a compiler is missing or
         fails.
     OutputError
-        The file exists and no export wrote it, or it cannot be written.
-
-    No file is written after an error.
+        The file exists and no export wrote it, or it cannot be written. No file is written after an
+        error.
     """
     require_model_name(name)
     if version not in FMI_VERSIONS:

@@ -64,7 +64,7 @@ def linearize(
         that are constant during ``period_s``. By default such a model stays continuous.
     equilibrium_tolerance
         Largest absolute rate of a continuous state, and change of a discrete state in an update, in
-        the units of the state. `math.inf` accepts every point, such as a point of a trajectory.
+        the units of the state. ``math.inf`` accepts every point, such as a point of a trajectory.
         The time is frozen at the time of the Context, as in Drake's `Linearize`. A warning says so
         if the model depends on the time.
 

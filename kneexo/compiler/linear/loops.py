@@ -149,7 +149,7 @@ def as_transfer(loop: Any) -> Transfer:
         One of
 
         - a linear model with the attributes a, b, c, d and period_s;
-        - a `control.StateSpace` or `control.TransferFunction`;
+        - a `control.StateSpace` or ``control.TransferFunction``;
         - a tuple (A, B, C, D) of arrays, or (A, B, C, D, period_s). The period is None for a
           continuous loop.
 

@@ -115,7 +115,7 @@ class Reducer:
             for r in (reductions[n] for n in order)
         ]
         self.table = np.array(rows, dtype=np.int64).reshape(-1, _FIELDS)
-        """Rows of `_FIELDS` integers, one for each reduction."""
+        """Rows of ``_FIELDS`` integers, one for each reduction."""
         self.used = [n for row in rows for n in row[:2] if n < len(elements)]
         """Indices of the elements that the reductions read."""
         self.ends = np.searchsorted(self._kinds, np.arange(len(REDUCTIONS)), side="right")
