@@ -75,11 +75,7 @@ def read_diagram(
 
     Errors: see `compile_diagram`.
     """
-    if not isinstance(diagram, System):
-        raise CompilationError(
-            f"{type(diagram).__name__} {diagram!r:.60}: cannot be compiled; must be a Diagram or "
-            f"leaf system of floats"
-        )
+    require_system(diagram)
     name = diagram.get_name() or type(diagram).__name__
     root = Node(diagram)
     in_names, out_names, paths = (
@@ -100,6 +96,15 @@ def read_diagram(
             text += "; connect it, or name the diagram's port in inputs"
         raise CompilationError(text) from error
     return DiagramEquations(diagram, equations, root)
+
+
+def require_system(diagram: Any) -> None:
+    """Raise `CompilationError` unless ``diagram`` is a Diagram or leaf system of floats."""
+    if not isinstance(diagram, System):
+        raise CompilationError(
+            f"{type(diagram).__name__} {diagram!r:.60}: cannot be compiled; must be a Diagram or "
+            f"leaf system of floats"
+        )
 
 
 def equations_key(equations: Equations) -> str:

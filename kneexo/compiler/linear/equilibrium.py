@@ -9,11 +9,12 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import ArrayLike
 
+from ..diagram_equations import require_system
 from ..equations.contexts import set_state
 from ..errors import LinearizationError, ParameterError
 from ..run_data import Array, State
 from .newton import newton
-from .point import EQUILIBRIUM_TOLERANCE, Point, port_names, read_point
+from .point import EQUILIBRIUM_TOLERANCE, Point, port_names, read_point, require_tolerance
 
 _RANK_TOLERANCE = 1e-14
 
@@ -62,6 +63,8 @@ def find_equilibrium(
     """
     targets = {} if outputs is None else outputs
     in_names, out_names = port_names("free_inputs", free_inputs), tuple(targets)
+    require_tolerance(equilibrium_tolerance)
+    require_system(diagram)
     context = diagram.CreateDefaultContext() if context is None else context
     start = read_point(diagram, context, in_names, out_names, bypass)
     for name in in_names:

@@ -15,7 +15,7 @@ from ..native.timing import timing
 from ..run_data import Array
 from .advice import obstacles
 from .model import LinearModel, OperatingPoint, TickModel, over_period
-from .point import EQUILIBRIUM_TOLERANCE, Point, port_names, read_points
+from .point import EQUILIBRIUM_TOLERANCE, Point, port_names, read_points, require_tolerance
 
 _MOST_TICKS = 100_000
 
@@ -76,7 +76,8 @@ def linearize(
         The point is no equilibrium, or a derivative is not finite.
     ParameterError
         ``inputs`` or ``outputs`` has a name twice, ``outputs`` is empty, ``period_s`` is no
-        multiple of the sample periods, or the Context belongs to another diagram.
+        multiple of the sample periods, the Context belongs to another diagram, or the tolerance is
+        below zero.
     """
     options = bypass, period_s, equilibrium_tolerance
     return _models(diagram, [context], inputs, outputs, *options)[0]
@@ -112,6 +113,7 @@ def _models(
     in_names, out_names = port_names("inputs", inputs), port_names("outputs", outputs)
     if not out_names:
         raise ParameterError("outputs: is empty; name at least one port")
+    require_tolerance(equilibrium_tolerance)
     models = []  # no comprehension, which would be a stack frame for warnings on Python 3.11
     for point in read_points(diagram, contexts, in_names, out_names, bypass):
         models.append(_model(point, in_names, out_names, period_s, equilibrium_tolerance))

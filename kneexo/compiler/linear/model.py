@@ -171,10 +171,13 @@ class LinearModel:
         """Return the model as a `control.StateSpace` with named states, inputs and outputs.
 
         Its ``dt`` is the period, or 0 for a continuous model. Dots in names of ports become
-        underscores, because python-control refuses dots.
+        underscores, because python-control refuses dots. Raises `LinearizationError` for a model
+        without inputs.
         """
         import control
 
+        if not self.input_names:
+            raise LinearizationError("inputs: is empty; python-control requires at least one input")
         return control.ss(
             *(self.a, self.b, self.c, self.d, self.period_s or 0),
             inputs=[name.replace(".", "_") for name in self.input_names],

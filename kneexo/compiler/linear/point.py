@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import PortDataType
 
-from ..diagram_equations import DiagramEquations, read_diagram
+from ..diagram_equations import DiagramEquations, read_diagram, require_system
 from ..errors import LinearizationError, ParameterError
 from ..native.runner import element_name
 from ..run_data import Array
@@ -159,10 +159,18 @@ class Point:
         return f"an update changes {self.state_names[index]} by {residual[index]:.6g}"
 
 
+def require_tolerance(equilibrium_tolerance: float) -> None:
+    """Raise `ParameterError` for a tolerance below zero or nan."""
+    if not equilibrium_tolerance >= 0.0:
+        raise ParameterError(f"equilibrium_tolerance = {equilibrium_tolerance}: must be >= 0")
+
+
 def port_names(what: str, names: Iterable[str]) -> tuple[str, ...]:
     """Return names as a tuple. Raise `ParameterError` for a name that occurs twice."""
     ports = (names,) if isinstance(names, str) else tuple(names)
     for port in ports:
+        if not isinstance(port, str):
+            raise ParameterError(f"{what}: has {port!r:.60}; must be names")
         if ports.count(port) > 1:
             raise ParameterError(f"{what}: has {port!r} twice; give each name once")
     return ports
@@ -195,6 +203,7 @@ def read_points(
 
     An input is open if it has a value in at least one of the Contexts.
     """
+    require_system(diagram)
     contexts = list(contexts)
     values = [_input_values(diagram, context) for context in contexts]
     open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
@@ -227,9 +236,9 @@ def _input_values(diagram: Any, context: Any) -> dict[str, Array]:
         return {}
     try:
         diagram.ValidateContext(context)
-    except RuntimeError:
+    except (RuntimeError, TypeError):
         raise ParameterError(
-            f"context: belongs to another system than {diagram.get_name()!r}; create it by "
+            f"context: is no Context of {diagram.get_name()!r}, or of another system; create it by "
             f"diagram.CreateDefaultContext()"
         ) from None
     ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))

@@ -21,8 +21,10 @@ from kneexo.compiler import (
     CompilationError,
     LinearizationError,
     ParameterError,
+    find_equilibrium,
     linearize,
     linearize_at,
+    periodic_orbit,
 )
 
 
@@ -251,15 +253,41 @@ def test_a_model_that_changes_with_the_time_warns():
     [
         (CompilationError, "no input port 'x'; it has r", {"inputs": ["x"]}),
         (CompilationError, "did you mean hold:y or hold:u", {"outputs": ["hold:y0"]}),
-        (ParameterError, "'r' twice", {"inputs": ["r", "r"]}),
+        (ParameterError, r"\Ainputs: has 'r' twice; ", {"inputs": ["r", "r"]}),
         (ParameterError, "outputs: is empty", {"outputs": []}),
         (ParameterError, "must be a multiple of 0.02 s", {"period_s": 0.01}),
         (ParameterError, "must be finite and > 0", {"period_s": -1.0}),
+        (ParameterError, "inputs: has 3; must be names", {"inputs": [3]}),
+        (ParameterError, "equilibrium_tolerance = nan: must", {"equilibrium_tolerance": math.nan}),
     ],
 )
 def test_a_wrong_argument_is_one_line(loop, error, match, arguments):
     with pytest.raises(error, match=rf"\A(?=.*{match})[^\n]*\Z"):
         linearize(loop, **({"inputs": ["r"], "outputs": ["y"]} | arguments))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: linearize(3, inputs=[], outputs=["y"]),
+        lambda: find_equilibrium(3),
+        lambda: periodic_orbit(3, period_s=1.0),
+    ],
+)
+def test_what_is_no_diagram_is_one_line(call):
+    with pytest.raises(CompilationError, match=r"\Aint 3: cannot be compiled; [^\n]*\Z"):
+        call()
+
+
+def test_sample_periods_with_a_large_common_multiple_are_refused():
+    builder = DiagramBuilder()
+    fast = builder.AddNamedSystem("fast", ZeroOrderHold(1e-4, 1))
+    slow = builder.AddNamedSystem("slow", ZeroOrderHold(50.0, 1))
+    builder.Connect(fast.get_output_port(), slow.get_input_port())
+    builder.ExportInput(fast.get_input_port(), "u")
+    match = r"\Athe least common multiple of the sample periods, 50 s, has 500001 updates: [^\n]*\Z"
+    with pytest.raises(LinearizationError, match=match):
+        linearize(builder.Build(), inputs=["u"], outputs=["slow:y"])
 
 
 def test_a_point_that_moves_names_the_state(loop):

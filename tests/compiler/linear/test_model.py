@@ -5,6 +5,7 @@ import math
 import control
 import numpy as np
 import pytest
+from pydrake.examples import VanDerPolOscillator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Gain, LinearSystem, ZeroOrderHold
 
@@ -119,6 +120,10 @@ def test_what_a_model_lacks_is_one_line():
         _ = model.monodromy
     with pytest.raises(LinearizationError, match=r"\Aa continuous model, [^\n]* has no ticks\Z"):
         model.after_updates()
+    autonomous = linearize(VanDerPolOscillator(), inputs=[], outputs=["y0"])
+    assert autonomous.frequency_response([1.0]).shape == (1, 1, 0)
+    with pytest.raises(LinearizationError, match=r"\Ainputs: is empty; python-control [^\n]*\Z"):
+        autonomous.to_control()
     for response in (model.frequency_response, linear(period_s=0.1).sine_response):
         with pytest.raises(LinearizationError, match=r"\Afrequency = nan Hz: must be finite\Z"):
             response([1.0, math.nan])

@@ -70,9 +70,9 @@ def test_rates_and_residual_of_continuous_and_discrete_states():
 
 
 def test_another_diagrams_context_is_refused(pendulum):
-    context = Gain(1.0, 1).CreateDefaultContext()
-    with pytest.raises(ParameterError, match=r"\Acontext: belongs to another system [^\n]*\Z"):
-        read_point(pendulum[0], context)
+    for context in (Gain(1.0, 1).CreateDefaultContext(), "context"):
+        with pytest.raises(ParameterError, match=r"\Acontext: is no Context of [^\n]*\Z"):
+            read_point(pendulum[0], context)
 
 
 @pytest.mark.parametrize(
