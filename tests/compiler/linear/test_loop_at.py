@@ -212,6 +212,18 @@ def test_a_signal_that_moves_between_the_samples_has_no_transfer(gain):
     assert isinstance(loop_at(builder.Build(), "lag:u0"), PeriodicLoop)
 
 
+@pytest.mark.parametrize("block", [Integrator(1), DiscreteTimeIntegrator(1, T)])
+def test_an_integral_that_only_the_cut_signal_changes_has_no_transfer(block):
+    builder = DiagramBuilder()
+    block = builder.AddNamedSystem("block", block.Clone())
+    gain = builder.AddNamedSystem("gain", Gain(-0.5, 1))
+    clock = builder.AddNamedSystem("clock", ZeroOrderHold(2 * T, 1))
+    builder.Connect(block.get_output_port(), gain.get_input_port())
+    builder.Connect(gain.get_output_port(), block.get_input_port())
+    builder.Connect(block.get_output_port(), clock.get_input_port())
+    assert isinstance(loop_at(builder.Build(), "gain:y0"), PeriodicLoop)
+
+
 def test_a_fast_loop_of_a_multirate_diagram_has_no_transfer():
     loop = loop_at(multirate(), "gain:y0")
     assert repr(loop) == "PeriodicLoop(period_s=0.04, 4 states, 4 times of updates)"
