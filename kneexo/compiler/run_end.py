@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
 
-from .errors import Error, SimulationError, shortened
+from .errors import Error, SimulationError, escaped, shortened
 from .json_files import mapping_of, number_of, numbers_of, text_of
 from .native.llvm import processor
 
@@ -110,8 +110,11 @@ def version_changes(then: Any, now: Mapping[str, str]) -> tuple[str, ...]:
     """
     before = then if isinstance(then, Mapping) else {}
     return tuple(
-        f"{name} changed since the file was written: {shortened(str(before.get(name)), 24)}, "
-        f"now {shortened(text, 24)}"
+        f"{name} changed since the file was written: {_short(before.get(name))}, now {_short(text)}"
         for name, text in now.items()
         if before.get(name) != text
     )
+
+
+def _short(text: Any) -> str:
+    return shortened(escaped(str(text)), 24)

@@ -61,9 +61,10 @@ def test_a_replay_says_what_changed():
         "processor changed since the file was written: None, now x",
     )
     assert version_changes({"drake": "1", "other": "2"}, {"drake": "1"}) == ()
-    for damaged in (None, [1], {"drake": [1.58]}):
+    for damaged in (None, [1], {"drake": [1.58]}, {"drake": "\x1b[2J\n"}):
         (line,) = version_changes(damaged, {"drake": "1.58.0"})
         assert line.endswith(", now 1.58.0")
+        assert line.isprintable()
     assert str(Replay(END, "d now ends at 0.0", changes[:1])).splitlines() == [
         END.message,
         "d now ends at 0.0",
