@@ -7,8 +7,9 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import PortDataType, System
 
-from ..errors import ParameterError
+from ..errors import ParameterError, shown
 from .linearize import linearize
 from .loops import Transfer
 from .model import over_period
@@ -41,7 +42,7 @@ def loop_at(
     Parameters
     ----------
     diagram, context, bypass, equilibrium_tolerance
-        As in `linearize`.
+        As in `linearize`. Input ports of the diagram without a value have the value zero.
     port
         Name of a port inside the diagram, ``path/of/system:port``. ``path/of/system:port[i]`` is
         element i of a port with several elements.
@@ -49,20 +50,21 @@ def loop_at(
     Raises
     ------
     ParameterError
-        The element does not exist, or no element is named of a port with several.
+        The port is not inside the diagram, its element does not exist, or no element is named of
+        a port with several.
     CompilationError, LinearizationError
         As in `linearize`.
     """
-    name, element = _name_and_element(port)
+    name, element = _name_and_element(str(port))
     model = linearize(
         diagram,
         context,
-        inputs=[name],
+        inputs=dict.fromkeys([name, *_vector_inputs(diagram)]),
         outputs=[name],
         bypass=bypass,
         equilibrium_tolerance=equilibrium_tolerance,
     )
-    column = _index(name, element, len(model.input_names))
+    column = _index(name, element, len(model.output_names))
     row = model.c[column : column + 1]
     drive = model.b[:, column : column + 1]
     if model.period_s is None:
@@ -71,8 +73,21 @@ def loop_at(
     return _transfer(loop) or loop
 
 
+def _vector_inputs(diagram: Any) -> Iterator[str]:
+    """Yield the names of the input ports of a diagram that are vectors."""
+    if isinstance(diagram, System):  # else linearize raises its error
+        for index in range(diagram.num_input_ports()):
+            port = diagram.get_input_port(index)
+            if port.get_data_type() == PortDataType.kVectorValued:
+                yield port.get_name()
+
+
 def _name_and_element(port: str) -> tuple[str, int | None]:
     """Return ``path:port`` and i of the text ``path:port[i]``. Without brackets i is None."""
+    if ":" not in port:
+        raise ParameterError(
+            f"port {shown(port)!r}: must be a port inside the diagram, path/of/system:port"
+        )
     match = re.fullmatch(r"(.+)\[(\d+)\]", port)
     return (match[1], int(match[2])) if match else (port, None)
 

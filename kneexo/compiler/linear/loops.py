@@ -172,7 +172,16 @@ def as_transfer(loop: Any) -> Transfer:
         matrices, period_s = [loop.a, loop.b, loop.c, loop.d], loop.period_s
     else:
         matrices, period_s = _control_matrices(loop)
-    a, b, c, d = (np.atleast_2d(np.asarray(matrix, dtype=float)) for matrix in matrices)
+    try:
+        if any(map(np.iscomplexobj, matrices)):
+            raise TypeError("complex")
+        a, b, c, d = (np.atleast_2d(np.asarray(matrix, dtype=float)) for matrix in matrices)
+        period_s = None if period_s is None else float(period_s)
+    except (TypeError, ValueError):
+        raise ParameterError(
+            "loop: has elements that are no real numbers; must be arrays of real numbers, and a "
+            "period in s or None"
+        ) from None
     n = a.shape[0] if a.size else 0
     if d.shape != (1, 1):
         raise ParameterError(

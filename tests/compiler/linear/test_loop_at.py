@@ -131,6 +131,20 @@ def test_a_pendulum_is_linearized_where_its_context_stands():
     np.testing.assert_allclose(rate.response(F), inner, rtol=1e-11)
 
 
+def test_open_inputs_need_no_value():
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("plant", LinearSystem(*PLANT))
+    add = builder.AddNamedSystem("add", Adder(2, 1))
+    gain = builder.AddNamedSystem("gain", Gain(-0.3, 1))
+    builder.Connect(plant.get_output_port(), gain.get_input_port())
+    builder.Connect(gain.get_output_port(), add.get_input_port(0))
+    builder.Connect(add.get_output_port(), plant.get_input_port())
+    builder.ExportInput(add.get_input_port(1), "reference")
+    loop = loop_at(builder.Build(), "plant:y0")
+    expected = 0.3 * control.ss(*PLANT)(2j * np.pi * F)
+    np.testing.assert_allclose(loop.response(F), expected, rtol=1e-12)
+
+
 def multirate():
     """A fast loop at T around the plant, in a slow loop at 4 T with an integrator."""
     builder = DiagramBuilder()
@@ -236,6 +250,7 @@ def test_a_fast_loop_of_a_multirate_diagram_has_no_transfer():
     [
         ("law:u0", "port law:u0: has 2 elements; name one, such as law:u0[0]"),
         ("law:u0[2]", "port law:u0[2]: must be 0…1"),
+        ("y", "port 'y': must be a port inside the diagram, path/of/system:port"),
     ],
 )
 def test_an_element_must_exist(port, message):

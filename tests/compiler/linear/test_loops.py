@@ -136,10 +136,15 @@ def test_a_sampled_loop_of_python_control_has_its_period():
         ((np.eye(2),) * 4, "loop: has 2 inputs and 2 outputs; must have one of"),
         ((np.eye(2), 1.0, 1.0, 0.0), "loop: A (2, 2), B (1, 1) and C (1, 1) do not fit; must be"),
         ((math.nan, 1.0, 1.0, 0.0), "loop: a matrix has an element that is not finite"),
+        (
+            (1.0j * np.eye(1), 1.0, 1.0, 0.0),
+            "loop: has elements that are no real numbers; must be arrays",
+        ),
+        ((0.5, 1.0, 1.0, 0.0, "T"), "loop: has elements that are no real numbers; must be arrays"),
         ((0.5, 1.0, 1.0, 0.0, 0.0), "loop: period_s = 0 s: must be > 0 and finite, or None"),
         (control.ss(0.5, 1.0, 1.0, 0.0, True), "loop: dt = True: the margins need the sample"),
     ],
-    ids=["text", "pair", "frd", "mimo", "shapes", "nan", "period", "dt"],
+    ids=["text", "pair", "frd", "mimo", "shapes", "nan", "complex", "text_period", "period", "dt"],
 )
 def test_what_is_no_loop_is_refused_in_one_line(loop, message):
     with pytest.raises(ParameterError, match=rf"\A{re.escape(message)}[^\n]*\Z"):
