@@ -91,17 +91,21 @@ def find_equilibrium(
         point = point_at(unknowns)
         slopes = point.slopes(out_names)
         fault = point.motion(slopes, equilibrium_tolerance)
-        error = np.abs(slopes.outputs - required)
-        if not fault and not (error <= equilibrium_tolerance).all():
-            element = int(np.argmax(error))
-            name = start.element_names(out_names)[element]
-            fault = f"{name} = {slopes.outputs[element]:.6g} in place of {required[element]:.6g}"
+        error = slopes.outputs - required
+        if not fault and not (np.abs(error) <= equilibrium_tolerance).all():
+            fault = _wrong_output(point.element_names(out_names), slopes.outputs, required)
         if not fault:
             return _context_at(diagram, context, point, in_names)
     raise LinearizationError(
         f"no equilibrium near the start: where the search ends, {fault}; start nearer, free an "
         f"input (free_inputs), or fix fewer states (fixed)"
     )
+
+
+def _wrong_output(names: tuple[str, ...], values: Array, required: Array) -> str:
+    """Return a text that names the output with the largest error."""
+    element = int(np.argmax(np.abs(values - required)))
+    return f"{names[element]} = {values[element]:.6g} in place of {required[element]:.6g}"
 
 
 def _target(point: Point, targets: Mapping[str, ArrayLike]) -> Array:

@@ -12,6 +12,7 @@ from ..diagram_equations import equations_key
 from ..equations.contexts import set_state
 from ..equations.equations import Equations, Update
 from ..equations.gradients import gradients
+from ..equations.graph import Graph
 from ..errors import LinearizationError, ParameterError, SimulationError
 from ..model import CompiledModel
 from ..native.machine_code import MachineCode
@@ -256,59 +257,77 @@ def with_sensitivities(equations: Equations, inputs: int) -> Equations:
     inputs. With dz/dt = f(z, u) follows dS/dt = f_z S + (0, f_u), and likewise at an update. The
     rows of continuous states are continuous states.
     """
-    graph = equations.graph.copy()
-    count, n = len(equations.states), len(equations.states) + len(equations.discrete)
-    columns = n + inputs
-    firsts = {"state": (0, count), "discrete": (count, n - count)}
-
-    def sensitivity(kind: str, element: int, column: int) -> int:
-        return graph.source(kind, firsts[kind][1] + element * columns + column)
-
-    def rows(roots: list[int]) -> list[list[int]]:
-        """Return for each root the nodes of its derivatives by z₀ and u."""
-        by_state, by_discrete, by_input = (
-            gradients(graph, roots, kind) for kind in ("state", "discrete", "input")
-        )
-        result = []
-        for number in range(len(roots)):
-            row = []
-            for column in range(columns):
-                terms = [
-                    graph.multiply(slope, sensitivity(kind, element, column))
-                    for kind, slopes in (("state", by_state), ("discrete", by_discrete))
-                    for element, slope in slopes[number].items()
-                ]
-                if column - n in by_input[number]:
-                    terms.append(by_input[number][column - n])
-                row.append(graph.add(*terms))
-            result.append(row)
-        return result
-
+    matrix = _Sensitivities(
+        equations.graph.copy(), len(equations.states), len(equations.discrete), inputs
+    )
     updates = []
     for update in equations.updates:
         values = list(update.values)
-        for (element, _), row in zip(update.values, rows([v for _, v in values]), strict=True):
-            first = n - count + element * columns
-            values += enumerate(row, first)
+        rows = matrix.changes([node for _, node in update.values])
+        for (element, _), row in zip(update.values, rows, strict=True):
+            values += enumerate(row, matrix.first("discrete", element))
         updates.append(Update(update.period_s, update.offset_s, tuple(values)))
-    further = [
-        [f"{name} by {column}" for name in names for column in range(columns)]
-        for names in (equations.states, equations.discrete)
+    columns = range(matrix.columns)
+    names = [
+        [f"{name} by {column}" for name in states for column in columns]
+        for states in (equations.states, equations.discrete)
     ]
     unchanged = [
-        sensitivity("discrete", element, column)
-        for element in range(n - count)
-        for column in range(columns)
+        matrix.node("discrete", element, column)
+        for element in range(matrix.discrete)
+        for column in columns
     ]
-    derivatives = [node for row in rows(equations.derivatives) for node in row]
+    rates = [node for row in matrix.changes(equations.derivatives) for node in row]
     return replace(
         equations,
-        graph=graph,
-        states=equations.states + further[0],
-        discrete=equations.discrete + further[1],
-        derivatives=equations.derivatives + derivatives,
+        graph=matrix.graph,
+        states=equations.states + names[0],
+        discrete=equations.discrete + names[1],
+        derivatives=equations.derivatives + rates,
         initial_discrete=equations.initial_discrete + unchanged,
         updates=updates,
         outputs={},
         sections=[],
     )
+
+
+@dataclass(frozen=True)
+class _Sensitivities:
+    """The matrix S of `with_sensitivities` as states of a graph."""
+
+    graph: Graph
+    states: int
+    discrete: int
+    inputs: int
+
+    @property
+    def columns(self) -> int:
+        return self.states + self.discrete + self.inputs
+
+    def first(self, kind: str, element: int) -> int:
+        """Return the index of the state that is the first element of a row of S."""
+        size = self.states if kind == "state" else self.discrete
+        return size + element * self.columns
+
+    def node(self, kind: str, element: int, column: int) -> int:
+        """Return the node of an element of S."""
+        return self.graph.source(kind, self.first(kind, element) + column)
+
+    def changes(self, roots: list[int]) -> list[list[int]]:
+        """Return for each root, a rate or an updated state, its derivatives by (z₀, u)."""
+        graph, first_input = self.graph, self.states + self.discrete
+        slopes = {kind: gradients(graph, roots, kind) for kind in ("state", "discrete", "input")}
+        rows = []
+        for number in range(len(roots)):
+            row = []
+            for column in range(self.columns):
+                terms = [
+                    graph.multiply(slope, self.node(kind, element, column))
+                    for kind in ("state", "discrete")
+                    for element, slope in slopes[kind][number].items()
+                ]
+                if column - first_input in slopes["input"][number]:
+                    terms.append(slopes["input"][number][column - first_input])
+                row.append(graph.add(*terms))
+            rows.append(row)
+        return rows
