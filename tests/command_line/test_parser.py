@@ -89,7 +89,8 @@ def test_unknown_arguments_are_short_and_on_one_line(capsys):
         ),
         (
             "export cc --out o",
-            "argument FORM: 'cc' is unknown; did you mean c?; known: c, sil, fmu; see",
+            "argument FORM: 'cc' is unknown; did you mean c?; known: c, sil, fmu; "
+            "see kneexo export",
         ),
         ("setup", "the following arguments are required: PART; see kneexo setup"),
         (
