@@ -1,4 +1,4 @@
-"""Writes any diagram as a functional mock-up unit (FMU), with binaries for several platforms."""
+"""Writes a diagram that compiles as a functional mock-up unit (FMU), with binaries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Any diagram as FMU in one call: its file, its variables, its binaries on other platforms."""
+"""A diagram as FMU in one call: its file, its variables, its binaries on other platforms."""
 
 import math
 import os
