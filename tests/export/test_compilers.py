@@ -4,8 +4,9 @@ import re
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
-from pydrake.systems.primitives import Gain, Integrator, ZeroOrderHold
+from pydrake.systems.primitives import Gain, Integrator, LinearSystem, ZeroOrderHold
 
 from kneexo.compiler import read_diagram
 from kneexo.compiler.c.export import files_of
@@ -103,10 +104,15 @@ def test_compilers_have_nothing_to_say_of_a_users_controller(tmp_path, tool, bac
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize(
     "system",
-    [Gain(2.0, 1), Integrator(1), ZeroOrderHold(0.1, 1)],
-    ids=["gain", "integrator", "hold"],
+    [
+        Gain(2.0, 1),
+        Integrator(1),
+        ZeroOrderHold(0.1, 1),
+        LinearSystem(0.01 - np.eye(40), np.ones((40, 1)), np.eye(1, 40), [[0.0]]),
+    ],
+    ids=["gain", "integrator", "hold", "many terms"],
 )
-def test_compilers_have_nothing_to_say_of_small_systems(tmp_path, tool, system, precision):
+def test_compilers_have_nothing_to_say_of_systems(tmp_path, tool, system, precision):
     (port,) = (system.get_input_port(i).get_name() for i in range(system.num_input_ports()))
     diagram = read_diagram(system, inputs=[port])
     tick_s = None if diagram.equations.updates else 0.1

@@ -14,6 +14,11 @@ from .plan import Plan
 from .printer import CPrinter, section_comment
 from .template import words
 
+_MOST_TERMS = 2000
+"""Largest number of terms and arguments of the derivatives that are printed inside the loops of
+RK4. Compilers move all constants of such a loop before it; many constants would fill the stack, and
+the compilation would take minutes."""
+
 _ARRAYS = {"constant": "c", "state": "x", "discrete": "d"}
 
 
@@ -43,6 +48,8 @@ class Functions:
     ----------
     constants
         ``constants_of``: computes the values that depend on parameters alone.
+    is_large
+        Whether the derivatives are a function of their own, ``rate_at``.
     tick_values, rates
         Statements of ``integrate``, which has RK4: before the loops, the values that are constant
         over a tick; in the loop of the stages, the derivatives.
@@ -87,6 +94,9 @@ class Functions:
         block = self._printer.block(targets, self._load, fixed={})
         self.constants = Function("constants_of", "", block)
         self.of_an_instant = self._of_an_instant()
+        nodes = equations.graph.reachable(equations.derivatives)
+        terms = sum(len(equations.graph.arguments(node)) for node in nodes)
+        self.is_large = terms > _MOST_TERMS
         self.tick_values, self.rates = self._integration()
         indices = range(len(equations.states))
         self.stage_states = [i for i in indices if self.rates.reads(f"z{i}")]
@@ -124,15 +134,21 @@ class Functions:
         """Return the statements of ``integrate`` before its loops, and in the loop of the stages.
 
         The former compute the values that are constant over a tick. The latter compute the
-        derivatives ``rate0``, ``rate1`` … of the states ``z0``, ``z1`` …
+        derivatives ``rate0``, ``rate1`` … of the states ``z0``, ``z1`` … If the model is large,
+        both are empty, and the method adds the function ``rate_at`` to `of_an_instant`.
         """
         derivatives, faster = self._plan.equations.derivatives, self._plan.faster
         names = self._printer.names.items()
         self._printer.names = {faster.get(node, node): name for node, name in names}
+        stages = 4 * self._plan.schedule.steps
+        if self.is_large:
+            rates = [(f"rate[{i}]", node) for i, node in enumerate(derivatives)]
+            evaluation = Function("rate_at", ", real *rate", self._block(rates, stages))
+            self.of_an_instant.append(evaluation)
+            derivatives = []
         held = self._printer.constant_in_a_tick(derivatives)
         before = [(f"const real held{number}", node) for node, number in held.items()]
         rates = [(f"rate{i}", node) for i, node in enumerate(derivatives)]
-        stages = 4 * self._plan.schedule.steps
         return (
             Function("integrate", ", real *x", self._block(before)),
             Function("integrate", ", real *x", self._block(rates, stages, depth=3, held=held)),

@@ -17,6 +17,9 @@ from ..equations.partition import TICK_SOURCES
 from ..equations.passes import deciding_nodes, regrouping
 from ..run_data import Array
 
+_LONGEST_SUM = 12
+"""Largest number of terms that are reordered: the partial sums of more would fill the registers."""
+
 _Rule = Callable[[int, tuple[int, ...]], int | None]
 """Function of an old node and its new arguments; returns the new node, or None: no change."""
 
@@ -123,7 +126,7 @@ def _short_sums(graph: Graph, roots: Sequence[int]) -> _Rule:
         return times[node]
 
     def rule(node: int, arguments: tuple[int, ...]) -> int | None:
-        if graph.nodes[node][0] != "add" or node in deciding:
+        if graph.nodes[node][0] != "add" or node in deciding or len(arguments) > _LONGEST_SUM:
             return None
         terms = [(time_of(term), place, term) for place, term in enumerate(arguments)]
         heapq.heapify(terms)

@@ -45,6 +45,18 @@ def test_a_value_that_is_constant_over_a_tick_is_computed_before_the_loops(built
     assert built(source).replay([[0.2]])[0, 0] == pytest.approx(state, rel=1e-14)
 
 
+def test_derivatives_of_many_terms_are_a_function_of_their_own():
+    """A dense matrix of 40 states has 1600 products, 1560 sums, and their arguments."""
+    matrix = np.random.default_rng(0).normal(size=(40, 40))
+    for size, is_large in ((4, False), (40, True)):
+        a, c = matrix[:size, :size], np.eye(1, size)
+        diagram = read_diagram(LinearSystem(a, np.ones((size, 1)), c, [[0.0]]), inputs=["u0"])
+        functions = source_of(diagram, "m", tick_s=0.01, step_s=0.01).functions
+        assert functions.is_large is is_large
+        assert ("rate_at" in [f.name for f in functions.of_an_instant]) is is_large
+        assert bool(functions.rates.statements) is not is_large
+
+
 def test_a_comment_asks_for_no_variable(built):
     """The comment names x and d, which the model does not have."""
 

@@ -15,6 +15,7 @@ from pydrake.systems.primitives import (
 )
 
 from kneexo.compiler import read_diagram
+from kneexo.compiler.c import functions
 from kneexo.compiler.c.interface import Interface
 from kneexo.compiler.c.source import CSource, source_of
 from kneexo.compiler.c.vectors import recorded_vectors
@@ -61,6 +62,14 @@ def test_a_discrete_step_takes_the_inputs_and_gives_what_follows(built, precisio
     assert model.get() == [14.0]
 
 
+@pytest.fixture(params=[functions._MOST_TERMS, 0], ids=["small", "large"])
+def size(request, monkeypatch):
+    """Lets small models be printed as large ones are."""
+    monkeypatch.setattr(functions, "_MOST_TERMS", request.param)
+    return request.param
+
+
+@pytest.mark.usefixtures("size")
 def test_a_continuous_diagram_is_that_of_rk4(built):
     source = exported(oscillator(), inputs=["u0"], tick_s=0.01, step_s=0.002)
     assert (source.plan.schedule.tick_s, source.plan.schedule.steps) == (0.01, 5)
@@ -83,6 +92,7 @@ def test_a_continuous_diagram_is_that_of_rk4(built):
     np.testing.assert_allclose(outputs[:, 0], expected, rtol=0, atol=1e-13)
 
 
+@pytest.mark.usefixtures("size")
 def test_each_stage_has_its_time(built):
     """RK4 integrates x' = 4 t³ as Simpson's rule does: exactly."""
 
@@ -190,6 +200,7 @@ def test_each_failure_has_its_status_and_keeps_state_and_outputs(built):
     assert model.get() == [20.0]
 
 
+@pytest.mark.usefixtures("size")
 @pytest.mark.parametrize("second", [False, True])
 def test_a_state_that_overflows_while_it_is_integrated_is_a_bad_result(built, second):
     """One of the states has the derivative u², the other u; the output is the other."""

@@ -159,17 +159,58 @@ static void {{ function.name }}(const instant *at{{ function.arguments }})
 }
 
 {% endfor %}
+{% set zero, one, two = 0.0 | literal(real), 1.0 | literal(real), 2.0 | literal(real) %}
 {% if states %}
+{% set step, half_step = schedule.step_s | literal(real, "step"), (0.5 * schedule.step_s) | literal(real, "half_step") %}
+{% set stage_parts = "{%s, %s, %s, %s}" | format(zero, half_step, half_step, step) %}
+{% set stage_weights = "{%s, %s, %s, %s}" | format(one, two, two, one) %}
+{% endif %}
+{% if states and functions.is_large %}
+/* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps.
+ * Return whether all states are finite. */
+static bool integrate(const instant *start, real *x)
+{
+    static const real part[4] = {{ stage_parts }}; /* of the step, in s */
+    static const real weight[4] = {{ stage_weights }};
+    instant at = *start;
+    real rate[{{ states }}];
+    real total[{{ states }}];
+    real z[{{ states }}];
+
+    at.x = z;
+    for (uint16_t step = 0U; step < {{ schedule.steps }}U; step++) {
+        for (uint16_t i = 0U; i < {{ states }}U; i++) {
+            rate[i] = {{ zero }};
+            total[i] = {{ zero }};
+        }
+        for (uint16_t stage = 0U; stage < 4U; stage++) {
+{% if needs_time %}
+            at.t = (start->t + ((real)step * {{ step }})) + part[stage];
+{% endif %}
+            for (uint16_t i = 0U; i < {{ states }}U; i++) {
+                z[i] = x[i] + (part[stage] * rate[i]);
+            }
+            rate_at(&at, rate);
+            for (uint16_t i = 0U; i < {{ states }}U; i++) {
+                total[i] += weight[stage] * rate[i];
+            }
+        }
+        for (uint16_t i = 0U; i < {{ states }}U; i++) {
+            x[i] += {{ (schedule.step_s / 6.0) | literal(real, "sixth_step") }} * total[i];
+        }
+    }
+    return are_finite(x, {{ states }}U);
+}
+
+{% elif states %}
 /* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps.
  * Return whether all states are finite. If one is not, it and the states after it are not stored. */
 static bool integrate(const instant *at, real *x)
 {
-{% set step, half_step = schedule.step_s | literal(real, "step"), (0.5 * schedule.step_s) | literal(real, "half_step") %}
-{% set one, two = 1.0 | literal(real), 2.0 | literal(real) %}
 {% if functions.stage_states or functions.rates.reads("t") %}
-    static const real part[4] = {{ "{%s, %s, %s, %s}" | format(0.0 | literal(real), half_step, half_step, step) }}; /* of the step, in s */
+    static const real part[4] = {{ stage_parts }}; /* of the step, in s */
 {% endif %}
-    static const real weight[4] = {{ "{%s, %s, %s, %s}" | format(one, two, two, one) }};
+    static const real weight[4] = {{ stage_weights }};
 {% for member, type in types.items() if member != "t" and functions.integration_reads(member) %}
     {{ type }}{{ member }} = at->{{ member }};
 {% endfor %}
@@ -189,8 +230,8 @@ static bool integrate(const instant *at, real *x)
         const real start = at->t + ((real)step * {{ step }});
 {% endif %}
 {% for i in range(states) %}
-        real rate{{ i }} = {{ 0.0 | literal(real) }};
-        real total{{ i }} = {{ 0.0 | literal(real) }};
+        real rate{{ i }} = {{ zero }};
+        real total{{ i }} = {{ zero }};
 {% endfor %}
 
         for (uint16_t stage = 0U; stage < 4U; stage++) {
