@@ -12,7 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from kneexo.analysis.tracking import TrackingMetrics, track
+from kneexo.analysis.reduced_tracking import track_metrics
+from kneexo.analysis.tracking import TrackingMetrics
 from kneexo.errors import KneexoError, ParameterError, close_names, question, shortened
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import has_path
@@ -259,6 +260,6 @@ def _variant(
 async def _metrics_or_error(scenario: Scenario) -> tuple[TrackingMetrics | None, str]:
     """Return the metrics of a run and "", or None and the reason why the run fails."""
     try:
-        return (await awaitable(track, scenario)).metrics, ""
+        return await awaitable(track_metrics, scenario), ""
     except KneexoError as error:
         return None, str(error)

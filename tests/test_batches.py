@@ -26,13 +26,20 @@ def mixed():
     return batch(SHORT, values, combine="zip")
 
 
+def assert_same(metrics, expected):
+    """Assert that metrics agree but for the rounding of their sums, which a batch does not log."""
+    assert dataclasses.asdict(metrics) == pytest.approx(
+        dataclasses.asdict(expected), rel=1e-11, nan_ok=True
+    )
+
+
 def test_a_grid_has_a_run_for_each_combination():
     result = batch(SHORT, {MASS: [1.4, 2.0], FREQUENCY: np.array([4.0, 5.0, 6.0])})
     expected = [{MASS: m, FREQUENCY: f} for m in (1.4, 2.0) for f in (4.0, 5.0, 6.0)]
     assert [row.values for row in result.rows] == expected
     for row in (result.rows[1], result.rows[-1]):
         assert row.scenario == changed(SHORT, row.values)
-        assert row.metrics == track(row.scenario).metrics
+        assert_same(row.metrics, track(row.scenario).metrics)
         assert row.error == ""
     assert len({row.metrics.max_error_deg for row in result.rows}) == 6
     assert result.failures == ()
@@ -52,7 +59,7 @@ def test_zip_takes_the_values_side_by_side(tmp_path):
     assert [tuple(row.values.values()) for row in result.rows] == [(1.4, 4096), (2.0, 4096)]
     assert all(type(row.values[encoder]) is int for row in result.rows)
     for row in result.rows:
-        assert row.metrics == track(changed(SHORT, row.values)).metrics
+        assert_same(row.metrics, track(changed(SHORT, row.values)).metrics)
 
 
 def proportional(rod_extension, rod_reference, gain=1e5):
@@ -64,7 +71,7 @@ def test_the_gains_of_a_law_can_change():
     result = batch(SHORT, {gain: [1e5, 1.2e5]}, law=proportional)
     for row in result.rows:
         alone = SHORT.with_law(proportional, values={"gain": row.values[gain]})
-        assert row.metrics == track(alone).metrics
+        assert_same(row.metrics, track(alone).metrics)
     assert result.rows[0].metrics != result.rows[1].metrics
 
 
@@ -72,7 +79,7 @@ def test_rows_of_an_array_are_values_of_a_tuple():
     scenario = SHORT.changed({"polynomial": {}})
     table_1 = np.array(scenario.polynomial.p_mm_deg)
     result = batch(scenario, {"polynomial.p_mm_deg": np.vstack([table_1, 1.001 * table_1])})
-    assert result.rows[0].metrics == track(scenario).metrics
+    assert_same(result.rows[0].metrics, track(scenario).metrics)
     assert result.rows[1].scenario.polynomial.p_mm_deg == pytest.approx(1.001 * table_1)
     assert result.rows[1].metrics != result.rows[0].metrics
 
@@ -80,7 +87,7 @@ def test_rows_of_an_array_are_values_of_a_tuple():
 def test_a_failed_run_has_its_reason_and_stops_no_other(mixed):
     assert [row.error == "" for row in mixed.rows] == [True, False, True, False, False]
     for row in (mixed.rows[0], mixed.rows[2]):
-        assert row.metrics == track(changed(SHORT, row.values)).metrics
+        assert_same(row.metrics, track(changed(SHORT, row.values)).metrics)
     left, light, away = mixed.failures
     assert left.error.startswith("the rod starts at 0.244634 m (initial offset 0.15 m), outside")
     assert left.scenario == changed(SHORT, left.values)

@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.reduced_tracking import track_basic_metrics
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.tracking import TRACKING_METRICS, track_basic_metrics
+from kneexo.analysis.tracking import TRACKING_METRICS
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
 from kneexo.simulation import awaitable, needs_runs

@@ -5,21 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from kneexo.analysis.signals import period_s, rms, saturated_share, saturation, share_above, to_rpm
+from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
 from kneexo.analysis.verdict import Verdict, verdict_of
-from kneexo.compiler import Reduction
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.result import Array, Result, axes_or_new, data_frame
-from kneexo.simulation import Run, awaitable, can_reduce, needs_runs, reduce_run, simulate
+from kneexo.simulation import Run, awaitable, needs_runs, simulate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,7 +91,7 @@ def mean_change(values: Array) -> float:
     return float(np.mean(np.abs(change, out=change)))
 
 
-def _require_samples(samples: float) -> None:
+def require_samples(samples: float) -> None:
     """Raise `ParameterError` for fewer than two samples."""
     if samples < 2:
         raise ParameterError(
@@ -114,7 +113,7 @@ def basic_tracking_metrics(
 
     `tracking_metrics` describes the arguments. Raises `ParameterError` for fewer than two samples.
     """
-    _require_samples(time_s.size)
+    require_samples(time_s.size)
     metrics = dict.fromkeys(TRACKING_METRICS, math.nan)
     metrics["peak_pressure_mpa"] = 1e-6 * peak(pressure_pa)
     first = int(np.searchsorted(time_s, settled_s - 1e-9))
@@ -188,66 +187,6 @@ def run_metrics(
         pressure_rating_pa=scenario.plant.cylinder.pressure_rating_pa,
         power_rating_w=scenario.plant.pump.rated_power_w,
     )
-
-
-@needs_runs
-async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
-    """Simulate a scenario and return its `TRACKING_METRICS`.
-
-    The compiled engine computes them inside its time loop, without a log. Otherwise the run logs
-    the signals of the metrics. The sums of the two ways are rounded differently.
-    """
-    settled_s, limit = period_s(scenario), scenario.command_limit_rad_s
-    if can_reduce(scenario):
-        reductions = _basic_reductions(settled_s, limit)
-        return _reduced_metrics(*await awaitable(reduce_run, scenario, reductions))
-    run = await awaitable(simulate, scenario, signals=TRACKING_SIGNALS[:4])
-    return basic_tracking_metrics(
-        run.time_s,
-        run["knee_reference_rad"] - run["knee_angle_rad"],
-        run["motor_speed_command_rad_s"],
-        run["load_pressure_pa"],
-        settled_s=settled_s,
-        command_limit_rad_s=limit,
-    )
-
-
-@lru_cache
-def _basic_reductions(settled_s: float, command_limit_rad_s: float) -> tuple[Reduction, ...]:
-    """Return the reductions from which `_reduced_metrics` computes the `TRACKING_METRICS`."""
-    error = partial(Reduction, output="knee_reference[0]", minus="knee_angle", after_s=settled_s)
-    command = partial(Reduction, output="motor_speed_command", after_s=settled_s)
-    pressure = partial(Reduction, output="load_pressure", magnitude=True)
-    return (
-        pressure("count"),
-        pressure("maximum"),
-        command("count", magnitude=True),
-        error("maximum", magnitude=True),
-        error("rms"),
-        command("variation"),
-        command("count", magnitude=True, bound=saturation(command_limit_rad_s)),
-    )
-
-
-def _reduced_metrics(
-    samples: float,
-    peak_pressure: float,
-    settled_samples: float,
-    peak_error: float,
-    rms_error: float,
-    variation: float,
-    saturated: float,
-) -> dict[str, float]:
-    """Return the `TRACKING_METRICS` from the values of the `_basic_reductions`."""
-    _require_samples(samples)
-    metrics = dict.fromkeys(TRACKING_METRICS, math.nan)
-    metrics["peak_pressure_mpa"] = 1e-6 * float(peak_pressure)
-    if settled_samples > 1:
-        metrics["max_error_deg"] = math.degrees(peak_error)
-        metrics["rms_error_deg"] = math.degrees(rms_error)
-        metrics["mean_command_change_rpm"] = to_rpm(float(variation) / (settled_samples - 1))
-        metrics["saturated_share"] = float(saturated) / settled_samples
-    return metrics
 
 
 SETTLING_BAND = 0.02

@@ -4,13 +4,10 @@ import math
 import numpy as np
 import pytest
 
-from kneexo.analysis.signals import period_s
 from kneexo.analysis.tracking import (
-    TRACKING_METRICS,
     mean_change,
     step_metrics,
     track,
-    track_basic_metrics,
     tracking_metrics,
 )
 from kneexo.errors import ParameterError, SimulationError
@@ -225,27 +222,6 @@ def test_all_signals_are_finite():
     result = track(BRISK, all_signals=True)
     assert {"rod_extension_m", "motor_speed_rad_s"} <= set(result.run.data)
     assert np.all(np.isfinite(np.stack(list(result.run.data.values()))))
-
-
-@pytest.mark.parametrize("change", [{}, {"simulation.integrator": "radau3"}])
-def test_the_basic_metrics_are_those_of_the_whole_result(change):
-    scenario = BRISK.changed(change)
-    basic, metrics = track_basic_metrics(scenario), track(scenario).metrics
-    expected = {name: getattr(metrics, name) for name in TRACKING_METRICS}
-    assert basic == pytest.approx(expected, rel=1e-12)
-    assert min(expected.values()) > 0.0
-    # Without sums, no rounding.
-    for name in ("max_error_deg", "saturated_share", "peak_pressure_mpa"):
-        assert basic[name] == expected[name]
-
-
-def test_basic_metrics_within_the_first_period_and_of_one_sample():
-    short = BRISK.changed({"simulation.duration_s": 0.5 * period_s(BRISK)})
-    metrics = track(short).metrics
-    expected = {name: getattr(metrics, name) for name in TRACKING_METRICS}
-    assert track_basic_metrics(short) == pytest.approx(expected, nan_ok=True)
-    with pytest.raises(ParameterError, match=r"^1 samples are too few for metrics"):
-        track_basic_metrics(BRISK.changed({"simulation.duration_s": 0.001}))
 
 
 @pytest.fixture(scope="module")

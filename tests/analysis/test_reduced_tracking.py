@@ -1,0 +1,62 @@
+"""Metrics without a log against the metrics of the log."""
+
+import dataclasses
+
+import pytest
+
+from kneexo.analysis.reduced_tracking import track_basic_metrics, track_metrics
+from kneexo.analysis.signals import period_s
+from kneexo.analysis.tracking import TRACKING_METRICS, track
+from kneexo.errors import ParameterError
+from kneexo.parameters import (
+    BldcPumpParameters,
+    CylinderParameters,
+    KneeLoadParameters,
+    PlantParameters,
+    Scenario,
+    SimulationParameters,
+    SineReference,
+)
+
+BRISK = Scenario(
+    plant=PlantParameters(
+        pump=BldcPumpParameters(rated_power_w=0.3),
+        cylinder=CylinderParameters(pressure_rating_pa=7.3e4),
+        load=KneeLoadParameters(),
+    ),
+    reference=SineReference(mean_deg=40.0, amplitude_deg=5.0, frequency_hz=2.0),
+    simulation=SimulationParameters(duration_s=0.8),
+)
+
+
+@pytest.mark.parametrize("change", [{}, {"simulation.integrator": "radau3"}])
+def test_the_basic_metrics_are_those_of_the_whole_result(change):
+    scenario = BRISK.changed(change)
+    basic, metrics = track_basic_metrics(scenario), track(scenario).metrics
+    expected = {name: getattr(metrics, name) for name in TRACKING_METRICS}
+    assert basic == pytest.approx(expected, rel=1e-12)
+    assert min(expected.values()) > 0.0
+    # Without sums, no rounding.
+    for name in ("max_error_deg", "saturated_share", "peak_pressure_mpa"):
+        assert basic[name] == expected[name]
+
+
+@pytest.mark.parametrize("change", [{}, {"simulation.integrator": "radau3"}])
+def test_metrics_without_a_log_are_those_of_the_log(change):
+    # The ratings are exceeded in a part of the samples, and power flows in both directions.
+    scenario = BRISK.changed({"simulation.duration_s": 0.6, **change})
+    expected = dataclasses.asdict(track(scenario).metrics)
+    assert dataclasses.asdict(track_metrics(scenario)) == pytest.approx(expected, rel=1e-11)
+    for share in ("pressure_over_rating_share", "power_over_rating_share"):
+        assert 0.0 < expected[share] < 1.0
+    energy, delivered = expected["shaft_energy_j"], expected["shaft_energy_delivered_j"]
+    assert delivered > 1.01 * energy
+
+
+def test_basic_metrics_within_the_first_period_and_of_one_sample():
+    short = BRISK.changed({"simulation.duration_s": 0.5 * period_s(BRISK)})
+    metrics = track(short).metrics
+    expected = {name: getattr(metrics, name) for name in TRACKING_METRICS}
+    assert track_basic_metrics(short) == pytest.approx(expected, nan_ok=True)
+    with pytest.raises(ParameterError, match=r"^1 samples are too few for metrics"):
+        track_basic_metrics(BRISK.changed({"simulation.duration_s": 0.001}))
