@@ -66,9 +66,10 @@ def margins(loop: Any) -> LoopMargins:
     axis and with the unit circle. Then a root search refines the crossing. Frequency zero and the
     Nyquist frequency, or infinity, count too.
 
-    python-control's ``stability_margins`` expands state spaces into polynomials. These lose
-    all digits when the loop has many states or poles far apart. Its ``disk_margins`` returns
-    the smallest value on the frequencies that it gets. It has no delay margin.
+    python-control's ``stability_margins`` expands state spaces into polynomials. Polynomials are
+    exact enough for a continuous loop of a few states. They lose the margins of a sampled loop with
+    many states, such as a delay of 60 samples. Its ``disk_margins`` returns the smallest value on
+    the frequencies that it gets. It has no delay margin.
 
     Parameters
     ----------
@@ -87,7 +88,11 @@ def margins(loop: Any) -> LoopMargins:
     """
     if isinstance(loop, PeriodicLoop):
         return _periodic_margins(loop)
-    system = as_transfer(loop)
+    return _transfer_margins(as_transfer(loop))
+
+
+def _transfer_margins(system: Transfer) -> LoopMargins:
+    """Return the margins of a loop transfer by a search on a grid of frequencies."""
     grid = system.frequency_grid()
     values = system.response(grid)
     finite = np.isfinite(values)
