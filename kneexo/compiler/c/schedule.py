@@ -61,13 +61,14 @@ def schedule_of(
     """Return the schedule of the model ``name``. For the arguments see `CSource`.
 
     Raises `CompilationError` if the diagram has no sample time and ``tick_s`` is None, if
-    ``step_s`` is not finite and positive, if a tick has too many steps, or if the updates repeat
-    only after 2³¹ ticks.
+    ``tick_s`` or ``step_s`` is not finite and positive, if a tick has too many steps, or if the
+    updates repeat only after 2³¹ ticks.
     """
     if not equations.updates and tick_s is None:
         raise CompilationError(f"{name}: tick_s is needed, for it has no sample time")
-    if step_s is not None and not 0.0 < step_s < math.inf:
-        raise CompilationError(f"step_s = {step_s} s: must be finite and > 0")
+    for time, value in {"tick_s": tick_s, "step_s": step_s}.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise CompilationError(f"{time} = {value} s: must be finite and > 0")
     periods: list[int] = []
     offsets: list[int] = []
     if equations.updates:

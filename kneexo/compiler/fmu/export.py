@@ -111,7 +111,7 @@ def export_fmu(
     read = read_diagram(diagram, inputs=inputs)
     source = source_of(read, name, context, tick_s=tick_s, **options)
     chosen = chosen_parameters(source, parameters)
-    fmu = Fmu(source, chosen, version, ROOT, description, dict(starts or {}), stop_s)
+    fmu = Fmu(source, chosen, int(version), ROOT, description, dict(starts or {}), stop_s)
     return write_fmu(file, fmu, platforms)
 
 

@@ -79,9 +79,9 @@ def chosen_parameters(
     known = {parameter.name: parameter for parameter in every}
     parameters = []
     for choice in (chosen,) if isinstance(chosen, str) else chosen:
-        if isinstance(choice, str) and choice not in known:
+        if not isinstance(choice, FmuParameter) and choice not in known:
             raise CompilationError(
                 f"parameter {shown(repr(choice))}: is unknown; known: {', '.join(known) or 'none'}"
             )
-        parameters.append(known[choice] if isinstance(choice, str) else choice)
+        parameters.append(choice if isinstance(choice, FmuParameter) else known[choice])
     return parameters

@@ -120,7 +120,10 @@ def _one_line(error):
         ({"version": 1}, "version = 1: must be one of 2, 3"),
         ({"version": "3"}, "version = '3': must be one of 2, 3"),
         ({"inputs": ["torque"]}, "has no input port 'torque'; it has tau"),
-        ({"tick_s": None}, "tick_s"),
+        ({"tick_s": None}, "pendulum: tick_s is needed, for it has no sample time"),
+        ({"tick_s": -1.0}, "tick_s = -1.0 s: must be finite and > 0"),
+        ({"tick_s": math.nan}, "tick_s = nan s: must be finite and > 0"),
+        ({"parameters": [7]}, "parameter 7: is unknown; known: pendulum.mass, "),
         (
             {"platforms": ["win64"]},
             "platforms: 'win64' is unknown; must be all, or of x86_64-linux",
