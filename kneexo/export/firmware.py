@@ -191,17 +191,17 @@ def make_sil(
             f"{scenario.bus.latency_samples}: neither controller nor plant contains the bus; must "
             f"be none and 0 for software in the loop"
         )
+    if "rod_state" in make_target(scenario, "controller", counts=True).inputs:
+        raise ParameterError(
+            f"estimator.kind = {scenario.estimator.kind!r}: no sensor measures the state of the "
+            f"rod; must be observer or difference for software in the loop"
+        )
     largest_s = largest_step_s(scenario, "plant") if step_s is None else step_s
     options: dict[str, Any] = {"vectors_s": vectors_s, "step_s": largest_s}
     options["solver"] = {"integrator": "rk4", "step_s": largest_s}
     law: dict[str, Any] = {"precision": precision, "look_up": look_up}
     controller = _firmware(scenario, "controller", **options, **law)
     plant = _firmware(scenario, "plant", precision="double", **options)
-    if "rod_state" in controller[0].equations.inputs:
-        raise ParameterError(
-            f"estimator.kind = {scenario.estimator.kind!r}: no sensor measures the state of the "
-            f"rod; must be observer or difference for software in the loop"
-        )
     counts = {ENCODER_COUNT: ("encoder_reading_rad", scenario.encoder.resolution_rad)}
     return Sil(controller, plant, counts)
 

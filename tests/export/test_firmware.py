@@ -263,14 +263,15 @@ def test_outputs_that_nobody_asks_for_are_not_computed(tmp_path, short, no_compi
     assert (out / "plant.c").read_text() == chosen.files()["plant.c"]
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize(
     "values",
     [
+        [],
         ["encoder.quantized=false"],
-        pytest.param([], marks=pytest.mark.slow),
-        pytest.param(["controller.kind=pid", "plant.load.kind=knee"], marks=pytest.mark.slow),
-        pytest.param(["reference=gait", "estimator.kind=difference"], marks=pytest.mark.slow),
+        ["controller.kind=pid", "plant.load.kind=knee"],
+        ["reference=gait", "estimator.kind=difference"],
     ],
 )
 def test_controller_and_plant_in_c_are_the_compiled_loop(
