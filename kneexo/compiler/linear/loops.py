@@ -64,7 +64,7 @@ class Transfer:
         _, b, c = self._triangular
         z = self.point(np.atleast_1d(frequencies_hz))
         states = self._solved(z, np.repeat(b, z.size, axis=1))
-        return np.asarray((c @ states)[0] + self.d, dtype=complex)
+        return np.asarray(np.einsum("i,ij->j", c[0], states) + self.d, dtype=complex)
 
     def slope(self, frequency_hz: float) -> complex:
         """Return the derivative dL/df of L at a frequency f in Hz, in 1/Hz."""
@@ -78,7 +78,8 @@ class Transfer:
         upper = self._triangular[0]
         states = np.zeros_like(right)
         for row in reversed(range(len(upper))):
-            behind = upper[row, row + 1 :] @ states[row + 1 :]
+            # einsum runs in this thread. Threads of BLAS cost more here than they save.
+            behind = np.einsum("i,ij->j", upper[row, row + 1 :], states[row + 1 :])
             states[row] = (right[row] + behind) / (z - upper[row, row])
         return states
 
