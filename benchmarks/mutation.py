@@ -73,6 +73,10 @@ TESTS: dict[str, tuple[str, ...]] = {
         "compiler/native/test_exact_hold",
         "compiler/native/test_time_loop",
     ),
+    "compiler/native/jacobian_slots": (
+        "compiler/native/test_jacobian_slots",
+        "compiler/native/test_exact_hold",
+    ),
     "compiler/native/integrators": (
         "compiler/native/test_integrators",
         "compiler/native/test_time_loop",

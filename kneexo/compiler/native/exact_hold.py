@@ -30,6 +30,12 @@ must meet a tenth of the tolerance, because the errors add up. Every sixteenth s
 Jacobian at its start even if the step meets the tolerance. An old Jacobian can be good enough for
 small steps only, and the steps would then stay small.
 
+A step that fails with the Jacobian at its start fails because of g. If the norm of A h is at most 2
+after three halvings or more, the further steps of the tick are explicit: steps of `DormandPrince`,
+of order five, which evaluate dx/dt alone. Such steps are the rule where valves flutter and where
+friction changes its sign. They neither choose Jacobians nor fill tables. Their error estimate is
+close to their error where a derivative has a corner, so they must be ten times as accurate.
+
 A lane is one of the runs that the code makes side by side. Each lane has its own step, Jacobians
 and tables, so a run has the same bits in a lane and alone. A lane that has reached the end of the
 tick waits for the others.
@@ -38,72 +44,45 @@ tick waits for the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from itertools import accumulate
 
+from .dormand_prince import DormandPrince
 from .integrators import Tick
-from .ir import UNROLLED, Array, Function, Module, Operand, Value, Variable
-from .phi_functions import FINEST, define_fill_tables
-from .types import BOOL, DOUBLE, INT, POINTER
+from .ir import UNROLLED, Array, Function, Operand, Value, Variable
+from .jacobian_slots import Memory
+from .phi_functions import FINEST, Tables, fill_tables, step_of
+from .types import BOOL, INT
 
 ChooseSlot = Callable[[Tick, Value, Array, Value], None]
 """``choose(tick, lane, memory, time)`` emits code that chooses the Jacobian of one lane.
 
 The code computes the Jacobian at the lane's state and then calls ``choose_slot``: see
-`define_choose_slot`.
+`jacobian_slots`.
 """
 
-SLOTS = 4
-"""Number of slots of a lane. A slot stores one Jacobian and the tables of its phi functions."""
-
 _MANY = 3  # least number of halvings with which a tick has "many" steps
+_EXPLICIT = 3  # least number of halvings of an explicit step
+_SHORT = 2.0  # largest norm of A h of an explicit step
 _SHARE = 0.1  # share of the tolerance that each of many steps may use
 _CHECK = 16  # of many steps, one in this number tries the Jacobian at its start
 _EASY = 0.05  # share of the tolerance below which a step may double
+_STRICT = 10.0  # factor of the error estimate of an explicit step, beside that of many steps
 _NEGLIGIBLE = 0.01  # share of the tolerance below which a correction is left out
 _MOST_EXCESS = 1e-2  # largest sum of the errors of finest steps that miss the tolerance
 _WHOLE = 1 << FINEST  # number of finest steps in a tick
 
 
-class Memory:
-    """Layout of the memory that the exact hold uses for one lane, in elements of eight bytes.
+class Shared:
+    """Layout of the memory that all lanes share, in elements of eight bytes for each lane.
 
-    ``Memory(size)`` serves ``size`` continuous states. The attribute ``size`` is the number of
-    elements of the memory, and ``square`` is the number of elements of one matrix. The other
-    attributes, such as ``jacobians``, are the indices at which the parts of the memory begin.
+    Each element has one value for each lane: ``level``, the number of halvings of the step; the
+    ``norm`` of the current ``jacobian``; and the five matrices of `_step` at ``tables``.
     """
 
     def __init__(self, size: int) -> None:
-        square = size * size
-        self.square = square
-        self.table = 3 * square
-        """Number of elements of a table: three phi functions of one Jacobian for one step size."""
-        sizes = {
-            "filled": 1,  # number of slots that hold a Jacobian
-            "made": 1,  # number of Jacobians stored so far
-            "slot": 1,  # slot of the current Jacobian
-            "excess": 1,  # sum of the errors of finest steps that miss the tolerance
-            "jacobians": SLOTS * square,
-            "candidate": square,  # the Jacobian that is tried
-            "change": size,  # state at the middle of a step minus that at its start
-            "rest": size,  # remainder of dx/dt there that the linear part does not explain
-            "tables": SLOTS * (FINEST + 2) * self.table,
-        }
-        places = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
-        self.filled, self.made, self.slot, self.excess = (places[k] for k in list(sizes)[:4])
-        self.jacobians, self.candidate, self.change = (places[k] for k in list(sizes)[4:7])
-        self.rest, self.tables = (places[k] for k in list(sizes)[7:])
-        self.head = self.jacobians
-        """Number of elements at the beginning of the memory that must be zero when a run starts."""
-        self.size = -(-sum(sizes.values()) // 8) * 8
-
-    def shared(self, lanes: int) -> int:
-        """Return the number of elements of the memory that all lanes share.
-
-        This memory holds three things for each lane: the number of halvings of the step, the
-        current Jacobian, and the current tables.
-        """
-        return (1 + self.square + self.table + 2 * self.square) * lanes
+        self.level, self.norm, self.jacobian = 0, 1, 2
+        self.square = size * size
+        self.tables = self.jacobian + self.square
+        self.size = self.tables + 5 * self.square
 
 
 def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
@@ -123,93 +102,45 @@ def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array)
             out[i] = f.fma(elements[i], factor, out[i])
 
 
-def define_choose_slot(module: Module, size: int) -> Function:
-    """Define the emitted function ``choose_slot(x, memory, tick)``, which chooses a Jacobian.
-
-    ``x``: states of the lane; ``memory``: see `Memory`; ``tick``: duration of a tick in s. The
-    memory has a candidate for the Jacobian, the vector ``change``, and the vector ``rest``. If
-    (candidate - current Jacobian) · ``change`` is less than a tenth of ``rest``, the current
-    Jacobian stays. Otherwise the candidate becomes the current Jacobian. If no slot holds the
-    candidate yet, the candidate replaces the oldest Jacobian, and the code computes new tables.
-    """
-    fill_tables = define_fill_tables(module, size)
-    at, square = Memory(size), size * size
-    arguments = {"x": POINTER, "memory": POINTER, "tick": DOUBLE}
-    f = module.function("choose_slot", arguments, attributes="noinline cold")
-    x, memory = (Array(f.arguments[name], DOUBLE) for name in ("x", "memory"))
-    whole = memory.cast(INT)
-    filled, current = whole[at.filled], whole[at.slot]
-    jacobians, candidate = memory.shifted(at.jacobians), memory.shifted(at.candidate)
-    for e in f.loop(square):
-        with f.when((candidate[e] - candidate[e]).differs(0.0)):
-            candidate[e] = (
-                0.0  # infinite slope of a root at zero; any matrix works, with smaller steps
-            )
-    with f.when(filled > 0):
-        explained, total_rest = f.variable(f.constant(0.0)), f.variable(f.constant(0.0))
-        for i in f.loop(size):
-            total = f.variable(f.constant(0.0))
-            for k in f.loop(size):
-                place = f.coerce(k, INT) * size + i
-                difference = candidate[place] - jacobians[current * square + place]
-                change = memory[f.coerce(k, INT) + at.change]
-                total.set(f.fma(difference, change, total.get()))
-            scale = 1.0 + f.absolute(x[i])
-            explained.set(explained.get() + f.absolute(total.get()) / scale)
-            total_rest.set(
-                total_rest.get() + f.absolute(memory[f.coerce(i, INT) + at.rest]) / scale
-            )
-        f.return_if(explained.get() < 0.1 * total_rest.get())
-    for slot in f.loop(SLOTS):
-        number = f.coerce(slot, INT)
-        with f.when(number < filled):
-            same = f.variable(f.constant(1, BOOL))
-            for e in f.loop(square):
-                equal = jacobians[number * square + e].equals(candidate[e])
-                same.set(same.get() & equal)
-            with f.when(same.get()):
-                whole[at.slot] = number
-                f.return_if(f.constant(1, BOOL))
-    slot = whole[at.made] % SLOTS
-    whole[at.made] = whole[at.made] + 1
-    with f.when(filled < SLOTS):
-        whole[at.filled] = filled + 1
-    for e in f.loop(square):
-        jacobians[slot * square + e] = candidate[e]
-    tables = memory.shifted(slot * ((FINEST + 2) * at.table) + at.tables)
-    f.call(fill_tables, jacobians.address(slot * square), f.arguments["tick"], tables.pointer)
-    whole[at.slot] = slot
-    return f
-
-
-@dataclass(frozen=True)
 class _Step:
-    """The result of one step, which is not accepted yet, as values of the emitted code."""
+    """Local memory for the result of one step, which is not accepted yet, in the emitted code."""
 
-    end: Array
-    """State at the end of the step."""
-    worst: Value
-    """Sum over all states of error estimate / tolerance.
+    def __init__(self, tick: Tick) -> None:
+        f = tick.function
+        self.end = tick.vector()
+        """State at the end of the step."""
+        self.worst = f.variable(f.constant(0.0, tick.type))
+        """Sum over all states of error estimate / tolerance.
 
-    The step meets the tolerance if this sum is at most 1.
-    """
-    middle: Array
-    """State at the middle of the step."""
-    rest: Array
-    """Change of dx/dt from start to middle, minus the change that the Jacobian predicts."""
+        The step meets the tolerance if this sum is at most 1.
+        """
+        self.slope = tick.vector()
+        """dx/dt at the end of an explicit step."""
+        self.middle = tick.vector()
+        """State at the middle of a step that is not explicit."""
+        self.rest = tick.vector()
+        """Change of dx/dt from start to middle, minus the change that the Jacobian predicts."""
 
 
-def _step(
-    tick: Tick, time: Value, h: Value, slope: Array, weight: Array, tables: Array, jacobian: Array
-) -> _Step:
+def _take_step(
+    tick: Tick,
+    time: Value,
+    h: Value,
+    slope: Array,
+    weight: Array,
+    tables: Array,
+    jacobian: Array,
+    step: _Step,
+) -> None:
     """Emit one step from the states ``tick.x`` at ``time``, by the equations of this module.
 
     ``h``: duration of the step in s; ``slope``: dx/dt at the start; ``weight``: inverse of the
-    tolerance of each state; ``tables``: phi functions of ``jacobian`` for the steps h and h/2.
+    tolerance of each state; ``tables``: phi functions of ``jacobian`` for the steps h and h/2. The
+    code writes the result to ``step``.
     """
     f, size, square = tick.function, tick.size, tick.size**2
-    middle, predicted, end = (tick.vector() for _ in range(3))
-    f_a, g_a, f_b, g_b, part, move = (tick.vector() for _ in range(6))
+    predicted, f_a, f_b, g_b, part, move = (tick.vector() for _ in range(6))
+    middle, end, g_a, worst = step.middle, step.end, step.rest, step.worst
     multiplied(f, size, tables.shifted(3 * square), slope, middle)
     multiplied(f, size, tables, slope, end)
     for i in f.each(size):
@@ -237,7 +168,7 @@ def _step(
             end[i] = f.select(large, f.fma(part[i], 2.0, end[i]), end[i])
             predicted[i] = f.select(large, f.fma(move[i], 4.0, end[i]), end[i])
     remainder(time + h, predicted, f_b, g_b)
-    worst = f.variable(f.constant(0.0, tick.type))
+    worst.set(0.0)
     large = ~(h * remainders.get() < _NEGLIGIBLE)
     with f.when(f.any_lane(large)):
         for i in f.each(size):
@@ -247,7 +178,6 @@ def _step(
             end[i] = f.select(large, end[i] + part[i], end[i])
             total = f.fma(f.absolute(part[i]), weight[i], worst.get())
             worst.set(f.select(large, total, worst.get()))
-    return _Step(end, worst.get(), middle, g_a)
 
 
 class ExactHold:
@@ -262,11 +192,12 @@ class ExactHold:
         """Store values of the emitted code for `prepare` and `advance`.
 
         ``tick_s``: duration of a tick in s; ``memory``: the memories of all lanes (`Memory`), one
-        after the other; ``shared``: the memory that all lanes share (`Memory.shared`).
+        after the other; ``shared``: the memory that all lanes share (`Shared`).
         """
         self.tick_s, self.tolerance = tick_s, tolerance
         self.memory, self.shared = memory, shared
         self.choose = choose
+        self.dormand_prince = DormandPrince(tick_s.function)
 
     def _lanes(self, tick: Tick) -> Iterator[tuple[Value, Array]]:
         """Emit a loop over all lanes. Yield the lane's number and memory once, to emit the body."""
@@ -275,19 +206,44 @@ class ExactHold:
             number = tick.function.coerce(lane, INT)
             yield number, self.memory.shifted(number * at.size)
 
-    def _refresh(self, tick: Tick, lane: Value, memory: Array, level: Value) -> None:
+    def _explicit(self, f: Function, level: Value, norm: Value, bent: Value) -> Value:
+        """Emit the condition that a step after ``level`` halvings is explicit.
+
+        ``bent``: whether a step with the Jacobian at its start has failed in this tick.
+        """
+        short = norm * step_of(f, self.tick_s, level) <= _SHORT
+        return bent & short & (level >= _EXPLICIT)
+
+    def _refresh(self, tick: Tick, lane: Value, memory: Array, level: Value, bent: Value) -> None:
         """Emit code that copies a lane's current Jacobian and tables to the shared memory.
 
-        ``level``: the copied tables belong to the step after this number of halvings.
+        ``level``: the copied tables belong to the step after this number of halvings. An explicit
+        step requires no tables.
         """
-        f, at, lanes = tick.function, Memory(tick.size), tick.type.lanes
-        slot = memory.cast(INT)[at.slot]
-        jacobian = memory.shifted(slot * at.square + at.jacobians)
-        tables = memory.shifted((slot * (FINEST + 2) + level) * at.table + at.tables)
-        for i in f.loop(at.square):
-            self.shared[(f.coerce(i, INT) + 1) * lanes + lane] = jacobian[i]
-        for i in f.loop(at.table + 2 * at.square):  # with two functions of half the step
-            self.shared[(f.coerce(i, INT) + (1 + at.square)) * lanes + lane] = tables[i]
+        f, size, lanes = tick.function, tick.size, tick.type.lanes
+        at, to, tables_at = Memory(size), Shared(size), Tables(size)
+        jacobian = memory.shifted(memory.cast(INT)[at.slot] * at.slot_size + at.slots)
+        tables = jacobian.shifted(at.square)
+        norm = tables[tables_at.NORM]
+        self.shared[lane + to.norm * lanes] = norm
+        with f.when(~self._explicit(f, level, norm, bent)):
+            f.call(fill_tables(f.module, size), self.tick_s, tables.pointer, level)
+            h = step_of(f, self.tick_s, level)
+            table = tables.shifted(level * tables_at.level + tables_at.first)
+            half = table.shifted(tables_at.level)
+            out = self.shared.shifted(lane)
+            for i in f.loop(to.square):
+                out[(f.coerce(i, INT) + to.jacobian) * lanes] = jacobian[i]
+            for j in f.loop(size):
+                for i in f.each(size):
+                    place = f.coerce(j, INT) * tables_at.rows + i
+                    phi_1, phi_2, phi_3 = (table[place + n * tables_at.matrix] for n in range(3))
+                    half_1, half_2 = (half[place + n * tables_at.matrix] for n in range(2))
+                    values = [h * phi_1, h * phi_2, h * f.fma(phi_3, -4.0, phi_2)]
+                    values += [0.5 * h * half_1, 0.5 * h * half_2]
+                    for n, value in enumerate(values):
+                        element = f.coerce(j, INT) * size + i
+                        out[(element + (to.tables + n * to.square)) * lanes] = value
 
     def prepare(self, tick: Tick) -> None:
         """Emit code that chooses a first Jacobian in each lane that has no Jacobian yet.
@@ -298,63 +254,108 @@ class ExactHold:
         for lane, memory in self._lanes(tick):
             with tick.function.when(memory.cast(INT)[Memory(tick.size).filled].equals(0)):
                 self.choose(tick, lane, memory, tick.start)
-            self._refresh(tick, lane, memory, levels[lane])
+            self._refresh(tick, lane, memory, levels[lane], tick.function.constant(0, BOOL))
 
     def advance(self, tick: Tick) -> Value:
         """Emit the steps of a tick; return a condition.
 
         The condition is true in lanes where even the shortest steps miss the tolerance by too much.
         """
-        f, size, type_ = tick.function, tick.size, tick.type
-        lanes, at = type_.lanes, Memory(size)
-        ints, mask = INT.of(lanes), BOOL.of(lanes)
-        jacobian = Array(self.shared.address(lanes), type_)
-        tables = Array(self.shared.address((1 + at.square) * lanes), type_)
+        f, type_ = tick.function, tick.type
+        ints = INT.of(type_.lanes)
         level = f.variable(Array(self.shared.pointer, ints)[0])
         position, tried = (f.variable(f.constant(0, ints)) for _ in range(2))
-        rough = f.variable(f.constant(0, mask))
-        moved = f.variable(f.constant(1, BOOL))
-        slope, weight = tick.vector(), tick.vector()
+        rough, bent = (f.variable(f.constant(0, BOOL.of(type_.lanes))) for _ in range(2))
+        moved, changed = (f.variable(f.constant(1, BOOL)) for _ in range(2))
+        slope, weight, step = tick.vector(), tick.vector(), _Step(tick)
         with f.forever() as loop:
             active = (position.get() < _WHOLE) & ~rough.get()
-            if lanes > 1:
+            if type_.lanes > 1:
                 active = active & tick.running
             loop.stop_if(~f.any_lane(active))
-            share = f.to_double(position.get()) * (1.0 / _WHOLE)
-            time = f.fma(f.coerce(self.tick_s, type_), share, f.coerce(tick.start, type_))
+            time = self._time(tick, position.get())
             with f.when(moved.get()):
                 tick.rate(time, tick.x, slope)
-                for i in f.each(size):
+            with f.when(changed.get()):
+                for i in f.each(tick.size):
                     weight[i] = 1.0 / (self.tolerance * (1.0 + f.absolute(tick.x[i])))
             span = f.coerce(f.constant(_WHOLE, ints), ints) >> level.get()
-            h = f.coerce(self.tick_s, type_) * (f.to_double(span) * (1.0 / _WHOLE))
-            step = _step(tick, time, h, slope, weight, tables, jacobian)
+            explicit = self._try_step(
+                tick, position.get(), span, level.get(), bent.get(), active, slope, weight, step
+            )
             many = level.get() >= _MANY
-            worst = step.worst * f.select(many, f.constant(1.0 / _SHARE, type_), 1.0)
+            worst = step.worst.get() * f.select(many, f.constant(1.0 / _SHARE, type_), 1.0)
+            worst = worst * f.select(explicit, f.constant(_STRICT, type_), 1.0)
             good = f.variable(worst <= 1.0)
-            limit = f.select(many, f.constant(_EASY, type_), 1.0)
+            limit = f.select(many & ~explicit, f.constant(_EASY, type_), 1.0)
             doubted = active & ~(worst <= limit)
             with f.when(f.any_lane(doubted), rare=True):
                 due = (position.get() & (span * _CHECK - 1)).equals(0) & tried.get().equals(0)
                 doubted = doubted & (due | ~good.get())
+                tried.set(f.select(explicit, 1, tried.get()))  # without another Jacobian
                 with f.when(f.any_lane(doubted)):
-                    self._refine(tick, step, time, doubted, level, tried, good, rough)
+                    self._refine(tick, step, time, doubted, level, tried, good, rough, bent)
             taken = active & good.get()
-            moved.set(f.any_lane(taken))
-            before = position.get()
-            position.set(before + span)
-            with f.when(f.any_lane(~taken), rare=True):
-                for i in f.each(size):
-                    step.end[i] = f.select(taken, step.end[i], tick.x[i])
-                position.set(f.select(taken, before + span, before))
-            for i in f.each(size):
-                tick.x[i] = step.end[i]
+            moved.set(f.any_lane(taken & ~explicit))
+            changed.set(f.any_lane(taken))
+            for i in f.each(tick.size):
+                tick.x[i] = f.select(taken, step.end[i], tick.x[i])
+                slope[i] = f.select(taken & explicit, step.slope[i], slope[i])
+            position.set(f.select(taken, position.get() + span, position.get()))
             tried.set(f.select(taken, 0, tried.get()))
             easy = taken & (level.get() > 0) & (worst <= _EASY)
             with f.when(f.any_lane(easy)):
-                self._coarsen(tick, worst, easy, position.get(), level)
+                self._coarsen(tick, worst, easy, position.get(), level, bent.get())
         Array(self.shared.pointer, ints)[0] = level.get()
+        with f.when(f.any_lane(bent.get()), rare=True):  # the next tick begins with a Jacobian
+            flags, levels = _spilled(f, f.flags(bent.get())), self.shared.cast(INT)
+            for lane, memory in self._lanes(tick):
+                with f.when(flags[lane].differs(0)):
+                    self._refresh(tick, lane, memory, levels[lane], f.constant(0, BOOL))
         return rough.get()
+
+    def _try_step(
+        self,
+        tick: Tick,
+        position: Value,
+        span: Value,
+        level: Value,
+        bent: Value,
+        active: Value,
+        slope: Array,
+        weight: Array,
+        step: _Step,
+    ) -> Value:
+        """Emit one step of each lane of ``active``, as `_take_step` does, or an explicit one.
+
+        ``position`` and ``span``: start and length of the step, see `_time`. Returns the condition
+        that a step is explicit.
+        """
+        f, lanes, at = tick.function, tick.type.lanes, Shared(tick.size)
+        norms, jacobian, tables = (
+            self.shared.shifted(place * lanes).cast(tick.type)
+            for place in (at.norm, at.jacobian, at.tables)
+        )
+        time, h = self._time(tick, position), step_of(f, self.tick_s, level)
+        explicit = self._explicit(f, level, norms[0], bent)
+        with f.when(f.any_lane(active & ~explicit)):
+            _take_step(tick, time, h, slope, weight, tables, jacobian, step)
+        with f.when(f.any_lane(active & explicit)):
+            after = self._time(tick, position + span)
+            end, end_slope, error = self.dormand_prince.step(tick, time, h, after, slope)
+            worst = f.variable(f.constant(0.0, tick.type))
+            for i in f.each(tick.size):
+                step.slope[i] = end_slope[i]
+                step.end[i] = f.select(explicit, end[i], step.end[i])
+                worst.set(f.fma(f.absolute(error[i]), weight[i], worst.get()))
+            step.worst.set(f.select(explicit, worst.get(), step.worst.get()))
+        return explicit
+
+    def _time(self, tick: Tick, position: Value) -> Value:
+        """Emit the time in s of a position within the tick, which has `_WHOLE` parts."""
+        f, type_ = tick.function, tick.type
+        share = f.to_double(position) * (1.0 / _WHOLE)
+        return f.fma(f.coerce(self.tick_s, type_), share, f.coerce(tick.start, type_))
 
     def _refine(
         self,
@@ -366,6 +367,7 @@ class ExactHold:
         tried: Variable,
         good: Variable,
         rough: Variable,
+        bent: Variable,
     ) -> None:
         """Emit code that tries another Jacobian in each lane of ``doubted``, or halves the step.
 
@@ -374,10 +376,10 @@ class ExactHold:
         step, and ``rough`` becomes true in the lane.
         """
         f, size, lanes, at = tick.function, tick.size, tick.type.lanes, Memory(tick.size)
-        times, worsts = _spilled(f, time), _spilled(f, step.worst)
+        times, worsts = _spilled(f, time), _spilled(f, step.worst.get())
         levels, tries = _spilled(f, level.get()), _spilled(f, tried.get())
         doubts, goods = (_spilled(f, f.flags(value)) for value in (doubted, good.get()))
-        roughs = _spilled(f, f.flags(rough.get()))
+        roughs, bents = (_spilled(f, f.flags(value.get())) for value in (rough, bent))
         change, rest = f.array(size * lanes), f.array(size * lanes)
         for i in f.each(size):
             _spill(change, i, step.middle[i] - tick.x[i])
@@ -398,6 +400,7 @@ class ExactHold:
                 with f.when(again.get()):
                     goods[lane] = 0
                 with f.when(failed & ~again.get()):
+                    bents[lane] = 1
                     finest = levels[lane].equals(FINEST)
                     with f.when(finest):
                         worst = worsts[lane]
@@ -411,15 +414,22 @@ class ExactHold:
                             roughs[lane] = 1
                     with f.when(~finest):
                         levels[lane] = levels[lane] + 1
-                self._refresh(tick, lane, memory, levels[lane])
+                self._refresh(tick, lane, memory, levels[lane], bents[lane].differs(0))
         ints = INT.of(lanes)
         level.set(levels.cast(ints)[0])
         tried.set(tries.cast(ints)[0])
         good.set(goods.cast(ints)[0].differs(0))
         rough.set(roughs.cast(ints)[0].differs(0))
+        bent.set(bents.cast(ints)[0].differs(0))
 
     def _coarsen(
-        self, tick: Tick, worst: Value, easy: Value, position: Value, level: Variable
+        self,
+        tick: Tick,
+        worst: Value,
+        easy: Value,
+        position: Value,
+        level: Variable,
+        bent: Value,
     ) -> None:
         """Emit code that lengthens the next step in each lane of ``easy``, whose error is small.
 
@@ -429,6 +439,7 @@ class ExactHold:
         f = tick.function
         flags, positions = _spilled(f, f.flags(easy)), _spilled(f, position)
         levels, worsts = _spilled(f, level.get()), _spilled(f, worst)
+        bents = _spilled(f, f.flags(bent))
         for lane, memory in self._lanes(tick):
             with f.when(flags[lane].differs(0)):
                 before = levels[lane]
@@ -437,10 +448,10 @@ class ExactHold:
                     twice = f.constant(2 * _WHOLE, INT) >> levels[lane]
                     loop.stop_if((positions[lane] % twice).differs(0))
                     levels[lane] = levels[lane] - 1
-                    # The estimate is of third order, and one more in a step.
-                    worsts[lane] = worsts[lane] * 16.0
+                    # The estimate is of fourth order in a step, or of fifth in explicit ones.
+                    worsts[lane] = worsts[lane] * 32.0
                 with f.when(levels[lane].differs(before)):
-                    self._refresh(tick, lane, memory, levels[lane])
+                    self._refresh(tick, lane, memory, levels[lane], bents[lane].differs(0))
         level.set(levels.cast(INT.of(tick.type.lanes))[0])
 
 

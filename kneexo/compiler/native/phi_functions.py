@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator
 
 from .ir import Array, Function, Module, Operand, Value
 from .types import DOUBLE, INT, POINTER
@@ -26,9 +27,13 @@ class Columns:
         self.rows = self.blocks * self.width
         self.type = DOUBLE.of(self.width)
 
+    def new(self) -> Array:
+        """Return memory for a new matrix, which the code must fill."""
+        return self.f.array(self.size * self.blocks, self.type)
+
     def zero(self) -> Array:
         """Return memory for a new matrix; emit code that sets all elements to zero."""
-        matrix = self.f.array(self.size * self.blocks, self.type)
+        matrix = self.new()
         for i in self.each():
             matrix[i] = 0.0
         return matrix
@@ -57,84 +62,215 @@ class Columns:
             for block, total in zip(blocks, totals, strict=True):
                 out[f.coerce(j, INT) * self.blocks + block] = total.get()
 
-    def store(self, matrix: Callable[[Operand], Value], out: Array) -> None:
-        """Emit code that copies a matrix to ``out``, column by column, without filling zeros.
+    def combine(self, out: Array, *terms: tuple[Operand, Array]) -> None:
+        """Emit ``out`` = Σ factor · matrix, where ``terms`` are the pairs (factor, matrix)."""
+        f = self.f
+        for e in self.each():
+            total = f.coerce(0.0, self.type)
+            for factor, matrix in terms:
+                total = f.fma(f.coerce(factor, self.type), matrix[e], total)
+            out[e] = total
 
-        ``matrix(index)`` returns the vector ``index`` of the matrix.
-        """
-        f, last = self.f, (self.size - 1) * self.blocks
-        for j in f.each(self.size - 1):  # the next column overwrites the rows of zeros
-            for block in range(self.blocks):
-                place = f.coerce(j, INT) * self.size + block * self.width
-                out.shifted(place).cast(self.type)[0] = matrix(
-                    f.coerce(j, INT) * self.blocks + block
-                )
+    def norm(self, matrix: Array) -> Value:
+        """Emit the largest sum of magnitudes in a row of ``matrix``."""
+        f, largest = self.f, self.f.variable(self.f.constant(0.0))
         for block in range(self.blocks):
-            values = matrix(last + block)
-            first = (self.size - 1) * self.size + block * self.width
-            for lane in range(min(self.width, self.size - block * self.width)):
-                out[first + lane] = f.lane(values, lane)
+            total = f.variable(f.constant(0.0, self.type))
+            for j in f.each(self.size):
+                element = matrix[f.coerce(j, INT) * self.blocks + block]
+                total.set(total.get() + f.absolute(element))
+            for lane in range(self.width):
+                largest.set(f.maximum(largest.get(), f.lane(total.get(), lane)))
+        return largest.get()
 
 
-def define_fill_tables(module: Module, size: int) -> Function:
-    """Define the emitted function ``fill_tables(a, tick, tables)``.
+class Tables:
+    """Layout of the tables of one matrix A, in doubles.
 
-    The function computes h phi_1, h phi_2 and h (phi_2 - 4 phi_3) at the argument a h, where ``a``
-    is a matrix, and writes these matrices to ``tables``. There is one table for each step
-    h = tick/2^level, with the levels 0 … `FINEST` + 1. A Taylor series gives the functions at a
-    small step, and doublings lead to each longer step (Skaflestad and Wright 2009, Appl. Numer.
-    Math. 59).
+    The tables begin with a norm of A, its largest sum of magnitudes in a row, and the coarsest and
+    the finest level that are filled. All levels between these two are filled too. Then come A and,
+    for each level 0 … `FINEST` + 1, the matrices phi_1, phi_2 and phi_3 at A h, where
+    h = tick/2^level. Each matrix is stored as `Columns` describes.
     """
-    square = size * size
-    arguments = {"a": POINTER, "tick": DOUBLE, "tables": POINTER}
-    f = module.function("fill_tables", arguments, attributes="noinline")
+
+    NORM, BOUND, COARSEST, FINEST, MATRIX = 0, 1, 2, 3, 8
+
+    def __init__(self, size: int) -> None:
+        width = 4 if size <= 4 else 8
+        self.rows = -(-size // width) * width
+        """Number of doubles from one column to the next."""
+        self.matrix = size * self.rows
+        """Number of doubles of a matrix."""
+        self.first = self.MATRIX + self.matrix
+        """Place of phi_1 of level 0."""
+        self.level = 3 * self.matrix
+        """Number of doubles of a level."""
+        self.size = self.first + (FINEST + 2) * self.level
+
+
+_SPARE = 3  # number of levels from a requested level to the first table of a small matrix
+_DEGREE = 16  # number of terms of the Taylor series: the next is below 1/(_DEGREE + 3)!
+_GROUP = 4  # number of terms between two powers of the matrix's fourth power
+
+
+def step_of(f: Function, tick: Value, level: Value) -> Value:
+    """Emit the step tick/2^level in s. Each lane has its level."""
+    type_ = DOUBLE.of(level.type.lanes)
+    span = f.coerce(f.constant(1 << (FINEST + 1), INT), level.type) >> level
+    return f.coerce(tick, type_) * (f.to_double(span) * 0.5 ** (FINEST + 1))
+
+
+def _matrices(array: Array, columns: Columns, at: Tables, count: int) -> list[Array]:
+    """Return ``count`` matrices that are stored one after the other."""
+    return [array.shifted(n * at.matrix).cast(columns.type) for n in range(count)]
+
+
+def define_store_matrix(module: Module, size: int) -> Function:
+    """Define the emitted function ``store_matrix(a, tables)``: see `Tables`.
+
+    The function stores the matrix ``a``, which is given column by column, and its norm. No level is
+    filled yet. The norm is ||a⁴||^(1/4), which is at most the largest sum of magnitudes in a row
+    and often far less: the units of the states hardly change it (Al-Mohy and Higham 2009, SIAM J.
+    Matrix Anal. Appl. 31).
+    """
+    f = module.function("store_matrix", dict.fromkeys(("a", "tables"), POINTER))
     a, tables = (Array(f.arguments[name], DOUBLE) for name in ("a", "tables"))
-    tick, columns = f.arguments["tick"], Columns(f, size)
-    z, power, spare, mixed, phi_1, phi_2, phi_3 = (columns.zero() for _ in range(7))
-    norm = f.variable(f.constant(0.0))
-    for i in f.loop(size):
-        row = f.variable(f.constant(0.0))
-        for j in f.loop(size):
-            row.set(row.get() + f.absolute(a[f.coerce(j, INT) * size + i]))
-        norm.set(f.maximum(norm.get(), row.get()))
-    level = f.variable(f.constant(FINEST + 1, INT))
-    limit = f.variable(f.constant(0.1 * 2.0 ** (FINEST + 1)))
-    h = f.variable(tick * 0.5 ** (FINEST + 1))
-    with f.forever() as loop:
-        loop.stop_if(~((norm.get() * tick > limit.get()) & (level.get() < 200)))
-        level.set(level.get() + 1)
-        limit.set(limit.get() * 2.0)
-        h.set(h.get() * 0.5)
+    columns, at = Columns(f, size), Tables(size)
+    matrix = tables.shifted(at.MATRIX)
+    (stored,) = _matrices(matrix, columns, at, 1)
+    for e in columns.each():
+        stored[e] = 0.0
     for j in f.loop(size):
-        for i in f.loop(size):
-            z.cast(DOUBLE)[columns.element(i, j)] = h.get() * a[f.coerce(j, INT) * size + i]
-        power.cast(DOUBLE)[columns.element(j, j)] = 1.0
-    factorial = 1.0
-    for order in range(1, 10):  # Taylor: the next term is below 0.1^9/10!
-        factorial *= order
-        for e in columns.each():
-            term = power[e]
-            phi_1[e] = f.fma(term, 1.0 / factorial, phi_1[e])
-            phi_2[e] = f.fma(term, 1.0 / factorial / (order + 1), phi_2[e])
-            phi_3[e] = f.fma(term, 1.0 / factorial / ((order + 1) * (order + 2)), phi_3[e])
-        columns.multiply(power, z, spare)
-        power, spare = spare, power
-    with f.forever() as loop:
-        step = h.get()
-        with f.when(level.get() <= FINEST + 1):
-            to = tables.shifted(level.get() * (3 * square))
-            columns.store(lambda e: step * phi_1[e], to)
-            columns.store(lambda e: step * phi_2[e], to.shifted(square))
-            columns.store(lambda e: step * f.fma(phi_3[e], -4.0, phi_2[e]), to.shifted(2 * square))
-        loop.stop_if(level.get().equals(0))
-        columns.multiply(phi_1, phi_1, spare)
-        columns.multiply(phi_1, phi_2, mixed)
-        columns.multiply(z, spare, power)
-        for e in columns.each():
-            phi_3[e] = 0.125 * (mixed[e] + f.fma(phi_3[e], 2.0, phi_2[e]))
-            phi_2[e] = 0.25 * f.fma(phi_2[e], 2.0, spare[e])
-            phi_1[e] = f.fma(power[e], 0.5, phi_1[e])
-            z[e] = z[e] * 2.0
-        h.set(step * 2.0)
-        level.set(level.get() - 1)
+        for i in f.each(size):
+            matrix[columns.element(i, j)] = a[f.coerce(j, INT) * size + i]
+    bound = columns.norm(stored)
+    unit, square, fourth = (columns.new() for _ in range(3))
+    columns.combine(unit, (f.select(bound > 0.0, 1.0 / bound, 0.0), stored))
+    columns.multiply(unit, unit, square)
+    columns.multiply(square, square, fourth)
+    tables[at.BOUND] = bound
+    tables[at.NORM] = bound * f.sqrt(f.sqrt(columns.norm(fourth)))
+    tables.cast(INT)[at.COARSEST] = FINEST + 2
+    tables.cast(INT)[at.FINEST] = -1
     return f
+
+
+def _define_start_tables(module: Module, size: int) -> Function:
+    """Define the emitted function ``start_tables(tick, tables, least)``: see `Tables`.
+
+    The function fills the table of one level by a Taylor series, and forgets all others. The level
+    is at least ``least``, and so high that the norm of a h is at most 1, but at most `FINEST` + 1.
+    """
+    double = _double_table(module, size)
+    arguments = {"tick": DOUBLE, "tables": POINTER, "least": INT}
+    f = module.function("start_tables", arguments, attributes="noinline")
+    tables, least = Array(f.arguments["tables"], DOUBLE), f.arguments["least"]
+    tick, columns, at = f.arguments["tick"], Columns(f, size), Tables(size)
+    matrix = tables.shifted(at.MATRIX)
+    (stored,) = _matrices(matrix, columns, at, 1)
+    unit = columns.zero()
+    for j in f.loop(size):
+        unit.cast(DOUBLE)[columns.element(j, j)] = 1.0
+    level, h = f.variable(least), f.variable(step_of(f, tick, least))
+    norm, bound = tables[at.NORM], tables[at.BOUND]
+    with f.forever() as loop:
+        # A sum of magnitudes up to 8 hardly adds to the remainder of the series.
+        large = (norm * h.get() > 1.0) | (bound * h.get() > 8.0)
+        loop.stop_if(~(large & (level.get() < 200)))
+        level.set(level.get() + 1)
+        h.set(h.get() * 0.5)
+    powers = [unit, *(columns.new() for _ in range(_GROUP))]
+    columns.combine(powers[1], (h.get(), stored))
+    for n in range(1, _GROUP):
+        columns.multiply(powers[n], powers[1], powers[n + 1])
+    first = f.select(level.get() > FINEST + 1, FINEST + 1, level.get())
+    table, doubled = tables.shifted(first * at.level + at.first), f.array(at.level)
+    _taylor(columns, powers, _matrices(table, columns, at, 3))
+    with f.forever() as loop:
+        loop.stop_if(level.get() <= first)
+        f.call(double, h.get(), matrix.pointer, table.pointer, doubled.pointer)
+        for e in f.loop(at.level):
+            table[e] = doubled[e]
+        level.set(level.get() - 1)
+        h.set(h.get() * 2.0)
+    tables.cast(INT)[at.COARSEST] = first
+    tables.cast(INT)[at.FINEST] = first
+    return f
+
+
+def fill_tables(module: Module, size: int) -> Function:
+    """Return the emitted function ``fill_tables(tick, tables, level)``: see `Tables`.
+
+    The function fills the tables of ``level`` and of ``level`` + 1, if they are missing. Each table
+    comes from the table of half the step (Skaflestad and Wright 2009, Appl. Numer. Math. 59). The
+    first comes from a Taylor series, with some levels to spare.
+    """
+    return module.shared("fill_tables", lambda: _define_fill_tables(module, size))
+
+
+def _define_fill_tables(module: Module, size: int) -> Function:
+    double, at = _double_table(module, size), Tables(size)
+    start = _define_start_tables(module, size)
+    arguments = {"tick": DOUBLE, "tables": POINTER, "level": INT}
+    f = module.function("fill_tables", arguments, attributes="noinline")
+    tick, tables, requested = f.arguments["tick"], f.arguments["tables"], f.arguments["level"]
+    memory = Array(tables, DOUBLE)
+    with f.when(requested + 1 > memory.cast(INT)[at.FINEST]):
+        least = f.select(requested + _SPARE > FINEST + 1, FINEST + 1, requested + _SPARE)
+        f.call(start, tick, tables, least)
+    coarsest = f.variable(memory.cast(INT)[at.COARSEST])
+    with f.forever() as loop:
+        level = coarsest.get()
+        loop.stop_if(level <= requested)
+        h, matrix = step_of(f, tick, level), memory.address(at.MATRIX)
+        table, out = (memory.address((level - n) * at.level + at.first) for n in (0, 1))
+        f.call(double, h, matrix, table, out)
+        coarsest.set(level - 1)
+    memory.cast(INT)[at.COARSEST] = coarsest.get()
+    return f
+
+
+def _double_table(module: Module, size: int) -> Function:
+    """Return ``double_table(h, a, table, out)``: from the table for ``h`` to that for 2 ``h``."""
+    return module.shared("double_table", lambda: _define_double_table(module, size))
+
+
+def _define_double_table(module: Module, size: int) -> Function:
+    names = ("a", "table", "out")
+    arguments = {"h": DOUBLE} | dict.fromkeys(names, POINTER)
+    f = module.function("double_table", arguments, attributes="noinline")
+    h, columns, at = f.arguments["h"], Columns(f, size), Tables(size)
+    a, table, out = (Array(f.arguments[name], DOUBLE) for name in names)
+    (matrix,) = _matrices(a, columns, at, 1)
+    phi_1, phi_2, phi_3 = _matrices(table, columns, at, 3)
+    new_1, new_2, new_3 = _matrices(out, columns, at, 3)
+    square, mixed, moved = (columns.new() for _ in range(3))
+    columns.multiply(phi_1, phi_1, square)
+    columns.multiply(phi_1, phi_2, mixed)
+    columns.multiply(matrix, square, moved)
+    columns.combine(new_3, (0.125, mixed), (0.25, phi_3), (0.125, phi_2))
+    columns.combine(new_2, (0.25, square), (0.5, phi_2))
+    columns.combine(new_1, (0.5 * h, moved), (1.0, phi_1))
+    return f
+
+
+def _taylor(columns: Columns, powers: list[Array], phi: list[Array]) -> None:
+    """Emit phi_1, phi_2, phi_3 at a matrix z with a norm of at most 1, to ``phi``.
+
+    ``powers``: 1, z, z², z³, z⁴. Between groups of `_GROUP` terms of the series of phi_3 the code
+    multiplies by z⁴ (Paterson and Stockmeyer 1973, SIAM J. Comput. 2). The recursions
+    phi_2 = 1/2 + z phi_3 and phi_1 = 1 + z phi_2 give the other two.
+    """
+    unit, z, total, spare = *powers[:2], columns.new(), columns.new()
+    for start in reversed(range(0, _DEGREE, _GROUP)):
+        factors = [1.0 / math.factorial(start + n + 3) for n in range(_GROUP)]
+        terms = list(zip(factors, powers, strict=False))
+        if start + _GROUP < _DEGREE:
+            columns.multiply(total, powers[_GROUP], spare)
+            terms.append((1.0, spare))
+        columns.combine(total, *terms)
+    columns.combine(phi[2], (1.0, total))
+    columns.multiply(z, total, spare)
+    columns.combine(phi[1], (0.5, unit), (1.0, spare))
+    columns.multiply(z, phi[1], spare)
+    columns.combine(phi[0], (1.0, unit), (1.0, spare))

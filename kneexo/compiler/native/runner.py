@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..reductions import Reduction
 from ..run_data import Array, InputTable, Integers
-from . import exact_hold
+from . import exact_hold, jacobian_slots
 from .arguments import BETWEEN, DOUBLES, INPUT, INTEGRATORS, MEMO_LINES, OK, RUN
 from .machine_code import MachineCode
 from .reductions import Reducer
@@ -152,10 +152,10 @@ class Runner:
         self._constants = code.start("constants")
         self._lane_c = np.empty((lanes, layout.constants))
         self._c = np.empty((layout.constants, lanes))
-        memory = exact_hold.Memory(len(layout.states))
+        memory = jacobian_slots.Memory(len(layout.states))
         self._head = memory.head
         self._memory = np.empty((lanes, memory.size))
-        self._shared = np.empty(memory.shared(lanes))
+        self._shared = np.empty(exact_hold.Shared(len(layout.states)).size * lanes)
         self._tags = np.empty(len(layout.memos) * MEMO_LINES * lanes)
         self._values = np.empty(sum(layout.memos) * MEMO_LINES * lanes)
         self._status = np.zeros((lanes, 3), dtype=np.int64)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..equations.passes import Group, Place, Program
-from . import exact_hold
+from . import exact_hold, jacobian_slots
 from .arguments import (
     BETWEEN,
     DOUBLES,
@@ -248,11 +248,11 @@ class _Run:
     def _prepare_hold(self) -> None:
         f, a, program = self.f, self.a, self.program
         lane_c = a.array("lane_c", DOUBLE)
-        choose_slot = exact_hold.define_choose_slot(f.module, program.size)
+        choose_slot = jacobian_slots.define_choose_slot(f.module, program.size)
         jacobian = define_jacobian(f.module, program)
         sizes = (program.size, self.model.discrete_count)
         x, d, u = (f.array(size) for size in (*sizes, self.model.input_count))
-        at = exact_hold.Memory(program.size)
+        at = jacobian_slots.Memory(program.size)
 
         def choose(tick: Tick, lane: Value, memory: Array, time: Value) -> None:
             for values, single, count in zip(
@@ -267,7 +267,7 @@ class _Run:
             c = lane_c.address(lane * len(program.hoisted))
             pointers = (x.pointer, d.pointer, u.pointer, c, memory.address(at.candidate))
             f.call(jacobian, time, *pointers)
-            f.call(choose_slot, x.pointer, memory.pointer, a["tick"])
+            f.call(choose_slot, x.pointer, memory.pointer)
 
         self.hold = exact_hold.ExactHold(
             a["tick"], a["tolerance"], a.array("memory", DOUBLE), a.array("shared", DOUBLE), choose

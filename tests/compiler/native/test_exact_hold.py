@@ -9,13 +9,11 @@ from pydrake.symbolic import Variable, sin, tanh
 from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
 
 from kneexo.compiler import State, compile_diagram
-from kneexo.compiler.native.exact_hold import (
-    ExactHold,
-    Memory,
-    define_choose_slot,
-)
+from kneexo.compiler.native import exact_hold, phi_functions
+from kneexo.compiler.native.exact_hold import ExactHold, Shared
 from kneexo.compiler.native.integrators import Tick
 from kneexo.compiler.native.ir import Array, Module
+from kneexo.compiler.native.jacobian_slots import Memory, define_choose_slot
 from kneexo.compiler.native.llvm import Library, compile_text
 from kneexo.compiler.native.runner import Runner
 from kneexo.compiler.native.types import BOOL, DOUBLE, INT, POINTER
@@ -26,6 +24,18 @@ SQUARED_MODULUS = 0.7
 
 @pytest.fixture(scope="module")
 def rigid_body():
+    return make_rigid_body()
+
+
+@pytest.fixture(scope="module")
+def without_explicit_steps():
+    """`make_rigid_body`, where no number of halvings makes a step explicit."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exact_hold, "_EXPLICIT", phi_functions.FINEST + 1)
+        return make_rigid_body()
+
+
+def make_rigid_body():
     """``run(start, tick_s, matrices, tolerance)``: state at the end, and how many rates it took.
 
     There is a tick for each of the matrices; they take the place of the Jacobian at the start of a
@@ -54,7 +64,7 @@ def rigid_body():
         candidate = own.shifted(Memory(3).candidate)
         for i, element in enumerate(by_columns):
             candidate[i] = f.select(fixed.differs(0.0), matrix[i], element)
-        f.call(choose_slot, x.pointer, own.pointer, tick_s)
+        f.call(choose_slot, x.pointer, own.pointer)
 
     running = f.constant(1, BOOL)
     tick = Tick(f, 3, DOUBLE, f.constant(0.0), tick_s, x, running, rate, tick_s)
@@ -66,7 +76,7 @@ def rigid_body():
 
     def run(start, tick_s, matrices, tolerance):
         at = Memory(3)
-        x, memory, shared = np.array(start), np.zeros(at.size), np.zeros(at.shared(1))
+        x, memory, shared = np.array(start), np.zeros(at.size), np.zeros(Shared(3).size)
         numbers, failed = np.array([tick_s, tolerance, 0.0, 0.0]), np.zeros(1, dtype=np.int64)
         for matrix in matrices:
             numbers[2] = matrix is not None
@@ -92,27 +102,45 @@ def turned(time_s):
     [(np.zeros((3, 3)), 3), (SOME_MATRIX, 3), (None, 4)],
     ids=["no matrix", "some matrix", "Jacobian"],
 )
-def test_order(rigid_body, matrix, order):
+def test_order(without_explicit_steps, matrix, order):
     """All steps miss such a tolerance, so they are the finest."""
     errors = []
     for ticks in (1, 2):
-        end, _ = rigid_body(turned(0.0), 40.0 / ticks, [matrix] * ticks, 1e-18)
+        end, _ = without_explicit_steps(turned(0.0), 40.0 / ticks, [matrix] * ticks, 1e-18)
         errors.append(np.abs(end - turned(40.0)).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
 
 
+def test_short_steps_are_explicit(rigid_body, without_explicit_steps):
+    """All steps are the finest; all but the first evaluate six rates and are of order five."""
+    errors, rates = [], []
+    for run in (rigid_body, without_explicit_steps):
+        end, count = run(turned(0.0), 100.0, [np.zeros((3, 3))], 1e-18)
+        errors.append(np.abs(end - turned(100.0)).max())
+        rates.append(count)
+    assert rates[0] > 1.9 * rates[1] > 5.7 * 2**phi_functions.FINEST
+    assert errors[0] < 1e-2 * errors[1]
+
+
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-8])
-def test_many_steps_share_the_tolerance(rigid_body, tolerance):
+def test_many_steps_share_the_tolerance(without_explicit_steps, tolerance):
     """With the whole tolerance for each step the error is 24 and 30 times the tolerance."""
-    end, _ = rigid_body(turned(0.0), 2.0, [SOME_MATRIX] * 20, tolerance)
+    end, _ = without_explicit_steps(turned(0.0), 2.0, [SOME_MATRIX] * 20, tolerance)
     assert np.abs(end - turned(40.0)).max() <= 10.0 * tolerance
 
 
-def test_small_steps_that_pass_find_a_better_jacobian(rigid_body):
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-8])
+def test_explicit_steps_follow_the_tolerance(rigid_body, tolerance):
+    """Ticks so long that even with the right Jacobian all steps are among many."""
+    end, _ = rigid_body(turned(0.0), 20.0, [None] * 2, tolerance)
+    assert np.abs(end - turned(40.0)).max() <= 10.0 * tolerance
+
+
+def test_small_steps_that_pass_find_a_better_jacobian(without_explicit_steps):
     """A body that turns and sways a little, and a matrix that was far off at the first tick."""
     start = np.array([1e-3, 0.0, 1.0])
-    _, first = rigid_body(start, 2.0, [SOME_MATRIX], 1e-8)
-    _, count = rigid_body(start, 2.0, [SOME_MATRIX] + 9 * [None], 1e-8)
+    _, first = without_explicit_steps(start, 2.0, [SOME_MATRIX], 1e-8)
+    _, count = without_explicit_steps(start, 2.0, [SOME_MATRIX] + 9 * [None], 1e-8)
     assert count <= 3 * first
 
 
