@@ -7,7 +7,7 @@ the step, so the next step begins with it.
 
 from __future__ import annotations
 
-from .integrators import Tick
+from .integrators import Tick, before_end
 from .ir import Array, Function, Value
 from .types import INT
 
@@ -38,7 +38,7 @@ class DormandPrince:
     def step(
         self, tick: Tick, time: Value, h: Value, after: Value, slope: Array
     ) -> tuple[Array, Array, Array]:
-        """Emit one step from the states ``tick.x`` at ``time`` to ``after`` = ``time`` + ``h``.
+        """Emit one step from the states ``tick.x`` at ``time`` to ``after``, ``h`` s later.
 
         ``slope``: dx/dt at the start. Returns the states at the end, dx/dt there, and the error
         estimate of each state.
@@ -59,8 +59,8 @@ class DormandPrince:
                 for i in f.each(size):
                     end[i] = f.fma(factor, earlier[i], end[i])
             tick.along(end, (h, end))
-            now = f.fma(h, f.coerce(row[_ROW - 1], tick.type), time)
-            now = f.select(number >= len(_NODES), after, now)
+            now = before_end(tick, f.fma(h, f.coerce(row[_ROW - 1], tick.type), time))
+            now = f.select(number.equals(len(_STAGES) - 1), after, now)
             tick.rate(now, end, slopes.shifted((number + 1) * size))
         for i in f.each(size):
             total = f.constant(0.0, tick.type)

@@ -46,7 +46,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from .dormand_prince import DormandPrince
-from .integrators import Tick
+from .integrators import Tick, before_end
 from .ir import UNROLLED, Array, Function, Operand, Value, Variable
 from .jacobian_slots import Memory
 from .phi_functions import FINEST, Tables, fill_tables, step_of
@@ -167,7 +167,7 @@ def _take_step(
         for i in f.each(size):
             end[i] = f.select(large, f.fma(part[i], 2.0, end[i]), end[i])
             predicted[i] = f.select(large, f.fma(move[i], 4.0, end[i]), end[i])
-    remainder(time + h, predicted, f_b, g_b)
+    remainder(before_end(tick, time + h), predicted, f_b, g_b)
     worst.set(0.0)
     large = ~(h * remainders.get() < _NEGLIGIBLE)
     with f.when(f.any_lane(large)):
@@ -355,7 +355,8 @@ class ExactHold:
         """Emit the time in s of a position within the tick, which has `_WHOLE` parts."""
         f, type_ = tick.function, tick.type
         share = f.to_double(position) * (1.0 / _WHOLE)
-        return f.fma(f.coerce(self.tick_s, type_), share, f.coerce(tick.start, type_))
+        time = f.fma(f.coerce(self.tick_s, type_), share, f.coerce(tick.start, type_))
+        return before_end(tick, time)
 
     def _refine(
         self,

@@ -59,6 +59,16 @@ class Tick:
                 self.x[i] = self.function.select(self.running, new[i], self.x[i])
 
 
+def before_end(tick: Tick, time: Value) -> Value:
+    """Emit the earlier of ``time`` and the last double before the end of the tick.
+
+    An input that jumps at the end of the tick has its value before the jump at this time.
+    """
+    f = tick.function
+    latest = f.from_bits(f.bits(tick.end) - 1)
+    return f.minimum(time, f.coerce(latest, tick.type))
+
+
 def advance_rk4(tick: Tick) -> None:
     """Emit one tick of the classical fourth-order Runge-Kutta method.
 

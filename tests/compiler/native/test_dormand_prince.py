@@ -32,7 +32,8 @@ def stepped(request):
             forcing = f.coerce(time, type_) * ((i + 1) / 10)
             derivative[i] = f.fma(-state[(i + 1) % size], state[i], forcing)
 
-    tick = Tick(f, size, type_, numbers[0], numbers[0], x, f.constant(1, BOOL), rate, numbers[0])
+    start = f.constant(0.0)
+    tick = Tick(f, size, type_, start, f.constant(9.0), x, f.constant(1, BOOL), rate, start)
     time, h = numbers[0], numbers[1]
     slope = tick.vector()
     tick.rate(time, x, slope)
