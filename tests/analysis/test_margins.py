@@ -296,5 +296,6 @@ def test_the_loop_of_the_diagram_has_the_same_margins(loops, margins):
     opened = loop_at(diagram, "controller:motor_speed_command", context)
     f = np.geomspace(0.1, 250.0, 20)
     expected = loops["pid_tuned"].loop_response(f)
-    np.testing.assert_allclose(opened.response(f), expected, rtol=1e-12)
-    assert vars(stability_margins(opened)) == pytest.approx(vars(margins["pid_tuned"]), rel=1e-12)
+    # Two poles near z = 1 multiply the rounding errors of the matrices by 1e5 at 0.1 Hz.
+    np.testing.assert_allclose(opened.response(f), expected, rtol=1e-9)
+    assert vars(stability_margins(opened)) == pytest.approx(vars(margins["pid_tuned"]), rel=1e-11)

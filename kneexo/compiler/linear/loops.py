@@ -59,12 +59,26 @@ class Transfer:
         return np.asarray(s if self.period_s is None else np.exp(s * self.period_s), dtype=complex)
 
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-    def response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return L at frequencies in Hz, (n,). The value at a pole is not finite."""
+    def response_on_grid(self, frequencies_hz: ArrayLike) -> Complex:
+        """Return L at many frequencies in Hz, (n,), by a Schur form. A pole gives no finite value.
+
+        Near an integrator's frequency zero the error exceeds that of `response`, because the Schur
+        form moves the poles by rounding errors.
+        """
         _, b, c = self._triangular
         z = self.point(np.atleast_1d(frequencies_hz))
         states = self._solved(z, np.repeat(b, z.size, axis=1))
         return np.asarray(np.einsum("i,ij->j", c[0], states) + self.d, dtype=complex)
+
+    def response(self, frequencies_hz: ArrayLike) -> Complex:
+        """Return L at frequencies in Hz, (n,), to rounding errors. A pole gives no finite value."""
+        z = self.point(np.atleast_1d(frequencies_hz))
+        shifted = z[:, None, None] * np.eye(len(self.a)) - self.a
+        try:
+            states = np.linalg.solve(shifted, self.b[None])
+        except np.linalg.LinAlgError:
+            return self.response_on_grid(frequencies_hz)
+        return np.asarray((self.c @ states)[:, 0, 0] + self.d, dtype=complex)
 
     def slope(self, frequency_hz: float) -> complex:
         """Return the derivative dL/df of L at a frequency f in Hz, in 1/Hz."""

@@ -94,7 +94,7 @@ def margins(loop: Any) -> LoopMargins:
 def _transfer_margins(system: Transfer) -> LoopMargins:
     """Return the margins of a loop transfer by a search on a grid of frequencies."""
     grid = system.frequency_grid()
-    values = system.response(grid)
+    values = system.response_on_grid(grid)
     finite = np.isfinite(values)
     grid, values = grid[finite], values[finite]
     ends = [(f, _limit(system, f)) for f in (0.0, system.highest_hz)]

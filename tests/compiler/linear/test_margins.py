@@ -232,11 +232,14 @@ def test_no_resonance_is_too_narrow(damping):
 
 
 def test_an_undamped_resonance_has_its_margins():
-    # ε/(s² + 1) has magnitude 1 at ω² = 1 ± ε: the phase is −180° at the higher frequency.
-    loop = (np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2, 1, k=-1), 1e-3 * np.eye(1, 2), 0.0)
+    # ε s/(s² + 1) has magnitude 1 where |1 − ω²| = ε ω, with the phase −90° at the higher ω.
+    loop = (np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2, 1, k=-1), 1e-3 * np.eye(1, 2, k=1), 0.0)
     m = margins(loop)
-    assert 2.0 * math.pi * m.phase_margin_frequency_hz == pytest.approx(math.sqrt(1.001), rel=1e-9)
-    assert m.phase_margin_deg == pytest.approx(0.0, abs=1e-6)
+    higher = 5e-4 + math.sqrt(1.0 + 25e-8)
+    assert 2.0 * math.pi * m.phase_margin_frequency_hz == pytest.approx(higher, rel=1e-9)
+    assert m.phase_margin_deg == pytest.approx(90.0, rel=1e-9)
+    lower = higher - 1e-3
+    assert 2.0 * math.pi * m.phase_lead_margin_frequency_hz == pytest.approx(lower, rel=1e-9)
 
 
 def test_the_rounding_of_an_integrator_is_no_gain_margin():
