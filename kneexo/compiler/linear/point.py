@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.systems.framework import PortDataType
 
 from ..diagram_equations import DiagramEquations, read_diagram, require_system
-from ..errors import LinearizationError, ParameterError
+from ..errors import CompilationError, LinearizationError, ParameterError
 from ..native.runner import element_name
 from ..run_data import Array
 from .jacobian import time_varying, values_and_jacobian
@@ -208,12 +208,17 @@ def read_points(
     values = [_input_values(diagram, context) for context in contexts]
     open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
     exported = {diagram.get_output_port(i).get_name() for i in range(diagram.num_output_ports())}
-    read = read_diagram(
-        diagram,
-        inputs=open_ports,
-        outputs=[name for name in outputs if name not in exported],
-        bypass=bypass,
-    )
+    try:
+        read = read_diagram(
+            diagram,
+            inputs=open_ports,
+            outputs=[name for name in outputs if name not in exported],
+            bypass=bypass,
+        )
+    except CompilationError as error:
+        if "is not connected" in str(error):
+            raise CompilationError(f"{error}, or fix its value in the Context") from error
+        raise
     sizes = read.equations.inputs
     states = [read.state(context) for context in contexts]
     return [

@@ -9,7 +9,7 @@ from pydrake.symbolic import Variable, sqrt
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Gain, Sine, SymbolicVectorSystem, ZeroOrderHold
 
-from kneexo.compiler import LinearizationError, ParameterError
+from kneexo.compiler import CompilationError, LinearizationError, ParameterError
 from kneexo.compiler.linear.point import read_point
 
 
@@ -37,6 +37,14 @@ def test_an_input_without_a_value_is_zero():
     plant = PendulumPlant()
     assert read_point(plant, plant.CreateDefaultContext(), ["tau"]).inputs.tolist() == [0.0]
     assert read_point(plant, None, ["tau"]).inputs.tolist() == [0.0]
+
+
+def test_an_input_that_is_neither_named_nor_fixed_is_an_error():
+    x, u = Variable("x"), Variable("u")
+    plant = SymbolicVectorSystem(state=[x], input=[u], dynamics=[u - x], output=[x])
+    remedy = "connect it, or name the diagram's port in inputs, or fix its value in the Context$"
+    with pytest.raises(CompilationError, match=f"is not connected.*; {remedy}"):
+        read_point(plant, plant.CreateDefaultContext())
 
 
 def test_the_time_of_the_context_is_the_time_of_the_equations():
