@@ -1,6 +1,7 @@
 """Metrics without a log against the metrics of the log."""
 
 import dataclasses
+import math
 
 import pytest
 
@@ -53,10 +54,15 @@ def test_metrics_without_a_log_are_those_of_the_log(change):
     assert delivered > 1.01 * energy
 
 
-def test_basic_metrics_within_the_first_period_and_of_one_sample():
-    short = BRISK.changed({"simulation.duration_s": 0.5 * period_s(BRISK)})
+@pytest.mark.parametrize("periods", [0.5, 1.0])
+def test_basic_metrics_with_no_sample_or_one_after_the_first_period(periods):
+    short = BRISK.changed({"simulation.duration_s": periods * period_s(BRISK)})
     metrics = track(short).metrics
     expected = {name: getattr(metrics, name) for name in TRACKING_METRICS}
     assert track_basic_metrics(short) == pytest.approx(expected, nan_ok=True)
+    assert math.isnan(expected["max_error_deg"])
+
+
+def test_basic_metrics_of_one_sample_are_refused():
     with pytest.raises(ParameterError, match=r"^1 samples are too few for metrics"):
         track_basic_metrics(BRISK.changed({"simulation.duration_s": 0.001}))

@@ -52,7 +52,8 @@ Each argument has eight bytes: a number, or the address of an array.
 - ``snapshots`` (snapshot_count,): ticks whose states, after the events, are written to
   ``snapshot_x`` (snapshot_count, states) and ``snapshot_d``; with a single lane only
 - ``reductions``, ``reduction_ends``, ``begins``, ``bounds``, ``reduced``: arrays of `Reducer`;
-  ``unseen``: first row whose samples no earlier call has reduced
+  ``unseen``: first row whose samples no earlier call has reduced, or a row that no run reaches if
+  there are no reductions
 """
 
 BETWEEN = (

@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ..reductions import REDUCTIONS, Reduction
-from ..run_data import Array, Integers
-from .ir import Array as Memory, Operand, Value
+from ..run_data import Array as Numbers, Integers
+from .ir import Array, Function, Module, Operand, Value
 from .timing import Timing
-from .types import INT
+from .types import INT, POINTER, Type
 
 _FIELDS = 3
 """Integers in a row of the table: sampled element, subtracted element, 1 for the magnitude."""
@@ -22,45 +22,51 @@ _START = {"maximum": -np.inf, "minimum": np.inf, "first_time": np.inf, "last_tim
 """Accumulated value before the first sample, for the kinds where this value is not zero."""
 
 
-def emit_reductions(
-    arguments: Callable[[str], Memory], y: Memory, row: Value, unseen: Value, present: Value
-) -> None:
-    """Emit code that adds the samples of all lanes at one record to the accumulated values.
+def define_reduce(module: Module, y: Type, names: Sequence[str]) -> Function:
+    """Define the emitted function ``reduce(arguments, y, row, present)``.
+
+    The function adds the samples of all lanes at one record to the accumulated values. It is a
+    function of its own because LLVM takes longer for one large function than for two.
 
     Parameters
     ----------
-    arguments
-        Function that returns the integers at the address that an argument of ``run`` holds.
     y
-        All outputs, and behind them an element that is zero.
-    row, unseen
-        Index of the record, and index of the first record that no earlier call has seen.
-    present
-        True in each lane whose sample counts.
+        Type of an output. The argument ``y`` points to all outputs, and behind them to an element
+        that is zero.
+    names
+        Names of the arguments of ``run``, to which ``arguments`` points. ``row`` is the index of
+        the record, and ``present`` points to an integer that is 1 in each lane whose sample counts.
     """
-    f, lanes = y.function, y.type.lanes
-    table, ends, begins = (arguments(n) for n in ("reductions", "reduction_ends", "begins"))
-    begins = begins.cast(INT.of(lanes))
-    bounds, values = (arguments(n).cast(y.type) for n in ("bounds", "reduced"))
-    rows = f.coerce(row, INT.of(lanes))
+    parameters = {"arguments": POINTER, "y": POINTER, "row": INT, "present": POINTER}
+    f = module.function("reduce", parameters, attributes="noinline")
+    ints = INT.of(y.lanes)
+    memory, row = Array(f.arguments["arguments"], INT), f.arguments["row"]
+
+    def array(name: str, type_: Type) -> Array:
+        return Array(f.pointer(memory[names.index(name)]), type_)
+
+    outputs = Array(f.arguments["y"], y)
+    present = Array(f.arguments["present"], ints)[0].differs(0)
+    table, ends = array("reductions", INT), array("reduction_ends", INT)
+    begins, bounds, values = array("begins", ints), array("bounds", y), array("reduced", y)
+    rows = f.coerce(row, ints)
     number = f.variable(f.constant(0, INT))
-    with f.when(row >= unseen):
-        for kind, name in enumerate(REDUCTIONS):
-            with f.forever() as loop:
-                n = number.get()
-                loop.stop_if(n >= ends[kind])
-                entry, memory = table.shifted(n * _FIELDS), values.shifted(n * 2)
-                sample = f.variable(y[entry[0]] - y[entry[1]])
-                with f.when(entry[2].differs(0)):
-                    sample.set(f.absolute(sample.get()))
-                value, before, begin = sample.get(), memory[0], begins[n]
-                after = _accumulated(
-                    name, value, before, memory[1], rows.equals(begin), rows, bounds[n]
-                )
-                counts = present & (rows >= begin)
-                memory[0] = f.select(counts, after, before)
-                memory[1] = value
-                number.set(n + 1)
+    for kind, name in enumerate(REDUCTIONS):
+        with f.forever() as loop:
+            n = number.get()
+            loop.stop_if(n >= ends[kind])
+            entry, results = table.shifted(n * _FIELDS), values.shifted(n * 2)
+            sample = f.variable(outputs[entry[0]] - outputs[entry[1]])
+            with f.when(entry[2].differs(0)):
+                sample.set(f.absolute(sample.get()))
+            value, before, begin = sample.get(), results[0], begins[n]
+            after = _accumulated(
+                name, value, before, results[1], rows.equals(begin), rows, bounds[n]
+            )
+            results[0] = f.select(present & (rows >= begin), after, before)
+            results[1] = value
+            number.set(n + 1)
+    return f
 
 
 def _accumulated(
@@ -128,13 +134,13 @@ class Reducer:
         self.values = np.zeros((size, 2, lanes))
         """Accumulated value and previous sample, for each reduction and lane."""
 
-    def restart(self, begins: Integers, bounds: Array) -> None:
+    def restart(self, begins: Integers, bounds: Numbers) -> None:
         """Prepare new runs: set the first row and the bound of each reduction (lanes, n)."""
         self.begins[self._place] = begins.T
         self.bounds[self._place] = bounds.T
         self.values[:, 0] = self._start[:, None]
 
-    def results(self, rows: Integers, times: Array, period_s: float) -> Array:
+    def results(self, rows: Integers, times: Numbers, period_s: float) -> Numbers:
         """Return the reductions of the runs (lanes, n).
 
         ``rows`` (lanes,): number of samples of each run; ``times``: times of the samples in s;
@@ -160,7 +166,7 @@ class Reducer:
 
 def starts_and_bounds(
     reductions: Sequence[Reduction], timing: Timing, runs: int
-) -> tuple[Integers, Array]:
+) -> tuple[Integers, Numbers]:
     """Return the row of the first sample and the bound of each reduction, (runs, reductions) each.
 
     ``timing``: time grid of the samples. Raises `ValueError` if a reduction has a number of values

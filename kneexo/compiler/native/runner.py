@@ -86,6 +86,7 @@ class Snapshots:
         return Snapshots(self.ticks[start:], self.x[start:], self.d[start:])
 
 
+_NEVER = 2**62  # a row that no run reaches
 _NO_TICKS: Integers = np.empty(0, dtype=np.int64)
 
 
@@ -303,7 +304,7 @@ class Runner:
         arguments = self._arguments
         arguments.first, arguments.longest, arguments.rows = first, longest, rows
         arguments.record_every = self.timing.record_every if first < longest else 1
-        arguments.row, arguments.unseen = row, unseen
+        arguments.row, arguments.unseen = row, unseen if self.reducer.used else _NEVER
         self._run(self._address)
         return self._status
 

@@ -36,7 +36,7 @@ from .printer import (
     define_jacobian,
     sources,
 )
-from .reductions import emit_reductions
+from .reductions import define_reduce
 from .types import BOOL, BYTE, DOUBLE, INT, POINTER, Type
 
 _CHECKS = 4  # independent sums, which the processor can compute at the same time
@@ -242,6 +242,8 @@ class _Run:
         self.after = f.array(self.model.discrete_count, self.model.type)
         self.status = a.array("status")
         self.model.y[self.model.output_count] = 0.0
+        self._reduce = define_reduce(module, self.model.type, RUN)
+        self._present = f.array(1, INT.of(lanes))
         if integrator == "exact_hold" and program.size:
             self._prepare_hold()
 
@@ -365,7 +367,10 @@ class _Run:
             with f.when(recording):
                 record = a.array("record", DOUBLE)
                 model.record(columns, a["column_count"], record, a["rows"], row.get())
-                emit_reductions(a.array, model.y, row.get(), a["unseen"], now.present)
+                with f.when(row.get() >= a["unseen"]):
+                    self._present[0] = f.flags(now.present)
+                    pointers = f.arguments["arguments"], model.y.pointer
+                    f.call(self._reduce, *pointers, row.get(), self._present.pointer)
                 row.set(row.get() + 1)
             # At the last tick of a run margins only count if the tick is recorded.
             checked = now.running | (now.present & recording)
@@ -389,13 +394,15 @@ class _Run:
     def _store_bad_output(self, lanes: Value, columns: Array) -> None:
         """Emit code that stores, for each of ``lanes``, the first output that is not finite."""
         f, values, count = self.f, self.model.y.cast(DOUBLE), self.a["checked_count"]
-        for lane in range(self.lanes):
-            with f.when(f.lane(lanes, lane)):
+        flags = f.array(self.lanes, INT)
+        flags.cast(INT.of(self.lanes))[0] = f.flags(lanes)
+        for lane in f.loop(self.lanes):
+            with f.when(flags[lane].differs(0)):
                 for n in f.loop(count):
                     column = columns[count - 1 - n]
                     value = values[column * self.lanes + lane]
                     with f.when((value - value).differs(0.0)):
-                        self.status[3 * lane + 2] = column
+                        self.status[f.coerce(lane, INT) * 3 + 2] = column
 
     def _memory(self) -> list[Array]:
         """Return two arrays for each `Memo` in turn: tags and values of its look-up table."""
