@@ -141,7 +141,8 @@ def test_a_reduced_output_that_is_not_finite_is_named():
             record_period_s=0.01,
             failures="return",
         )
-        assert str(runs[0]).startswith("t = 0.05 s: y0[1] is not finite")
+        for n, time in enumerate(("0.05", "0.07", "0.09")):
+            assert str(runs[n]).startswith(f"t = {time} s: y0[1] is not finite")
         assert not isinstance(runs[-1], SimulationError)
         mean = 0.05 if element == "y0[0]" else np.log(0.2 - np.arange(11) * 0.01).mean()
         assert runs[-1].reduced == pytest.approx([mean, 11.0], rel=1e-13)  # a >= a counts
