@@ -47,10 +47,10 @@ from collections.abc import Callable, Iterator
 
 from .dormand_prince import DormandPrince
 from .integrators import Tick, before_end
-from .ir import UNROLLED, Array, Function, Operand, Value, Variable
+from .ir import UNROLLED, Array, Function, Module, Operand, Value, Variable
 from .jacobian_slots import Memory
 from .phi_functions import FINEST, Tables, fill_tables, step_of
-from .types import BOOL, INT
+from .types import BOOL, DOUBLE, INT, POINTER
 
 ChooseSlot = Callable[[Tick, Value, Array, Value], None]
 """``choose(tick, lane, memory, time)`` emits code that chooses the Jacobian of one lane.
@@ -180,6 +180,37 @@ def _take_step(
             worst.set(f.select(large, total, worst.get()))
 
 
+def _define_copy_slot(module: Module, size: int, lanes: int) -> Function:
+    """Define the emitted function ``copy_slot(slot, out, tick, level)``.
+
+    The function copies the Jacobian and the tables of a slot to the place of its lane in the shared
+    memory, and first fills tables that are missing.
+    """
+    to, tables_at = Shared(size), Tables(size)
+    arguments = {"slot": POINTER, "out": POINTER, "tick": DOUBLE, "level": INT}
+    f = module.function("copy_slot", arguments, attributes="noinline")
+    jacobian, out = (Array(f.arguments[name], DOUBLE) for name in ("slot", "out"))
+    tick, level = f.arguments["tick"], f.arguments["level"]
+    tables = jacobian.shifted(Memory(size).square)
+    f.call(fill_tables(module, size), tick, tables.pointer, level)
+    h = step_of(f, tick, level)
+    table = tables.shifted(level * tables_at.level + tables_at.first)
+    half = table.shifted(tables_at.level)
+    for i in f.loop(to.square):
+        out[(f.coerce(i, INT) + to.jacobian) * lanes] = jacobian[i]
+    for j in f.loop(size):
+        for i in f.each(size):
+            place = f.coerce(j, INT) * tables_at.rows + i
+            phi_1, phi_2, phi_3 = (table[place + n * tables_at.matrix] for n in range(3))
+            half_1, half_2 = (half[place + n * tables_at.matrix] for n in range(2))
+            values = [h * phi_1, h * phi_2, h * f.fma(phi_3, -4.0, phi_2)]
+            values += [0.5 * h * half_1, 0.5 * h * half_2]
+            for n, value in enumerate(values):
+                element = f.coerce(j, INT) * size + i
+                out[(element + (to.tables + n * to.square)) * lanes] = value
+    return f
+
+
 class ExactHold:
     """Emits the exact hold.
 
@@ -227,23 +258,9 @@ class ExactHold:
         norm = tables[tables_at.NORM]
         self.shared[lane + to.norm * lanes] = norm
         with f.when(~self._explicit(f, level, norm, bent)):
-            f.call(fill_tables(f.module, size), self.tick_s, tables.pointer, level)
-            h = step_of(f, self.tick_s, level)
-            table = tables.shifted(level * tables_at.level + tables_at.first)
-            half = table.shifted(tables_at.level)
-            out = self.shared.shifted(lane)
-            for i in f.loop(to.square):
-                out[(f.coerce(i, INT) + to.jacobian) * lanes] = jacobian[i]
-            for j in f.loop(size):
-                for i in f.each(size):
-                    place = f.coerce(j, INT) * tables_at.rows + i
-                    phi_1, phi_2, phi_3 = (table[place + n * tables_at.matrix] for n in range(3))
-                    half_1, half_2 = (half[place + n * tables_at.matrix] for n in range(2))
-                    values = [h * phi_1, h * phi_2, h * f.fma(phi_3, -4.0, phi_2)]
-                    values += [0.5 * h * half_1, 0.5 * h * half_2]
-                    for n, value in enumerate(values):
-                        element = f.coerce(j, INT) * size + i
-                        out[(element + (to.tables + n * to.square)) * lanes] = value
+            copy = f.module.shared("copy_slot", lambda: _define_copy_slot(f.module, size, lanes))
+            out = self.shared.address(lane)
+            f.call(copy, jacobian.pointer, out, self.tick_s, level)
 
     def prepare(self, tick: Tick) -> None:
         """Emit code that chooses a first Jacobian in each lane that has no Jacobian yet.
