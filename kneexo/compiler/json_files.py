@@ -32,14 +32,31 @@ def document_text(kind: str, document: Mapping[str, Any]) -> str:
 
 
 def write_document(path: str | os.PathLike[str], text: str) -> None:
-    """Write the text of a document to a file, or raise `OutputError`.
+    """Write the text of a document to a file, replacing an earlier document.
 
+    Raises `OutputError` if the path exists and is no such file, or if the file cannot be written.
     After an error no new file is left, and an earlier file is unchanged.
     """
+    file = Path(path)
     try:
-        write_whole(Path(path), text.encode())
-    except OSError as error:
-        raise OutputError(f"{shown(path)}: cannot be written ({error.strerror})") from None
+        is_foreign = file.exists() and not _is_document(file)
+        if not is_foreign:
+            write_whole(file, text.encode())
+    except (OSError, ValueError) as error:  # a null byte in the name is a ValueError
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(f"{shown(path)}: cannot be written ({reason})") from None
+    if is_foreign:
+        raise OutputError(
+            f"{shown(path)}: exists and is no document of {ROOT}; choose another file"
+        )
+
+
+def _is_document(path: Path) -> bool:
+    """Return whether a path is a regular file that `document_text` began."""
+    if not path.is_file():  # opening a pipe may wait for ever
+        return False
+    with path.open("rb") as file:
+        return f'"kind": "{ROOT}: '.encode() in file.read(100)
 
 
 def read_document(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from kneexo.compiler import ParameterError
+from kneexo.compiler import OutputError, ParameterError
 from kneexo.compiler.json_files import (
     MOST_BYTES,
     document_text,
@@ -40,6 +40,25 @@ def test_a_file_of_another_kind_is_refused(tmp_path, data, reason):
     path.write_bytes(data)
     with pytest.raises(ParameterError, match=rf"a\.json: {re.escape(reason)}"):
         read_document(path, "test")
+
+
+def test_only_a_document_is_replaced(tmp_path):
+    text = document_text("run", {"number": 1.0})
+    pipe, mine, path = tmp_path / "pipe", tmp_path / "mine.json", tmp_path / "run.json"
+    os.mkfifo(pipe)
+    mine.write_text("{}\n")
+    for name in (pipe, mine, tmp_path, ""):
+        with pytest.raises(OutputError, match=r"exists and is no document of .*; choose another"):
+            write_document(name, text)
+    assert pipe.is_fifo()
+    assert mine.read_text() == "{}\n"
+    for name in ("\x00", tmp_path / "no folder" / "run.json", tmp_path / ("x" * 300)):
+        with pytest.raises(OutputError, match=r"cannot be written \("):
+            write_document(name, text)
+    for number in (1.0, 2.0):
+        write_document(path, document_text("run", {"number": number}))
+    assert read_document(path, "run")["number"] == 2.0
+    assert sorted(tmp_path.iterdir()) == [mine, pipe, path]
 
 
 def test_only_regular_files_are_read(tmp_path):
