@@ -202,6 +202,11 @@ class CompiledModel(ModelBase):
         """
         if failures not in ("raise", "return"):
             raise ValueError(f"failures = {failures!r}: must be one of raise, return")
+        if threads is not None and (type(threads) is not int or threads < 1):
+            raise ValueError(f"threads = {threads!r}: must be an integer >= 1, or None")
+        is_sequence = isinstance(reductions, Sequence)
+        if not is_sequence or not all(isinstance(item, Reduction) for item in reductions):
+            raise ValueError("reductions: must be a sequence of Reduction")
         count = len(parameters)
         initial = [states] * count if isinstance(states, State) else list(states)
         tables = [inputs] * count if not isinstance(inputs, Sequence) else list(inputs)

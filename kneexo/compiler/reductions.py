@@ -58,5 +58,6 @@ class Reduction:
         if self.kind not in REDUCTIONS:
             raise ValueError(f"kind = {self.kind!r}: must be one of {', '.join(REDUCTIONS)}")
         for name in ("after_s", "bound"):
-            if not np.isfinite(getattr(self, name)).all():
+            value = getattr(self, name)
+            if not (np.issubdtype(np.asarray(value).dtype, np.number) and np.isfinite(value).all()):
                 raise ValueError(f"{name}: must be finite")

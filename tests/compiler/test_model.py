@@ -238,6 +238,14 @@ def test_failures_of_a_batch_are_raised_or_returned(servo):
     assert good["position"].size == 51
     with pytest.raises(ValueError, match="failures = 'ignore': must be one of raise, return"):
         model.simulate_batch(rows, states, 0.1, failures="ignore")
+    for threads in (0, -1, 1.5, True):
+        with pytest.raises(
+            ValueError, match=f"threads = {threads}: must be an integer >= 1, or None"
+        ):
+            model.simulate_batch([parameters], state, 0.1, threads=threads)
+    for reductions in ("maximum", 3, None, [3]):
+        with pytest.raises(ValueError, match="reductions: must be a sequence of Reduction"):
+            model.simulate_batch([parameters], state, 0.1, reductions=reductions)
     with pytest.raises(ValueError, match="states: has 3 for 2 runs"):
         model.simulate_batch(rows[:2], states, 0.1)
     with pytest.raises(ValueError, match="duration_s: has 2 for 3 runs"):

@@ -13,7 +13,7 @@ def test_an_unknown_kind_is_refused_with_all_kinds():
 
 
 @pytest.mark.parametrize("name", ["after_s", "bound"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, np.array([0.0, np.nan])])
+@pytest.mark.parametrize("value", [np.nan, np.inf, np.array([0.0, np.nan]), "a", None])
 def test_a_number_that_is_not_finite_is_refused(name, value):
     with pytest.raises(ValueError, match=f"{name}: must be finite"):
         Reduction("count", "y", **{name: value})
