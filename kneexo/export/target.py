@@ -123,8 +123,17 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
         diagram = builder.Build()
         ranges[ENCODER_COUNT] = count_range(scenario)
     integers = frozenset(name for name in inputs if name == ENCODER_COUNT)
-    interface = Interface(_FIELDS, integers, ranges)
+    interface = Interface(_fields_of(diagram), integers, ranges)
     return Target("controller", diagram, tuple(inputs), ("motor_speed_command",), interface, None)
+
+
+def _fields_of(diagram: System) -> dict[str, tuple[str, ...]]:
+    """Return the names in C of the ports that a diagram has, out of `_FIELDS`."""
+    return {
+        port: names
+        for port, names in _FIELDS.items()
+        if diagram.HasInputPort(port) or diagram.HasOutputPort(port)
+    }
 
 
 def count_range(scenario: Scenario) -> tuple[float, float]:
@@ -177,7 +186,9 @@ def _plant(scenario: Scenario) -> Target:
     diagram = builder.Build()
     diagram.set_name("plant")
     tick = scenario.controller.sample_time_s
-    return Target("plant", diagram, tuple(inputs), tuple(outputs), Interface(_FIELDS), tick)
+    return Target(
+        "plant", diagram, tuple(inputs), tuple(outputs), Interface(_fields_of(diagram)), tick
+    )
 
 
 def _loop(scenario: Scenario) -> Target:
@@ -186,4 +197,4 @@ def _loop(scenario: Scenario) -> Target:
     inputs = tuple(diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports()))
     outputs = available_signals(scenario)
     tick = scenario.controller.sample_time_s
-    return Target("loop", diagram, inputs, outputs, Interface(_FIELDS), tick)
+    return Target("loop", diagram, inputs, outputs, Interface(_fields_of(diagram)), tick)

@@ -13,6 +13,7 @@ from importlib.util import find_spec
 
 from ..errors import CompilationError, shown
 from .build import BuildError, native_compiler, shared_library
+from .checks import require_type
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,15 @@ def require_platforms(platforms: str | Iterable[str]) -> tuple[str, ...]:
     """Return the names of platforms in the order of `PLATFORMS`, each name once.
 
     ``platforms`` has names of `PLATFORMS`, or is one name, or is ``all``. Raises
-    `CompilationError` if a name is unknown, if there is no name, or if Zig is not installed.
+    `CompilationError` if a name is unknown or if there is no name, and its subclass `BuildError` if
+    Zig is not installed.
     """
+    require_type("platforms", platforms, Iterable, "all, or names of platforms")
     if platforms == "all":
         names = set(PLATFORMS)
     else:
-        names = {platforms} if isinstance(platforms, str) else set(platforms)
-    unknown = sorted(str(name) for name in names if name not in PLATFORMS)
+        names = {platforms} if isinstance(platforms, str) else set(map(str, platforms))
+    unknown = sorted(name for name in names if name not in PLATFORMS)
     if unknown or not names:
         problem = f"{shown(repr(unknown[0]))} is unknown" if unknown else "has no name"
         raise CompilationError(f"platforms: {problem}; must be all, or of {', '.join(PLATFORMS)}")

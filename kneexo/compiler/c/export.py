@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,8 @@ from .build import (
     code_sizes,
     replay,
 )
-from .interface import Field
+from .checks import distinct_names, require_type
+from .interface import INT32, Field, Interface, require_model_name
 from .manifest import FILE as MANIFEST, exported_name, manifest
 from .printer import literal
 from .source import MARK, CSource, source_of
@@ -35,6 +38,8 @@ from .vectors import Vectors, recorded_vectors
 
 REPLAY_TOLERANCES = {"double": 1e-9, "float": 1e-3}
 """Largest accepted difference of an output, divided by the output's largest magnitude."""
+
+_MOST_VECTORS = 1_000_000  # test vectors are C code
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,9 @@ def export_c(
     samples: Array | Sequence[Sequence[float]] | None = None,
     steps: int = 1000,
     context: Any = None,
+    outputs: Sequence[str] | None = None,
+    interface: Interface | None = None,
+    tick_s: float | None = None,
     **options: Any,
 ) -> Measurement:
     """Write a diagram as C99 into a folder, with test vectors, harness and build files.
@@ -78,14 +86,22 @@ def export_c(
         Names of the input ports of the diagram that become inputs of the C code.
     samples
         Inputs in each step of the test vectors, (steps, elements of all inputs); zeros by default.
+        They are finite, within the ranges of ``interface``, and whole numbers for an int32_t.
     steps
         Number of test vectors if ``samples`` is missing.
     context
         Context with the values of parameters and states; by default the diagram's default Context.
         The fastest mode at these values determines the default step of RK4.
+    outputs
+        Names of the output ports to export; all by default.
+    interface
+        Names, types and ranges of the ports in C.
+    tick_s
+        Time in s that a step covers, required for a diagram without a sample time. Otherwise a step
+        covers the largest time that divides all sample times and ``tick_s``.
     options
-        Options of `CSource`: ``precision``, ``outputs``, ``interface``, ``tick_s``, ``step_s``,
-        ``look_up``, ``subject``, ``origin``.
+        Further options of `CSource`: ``precision``, ``step_s``, ``look_up``, ``subject``,
+        ``origin``.
 
     Raises
     ------
@@ -97,15 +113,47 @@ def export_c(
     SimulationError
         The compiled diagram runs to make the test vectors, and this run fails.
     """
+    require_model_name(name)
     require_export_folder(directory, name)
-    source = source_of(read_diagram(diagram, inputs=inputs), name, context, **options)
-    width = len(source.plan.inputs)
-    if steps < 1:
-        raise CompilationError(f"steps = {steps}: must be at least 1, for test vectors")
-    rows = np.zeros((steps, width)) if samples is None else np.array(samples, dtype=float)
-    if rows.ndim != 2 or rows.shape[1] != width or not len(rows):
-        raise CompilationError(f"samples has the shape {rows.shape}: must be (steps, {width})")
+    read = read_diagram(diagram, inputs=distinct_names("inputs", inputs))
+    options |= {"outputs": outputs, "tick_s": tick_s}
+    options["interface"] = Interface() if interface is None else interface
+    source = source_of(read, name, context, **options)
+    rows = _rows(samples, steps, source.plan.inputs)
     return write_c(directory, source, recorded_vectors(diagram, source, rows))
+
+
+def _rows(samples: Any, steps: int, inputs: Sequence[Field]) -> Array:
+    """Return the inputs of the test vectors, (steps, inputs). For the arguments see `export_c`."""
+    require_type("steps", steps, int, "a whole number")
+    if not 1 <= steps <= _MOST_VECTORS:
+        raise CompilationError(
+            f"steps = {shown(steps)}: must be at least 1, for test vectors, and at most "
+            f"{_MOST_VECTORS}"
+        )
+    try:
+        rows = np.array(np.zeros((steps, len(inputs))) if samples is None else samples, dtype=float)
+    except (TypeError, ValueError):
+        raise CompilationError(
+            f"samples: must be an array of numbers of the shape (steps, {len(inputs)})"
+        ) from None
+    if rows.ndim != 2 or rows.shape[1] != len(inputs) or not len(rows):
+        raise CompilationError(
+            f"samples has the shape {rows.shape}: must be (steps, {len(inputs)})"
+        )
+    for column, field in zip(rows.T, inputs, strict=True):
+        low, high = field.range or (INT32 if field.is_integer else (-math.inf, math.inf))
+        wrong = ~(np.isfinite(column) & (low <= column) & (column <= high))
+        if field.is_integer:
+            wrong |= column != np.floor(column)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            words = "a whole number" if field.is_integer else "finite"
+            place = f" in {low:g} … {high:g}" if math.isfinite(low) else ""
+            raise CompilationError(
+                f"samples: {field.name} = {column[row]:g} in step {row}: must be {words}{place}"
+            )
+    return rows
 
 
 def require_export_folder(
@@ -116,8 +164,19 @@ def require_export_folder(
     The directory must have no file that was not written by an export, and no export of a model with
     another name. The subfolders ``folders`` are not checked.
     """
+    require_type("directory", directory, (str, os.PathLike), "a path")
     folder = Path(directory)
-    require_marked(folder, MARK, "an export", BUILD, folders)
+    try:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            folder.stat()
+        require_marked(folder, MARK, "an export", BUILD, folders)
+    except OutputError:
+        raise
+    except (OSError, ValueError) as error:  # a ValueError's words change with the version of Python
+        reason = error.strerror if isinstance(error, OSError) else "a null byte in its name"
+        raise OutputError(
+            f"directory {shown(folder)}: cannot be read ({reason}); choose another directory"
+        ) from None
     earlier = exported_name(folder)
     if earlier not in (None, name):
         raise OutputError(

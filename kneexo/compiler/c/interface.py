@@ -7,9 +7,12 @@ import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
+from typing import Any
 
 from ..equations.equations import Section
-from ..errors import CompilationError
+from ..errors import CompilationError, shown
+from .checks import distinct_names, require_type
 from .printer import Precision, literal
 
 _KEYWORDS = frozenset(
@@ -63,6 +66,12 @@ _LONGEST_NAME = 63
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 
+_MEMBER = re.compile(rf"[A-Za-z_][A-Za-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
+"""Pattern of the names that a user gives to elements of ports."""
+
+INT32 = (-(2**31), 2**31 - 1)
+"""The smallest and the largest int32_t."""
+
 
 @dataclass(frozen=True)
 class Field:
@@ -95,18 +104,72 @@ class Interface:
     Parameters
     ----------
     fields
-        Dictionary from the name of a port to the C names of its elements. A C name should end in
-        the unit. If the port ``x`` is missing in the dictionary, a single element is called ``x``,
-        and several elements are called ``x_0``, ``x_1`` …
+        Dictionary from the name of a port to the C names of its elements. A C name has letters,
+        digits and _, and should end in the unit. A name that C or C++ reserves gets an underscore
+        at its end. If the port ``x`` is missing in the dictionary, a single element is called
+        ``x``, and several elements are called ``x_0``, ``x_1`` …
     integers
         Input ports of type int32_t, such as encoder counts.
     ranges
         Dictionary from the C name of an input element to its lowest and highest allowed value.
+
+    Raises `CompilationError` if a name is no C identifier, or if a range is empty or not finite.
+    `CSource` raises it if the diagram lacks a port or an input element.
     """
 
     fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
     integers: frozenset[str] = frozenset()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check names and ranges."""
+        for what in ("fields", "ranges"):
+            require_type(f"interface: {what}", getattr(self, what), Mapping, "a dictionary")
+        for port, names in self.fields.items():
+            require_type(f"interface: fields of {port!r:.60}", names, Sequence, "a list of names")
+            for name in [names] if isinstance(names, str) else names:
+                if not isinstance(name, str) or not _MEMBER.fullmatch(name):
+                    raise CompilationError(
+                        f"interface: the field {shown(f'{name!r:.60}')} of {port!r:.60}: must be a "
+                        f"C identifier of at most {_LONGEST_NAME} letters, digits and _"
+                    )
+        distinct_names("interface: integers", self.integers)
+        for name, ends in self.ranges.items():
+            _require_range(name, ends)
+
+    def require_ports(self, inputs: Mapping[str, int], outputs: Mapping[str, Any]) -> None:
+        """Raise `CompilationError` if a name of the interface is unknown, or a range empty.
+
+        ``inputs`` maps the names of the inputs to their sizes. The keys of ``outputs`` are the
+        names of all output ports.
+        """
+        for port in self.fields:
+            if port not in inputs and port not in outputs:
+                known = ", ".join(dict.fromkeys([*inputs, *outputs])) or "none"
+                raise CompilationError(
+                    f"interface: fields: the port {shown(repr(port))} is unknown; known: {known}"
+                )
+        for port in self.integers:
+            if port not in inputs:
+                raise CompilationError(
+                    f"{shown(port)}: is no input; only inputs may be int32_t; inputs: "
+                    f"{', '.join(inputs) or 'none'}"
+                )
+        members = self.members(inputs)
+        for name in self.ranges:
+            if name not in [member.name for member in members]:
+                known = ", ".join(member.name for member in members) or "none"
+                raise CompilationError(
+                    f"interface: ranges: the input element {shown(repr(name))} is unknown; known: "
+                    f"{known}"
+                )
+        for member in members:
+            low, high = member.range or (0, 0)
+            if member.is_integer and not INT32[0] <= math.ceil(low) <= math.floor(high) <= INT32[1]:
+                raise CompilationError(
+                    f"interface: range of {member.name} = {low:g} … {high:g}: must have a whole "
+                    f"number, and lie in {INT32[0]} … {INT32[1]}"
+                )
 
     def members(self, sizes: Mapping[str, int]) -> tuple[Field, ...]:
         """Return the elements of ports in order. ``sizes`` maps the name of a port to its size.
@@ -118,6 +181,7 @@ class Interface:
         for port, size in sizes.items():
             default = [port] if size == 1 else [f"{port}_{i}" for i in range(size)]
             names = self.fields.get(port, default)
+            names = [names] if isinstance(names, str) else names
             if len(names) != size:
                 raise CompilationError(
                     f"{port}: has {len(names)} names in C; must be {size}, one an element"
@@ -126,6 +190,18 @@ class Interface:
                 members.append(Field(port, name, port in self.integers, self.ranges.get(name)))
         _require_unique([member.name for member in members])
         return tuple(members)
+
+
+def _require_range(name: Any, ends: Any) -> None:
+    """Raise `CompilationError` unless ``ends`` are two finite numbers, the lower one first."""
+    what = f"interface: range of {name!r:.60}"
+    require_type(what, ends, (tuple, list), "a pair of finite numbers (lowest, highest)")
+    is_pair = len(ends) == 2 and all(isinstance(end, Real) and math.isfinite(end) for end in ends)
+    if not is_pair or ends[0] > ends[1]:
+        raise CompilationError(
+            f"{what} = {shown(f'{ends!r:.60}')}: must be a pair of finite numbers, the lower one "
+            f"first"
+        )
 
 
 def parameter_members(parameters: Sequence[str], root: str) -> tuple[str, ...]:
@@ -199,11 +275,15 @@ def require_model_name(name: str) -> None:
     ``name`` must be a C identifier of at most 31 characters. Keywords and names of C headers are
     refused.
     """
+    require_type("name", name, str, "a C identifier")
     if name.lower() in _HEADERS:
         raise CompilationError(f"name = {name!r}: is a header of C; choose another name")
-    if not _IDENTIFIER.fullmatch(name) or name in _KEYWORDS:
+    if name in _KEYWORDS:
+        raise CompilationError(f"name = {name!r}: is reserved in C or C++; choose another name")
+    if not _IDENTIFIER.fullmatch(name):
         raise CompilationError(
-            f"name = {name!r}: must be a C identifier of at most 31 letters, digits and _"
+            f"name = {shown(repr(name))}: must be a C identifier of at most 31 letters, digits "
+            f"and _"
         )
 
 

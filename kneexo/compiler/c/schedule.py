@@ -9,6 +9,7 @@ from ..equations.equations import Equations
 from ..errors import CompilationError
 from ..native.timing import timing
 from ..run_data import Array, State
+from .checks import require_positive
 from .step_size import rk4_step_s
 
 _LONGEST_CYCLE = 2**31
@@ -67,8 +68,8 @@ def schedule_of(
     if not equations.updates and tick_s is None:
         raise CompilationError(f"{name}: tick_s is needed, for it has no sample time")
     for time, value in {"tick_s": tick_s, "step_s": step_s}.items():
-        if value is not None and not 0.0 < value < math.inf:
-            raise CompilationError(f"{time} = {value} s: must be finite and > 0")
+        if value is not None:
+            require_positive(time, value, "s")
     periods: list[int] = []
     offsets: list[int] = []
     if equations.updates:

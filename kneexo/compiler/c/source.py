@@ -12,17 +12,20 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from types import NoneType
 from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import Context
 
 from ..diagram_equations import DiagramEquations
 from ..equations.equations import Equations
-from ..errors import CompilationError
+from ..errors import CompilationError, shown
 from ..root import ROOT, tool
 from ..run_data import Array, State
+from .checks import distinct_names, require_type
 from .functions import Functions
 from .interface import Interface, parameter_members, require_model_name
 from .manifest import checksums, manifest_in_c
@@ -75,9 +78,9 @@ class CSource:
     Raises
     ------
     CompilationError
-        ``name`` is no identifier, ``precision`` or a name in ``outputs`` is unknown, ``outputs``
-        has a name twice, ``interface`` does not fit the ports, `schedule_of` refuses the times, or
-        ``look_up`` is True without a value to look up.
+        An argument has the wrong type, ``name`` is no identifier, ``precision`` or a name in
+        ``outputs`` is unknown, ``outputs`` has a name twice, ``interface`` does not fit the ports,
+        `schedule_of` refuses the times, or ``look_up`` is True without a value to look up.
     """
 
     equations: Equations
@@ -96,27 +99,30 @@ class CSource:
     def __post_init__(self) -> None:
         """Check the options."""
         require_model_name(self.name)
-        if self.precision not in PRECISIONS:
+        if self.precision not in tuple(PRECISIONS):
             raise CompilationError(
-                f"precision = {self.precision!r}: must be one of {', '.join(PRECISIONS)}"
+                f"precision = {shown(f'{self.precision!r:.60}')}: must be one of "
+                f"{', '.join(PRECISIONS)}"
             )
-        for port in self.outputs or ():
+        require_type("look_up", self.look_up, bool, "True or False")
+        require_type("subject", self.subject, str, "a text")
+        require_type("origin", self.origin, (tuple, type(None)), "(name, text) of a file")
+        require_type("interface", self.interface, Interface, "an Interface")
+        for port in self.output_ports:
             if port not in self.equations.outputs:
                 raise CompilationError(
-                    f"output {port!r} is unknown; known: {', '.join(self.equations.outputs)}"
+                    f"output {shown(repr(port))} is unknown; known: "
+                    f"{', '.join(self.equations.outputs)}"
                 )
-        for port, count in Counter(self.outputs or ()).items():
-            if count > 1:
-                raise CompilationError(f"output {port!r} is in outputs {count} times")
-        for port in self.interface.integers:
-            if port not in self.equations.inputs:
-                raise CompilationError(f"{port}: is no input; only inputs may be int32_t")
+        self.interface.require_ports(self.equations.inputs, self.equations.outputs)
         _ = self.plan
 
     @property
     def output_ports(self) -> Sequence[str]:
         """Names of the exported output ports."""
-        return tuple(self.equations.outputs) if self.outputs is None else self.outputs
+        if self.outputs is None:
+            return tuple(self.equations.outputs)
+        return distinct_names("outputs", self.outputs)
 
     @cached_property
     def plan(self) -> Plan:
@@ -278,9 +284,28 @@ def source_of(diagram: DiagramEquations, name: str, context: Any = None, **optio
     """Return the model in C of a diagram that `read_diagram` has read.
 
     ``context`` has the parameters and the state; by default it is the diagram's default Context.
-    ``options`` are arguments of `CSource`.
+    ``options`` are arguments of `CSource`. Raises `CompilationError` for an unknown option, for a
+    Context of another system, and as `CSource` does.
     """
-    values = diagram.parameters(context), diagram.state(context)
+    known = [field.name for field in fields(CSource)][4:]
+    if unknown := sorted(options.keys() - set(known)):
+        raise CompilationError(
+            f"option {shown(repr(unknown[0]))}: is unknown; known: {', '.join(known)}"
+        )
+    problem = (
+        f"context = {shown(f'{context!r:.60}')}: must be a Context of the diagram; create it by "
+        f"CreateDefaultContext() of the diagram"
+    )
+    if not isinstance(context, (Context, NoneType)):
+        raise CompilationError(problem)
+    try:  # a Context of an equal diagram has the same values
+        values = diagram.parameters(context), diagram.state(context)
+    except (RuntimeError, TypeError):
+        raise CompilationError(problem) from None
+    sizes = len(values[0]), len(values[1].continuous), len(values[1].discrete)
+    equations = diagram.equations
+    if sizes != (len(equations.parameters), len(equations.states), len(equations.discrete)):
+        raise CompilationError(problem)
     return CSource(diagram.equations, name, *values, **options)
 
 

@@ -8,19 +8,21 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 from pydrake.systems.framework import System
 
+from ..c.checks import distinct_names, require_type
 from ..c.cross import require_platforms, shared_libraries
 from ..c.interface import require_model_name
 from ..c.source import source_of
 from ..diagram_equations import read_diagram
-from ..errors import CompilationError, OutputError, shown
+from ..errors import OutputError, shown
 from ..files import write_whole
 from ..root import ROOT
 from .description import generation_tool
-from .fmu import FMI_VERSIONS, Fmu
+from .fmu import Fmu, require_fmi
 from .parameters import chosen_parameters
 from .variables import FmuParameter
 
@@ -70,8 +72,9 @@ def export_fmu(
     inputs
         Names of the input ports of the diagram that become inputs of the FMU.
     tick_s
-        Sample time of the FMU in s, of which each communication step is a whole multiple. A diagram
-        without a sample time requires ``tick_s``: see `CSource`.
+        The sample time of the FMU in s is the largest time that divides all sample times of the
+        diagram and ``tick_s``. Each communication step is a whole multiple of it. A diagram without
+        a sample time requires ``tick_s``.
     version
         Version of the FMI standard: 2 or 3.
     parameters
@@ -90,28 +93,30 @@ def export_fmu(
     description
         A short text about the model.
     options
-        Options of `CSource`: ``outputs``, ``interface``, ``step_s``, ``subject``.
+        Options of `CSource`: ``outputs`` (names of output ports; all by default), ``interface``
+        (names and ranges of ports), ``step_s``, ``subject``.
 
     Raises
     ------
     CompilationError
-        The diagram cannot be compiled to C, an argument is wrong, or a compiler is missing or
-        fails.
+        The diagram cannot be compiled to C, or an argument is wrong. Its subclass ``BuildError``
+        says that Zig is not installed, or that a compiler fails.
     OutputError
         The file exists and no export wrote it, or it cannot be written. No file is written after an
         error.
     """
     require_model_name(name)
-    if version not in FMI_VERSIONS:
-        raise CompilationError(f"version = {version!r}: must be one of 2, 3")
+    require_fmi("version", version)
+    require_type("directory", directory, (str, os.PathLike), "a path")
+    require_type("starts", starts, (Mapping, NoneType), "a dictionary")
     if platforms is not None:
         platforms = require_platforms(platforms)
     file = Path(directory) / f"{name}.fmu"
     require_fmu_place(file)
-    read = read_diagram(diagram, inputs=inputs)
+    read = read_diagram(diagram, inputs=distinct_names("inputs", inputs))
     source = source_of(read, name, context, tick_s=tick_s, **options)
     chosen = chosen_parameters(source, parameters)
-    fmu = Fmu(source, chosen, int(version), ROOT, description, dict(starts or {}), stop_s)
+    fmu = Fmu(source, chosen, version, ROOT, description, dict(starts or {}), stop_s)
     return write_fmu(file, fmu, platforms)
 
 

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import hashlib
 import io
-import math
 import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
+from ..c.checks import require_positive, require_type
 from ..c.cross import PLATFORMS
 from ..c.source import CSource
 from ..c.template import rendered
-from ..errors import CompilationError
+from ..errors import CompilationError, shown
 from ..root import ROOT
 from .description import Header, build_description, model_description
 from .variables import FmuParameter, VariableTable
@@ -31,6 +32,12 @@ _FOLDERS = {"x86_64-linux": "linux64", "x86_64-windows": "win64", "x86_64-darwin
 """Folders of binaries in FMI 2. FMI 2.0.4 names all other folders as FMI 3 does."""
 
 _FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest of a zip file: equal FMUs have equal bytes
+
+
+def require_fmi(what: str, version: Any) -> None:
+    """Raise `CompilationError` unless a version of FMI is the whole number 2 or 3."""
+    if not isinstance(version, int) or version not in FMI_VERSIONS:
+        raise CompilationError(f"{what} = {shown(f'{version!r:.60}')}: must be one of 2, 3")
 
 
 @dataclass(frozen=True)
@@ -71,12 +78,11 @@ class Fmu:
     def __post_init__(self) -> None:
         """Check the arguments."""
         source = self.source
-        if self.fmi not in FMI_VERSIONS:
-            raise CompilationError(f"fmi = {self.fmi!r}: must be one of 2, 3")
+        require_fmi("fmi", self.fmi)
+        require_type("description", self.description, str, "a text")
         if self.name.lower() == f"fmi{self.fmi}":
             raise CompilationError(f"name = {self.name!r}: is a prefix of FMI; choose another name")
-        if not 0.0 < self.stop_s < math.inf:
-            raise CompilationError(f"stop_s = {self.stop_s:g} s: must be finite and positive")
+        require_positive("stop_s", self.stop_s, "s")
         if source.precision != "double":
             raise CompilationError(f"precision = {source.precision!r}: must be double in an FMU")
         if source.interface.integers:

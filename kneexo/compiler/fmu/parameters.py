@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
+from ..c.checks import require_type
 from ..c.interface import parameter_members
 from ..c.source import CSource
 from ..errors import CompilationError, shown
@@ -78,8 +79,12 @@ def chosen_parameters(
         return every
     known = {parameter.name: parameter for parameter in every}
     parameters = []
+    require_type("parameters", chosen, Iterable, "a list of names or of FmuParameter")
     for choice in (chosen,) if isinstance(chosen, str) else chosen:
-        if not isinstance(choice, FmuParameter) and choice not in known:
+        require_type(
+            "an element of parameters", choice, (str, FmuParameter), "a name or an FmuParameter"
+        )
+        if isinstance(choice, str) and choice not in known:
             raise CompilationError(
                 f"parameter {shown(repr(choice))}: is unknown; known: {', '.join(known) or 'none'}"
             )

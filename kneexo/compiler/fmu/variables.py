@@ -6,8 +6,10 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Literal
 
+from ..c.checks import require_type
 from ..c.plan import Plan
 from ..c.printer import DOUBLE
 from ..equations.graph import Entry
@@ -132,6 +134,10 @@ class VariableTable:
 
     def _require_names_and_starts(self, starts: Mapping[str, float]) -> None:
         for parameter in self.parameters:
+            require_type("name of a parameter", parameter.name, str, "a text")
+            for key in ("start", "low", "high", "divisor"):
+                value = getattr(parameter, key)
+                require_type(f"{key} of {parameter.name!r:.60}", value, Real, "a number")
             if not _NAME.fullmatch(parameter.name):
                 raise CompilationError(
                     f"parameter {shown(repr(parameter.name))}: must be a name such as leaf.mass or "
@@ -146,9 +152,10 @@ class VariableTable:
         for name in starts:
             if name not in inputs:
                 raise CompilationError(
-                    f"start value of {shown(repr(name))}: is no input; inputs: "
+                    f"starts: {shown(repr(name))} is no input; inputs: "
                     f"{', '.join(inputs) or 'none'}"
                 )
+            require_type(f"start value {name}", starts[name], Real, "a finite number")
             if not math.isfinite(starts[name]):
                 raise CompilationError(f"{name} = {starts[name]:g}: must be finite at the start")
 

@@ -10,7 +10,7 @@ import pytest
 from pydrake.symbolic import Variable
 from pydrake.systems.primitives import LinearSystem, Sine, SymbolicVectorSystem
 
-from kneexo.compiler import export_c, read_diagram, source_of
+from kneexo.compiler import Interface, export_c, read_diagram, source_of
 from kneexo.compiler.c import build as c_build
 from kneexo.compiler.c.build import CodeSize, Replay
 from kneexo.compiler.c.export import Measurement, _measured, exported
@@ -338,6 +338,55 @@ def test_what_a_killed_export_left_is_deleted(folder, no_targets):
 def test_samples_of_another_shape_are_refused(tmp_path, samples):
     with pytest.raises(CompilationError, match=r"must be \(steps, 1\)"):
         export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], samples=samples)
+    assert not list(tmp_path.iterdir())
+
+
+INTEGER = Interface(integers=frozenset(["u0"]), ranges={"u0": (-5.0, 5.0)})
+ANY_INTEGER = Interface(integers=frozenset(["u0"]))
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"samples": [[0.0], [np.nan]]}, "samples: u0 = nan in step 1: must be finite$"),
+        (
+            {"samples": [[0.5]], "interface": INTEGER},
+            "samples: u0 = 0.5 in step 0: must be a whole number in -5 … 5",
+        ),
+        ({"samples": [[0.0], [6.0]], "interface": INTEGER}, "u0 = 6 in step 1"),
+        ({"samples": [[1e12]], "interface": ANY_INTEGER}, r"u0 = 1e\+12 in step 0"),
+        ({"interface": Interface(ranges={"u0": (1, 2)})}, "u0 = 0 in step 0: must be finite in 1"),
+        ({"samples": "a"}, r"must be an array of numbers of the shape \(steps, 1\)"),
+        ({"samples": [[0.0], [0.0, 1.0]]}, "must be an array of numbers"),
+        ({"inputs": ["u0", "u0"]}, "inputs: has 'u0' twice; give each name once"),
+        *(
+            ({"inputs": inputs}, r"^inputs = .*: must be names, such as \['u', 'v'\]")
+            for inputs in (None, 3)
+        ),
+        ({"inputs": [3]}, "an element of inputs = 3: must be a name"),
+        *(
+            ({"steps": steps}, r"^steps = .*: must be a whole number")
+            for steps in (1.5, None, "5", 1e30, True)
+        ),
+        ({"steps": 10**30}, "must be at least 1, for test vectors, and at most 1000000"),
+        ({"name": "a" * 5000}, "^name = 'a.* … .*: must be a C identifier"),
+        ({"tick_s": np.nan}, "tick_s = nan s: must be finite and > 0 s"),
+        ({"directory": 3}, "directory = 3: must be a path"),
+    ],
+)
+def test_wrong_arguments_are_refused(tmp_path, options, line):
+    place = {"name": "filter", "inputs": ["u0"], "directory": tmp_path}
+    with pytest.raises(CompilationError, match=line) as error:
+        export_c(low_pass(), **place | options)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 500
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("place", ["null\0byte", "x" * 300])
+def test_a_directory_that_cannot_be(tmp_path, place):
+    with pytest.raises(OutputError, match=r"^directory .*: cannot be read .*; choose another dire"):
+        export_c(low_pass(), tmp_path / place, name="filter", inputs=["u0"])
     assert not list(tmp_path.iterdir())
 
 

@@ -1,5 +1,6 @@
 """Names, types and ranges in C of inputs, outputs and parameters."""
 
+import math
 import shutil
 import subprocess
 
@@ -59,6 +60,34 @@ def test_whole_numbers_are_int32(built):
 )
 def test_names_in_c(text, name):
     assert c_name(text) == name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        *(
+            ({"fields": {"u": [name]}}, "must be a C identifier of at most 63 letters")
+            for name in ("1x", "a\n*/", "ü b", "", "a" * 64, 3, None)
+        ),
+        ({"fields": {"u": 3}}, "fields of 'u' = 3: must be a list of names"),
+        ({"fields": 3}, "fields = 3: must be a dictionary"),
+        ({"integers": 3}, "integers = 3: must be names"),
+        ({"ranges": {"u": (1, -1)}}, r"range of 'u' = \(1, -1\): must be a pair of finite numbers"),
+        *(
+            ({"ranges": {"u": ends}}, "must be a pair of finite numbers")
+            for ends in ((math.nan, 1), (0, math.inf), ("a", 1), (1,), 3)
+        ),
+    ],
+)
+def test_wrong_names_and_ranges_are_refused(arguments, message):
+    with pytest.raises(CompilationError, match=message) as error:
+        Interface(**arguments)
+    assert "\n" not in str(error.value)
+
+
+def test_a_single_name_is_no_list_of_letters():
+    (member,) = Interface({"u": "ab"}).members({"u": 1})
+    assert member.name == "ab"
 
 
 WORDS = (

@@ -353,25 +353,57 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
         ({"name": "2nd"}, "name = '2nd': must be a C identifier"),
         ({"name": "a b"}, "must be a C identifier"),
         ({"name": "a" * 32}, "at most 31"),
-        ({"name": "while"}, "must be a C identifier"),
-        ({"name": "xor"}, "must be a C identifier"),
+        ({"name": "while"}, r"^name = 'while': is reserved in C or C\+\+; choose another name"),
+        ({"name": "xor"}, "name = 'xor': is reserved in C"),
+        ({"name": None}, "name = None: must be a C identifier"),
+        ({"precision": ["float"]}, r"precision = \['float'\]: must be one of double, float"),
+        ({"outputs": 3}, "outputs = 3: must be names"),
+        ({"outputs": [3]}, "an element of outputs = 3: must be a name"),
+        ({"look_up": "no"}, "look_up = 'no': must be True or False"),
+        ({"subject": 3}, "subject = 3: must be a text"),
+        ({"origin": "a.yaml"}, "origin = 'a.yaml': must be"),
+        ({"step": 1e-3}, "option 'step': is unknown; known: precision, outputs, interface, tick_s"),
+        ({"context": 3}, "context = 3: must be a Context of the diagram"),
+        (
+            {"context": Gain(1.0, 1).CreateDefaultContext()},
+            "context = .*: must be a Context of the diagram; create it by CreateDefaultContext",
+        ),
+        ({"interface": 3}, "interface = 3: must be an Interface"),
+        ({"step_s": True}, "step_s = True: must be finite and > 0 s"),
+        ({"tick_s": "x"}, "tick_s = 'x': must be finite and > 0 s"),
         *(
             ({"name": name}, f"name = '{name}': is a header of C; choose another name")
             for name in ("math", "stdint", "float", "Time", "stdio", "errno", "string")
         ),
         ({"precision": "half"}, "precision = 'half': must be one of double, float"),
         ({"outputs": ["speed"]}, "output 'speed' is unknown; known: y0"),
-        ({"outputs": ["y0", "y0"]}, "output 'y0' is in outputs 2 times"),
-        ({"step_s": 0.0}, "step_s = 0.0 s: must be finite and > 0"),
+        ({"outputs": ["y0", "y0"]}, "outputs: has 'y0' twice; give each name once"),
+        ({"step_s": 0.0}, "step_s = 0 s: must be finite and > 0 s"),
         ({"step_s": math.nan}, "step_s = nan s"),
         ({"interface": Interface({"u0": ["a", "b"]})}, "u0: has 2 names in C; must be 1"),
         ({"interface": Interface(integers=frozenset(["y"]))}, "y: is no input"),
+        ({"interface": Interface({"u": ["a"]})}, "fields: the port 'u' is unknown; known: u0, y0"),
+        (
+            {"interface": Interface({"u0": ["a"]}, ranges={"u0": (0, 1)})},
+            "ranges: the input element 'u0' is unknown; known: a",
+        ),
+        *(
+            (
+                {"interface": Interface(integers=frozenset(["u0"]), ranges={"u0": ends})},
+                r"interface: range of u0 = .*: must have a whole number, and lie in -2147483648 … ",
+            )
+            for ends in ((0.2, 0.8), (0, 2**31), (-(2**31) - 1, 0))
+        ),
     ],
 )
 def test_bad_options_are_one_line(options, match):
     with pytest.raises(CompilationError, match=match) as error:
         exported(accumulator(), **{"inputs": ["u0"], **options})
     assert "\n" not in str(error.value)
+
+
+def test_a_single_output_may_be_a_string():
+    assert list(exported(accumulator(), inputs=["u0"], outputs="y0").output_ports) == ["y0"]
 
 
 def test_numbers_beyond_single_precision_are_refused():
