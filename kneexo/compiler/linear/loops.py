@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
 from ..run_data import Array
-from .model import Complex
+from .model import BOUNDARY_TOLERANCE, Complex, distance_inside
 from .periodic import PeriodicLoop
 from .zeros import invariant_zeros
 
@@ -21,7 +21,12 @@ _POINTS = 4_000  # of a grid of frequencies, without the points around resonance
 _SLOWEST = 1e-12  # a frequency below this share of the fastest one is a rounding error
 _UNDAMPED = 1e-6  # half width, relative to its frequency, of a resonance without damping
 _REACH = 100.0  # factor by which a grid exceeds the slowest and the fastest frequency
+_LARGEST = 1e100  # of an element; products of three must not overflow
 _WIDTHS = np.geomspace(1e-2, 1e3, 41)  # distances from a resonance, in units of its half width
+_NO_NUMBERS = (
+    "loop: has elements that are no real numbers; must be arrays of real numbers, and a period in "
+    "s or None"
+)
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,9 @@ class Transfer:
     z = e^{j2πfT} at a frequency f in Hz. A continuous transfer function has no period, and its z
     is j2πf. The methods that begin with ``closed`` belong to the loop that negative feedback
     around L closes.
+
+    Raises `ParameterError` for arrays of other shapes, for an element that is no real number or
+    exceeds 1e100, and for a period that is not positive.
     """
 
     a: Array
@@ -39,6 +47,35 @@ class Transfer:
     c: Array
     d: float
     period_s: float | None
+
+    def __post_init__(self) -> None:
+        """Check the arrays, and convert sequences to arrays."""
+        try:
+            if any(np.iscomplexobj(matrix) for matrix in (self.a, self.b, self.c, self.d)):
+                raise TypeError("complex")
+            a, b, c = (np.asarray(matrix, dtype=float) for matrix in (self.a, self.b, self.c))
+            d = float(self.d)
+            period_s = None if self.period_s is None else float(self.period_s)
+        except (TypeError, ValueError):
+            raise ParameterError(_NO_NUMBERS) from None
+        n = len(a) if a.ndim else 0
+        if (a.shape, b.shape, c.shape) != ((n, n), (n, 1), (1, n)):
+            raise ParameterError(
+                f"loop: A {a.shape}, B {b.shape} and C {c.shape} do not fit; must be (n, n), "
+                f"(n, 1) and (1, n)"
+            )
+        if not all((np.abs(matrix) <= _LARGEST).all() for matrix in (a, b, c, d)):
+            raise ParameterError(
+                f"loop: a matrix has an element that is not finite or exceeds {_LARGEST:g} in "
+                f"magnitude; choose other units"
+            )
+        if period_s is not None and not 0.0 < period_s < math.inf:
+            raise ParameterError(
+                f"loop: period_s = {period_s:g} s: must be > 0 and finite, or None"
+            )
+        for name, value in zip("abcd", (a, b, c, d), strict=True):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "period_s", period_s)
 
     @cached_property
     def _triangular(self) -> tuple[Complex, Complex, Complex]:
@@ -106,10 +143,12 @@ class Transfer:
         return np.linalg.eigvals(self.closed_matrix()).astype(complex)
 
     def closed_is_stable(self) -> bool:
-        """Return whether the closed loop is asymptotically stable, hidden states included."""
-        values = self.closed_eigenvalues()
-        inside = values.real < 0.0 if self.period_s is None else np.abs(values) < 1.0
-        return bool(np.all(inside))
+        """Return whether the closed loop is asymptotically stable, hidden states included.
+
+        The rule is that of `LinearModel.stable`.
+        """
+        distances = distance_inside(self.closed_eigenvalues(), self.period_s)
+        return bool(np.all(distances > BOUNDARY_TOLERANCE))
 
     @property
     def highest_hz(self) -> float:
@@ -172,7 +211,8 @@ def as_transfer(loop: Any) -> Transfer:
     ------
     ParameterError
         The argument has none of these forms, or more than one input or output. Also if a number is
-        not finite or the period is not positive.
+        not finite or exceeds 1e100, the period is not positive, or a ``control.TransferFunction``
+        has a numerator of higher degree than the denominator.
     """
     if isinstance(loop, Transfer):
         return loop
@@ -193,26 +233,16 @@ def as_transfer(loop: Any) -> Transfer:
         a, b, c, d = (np.atleast_2d(np.asarray(matrix, dtype=float)) for matrix in matrices)
         period_s = None if period_s is None else float(period_s)
     except (TypeError, ValueError):
-        raise ParameterError(
-            "loop: has elements that are no real numbers; must be arrays of real numbers, and a "
-            "period in s or None"
-        ) from None
+        raise ParameterError(_NO_NUMBERS) from None
     n = a.shape[0] if a.size else 0
     if d.shape != (1, 1):
         raise ParameterError(
             f"loop: has {d.shape[1]} inputs and {d.shape[0]} outputs; must have one of each; "
             f"select them, for example by inputs=[…] and outputs=[…] of linearize"
         )
-    if (a.size, b.size, c.size) != (n * n, n, n):
-        raise ParameterError(
-            f"loop: A {a.shape}, B {b.shape} and C {c.shape} do not fit; must be (n, n), (n, 1) "
-            f"and (1, n)"
-        )
-    if not all(np.isfinite(matrix).all() for matrix in (a, b, c, d)):
-        raise ParameterError("loop: a matrix has an element that is not finite")
-    if period_s is not None and not 0.0 < period_s < math.inf:
-        raise ParameterError(f"loop: period_s = {period_s:g} s: must be > 0 and finite, or None")
-    return Transfer(a.reshape(n, n), b.reshape(n, 1), c.reshape(1, n), float(d[0, 0]), period_s)
+    if (a.size, b.size, c.size) == (n * n, n, n):
+        a, b, c = a.reshape(n, n), b.reshape(n, 1), c.reshape(1, n)
+    return Transfer(a, b, c, float(d[0, 0]), period_s)
 
 
 def _control_matrices(system: Any) -> tuple[list[Any], float | None]:
@@ -220,7 +250,13 @@ def _control_matrices(system: Any) -> tuple[list[Any], float | None]:
     import control
 
     if isinstance(system, control.TransferFunction) and (system.ninputs, system.noutputs) == (1, 1):
-        system = control.tf2ss(system)
+        try:
+            system = control.tf2ss(system)
+        except ValueError:
+            raise ParameterError(
+                "loop: the transfer function has no state space; the degree of its numerator must "
+                "not exceed that of its denominator"
+            ) from None
     if not isinstance(system, control.StateSpace):
         raise ParameterError(
             f"loop = {type(system).__name__}: must be a linear model, a control.StateSpace or "

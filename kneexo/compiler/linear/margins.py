@@ -13,10 +13,12 @@ import scipy
 
 from ..run_data import Array
 from .loops import Transfer, as_transfer
-from .model import Complex
+from .model import BOUNDARY_TOLERANCE, Complex, distance_inside
 from .periodic import PeriodicLoop
 
 _NO_FACTOR = 1e-6  # a smaller gain margin is the rounding error of a pole at zero frequency
+_AT_MINUS_ONE = 1e-6  # |1 + L| below this at a marginal closed eigenvalue shows that L moves it
+_ON_CIRCLE = 1e-12  # rounding of |L| at zero and the highest frequency
 _WHOLE_PLANE = 1.0 - 1e-12  # a disk of this size or more is a half plane
 
 
@@ -26,8 +28,14 @@ class LoopMargins:
 
     Each margin is the smallest change of the loop that puts a closed-loop eigenvalue on the
     boundary of stability, the imaginary axis or the unit circle. A stable loop stays stable with
-    any smaller change. If ``stable`` is False, the loop is already unstable. The numbers are then
-    such changes too, but they are no margins.
+    any smaller change. If ``stable`` is False, the numbers are the changes that move the first
+    eigenvalue onto the boundary, not a reserve.
+
+    ``stable`` follows the rule of `LinearModel.stable`, for all closed-loop eigenvalues. So it is
+    False if a mode that the loop does not move is free, such as the angle of a motor in its speed
+    loop. The numbers leave such modes out. If L = −1 at a frequency, an eigenvalue that the loop
+    moves is on the boundary already, to 1e-12. Then ``stable`` is False, the factors are 1 and all
+    other margins are 0.
 
     Gain and phase have margins in two directions. The loop can lose stability by more gain
     (``gain_margin``) or less gain (``lower_gain_margin``), and by a phase lag
@@ -93,6 +101,9 @@ def margins(loop: Any) -> LoopMargins:
 
 def _transfer_margins(system: Transfer) -> LoopMargins:
     """Return the margins of a loop transfer by a search on a grid of frequencies."""
+    marginal = _marginal_frequency(system)
+    if marginal is not None:
+        return _no_margins(marginal)
     grid = system.frequency_grid()
     values = system.response_on_grid(grid)
     finite = np.isfinite(values)
@@ -105,14 +116,16 @@ def _transfer_margins(system: Transfer) -> LoopMargins:
     real = [(f, loop_at(f)) for f in _crossings(lambda f: loop_at(f).imag, grid, values.imag)]
     real += [(f, complex(at.real)) for f, at in ends if cmath.isfinite(at)]
     gains = [(-1.0 / at.real, f) for f, at in real if -1.0 / _NO_FACTOR < at.real < 0.0]
-    unit = _crossings(lambda f: abs(loop_at(f)) - 1.0, grid, np.abs(values) - 1.0)
-    lags = [(180.0 + math.degrees(cmath.phase(loop_at(f))), f) for f in unit]
+    circle = _crossings(lambda f: abs(loop_at(f)) - 1.0, grid, np.abs(values) - 1.0)
+    unit = [(f, loop_at(f)) for f in circle]
+    unit += [(f, at) for f, at in ends if abs(abs(at) - 1.0) <= _ON_CIRCLE]
+    lags = [(180.0 + math.degrees(cmath.phase(at)), f) for f, at in unit]
     none = (math.inf, math.nan)
-    upper = min((c for c in gains if c[0] > 1.0), default=none)
-    lower = max((c for c in gains if c[0] < 1.0), default=(0.0, math.nan))
+    upper = min((c for c in gains if c[0] >= 1.0), default=none)
+    lower = max((c for c in gains if c[0] <= 1.0), default=(0.0, math.nan))
     lag = min(lags, default=none)
     lead = min(((360.0 - p, f) for p, f in lags), default=none)
-    delay = min(((p / 360.0 / f, f) for p, f in lags), default=none)
+    delay = min(((p / 360.0 / f, f) for p, f in lags if f > 0.0), default=none)
     if system.period_s is None and abs(system.d) >= 1.0:
         delay = (0.0, math.inf)  # the delayed loop has crossings at all high frequencies
     disk, frequency = _disk(system, grid, values, ends)
@@ -128,6 +141,34 @@ def _transfer_margins(system: Transfer) -> LoopMargins:
         delay_margin_s=delay[0],
         delay_margin_frequency_hz=delay[1],
         **_disk_values(0.5 * disk, frequency),
+    )
+
+
+def _marginal_frequency(system: Transfer) -> float | None:
+    """Return a frequency in Hz at which L = −1, a closed eigenvalue on the boundary, or None."""
+    values = system.closed_eigenvalues()
+    on = values[np.abs(distance_inside(values, system.period_s)) <= BOUNDARY_TOLERANCE]
+    angles = np.abs(on.imag if system.period_s is None else np.angle(on) / system.period_s)
+    for frequency in map(float, angles / (2.0 * math.pi)):
+        if abs(1.0 + system.response(frequency)[0]) <= _AT_MINUS_ONE:
+            return frequency
+    return None
+
+
+def _no_margins(frequency: float) -> LoopMargins:
+    """Return the margins of a loop with L = −1 at a frequency in Hz."""
+    return LoopMargins(
+        stable=False,
+        gain_margin=1.0,
+        gain_margin_frequency_hz=frequency,
+        lower_gain_margin=1.0,
+        phase_margin_deg=0.0,
+        phase_margin_frequency_hz=frequency,
+        phase_lead_margin_deg=0.0,
+        phase_lead_margin_frequency_hz=frequency,
+        delay_margin_s=0.0,
+        delay_margin_frequency_hz=frequency,
+        **_disk_values(0.0, frequency),
     )
 
 
@@ -173,6 +214,8 @@ def _disk(
 
     def slope(frequency: float) -> float:
         at = system.response(frequency)[0]
+        if at * at == 1.0:
+            return 0.0
         return float((system.slope(frequency) / (1.0 - at * at)).real)
 
     index = int(np.argmin(_disk_distance(values)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,16 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..run_data import Array
-from .model import Complex, TickModel
+from .model import BOUNDARY_TOLERANCE, Complex, TickModel, distance_inside
 
 _GAINS = np.linspace(0.0, math.log(1e6), 601)  # logarithms of factors
 _TURNS = np.linspace(0.0, math.pi, 361)
 _DIRECTIONS = np.linspace(0.0, math.pi, 37)
 _OVERFLOW = 1e6
+_PROBES = (0.0, 2.0, 1.0 + 1.0j)  # factors that show which modes move
+_NO_MOVE = 1e-9  # a smaller share of the change of the matrix is a rounding error
+_NEARLY_OUTSIDE = 1e-6  # rounding moves a multiple eigenvalue by more than a simple one
+_PARALLEL = 1e-4  # eigenvectors of a multiple eigenvalue, closer than this, count once
 _REACHES = np.linspace(0.0, 0.999, 81)
 
 
@@ -66,7 +71,8 @@ class PeriodicLoop:
 
     def stable(self) -> bool:
         """Return whether the loop of the diagram is asymptotically stable."""
-        return bool(self._excess(1.0)[0] < 0.0)
+        values = self.closed_eigenvalues()
+        return bool((distance_inside(values, self.period_s) > BOUNDARY_TOLERANCE).all())
 
     def gain_change(self, sign: float) -> tuple[float, float]:
         """Return the first factor above 1 (sign 1) or below 1 (−1) that moves stability.
@@ -107,29 +113,87 @@ class PeriodicLoop:
         return min(along(float(search.x)), along(float(_DIRECTIONS[best])))
 
     def _excess(self, factors: ArrayLike) -> Array:
-        """Return the largest magnitude of an eigenvalue minus 1, at most 1e6, for factors (f,)."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            matrices = self.closed_matrices(factors)
+        """Return the largest magnitude of an eigenvalue minus 1, at most 1e6, for factors (f,).
+
+        The eigenvalues are those that the factor can move.
+        """
+        with np.errstate(all="ignore"):
+            matrices = self._moving(factors)
         finite = np.isfinite(matrices).all(axis=(1, 2))
         excess = np.full(finite.size, _OVERFLOW)
         values = np.linalg.eigvals(matrices[finite])
-        excess[finite] = np.minimum(np.abs(values).max(axis=1) - 1.0, _OVERFLOW)
+        excess[finite] = np.minimum(np.abs(values).max(axis=1, initial=0.0) - 1.0, _OVERFLOW)
         return excess
+
+    def _moving(self, factors: ArrayLike) -> Complex:
+        """Return `closed_matrices` without modes that no factor moves, such as a free angle."""
+        left, right = self._projections
+        return np.asarray(left @ self.closed_matrices(factors) @ right, dtype=complex)
+
+    @cached_property
+    def _projections(self) -> tuple[Complex, Complex]:
+        """Matrices X (r, n) and Y (n, r), such that X M Y has the modes of M that factors move.
+
+        No factor moves a mode on or outside the unit circle that the signal does not show, an
+        eigenvector v with M(k) v = λ v for all k, or that the signal does not excite, the same for
+        the transpose of M. Modes inside the unit circle need no such treatment.
+        """
+        at_one, *others = self.closed_matrices((1.0, *_PROBES))
+        _, (scale, _) = scipy.linalg.matrix_balance(at_one, permute=False, separate=True)
+        first = at_one * scale / scale[:, None]
+        differences = [other - at_one for other in others if np.isfinite(other).all()]
+        changes = [change * scale / scale[:, None] for change in differences]
+        basis = np.eye(len(first), dtype=complex)
+        for transposed in (False, True):
+            while changes:
+                within = _moved_within(basis, first, changes, transposed)
+                if within is None:
+                    break
+                basis = basis @ within
+        return basis.conj().T / scale, scale[:, None] * basis
 
     def _first(self, path: Callable[[Any], Any], grid: Array) -> tuple[float, float]:
         """Return the first t > 0 at which the factor path(t) moves stability, and its frequency.
 
-        ``grid`` are values of t from 0. Without such a t the result is (inf, nan).
+        ``grid`` are values of t from 0. Without such a t the result is (inf, nan). It is 0 if an
+        eigenvalue is on the unit circle at t = 0.
         """
         excess = self._excess(path(grid))
+        if abs(excess[0]) <= BOUNDARY_TOLERANCE:
+            return 0.0, self._frequency(path(0.0))
         changes = np.flatnonzero(np.sign(excess[1:]) != np.sign(excess[0]))
         if not changes.size:
             return math.inf, math.nan
         low, high = grid[changes[0]], grid[changes[0] + 1]
         t = float(scipy.optimize.brentq(lambda t: self._excess(path(t))[0], low, high, xtol=1e-14))
-        values = self.closed_eigenvalues(path(t))[0]
+        return t, self._frequency(path(t))
+
+    def _frequency(self, factor: complex) -> float:
+        """Return the frequency in Hz of the largest eigenvalue that the factor moves."""
+        values = np.linalg.eigvals(self._moving(factor)[0])
         critical = values[np.argmax(np.abs(values))]
-        return t, abs(float(np.angle(critical))) / (2.0 * math.pi * self.period_s)
+        return abs(float(np.angle(critical))) / (2.0 * math.pi * self.period_s)
+
+
+def _moved_within(
+    basis: Complex, first: Complex, changes: Sequence[Complex], transposed: bool
+) -> Complex | None:
+    """Return vectors normal to all eigenvectors of a matrix, within a basis, that no change moves.
+
+    Only eigenvalues on or outside the unit circle count. Without such eigenvectors the result is
+    None. A chain of integrators has a single eigenvector, so a caller repeats this.
+    """
+    inner = [basis.conj().T @ matrix @ basis for matrix in (first, *changes)]
+    if transposed:
+        inner = [matrix.conj().T for matrix in inner]
+    values, vectors = np.linalg.eig(inner[0])
+    change = np.vstack(inner[1:])
+    still = np.linalg.norm(change @ vectors, axis=0) <= _NO_MOVE * np.linalg.norm(change)
+    fixed = vectors[:, still & (np.abs(values) > 1.0 - _NEARLY_OUTSIDE)]
+    if not fixed.size:
+        return None
+    unitary, singular, _ = np.linalg.svd(fixed)
+    return np.asarray(unitary[:, int((singular > _PARALLEL).sum()) :], dtype=complex)
 
 
 def opened(ticks: Sequence[TickModel], column: int, row: Array) -> tuple[TickModel, ...]:

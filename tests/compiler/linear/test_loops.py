@@ -11,6 +11,7 @@ from kneexo.compiler import (
     ParameterError,
     PeriodicLoop,
     TickModel,
+    Transfer,
     as_transfer,
     complementary_sensitivity,
     sensitivity,
@@ -161,3 +162,30 @@ def test_a_loop_without_transfer_is_refused():
 def test_a_loop_of_minus_one_at_infinite_frequency_has_no_closed_loop():
     with pytest.raises(ParameterError, match=r"\Aloop: L = -1 at infinite frequency: [^\n]*\Z"):
         sensitivity((-1.0, 1.0, 1.0, -1.0))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((np.full((1, 1), np.nan), *LAG[1:3], 0.0, None), "loop: a matrix has an element that is"),
+        ((*(1e300 * matrix for matrix in LAG[:3]), 0.0, None), "loop: a matrix has an element"),
+        ((np.eye(2), np.ones((1, 2)), np.ones((1, 2)), 0.0, None), "loop: A (2, 2), B (1, 2) and"),
+        ((-1.0, 1.0, 1.0, 0.0, None), "loop: A (), B () and C () do not fit; must be (n, n)"),
+        (("a", *LAG[1:3], 0.0, None), "loop: has elements that are no real numbers"),
+        ((*LAG[:3], 1.0j, None), "loop: has elements that are no real numbers"),
+        ((*LAG[:3], 0.0, math.nan), "loop: period_s = nan s: must be > 0 and finite, or None"),
+    ],
+)
+def test_a_transfer_checks_its_arrays(arguments, message):
+    with pytest.raises(ParameterError, match=rf"\A{re.escape(message)}[^\n]*\Z"):
+        Transfer(*arguments)
+
+
+def test_a_transfer_takes_lists():
+    loop = Transfer([[-1.0]], [[1.0]], [[1.0]], 0, None)
+    np.testing.assert_array_equal(loop.response(0.0), [1.0])
+
+
+def test_a_numerator_of_higher_degree_is_refused():
+    with pytest.raises(ParameterError, match=r"\Aloop: the transfer function has no state space"):
+        as_transfer(control.tf([1.0, 0.0], [1.0]))

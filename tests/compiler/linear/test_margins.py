@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
 from kneexo.compiler import margins
+from kneexo.compiler.errors import ParameterError
 
 S = control.tf("s")
 STATIC = (np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), -0.5)
@@ -250,3 +251,56 @@ def test_the_rounding_of_an_integrator_is_no_gain_margin():
 def test_margins_are_numbers_without_arrays():
     m = margins(1.0 / (S + 1.0))
     assert {type(value) for value in dataclasses.asdict(m).values()} == {bool, float}
+
+
+Z_INVERSE = (0.0, 1.0, 1.0, 0.0, 1e-2)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("loop", "frequency_hz"),
+    [
+        (60.0 / ((S + 1.0) * (S + 2.0) * (S + 3.0)), math.sqrt(11.0) / (2.0 * math.pi)),
+        (1.0 / S**2, 1.0 / (2.0 * math.pi)),
+        (-1.0 / (S + 1.0), 0.0),
+        (Z_INVERSE, 50.0),
+    ],
+)
+def test_a_loop_through_minus_one_has_no_margin(loop, frequency_hz):
+    m = margins(loop)
+    assert not m.stable
+    assert (m.gain_margin, m.lower_gain_margin, m.disk_gain_margin) == (1.0, 1.0, 1.0)
+    assert (m.phase_margin_deg, m.phase_lead_margin_deg, m.delay_margin_s) == (0.0, 0.0, 0.0)
+    assert (m.disk_margin, m.disk_phase_margin_deg) == (0.0, 0.0)
+    assert m.gain_margin_frequency_hz == pytest.approx(frequency_hz, abs=1e-9)
+
+
+def test_a_loop_just_inside_the_boundary_has_its_margins():
+    loop = 60.0 * (1.0 - 1e-9) / ((S + 1.0) * (S + 2.0) * (S + 3.0))
+    m = margins(loop)
+    assert m.stable
+    assert m.gain_margin - 1.0 == pytest.approx(1e-9, rel=1e-4)
+
+
+def test_a_free_mode_is_not_stable_and_changes_no_margin():
+    # A speed loop 5/(s + 1), and an angle that rounding puts at −1e-15, which nothing measures.
+    for pole in (-1e-15, 0.0, 1e-15):
+        m = margins(([[-1.0, 0.0], [1.0, pole]], [[1.0], [0.0]], [[5.0, 0.0]], [[0.0]]))
+        assert not m.stable
+        assert m.phase_margin_deg == pytest.approx(180.0 - math.degrees(math.atan(math.sqrt(24.0))))
+        assert m.gain_margin == math.inf
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("period_s", [None, 1e-2])
+def test_a_loop_of_magnitude_one_loses_stability_by_half_a_turn(period_s):
+    m = margins((*STATIC[:3], 1.0, period_s))
+    assert m.stable
+    assert (m.phase_margin_deg, m.phase_lead_margin_deg) == (180.0, 180.0)
+    assert m.gain_margin == math.inf
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_loop_of_minus_one_at_all_frequencies_is_refused():
+    with pytest.raises(ParameterError, match="L = -1 at infinite frequency"):
+        margins((*STATIC[:3], -1.0, 1e-2))

@@ -135,3 +135,16 @@ def test_what_a_model_lacks_is_one_line():
                 response([1.0, 0.0, 0.3])
     with pytest.raises(ParameterError, match=r"\Aperiod_s = inf s: must be finite and > 0\Z"):
         linear(period_s=math.inf)
+
+
+@pytest.mark.parametrize("period_s", [None, 0.01])
+@pytest.mark.parametrize("pole", [-1e-14, 0.0, 1e-14])
+def test_rounding_does_not_decide_whether_a_free_mode_is_stable(pole, period_s):
+    plant = LinearSystem([[-10.0, 0.0], [1.0, pole]], np.eye(2, 1), np.eye(2), np.zeros((2, 1)))
+    model = linearize(plant, inputs=["u0"], outputs=["y0"], period_s=period_s)
+    assert not model.stable
+
+
+def test_a_slow_mode_is_stable():
+    plant = LinearSystem(np.diag([-1e4, -1e-6]), np.eye(2, 1), np.eye(2), np.zeros((2, 1)))
+    assert linearize(plant, inputs=["u0"], outputs=["y0"]).stable

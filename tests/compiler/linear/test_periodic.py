@@ -102,3 +102,40 @@ def test_a_gain_far_beyond_the_margin_overflows_in_silence():
 def test_a_loop_has_a_short_text():
     text = repr(loop_at(loop(1.5, others=[(1.5 * T, 0.0, 0.4)]), "law:y0"))
     assert text == "PeriodicLoop(period_s=0.15, 4 states, 4 times of updates)"
+
+
+FREE = [  # modes outside of the loop of LAG: a state that the loop drives but does not see
+    ([[-1.0, 0.0], [1.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]]),  # an angle
+    (
+        [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        [[1.0], [0.0], [0.0]],
+        [[1.0, 0.0, 0.0]],
+    ),
+    ([[-1.0, 1.0], [0.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]]),  # a constant disturbance
+    ([[-1.0, 1.0], [0.0, 0.5]], [[1.0], [0.0]], [[1.0, 0.0]]),  # a growing disturbance
+]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("plant", FREE)
+def test_a_mode_that_the_loop_does_not_move_changes_no_margin(plant):
+    # LAG alone has the pole p = e^−T − k g (1 − e^−T), which is −1 at the gain margin.
+    gain, decay = 4.0, math.exp(-T)
+    free = loop_at(loop(gain, (*plant, [[0.0]]), others=[(1.5 * T, 0.0, 0.0)]), "law:y0")
+    assert isinstance(free, PeriodicLoop)
+    m = margins(free)
+    assert not m.stable
+    assert m.gain_margin == pytest.approx((1.0 + decay) / (gain * (1.0 - decay)), rel=1e-9)
+    simple = margins(loop_at(loop(gain, LAG), "law:y0"))
+    assert m.phase_margin_deg == pytest.approx(simple.phase_margin_deg, rel=1e-8)
+    assert m.disk_margin == pytest.approx(simple.disk_margin, rel=1e-6)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_periodic_loop_on_the_boundary_has_no_margin():
+    # L = −1/(s + 1) has the closed pole 0.
+    m = margins(loop_at(loop(-1.0, LAG, hold_s=None, others=[(T, 0.0, 0.0)]), "law:y0"))
+    assert not m.stable
+    assert (m.gain_margin, m.lower_gain_margin) == (1.0, 1.0)
+    assert (m.phase_margin_deg, m.phase_lead_margin_deg, m.disk_margin) == (0.0, 0.0, 0.0)
+    assert m.gain_margin_frequency_hz == pytest.approx(0.0, abs=1e-9)
