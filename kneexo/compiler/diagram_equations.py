@@ -11,6 +11,7 @@ from typing import Any
 
 from pydrake.systems.framework import System
 
+from .arguments import names, quoted
 from .equations.contexts import parameters_of, state_of
 from .equations.equations import Equations
 from .equations.ports import bypass as bypass_system, find_port
@@ -78,9 +79,8 @@ def read_diagram(
     require_system(diagram)
     name = diagram.get_name() or type(diagram).__name__
     root = Node(diagram)
-    in_names, out_names, paths = (
-        (names,) if isinstance(names, str) else tuple(names) for names in (inputs, outputs, bypass)
-    )
+    in_names, out_names = names("inputs", inputs), names("outputs", outputs)
+    paths = names("bypass", bypass)
     for path in paths:
         bypass_system(root, path)
     try:
@@ -102,7 +102,7 @@ def require_system(diagram: Any) -> None:
     """Raise `CompilationError` unless ``diagram`` is a Diagram or leaf system of floats."""
     if not isinstance(diagram, System):
         raise CompilationError(
-            f"{type(diagram).__name__} {diagram!r:.60}: cannot be compiled; must be a Diagram or "
+            f"{type(diagram).__name__} {quoted(diagram)}: cannot be compiled; must be a Diagram or "
             f"leaf system of floats"
         )
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from pydrake.systems.framework import PortDataType
 
+from ..arguments import quoted
 from ..errors import CompilationError, shown
 from .tree import Node, Port
 
@@ -35,7 +36,7 @@ def find_port(root: Node, name: str, kind: str) -> Port:
     if port is None:
         raise CompilationError(_unknown(root, name, kind))
     if _drake_port(port).get_data_type() != PortDataType.kVectorValued:
-        raise CompilationError(f"{kind} {shown(name)!r}: is not a vector; only vectors compile")
+        raise CompilationError(f"{kind} {quoted(name)}: is not a vector; only vectors compile")
     return port
 
 
@@ -49,10 +50,10 @@ def bypass(root: Node, path: str) -> None:
     if path not in systems:
         similar = get_close_matches(path, systems, n=3, cutoff=0.6)
         hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
-        raise CompilationError(f"bypass: {root.name} has no system {shown(path)!r}{hint}")
+        raise CompilationError(f"bypass: {_title(root)} has no system {quoted(path)}{hint}")
     if not can_bypass(root, path):
         raise CompilationError(
-            f"bypass: {shown(path)!r}: has a state, or ports that do not fit; must have no state, "
+            f"bypass: {quoted(path)}: has a state, or ports that do not fit; must have no state, "
             f"one output port, and a first input port of the same size"
         )
     systems[path].is_bypassed = True
@@ -117,7 +118,6 @@ def _unknown(root: Node, name: str, kind: str) -> str:
 
     It suggests all ports of the same system, or else similar names of ports inside.
     """
-    ports = list(_ports(root.system, kind))
     inner = [
         f"{node.path}:{port}"
         for node in _systems(root)
@@ -127,7 +127,14 @@ def _unknown(root: Node, name: str, kind: str) -> str:
     same_system = [port for port in inner if port.startswith(f"{name.rpartition(':')[0]}:")]
     similar = same_system or get_close_matches(name, inner, n=2, cutoff=0.6)
     hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
-    return (
-        f"{root.system.get_name() or type(root.system).__name__}: has no {kind} port "
-        f"{shown(name)!r}; it has {', '.join(ports) or 'none'}{hint}"
-    )
+    if ":" in name:
+        systems = ", ".join(node.path for node in _systems(root)) or "none"
+        hint = hint or f"; its systems are {shown(systems)}"
+        return f"{_title(root)}: has no port {quoted(name)} inside{hint}"
+    ports = ", ".join(_ports(root.system, kind)) or "none"
+    return f"{_title(root)}: has no {kind} port {quoted(name)}; it has {shown(ports)}{hint}"
+
+
+def _title(root: Node) -> str:
+    """Return the name of a diagram, or that of its class if its name is empty."""
+    return shown(root.system.get_name() or type(root.system).__name__)

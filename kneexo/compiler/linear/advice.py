@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import names
 from ..equations.equations import Section
 from ..equations.operations import OPERATIONS, Role
 from ..equations.ports import can_bypass
 from ..run_data import Array
 from .jacobian import values_and_jacobian
-from .point import EQUILIBRIUM_TOLERANCE, VARIABLES, Point, port_names, read_point
+from .point import EQUILIBRIUM_TOLERANCE, VARIABLES, Point, Slopes, read_point, require_tolerance
 
 _AT_CORNER = 1e-9  # relative distance of two numbers that counts as equal
 _CORNERS = {"where": "a switch", "abs": "an absolute value", "min": "a minimum", "max": "a maximum"}
@@ -59,12 +60,22 @@ def advice(
     - A derivative is not finite, such as that of a root at zero.
     - No state can bring the rate of a state to zero. The state is, for example, an integrator of a
       constant.
+    - The point is no equilibrium, for another reason.
 
-    Arguments and errors are those of `linearize`.
+    Arguments and errors are those of `linearize`, except that the obstacles of this list are no
+    errors. A state or input that is not finite is an error.
     """
-    in_names, out_names = port_names("inputs", inputs), port_names("outputs", outputs)
+    in_names, out_names = names("inputs", inputs), names("outputs", outputs)
+    require_tolerance(equilibrium_tolerance)
     point = read_point(diagram, context, in_names, out_names, bypass)
-    return [*obstacles(point, out_names), *_blocked_states(point, equilibrium_tolerance)]
+    slopes = point.slopes(out_names)
+    if not np.isfinite([*point.state, *point.inputs]).all():
+        point.require_finite(slopes, out_names)
+    found = [*obstacles(point, out_names)]
+    if not found:
+        point.require_finite(slopes, out_names)
+    rest = list(_blocked_states(point, slopes, equilibrium_tolerance))
+    return found + (rest or _moving_state(point, slopes, equilibrium_tolerance))
 
 
 def obstacles(point: Point, outputs: Iterable[str] = ()) -> list[Obstacle]:
@@ -220,12 +231,28 @@ class _Survey:
         return not self.row(node).any() and self._moves(branches)
 
 
-def _blocked_states(point: Point, tolerance: float) -> Iterator[Obstacle]:
+def _moving_state(point: Point, slopes: Slopes, tolerance: float) -> list[Obstacle]:
+    """Return an obstacle for the state that moves most, or no obstacle at an equilibrium."""
+    if not np.isfinite(slopes.rates_jacobian).all():  # see `_Survey.faults`
+        return []
+    if not (moving := point.motion(slopes, tolerance)):
+        return []
+    name = point.state_names[int(np.nanargmax(np.abs(point.residual(slopes.rates))))]
+    return [
+        Obstacle(
+            name.rpartition(".")[0] or name,
+            f"state {name}",
+            f"is not at rest: {moving}",
+            "use find_equilibrium, or equilibrium_tolerance=math.inf",
+        )
+    ]
+
+
+def _blocked_states(point: Point, slopes: Slopes, tolerance: float) -> Iterator[Obstacle]:
     """Yield an obstacle for each combination of rates that no state can bring to zero.
 
     Such a combination w is a left null vector of the Jacobian of the residual r, with w·r ≠ 0.
     """
-    slopes = point.slopes()
     residual, jacobian = point.residual(slopes.rates), point.residual_jacobian(slopes)
     jacobian = jacobian[:, : residual.size]
     if not residual.size or not np.isfinite(jacobian).all():

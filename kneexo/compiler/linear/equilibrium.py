@@ -9,12 +9,13 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import ArrayLike
 
+from ..arguments import names, quoted
 from ..diagram_equations import require_system
 from ..equations.contexts import set_state
-from ..errors import LinearizationError, ParameterError
+from ..errors import LinearizationError, ParameterError, shown
 from ..run_data import Array, State
 from .newton import newton
-from .point import EQUILIBRIUM_TOLERANCE, Point, port_names, read_point, require_tolerance
+from .point import EQUILIBRIUM_TOLERANCE, Point, read_point, require_tolerance
 
 _RANK_TOLERANCE = 1e-14
 
@@ -62,14 +63,20 @@ def find_equilibrium(
         a wrong size.
     """
     targets = {} if outputs is None else outputs
-    in_names, out_names = port_names("free_inputs", free_inputs), tuple(targets)
+    if not isinstance(targets, Mapping):
+        raise ParameterError(
+            f"outputs = {quoted(outputs)}: must be a dictionary from names of ports to values"
+        )
+    in_names, out_names = names("free_inputs", free_inputs), names("outputs", targets)
     require_tolerance(equilibrium_tolerance)
     require_system(diagram)
     context = diagram.CreateDefaultContext() if context is None else context
-    start = read_point(diagram, context, in_names, out_names, bypass)
+    start = read_point(diagram, context, in_names, out_names, bypass, "free_inputs")
     for name in in_names:
         if not diagram.HasInputPort(name):
-            raise ParameterError(f"free_inputs: {name!r} is no input port of the diagram itself")
+            raise ParameterError(
+                f"free_inputs: {quoted(name)} is no input port of the diagram itself"
+            )
     required = _target(start, targets)
     n, m = start.state.size, len(start.element_names(in_names))
     free = np.concatenate([_free_states(start, fixed), n + np.arange(m)])
@@ -113,20 +120,25 @@ def _target(point: Point, targets: Mapping[str, ArrayLike]) -> Array:
     rows = [np.empty(0)]
     for name, value in targets.items():
         size = len(point.element_names([name]))
-        row = np.atleast_1d(np.asarray(value, dtype=float))
+        try:
+            row = np.atleast_1d(np.asarray(value, dtype=float))
+        except (TypeError, ValueError):
+            row = np.empty(0)
         if row.shape != (size,) or not np.isfinite(row).all():
-            raise ParameterError(f"outputs: {name} = {value!r}: must be {size} finite numbers")
+            kind = "a finite number" if size == 1 else f"{size} finite numbers"
+            raise ParameterError(f"outputs: {shown(name)} = {quoted(value)}: must be {kind}")
         rows.append(row)
     return np.concatenate(rows)
 
 
 def _free_states(point: Point, fixed: Iterable[str]) -> Array:
     """Return the indices of the states that are not fixed."""
-    held = port_names("fixed", fixed)
+    held = names("fixed", fixed)
     for name in held:
         if name not in point.state_names:
             raise ParameterError(
-                f"fixed: {name!r} is no state; the states are {', '.join(point.state_names)}"
+                f"fixed: {quoted(name)} is no state; the states are "
+                f"{shown(', '.join(point.state_names))}"
             )
     return np.array([i for i, name in enumerate(point.state_names) if name not in held], dtype=int)
 

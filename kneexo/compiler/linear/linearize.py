@@ -9,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import names, positive
 from ..equations.equations import Update
 from ..errors import LinearizationError, ParameterError
 from ..native.timing import timing
 from ..run_data import Array
 from .advice import obstacles
 from .model import LinearModel, OperatingPoint, TickModel, over_period
-from .point import EQUILIBRIUM_TOLERANCE, Point, port_names, read_points, require_tolerance
+from .point import EQUILIBRIUM_TOLERANCE, Point, read_points, require_tolerance
 
 _MOST_TICKS = 100_000
+_MOST_TIME_CONSTANTS = 1e9
 
 
 def linearize(
@@ -57,7 +59,8 @@ def linearize(
         signal of a port includes the perturbation of the same port.
     bypass
         Paths of systems without state, such as quantizers, that count as wires: the first input is
-        the output. All obstacles behind a quantizer are visible only when it is bypassed.
+        the output. `advice` sees what lies behind a quantizer only if the quantizer is in
+        ``bypass``.
     period_s
         Period of the model in s, a multiple of all sample periods. The default is the least common
         multiple. If the diagram has no sample periods, the model is discretized exactly for inputs
@@ -73,10 +76,11 @@ def linearize(
     CompilationError
         The diagram does not compile, a port does not exist, or a port is no vector.
     LinearizationError
-        The point is no equilibrium, or a derivative is not finite.
+        The point is no equilibrium, or a derivative or the motion over the period is not finite.
     ParameterError
         ``inputs`` or ``outputs`` has a name twice, ``outputs`` is empty, ``period_s`` is no
-        multiple of the sample periods, the Context belongs to another diagram, or the tolerance is
+        multiple of the sample periods or exceeds 1e9 time constants of the fastest mode. Also if
+        the Context belongs to another diagram, or the tolerance is
         below zero.
     """
     options = bypass, period_s, equilibrium_tolerance
@@ -110,7 +114,7 @@ def _models(
     period_s: float | None,
     equilibrium_tolerance: float,
 ) -> list[LinearModel]:
-    in_names, out_names = port_names("inputs", inputs), port_names("outputs", outputs)
+    in_names, out_names = names("inputs", inputs), names("outputs", outputs)
     if not out_names:
         raise ParameterError("outputs: is empty; name at least one port")
     require_tolerance(equilibrium_tolerance)
@@ -135,8 +139,8 @@ def _model(
             f"{equilibrium_tolerance:g}); use find_equilibrium, or equilibrium_tolerance=math.inf"
         )
     _warn(point, out_names)
-    names = point.element_names(in_names)
-    n, columns = point.state.size, point.state.size + len(names)
+    input_names = point.element_names(in_names)
+    n, columns = point.state.size, point.state.size + len(input_names)
     updates = point.read.equations.updates
     jacobian = slopes.rates_jacobian[:, :columns]
     ticks: tuple[TickModel, ...] = ()
@@ -146,17 +150,36 @@ def _model(
     else:
         ticks, period = tick_models(updates, jacobian, len(point.read.state_names), period_s)
         a, b = over_period(ticks)
+        _require_period(a, b, jacobian[:, :n], period, sampled=bool(updates))
     return LinearModel(
         *(a, b, slopes.outputs_jacobian[:, :n], slopes.outputs_jacobian[:, n:columns]),
         period_s=period,
         state_names=point.state_names,
-        input_names=names,
+        input_names=input_names,
         output_names=point.element_names(out_names),
         operating_point=OperatingPoint(
-            point.time_s, point.state, point.inputs[: len(names)], slopes.outputs
+            point.time_s, point.state, point.inputs[: len(input_names)], slopes.outputs
         ),
         ticks=ticks,
     )
+
+
+def _require_period(a: Array, b: Array, rates: Array, period_s: float, sampled: bool) -> None:
+    """Raise an error if A or B over a period is not finite, or is lost to rounding errors.
+
+    The relative error of the matrix exponential is about 1e-16 times |λ| P, with the fastest
+    eigenvalue λ of the continuous states.
+    """
+    fastest = 0.0 if sampled else np.abs(np.linalg.eigvals(rates)).max(initial=0.0)
+    if fastest * period_s > _MOST_TIME_CONSTANTS:
+        raise ParameterError(
+            f"period_s = {period_s:g} s: must be at most {_MOST_TIME_CONSTANTS / fastest:.3g} s, "
+            f"{_MOST_TIME_CONSTANTS:g} time constants of the fastest mode"
+        )
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise LinearizationError(
+            f"the motion over the period, {period_s:g} s, is not finite; choose a shorter period_s"
+        )
 
 
 def _warn(point: Point, out_names: tuple[str, ...]) -> None:
@@ -206,8 +229,8 @@ def events(
     The first time is 0. It has no updates if all updates have an offset. ``period_s`` None stands
     for the least common multiple of the sample periods.
     """
-    if period_s is not None and not 0.0 < period_s < math.inf:
-        raise ParameterError(f"period_s = {period_s} s: must be finite and > 0")
+    if period_s is not None:
+        period_s = positive("period_s", period_s, "s")
     if not updates:
         assert period_s is not None
         return [(0.0, [])], period_s

@@ -10,7 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import LinearizationError
+from ..arguments import quoted
+from ..errors import LinearizationError, ParameterError
 from ..run_data import Array
 from .zeros import invariant_zeros
 
@@ -24,6 +25,10 @@ Rounding moves a simple eigenvalue by some 1e-15 of the largest one, times its c
 and condition numbers up to a few hundred are usual. An eigenvalue that is slower than 1e12 periods,
 or 1e12 times slower than the fastest one, is hence the same as one that does not decay.
 """
+
+_MOST_HZ = 1e300
+_MOST_PERIODS = 1e9
+"""Largest frequency in multiples of 1/P. Rounding errors of the phase are 1e-15 times as large."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -199,9 +204,9 @@ class LinearModel:
         λ is j2πf for a continuous model and e^{j2πfP} for a sampled one. So a sampled model has the
         inputs held over the period, and the outputs at t = 0, P, 2P … For inputs and outputs in
         continuous time see `sine_response`. Raises `LinearizationError` for a frequency that is not
-        finite, or is a pole.
+        finite, is a pole, or exceeds 1e9/P.
         """
-        frequencies = _finite(frequencies_hz)
+        frequencies = _frequencies(frequencies_hz, self.period_s)
         s = 2j * np.pi * frequencies
         points = s if self.period_s is None else np.exp(s * self.period_s)
         shifted = points[:, None, None] * np.eye(len(self.a)) - self.a
@@ -218,7 +223,8 @@ class LinearModel:
         −ω have the same frequency.
 
         For a continuous model the result is `frequency_response`. Raises `LinearizationError` for a
-        frequency that is not finite or is a pole, and for the model of a periodic orbit.
+        frequency that is not finite, is a pole, or exceeds 1e9/P, and for the model of a periodic
+        orbit.
         """
         if self.period_s is None:
             return self.frequency_response(frequencies_hz)
@@ -226,7 +232,7 @@ class LinearModel:
             raise LinearizationError(
                 "the model of a periodic orbit has only its samples; use frequency_response"
             )
-        frequencies = _finite(frequencies_hz)
+        frequencies = _frequencies(frequencies_hz, self.period_s)
         omega = 2.0 * np.pi * frequencies
         n, m = self.b.shape
         # With w = z e^{−jωt} the input is the constant 1, and the steady w has the period P.
@@ -299,12 +305,24 @@ def _solution(matrices: Any, right: Any, frequencies_hz: Array) -> Complex:
         ) from None
 
 
-def _finite(frequencies_hz: ArrayLike) -> Array:
-    """Return frequencies as an array (n,). Raise `LinearizationError` if one is not finite."""
-    frequencies = np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
-    finite = np.isfinite(frequencies)
-    if not finite.all():
-        raise LinearizationError(f"frequency = {frequencies[~finite][0]:g} Hz: must be finite")
+def _frequencies(frequencies_hz: ArrayLike, period_s: float | None) -> Array:
+    """Return frequencies as an array (n,), and check their range.
+
+    Raises `LinearizationError` for a frequency that is not finite or exceeds the range, and
+    `ParameterError` for what is no number.
+    """
+    try:
+        frequencies = np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+    except (TypeError, ValueError):
+        raise ParameterError(
+            f"frequencies_hz = {quoted(frequencies_hz)}: must be numbers in Hz"
+        ) from None
+    most = _MOST_HZ if period_s is None else _MOST_PERIODS / period_s
+    wrong = ~(np.abs(frequencies) <= most)
+    if wrong.any():
+        raise LinearizationError(
+            f"frequency = {frequencies[wrong][0]:g} Hz: must be finite, and at most {most:.3g} Hz"
+        )
     return frequencies
 
 
@@ -319,7 +337,8 @@ def over_period(ticks: Sequence[TickModel]) -> tuple[Array, Array]:
         if key not in steps:
             block = np.zeros((n + m, n + m))
             block[:n] = np.hstack([tick.rate_state, tick.rate_input])
-            steps[key] = scipy.linalg.expm(block * tick.duration_s)
+            with np.errstate(all="ignore"):  # the caller checks that A and B are finite
+                steps[key] = scipy.linalg.expm(block * tick.duration_s)
         step = steps[key]
         a, b = step[:n, :n] @ a, step[:n, :n] @ b + step[:n, n:]
     return a, b

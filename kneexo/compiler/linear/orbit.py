@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import names, positive
 from ..diagram_equations import equations_key
 from ..equations.contexts import set_state
 from ..equations.equations import Equations, Update
@@ -21,7 +22,7 @@ from ..run_data import Array, InputTable, State
 from .linearize import events
 from .model import Complex, LinearModel, OperatingPoint
 from .newton import newton
-from .point import Point, port_names, read_point
+from .point import Point, read_point
 
 _TOLERANCE = 1e-8
 _TRANSIENT = 30  # periods of a run from the start, after Newton's method fails there
@@ -101,7 +102,7 @@ def periodic_orbit(
         Period in s, a multiple of all sample periods and of the periods of all sources. By default
         the least common multiple of the sample periods.
     step_s
-        Largest step of RK4 in s.
+        Largest step of RK4 in s, above zero.
 
     Raises
     ------
@@ -109,9 +110,11 @@ def periodic_orbit(
         There is no periodic orbit near the start, or it is an equilibrium. The message names the
         state that changes most over the period.
     ParameterError
-        As in `linearize`. Also if ``period_s`` is missing for a diagram without sample periods.
+        As in `linearize`. Also if ``period_s`` is missing for a diagram without sample periods, or
+        ``step_s`` is not finite and positive.
     """
-    in_names, out_names = port_names("inputs", inputs), port_names("outputs", outputs)
+    in_names, out_names = names("inputs", inputs), names("outputs", outputs)
+    step_s = positive("step_s", step_s, "s")
     point = replace(read_point(diagram, context, in_names, out_names), time_s=0.0)
     if not point.state.size:
         raise LinearizationError("the diagram has no states: it has no periodic orbit")

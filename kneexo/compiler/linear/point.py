@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import PortDataType
 
+from ..arguments import names, number, quoted
 from ..diagram_equations import DiagramEquations, read_diagram, require_system
-from ..errors import CompilationError, LinearizationError, ParameterError
+from ..errors import CompilationError, LinearizationError, ParameterError, shown
 from ..native.runner import element_name
 from ..run_data import Array
 from .jacobian import time_varying, values_and_jacobian
@@ -147,11 +148,14 @@ class Point:
         A state moves if its element of `residual` exceeds ``tolerance`` and the effect of rounding
         errors. Rounding counts as 1e-13 of the sum of magnitudes ∑ⱼ |∂rᵢ/∂zⱼ| |zⱼ|.
         """
+        if tolerance == math.inf:
+            return ""
         residual = self.residual(slopes.rates)
         values = np.concatenate([self.state, self.inputs])
-        rounding = 1e-13 * (np.abs(slopes.rates_jacobian) @ np.abs(values))
+        with np.errstate(invalid="ignore", over="ignore"):
+            rounding = 1e-13 * (np.abs(slopes.rates_jacobian) @ np.abs(values))
         moves = ~(np.abs(residual) <= tolerance + rounding)
-        if tolerance == math.inf or not moves.any():
+        if not moves.any():
             return ""
         index = int(np.argmax(np.where(moves, np.nan_to_num(np.abs(residual), nan=np.inf), -1.0)))
         if index < len(self.read.state_names):
@@ -160,20 +164,8 @@ class Point:
 
 
 def require_tolerance(equilibrium_tolerance: float) -> None:
-    """Raise `ParameterError` for a tolerance below zero or nan."""
-    if not equilibrium_tolerance >= 0.0:
-        raise ParameterError(f"equilibrium_tolerance = {equilibrium_tolerance}: must be >= 0")
-
-
-def port_names(what: str, names: Iterable[str]) -> tuple[str, ...]:
-    """Return names as a tuple. Raise `ParameterError` for a name that occurs twice."""
-    ports = (names,) if isinstance(names, str) else tuple(names)
-    for port in ports:
-        if not isinstance(port, str):
-            raise ParameterError(f"{what}: has {port!r:.60}; must be names")
-        if ports.count(port) > 1:
-            raise ParameterError(f"{what}: has {port!r} twice; give each name once")
-    return ports
+    """Raise `ParameterError` for a tolerance that is no number, is below zero, or is nan."""
+    number("equilibrium_tolerance", equilibrium_tolerance, "", ">= 0", lambda x: x >= 0.0)
 
 
 def read_point(
@@ -182,14 +174,16 @@ def read_point(
     inputs: Iterable[str] = (),
     outputs: Iterable[str] = (),
     bypass: Iterable[str] = (),
+    setting: str = "inputs",
 ) -> Point:
     """Read the equations of a diagram of floats, and the values of a Context.
 
     The open inputs are ``inputs`` and then all other input ports of the diagram that have a value
     in the Context. An input without a value, or inside the diagram, has the value zero. For the
-    names and errors see `linearize`.
+    names and errors see `linearize`. ``setting`` is the name of ``inputs`` in the caller's
+    arguments, for the message about an input that has no value.
     """
-    return read_points(diagram, [context], inputs, outputs, bypass)[0]
+    return read_points(diagram, [context], inputs, outputs, bypass, setting)[0]
 
 
 def read_points(
@@ -198,26 +192,30 @@ def read_points(
     inputs: Iterable[str] = (),
     outputs: Iterable[str] = (),
     bypass: Iterable[str] = (),
+    setting: str = "inputs",
 ) -> list[Point]:
     """Read the equations of a diagram once, and the values of several Contexts; see `read_point`.
 
     An input is open if it has a value in at least one of the Contexts.
     """
     require_system(diagram)
-    contexts = list(contexts)
+    try:
+        contexts = list(contexts)
+    except TypeError:
+        raise ParameterError(f"contexts = {quoted(contexts)}: must be a list of Contexts") from None
     values = [_input_values(diagram, context) for context in contexts]
     open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
     exported = {diagram.get_output_port(i).get_name() for i in range(diagram.num_output_ports())}
+    inner = [name for name in outputs if name not in exported]
+    bypass = names("bypass", bypass)
     try:
-        read = read_diagram(
-            diagram,
-            inputs=open_ports,
-            outputs=[name for name in outputs if name not in exported],
-            bypass=bypass,
-        )
+        read = read_diagram(diagram, inputs=open_ports, outputs=inner, bypass=bypass)
     except CompilationError as error:
-        if "is not connected" in str(error):
-            raise CompilationError(f"{error}, or fix its value in the Context") from error
+        if port := _port_without_value(diagram, open_ports, inner, bypass):
+            raise CompilationError(
+                f"input port {quoted(port)} has no value: FixValue it in the Context, or name it "
+                f"in {setting}"
+            ) from error
         raise
     sizes = read.equations.inputs
     states = [read.state(context) for context in contexts]
@@ -235,6 +233,28 @@ def read_points(
     ]
 
 
+def _port_without_value(
+    diagram: Any, inputs: Iterable[str], outputs: Sequence[str], bypass: Sequence[str]
+) -> str:
+    """Return the name of an input port whose value is missing, or "" if no value is missing.
+
+    The other arguments are those of a `read_diagram` that failed.
+    """
+    ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))
+    vectors = [p.get_name() for p in ports if p.get_data_type() == PortDataType.kVectorValued]
+    more = list(inputs)
+    for port in vectors:
+        if port in more:
+            continue
+        more.append(port)
+        try:
+            read_diagram(diagram, inputs=more, outputs=outputs, bypass=bypass)
+        except CompilationError:
+            continue
+        return port
+    return ""
+
+
 def _input_values(diagram: Any, context: Any) -> dict[str, Array]:
     """Return the value of each input port of vectors that has a value in a Context, by its name."""
     if context is None:
@@ -243,8 +263,8 @@ def _input_values(diagram: Any, context: Any) -> dict[str, Array]:
         diagram.ValidateContext(context)
     except (RuntimeError, TypeError):
         raise ParameterError(
-            f"context: is no Context of {diagram.get_name()!r}, or of another system; create it by "
-            f"diagram.CreateDefaultContext()"
+            f"context: is no Context of {shown(diagram.get_name() or type(diagram).__name__)}; "
+            f"create it by diagram.CreateDefaultContext()"
         ) from None
     ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))
     return {

@@ -9,7 +9,7 @@ from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain, PassTh
 
 from kneexo.compiler import CompilationError, InputTable, compile_diagram, read_diagram
 from kneexo.compiler.equations.graph_values import values_of
-from kneexo.compiler.equations.ports import find_port, route_of, size_of
+from kneexo.compiler.equations.ports import bypass, find_port, route_of, size_of
 from kneexo.compiler.equations.tree import Node
 
 
@@ -118,12 +118,12 @@ def test_a_route_ends_at_the_source(nested):
         (
             "last:y",
             "input",
-            "nested: has no input port 'last:y'; it has r; did you mean last:y0 or last:u0?",
+            "nested: has no port 'last:y' inside; did you mean last:y0 or last:u0?",
         ),
         (
             "box/dubble:y0",
             "output",
-            "nested: has no output port 'box/dubble:y0'; it has y, total; did you mean "
+            "nested: has no port 'box/dubble:y0' inside; did you mean "
             "box/double:y0 or box/double:u0?",
         ),
     ],
@@ -146,3 +146,18 @@ def test_a_port_that_is_no_vector_is_refused():
     for port, kind in ((name, "output"), (scene_input, "input")):
         with pytest.raises(CompilationError, match=r"is not a vector; only vectors compile\Z"):
             find_port(Node(diagram), port, kind)
+
+
+def test_messages_name_the_class_of_a_diagram_without_a_name():
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("pendulum", PendulumPlant())
+    root = Node(builder.Build())
+    root.system.set_name("")
+    with pytest.raises(CompilationError, match=r"\Abypass: Diagram has no system 'nope'\Z"):
+        bypass(root, "nope")
+    with pytest.raises(CompilationError, match=r"\ADiagram: has no port 'no:y0' inside; its sys"):
+        find_port(root, "no:y0", "input")
+    with pytest.raises(CompilationError) as caught:
+        find_port(root, "x\x00" + "y" * 5000, "output")
+    assert r"'x\x00yyy" in str(caught.value)
+    assert len(str(caught.value)) < 500

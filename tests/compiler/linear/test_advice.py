@@ -29,7 +29,16 @@ from pydrake.systems.primitives import (
 )
 from pydrake.systems.sensors import RotaryEncoders
 
-from kneexo.compiler import CompilationError, advice, find_equilibrium, linearize, loop_at, margins
+from kneexo.compiler import (
+    CompilationError,
+    LinearizationError,
+    ParameterError,
+    advice,
+    find_equilibrium,
+    linearize,
+    loop_at,
+    margins,
+)
 
 U = Variable("u")
 LAG = ([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
@@ -211,8 +220,46 @@ def test_an_open_input_brings_no_state_to_rest():
     assert obstacle.reason == "changes by 3 per s, and no state brings this to zero"
 
 
-def test_a_state_that_only_starts_off_its_equilibrium_is_no_obstacle():
-    assert advice(feedback(reference=1.0)) == []
+def test_a_state_off_its_equilibrium_is_named_as_linearize_refuses_the_point():
+    diagram = feedback(reference=1.0)
+    (obstacle,) = advice(diagram)
+    assert (obstacle.path, obstacle.port) == ("lag", "state lag.x[0]")
+    assert obstacle.reason == "is not at rest: d(lag.x[0])/dt = 1 per s"
+    assert advice(diagram, **ANYWHERE) == []
+    assert advice(diagram, find_equilibrium(diagram)) == []
+
+
+def test_a_point_that_is_not_finite_is_the_error_of_linearize():
+    diagram = feedback()
+    errors = []
+    for function in (advice, linearize):
+        with pytest.raises(
+            LinearizationError, match=r"the rate of lag.x.0. is not finite"
+        ) as error:
+            function(diagram, at(diagram, np.nan), inputs=[], outputs=["y"])
+        errors.append(str(error.value))
+    assert errors[0] == errors[1]
+
+
+@pytest.mark.parametrize("tolerance", [-1.0, "a", True, np.nan])
+def test_a_wrong_tolerance_is_refused(tolerance):
+    diagram = feedback()
+    for function in (advice, linearize):
+        with pytest.raises(ParameterError, match=r"\Aequilibrium_tolerance = .*>= 0\Z"):
+            function(diagram, inputs=[], outputs=["y"], equilibrium_tolerance=tolerance)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"inputs": None}, {"inputs": 3}, {"outputs": [3]}, {"bypass": None}, {"bypass": [3]}],
+)
+def test_names_of_another_type_are_refused(wrong):
+    diagram = feedback()
+    for function in (advice, linearize):
+        with pytest.raises(
+            ParameterError, match=r"\A(inputs|outputs|bypass).*must be [^\n]*names\Z"
+        ):
+            function(diagram, **{"inputs": [], "outputs": ["y"], **wrong})
 
 
 @pytest.mark.parametrize(

@@ -144,6 +144,14 @@ def test_stiff_units_do_not_prevent_an_equilibrium():
     assert state == pytest.approx([math.sqrt(0.3)], rel=1e-14)
 
 
+def test_a_value_of_a_scalar_output_must_be_a_number():
+    x = Variable("x")
+    plant = SymbolicVectorSystem(state=[x], dynamics=[-x], output=[x])
+    for value in ("a", 1j, [1.0, 2.0], math.nan):
+        with pytest.raises(ParameterError, match=r"\Aoutputs: y0 = .*: must be a finite number\Z"):
+            find_equilibrium(plant, outputs={"y0": value})
+
+
 def test_an_output_that_cannot_have_its_value_is_named():
     x = Variable("x")
     plant = SymbolicVectorSystem(state=[x], dynamics=[0.0 * x], output=[x * x])
@@ -162,6 +170,10 @@ def test_an_output_that_cannot_have_its_value_is_named():
             {"fixed": "angle"},
         ),
         (ParameterError, r"state = \[1\.0\]: must be 2 finite", {"outputs": {"state": [1.0]}}),
+        (ParameterError, r"state = 'a': must be 2 finite numbers", {"outputs": {"state": "a"}}),
+        (ParameterError, r"outputs: has 3; must be names", {"outputs": {3: 1.0}}),
+        (ParameterError, r"outputs = 'state': must be a dictionary", {"outputs": "state"}),
+        (ParameterError, r"free_inputs = 3: must be a list of names", {"free_inputs": 3}),
         (ParameterError, r"fixed: has 'theta' twice", {"fixed": ["theta", "theta"]}),
         # With v = thetadot: least squares of v and 9.81 (2·0.3 − 2 sin 1.2) − 0.4 v.
         (LinearizationError, r"d\(thetadot\)/dt = -10\.69.* per s", {"fixed": "theta"}),

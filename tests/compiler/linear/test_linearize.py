@@ -298,3 +298,28 @@ def test_a_point_that_moves_names_the_state(loop):
         linearize(loop, context, inputs=["r"], outputs=["y"])
     model = linearize(loop, context, inputs=["r"], outputs=["y"], equilibrium_tolerance=math.inf)
     assert model.operating_point.inputs == [0.5]
+
+
+@pytest.mark.parametrize("period_s", ["1", True, 0.0, math.nan, [0.1]])
+def test_a_period_of_another_type_or_sign_is_refused(period_s):
+    plant = PendulumPlant()
+    for function in (linearize, periodic_orbit):
+        with pytest.raises(ParameterError, match=r"\Aperiod_s = .*finite and > 0\Z"):
+            function(plant, inputs=["tau"], outputs=["state"], period_s=period_s)
+
+
+def test_a_period_beyond_the_accuracy_of_the_exponential_is_refused():
+    lag = LinearSystem([[-20.0]], [[1.0]], [[1.0]], [[0.0]])
+    ports = {"inputs": ["u0"], "outputs": ["y0"]}
+    # The largest time is 1e9/20 s. There the lag forgets its state, and its gain is 1/20.
+    model = linearize(lag, period_s=5e7, **ports)
+    np.testing.assert_allclose([model.a, model.b], [[[0.0]], [[0.05]]], rtol=1e-6)
+    for period_s in (5.1e7, 1e100, 1e300):
+        with pytest.raises(
+            ParameterError, match=r"must be at most 5e\+07 s, 1e\+09 time constants"
+        ):
+            linearize(lag, period_s=period_s, **ports)
+    integrator = LinearSystem([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    assert linearize(integrator, period_s=1e50, **ports).b == pytest.approx(1e50)
+    with pytest.raises(LinearizationError, match=r"the period, 1e\+308 s, is not finite; choose a"):
+        linearize(integrator, period_s=1e308, **ports)

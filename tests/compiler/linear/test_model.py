@@ -125,7 +125,9 @@ def test_what_a_model_lacks_is_one_line():
     with pytest.raises(LinearizationError, match=r"\Ainputs: is empty; python-control [^\n]*\Z"):
         autonomous.to_control()
     for response in (model.frequency_response, linear(period_s=0.1).sine_response):
-        with pytest.raises(LinearizationError, match=r"\Afrequency = nan Hz: must be finite\Z"):
+        with pytest.raises(
+            LinearizationError, match=r"\Afrequency = nan Hz: must be finite, and at "
+        ):
             response([1.0, math.nan])
     integrator = LinearSystem([[0.0]], [[1.0]], [[1.0]], [[0.0]])
     for period_s in (None, 0.5):
@@ -148,3 +150,17 @@ def test_rounding_does_not_decide_whether_a_free_mode_is_stable(pole, period_s):
 def test_a_slow_mode_is_stable():
     plant = LinearSystem(np.diag([-1e4, -1e-6]), np.eye(2, 1), np.eye(2), np.zeros((2, 1)))
     assert linearize(plant, inputs=["u0"], outputs=["y0"]).stable
+
+
+def test_a_frequency_beyond_the_accuracy_of_its_phase_is_refused():
+    model = linear(period_s=0.1)
+    for response in (model.frequency_response, model.sine_response):
+        assert np.isfinite(response([0.9e10])).all()
+        for frequency in (1.1e10, 1e300):
+            with pytest.raises(LinearizationError, match=r"must be finite, and at most 1e\+10 Hz"):
+                response([1.0, frequency])
+        with pytest.raises(ParameterError, match="frequencies_hz = 'a': must be numbers in Hz"):
+            response("a")
+    assert np.isfinite(linear().frequency_response([1e300])).all()
+    with pytest.raises(LinearizationError, match=r"must be finite, and at most 1e\+300 Hz"):
+        linear().frequency_response([1e308])

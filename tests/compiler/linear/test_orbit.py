@@ -178,3 +178,9 @@ def drift(rate):
 def test_no_orbit_is_one_line(error, match, plant, arguments):
     with pytest.raises(error, match=rf"\A(?=.*{match})[^\n]*\Z"):
         periodic_orbit(plant(), **arguments)
+
+
+@pytest.mark.parametrize("step_s", [0.0, -1.0, math.nan, "x", True])
+def test_a_step_that_is_not_positive_is_refused(step_s):
+    with pytest.raises(ParameterError, match=r"\Astep_s = .*must be .*finite and > 0\Z"):
+        periodic_orbit(VanDerPolOscillator(), period_s=6.6, step_s=step_s)

@@ -7,9 +7,15 @@ import pytest
 from pydrake.examples import PendulumPlant
 from pydrake.symbolic import Variable, sqrt
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Gain, Sine, SymbolicVectorSystem, ZeroOrderHold
+from pydrake.systems.primitives import Gain, Integrator, Sine, SymbolicVectorSystem, ZeroOrderHold
 
-from kneexo.compiler import CompilationError, LinearizationError, ParameterError
+from kneexo.compiler import (
+    CompilationError,
+    LinearizationError,
+    ParameterError,
+    find_equilibrium,
+    linearize_at,
+)
 from kneexo.compiler.linear.point import read_point
 
 
@@ -42,9 +48,30 @@ def test_an_input_without_a_value_is_zero():
 def test_an_input_that_is_neither_named_nor_fixed_is_an_error():
     x, u = Variable("x"), Variable("u")
     plant = SymbolicVectorSystem(state=[x], input=[u], dynamics=[u - x], output=[x])
-    remedy = "connect it, or name the diagram's port in inputs, or fix its value in the Context$"
-    with pytest.raises(CompilationError, match=f"is not connected.*; {remedy}"):
-        read_point(plant, plant.CreateDefaultContext())
+    context = plant.CreateDefaultContext()
+    message = r"\Ainput port 'u0' has no value: FixValue it in the Context, or name it in inputs\Z"
+    with pytest.raises(CompilationError, match=message):
+        read_point(plant, context)
+    with pytest.raises(CompilationError, match=message.replace("inputs", "free_inputs")):
+        find_equilibrium(plant, context)
+
+
+def test_the_input_without_a_value_is_named_among_others():
+    builder = DiagramBuilder()
+    integrator = builder.AddNamedSystem("integrator", Integrator(1))
+    unused = builder.AddNamedSystem("unused", Gain(1.0, 1))
+    ports = {"idle": unused.get_input_port(), "r": integrator.get_input_port()}
+    for name, port in ports.items():
+        builder.ExportInput(port, name)
+    with pytest.raises(CompilationError, match=r"\Ainput port 'r' has no value"):
+        read_point(builder.Build(), None)
+
+
+def test_an_input_inside_that_is_open_is_no_input_of_the_diagram():
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("integrator", Integrator(1))
+    with pytest.raises(CompilationError, match=r"\Aintegrator: .*is not connected.*; connect it"):
+        read_point(builder.Build(), None)
 
 
 def test_the_time_of_the_context_is_the_time_of_the_equations():
@@ -78,6 +105,11 @@ def test_rates_and_residual_of_continuous_and_discrete_states():
 
 
 def test_another_diagrams_context_is_refused(pendulum):
+    pendulum[0].set_name("")
+    with pytest.raises(ParameterError, match="context: is no Context of PendulumPlant; create"):
+        read_point(pendulum[0], 3)
+    with pytest.raises(ParameterError, match=r"contexts = .*: must be a list of Contexts\Z"):
+        linearize_at(*pendulum, inputs=[], outputs=["state"])
     for context in (Gain(1.0, 1).CreateDefaultContext(), "context"):
         with pytest.raises(ParameterError, match=r"\Acontext: is no Context of [^\n]*\Z"):
             read_point(pendulum[0], context)
