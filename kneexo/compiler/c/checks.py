@@ -26,8 +26,12 @@ def require_positive(what: str, value: Any, unit: str) -> None:
     """Raise `CompilationError` unless ``value`` is a finite positive number."""
     words = f"finite and > 0 {unit}"
     require_type(what, value, Real, words)
-    if not 0.0 < value < math.inf:
-        raise CompilationError(f"{what} = {value:g} {unit}: must be {words}")
+    try:
+        number = float(value)
+    except OverflowError:  # an integer
+        number = math.inf
+    if not 0.0 < number < math.inf:
+        raise CompilationError(f"{what} = {number:g} {unit}: must be {words}")
 
 
 def distinct_names(what: str, names: Any) -> tuple[str, ...]:

@@ -73,7 +73,13 @@ def schedule_of(
     periods: list[int] = []
     offsets: list[int] = []
     if equations.updates:
-        times = timing(tuple((u.period_s, u.offset_s) for u in equations.updates), tick_s)
+        try:
+            times = timing(tuple((u.period_s, u.offset_s) for u in equations.updates), tick_s)
+        except OverflowError:  # a sample time has more than 2^63 ticks
+            raise CompilationError(
+                f"tick_s = {tick_s:g} s: is too short beside the sample times of {name}; must be "
+                f"a usual fraction of them"
+            ) from None
         tick_s, periods, offsets = times.tick, times.periods.tolist(), times.offsets.tolist()
     assert tick_s is not None
     largest_s = rk4_step_s(equations, parameters, state) if step_s is None else step_s

@@ -106,7 +106,11 @@ class CSource:
             )
         require_type("look_up", self.look_up, bool, "True or False")
         require_type("subject", self.subject, str, "a text")
-        require_type("origin", self.origin, (tuple, type(None)), "(name, text) of a file")
+        if self.origin is not None:
+            words = "a pair of texts (file name, text)"
+            require_type("origin", self.origin, tuple, words)
+            if [type(part) for part in self.origin] != [str, str]:
+                raise CompilationError(f"origin = {shown(f'{self.origin!r:.60}')}: must be {words}")
         require_type("interface", self.interface, Interface, "an Interface")
         for port in self.output_ports:
             if port not in self.equations.outputs:

@@ -123,6 +123,9 @@ class VariableTable:
                 raise CompilationError(f"{name}: two variables of the FMU have this name")
 
     def _require_members(self) -> None:
+        for parameter in self.parameters:
+            what = f"members of {parameter.name!r:.60}"
+            require_type(what, parameter.members, (tuple, list), "a tuple of names")
         known = {*self._plan.members, *self._states, *self._discrete}
         members = [member for parameter in self.parameters for member in parameter.members]
         for member in members:
@@ -138,6 +141,14 @@ class VariableTable:
             for key in ("start", "low", "high", "divisor"):
                 value = getattr(parameter, key)
                 require_type(f"{key} of {parameter.name!r:.60}", value, Real, "a number")
+            if not (math.isfinite(parameter.divisor) and parameter.divisor):
+                raise CompilationError(
+                    f"divisor of {parameter.name!r:.60} = {parameter.divisor:g}: must be finite, "
+                    f"and not 0"
+                )
+            require_type(
+                f"description of {parameter.name!r:.60}", parameter.description, str, "a text"
+            )
             if not _NAME.fullmatch(parameter.name):
                 raise CompilationError(
                     f"parameter {shown(repr(parameter.name))}: must be a name such as leaf.mass or "

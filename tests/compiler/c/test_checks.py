@@ -14,7 +14,9 @@ def test_numbers_of_numpy_are_numbers():
         require_positive("t", value, "s")
 
 
-@pytest.mark.parametrize("value", [0, -1.0, math.nan, math.inf, True, np.True_, "1", None, 1j])
+@pytest.mark.parametrize(
+    "value", [0, -1.0, math.nan, math.inf, 10**400, True, np.True_, "1", None, 1j]
+)
 def test_no_positive_number(value):
     with pytest.raises(CompilationError, match=r"^t = .*: must be finite and > 0 s$"):
         require_positive("t", value, "s")

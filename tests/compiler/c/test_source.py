@@ -361,7 +361,11 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
         ({"outputs": [3]}, "an element of outputs = 3: must be a name"),
         ({"look_up": "no"}, "look_up = 'no': must be True or False"),
         ({"subject": 3}, "subject = 3: must be a text"),
-        ({"origin": "a.yaml"}, "origin = 'a.yaml': must be"),
+        *(
+            ({"origin": origin}, r"^origin = .*: must be a pair of texts \(file name, text\)")
+            for origin in ("a.yaml", ("a",), (1, 2))
+        ),
+        ({"tick_s": 1e-300}, "tick_s = 1e-300 s: is too short beside the sample times of model"),
         ({"step": 1e-3}, "option 'step': is unknown; known: precision, outputs, interface, tick_s"),
         ({"context": 3}, "context = 3: must be a Context of the diagram"),
         (

@@ -151,6 +151,15 @@ def _one_line(error):
         ({"parameters": 3}, "parameters = 3: must be a list of names or of FmuParameter"),
         ({"parameters": [3]}, "an element of parameters = 3: must be a name or an FmuParameter"),
         ({"parameters": [FmuParameter("m", "a", ())]}, "start of 'm' = 'a': must be a number"),
+        ({"parameters": [FmuParameter("m", 1.0, None)]}, "members of 'm' = None: must be a tuple"),
+        (
+            {"parameters": [FmuParameter("m", 1.0, ("pendulum.mass",), divisor=0.0)]},
+            "divisor of 'm' = 0: must be finite, and not 0",
+        ),
+        (
+            {"parameters": [FmuParameter("m", 1.0, ("pendulum.mass",), description=3)]},
+            "description of 'm' = 3: must be a text",
+        ),
         ({"description": 3}, "description = 3: must be a text"),
         ({"starts": {"tau": "a"}}, "start value tau = 'a': must be a finite number"),
         ({"starts": 3}, "starts = 3: must be a dictionary"),
