@@ -132,9 +132,10 @@ def test_a_mode_that_the_loop_does_not_move_changes_no_margin(plant):
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_periodic_loop_on_the_boundary_has_no_margin():
+@pytest.mark.parametrize("rounding", [-1e-13, 0.0, 1e-13])
+def test_a_periodic_loop_on_the_boundary_has_no_margin(rounding):
     # L = −1/(s + 1) has the closed pole 0.
-    m = margins(loop_at(loop(-1.0, LAG, hold_s=None, others=[(T, 0.0, 0.0)]), "law:y0"))
+    m = margins(loop_at(loop(-1.0 - rounding, LAG, hold_s=None, others=[(T, 0.0, 0.0)]), "law:y0"))
     assert not m.stable
     assert (m.gain_margin, m.lower_gain_margin) == (1.0, 1.0)
     assert (m.phase_margin_deg, m.phase_lead_margin_deg, m.disk_margin) == (0.0, 0.0, 0.0)
