@@ -128,8 +128,8 @@ def _unknown(root: Node, name: str, kind: str) -> str:
     similar = same_system or get_close_matches(name, inner, n=2, cutoff=0.6)
     hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
     if ":" in name:
-        systems = ", ".join(node.path for node in _systems(root)) or "none"
-        hint = hint or f"; its systems are {shown(systems)}"
+        systems = ", ".join(node.path for node in _systems(root))
+        hint = hint or (f"; its systems are {shown(systems)}" if systems else "; it is one system")
         return f"{_title(root)}: has no port {quoted(name)} inside{hint}"
     ports = ", ".join(_ports(root.system, kind)) or "none"
     return f"{_title(root)}: has no {kind} port {quoted(name)}; it has {shown(ports)}{hint}"

@@ -157,6 +157,10 @@ def test_messages_name_the_class_of_a_diagram_without_a_name():
         bypass(root, "nope")
     with pytest.raises(CompilationError, match=r"\ADiagram: has no port 'no:y0' inside; its sys"):
         find_port(root, "no:y0", "input")
+    with pytest.raises(
+        CompilationError, match=r"\AGain: has no port 'no:y0' inside; it is one sys"
+    ):
+        find_port(Node(Gain(1.0, 1)), "no:y0", "input")
     with pytest.raises(CompilationError) as caught:
         find_port(root, "x\x00" + "y" * 5000, "output")
     assert r"'x\x00yyy" in str(caught.value)
