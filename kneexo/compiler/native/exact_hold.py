@@ -75,7 +75,7 @@ class Shared:
     """Layout of the memory that all lanes share, in elements of eight bytes for each lane.
 
     Each element has one value for each lane: ``level``, the number of halvings of the step; the
-    ``norm`` of the current ``jacobian``; and the five matrices of `_step` at ``tables``.
+    ``norm`` of the current ``jacobian``; and the five matrices of ``_step`` at ``tables``.
     """
 
     def __init__(self, size: int) -> None:

@@ -207,16 +207,24 @@ def test_numbers_become_ranges():
     assert _ranges([]) == []
 
 
-def test_the_table_is_a_file_of_the_export(tmp_path, tables, monkeypatch):
+def tables_of(text):
+    """Return each Markdown table of a text as rows of cells, the head first."""
+    blocks = re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE)
+    rows = [[line[1:-1].split("|") for line in block.splitlines()] for block in blocks]
+    cells = [[[cell.strip() for cell in row] for row in table] for table in rows]
+    return [[table[0], *table[2:]] for table in cells]  # the second row is a line of dashes
+
+
+def test_the_table_is_a_file_of_the_export(tmp_path, monkeypatch):
     monkeypatch.setattr(c_build, "TARGETS", {})
     monkeypatch.setattr(c_build, "COMPILERS", ())
     samples = np.full((3, 1), 1.3)
     options = {"name": "m", "inputs": ["u"], "samples": samples, "tick_s": 0.01}
     export_c(two_branches(), tmp_path, **options)
     text = (tmp_path / "traceability.md").read_text()
-    lines, names = tables(text)
+    lines, names = tables_of(text)
     trace = trace_of(exported(two_branches()))
     assert [tuple(row) for row in lines[1:]] == trace.lines
     assert [row[0].strip("`") for row in names[1:]] == [row[0] for row in trace.names]
-    (frozen,) = (t for t in tables((tmp_path / "README.md").read_text()) if "class" in t[0])
+    (frozen,) = (t for t in tables_of((tmp_path / "README.md").read_text()) if "class" in t[0])
     assert [tuple(row) for row in frozen[1:]] == trace.frozen
