@@ -41,7 +41,9 @@ from .types import BOOL, BYTE, DOUBLE, INT, POINTER, Type
 
 _CHECKS = 4  # independent sums, which the processor can compute at the same time
 
-_INLINED_STATES, _INLINED_NODES = 8, 1500  # beyond that derivatives are called
+# Beyond these sizes derivatives are called. With a single lane copies of longer derivatives save no
+# time in a run, but LLVM takes longer.
+_INLINED_STATES, _INLINED_NODES, _INLINED_NODES_OF_ONE_LANE = 8, 1500, 120
 
 
 def start_text(program: Program) -> str:
@@ -133,7 +135,7 @@ class _Model:
         self.output_count = sum(map(len, equations.outputs.values()))
         large = program.size > _INLINED_STATES or (
             len(program.graph.reachable(program.derivatives)) - len(program.hoisted)
-            > _INLINED_NODES
+            > (_INLINED_NODES if lanes > 1 else _INLINED_NODES_OF_ONE_LANE)
         )
         attributes = "noinline" if large else "alwaysinline"
         self.derivatives = define_derivatives(f.module, program, lanes, attributes)
