@@ -18,9 +18,9 @@ from .native.llvm import processor
 class RunEnd:
     """How a run ended.
 
-    ``error`` is the name of the error's class; it and ``message`` are empty if the run succeeded.
-    ``time_s`` is the time of the end in s, and ``state`` maps the name of each state to its value
-    at the end. A run that does not know them has the time nan and an empty ``state``.
+    ``error`` is the name of the error's class. ``error`` and ``message`` are empty if the run
+    succeeded. ``time_s`` is the time of the end in s, and ``state`` maps the name of each state to
+    its value at the end. A run that does not know them has the time nan and an empty ``state``.
     """
 
     error: str

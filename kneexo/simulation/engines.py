@@ -278,7 +278,7 @@ async def _run(request: RunRequest) -> Run:
 
 
 def can_reduce(scenario: Scenario) -> bool:
-    """Return True if `reduce_run` can run a scenario: compiled, with a law that is compiled."""
+    """Return True if the engine and the control law of a scenario are compiled."""
     return scenario.simulation.compiled and not runs_as_python(scenario)
 
 

@@ -115,8 +115,8 @@ def record_failure(scenario: Scenario, *, error: str = "", note: Mapping[str, An
 def read_failure(path: str | os.PathLike[str], *, same_law: bool = True) -> Failure:
     """Read a file that `Failure.write` made. A control law of the user is imported from its file.
 
-    ``same_law``: whether the code of the law must be the code at the time of the failure. Without
-    this the law of today is run.
+    ``same_law``: whether the code of the law must be the code at the time of the failure. If
+    False, the run uses the law as it is now.
 
     Raises `ParameterError` if the file cannot be read, is too large or is no such file, and if the
     code of the law has changed.

@@ -61,7 +61,7 @@ def require_platforms(platforms: str | Iterable[str]) -> tuple[str, ...]:
 
 
 def native_platform() -> str | None:
-    """Return the name of the platform of this machine, or None if it is not Linux in 64 bits."""
+    """Return the platform of this machine, or None unless it is Linux on x86-64 or aarch64."""
     name = f"{platform.machine()}-{sys.platform}"
     return name if sys.platform == "linux" and name in PLATFORMS else None
 

@@ -83,7 +83,8 @@ def export_fmu(
     platforms
         Names of the platforms for which Zig compiles a binary, or ``all``: see `require_platforms`.
         By default, the C compiler of this machine compiles a binary for this machine. Without a C
-        compiler, or on another system than Linux in 64 bits, the FMU has C sources alone.
+        compiler, or on a machine other than Linux on x86-64 or aarch64, the FMU has C sources
+        alone.
     context
         Context with the values of parameters and states; by default the diagram's default Context.
     starts

@@ -1,4 +1,4 @@
-"""Computes gain, phase, delay and disk margins of any loop."""
+"""Computes gain, phase, delay and disk margins of loops with one input and one output."""
 
 from __future__ import annotations
 

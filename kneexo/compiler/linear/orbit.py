@@ -145,7 +145,7 @@ class _Search:
     """The search for the state and the period of an orbit."""
 
     def __init__(self, point: Point, inputs: int, period_s: float | None, step_s: float) -> None:
-        """``inputs``: the first so many elements of the open inputs are differentiated by."""
+        """The first ``inputs`` elements of the open inputs are variables of the derivatives."""
         equations = point.read.equations
         nodes = [*equations.derivatives]
         nodes += [node for update in equations.updates for _, node in update.values]

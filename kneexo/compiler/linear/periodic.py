@@ -93,9 +93,10 @@ class PeriodicLoop:
         return self._first(lambda t: np.exp(-1j * t), _TURNS)
 
     def disk_change(self) -> tuple[float, float]:
-        """Return the smallest ε whose factor (1 + εe^{jθ})/(1 − εe^{jθ}) moves stability for any θ.
+        """Return the smallest ε at which (1 + εe^{jθ})/(1 − εe^{jθ}) moves stability.
 
-        The second value is the frequency. Without such an ε below 0.999 the result is (1, nan).
+        The factor must move stability for at least one angle θ. The second value is the
+        frequency. Without such an ε below 0.999 the result is (1, nan).
         """
 
         def along(angle: float) -> tuple[float, float]:
@@ -134,9 +135,10 @@ class PeriodicLoop:
     def _projections(self) -> tuple[Complex, Complex]:
         """Matrices X (r, n) and Y (n, r), such that X M Y has the modes of M that factors move.
 
-        No factor moves a mode on or outside the unit circle that the signal does not show, an
-        eigenvector v with M(k) v = λ v for all k, or that the signal does not excite, the same for
-        the transpose of M. Modes inside the unit circle need no such treatment.
+        No factor moves a mode that the signal does not show. Such a mode has an eigenvector v with
+        M(k) v = λ v for all factors k. No factor moves a mode that the signal does not excite. Such
+        a mode has an eigenvector of this kind for the transpose of M. X and Y remove modes of both
+        kinds on or outside the unit circle. Modes inside the unit circle need no such treatment.
         """
         at_one, *others = self.closed_matrices((1.0, *_PROBES))
         _, (scale, _) = scipy.linalg.matrix_balance(at_one, permute=False, separate=True)
@@ -178,7 +180,9 @@ class PeriodicLoop:
 def _moved_within(
     basis: Complex, first: Complex, changes: Sequence[Complex], transposed: bool
 ) -> Complex | None:
-    """Return vectors normal to all eigenvectors of a matrix, within a basis, that no change moves.
+    """Return vectors normal to the eigenvectors that no change moves, in coordinates of ``basis``.
+
+    The eigenvectors are those of ``first`` or, if ``transposed``, of its conjugate transpose.
 
     Only eigenvalues on or outside the unit circle count. Without such eigenvectors the result is
     None. A chain of integrators has a single eigenvector, so a caller repeats this.
