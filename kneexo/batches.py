@@ -47,11 +47,12 @@ class BatchRow(Result):
     error: str
 
     def write_failure(self, path: str | PathLike[str]) -> None:
-        """Write the failed run to a file, which ``kneexo replay`` repeats and makes a test.
+        """Repeat the failed run, and write its scenario and its end to a file.
 
-        Raises `ParameterError` if the run has not failed, if the scenario refuses the values, or if
-        no file can name the control law, such as a lambda. Raises `OutputError` if the file cannot
-        be written, and `ResultError` if the run alone does not fail with this error.
+        ``kneexo replay`` repeats the run of the file, and can write a test of the run. Raises
+        `ParameterError` if the run has not failed, if the scenario refuses the values, or if the
+        control law has no name in a file, such as a lambda. Raises `OutputError` if the file cannot
+        be written, and `ResultError` if the repeated run does not fail with this error.
         """
         if not self.error:
             raise ParameterError("the run of this row has not failed")

@@ -23,8 +23,9 @@ from kneexo.simulation import awaitable, can_reduce, needs_runs, reduce_run, sim
 async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
     """Simulate a scenario and return its `TRACKING_METRICS`.
 
-    The compiled engine computes them inside its time loop, without a log. Otherwise the run logs
-    the signals of the metrics. The sums of the two ways are rounded differently.
+    If `can_reduce` accepts the scenario, the compiled engine computes the metrics inside its time
+    loop, without a log. Otherwise the run logs the signals, and NumPy computes the metrics. The two
+    ways round sums differently.
     """
     settled_s, limit = period_s(scenario), scenario.command_limit_rad_s
     if can_reduce(scenario):

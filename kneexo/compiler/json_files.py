@@ -109,9 +109,10 @@ def numbers_of(name: str, value: Any, *, finite: bool = True) -> dict[str, float
 
 
 def number_of(name: str, value: Any, *, finite: bool = True) -> float:
-    """Return a JSON number as float, and the text of a number that is not finite if allowed.
+    """Return a JSON number as a float.
 
-    Raises `ParameterError` for any other value.
+    If ``finite`` is False, also convert the texts of `NOT_FINITE`. Raises `ParameterError` for any
+    other value.
     """
     if not finite and value in NOT_FINITE:
         return float(value)

@@ -107,7 +107,7 @@ class RecordedRun:
         """Repeat the run on ``model`` and compare its end. Errors: see `simulate`.
 
         A model with other equations runs too, if its names are those of the run. The result then
-        says that the equations changed. The bits depend on the processor and its compiler as well.
+        says that the equations changed. The bits also depend on the processor.
         """
         end = _end_of(model, lambda: self.simulate(model))
         now = run_versions() | {"equations": _digest(model)}
@@ -125,10 +125,10 @@ def record_run(
     note: Mapping[str, Any] = {},
     **options: Any,
 ) -> RecordedRun:
-    """Repeat one run of a batch alone, and return its arguments and its end, to be written.
+    """Repeat one run of a batch, and return its arguments and its end, ready for a file.
 
-    A run alone has the same bits as in a batch. So this records any run of
-    `CompiledModel.simulate_batch`, and costs a sweep nothing.
+    The repeated run has the same bits as the run in the batch. So any run of
+    `CompiledModel.simulate_batch` can be recorded afterwards, and a sweep need not record its runs.
 
     Parameters
     ----------

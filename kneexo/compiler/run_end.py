@@ -20,7 +20,7 @@ class RunEnd:
 
     ``error`` is the name of the error's class. ``error`` and ``message`` are empty if the run
     succeeded. ``time_s`` is the time of the end in s, and ``state`` maps the name of each state to
-    its value at the end. A run that does not know them has the time nan and an empty ``state``.
+    its value at the end. If they are unknown, ``time_s`` is nan and ``state`` is empty.
     """
 
     error: str

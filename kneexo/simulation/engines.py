@@ -33,7 +33,7 @@ class RunRequest(Request[Run]):
     """A request to simulate a scenario; the answer is a `Run`. `simulate` describes the fields.
 
     ``reductions`` are numbers that the compiled engine computes from output ports of the closed
-    loop. Only a request whose scenario `can_reduce` has them.
+    loop. They must be empty if `can_reduce` refuses the scenario.
     """
 
     scenario: Scenario

@@ -85,7 +85,7 @@ class Failure(Result):
 
 
 def record_failure(scenario: Scenario, *, error: str = "", note: Mapping[str, Any] = {}) -> Failure:
-    """Repeat a failed run of a sweep, and return its scenario and its end, to be written.
+    """Repeat a failed run of a sweep, and return its scenario and its end, ready for a file.
 
     A run alone has the same bits as in a sweep. So any failed run of a sweep can be recorded
     afterwards, by its scenario.

@@ -199,7 +199,7 @@ class _Survey:
         return changes and np.abs(smooth).max() > _ROUNDING * np.abs(rounded).max()
 
     def _at_corner(self, node: int) -> bool:
-        """Return whether a corner is at its argument's corner, with different derivatives."""
+        """Return whether a corner operation is at its corner, and its two derivatives differ."""
         name, arguments = self.graph.nodes[node][0], self.graph.arguments(node)
         if name == "abs":
             return bool(abs(self.value(arguments[0])) <= _AT_CORNER and self.row(*arguments).any())
@@ -226,7 +226,7 @@ class _Survey:
         return abs(a - b) <= _AT_CORNER * max(1.0, abs(a), abs(b))
 
     def _is_constant(self, node: int) -> bool:
-        """Return whether a corner has the derivative zero, but not on its other branch."""
+        """Return whether a corner operation has the derivative zero, and its other branch not."""
         branches = self.graph.arguments(node)[-2:]
         return not self.row(node).any() and self._moves(branches)
 

@@ -22,8 +22,8 @@ def values_and_jacobian(
     """Return the values of nodes (roots,) and their Jacobian (roots, variables).
 
     The derivatives are exact, by the chain rule in forward mode. At a corner (`Role.CORNER`) they
-    are those on one side. A derivative that multiplies zero counts as zero, also if it is not
-    finite. So the branch of a choice that is not taken has no effect.
+    are those on one side. Zero times a derivative is zero, even if the derivative is not finite. So
+    the branch of a choice that is not taken has no effect.
 
     Parameters
     ----------

@@ -50,8 +50,8 @@ def loop_at(
     Raises
     ------
     ParameterError
-        The port is not inside the diagram, its element does not exist, or no element is named of
-        a port with several.
+        The port is not inside the diagram, or its element does not exist. Or the port has several
+        elements, and ``port`` names none.
     CompilationError, LinearizationError
         As in `linearize`.
     """
@@ -122,10 +122,11 @@ def _transfer(loop: PeriodicLoop) -> Transfer | None:
 
 
 def _uses_and_changes(loop: PeriodicLoop) -> Iterator[tuple[bool, int, bool]]:
-    """Yield in order of time when systems read the signal, and when the signal changes.
+    """Yield the uses and the changes of the signal, in the order of time.
 
-    The elements of an event are whether it is a use, the number of its tick, and whether it comes
-    after the updates of this tick. An update reads the signal before it changes.
+    At a use, systems read the signal. The elements of an event are: True for a use and False for a
+    change; the number of its tick; True if the event comes after the updates of this tick. An
+    update reads the signal before the signal changes.
     """
     for number, tick in enumerate(loop.ticks):
         jump = np.hstack([tick.jump_state - np.eye(loop.row.size), tick.jump_input])

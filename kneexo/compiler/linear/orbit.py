@@ -222,8 +222,9 @@ class _Search:
     def after_period(self, state: Array, period: float) -> tuple[Array, Array]:
         """Return the state after a period (n,), and its derivatives (n, n + inputs).
 
-        The derivatives are those by the state before and by the first inputs. All numbers are nan
-        if the run fails, or if the period is not positive.
+        The variables of the derivatives are the state before the period and the first ``inputs``
+        elements of the open inputs. All numbers are nan if the run fails, or if the period is not
+        positive and finite.
         """
         n, columns = self._size
         count = len(self._point.read.state_names)

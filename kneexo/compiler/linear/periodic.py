@@ -138,7 +138,7 @@ class PeriodicLoop:
         No factor moves a mode that the signal does not show. Such a mode has an eigenvector v with
         M(k) v = λ v for all factors k. No factor moves a mode that the signal does not excite. Such
         a mode has an eigenvector of this kind for the transpose of M. X and Y remove modes of both
-        kinds on or outside the unit circle. Modes inside the unit circle need no such treatment.
+        kinds on or outside the unit circle. Modes inside the unit circle can stay.
         """
         at_one, *others = self.closed_matrices((1.0, *_PROBES))
         _, (scale, _) = scipy.linalg.matrix_balance(at_one, permute=False, separate=True)
@@ -182,10 +182,10 @@ def _moved_within(
 ) -> Complex | None:
     """Return vectors normal to the eigenvectors that no change moves, in coordinates of ``basis``.
 
-    The eigenvectors are those of ``first`` or, if ``transposed``, of its conjugate transpose.
-
-    Only eigenvalues on or outside the unit circle count. Without such eigenvectors the result is
-    None. A chain of integrators has a single eigenvector, so a caller repeats this.
+    The eigenvectors are those of ``first`` or, if ``transposed``, of its conjugate transpose. Only
+    eigenvalues on or outside the unit circle count. Without such eigenvectors the result is None. A
+    chain of integrators has a single eigenvector, so the caller repeats the call with the smaller
+    basis until the result is None.
     """
     inner = [basis.conj().T @ matrix @ basis for matrix in (first, *changes)]
     if transposed:

@@ -41,8 +41,8 @@ from .types import BOOL, BYTE, DOUBLE, INT, POINTER, Type
 
 _CHECKS = 4  # independent sums, which the processor can compute at the same time
 
-# Beyond these sizes derivatives are called. With a single lane copies of longer derivatives save no
-# time in a run, but LLVM takes longer.
+# Beyond these sizes the derivatives are a function that the code calls, not copies at each use.
+# With a single lane, copies of more operations save no time in a run, but LLVM takes longer.
 _INLINED_STATES, _INLINED_NODES, _INLINED_NODES_OF_ONE_LANE = 8, 1500, 120
 
 
