@@ -20,6 +20,8 @@ def invariant_zeros(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.comple
     disappear in exact steps. The generalized eigenvalues of the pencil, which python-control
     computes without slycot, turn infinite zeros into large finite ones, and need a square system.
     """
+    if not len(a):  # SciPy 1.13 refuses an empty matrix
+        return np.empty(0, dtype=complex)
     balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
     rate = float(np.linalg.norm(balanced)) or 1.0
     system = _scaled(balanced / rate, b / scale[:, None] / rate, c * scale, d)
