@@ -203,7 +203,7 @@ def fill_tables(module: Module, size: int) -> Function:
 
     The function fills the tables of ``level`` and of ``level`` + 1, if they are missing. Each table
     comes from the table of half the step (Skaflestad and Wright 2009, Appl. Numer. Math. 59). If
-    no table is fine enough, a Taylor series gives a first table, at least `_SPARE` levels finer
+    no table is fine enough, a Taylor series gives a first table, at least ``_SPARE`` levels finer
     than ``level`` unless `FINEST` + 1 is reached.
     """
     return module.shared("fill_tables", lambda: _define_fill_tables(module, size))
